@@ -1,0 +1,1 @@
+"""Data sets: read, validated once, written."""

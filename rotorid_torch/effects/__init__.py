@@ -1,0 +1,1 @@
+"""Physical effects that can step into the model's chain, one class each."""

@@ -1,0 +1,1 @@
+"""The three steps: reconstruct (UKF), regress (FTR), output error (ML)."""

@@ -1,0 +1,1 @@
+"""The identification model: an ordered chain of stages with one parameter vector."""
