@@ -1,0 +1,153 @@
+"""Channels, controls, axes and units: the one table that everybody reads.
+
+SI units and radians; body axes x forward, y right, z down; Euler angles 3-2-1.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+Bias = Literal["free", "none"]
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One measured channel.
+
+    `bias` is the default of its sensor's constant error. Gyros and accelerometers drift, so rates, specific force and angular
+    acceleration have a free constant per flight; velocities, attitudes, positions, air data and flapping come from solutions that are
+    aligned before flight, and a bias on them could not be told from a trim. `limit` is the largest magnitude that radians can have.
+    """
+
+    name: str
+    unit: str
+    about: str
+    kind: str
+    bias: Bias = "none"
+    limit: float = math.inf
+
+
+def _table() -> dict[str, Channel]:
+    rows: list[tuple[str, str, str, str]] = [
+        ("time", "s", "time", "time"),
+        ("lon", "rad", "longitudinal cyclic", "control"),
+        ("lat", "rad", "lateral cyclic", "control"),
+        ("col", "rad", "main rotor collective", "control"),
+        ("ped", "rad", "tail rotor collective", "control"),
+        ("u", "m/s", "forward velocity over ground", "velocity"),
+        ("v", "m/s", "sideward velocity over ground", "velocity"),
+        ("w", "m/s", "downward velocity over ground, body axes", "velocity"),
+        ("p", "rad/s", "roll rate", "rate"),
+        ("q", "rad/s", "pitch rate", "rate"),
+        ("r", "rad/s", "yaw rate", "rate"),
+        ("phi", "rad", "roll angle", "attitude"),
+        ("theta", "rad", "pitch angle", "attitude"),
+        ("psi", "rad", "heading", "attitude"),
+        ("north", "m", "position north", "position"),
+        ("east", "m", "position east", "position"),
+        ("height", "m", "height, positive up", "position"),
+        ("ax", "m/s²", "specific force forward at the IMU", "specific force"),
+        ("ay", "m/s²", "specific force sideward at the IMU", "specific force"),
+        ("az", "m/s²", "specific force downward at the IMU", "specific force"),
+        ("pdot", "rad/s²", "roll acceleration", "angular acceleration"),
+        ("qdot", "rad/s²", "pitch acceleration", "angular acceleration"),
+        ("rdot", "rad/s²", "yaw acceleration", "angular acceleration"),
+        ("airspeed", "m/s", "airspeed", "air data"),
+        ("alpha", "rad", "angle of attack", "air data"),
+        ("beta", "rad", "sideslip", "air data"),
+        ("a0", "rad", "coning", "flapping"),
+        ("a1", "rad", "longitudinal flapping", "flapping"),
+        ("b1", "rad", "lateral flapping", "flapping"),
+        ("omega", "rad/s", "main rotor speed", "rotor"),
+        ("torque", "N m", "main rotor torque", "rotor"),
+        ("voltage", "V", "battery voltage", "rotor"),
+    ]
+    free = {"rate", "specific force", "angular acceleration"}
+    limits = {
+        "theta": math.pi / 2,
+        "a0": math.pi / 2,
+        "a1": math.pi / 2,
+        "b1": math.pi / 2,
+        "alpha": math.pi,
+        "beta": math.pi,
+    }
+    return {
+        name: Channel(name, unit, about, kind, "free" if kind in free else "none", limits.get(name, math.inf))
+        for name, unit, about, kind in rows
+    }
+
+
+CHANNELS: dict[str, Channel] = _table()
+"""Every channel with a fixed name; `motorN` and `omegaN` are families, see `channel`."""
+
+STICKS = ("lon", "lat", "col", "ped")
+"""Controls of a helicopter, in canonical order."""
+
+BODY = ("u", "v", "w", "p", "q", "r", "phi", "theta")
+"""Channels that a free run is scored on, where the data set has them."""
+
+VELOCITIES, RATES, ATTITUDES = ("u", "v", "w"), ("p", "q", "r"), ("phi", "theta", "psi")
+POSITIONS, SPECIFIC_FORCES = ("north", "east", "height"), ("ax", "ay", "az")
+FLAPPING = ("a0", "a1", "b1")
+FORCES, MOMENTS = ("X", "Y", "Z"), ("L", "M", "N")
+"""Axes of force (N) and moment (N m) about the centre of gravity, body axes, without gravity."""
+
+CONTROL_UNITS = ("rad", "m", "norm")
+KINDS = ("helicopter", "multirotor")
+
+_FAMILIES = {
+    "motor": Channel("motor", "norm", "motor command, 0…1", "control"),
+    "omega": Channel("omega", "rad/s", "rotor speed", "rotor"),
+}
+_MEMBER = re.compile(r"(motor|omega)([1-9][0-9]?)")
+
+
+def channel(name: str) -> Channel | None:
+    """Channel of this name from the table or from the families `motorN`, `omegaN`; None where the name is somebody's own."""
+    if name in CHANNELS:
+        return CHANNELS[name]
+    member = _MEMBER.fullmatch(name)
+    if member is None:
+        return None
+    family = _FAMILIES[member[1]]
+    return replace(family, name=name, about=f"{family.about} of motor {member[2]}")
+
+
+def is_motor(name: str) -> bool:
+    """Whether this is a motor command, `motor1` … `motor99`."""
+    return name.startswith("motor") and channel(name) is not None
+
+
+def is_control(name: str) -> bool:
+    """Whether this is a control: `lon lat col ped` or `motorN`."""
+    return name in STICKS or is_motor(name)
+
+
+def unit(name: str) -> str:
+    """Unit of a channel; an empty string for a name outside the table."""
+    known = channel(name)
+    return known.unit if known else ""
+
+
+def default_bias(name: str) -> Bias:
+    """Whether the channel's sensor has a free constant per flight unless the data set says otherwise, see `Channel`."""
+    known = channel(name)
+    return known.bias if known else "none"
+
+
+def ordered_controls(names: Iterable[str]) -> tuple[str, ...]:
+    """Controls among these names in canonical order: lon lat col ped, then motors by number."""
+    chosen = set(names)
+    motors = sorted((n for n in chosen if is_motor(n)), key=lambda n: int(n.removeprefix("motor")))
+    return (*(n for n in STICKS if n in chosen), *motors)
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Hint for a misspelt name, " (did you mean 'x'?)" or an empty string."""
+    match = difflib.get_close_matches(name, list(known), n=1)
+    return f" (did you mean '{match[0]}'?)" if match else ""

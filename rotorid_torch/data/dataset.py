@@ -1,0 +1,333 @@
+"""A data set: vehicle, flights and their lists, read and validated once; reference point, scales and noise."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import msgspec
+import torch
+
+from rotorid_torch.core import names
+from rotorid_torch.data import suspicion
+from rotorid_torch.data.flight import Flight
+from rotorid_torch.data.grid import make_flight
+from rotorid_torch.data.noise import white_noise
+from rotorid_torch.data.quiet import quiet_samples
+from rotorid_torch.data.read import find_flight, parse_flight, take_arrays
+from rotorid_torch.data.schema import (
+    ChannelSpec,
+    ControlSpec,
+    Declaration,
+    ModelSettings,
+    Vehicle,
+    declare,
+    read_declaration,
+)
+from rotorid_torch.errors import InputError
+
+NOISE_FLOOR = 1e-3
+"""Least noise of a channel that does not declare it, as a share of its rms deviation: a filtered or simulated channel is not exact."""
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """Flights of one vehicle about one reference point. Made by `load` or `Dataset.from_arrays`, both validating."""
+
+    name: str
+    kind: str
+    path: Path | None
+    sha256: str
+    description: str
+    vehicle: Vehicle
+    controls: tuple[str, ...]
+    control_specs: Mapping[str, ControlSpec]
+    channel_specs: Mapping[str, ChannelSpec]
+    flights: Mapping[str, Flight]
+    identify: tuple[str, ...]
+    validate: tuple[str, ...]
+    acid: tuple[str, ...]
+    settings: ModelSettings
+    warnings: tuple[str, ...]
+
+    @classmethod
+    def from_arrays(
+        cls,
+        flights: Mapping[str, Mapping[str, Any]],
+        *,
+        identify: Sequence[str],
+        validate: Sequence[str] = (),
+        acid: Sequence[str] = (),
+        kind: str = "helicopter",
+        name: str = "arrays",
+        description: str = "",
+        vehicle: Mapping[str, Any] | Vehicle | None = None,
+        controls: Mapping[str, Any] | None = None,
+        channels: Mapping[str, Any] | None = None,
+        model: Mapping[str, Any] | None = None,
+    ) -> Dataset:
+        """Data set from arrays in memory, with the validation of `load`.
+
+        Parameters
+        ----------
+        flights : per flight its channels, each (T,) numbers (NumPy, tensor or list), "time" and at least one control among them.
+        identify, validate, acid : names of the flights in each list.
+        vehicle, controls, channels, model : tables as in dataset.toml, as dicts (or the structs of `data.schema`).
+
+        Raises
+        ------
+        InputError : with file "arrays" and the key or channel at fault.
+        """
+        document = {
+            "format": 1,
+            "name": name,
+            "kind": kind,
+            "description": description,
+            "vehicle": _plain(vehicle or {}),
+            "controls": _plain(controls or {}),
+            "channels": _plain(channels or {}),
+            "flights": {"identify": list(identify), "validate": list(validate), "acid": list(acid)},
+            "model": _plain(model or {}),
+        }
+        declaration = declare(document, "arrays")
+        digest = hashlib.sha256(json.dumps(document, sort_keys=True).encode())
+        made, warnings = {}, []
+        for flight_name in declaration.flights.all():
+            if flight_name not in flights:
+                raise InputError(
+                    "arrays", "flights", f"there is no flight '{flight_name}'", "every flight of the lists"
+                )
+            place = f"arrays: flight {flight_name}"
+            arrays = take_arrays(flights[flight_name], place)
+            for channel, values in arrays.items():
+                digest.update(channel.encode() + values.tobytes())
+            made[flight_name], told = make_flight(flight_name, arrays, place)
+            warnings += told
+        places: dict[str, str | Path] = {flight: f"arrays: flight {flight}" for flight in made}
+        return _assemble(declaration, made, None, "arrays", places, digest.hexdigest(), warnings)
+
+    def noise(self, channel: str) -> float:
+        """Standard deviation of a sample of a channel or control, in its unit: declared, else estimated from the identify flights.
+
+        The estimate is the white floor of the spectrum (`white_noise`), at least a thousandth of the channel's rms deviation; a
+        declared zero is raised to a thousandth of that again, so that no channel has infinite weight.
+        """
+        spec = self.control_specs.get(channel) or self.channel_specs.get(channel)
+        if spec is None or spec.noise is None:
+            return self._estimated_noise(channel)
+        return spec.noise if spec.noise > 0 else max(1e-3 * NOISE_FLOOR * self.scales().get(channel, 0.0), 1e-12)
+
+    def bias(self, channel: str) -> names.Bias:
+        """Whether the channel's sensor has a constant error per flight ("free") or not ("none"): declared, else by `names.default_bias`."""
+        spec = self.channel_specs.get(channel)
+        return spec.bias if spec is not None and spec.bias is not None else names.default_bias(channel)
+
+    def quiet(self, flight: str) -> int:
+        """Samples of a flight before any control moves beyond its noise; at least 0.5 s."""
+        return self._quiet[flight]
+
+    def reference(self) -> Mapping[str, float]:
+        """Trim: mean of every channel and control over the quiet parts of the identify flights, each sample counted once."""
+        return self._reference
+
+    def scales(self) -> Mapping[str, float]:
+        """Scale per channel and control: rms over all identify flights of (channel - its mean over the first 0.5 s)."""
+        return self._scales
+
+    def scored(self) -> tuple[str, ...]:
+        """Channels that a free run is scored on: those of `u v w p q r phi theta` that the identify flights have."""
+        return tuple(name for name in names.BODY if self._scales.get(name, 0.0) > 0.0)
+
+    def listed(self, flight: str) -> str:
+        """List that a flight is in: "identify", "validate" or "acid"."""
+        return "identify" if flight in self.identify else "validate" if flight in self.validate else "acid"
+
+    def file(self, flight: str) -> Path | str:
+        """File of a flight, for messages; words where the data set was made from arrays."""
+        return find_flight(self.path, flight) if self.path is not None else f"arrays: flight {flight}"
+
+    def require_rates(self) -> None:
+        """Raise InputError where a flight lacks a body rate that other flights have, or where no flight of a helicopter has any."""
+        have = [rate for rate in names.RATES if any(flight.has(rate) for flight in self.flights.values())]
+        needed = have or (["p"] if self.kind == "helicopter" else [])
+        for flight in self.flights.values():
+            for rate in needed:
+                if not flight.has(rate):
+                    what = "is all NaN" if rate in flight.channels else "is missing"
+                    raise InputError(self.file(flight.name), rate, what, "body rates in rad/s in every flight")
+
+    @cached_property
+    def _quiet(self) -> dict[str, int]:
+        spread = {control: self._scales[control] for control in self.controls}
+        noise = {control: self.noise(control) for control in self.controls}
+        return {name: quiet_samples(flight, noise, spread) for name, flight in self.flights.items()}
+
+    @cached_property
+    def _reference(self) -> Mapping[str, float]:
+        quiet = [(self.flights[name], self._quiet[name]) for name in self.identify]
+        return MappingProxyType(
+            {
+                channel: float(
+                    torch.cat([f.channels[channel][:n] for f, n in quiet if channel in f.channels]).nanmean()
+                )
+                for channel in self._measured()
+            }
+        )
+
+    @cached_property
+    def _scales(self) -> Mapping[str, float]:
+        return MappingProxyType({channel: self._scale(channel) for channel in self._measured()})
+
+    def _scale(self, channel: str) -> float:
+        squares = []
+        for flight in (self.flights[name] for name in self.identify):
+            if flight.has(channel):
+                values = flight.channels[channel]
+                start = values[flight.lead()].nanmean()
+                start = start if not start.isnan() else values[~values.isnan()][0]
+                squares.append((values - start).square())
+        return math.sqrt(float(torch.cat(squares).nanmean()))
+
+    def _measured(self) -> tuple[str, ...]:
+        """Channels besides time that any identify flight has, in order of appearance."""
+        found = {c: None for name in self.identify for c in self.flights[name].channels if self.flights[name].has(c)}
+        return tuple(c for c in found if c != "time")
+
+    @cached_property
+    def _estimates(self) -> dict[str, float]:
+        return {}
+
+    def _estimated_noise(self, channel: str) -> float:
+        if channel not in self._estimates:
+            records = [
+                self.flights[name].channels[channel].numpy()
+                for name in self.identify
+                if self.flights[name].has(channel)
+            ]
+            estimate, least = white_noise(records), NOISE_FLOOR * self._scales.get(channel, 0.0)
+            self._estimates[channel] = max(estimate if math.isfinite(estimate) else 0.0, least, 1e-12)
+        return self._estimates[channel]
+
+
+def load(path: str | Path) -> Dataset:
+    """Read and validate the data set in a folder: dataset.toml and flights/NAME.npz or .csv. `truth/` is never read.
+
+    Raises
+    ------
+    InputError : with the file, the channel or key, what is wrong and what was expected.
+    """
+    folder = Path(path)
+    if folder.name == "dataset.toml":
+        folder = folder.parent
+    if not folder.is_dir():
+        raise InputError(
+            folder, "", "is not a folder" if folder.exists() else "there is no such folder", "a data set's folder"
+        )
+    toml = folder / "dataset.toml"
+    declaration, content = read_declaration(toml)
+    digest = hashlib.sha256(content)
+    made, places, warnings = {}, {}, []
+    for name in declaration.flights.all():
+        file = find_flight(folder, name)
+        data = _bytes(file)
+        digest.update(data)
+        made[name], told = make_flight(name, parse_flight(file, data), file)
+        places[name] = file
+        warnings += told
+    return _assemble(declaration, made, folder, toml, places, digest.hexdigest(), warnings)
+
+
+def _bytes(file: Path) -> bytes:
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise InputError(file, "", f"cannot be read ({error.strerror})", "a readable file") from None
+
+
+def _plain(table: Any) -> Any:
+    return (
+        msgspec.to_builtins(table, str_keys=True)
+        if isinstance(table, msgspec.Struct | Mapping | list | tuple)
+        else table
+    )
+
+
+def _assemble(
+    declaration: Declaration,
+    flights: dict[str, Flight],
+    folder: Path | None,
+    toml: str | Path,
+    places: Mapping[str, str | Path],
+    sha256: str,
+    warnings: list[str],
+) -> Dataset:
+    """Checks that need declaration and flights together, then the Dataset."""
+    controls, told = _controls(declaration, flights, places)
+    specs = {
+        name: declaration.controls.get(name) or ControlSpec(unit="norm" if names.is_motor(name) else "rad")
+        for name in controls
+    }
+    motors = declaration.vehicle.motors
+    commands = [name for name in controls if names.is_motor(name)]
+    if motors and commands and len(motors) != len(commands):
+        raise InputError(
+            toml, "vehicle.motors", f"declares {len(motors)} motors", f"{len(commands)}, one per motor command"
+        )
+    for name, flight in flights.items():
+        suspicion.refuse_degrees(flight, specs, places[name])
+    present = {channel for flight in flights.values() for channel in flight.channels}
+    for channel in declaration.channels:
+        if names.channel(channel) is None and channel not in present:
+            hint = names.nearest(channel, names.CHANNELS)
+            raise InputError(
+                toml, f"channels.{channel}", f"no flight has this channel{hint}", "a channel of the data set"
+            )
+    return Dataset(
+        name=declaration.name or (folder.resolve().name if folder else "arrays"),
+        kind=declaration.kind,
+        path=folder,
+        sha256=sha256,
+        description=declaration.description,
+        vehicle=declaration.vehicle,
+        controls=controls,
+        control_specs=MappingProxyType(specs),
+        channel_specs=MappingProxyType(dict(declaration.channels)),
+        flights=MappingProxyType(flights),
+        identify=declaration.flights.identify,
+        validate=declaration.flights.validate,
+        acid=declaration.flights.acid,
+        settings=declaration.model,
+        warnings=tuple(warnings + told),
+    )
+
+
+def _controls(
+    declaration: Declaration, flights: Mapping[str, Flight], places: Mapping[str, str | Path]
+) -> tuple[tuple[str, ...], list[str]]:
+    """Controls of the data set: the declared ones and those of the vehicle's kind that are recorded; every flight must have them."""
+    recorded = {channel for flight in flights.values() for channel in flight.channels if names.is_control(channel)}
+    motors = declaration.kind == "multirotor"
+    own = {name for name in recorded if names.is_motor(name) == motors}
+    chosen = names.ordered_controls(set(declaration.controls) | own or recorded)
+    if not chosen:
+        file = places[declaration.flights.identify[0]]
+        raise InputError(file, "controls", "there is no control", "at least one of lon, lat, col, ped, motor1, ...")
+    for name, flight in flights.items():
+        for control in chosen:
+            if not flight.has(control):
+                what = "is all NaN" if control in flight.channels else "is missing"
+                raise InputError(places[name], control, what, "every control of the data set in every flight")
+    undeclared = [name for name in chosen if name not in declaration.controls]
+    told = [
+        f"control {name} has no [controls.{name}]: taken as {'norm' if names.is_motor(name) else 'rad'}"
+        for name in undeclared
+    ]
+    unused = sorted(recorded - set(chosen))
+    return chosen, told + [f"channel {name} is recorded, not declared as a control and not used" for name in unused]

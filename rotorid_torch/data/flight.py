@@ -1,0 +1,62 @@
+"""One flight: channels on one uniform time grid, immutable; knows no vehicle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """Channels of one flight, each (T,) float64 in SI units and radians; NaN is a missing sample; "time" starts at 0."""
+
+    name: str
+    dt: float
+    channels: Mapping[str, Tensor]
+
+    @property
+    def time(self) -> Tensor:
+        """Time (T,) in s from the first sample."""
+        return self.channels["time"]
+
+    @property
+    def samples(self) -> int:
+        """Number of samples T."""
+        return self.time.shape[0]
+
+    def has(self, *names: str) -> bool:
+        """Whether every one of these channels is there and not all NaN."""
+        return all(name in self.channels and not bool(self.channels[name].isnan().all()) for name in names)
+
+    def stack(self, names: Sequence[str]) -> Tensor:
+        """Channels as columns (T, n); NaN where the flight has no such channel."""
+        missing = torch.full((self.samples,), torch.nan, dtype=torch.float64)
+        if not names:
+            return missing.new_empty(self.samples, 0)
+        return torch.stack([self.channels.get(name, missing) for name in names], dim=-1)
+
+    def bridged(self, names: Sequence[str]) -> Tensor:
+        """Channels as columns (T, n) with missing samples bridged linearly and held at the ends, as a simulation needs its controls."""
+        columns = self.stack(names).clone()
+        for column in columns.T:
+            column.copy_(_bridge(column))
+        return columns
+
+    def lead(self, seconds: float = 0.5) -> slice:
+        """Samples before `seconds`; at least one."""
+        return slice(0, max(1, int((self.time < seconds).sum())))
+
+
+def _bridge(column: Tensor) -> Tensor:
+    known = (~column.isnan()).nonzero().squeeze(-1)
+    if len(known) in (0, len(column)):
+        return column
+    index = torch.arange(len(column))
+    after = torch.searchsorted(known, index).clamp(max=len(known) - 1)
+    before = (torch.searchsorted(known, index, right=True) - 1).clamp(min=0)
+    left, right = known[before], known[after]
+    share = torch.where(right > left, (index - left).to(column.dtype) / (right - left).clamp(min=1), 0.0)
+    return column[left] + share * (column[right] - column[left])

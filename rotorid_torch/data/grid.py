@@ -1,0 +1,125 @@
+"""Raw arrays to a Flight: checked, unwrapped, on a uniform time grid."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+import torch
+
+from rotorid_torch.core import names
+from rotorid_torch.data.flight import Flight
+from rotorid_torch.data.read import Arrays
+from rotorid_torch.errors import InputError
+
+UNIFORM = 0.01
+"""Largest deviation of an interval from the median interval, relative, that still counts as uniform."""
+GAP_S = 0.02
+"""An interval longer than this and than 2.5 samples is a gap: a tenth of the period of 5 Hz, above which a straight line is no longer
+what the aircraft did."""
+
+
+def make_flight(name: str, arrays: Arrays, file: str | Path) -> tuple[Flight, list[str]]:
+    """Flight from raw arrays, and sentences on what had to be changed. `file` is named in errors. Raises InputError."""
+    checked = _check_shapes(arrays, file)
+    _check_time(checked["time"], file)
+    for channel, values in checked.items():
+        _check_values(channel, values, file)
+    for angle in ("phi", "psi"):
+        if angle in checked:
+            checked[angle] = unwrap(checked[angle])
+    dt, resampled, warnings = resample(checked)
+    tensors = {channel: torch.from_numpy(np.ascontiguousarray(values)) for channel, values in resampled.items()}
+    return Flight(name, dt, MappingProxyType(tensors)), [f"flight {name}: {sentence}" for sentence in warnings]
+
+
+def _check_shapes(arrays: Arrays, file: str | Path) -> Arrays:
+    if "time" not in arrays:
+        raise InputError(file, "time", "is missing", f"time in s{names.nearest('time', arrays)}")
+    samples = len(arrays["time"])
+    for channel, values in arrays.items():
+        if len(values) != samples:
+            raise InputError(file, channel, f"has {len(values)} samples", f"{samples} as in time")
+    if samples < 2:
+        raise InputError(file, "time", f"has {samples} sample{'' if samples == 1 else 's'}", "a time history")
+    return {channel: np.array(values, dtype=np.float64) for channel, values in arrays.items()}
+
+
+def _check_time(time: np.ndarray, file: str | Path) -> None:
+    bad = ~np.isfinite(time)
+    if bad.any():
+        raise InputError(
+            file, "time", f"is {time[bad][0]} at sample {int(bad.argmax())}", "a finite time for every sample"
+        )
+    steps = np.diff(time)
+    if (steps <= 0).any():
+        at = int((steps <= 0).argmax()) + 1
+        what = "repeats" if steps[at - 1] == 0 else "runs backwards"
+        raise InputError(
+            file,
+            "time",
+            f"{what} at sample {at} ({time[at - 1]:.9g} s, then {time[at]:.9g} s)",
+            "strictly increasing time",
+        )
+
+
+def _check_values(channel: str, values: np.ndarray, file: str | Path) -> None:
+    infinite = np.isinf(values)
+    if infinite.any():
+        raise InputError(
+            file,
+            channel,
+            f"is infinite at sample {int(infinite.argmax())}",
+            "finite numbers, or NaN for a missing sample",
+        )
+    known = names.channel(channel)
+    if known is None:
+        return
+    largest = float(np.nanmax(np.abs(values), initial=0.0))
+    if largest > known.limit * 1.001:
+        told = f"reaches {largest:.4g} (degrees?)"
+        raise InputError(file, channel, told, f"radians, at most {known.limit:.4g}")
+
+
+def unwrap(angle: np.ndarray) -> np.ndarray:
+    """Angle (T,) in rad without jumps of 2 pi, over missing samples too."""
+    known = ~np.isnan(angle)
+    result = angle.copy()
+    result[known] = np.unwrap(angle[known])
+    return result
+
+
+def resample(arrays: Arrays) -> tuple[float, Arrays, list[str]]:
+    """Channels on a uniform grid from 0: as they are where time is uniform within 1 %, else linear; gaps and NaN stay NaN."""
+    time = arrays["time"] - arrays["time"][0]
+    steps = np.diff(time)
+    typical = float(np.median(steps))
+    samples = len(time)
+    dt = float(time[-1]) / (samples - 1)
+    drift = np.abs(time - dt * np.arange(samples)).max()
+    if np.abs(steps - typical).max() <= UNIFORM * typical * 1.0001 and drift <= 0.5 * dt:
+        return dt, {**arrays, "time": dt * np.arange(samples)}, []
+    return _interpolate(arrays, time, steps, typical)
+
+
+def _interpolate(
+    arrays: Arrays, time: np.ndarray, steps: np.ndarray, typical: float
+) -> tuple[float, Arrays, list[str]]:
+    count = max(1, round(float(time[-1]) / typical))
+    if count > 4 * len(time) + 100_000:
+        count = len(time) - 1
+    dt = float(time[-1]) / count
+    grid = dt * np.arange(count + 1)
+    gap = steps > max(GAP_S, 2.5 * typical)
+    interval = np.clip(np.searchsorted(time, grid, side="right") - 1, 0, len(steps) - 1)
+    inside = gap[interval] & (grid > time[interval]) & (grid < time[interval + 1])
+    result = {channel: np.where(inside, np.nan, np.interp(grid, time, values)) for channel, values in arrays.items()}
+    result["time"] = grid
+    warnings = [
+        f"time is not uniform (intervals {steps.min():.4g} to {steps.max():.4g} s, median {typical:.4g} s): "
+        f"resampled linearly to {dt:.6g} s"
+    ]
+    if gap.any():
+        warnings.append(f"{int(gap.sum())} gaps of up to {steps.max():.3g} s are kept as missing samples")
+    return dt, result, warnings

@@ -1,0 +1,49 @@
+"""Degrees where radians belong: told by magnitude, and by attitude against the integral of the rate."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from rotorid_torch.data.flight import Flight
+from rotorid_torch.data.schema import ControlSpec
+from rotorid_torch.errors import InputError
+
+PAIRS = (("phi", "p"), ("theta", "q"), ("psi", "r"))
+
+
+def refuse_degrees(flight: Flight, controls: Mapping[str, ControlSpec], file: str | Path) -> None:
+    """Raise InputError where a blade angle exceeds pi/2, or an attitude moves about 57 times as much as its rate says (or a 57th)."""
+    for control, spec in controls.items():
+        largest = float(flight.channels[control].abs().nan_to_num(0.0).max())
+        if spec.unit == "rad" and largest > math.pi / 2:
+            raise InputError(file, control, f"reaches {largest:.4g} (degrees?)", "a blade angle in rad, at most 1.571")
+    for angle, rate in PAIRS:
+        if not flight.has(angle, rate):
+            continue
+        ratio, correlation = attitude_over_rate(flight, angle, rate)
+        if correlation < 0.8:
+            continue
+        if 30.0 < ratio < 110.0:
+            raise InputError(
+                file, angle, f"moves {ratio:.0f} times as much as the integral of {rate} (degrees?)", "radians"
+            )
+        if 30.0 < 1.0 / max(ratio, 1e-9) < 110.0:
+            raise InputError(file, rate, f"is {1.0 / ratio:.0f} times the rate of {angle} (degrees?)", "rad/s")
+
+
+def attitude_over_rate(flight: Flight, angle: str, rate: str) -> tuple[float, float]:
+    """Slope of an Euler angle on the integral of its body rate, both without trend, and their correlation."""
+    values = flight.bridged([angle, rate]).numpy()
+    integral = np.cumsum(values[:, 1]) * flight.dt
+    time = flight.time.numpy()
+    trend = np.stack([np.ones_like(time), time], axis=1)
+    both = np.stack([values[:, 0], integral], axis=1)
+    left = both - trend @ np.linalg.lstsq(trend, both, rcond=None)[0]
+    power, turned = (left**2).sum(axis=0), (left[:, 0] * left[:, 1]).sum()
+    if power.min() <= 0.0:
+        return 0.0, 0.0
+    return float(turned / power[1]), float(turned / math.sqrt(power[0] * power[1]))
