@@ -1,7 +1,7 @@
 """The folder of a run: written beside its place and renamed when complete, so that it is whole or absent.
 
-While it is written the folder is called `.NAME.RANDOM.partial` and is locked; a lock ends with its process, however that
-dies, so that the next run to the same place knows the leftovers of dead ones and removes them.
+While it is written the folder is called `.NAME.RANDOM.partial` and is locked; a lock ends with its process, however
+that dies, so that the next run to the same place knows the leftovers of dead ones and removes them.
 """
 
 from __future__ import annotations

@@ -65,16 +65,21 @@ def test_earlier_run_is_replaced_as_a_whole(tmp_path: Path, monkeypatch: pytest.
 def test_exception_leaves_the_earlier_run(tmp_path: Path, error: type[BaseException]):
     out = tmp_path / "run"
     write(out)
-    with pytest.raises(error), folder.run_folder(out) as partial:
-        (partial / "report.json").write_text("{}")
-        raise error
+    with pytest.raises(error):
+        break_off(out, error())
     assert (out / "report.json").read_text() == OURS
     assert sorted(p.name for p in tmp_path.iterdir()) == ["run"]
 
 
+def break_off(out: Path, error: BaseException) -> None:
+    with folder.run_folder(out) as partial:
+        (partial / "report.json").write_text("{}")
+        raise error
+
+
 def test_exception_leaves_none_where_none_was(tmp_path: Path):
-    with pytest.raises(ValueError, match="x"), folder.run_folder(tmp_path / "run"):
-        raise ValueError("x")
+    with pytest.raises(ValueError, match="x"):
+        break_off(tmp_path / "run", ValueError("x"))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -157,9 +162,8 @@ def test_two_runs_to_one_place_at_once_leave_one_whole(tmp_path: Path):
 
 def test_whole_file_appears_complete_or_not_at_all(tmp_path: Path):
     out = tmp_path / "free.npz"
-    with pytest.raises(ValueError, match="x"), folder.whole_file(out) as partial:
-        partial.write_text("half")
-        raise ValueError("x")
+    with pytest.raises(ZeroDivisionError), folder.whole_file(out) as partial:
+        partial.write_text(str(1 / 0))
     assert list(tmp_path.iterdir()) == []
     with folder.whole_file(out) as partial:
         assert partial.suffix == ".npz"

@@ -1,0 +1,313 @@
+"""The command line: parser and exit codes only; each command's module is imported inside its function.
+
+Exit codes: 0 done; 2 bad input or usage, one line on stderr; 130 interrupted; 1 anything else, one line and a log.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import signal
+import sys
+import tempfile
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+from rotorid_torch.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from rotorid_torch.run.monitor import Monitor
+
+Options = argparse.Namespace
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser whose errors are InputErrors, so that usage errors are one line like all others."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise InputError instead of printing the usage."""
+        raise InputError(self.prog, "", message, f"what {self.prog} --help lists")
+
+
+class AddEffect(argparse.Action):
+    """`--effect ID`: begins a further effect, with no size yet."""
+
+    def __call__(self, parser, namespace, values, option_string=None) -> None:
+        """Append (ID, None) to the list of effects."""
+        setattr(namespace, self.dest, [*(getattr(namespace, self.dest) or []), (values, None)])
+
+
+class SizeLastEffect(argparse.Action):
+    """`--size F`: the size of the effect named just before it."""
+
+    def __call__(self, parser, namespace, values, option_string=None) -> None:
+        """Put the size into the last pair."""
+        effects = list(namespace.effect or [])
+        if not effects or effects[-1][1] is not None:
+            parser.error("--size without an --effect before it")
+        namespace.effect = [*effects[:-1], (effects[-1][0], values)]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code; `--help` leaves by SystemExit(0), as argparse does."""
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # read by torch on import; many small steps are fastest on one thread
+    try:
+        with _interrupted_by(signal.SIGTERM, signal.SIGHUP):
+            options = parser().parse_args(arguments)
+            _refuse_missing_device(options.device)
+            options.run(options)
+            sys.stdout.flush()
+    except InputError as error:
+        return _tell(str(error), 2)
+    except KeyboardInterrupt:
+        return _tell("interrupted", 130)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the reader left; do not fail again at exit
+        return 1
+    except Exception as error:
+        return _tell(f"unexpected {type(error).__name__}: {error}; the log is {_write_log()}", 1)
+    return 0
+
+
+def parser() -> Parser:
+    """The parser of all commands."""
+    top = Parser(prog="rotorid", description="Identify rotorcraft models from flight data.", allow_abbrev=False)
+    commands = top.add_subparsers(metavar="COMMAND", required=True, parser_class=Parser)
+    _add_fly(commands)
+    _add_check(commands)
+    _add_reconstruct(commands)
+    _add_identify(commands)
+    _add_simulate(commands)
+    _add_command(commands, "effects", effects, "the table of effects that a model can hold")
+    show_parser = _add_command(commands, "show", show, "the scorecard of one run or of several")
+    show_parser.add_argument("runs", metavar="RUN", nargs="+", type=Path)
+    _add_command(commands, "doctor", doctor, "versions, threads and devices; what is missing")
+    return top
+
+
+def _add_command(commands, name: str, run: Callable[[Options], None], about: str) -> argparse.ArgumentParser:
+    command = commands.add_parser(name, help=about, description=about[0].upper() + about[1:] + ".", allow_abbrev=False)
+    command.set_defaults(run=run)
+    common = command.add_argument_group("every command")
+    common.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    common.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
+    common.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of everything random (0)")
+    common.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="where torch computes (cpu)")
+    return command
+
+
+def _add_fly(commands) -> None:
+    command = _add_command(commands, "fly", fly, "fly the built-in flight-test aircraft; writes a data set")
+    command.add_argument("--out", metavar="DATASET", type=Path, required=True, help="folder to write")
+    command.add_argument("--effect", metavar="ID", action=AddEffect, help="fly with this undeclared effect; repeatable")
+    command.add_argument("--size", metavar="F", type=_number, action=SizeLastEffect, help="size of that effect")
+    command.add_argument("--speed", metavar="V", type=_number, help="trimmed speed, m/s (hover)")
+    command.add_argument("--heading", metavar="PSI", type=_number, help="heading of the trim, rad (0)")
+    command.add_argument("--height", metavar="H", type=_number, help="height of the trim, m (27.4)")
+    command.add_argument("--vehicle", metavar="FILE", type=Path, help="another vehicle, declared in a TOML file")
+    command.add_argument("--flights", metavar="LIST", type=_names, help="names of flights, with commas (all)")
+
+
+def _add_check(commands) -> None:
+    command = _add_command(commands, "check", check, "is the data set fit for identification?")
+    command.add_argument("dataset", metavar="DATASET", type=Path)
+    command.add_argument("--out", metavar="RUN", type=Path, help="also write the findings as a run")
+
+
+def _add_reconstruct(commands) -> None:
+    command = _add_command(commands, "reconstruct", reconstruct, "step 1 alone: forces and moments over time")
+    command.add_argument("dataset", metavar="DATASET", type=Path)
+    command.add_argument("--out", metavar="RUN", type=Path, required=True, help="the run's folder")
+
+
+def _add_identify(commands) -> None:
+    command = _add_command(commands, "identify", identify, "the three steps, validation and report")
+    command.add_argument("dataset", metavar="DATASET", type=Path)
+    command.add_argument("--out", metavar="RUN", type=Path, required=True, help="the run's folder")
+    command.add_argument("--effect", metavar="ID", action="append", default=[], help="add this effect; repeatable")
+
+
+def _add_simulate(commands) -> None:
+    command = _add_command(commands, "simulate", simulate, "free run of a model on a flight")
+    command.add_argument("model", metavar="MODEL", type=Path, help="a RUN or its model.pt")
+    command.add_argument("dataset", metavar="DATASET", type=Path)
+    command.add_argument("--flight", metavar="NAME", required=True)
+    command.add_argument("--out", metavar="FILE.npz", type=Path, required=True)
+    command.add_argument("--start", metavar="S", type=_number, default=0.0, help="where in the flight to begin, s (0)")
+    command.add_argument("--seconds", metavar="S", type=_number, help="how long to run, s (to the flight's end)")
+
+
+def fly(options: Options) -> None:
+    """Fly the built-in aircraft and write a data set."""
+    from rotorid_torch.fly import fly as fly_aircraft
+
+    given = {name: getattr(options, name) for name in ("speed", "heading", "height", "vehicle", "flights")}
+    given = {name: value for name, value in given.items() if value is not None}
+    fly_aircraft(options.out, seed=options.seed, effects=options.effect or (), progress=_monitor(options).say, **given)
+    _answer(options, {"dataset": str(options.out)}, f"data set: {options.out}")
+
+
+def check(options: Options) -> None:
+    """Say whether a data set is fit for identification."""
+    from rotorid_torch.data import load
+    from rotorid_torch.run import pipeline
+
+    findings = pipeline.check(load(options.dataset), out=options.out)
+    _answer(options, findings, findings.table())
+
+
+def reconstruct(options: Options) -> None:
+    """Step 1 alone."""
+    from rotorid_torch.data import load
+    from rotorid_torch.run import pipeline
+
+    report = pipeline.reconstruct(load(options.dataset), options.out, monitor=_monitor(options))
+    _answer(options, report, f"run: {options.out}")
+
+
+def identify(options: Options) -> None:
+    """The three steps, validation and report."""
+    from rotorid_torch.data import load
+    from rotorid_torch.run import pipeline
+    from rotorid_torch.run.folder import refuse_unless_free
+    from rotorid_torch.run.records import read_report
+
+    refuse_unless_free(options.out)
+    dataset = load(options.dataset)
+    given = {"effects": tuple(options.effect), "seed": options.seed, "device": options.device}
+    pipeline.identify(dataset, out=options.out, monitor=_monitor(options), **given)
+    _answer_report(options, options.out, read_report(options.out))
+
+
+def simulate(options: Options) -> None:
+    """Free run of a model on a flight."""
+    from rotorid_torch.data import load
+    from rotorid_torch.run import pipeline
+
+    span = {"start": options.start, "seconds": options.seconds}
+    pipeline.simulate(options.model, load(options.dataset), options.flight, options.out, **span)
+    _answer(options, {"file": str(options.out)}, f"free run: {options.out}")
+
+
+def effects(options: Options) -> None:
+    """Print the table of effects."""
+    from rotorid_torch.effects.registry import registered
+    from rotorid_torch.run.effects_table import effect_rows, effects_table
+
+    rows = effect_rows(registered())
+    _answer(options, {"effects": rows}, effects_table(rows))
+
+
+def show(options: Options) -> None:
+    """Print the scorecards of runs."""
+    import msgspec
+    from rich.console import Group
+
+    from rotorid_torch.run.records import read_report
+    from rotorid_torch.run.scorecard import scorecard
+
+    reports = {str(run): read_report(run) for run in options.runs}
+    parts = [part for run, report in reports.items() for part in (scorecard(report), _where(Path(run)))]
+    _answer(options, {"runs": msgspec.to_builtins(reports)}, Group(*parts))
+
+
+def doctor(options: Options) -> None:
+    """Print versions, threads and devices."""
+    from rotorid_torch.run.doctor import findings, table
+
+    found = findings()
+    _answer(options, found, table(found))
+
+
+def _answer(options: Options, as_json: object, for_people: object) -> None:
+    """Print one JSON object, or something for people, or with --quiet nothing."""
+    if options.json:
+        import msgspec
+
+        print(msgspec.json.encode(as_json).decode())
+    elif not options.quiet:
+        _console().print(for_people, highlight=False)
+
+
+def _answer_report(options: Options, out: Path, report) -> None:
+    from rich.console import Group
+
+    from rotorid_torch.run.scorecard import scorecard
+
+    _answer(options, report, Group(scorecard(report), _where(out)))
+
+
+def _where(run: Path) -> str:
+    return f"report: {run.absolute() / 'report.html'}"
+
+
+def _console() -> Console:
+    from rich.console import Console
+
+    return Console(soft_wrap=True)
+
+
+def _monitor(options: Options) -> Monitor:
+    from rotorid_torch.run.monitor import Monitor
+
+    return Monitor(None if options.quiet or options.json else _console())
+
+
+def _refuse_missing_device(device: str) -> None:
+    if device == "cuda":
+        import torch
+
+        if not torch.cuda.is_available():
+            raise InputError("rotorid", "--device", "no CUDA device is available here", "cpu")
+
+
+@contextmanager
+def _interrupted_by(*signals: signal.Signals) -> Iterator[None]:
+    """Let these signals end the block as Ctrl-C does, so that everything half-written is removed."""
+
+    def interrupt(number: int, frame: object) -> NoReturn:
+        raise KeyboardInterrupt
+
+    earlier = {number: signal.signal(number, interrupt) for number in signals}
+    try:
+        yield
+    finally:
+        for number, handler in earlier.items():
+            signal.signal(number, handler)
+
+
+def _tell(text: str, code: int) -> int:
+    print("rotorid:", " ".join(text.split()), file=sys.stderr)
+    return code
+
+
+def _write_log() -> str:
+    with tempfile.NamedTemporaryFile("w", prefix="rotorid-", suffix=".log", delete=False) as file:
+        traceback.print_exc(file=file)
+    return file.name
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from 0 on")
+    return int(text)
+
+
+def _number(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"'{text}' is not a finite number")
+    return value
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())

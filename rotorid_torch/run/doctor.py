@@ -1,0 +1,65 @@
+"""What this installation can do: versions, threads, devices, and what is missing for the optional parts."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import platform
+from importlib.metadata import PackageNotFoundError, version
+
+import msgspec
+import torch
+from rich.table import Table
+
+from rotorid_torch.run.records import package_version
+
+NEEDED = ("torch", "torchdiffeq", "numpy", "matplotlib", "tensorboard", "msgspec", "rich", "jinja2")
+OPTIONAL = {"experiments": ("tyro",), "logs": ("pyulog", "pymavlink"), "fmu": ("fmpy", "pythonfmu3")}
+
+
+class Installation(msgspec.Struct, frozen=True, kw_only=True):
+    """What `rotorid doctor` found; a version is None where the package is missing."""
+
+    rotorid: str
+    python: str
+    system: str
+    cores: int
+    threads: int
+    cuda: str | None
+    packages: dict[str, str | None]
+    extras: dict[str, bool]
+
+
+def findings() -> Installation:
+    """Look at this installation."""
+    return Installation(
+        rotorid=package_version(),
+        python=platform.python_version(),
+        system=f"{platform.system()} {platform.machine()}",
+        cores=os.cpu_count() or 1,
+        threads=torch.get_num_threads(),
+        cuda=torch.cuda.get_device_name() if torch.cuda.is_available() else None,
+        packages={name: _version(name) for name in NEEDED},
+        extras={name: all(map(importlib.util.find_spec, modules)) for name, modules in OPTIONAL.items()},
+    )
+
+
+def table(found: Installation) -> Table:
+    """The findings for people."""
+    rows = Table(show_header=False)
+    rows.add_row("rotorid", found.rotorid)
+    rows.add_row("Python", f"{found.python}, {found.system}")
+    rows.add_row("cores, threads used", f"{found.cores}, {found.threads} (set OMP_NUM_THREADS to change)")
+    rows.add_row("CUDA device", found.cuda or "none")
+    for name, installed in found.packages.items():
+        rows.add_row(name, installed or f"missing: pip install {name}")
+    for name, there in found.extras.items():
+        rows.add_row(f"extra {name}", "installed" if there else f"not installed: pip install 'rotorid-torch[{name}]'")
+    return rows
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None

@@ -1,0 +1,166 @@
+"""Pictures of a run: the paper's figures 5, 7, 8 and 9 for these flights, the error over time, and the scores.
+
+Drawn with matplotlib's object interface, so that no display, no global state and no backend setting is touched.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from torch import Tensor
+
+from rotorid_torch.core import names
+from rotorid_torch.run.records import LISTS, FitRecord
+from rotorid_torch.validate.scores import autocorrelation
+
+MEASURED, MODEL, QUIET = "#c0392b", "#1f4e9c", "#b8bcc4"
+LIST_COLOURS = {"identify": "#7f8c8d", "validate": "#1f4e9c", "acid": "#8e2f8f"}
+ROTOR = (*names.FLAPPING, "omega")
+SHOWN_FLIGHTS = 4
+LAGS = 50
+
+
+@dataclass(frozen=True)
+class Overlay:
+    """A free run beside its measurement.
+
+    Attributes
+    ----------
+    flight, list : name of the flight and of the list it is in.
+    time : (T,) s.
+    measured, model : channels by name, each (T,) in its unit; a channel that one side lacks is not drawn.
+    """
+
+    flight: str
+    list: str
+    time: Tensor
+    measured: Mapping[str, Tensor]
+    model: Mapping[str, Tensor]
+
+    def common(self, channels: Sequence[str]) -> list[str]:
+        """Those of `channels` that both sides have."""
+        return [name for name in channels if name in self.measured and name in self.model]
+
+
+def draw(overlays: Sequence[Overlay], fit: FitRecord | None) -> dict[str, Figure]:
+    """Every picture that these free runs and scores allow, by the name of its file."""
+    pictures: dict[str, Figure] = {}
+    if fit is not None and fit.flights:
+        pictures["scores"] = scores(fit)
+    judged = [overlay for overlay in overlays if overlay.list == "validate"]
+    acid = [overlay for overlay in overlays if overlay.list == "acid"] or judged
+    flapping = [overlay for overlay in judged if overlay.common(names.FLAPPING)]
+    if flapping:
+        pictures["figure5_flapping"] = side_by_side(flapping[:SHOWN_FLIGHTS], names.FLAPPING)
+    for overlay in acid[:SHOWN_FLIGHTS]:
+        pictures.update(_of_one_flight(overlay))
+    unseen = [overlay for overlay in overlays if overlay.list != "identify" and overlay.common(names.BODY)]
+    if unseen:
+        pictures["residual"] = residuals(unseen)
+    return pictures
+
+
+def _of_one_flight(overlay: Overlay) -> Iterator[tuple[str, Figure]]:
+    groups = {
+        "figure7_velocities": names.VELOCITIES,
+        "figure8_rates": names.RATES,
+        "figure9_rotor": ROTOR,
+        "attitude": names.ATTITUDES,
+    }
+    for name, channels in groups.items():
+        if overlay.common(channels):
+            yield f"{name}_{overlay.flight}", side_by_side([overlay], channels)
+
+
+def side_by_side(overlays: Sequence[Overlay], channels: Sequence[str]) -> Figure:
+    """Measured (red) and model (blue) over time: one row per channel, one column per flight."""
+    rows = [name for name in channels if any(name in overlay.common(channels) for overlay in overlays)]
+    width = 7.0 if len(overlays) == 1 else 3.2 * len(overlays)
+    figure, grid = _grid(rows, len(overlays), width)
+    for column, overlay in enumerate(overlays):
+        grid[0][column].set_title(f"{overlay.flight} ({overlay.list})", fontsize=10)
+        grid[-1][column].set_xlabel("time, s")
+        for row, name in enumerate(rows):
+            if name in overlay.common(channels):
+                _pair(grid[row][column], overlay, name)
+    _legend(figure)
+    return figure
+
+
+def residuals(overlays: Sequence[Overlay]) -> Figure:
+    """Measured minus model over time, all given flights in one axis per channel.
+
+    In the corner: the share of the first 50 lags at which the error's autocorrelation lies in the band of white noise.
+    """
+    rows = [name for name in names.BODY if any(overlay.common([name]) for overlay in overlays)]
+    figure, grid = _grid(rows, 1, 7.0)
+    for axes, name in zip((row[0] for row in grid), rows, strict=True):
+        white = []
+        for overlay in overlays:
+            if overlay.common([name]):
+                error = overlay.measured[name] - overlay.model[name]
+                axes.plot(overlay.time, error, color=LIST_COLOURS[overlay.list], linewidth=0.8, alpha=0.7)
+                white.append(_white_share(error))
+        axes.axhline(0.0, color="black", linewidth=0.5)
+        note = f"white at {100 * np.mean(white):.0f} % of lags"
+        axes.annotate(note, (0.99, 0.04), xycoords="axes fraction", ha="right", fontsize=8)
+    grid[0][0].set_title("error over time: measured - model", fontsize=10)
+    grid[-1][0].set_xlabel("time, s")
+    return figure
+
+
+def scores(fit: FitRecord) -> Figure:
+    """J of every flight on the scale from the sensor noise alone to holding trim; logarithmic."""
+    flights = sorted(fit.flights.items(), key=lambda item: LISTS.index(item[1].list))
+    figure = Figure(figsize=(7.0, 1.2 + 0.28 * len(flights)), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    for row, (_, flight) in enumerate(flights):
+        if flight.J_noise and flight.J_trim:
+            axes.plot([flight.J_noise, flight.J_trim], [row, row], color=QUIET, linewidth=5, solid_capstyle="butt")
+        if flight.J:
+            axes.plot(flight.J, row, "o", color=LIST_COLOURS[flight.list])
+    axes.set_xscale("log")
+    axes.set_yticks(range(len(flights)), [f"{name} ({flight.list})" for name, flight in flights], fontsize=9)
+    axes.invert_yaxis()
+    axes.set_xlabel("J over 8 s; dot: the model; bar: sensor noise alone (left) to holding trim (right)", fontsize=8)
+    axes.grid(axis="x", which="both", alpha=0.3)
+    return figure
+
+
+def _grid(rows: Sequence[str], columns: int, width: float) -> tuple[Figure, list[list[Axes]]]:
+    figure = Figure(figsize=(width, 0.8 + 1.5 * len(rows)), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(len(rows), columns, sharex="col", sharey="row", squeeze=False).tolist()
+    for axes, name in zip((row[0] for row in grid), rows, strict=True):
+        unit = names.unit(name)
+        axes.set_ylabel(f"{name}, {unit}" if unit else name)
+    for row in grid:
+        for axes in row:
+            axes.grid(alpha=0.3)
+            axes.tick_params(labelsize=8)
+    return figure, grid
+
+
+def _pair(axes: Axes, overlay: Overlay, name: str) -> None:
+    axes.plot(overlay.time, overlay.measured[name], color=MEASURED, linewidth=1.0)
+    axes.plot(overlay.time, overlay.model[name], color=MODEL, linewidth=1.2)
+
+
+def _legend(figure: Figure) -> None:
+    handles = [Line2D([], [], color=MEASURED), Line2D([], [], color=MODEL)]
+    figure.legend(handles, ["measured", "model"], loc="outside lower center", ncols=2, frameon=False, fontsize=9)
+
+
+def _white_share(error: Tensor) -> float:
+    """Share of the first lags at which the error's autocorrelation lies within the 95 % band of white noise."""
+    lags = min(LAGS, error.shape[0] - 1)
+    inside = autocorrelation(error[:, None], lags).abs() <= 1.96 / math.sqrt(error.shape[0])
+    return inside.double().mean().item()

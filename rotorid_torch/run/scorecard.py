@@ -1,0 +1,48 @@
+"""The scorecard on the console: scores of the lists against their yardsticks, verdict, warnings."""
+
+from __future__ import annotations
+
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from rotorid_torch.run.records import FitRecord, Report
+from rotorid_torch.run.summary import headline, list_summaries
+
+
+def scorecard(report: Report) -> RenderableType:
+    """All of a report that fits on a screen."""
+    parts: list[RenderableType] = []
+    for title, fit in (("before", report.before), ("after", report.after)):
+        if fit is not None:
+            heading = f"{report.dataset.name}, {title}" if report.after else report.dataset.name
+            parts.append(_scores(heading, fit))
+    parts.append(Text(headline(report)))
+    if report.verdict:
+        parts.append(Text(report.verdict.sentence))
+    if report.unknown:
+        parts.append(Text(report.unknown.sentence))
+    parts += [Text(f"warning: {warning}") for warning in report.warnings]
+    return Group(*parts)
+
+
+def _scores(title: str, fit: FitRecord) -> Table:
+    table = Table(title=title, title_justify="left")
+    table.add_column("flights")
+    for name in ("number", "J", "noise alone", "holding trim", "explained"):
+        table.add_column(name, justify="right")
+    for summary in list_summaries(fit):
+        share = summary.explained
+        table.add_row(
+            summary.name,
+            str(summary.flights),
+            _number(summary.J),
+            _number(summary.J_noise),
+            _number(summary.J_trim),
+            "-" if share is None else f"{100 * share:.1f} %",
+        )
+    return table
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f}"

@@ -1,0 +1,171 @@
+"""What a report says in few words: each list's score against its yardsticks, and what to do next."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from rotorid_torch.run.records import LISTS, ChannelRecord, FitRecord, ParameterRecord, Report
+
+# Shares of the motion explained, from which on a model is called so.
+GRADES = ((0.97, "very good"), (0.90, "good"), (0.70, "usable with care"), (0.0, "poor"))
+WORSE_THAN_TRIM = "worse than holding trim"
+THEIL_PARTS = (
+    "an offset: look at the trim and the sensor biases",
+    "a wrong amplitude: look at the gains (control and damping derivatives) of that axis",
+    "a wrong shape: look for delay, missing dynamics or gusts",
+)
+
+
+@dataclass(frozen=True)
+class ListSummary:
+    """Score of one list of flights between what the sensor noise alone scores and what holding trim scores."""
+
+    name: str
+    flights: int
+    J: float | None
+    J_noise: float | None
+    J_trim: float | None
+
+    @property
+    def explained(self) -> float | None:
+        """Share of the motion that the model explains, noise removed; None where a score is missing."""
+        if self.J is None or self.J_noise is None or self.J_trim is None or self.J_trim <= self.J_noise:
+            return None
+        left = max(self.J**2 - self.J_noise**2, 0.0)
+        return 1.0 - left / (self.J_trim**2 - self.J_noise**2)
+
+    @property
+    def grade(self) -> str:
+        """The share in a word."""
+        share = self.explained
+        if share is None:
+            return "not scored"
+        return next((word for limit, word in GRADES if share >= limit), WORSE_THAN_TRIM)
+
+
+def list_summaries(fit: FitRecord) -> list[ListSummary]:
+    """One summary for each list that has flights, in the order identify, validate, acid."""
+    summaries = []
+    for name in LISTS:
+        flights = [flight for flight in fit.flights.values() if flight.list == name]
+        if flights:
+            yardsticks = (_rms(f.J_noise for f in flights), _rms(f.J_trim for f in flights))
+            summaries.append(ListSummary(name, len(flights), getattr(fit.scores, name), *yardsticks))
+    return summaries
+
+
+def headline(report: Report) -> str:
+    """One sentence: how well the model does on flights that it has not seen."""
+    if report.fit is None:
+        return "No model was fitted in this run."
+    unseen = [s for s in list_summaries(report.fit) if s.name != "identify" and s.explained is not None]
+    if not unseen:
+        return "No flight was kept back, so nothing is known about flights the model has not seen."
+    best_known = unseen[-1]
+    share, grade = best_known.explained, best_known.grade
+    if share is None or share < 0.0:
+        return f"On the {best_known.name} flights the model is {WORSE_THAN_TRIM}: do not use it yet."
+    return (
+        f"On the {best_known.name} flights, which it has not seen, the model explains {100 * share:.0f} % of the motion"
+        f" over 8 s from the controls alone ({grade})."
+    )
+
+
+def next_steps(report: Report) -> list[str]:
+    """What an engineer would look at next, most important first; never empty."""
+    if report.fit is None:
+        return ["Identify a model from these flights: rotorid identify."]
+    steps = [*_steps_of_scores(report.fit), *_steps_of_parameters(report.fit.parameters)]
+    return steps or ["Nothing stands out. Use the model within the range of motion that its flights covered."]
+
+
+def weakest_channel(fit: FitRecord) -> tuple[str, str, float] | None:
+    """Flight, channel and relative error that is largest among flights not fitted; None where nothing is scored.
+
+    The error is relative to the channel's motion on the flight that moves it most, so that an axis that a flight leaves
+    alone (R² means nothing there) does not come out as the weakest.
+    """
+    motion: dict[str, float] = {}
+    for record in fit.flights.values():
+        for name, channel in record.channels.items():
+            motion[name] = max(motion.get(name, 0.0), _motion(channel))
+    candidates = [
+        (flight, name, (channel.rmse or 0.0) / motion[name])
+        for flight, record in fit.flights.items()
+        if record.list != "identify"
+        for name, channel in record.channels.items()
+        if motion[name] > 0.0
+    ]
+    return max(candidates, key=lambda c: c[2], default=None)
+
+
+def _motion(channel: ChannelRecord) -> float:
+    """Standard deviation of the measured channel, from R² = 1 - (rmse / deviation)²."""
+    if channel.rmse is None or channel.r2 is None or channel.r2 >= 1.0:
+        return 0.0
+    return channel.rmse / math.sqrt(1.0 - channel.r2)
+
+
+def _steps_of_scores(fit: FitRecord) -> Iterator[str]:
+    lists = {summary.name: summary for summary in list_summaries(fit)}
+    for summary in lists.values():
+        if summary.grade == WORSE_THAN_TRIM:
+            yield (
+                f"The model is {WORSE_THAN_TRIM} on the {summary.name} flights (J {_text(summary.J)} against"
+                f" {_text(summary.J_trim)}). Do not use it: run rotorid check, then look at the error over time below."
+            )
+    fitted, judged = lists.get("identify"), lists.get("validate")
+    if fitted and judged and fitted.J is not None and judged.J is not None and fitted.J_trim and judged.J_trim:
+        if judged.J / judged.J_trim > 2.0 * fitted.J / fitted.J_trim:
+            yield (
+                "The model follows the flights it was made from much better than the others: it has more freedom than"
+                " the data support. Add identify flights, or free fewer parameters."
+            )
+    weakest = weakest_channel(fit)
+    if weakest and weakest[2] > 0.3:
+        flight, name, relative = weakest
+        shares = [share or 0.0 for share in fit.flights[flight].channels[name].theil_parts]
+        largest = shares.index(max(shares))
+        yield (
+            f"The largest error is in {name} on {flight}: {100 * relative:.0f} % of that channel's usual motion."
+            f" {100 * shares[largest]:.0f} % of its square is {THEIL_PARTS[largest]}."
+        )
+    for mode in fit.modes:
+        real, imaginary = mode.eigenvalue
+        if real is not None and real > 0.05 and (imaginary or 0.0) >= 0.0:
+            yield (
+                f"The mode '{mode.name}' is unstable (time to double {math.log(2) / real:.1f} s): expect a free run to"
+                " drift after a few doubling times."
+            )
+
+
+def _steps_of_parameters(parameters: Iterable[ParameterRecord]) -> Iterator[str]:
+    parameters = list(parameters)
+    bound = [p.name for p in parameters if p.at_bound]
+    if bound:
+        yield (
+            f"{_names(bound)} at a bound: the value is the bound's, not the data's. Check the declared vehicle,"
+            " the units and the sign of the controls."
+        )
+    silent = [p.name for p in parameters if p.status == "not identifiable"]
+    if silent:
+        yield f"The data do not tell {_names(silent)}: fly a manoeuvre that moves what it multiplies, or leave it out."
+    vague = [p.name for p in parameters if p.status == "free" and p.se and p.value is not None and p.se > abs(p.value)]
+    if vague:
+        yield f"{_names(vague)} could as well be zero: the standard error is larger than the value."
+
+
+def _names(names: list[str], shown: int = 4) -> str:
+    rest = f" and {len(names) - shown} more" if len(names) > shown else ""
+    return ", ".join(names[:shown]) + rest
+
+
+def _text(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"
+
+
+def _rms(values: Iterable[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return math.sqrt(sum(v * v for v in known) / len(known)) if known else None

@@ -1,0 +1,257 @@
+"""The commands from outside: help, one line for bad input, exit codes, and nothing half-written."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import msgspec
+import pytest
+
+from rotorid_torch import cli
+from rotorid_torch.errors import InputError
+from rotorid_torch.run import records
+
+COMMANDS = ("fly", "check", "reconstruct", "identify", "simulate", "effects", "show", "doctor")
+PROGRAM = [sys.executable, "-m", "rotorid_torch"]
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int, str, str]:
+    code = cli.main([str(a) for a in arguments])
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def a_run(folder: Path) -> Path:
+    report = records.Report(
+        command="identify",
+        dataset=records.DatasetRecord(name="hover", sha256="00"),
+        seed=0,
+        time_s=records.TimeRecord(),
+        peak_memory_mb=1.0,
+        before=records.FitRecord(
+            parameters=(), modes=(), flights={}, scores=records.ScoresRecord(identify=None, validate=None, acid=None)
+        ),
+    )
+    folder.mkdir()
+    (folder / "report.json").write_bytes(records.encode_report(report))
+    return folder
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_of_every_command_names_what_all_share(command: str, capsys: pytest.CaptureFixture[str]):
+    with pytest.raises(SystemExit) as leaving:
+        cli.main([command, "--help"])
+    text = capsys.readouterr().out
+    assert leaving.value.code == 0
+    assert all(option in text for option in ("--quiet", "--json", "--seed", "--device"))
+
+
+def test_help_lists_exactly_the_commands_that_exist(capsys: pytest.CaptureFixture[str]):
+    with pytest.raises(SystemExit) as leaving:
+        cli.main(["--help"])
+    listed = [line.split()[0] for line in capsys.readouterr().out.splitlines() if line.startswith("    ")]
+    assert leaving.value.code == 0
+    assert sorted(set(listed) & set(COMMANDS)) == sorted(COMMANDS)
+    assert "close-loop" not in listed
+
+
+def test_help_is_quick_because_it_imports_no_torch():
+    code = "import sys, rotorid_torch.cli as c\ntry: c.main(['--help'])\nexcept SystemExit: pass\n"
+    code += "assert not {'torch', 'matplotlib', 'rich', 'numpy'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)
+
+
+BAD_USAGE = [
+    [],
+    ["fligh"],
+    ["close-loop", "x"],
+    ["identify"],
+    ["identify", "x"],
+    ["identify", "x", "--out"],
+    ["identify", "x", "--out", "y", "--seed", "-1"],
+    ["identify", "x", "--out", "y", "--seed", "1.5"],
+    ["identify", "x", "--out", "y", "--device", "tpu"],
+    ["identify", "x", "--out", "y", "--wrong"],
+    ["fly", "--out", "y", "--size", "3"],
+    ["fly", "--out", "y", "--effect", "a", "--size", "3", "--size", "4"],
+    ["fly", "--out", "y", "--speed", "fast"],
+    ["fly", "--out", "y", "--speed", "nan"],
+    ["show"],
+    ["show", "nowhere"],
+    ["simulate", "m", "d", "--out", "f.npz"],
+]
+
+
+@pytest.mark.parametrize("arguments", BAD_USAGE, ids=" ".join)
+def test_bad_usage_is_one_line_and_exit_2(arguments: list[str], capsys: pytest.CaptureFixture[str]):
+    code, out, err = run(capsys, *arguments)
+    assert code == 2
+    assert out == ""
+    assert err.count("\n") == 1
+    assert "expected" in err
+    assert "Traceback" not in err
+
+
+def test_module_and_console_script_are_the_same_program(tmp_path: Path):
+    result = subprocess.run([*PROGRAM, "show", str(tmp_path)], capture_output=True, text=True, cwd=tmp_path)
+    assert result.returncode == 2
+    assert result.stdout == ""
+    assert result.stderr.count("\n") == 1
+    assert str(tmp_path / "report.json") in result.stderr
+    scripts = importlib.metadata.entry_points(group="console_scripts", name="rotorid")
+    assert {script.value for script in scripts} <= {"rotorid_torch.cli:main"}
+
+
+def options_of(*arguments: str) -> object:
+    return cli.parser().parse_args(arguments)
+
+
+def test_effects_of_fly_are_ordered_pairs_with_sizes():
+    words = "--effect control.delay --size 0.05 --effect forces.drag --effect control.delay --size -0.1"
+    options = options_of("fly", "--out", "d", *words.split())
+    assert options.effect == [("control.delay", 0.05), ("forces.drag", None), ("control.delay", -0.1)]
+
+
+def test_effects_of_identify_keep_their_order():
+    assert options_of("identify", "d", "--out", "r", "--effect", "b", "--effect", "a").effect == ["b", "a"]
+    assert options_of("identify", "d", "--out", "r").effect == []
+
+
+def test_lists_of_flights_are_split_at_commas():
+    assert options_of("fly", "--out", "d", "--flights", "f321_lon, dbl_lat_n").flights == ("f321_lon", "dbl_lat_n")
+
+
+def test_show_as_json_is_one_object_with_the_reports(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    one, two = a_run(tmp_path / "one"), a_run(tmp_path / "two")
+    code, out, err = run(capsys, "show", one, two, "--json")
+    assert (code, err) == (0, "")
+    shown = json.loads(out)["runs"]
+    assert list(shown) == [str(one), str(two)]
+    assert shown[str(one)] == json.loads((one / "report.json").read_bytes())
+
+
+def test_show_for_people_and_quiet(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    folder = a_run(tmp_path / "one")
+    code, out, err = run(capsys, "show", folder)
+    assert (code, err) == (0, "")
+    assert "hover" in out
+    assert f"report: {folder / 'report.html'}\n" in out
+    assert run(capsys, "show", folder, "--quiet") == (0, "", "")
+
+
+def test_doctor_reports_versions(capsys: pytest.CaptureFixture[str]):
+    code, out, _ = run(capsys, "doctor", "--json")
+    found = json.loads(out)
+    assert code == 0
+    assert found["packages"]["torch"] == importlib.metadata.version("torch")
+    code, out, _ = run(capsys, "doctor")
+    assert code == 0
+    assert "torchdiffeq" in out
+
+
+def stub_show(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
+    def fail(options: object) -> None:
+        raise error
+
+    monkeypatch.setattr(cli, "show", fail)
+
+
+def test_unexpected_error_is_one_line_with_a_log_and_exit_1(monkeypatch, capsys, tmp_path: Path):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    stub_show(monkeypatch, ZeroDivisionError("a\nb"))
+    code, out, err = run(capsys, "show", "x")
+    assert (code, out) == (1, "")
+    assert err.startswith("rotorid: unexpected ZeroDivisionError: a b; the log is ")
+    assert err.count("\n") == 1
+    (log,) = tmp_path.glob("rotorid-*.log")
+    assert "Traceback" in log.read_text()
+
+
+@pytest.mark.parametrize(
+    ("error", "expected"), [(KeyboardInterrupt(), 130), (InputError("a", "b", "c", "d"), 2), (MemoryError(), 1)]
+)
+def test_exit_codes(monkeypatch, capsys, tmp_path: Path, error: BaseException, expected: int):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    stub_show(monkeypatch, error)
+    code, out, err = run(capsys, "show", "x")
+    assert (code, out, err.count("\n")) == (expected, "", 1)
+
+
+SLOW_COMMAND = """
+import sys, time
+from rotorid_torch import cli
+from rotorid_torch.run.folder import run_folder
+
+def work(options):
+    with run_folder(options.runs[0]) as folder:
+        (folder / "report.json").write_text("half")
+        print("working", flush=True)
+        time.sleep(60)
+
+cli.show = work
+sys.exit(cli.main(["show", sys.argv[1]]))
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_command_leaves_the_earlier_run_and_exits_130(tmp_path: Path, number: signal.Signals):
+    earlier = a_run(tmp_path / "run")
+    before = (earlier / "report.json").read_bytes()
+    command = [sys.executable, "-c", SLOW_COMMAND, str(earlier)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "working\n"
+    process.send_signal(number)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert err == "rotorid: interrupted\n"
+    assert [p.name for p in tmp_path.iterdir()] == ["run"]
+    assert (earlier / "report.json").read_bytes() == before
+
+
+def test_a_reader_that_leaves_early_is_no_traceback(tmp_path: Path):
+    folder = a_run(tmp_path / "run")
+    read, write = os.pipe()
+    os.close(read)
+    command = [*PROGRAM, "show", str(folder), "--json"]
+    result = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True)
+    os.close(write)
+    assert result.returncode == 1
+    assert "Traceback" not in result.stderr
+
+
+def test_run_in_the_way_is_refused_before_the_data_are_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "thesis.txt").touch()
+    code, out, err = run(capsys, "identify", tmp_path / "no data", "--out", tmp_path / "run")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "not a run" in err
+    assert [p.name for p in (tmp_path / "run").iterdir()] == ["thesis.txt"]
+
+
+def test_missing_data_set_is_one_line_and_leaves_no_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    for arguments in (["check"], ["reconstruct", "--out"], ["identify", "--out"]):
+        out_option = [*arguments[1:], *([tmp_path / "run"] if len(arguments) > 1 else [])]
+        code, out, err = run(capsys, arguments[0], tmp_path / "no data", *out_option)
+        assert (code, out, err.count("\n")) == (2, "", 1)
+        assert "no data" in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_cuda_where_there_is_none_is_bad_input(monkeypatch, capsys: pytest.CaptureFixture[str]):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    code, _, err = run(capsys, "doctor", "--device", "cuda")
+    assert code == 2
+    assert "--device" in err
+
+
+def test_json_of_a_number_that_is_not_finite_is_null(capsys: pytest.CaptureFixture[str]):
+    cli._answer(SimpleNamespace(json=True, quiet=False), {"J": float("inf")}, "")
+    assert msgspec.json.decode(capsys.readouterr().out) == {"J": None}
