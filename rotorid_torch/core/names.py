@@ -19,9 +19,10 @@ Bias = Literal["free", "none"]
 class Channel:
     """One measured channel.
 
-    `bias` is the default of its sensor's constant error. Gyros and accelerometers drift, so rates, specific force and angular
-    acceleration have a free constant per flight; velocities, attitudes, positions, air data and flapping come from solutions that are
-    aligned before flight, and a bias on them could not be told from a trim. `limit` is the largest magnitude that radians can have.
+    `bias` is the default of its sensor's constant error. Gyros and accelerometers drift, so rates, specific force and
+    angular acceleration have a free constant per flight; velocities, attitudes, positions, air data and flapping come
+    from solutions that are aligned before flight, and a bias on them could not be told from a trim. `limit` is the
+    largest magnitude that the channel can have in its unit.
     """
 
     name: str
@@ -68,14 +69,9 @@ def _table() -> dict[str, Channel]:
         ("voltage", "V", "battery voltage", "rotor"),
     ]
     free = {"rate", "specific force", "angular acceleration"}
-    limits = {
-        "theta": math.pi / 2,
-        "a0": math.pi / 2,
-        "a1": math.pi / 2,
-        "b1": math.pi / 2,
-        "alpha": math.pi,
-        "beta": math.pi,
-    }
+    quarter: dict[str, float] = dict.fromkeys(("theta", "a0", "a1", "b1"), math.pi / 2)
+    half: dict[str, float] = dict.fromkeys(("phi", "alpha", "beta"), math.pi)
+    limits: dict[str, float] = quarter | half | dict.fromkeys(("p", "q", "r"), 100.0)
     return {
         name: Channel(name, unit, about, kind, "free" if kind in free else "none", limits.get(name, math.inf))
         for name, unit, about, kind in rows
@@ -108,7 +104,7 @@ _MEMBER = re.compile(r"(motor|omega)([1-9][0-9]?)")
 
 
 def channel(name: str) -> Channel | None:
-    """Channel of this name from the table or from the families `motorN`, `omegaN`; None where the name is somebody's own."""
+    """Channel of this name from the table or from the families `motorN`, `omegaN`; None for somebody's own name."""
     if name in CHANNELS:
         return CHANNELS[name]
     member = _MEMBER.fullmatch(name)

@@ -17,24 +17,17 @@ import torch
 
 from rotorid_torch.core import names
 from rotorid_torch.data import suspicion
+from rotorid_torch.data.declare import Declaration, declare, read_declaration
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.grid import make_flight
 from rotorid_torch.data.noise import white_noise
 from rotorid_torch.data.quiet import quiet_samples
 from rotorid_torch.data.read import find_flight, parse_flight, take_arrays
-from rotorid_torch.data.schema import (
-    ChannelSpec,
-    ControlSpec,
-    Declaration,
-    ModelSettings,
-    Vehicle,
-    declare,
-    read_declaration,
-)
+from rotorid_torch.data.schema import ChannelSpec, ControlSpec, ModelSettings, Vehicle
 from rotorid_torch.errors import InputError
 
 NOISE_FLOOR = 1e-3
-"""Least noise of a channel that does not declare it, as a share of its rms deviation: a filtered or simulated channel is not exact."""
+"""Least noise of a channel that declares none, as a share of its rms deviation: a filtered channel is not exact."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +70,7 @@ class Dataset:
 
         Parameters
         ----------
-        flights : per flight its channels, each (T,) numbers (NumPy, tensor or list), "time" and at least one control among them.
+        flights : per flight its channels, each (T,) (NumPy, tensor or list), with "time" and at least one control.
         identify, validate, acid : names of the flights in each list.
         vehicle, controls, channels, model : tables as in dataset.toml, as dicts (or the structs of `data.schema`).
 
@@ -114,10 +107,10 @@ class Dataset:
         return _assemble(declaration, made, None, "arrays", places, digest.hexdigest(), warnings)
 
     def noise(self, channel: str) -> float:
-        """Standard deviation of a sample of a channel or control, in its unit: declared, else estimated from the identify flights.
+        """Standard deviation of a sample of a channel or control: declared, else from the identify flights.
 
-        The estimate is the white floor of the spectrum (`white_noise`), at least a thousandth of the channel's rms deviation; a
-        declared zero is raised to a thousandth of that again, so that no channel has infinite weight.
+        The estimate is the white floor of the spectrum (`white_noise`), at least a thousandth of the channel's rms
+        deviation; a declared zero is raised to a thousandth of that again, so that no channel has infinite weight.
         """
         spec = self.control_specs.get(channel) or self.channel_specs.get(channel)
         if spec is None or spec.noise is None:
@@ -125,7 +118,7 @@ class Dataset:
         return spec.noise if spec.noise > 0 else max(1e-3 * NOISE_FLOOR * self.scales().get(channel, 0.0), 1e-12)
 
     def bias(self, channel: str) -> names.Bias:
-        """Whether the channel's sensor has a constant error per flight ("free") or not ("none"): declared, else by `names.default_bias`."""
+        """Whether the sensor has a constant error per flight ("free") or not ("none"): declared, else by the table."""
         spec = self.channel_specs.get(channel)
         return spec.bias if spec is not None and spec.bias is not None else names.default_bias(channel)
 
@@ -134,7 +127,7 @@ class Dataset:
         return self._quiet[flight]
 
     def reference(self) -> Mapping[str, float]:
-        """Trim: mean of every channel and control over the quiet parts of the identify flights, each sample counted once."""
+        """Trim: mean of every channel and control over the quiet parts of the identify flights, sample by sample."""
         return self._reference
 
     def scales(self) -> Mapping[str, float]:
@@ -154,7 +147,7 @@ class Dataset:
         return find_flight(self.path, flight) if self.path is not None else f"arrays: flight {flight}"
 
     def require_rates(self) -> None:
-        """Raise InputError where a flight lacks a body rate that other flights have, or where no flight of a helicopter has any."""
+        """Raise InputError where a flight lacks a body rate that others have, or no flight of a helicopter has any."""
         have = [rate for rate in names.RATES if any(flight.has(rate) for flight in self.flights.values())]
         needed = have or (["p"] if self.kind == "helicopter" else [])
         for flight in self.flights.values():
@@ -304,14 +297,14 @@ def _assemble(
         validate=declaration.flights.validate,
         acid=declaration.flights.acid,
         settings=declaration.model,
-        warnings=tuple(warnings + told),
+        warnings=(*declaration.warnings, *warnings, *told),
     )
 
 
 def _controls(
     declaration: Declaration, flights: Mapping[str, Flight], places: Mapping[str, str | Path]
 ) -> tuple[tuple[str, ...], list[str]]:
-    """Controls of the data set: the declared ones and those of the vehicle's kind that are recorded; every flight must have them."""
+    """Controls: the declared ones and those of the vehicle's kind that are recorded; every flight must have them."""
     recorded = {channel for flight in flights.values() for channel in flight.channels if names.is_control(channel)}
     motors = declaration.kind == "multirotor"
     own = {name for name in recorded if names.is_motor(name) == motors}

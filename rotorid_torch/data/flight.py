@@ -11,7 +11,7 @@ from torch import Tensor
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """Channels of one flight, each (T,) float64 in SI units and radians; NaN is a missing sample; "time" starts at 0."""
+    """Channels of one flight, each (T,) float64, SI units and radians; NaN is a missing sample; "time" starts at 0."""
 
     name: str
     dt: float
@@ -39,7 +39,10 @@ class Flight:
         return torch.stack([self.channels.get(name, missing) for name in names], dim=-1)
 
     def bridged(self, names: Sequence[str]) -> Tensor:
-        """Channels as columns (T, n) with missing samples bridged linearly and held at the ends, as a simulation needs its controls."""
+        """Channels as columns (T, n) with missing samples bridged linearly and held at the ends.
+
+        A simulation needs its controls like this.
+        """
         columns = self.stack(names).clone()
         for column in columns.T:
             column.copy_(_bridge(column))

@@ -16,8 +16,8 @@ from rotorid_torch.errors import InputError
 UNIFORM = 0.01
 """Largest deviation of an interval from the median interval, relative, that still counts as uniform."""
 GAP_S = 0.02
-"""An interval longer than this and than 2.5 samples is a gap: a tenth of the period of 5 Hz, above which a straight line is no longer
-what the aircraft did."""
+"""An interval longer than this and than 2.5 samples is a gap: a tenth of the period of 5 Hz, beyond which a straight
+line is no longer what the aircraft did."""
 
 
 def make_flight(name: str, arrays: Arrays, file: str | Path) -> tuple[Flight, list[str]]:
@@ -79,7 +79,7 @@ def _check_values(channel: str, values: np.ndarray, file: str | Path) -> None:
     largest = float(np.nanmax(np.abs(values), initial=0.0))
     if largest > known.limit * 1.001:
         told = f"reaches {largest:.4g} (degrees?)"
-        raise InputError(file, channel, told, f"radians, at most {known.limit:.4g}")
+        raise InputError(file, channel, told, f"{known.unit}, at most {known.limit:.4g}")
 
 
 def unwrap(angle: np.ndarray) -> np.ndarray:
@@ -91,7 +91,11 @@ def unwrap(angle: np.ndarray) -> np.ndarray:
 
 
 def resample(arrays: Arrays) -> tuple[float, Arrays, list[str]]:
-    """Channels on a uniform grid from 0: as they are where time is uniform within 1 %, else linear; gaps and NaN stay NaN."""
+    """Put channels on a uniform grid from 0.
+
+    They stay as they are where time is uniform within 1 %, else they are interpolated linearly; gaps and NaN stay NaN.
+    Returns the time step, the channels and sentences on what was changed.
+    """
     time = arrays["time"] - arrays["time"][0]
     steps = np.diff(time)
     typical = float(np.median(steps))

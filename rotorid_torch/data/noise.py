@@ -14,13 +14,13 @@ BAND = (0.6, 0.96)
 
 
 def white_noise(records: Iterable[np.ndarray]) -> float:
-    """Standard deviation of a sample of the white noise in these records (each (T,), same rate); NaN where they are too short.
+    """Standard deviation of a sample of the white noise in these records, each (T,); NaN where they are too short.
 
-    Power in the upper band of short detrended Hann segments, median over segments (edges and spikes fall out) and then over frequencies
-    (vibration lines fall out), scaled to the whole band. Missing samples leave out their segments.
+    Power in the upper band of short detrended Hann segments, median over segments (edges and spikes fall out) and then
+    over frequencies (vibration lines fall out), scaled to the whole band. Missing samples leave out their segments.
 
-    Source: Welch, IEEE Trans. Audio Electroacoustics 15 (1967); the median of a periodogram is ln 2 times its mean (chi-squared, two
-    degrees of freedom).
+    Source: Welch, IEEE Trans. Audio Electroacoustics 15 (1967); the median of a periodogram is ln 2 times its mean
+    (chi-squared, two degrees of freedom).
     """
     segments = np.concatenate([_segments(record) for record in records] or [np.empty((0, SEGMENT))])
     if not len(segments):

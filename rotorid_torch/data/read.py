@@ -99,7 +99,7 @@ def _check_array(path: str | Path, name: str, shape: tuple[int, ...], dtype: np.
         raise InputError(
             path, name, f"has {len(shape)} dimensions, shape {shape}", "one dimension, one value per sample"
         )
-    if shape[0] > SAMPLES:
+    if not 0 <= shape[0] <= SAMPLES:
         raise InputError(path, name, f"has {shape[0]} samples", f"at most {SAMPLES}")
 
 
@@ -143,7 +143,7 @@ def _row(path: Path, header: list[str], number: int, line: str) -> list[float]:
 
 
 def take_arrays(given: Mapping[str, Any], place: str) -> Arrays:
-    """Arrays handed over in Python (NumPy, tensors, lists of numbers) under the same rules as files. Raises InputError."""
+    """Take arrays handed over in Python (NumPy, tensors, lists), under the rules of files. Raises InputError."""
     arrays: Arrays = {}
     for name, value in given.items():
         raw = value.detach().cpu().numpy() if hasattr(value, "detach") else value

@@ -16,7 +16,10 @@ PAIRS = (("phi", "p"), ("theta", "q"), ("psi", "r"))
 
 
 def refuse_degrees(flight: Flight, controls: Mapping[str, ControlSpec], file: str | Path) -> None:
-    """Raise InputError where a blade angle exceeds pi/2, or an attitude moves about 57 times as much as its rate says (or a 57th)."""
+    """Raise InputError where degrees stand for radians.
+
+    A blade angle above pi/2, or an attitude that moves about 57 times as much as its rate says, or a 57th of it.
+    """
     for control, spec in controls.items():
         largest = float(flight.channels[control].abs().nan_to_num(0.0).max())
         if spec.unit == "rad" and largest > math.pi / 2:
@@ -25,13 +28,13 @@ def refuse_degrees(flight: Flight, controls: Mapping[str, ControlSpec], file: st
         if not flight.has(angle, rate):
             continue
         ratio, correlation = attitude_over_rate(flight, angle, rate)
-        if correlation < 0.8:
+        if correlation < 0.9:
             continue
-        if 30.0 < ratio < 110.0:
+        if 35.0 < ratio < 90.0:
             raise InputError(
                 file, angle, f"moves {ratio:.0f} times as much as the integral of {rate} (degrees?)", "radians"
             )
-        if 30.0 < 1.0 / max(ratio, 1e-9) < 110.0:
+        if 35.0 < 1.0 / max(ratio, 1e-9) < 90.0:
             raise InputError(file, rate, f"is {1.0 / ratio:.0f} times the rate of {angle} (degrees?)", "rad/s")
 
 

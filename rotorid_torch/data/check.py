@@ -1,0 +1,52 @@
+"""Is a data set fit for identification? Findings in the words of a flight-test engineer, each with what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from rotorid_torch.data import examine_controls, examine_kinematics, examine_records
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.finding import Finding, Severity
+
+
+@dataclass(frozen=True)
+class Check:
+    """All findings on a data set, gravest first; `fit` is false where one is an error."""
+
+    dataset: str
+    fit: bool
+    findings: tuple[Finding, ...]
+
+    def of(self, severity: Severity) -> tuple[Finding, ...]:
+        """Findings of one severity."""
+        return tuple(found for found in self.findings if found.severity == severity)
+
+
+EXAMINATIONS: tuple[Callable[[Dataset], Iterator[Finding]], ...] = (
+    examine_records.reading,
+    examine_records.gaps,
+    examine_records.units,
+    examine_records.gravity,
+    examine_kinematics.kinematics,
+    examine_kinematics.sticks,
+    examine_records.noise,
+    examine_records.vibration,
+    examine_controls.controls,
+    examine_controls.trim,
+)
+
+
+def check(dataset: Dataset) -> Check:
+    """Examine a data set: kinematics of the sensors, clocks, noise, gaps, controls, excitation, trim, gravity, units.
+
+    Raises
+    ------
+    InputError : where a helicopter's flights lack the body rates that every step needs.
+    """
+    if dataset.kind == "helicopter":
+        dataset.require_rates()
+    found = [finding for examine in EXAMINATIONS for finding in examine(dataset)]
+    rank = {"error": 0, "warning": 1, "note": 2, "good": 3}
+    found.sort(key=lambda finding: rank[finding.severity])
+    return Check(dataset.name, all(f.severity != "error" for f in found), tuple(found))

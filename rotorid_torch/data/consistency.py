@@ -1,0 +1,259 @@
+"""Sensors against each other: kinematics needs no aerodynamics; what disagrees is a sensor, a unit or a clock."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.flight import Flight
+
+Array = np.ndarray
+Side = tuple[Array, Array, slice, float]
+"""Left on the samples that every lag leaves, right on all of them, which of right these are, and the time step."""
+
+WIDTH_S = 0.08
+"""Standard deviation of the Gaussian that both sides pass, in s: half power at 1.7 Hz, no phase."""
+REACH_S = 0.4
+"""Largest lag that is looked for, in s."""
+STEP_S = 0.01
+LAGS_S = np.linspace(-REACH_S, REACH_S, round(2 * REACH_S / STEP_S) + 1)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two signals (T,) that kinematics makes equal: `left` is smoothed or differentiated, `right` smoothed."""
+
+    left_name: str
+    right_name: str
+    unit: str
+    channels: tuple[str, ...]
+    left: Callable[[Flight], Array]
+    right: Callable[[Flight], Array]
+    differentiate: bool = True
+    exact: bool = True
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How left = scale * right(t - lag) + bias holds, pooled over flights, the bias free per flight.
+
+    `scale` has bounds for errors on either side; `lag_s` above 0 means that left comes later; `lags_s` has the lag
+    and its standard error of each flight in which it can be seen.
+    """
+
+    pair: Pair
+    scale: tuple[float, float]
+    lag_s: float
+    lag_se: float
+    r2: float
+    bias: float
+    bias_se: float
+    lags_s: dict[str, tuple[float, float]]
+
+
+def kernel(dt: float, width_s: float = WIDTH_S) -> tuple[Array, Array]:
+    """Gaussian and its derivative as convolution kernels, 4 widths each way."""
+    half = max(2, round(4 * width_s / dt))
+    time = dt * np.arange(-half, half + 1)
+    bell = np.exp(-0.5 * (time / width_s) ** 2)
+    slope = -time * bell
+    return bell / bell.sum(), slope / (slope @ -time)
+
+
+def agreement(pair: Pair, flights: Sequence[Flight]) -> Agreement | None:
+    """Scale, lag and bias between the two sides of a pair; None where the flights are too short or nothing moves."""
+    sides = {f.name: s for f in flights if f.has(*pair.channels) and (s := _sides(pair, f)) is not None}
+    if not sides:
+        return None
+    moments = {name: np.array([_moments(*side, lag) for lag in LAGS_S]) for name, side in sides.items()}
+    total = np.sum(list(moments.values()), axis=0)
+    if total[:, :2].min() <= 0.0:
+        return None
+    r2 = _r2(total)
+    best = int(np.argmax(r2))
+    slope = total[best, 2] / total[best, 0]
+    lag, lag_se = _lag(total, list(sides.values()))
+    bias = np.array([np.nanmean(left) - np.nanmean(right[keep]) for left, right, keep, _ in sides.values()])
+    return Agreement(
+        pair=pair,
+        scale=_ordered(float(slope), float(total[best, 1] / total[best, 2])),
+        lag_s=lag,
+        lag_se=lag_se,
+        r2=float(r2[best]),
+        bias=float(bias.mean()),
+        bias_se=float(bias.std() / np.sqrt(max(len(bias) - 1, 1))),
+        lags_s={name: _lag(m, [sides[name]]) for name, m in moments.items() if _r2(m).max() > 0.6},
+    )
+
+
+def _ordered(a: float, b: float) -> tuple[float, float]:
+    return (a, b) if a < b else (b, a)
+
+
+def _r2(moments: Array) -> Array:
+    power = np.maximum(moments[:, 0] * moments[:, 1], np.finfo(float).tiny)
+    return moments[:, 2] ** 2 / power
+
+
+def _sides(pair: Pair, flight: Flight) -> Side | None:
+    bell, slope = kernel(flight.dt)
+    reach = int(np.ceil(REACH_S / flight.dt)) + 1
+    if flight.samples < len(bell) + 2 * reach + 20:
+        return None
+    missing = np.isnan(flight.stack(pair.channels).numpy()).any(axis=1).astype(float)
+    gaps = np.convolve(missing, np.ones(len(bell)), "valid") > 0.5
+    left = np.convolve(pair.left(flight), slope if pair.differentiate else bell, "valid")
+    right = np.convolve(pair.right(flight), bell, "valid")
+    keep = slice(reach, len(left) - reach)
+    left, right = np.where(gaps, np.nan, left), np.where(gaps, np.nan, right)
+    return (left[keep], right, keep, flight.dt) if np.isfinite(left[keep]).sum() > 20 else None
+
+
+def _moments(left: Array, right: Array, keep: slice, dt: float, lag: float) -> tuple[float, float, float]:
+    """Sums of right², left² and right * left about their means, right taken `lag` earlier."""
+    index = np.arange(keep.start, keep.stop) - lag / dt
+    moved = np.interp(index, np.arange(len(right)), right)
+    known = np.isfinite(moved) & np.isfinite(left)
+    if not known.any():
+        return 0.0, 0.0, 0.0
+    x, y = moved[known] - moved[known].mean(), left[known] - left[known].mean()
+    return float(x @ x), float(y @ y), float(x @ y)
+
+
+def _vertex(values: Array, best: int) -> float:
+    """Offset of a parabola's top from the best of its samples, in samples."""
+    if best in (0, len(values) - 1):
+        return 0.0
+    below, at, above = values[best - 1 : best + 2]
+    bend = below - 2 * at + above
+    return float(0.5 * (below - above) / bend) if bend < 0 else 0.0
+
+
+def _lag(moments: Array, sides: list[Side]) -> tuple[float, float]:
+    """Lag of the best agreement and its standard error, for residuals that are correlated over the kernel's width."""
+    r2 = _r2(moments)
+    best = int(np.argmax(r2))
+    slope = moments[best, 2] / moments[best, 0]
+    steep = sum(float(np.nansum(np.gradient(right[keep], dt) ** 2)) for _, right, keep, dt in sides)
+    samples = sum(int(np.isfinite(left).sum()) for left, *_ in sides)
+    together = 2.0 * np.sqrt(np.pi) * WIDTH_S / sides[0][3]
+    spread = max(moments[best, 1] * (1.0 - r2[best]), 0.0) / samples * together
+    error = float(np.sqrt(spread / max(slope**2 * steep, np.finfo(float).tiny)))
+    return float(LAGS_S[best] + STEP_S * _vertex(r2, best)), error
+
+
+def attitude_pairs() -> tuple[Pair, ...]:
+    """Rate of each Euler angle against the body rates.
+
+    Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 3.20.
+    """
+
+    def turn(f: Flight) -> tuple[Array, ...]:
+        return tuple(f.bridged(["p", "q", "r", "phi", "theta"]).numpy().T)
+
+    def phi(f: Flight) -> Array:
+        p, q, r, roll, pitch = turn(f)
+        return p + np.tan(pitch) * (q * np.sin(roll) + r * np.cos(roll))
+
+    def theta(f: Flight) -> Array:
+        _, q, r, roll, _ = turn(f)
+        return q * np.cos(roll) - r * np.sin(roll)
+
+    def psi(f: Flight) -> Array:
+        _, q, r, roll, pitch = turn(f)
+        return (q * np.sin(roll) + r * np.cos(roll)) / np.cos(pitch)
+
+    rates = ("p", "q", "r", "phi", "theta")
+    return (
+        Pair("phi", "p", "rad/s", rates, _column("phi"), phi),
+        Pair("theta", "q", "rad/s", rates, _column("theta"), theta),
+        Pair("psi", "r", "rad/s", (*rates, "psi"), _column("psi"), psi),
+    )
+
+
+def _column(name: str) -> Callable[[Flight], Array]:
+    return lambda flight: flight.bridged([name])[:, 0].numpy()
+
+
+def velocity_pairs(dataset: Dataset) -> tuple[Pair, ...]:
+    """Rate of each body velocity against specific force, gravity and rotation, the IMU's lever arm taken out.
+
+    Without the axis's accelerometer only gravity and rotation are compared: enough to see a clock, not a scale.
+
+    Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 3.35 and 10.11.
+    """
+    gravity, imu = dataset.vehicle.gravity, np.array(dataset.vehicle.imu or (0.0, 0.0, 0.0))
+    base = ("u", "v", "w", "p", "q", "r", "phi", "theta")
+    pairs = []
+    for axis, (velocity, sensor) in enumerate(zip(("u", "v", "w"), ("ax", "ay", "az"), strict=True)):
+        felt = any(f.has(sensor) for f in dataset.flights.values())
+        if not felt and axis == 2:
+            continue
+        channels = (*base, sensor) if felt else base
+        right = _acceleration(axis, sensor if felt else None, gravity, imu)
+        pairs.append(
+            Pair(velocity, sensor if felt else "phi theta", "m/s²", channels, _column(velocity), right, exact=felt)
+        )
+    return tuple(pairs)
+
+
+def _acceleration(axis: int, sensor: str | None, gravity: float, imu: Array) -> Callable[[Flight], Array]:
+    def right(f: Flight) -> Array:
+        values = f.bridged(["u", "v", "w", "p", "q", "r", "phi", "theta"]).numpy()
+        velocity, rates, phi, theta = values[:, :3], values[:, 3:6], values[:, 6], values[:, 7]
+        fall = np.stack([-np.sin(theta), np.cos(theta) * np.sin(phi), np.cos(theta) * np.cos(phi)], axis=1) * gravity
+        total = (fall - np.cross(rates, velocity))[:, axis]
+        if sensor is None:
+            return total
+        slope = kernel(f.dt)[1]
+        turning = np.stack([np.convolve(rate, slope, "same") for rate in rates.T], axis=1) if imu.any() else rates * 0.0
+        arm = np.cross(turning, imu) + np.cross(rates, np.cross(rates, imu))
+        return total + f.bridged([sensor])[:, 0].numpy() - arm[:, axis]
+
+    return right
+
+
+def position_pairs() -> tuple[Pair, ...]:
+    """Rate of each position against the velocity, turned by the attitude.
+
+    Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 3.24.
+    """
+    base = ("u", "v", "w", "phi", "theta")
+
+    def ground(f: Flight) -> tuple[Array, Array, Array, Array]:
+        u, v, w, phi, theta, psi = f.bridged([*base, "psi"]).numpy().T
+        level = u * np.cos(theta) + np.sin(theta) * (v * np.sin(phi) + w * np.cos(phi))
+        side = v * np.cos(phi) - w * np.sin(phi)
+        up = u * np.sin(theta) - np.cos(theta) * (v * np.sin(phi) + w * np.cos(phi))
+        return level, side, up, psi
+
+    def north(f: Flight) -> Array:
+        level, side, _, psi = ground(f)
+        return level * np.cos(psi) - side * np.sin(psi)
+
+    def east(f: Flight) -> Array:
+        level, side, _, psi = ground(f)
+        return level * np.sin(psi) + side * np.cos(psi)
+
+    return (
+        Pair("north", "u v w", "m/s", (*base, "psi", "north"), _column("north"), north),
+        Pair("east", "u v w", "m/s", (*base, "psi", "east"), _column("east"), east),
+        Pair("height", "u v w", "m/s", (*base, "height"), _column("height"), lambda f: ground(f)[2]),
+    )
+
+
+def stick_pairs(dataset: Dataset) -> tuple[Pair, ...]:
+    """Body rate against the pilot's stick of its axis: a stick that comes after its rate has late stamps.
+
+    Only sticks (unit "norm" or "m"): recorded blade angles and motor commands hold a controller's answer to the
+    rates, which rightly follows them.
+    """
+    axes = (("lat", "p"), ("lon", "q"), ("ped", "r"))
+    sticks = [(s, r) for s, r in axes if s in dataset.controls and dataset.control_specs[s].unit != "rad"]
+    return tuple(
+        Pair(rate, stick, "rad/s", (rate, stick), _column(rate), _column(stick), differentiate=False, exact=False)
+        for stick, rate in sticks
+    )

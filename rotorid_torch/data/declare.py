@@ -1,0 +1,99 @@
+"""dataset.toml, or the same as dicts, to a validated declaration."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from msgspec import Struct
+
+from rotorid_torch.core import names
+from rotorid_torch.data import plausible
+from rotorid_torch.data.refusal import convert
+from rotorid_torch.data.schema import ChannelSpec, ControlSpec, FlightLists, ModelSettings, Vehicle
+from rotorid_torch.errors import InputError
+
+TOML_LIMIT = 1_000_000
+"""Largest dataset.toml in bytes; a larger one is not a declaration."""
+
+
+class _Header(Struct, frozen=True, forbid_unknown_fields=True):
+    format: Literal[1]
+    kind: Literal["helicopter", "multirotor"]
+    flights: FlightLists
+    name: str = ""
+    description: str = ""
+    vehicle: Vehicle = Vehicle()
+    controls: dict[str, Any] = {}
+    channels: dict[str, Any] = {}
+    model: dict[str, Any] = {}
+
+
+class Declaration(Struct, frozen=True):
+    """The whole of dataset.toml, validated."""
+
+    name: str
+    kind: str
+    description: str
+    vehicle: Vehicle
+    controls: dict[str, ControlSpec]
+    channels: dict[str, ChannelSpec]
+    flights: FlightLists
+    model: ModelSettings
+    warnings: tuple[str, ...]
+
+
+def read_declaration(path: Path) -> tuple[Declaration, bytes]:
+    """Read and validate a dataset.toml; also its bytes. Raises InputError with the key that is at fault."""
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(
+            path, "", "there is no such file", "a data set: a folder with dataset.toml and flights/NAME.npz"
+        ) from None
+    except OSError as error:
+        raise InputError(path, "", f"cannot be read ({error.strerror})", "a readable dataset.toml") from None
+    if len(content) > TOML_LIMIT:
+        raise InputError(path, "", f"has {len(content)} bytes", f"a dataset.toml below {TOML_LIMIT} bytes")
+    try:
+        document = tomllib.loads(content.decode("utf-8"))
+    except UnicodeDecodeError as error:
+        raise InputError(path, "", f"is not text (byte {error.start})", "TOML in UTF-8") from None
+    except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
+        raise InputError(path, "", f"is not TOML: {error}", "a dataset.toml with format = 1") from None
+    return declare(document, path), content
+
+
+def declare(document: Mapping[str, Any], file: str | Path) -> Declaration:
+    """Validate a document of dataset.toml's form (nested dicts); `file` is named in errors. Raises InputError."""
+    header = convert(dict(document), _Header, file, "")
+    model = convert(header.model, ModelSettings, file, "model")
+    controls = {key: convert(value, ControlSpec, file, f"controls.{key}") for key, value in header.controls.items()}
+    channels = {key: convert(value, ChannelSpec, file, f"channels.{key}") for key, value in header.channels.items()}
+    plausible.check_finite(document, file)
+    plausible.check_vehicle(header.vehicle, file)
+    plausible.check_controls(controls, file)
+    plausible.check_channels(channels, file)
+    plausible.check_lists(header.flights, file)
+    return Declaration(
+        name=header.name,
+        kind=header.kind,
+        description=header.description,
+        vehicle=header.vehicle,
+        controls=controls,
+        channels=channels,
+        flights=header.flights,
+        model=model,
+        warnings=tuple(_unused(header)),
+    )
+
+
+def _unused(header: _Header) -> Iterator[str]:
+    for key in header.model:
+        if key not in ModelSettings.__struct_fields__:
+            yield f"[model] {key} is not known{names.nearest(key, ModelSettings.__struct_fields__)} and not used"
+    for part in header.vehicle.mass_excludes:
+        if part != "blades":
+            yield f"mass_excludes '{part}' is not known (blades is) and not used"

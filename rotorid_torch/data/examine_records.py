@@ -1,0 +1,141 @@
+"""Each record by itself: gaps, units, gravity, noise, vibration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from rotorid_torch.core import names
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.finding import Finding, Severity, finding
+from rotorid_torch.data.noise import white_noise
+from rotorid_torch.data.vibration import content_ends, lines, spectrum
+
+
+def reading(dataset: Dataset) -> Iterator[Finding]:
+    """What had to be changed or left out on reading."""
+    told: dict[str, list[str]] = {"": []}
+    for sentence in dataset.warnings:
+        name, _, rest = sentence.partition(": ")
+        told.setdefault(name if name.startswith("flight ") and rest else "", []).append(rest or sentence)
+    for sentence in told.pop(""):
+        yield finding("note", "", f"{sentence}.")
+    if told:
+        first, sentences = next(iter(told.items()))
+        flights = [name.removeprefix("flight ") for name in told]
+        more = f" ({len(flights) - 1} other flights likewise: {', '.join(flights[1:])})" if len(flights) > 1 else ""
+        advice = "Record on one clock if fast dynamics matter."
+        yield finding("note", "time", f"{first}: {'; '.join(sentences)}{more}.", advice, flight=flights[0])
+    rates = sorted({round(1.0 / flight.dt, 2) for flight in dataset.flights.values()})
+    if rates[-1] > 1.05 * rates[0]:
+        yield finding("note", "time", f"flights are sampled at {rates[0]:g} to {rates[-1]:g} Hz.")
+
+
+def gaps(dataset: Dataset) -> Iterator[Finding]:
+    """Missing samples."""
+    for name, flight in dataset.flights.items():
+        for channel, values in flight.channels.items():
+            share = float(values.isnan().double().mean())
+            if share > 0.0:
+                use = "bridged by a straight line" if channel in dataset.controls else "skipped"
+                grave: Severity = "warning" if share > 0.05 else "note"
+                told = f"{share:.1%} of the samples are missing; they are {use}."
+                yield finding(
+                    grave, channel, told, "Leave the flight out if the manoeuvre itself is lost.", flight=name
+                )
+
+
+def units(dataset: Dataset) -> Iterator[Finding]:
+    """Sizes that speak of another unit."""
+    bounds = ((names.RATES, 35.0, "degrees per second?"), (names.VELOCITIES, 150.0, "knots or feet per second?"))
+    for channels, bound, guess in bounds:
+        for channel in channels:
+            largest = max(_largest(dataset, channel), default=0.0)
+            if largest > bound:
+                told = f"reaches {largest:.3g} {names.unit(channel)} ({guess})."
+                yield finding("warning", channel, told, "Check its unit and look for spikes.")
+    for control in filter(names.is_motor, dataset.controls):
+        values = [flight.bridged([control]) for flight in dataset.flights.values()]
+        low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
+        if low < -0.05 or high > 1.05:
+            yield finding("error", control, f"runs from {low:.4g} to {high:.4g}. Scale the motor command to 0…1.")
+
+
+def _largest(dataset: Dataset, channel: str) -> Iterator[float]:
+    for flight in dataset.flights.values():
+        if flight.has(channel):
+            yield float(flight.channels[channel].nan_to_num(0.0).abs().max())
+
+
+def gravity(dataset: Dataset) -> Iterator[Finding]:
+    """Whether the vertical accelerometer reads gravity where the flights begin."""
+    expected = -dataset.vehicle.gravity
+    starts = [
+        float(flight.channels["az"][: dataset.quiet(name)].nanmean())
+        for name, flight in dataset.flights.items()
+        if flight.has("az")
+    ]
+    if not starts:
+        return
+    az = float(np.nanmedian(starts))
+    told = f"reads {az:.2f} m/s² at the start of the flights"
+    if az > 0.3:
+        yield finding("error", "az", f"{told}; level flight reads {expected:.2f}. Turn the axis: z points down.")
+    elif 0.7 < -az < 1.4:
+        yield finding("error", "az", f"{told}. It seems to be in g: multiply by {-expected:.4g}.")
+    elif abs(az / expected - 1.0) > 0.03:
+        reason = "the flights begin in a manoeuvre, or the accelerometer has a bias or a scale error"
+        yield finding("note", "az", f"{told} instead of {expected:.2f}: {reason}. Calibrate it before believing mass.")
+    else:
+        yield finding("good", "az", f"{told}, as gravity demands.")
+
+
+def noise(dataset: Dataset) -> Iterator[Finding]:
+    """Declared noise against the record's, estimates where none is declared, records that were filtered."""
+    estimated, smooth = [], []
+    for channel in (c for c in dataset.scales() if names.channel(c) is not None):
+        records = _identify_records(dataset, channel)
+        floor, spec = white_noise(records), dataset.control_specs.get(channel) or dataset.channel_specs.get(channel)
+        if spec is None or spec.noise is None:
+            estimated.append(f"{channel} {dataset.noise(channel):.2g}")
+            sensor = channel in (*names.RATES, *names.SPECIFIC_FORCES)
+            if sensor and floor < 2e-3 * dataset.scales()[channel]:
+                dt = dataset.flights[dataset.identify[0]].dt
+                smooth.append((channel, content_ends(*spectrum(records, dt))))
+        elif spec.noise > 0.0 and not 0.6 < floor / spec.noise < 1.6 and np.isfinite(floor):
+            told = f"declares noise of {spec.noise:.3g}, the record's white floor is {floor:.3g} {names.unit(channel)}."
+            yield finding("warning", channel, told, "Correct dataset.toml, or leave it out to have it estimated.")
+    if smooth:
+        ends = ", ".join(f"{channel} ends at {hertz:.0f} Hz" for channel, hertz in smooth)
+        told = f"almost no noise: filtered before recording ({ends}), or simulated."
+        yield finding("note", " ".join(c for c, _ in smooth), told, "A filter's lag will count as the aircraft's.")
+    if estimated:
+        told = f"noise estimated from the spectra: {', '.join(estimated)} (standard deviation of a sample)."
+        yield finding("note", "", told, "Declare it in dataset.toml if the sensors' data sheets say otherwise.")
+
+
+def vibration(dataset: Dataset) -> Iterator[Finding]:
+    """Lines of rotor vibration in rates and specific force."""
+    rotor = dataset.vehicle.rotor
+    for channel in (*names.RATES, *names.SPECIFIC_FORCES):
+        records = _identify_records(dataset, channel)
+        if not records:
+            continue
+        strongest = lines(*spectrum(records, dataset.flights[dataset.identify[0]].dt))
+        shown = [line for line in strongest if line.share > 0.03 and line.rms > 0.3 * dataset.noise(channel)]
+        if not shown:
+            continue
+        told = ", ".join(
+            f"{line.hertz:.1f} Hz"
+            + (f" ({line.hertz * 2 * np.pi / rotor.speed:.2f} per revolution)" if rotor and rotor.speed else "")
+            + f" {line.rms:.2g} {names.unit(channel)} rms, {line.share:.0%} of the channel's variance"
+            for line in shown
+        )
+        advice = "Isolate the sensor, or declare the rotor's speed, so that this is not taken for motion."
+        yield finding("warning" if shown[0].share > 0.2 else "note", channel, f"vibration at {told}.", advice)
+
+
+def _identify_records(dataset: Dataset, channel: str) -> list[np.ndarray]:
+    flights = (dataset.flights[name] for name in dataset.identify)
+    return [flight.channels[channel].numpy() for flight in flights if flight.has(channel)]
