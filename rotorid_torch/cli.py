@@ -92,7 +92,8 @@ def parser() -> Parser:
 
 
 def _add_command(commands, name: str, run: Callable[[Options], None], about: str) -> argparse.ArgumentParser:
-    command = commands.add_parser(name, help=about, description=about[0].upper() + about[1:] + ".", allow_abbrev=False)
+    description = about[0].upper() + about[1:] + ("" if about.endswith("?") else ".")
+    command = commands.add_parser(name, help=about, description=description, allow_abbrev=False)
     command.set_defaults(run=run)
     common = command.add_argument_group("every command")
     common.add_argument("--quiet", action="store_true", help="print nothing but errors")
@@ -156,19 +157,29 @@ def fly(options: Options) -> None:
 def check(options: Options) -> None:
     """Say whether a data set is fit for identification."""
     from rotorid_torch.data import load
-    from rotorid_torch.run import pipeline
+    from rotorid_torch.data.check import check as examine
+    from rotorid_torch.run.checking import check_table, write_check
+    from rotorid_torch.run.folder import refuse_unless_free
 
-    findings = pipeline.check(load(options.dataset), out=options.out)
-    _answer(options, findings, findings.table())
+    if options.out:
+        refuse_unless_free(options.out)
+    dataset = load(options.dataset)
+    found = examine(dataset)
+    if options.out:
+        write_check(options.out, dataset, found, options.seed, _monitor(options))
+    _answer(options, found, check_table(found))
 
 
 def reconstruct(options: Options) -> None:
     """Step 1 alone."""
     from rotorid_torch.data import load
     from rotorid_torch.run import pipeline
+    from rotorid_torch.run.folder import refuse_unless_free
+    from rotorid_torch.run.records import read_report
 
-    report = pipeline.reconstruct(load(options.dataset), options.out, monitor=_monitor(options))
-    _answer(options, report, f"run: {options.out}")
+    refuse_unless_free(options.out)
+    pipeline.reconstruct(load(options.dataset), options.out, seed=options.seed, monitor=_monitor(options))
+    _answer_report(options, options.out, read_report(options.out))
 
 
 def identify(options: Options) -> None:
@@ -232,7 +243,7 @@ def _answer(options: Options, as_json: object, for_people: object) -> None:
 
         print(msgspec.json.encode(as_json).decode())
     elif not options.quiet:
-        _console().print(for_people, highlight=False)
+        _console().print(for_people)
 
 
 def _answer_report(options: Options, out: Path, report) -> None:
@@ -250,7 +261,7 @@ def _where(run: Path) -> str:
 def _console() -> Console:
     from rich.console import Console
 
-    return Console(soft_wrap=True)
+    return Console(soft_wrap=True, markup=False, emoji=False, highlight=False)
 
 
 def _monitor(options: Options) -> Monitor:

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import msgspec
+import numpy as np
 import pytest
 
 from rotorid_torch import cli
@@ -243,6 +244,38 @@ def test_missing_data_set_is_one_line_and_leaves_no_run(tmp_path: Path, capsys: 
         assert (code, out, err.count("\n")) == (2, "", 1)
         assert "no data" in err
     assert list(tmp_path.iterdir()) == []
+
+
+def a_data_set(folder: Path) -> Path:
+    generator = np.random.default_rng(0)
+    (folder / "flights").mkdir(parents=True)
+    for name in ("one", "two"):
+        time = np.arange(600) / 50.0
+        stick = np.where((time > 2) & (time < 4), 0.05, 0.0)
+        channels = {"time": time, "lat": stick + 1e-4 * generator.standard_normal(600)}
+        channels |= {name: 0.01 * generator.standard_normal(600).cumsum() / 10 for name in "pqr"}
+        np.savez(folder / "flights" / f"{name}.npz", **channels)
+    head = 'format = 1\nname = "small"\nkind = "helicopter"\n[controls.lat]\nunit = "rad"\n'
+    (folder / "dataset.toml").write_text(head + '[flights]\nidentify = ["one"]\nvalidate = ["two"]\n')
+    return folder
+
+
+def test_check_tells_findings_and_writes_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    folder = a_data_set(tmp_path / "small")
+    code, out, err = run(capsys, "check", folder, "--json", "--out", tmp_path / "run")
+    assert (code, err) == (0, "")
+    found = json.loads(out)
+    assert found["dataset"] == "small"
+    assert found["findings"]
+    report = records.read_report(tmp_path / "run")
+    assert report.command == "check"
+    assert report.before is None
+    assert (tmp_path / "run" / "report.html").stat().st_size > 1000
+    assert "good: " in (tmp_path / "run" / "log.txt").read_text()
+    code, out, err = run(capsys, "check", folder)
+    assert (code, err) == (0, "")
+    assert "small: " in out
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["run", "small"]
 
 
 def test_cuda_where_there_is_none_is_bad_input(monkeypatch, capsys: pytest.CaptureFixture[str]):

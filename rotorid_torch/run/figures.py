@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from torch import Tensor
 
 from rotorid_torch.core import names
@@ -97,10 +98,10 @@ def side_by_side(overlays: Sequence[Overlay], channels: Sequence[str]) -> Figure
 def residuals(overlays: Sequence[Overlay]) -> Figure:
     """Measured minus model over time, all given flights in one axis per channel.
 
-    In the corner: the share of the first 50 lags at which the error's autocorrelation lies in the band of white noise.
+    Above each axis: the share of the first 50 lags at which the error's autocorrelation lies in white noise's band.
     """
     rows = [name for name in names.BODY if any(overlay.common([name]) for overlay in overlays)]
-    figure, grid = _grid(rows, 1, 7.0)
+    figure, grid = _grid(rows, 1, 7.0, height=1.2)
     for axes, name in zip((row[0] for row in grid), rows, strict=True):
         white = []
         for overlay in overlays:
@@ -109,9 +110,8 @@ def residuals(overlays: Sequence[Overlay]) -> Figure:
                 axes.plot(overlay.time, error, color=LIST_COLOURS[overlay.list], linewidth=0.8, alpha=0.7)
                 white.append(_white_share(error))
         axes.axhline(0.0, color="black", linewidth=0.5)
-        note = f"white at {100 * np.mean(white):.0f} % of lags"
-        axes.annotate(note, (0.99, 0.04), xycoords="axes fraction", ha="right", fontsize=8)
-    grid[0][0].set_title("error over time: measured - model", fontsize=10)
+        axes.set_title(f"white at {100 * np.mean(white):.0f} % of lags", loc="right", fontsize=8)
+    grid[0][0].set_title("error over time: measured - model", loc="left", fontsize=10)
     grid[-1][0].set_xlabel("time, s")
     return figure
 
@@ -128,15 +128,19 @@ def scores(fit: FitRecord) -> Figure:
         if flight.J:
             axes.plot(flight.J, row, "o", color=LIST_COLOURS[flight.list])
     axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.set_ylim(-0.6, len(flights) - 0.4)
     axes.set_yticks(range(len(flights)), [f"{name} ({flight.list})" for name, flight in flights], fontsize=9)
     axes.invert_yaxis()
     axes.set_xlabel("J over 8 s; dot: the model; bar: sensor noise alone (left) to holding trim (right)", fontsize=8)
-    axes.grid(axis="x", which="both", alpha=0.3)
+    axes.grid(axis="x", alpha=0.3)
     return figure
 
 
-def _grid(rows: Sequence[str], columns: int, width: float) -> tuple[Figure, list[list[Axes]]]:
-    figure = Figure(figsize=(width, 0.8 + 1.5 * len(rows)), layout="constrained")
+def _grid(rows: Sequence[str], columns: int, width: float, height: float = 1.5) -> tuple[Figure, list[list[Axes]]]:
+    figure = Figure(figsize=(width, 0.8 + height * len(rows)), layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.subplots(len(rows), columns, sharex="col", sharey="row", squeeze=False).tolist()
     for axes, name in zip((row[0] for row in grid), rows, strict=True):

@@ -76,7 +76,7 @@ class Monitor:
         """Tell one line to the console and the log."""
         self.log(text)
         if self.console:
-            self.console.print(text, highlight=False, markup=False)
+            self.console.print(text)
 
     def log(self, text: str) -> None:
         """Tell one line to the log only."""

@@ -59,7 +59,7 @@ def test_a_whole_report_of_close_loop_round_trips(tmp_path: Path, report: record
         after=fit,
         verdict=records.VerdictRecord(kind="undeclared", effects=("control.delay",), sentence="The controls are late."),
         effects=(effect,),
-        unknown=records.UnknownRecord(where="L", band_hz=(0.2, 2.0), goes_with="p", since_s=None, sentence="Look at L."),
+        unknown=records.UnknownRecord(where="L", band_hz=(0.2, 2.0), goes_with="p", since_s=None, sentence="See L."),
     )
     assert records.read_report(write(tmp_path, whole)) == whole
 

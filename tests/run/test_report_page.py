@@ -132,9 +132,10 @@ def test_weakest_channel_ignores_an_axis_that_hardly_moves(fit: records.FitRecor
     def channel(rmse: float, r2: float) -> records.ChannelRecord:
         return records.ChannelRecord(rmse=rmse, r2=r2, theil=0.5, theil_parts=(0.0, 1.0, 0.0))
 
+    moved, unmoved = channel(0.1, 0.99), channel(0.1, -3.0)
     flights = {
-        "moves": msgspec.structs.replace(fit.flights["f1"], channels={"p": channel(0.1, 0.99), "q": channel(0.1, 0.99)}),
-        "judged": msgspec.structs.replace(fit.flights["f2"], channels={"p": channel(0.1, -3.0), "q": channel(0.4, 0.8)}),
+        "moves": msgspec.structs.replace(fit.flights["f1"], channels={"p": moved, "q": moved}),
+        "judged": msgspec.structs.replace(fit.flights["f2"], channels={"p": unmoved, "q": channel(0.4, 0.8)}),
     }
     assert summary.weakest_channel(msgspec.structs.replace(fit, flights=flights)) == ("judged", "q", pytest.approx(0.4))
 

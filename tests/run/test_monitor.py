@@ -1,0 +1,71 @@
+"""The monitor: silent without a console, and complete in the folder with one."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from pathlib import Path
+
+import pytest
+from matplotlib.figure import Figure
+from rich.console import Console
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from rotorid_torch.run.monitor import Monitor, peak_memory_mb
+
+
+def test_folder_holds_scalars_figures_log_and_warnings(tmp_path: Path):
+    monitor = Monitor()
+    with monitor.recording(tmp_path):
+        for iteration, cost in enumerate((3.0, 2.0, 1.5)):
+            monitor.scalars({"ml/cost": cost}, iteration)
+        figure = Figure(figsize=(1, 1))
+        monitor.figure("overlay/p", figure, 2)
+        with warnings.catch_warnings():
+            warnings.simplefilter("always")
+            warnings.warn("a rotor without blades", UserWarning, stacklevel=1)
+        monitor.say("done")
+    events = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
+    assert [(e.step, e.value) for e in events.Scalars("ml/cost")] == [(0, 3.0), (1, 2.0), (2, 1.5)]
+    assert events.Tags()["images"] == ["overlay/p"]
+    log = (tmp_path / "log.txt").read_text()
+    assert "ml/cost 1.5" in log
+    assert "a rotor without blades" in log
+    assert log.splitlines()[-1].endswith("done")
+
+
+def test_without_console_and_folder_nothing_is_told(capfd: pytest.CaptureFixture[str]):
+    monitor = Monitor()
+    with monitor.step("ml", total=3):
+        monitor.advance()
+        monitor.scalars({"ml/cost": 1.0}, 0)
+        monitor.figure("overlay", Figure())
+    monitor.say("done")
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_console_hears_steps_with_their_time(terminal: bool):
+    written = io.StringIO()
+    monitor = Monitor(Console(file=written, force_terminal=terminal, width=80, highlight=False))
+    with monitor.step("reconstruct", total=2):
+        monitor.advance(2)
+    assert "reconstruct: 0.0 s" in written.getvalue()
+
+
+def test_clock_adds_up_steps_of_one_name_and_goes_on_after_an_error():
+    monitor = Monitor()
+    for _ in range(2):
+        with monitor.step("ml"):
+            pass
+    with pytest.raises(ZeroDivisionError), monitor.step("ftr"):
+        _ = 1 / 0
+    record = monitor.time_record()
+    assert record.ml == monitor.seconds["ml"]
+    assert set(monitor.seconds) == {"ml", "ftr"}
+    assert record.total is not None
+    assert record.total >= sum(monitor.seconds.values())
+
+
+def test_peak_memory_is_that_of_a_process_with_torch():
+    assert 20 < peak_memory_mb() < 1e5
