@@ -22,7 +22,7 @@ class EffectRow(msgspec.Struct, frozen=True):
 
 def effect_rows(effects: Iterable[type[Effect]]) -> list[EffectRow]:
     """One row per effect class, in the order given."""
-    return [EffectRow(e.id, e.role.value, e.stage.name.lower(), (inspect.getdoc(e) or "").partition("\n")[0]) for e in effects]
+    return [EffectRow(e.id, e.role.value, e.stage.name.lower(), _first_line(e)) for e in effects]
 
 
 def effects_table(rows: Iterable[EffectRow]) -> Table:
@@ -31,3 +31,7 @@ def effects_table(rows: Iterable[EffectRow]) -> Table:
     for row in rows:
         table.add_row(row.id, row.role, row.stage, row.what)
     return table
+
+
+def _first_line(effect: type[Effect]) -> str:
+    return (inspect.getdoc(effect) or "").partition("\n")[0]
