@@ -1,1 +1,4 @@
 """The flight-test aircraft: a simulator of its own that flies manoeuvres and writes data sets."""
+
+from rotorid_torch.fly.flight_test import FlightTest as FlightTest
+from rotorid_torch.fly.flight_test import fly as fly

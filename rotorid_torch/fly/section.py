@@ -1,0 +1,44 @@
+"""Lift and drag of a wing section at any angle of attack, with stall: blade elements and tail surfaces use it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section or a low-aspect wing: linear lift up to stall, flat plate beyond, blended smoothly.
+
+    Parameters
+    ----------
+    lift_slope : 1/rad.
+    stall : angle of attack at which half of the linear lift has gone, rad.
+    drag : profile drag coefficient at zero lift.
+    drag_rise : drag per squared angle of attack below stall, 1/rad^2 (induced drag too, for a wing).
+
+    Source: Hoerner, Fluid-Dynamic Drag (flat plate: normal force 2 sin(alpha), lift 1.1 sin(2 alpha));
+    Leishman, Principles of Helicopter Aerodynamics, section 7.10 (representations of static stall).
+    """
+
+    lift_slope: float
+    stall: float
+    drag: float
+    drag_rise: float
+
+    blend = 0.025  # rad: width of the passage from attached to separated flow
+    plate_lift, plate_drag = 1.1, 1.9
+
+    def coefficients(self, sine: Array, cosine: Array) -> tuple[Array, Array]:
+        """Lift and drag coefficients from sine and cosine of the angle of attack (any shape)."""
+        angle = np.arctan2(sine, cosine)
+        attached = 0.5 * (1.0 - np.tanh((np.abs(angle) - self.stall) * (0.5 / self.blend)))
+        square = sine * sine
+        plate = (2.0 * self.plate_lift) * (sine * cosine)
+        lift = plate + attached * (self.lift_slope * angle - plate)
+        drag = self.drag + square * (self.plate_drag + attached * (self.drag_rise - self.plate_drag))
+        return lift, drag
