@@ -1,0 +1,205 @@
+"""Finite Fourier transforms of sampled records: end weights, chirp-z, nuisance columns, noise floor, gaps."""
+
+from __future__ import annotations
+
+from math import comb
+
+import torch
+from torch import Tensor
+
+END_ORDER = 8
+"""Degree of the polynomial at each end of the quadrature; more than 8 would amplify the noise of the end samples."""
+NOISE_ORDER = 8
+"""Order of the differences that leave the noise."""
+
+
+def end_weights(theta: Tensor, order: int = END_ORDER) -> Tensor:
+    """Weights of the first samples that turn the sum of x[n] exp(-j theta n), n >= 0, into its integral.
+
+    Inside a smooth record the sum equals the integral to machine precision; all error comes from the ends. There the
+    record is taken for a polynomial through its first order + 1 samples, times the exact exponential, so that only x
+    must be smooth on the sample grid and not its product with a high frequency. At theta = 0 this is Gregory's
+    rule, whose first weight is the familiar 1/2. The last samples take the conjugate weights in reverse order.
+
+    Parameters
+    ----------
+    theta : (M,) rad per sample.
+
+    Returns
+    -------
+    (M, order + 1) complex, in sample intervals.
+
+    Source: Gregory (1670) as in Hamming, Numerical Methods for Scientists and Engineers, ch. 18, with the operator
+    E = 1 + Delta replaced by exp(-j theta) E; Morelli and Klein, Aircraft System Identification, ch. 7 (Filon).
+    """
+    # coefficients of Delta^m in integral minus sum, by Cauchy's formula on a circle (the poles at theta cancel)
+    points, radius = 128, 0.7
+    turn = (torch.arange(points, dtype=torch.float64, device=theta.device) + 0.5) * (2.0 * torch.pi / points)
+    delta = radius * torch.exp(1j * turn)
+    phase = 1j * theta.unsqueeze(-1)
+    gap = 1.0 / (phase - torch.log(1.0 + delta)) - 1.0 / (1.0 - torch.exp(-phase) * (1.0 + delta))
+    powers = delta ** -torch.arange(order + 1, device=theta.device).unsqueeze(-1)
+    coefficients = gap @ powers.T / points
+    binomials = [[(-1.0) ** (m - i) * comb(m, i) for i in range(order + 1)] for m in range(order + 1)]
+    return coefficients @ torch.tensor(binomials, dtype=torch.complex128, device=theta.device)
+
+
+def chirp_z(x: Tensor, start: float, step: float, count: int) -> Tensor:
+    """Sum of x[n] exp(-2j pi (start + k step) n) for k = 0 ... count - 1, by Bluestein's three FFTs.
+
+    Parameters
+    ----------
+    x : (..., T) samples.
+    start, step : cycles per sample.
+    count : number of frequencies.
+
+    Returns
+    -------
+    (..., count) complex.
+
+    Source: Rabiner, Schafer, Rader, The chirp z-transform algorithm, IEEE Trans. Audio 17 (1969).
+    """
+    samples = x.shape[-1]
+    n = torch.arange(max(samples, count), dtype=torch.float64, device=x.device)
+    chirp = torch.exp(-1j * torch.pi * step * n.square())
+    size = samples + count - 1
+    tilted = x * torch.exp(-2j * torch.pi * start * n[:samples]) * chirp[:samples]
+    kernel = torch.zeros(size, dtype=torch.complex128, device=x.device)
+    kernel[:count] = chirp[:count].conj()
+    kernel[size - samples + 1 :] = chirp[1:samples].conj().flip(0)
+    product = torch.fft.fft(tilted, n=size) * torch.fft.fft(kernel)
+    return torch.fft.ifft(product)[..., :count] * chirp[:count]
+
+
+def finite_transform(x: Tensor, dt: float, first: int, count: int, oversample: int = 1) -> Tensor:
+    """Finite Fourier transform, the integral of x exp(-j w t) over the record, at frequencies k / (oversample T).
+
+    Parameters
+    ----------
+    x : (..., T) samples, the first at t = 0; the record lasts T = (samples - 1) dt.
+    dt : sample interval, s.
+    first, count : the first k and how many.
+    oversample : points per 1/T; 1 gives the harmonics of the record by one FFT, more a finer grid by chirp-z.
+
+    Returns
+    -------
+    (..., count) complex, in units of x times s.
+
+    Source: Morelli and Klein, Aircraft System Identification, 2nd ed., ch. 7 (finite transform, chirp-z).
+    """
+    intervals = x.shape[-1] - 1
+    grid = intervals * oversample
+    theta = 2.0 * torch.pi / grid * torch.arange(first, first + count, dtype=torch.float64, device=x.device)
+    turn = torch.exp(-1j * theta * intervals)
+    if oversample > 1:
+        total = chirp_z(x, first / grid, 1.0 / grid, count)
+    else:  # at the harmonics turn = 1: the last sample joins the first
+        total = torch.fft.rfft(x[..., :-1])[..., first : first + count] + x[..., -1:]
+    order = min(END_ORDER, intervals // 8)
+    ends = end_weights(theta, order)
+    total = total + torch.complex(x[..., : order + 1], torch.zeros_like(x[..., : order + 1])) @ ends.T
+    tail = x[..., -order - 1 :].flip(-1)
+    return (total + turn * (torch.complex(tail, torch.zeros_like(tail)) @ ends.conj().T)) * dt
+
+
+def derivative_transform(x: Tensor, transform: Tensor, frequencies: Tensor, duration: float) -> Tensor:
+    """Transform of dx/dt from that of x: j w x(w) + x(T) exp(-j w T) - x(0).
+
+    Parameters
+    ----------
+    x : (..., T) samples, transform : (..., M) their finite transform.
+    frequencies : (M,) Hz. duration : T, s.
+
+    Source: integration by parts; Morelli and Klein, eq. 7.21.
+    """
+    omega = 2.0 * torch.pi * frequencies
+    return 1j * omega * transform + x[..., -1:] * torch.exp(-1j * omega * duration) - x[..., :1]
+
+
+def nuisance_basis(frequencies: Tensor, duration: float, ends: bool, trend: bool) -> Tensor:
+    """Orthonormal real columns (2 M, k) that a constant, a trend and the end terms of a record span in its rows.
+
+    At the harmonics the constant vanishes and both end terms are one column; such columns drop out.
+
+    Parameters
+    ----------
+    frequencies : (M,) Hz. duration : T, s.
+    ends : whether x(0) and x(T) exp(-j w T) of a derivative are left free, as their samples are noisy.
+    trend : whether a trend in time joins the constant.
+    """
+    phase = 2.0 * torch.pi * frequencies * duration
+    turn = torch.exp(-1j * phase)
+    columns = [(1.0 - turn) / (1j * phase)]
+    if trend:
+        columns.append(turn * (1j * phase + 1.0) / phase.square() - 1.0 / phase.square())
+    if ends:
+        columns += [torch.ones_like(turn), turn]
+    rows = as_rows(torch.stack(columns)).T
+    norms = torch.linalg.vector_norm(rows, dim=0)
+    u, s, _ = torch.linalg.svd(rows[:, norms > 1e-9] / norms[norms > 1e-9], full_matrices=False)
+    return u[:, s > 1e-6]
+
+
+def as_rows(spectrum: Tensor) -> Tensor:
+    """Stack real over imaginary parts along the last dimension: (..., M) complex to (..., 2 M) real."""
+    return torch.cat((spectrum.real, spectrum.imag), dim=-1)
+
+
+def noise_floor(x: Tensor, order: int = NOISE_ORDER) -> Tensor:
+    """Estimate the standard deviation of the white noise in a record from its high differences.
+
+    Differences of high order leave the noise and remove what is smooth; what jumps (edges of a manoeuvre) touches few
+    samples and is cut at four robust deviations.
+
+    Parameters
+    ----------
+    x : (..., T) samples without gaps.
+
+    Returns
+    -------
+    (...) standard deviation of a sample, in units of x; zero where the record is too short to tell.
+    """
+    if x.shape[-1] < 4 * order:
+        return torch.zeros(x.shape[:-1], dtype=x.dtype, device=x.device)
+    difference = torch.diff(x, n=order, dim=-1)
+    robust = 1.4826 * difference.abs().median(dim=-1).values
+    inside = difference.abs() <= 4.0 * robust.unsqueeze(-1)
+    power = (difference.square() * inside).sum(-1) / inside.sum(-1).clamp(min=1)
+    return torch.sqrt(power / comb(2 * order, order))
+
+
+def noise_floor_scatter(samples: int, order: int = NOISE_ORDER) -> float:
+    """Relative standard deviation of the square of `noise_floor` on a record of white noise."""
+    independent = samples * comb(2 * order, order) ** 2 / comb(4 * order, 2 * order)
+    return (2.0 / independent) ** 0.5
+
+
+def fill_gaps(x: Tensor) -> tuple[Tensor, int, int]:
+    """Fill missing samples (NaN) by straight lines, beyond the first and last good sample by holding them.
+
+    Parameters
+    ----------
+    x : (..., T).
+
+    Returns
+    -------
+    The filled record, the number of samples filled and the longest gap in samples.
+    """
+    missing = torch.isnan(x)
+    if not bool(missing.any()):
+        return x, 0, 0
+    rows, holes = x.reshape(-1, x.shape[-1]).clone(), missing.reshape(-1, x.shape[-1])
+    index, longest = torch.arange(x.shape[-1], device=x.device), 0
+    for row, hole in zip(rows, holes, strict=True):
+        good = index[~hole]
+        if len(good) == 0 or len(good) == len(index):
+            continue
+        right = torch.searchsorted(good, index).clamp(max=len(good) - 1)
+        left = (torch.searchsorted(good, index, right=True) - 1).clamp(min=0)
+        a, b = good[left], good[right]
+        share = torch.where(b > a, (index - a) / (b - a).clamp(min=1), torch.zeros_like(row))
+        values = row[a] + share * (row[b] - row[a])
+        row[hole] = values[hole]
+        edges = torch.cat((good.new_tensor([-1]), good, good.new_tensor([len(index)])))
+        longest = max(longest, int(edges.diff().max()) - 1)
+    return rows.reshape(x.shape), int(missing.sum()), longest
