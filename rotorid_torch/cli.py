@@ -150,7 +150,9 @@ def fly(options: Options) -> None:
 
     given = {name: getattr(options, name) for name in ("speed", "heading", "height", "vehicle", "flights")}
     given = {name: value for name, value in given.items() if value is not None}
-    fly_aircraft(options.out, seed=options.seed, effects=options.effect or (), progress=_monitor(options).say, **given)
+    monitor = _monitor(options)
+    with monitor.step("fly"):
+        fly_aircraft(options.out, seed=options.seed, effects=options.effect or (), progress=monitor.progress, **given)
     _answer(options, {"dataset": str(options.out)}, f"data set: {options.out}")
 
 

@@ -56,21 +56,21 @@ class Monitor:
                 self._log, self._board = None, None
 
     @contextmanager
-    def step(self, name: str, total: int | None = None) -> Iterator[None]:
+    def step(self, name: str) -> Iterator[None]:
         """Time a step under `name` (`reconstruct`, `ftr`, `ml`, `trace`) and show its progress."""
         begin = time.perf_counter()
         try:
-            with self._bar(name, total):
+            with self._bar(name):
                 yield
         finally:
             spent = time.perf_counter() - begin
             self.seconds[name] = self.seconds.get(name, 0.0) + spent
         self.say(f"{name}: {spent:.1f} s")
 
-    def advance(self, count: int = 1) -> None:
-        """Count `count` parts of the present step as done."""
+    def progress(self, done: int, total: int) -> None:
+        """Show that `done` of `total` parts of the present step are done."""
         if self._progress:
-            self._progress.advance(self._progress.task_ids[0], count)
+            self._progress.update(self._progress.task_ids[0], completed=done, total=total)
 
     def say(self, text: str) -> None:
         """Tell one line to the console and the log."""
@@ -102,14 +102,14 @@ class Monitor:
         return TimeRecord(**known, total=time.perf_counter() - self._start)
 
     @contextmanager
-    def _bar(self, name: str, total: int | None) -> Iterator[None]:
+    def _bar(self, name: str) -> Iterator[None]:
         if self.console is None or not self.console.is_terminal:
             yield
             return
         from rich.progress import Progress
 
         with Progress(console=self.console, transient=True) as self._progress:
-            self._progress.add_task(name, total=total)
+            self._progress.add_task(name, total=None)
             try:
                 yield
             finally:

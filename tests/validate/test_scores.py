@@ -10,7 +10,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rotorid_torch.data import load
 from rotorid_torch.validate import scores
+from tests.helpers import shared
 
 DT = 0.1
 finite = st.floats(-5.0, 5.0, allow_nan=False, width=64)
@@ -160,3 +162,26 @@ def test_autocorrelation_of_a_known_series():
     white = torch.randn(4000, 1, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
     inside = scores.autocorrelation(white, 50).abs() < 1.96 / math.sqrt(4000)
     assert inside.double().mean().item() >= 0.88
+
+
+@pytest.mark.parametrize(
+    ("name", "J_trim", "J_noise"),
+    [
+        ("uh60-hover", (1.34, 0.90, 1.19), 0.067),
+        ("uh60-60kt", (1.34, 0.93, 0.81), 0.057),
+        ("ah1-hover", (1.34, 0.89, 1.04), 0.088),
+        ("uh60b-hover", (1.27, 0.84, 1.19), 0.063),
+    ],
+)
+def test_yardsticks_of_the_reference_sets(name: str, J_trim: tuple[float, float, float], J_noise: float):
+    data = load(shared("flightdata", name))
+    channels = data.scored()
+    scale = torch.tensor([data.scales()[c] for c in channels], dtype=torch.float64)
+    noise = torch.tensor([data.noise(c) for c in channels], dtype=torch.float64)
+    for flights, expected in zip((data.identify, data.validate, data.acid), J_trim, strict=True):
+        records = [data.flights[flight] for flight in flights]
+        measured = [f.stack(channels)[: scores.horizon_samples(f.dt)] for f in records]
+        held = torch.stack([scores.trim_J(y, scale, f.dt) for y, f in zip(measured, records, strict=True)])
+        assert scores.list_score(held).item() == pytest.approx(expected, abs=0.006)
+        floor = torch.stack([scores.noise_J(y, noise, scale) for y in measured])
+        assert scores.list_score(floor).item() == pytest.approx(J_noise, abs=0.0006)
