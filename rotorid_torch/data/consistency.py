@@ -19,6 +19,8 @@ WIDTH_S = 0.08
 REACH_S = 0.4
 """Largest lag that is looked for, in s."""
 STEP_S = 0.01
+SAMPLED_S = 0.02
+"""What has passed the Gaussian loses nothing when it is looked at this often."""
 LAGS_S = np.linspace(-REACH_S, REACH_S, round(2 * REACH_S / STEP_S) + 1)
 
 
@@ -107,14 +109,14 @@ def _sides(pair: Pair, flight: Flight) -> Side | None:
     gaps = np.convolve(missing, np.ones(len(bell)), "valid") > 0.5
     left = np.convolve(pair.left(flight), slope if pair.differentiate else bell, "valid")
     right = np.convolve(pair.right(flight), bell, "valid")
-    keep = slice(reach, len(left) - reach)
+    keep = slice(reach, len(left) - reach, max(1, int(SAMPLED_S / flight.dt)))
     left, right = np.where(gaps, np.nan, left), np.where(gaps, np.nan, right)
     return (left[keep], right, keep, flight.dt) if np.isfinite(left[keep]).sum() > 20 else None
 
 
 def _moments(left: Array, right: Array, keep: slice, dt: float, lag: float) -> tuple[float, float, float]:
     """Sums of right², left² and right * left about their means, right taken `lag` earlier."""
-    index = np.arange(keep.start, keep.stop) - lag / dt
+    index = np.arange(keep.start, keep.stop, keep.step) - lag / dt
     moved = np.interp(index, np.arange(len(right)), right)
     known = np.isfinite(moved) & np.isfinite(left)
     if not known.any():
@@ -137,9 +139,9 @@ def _lag(moments: Array, sides: list[Side]) -> tuple[float, float]:
     r2 = _r2(moments)
     best = int(np.argmax(r2))
     slope = moments[best, 2] / moments[best, 0]
-    steep = sum(float(np.nansum(np.gradient(right[keep], dt) ** 2)) for _, right, keep, dt in sides)
+    steep = sum(float(np.nansum(np.gradient(right[keep], dt * keep.step) ** 2)) for _, right, keep, dt in sides)
     samples = sum(int(np.isfinite(left).sum()) for left, *_ in sides)
-    together = 2.0 * np.sqrt(np.pi) * WIDTH_S / sides[0][3]
+    together = 2.0 * np.sqrt(np.pi) * WIDTH_S / (sides[0][3] * sides[0][2].step)
     spread = max(moments[best, 1] * (1.0 - r2[best]), 0.0) / samples * together
     error = float(np.sqrt(spread / max(slope**2 * steep, np.finfo(float).tiny)))
     return float(LAGS_S[best] + STEP_S * _vertex(r2, best)), error

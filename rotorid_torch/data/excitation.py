@@ -22,7 +22,7 @@ class Excitation:
 
     `independent` is the share of its variance in the band that neither the aircraft's motion nor the other controls
     explain; `moved` the flights in which it moved beyond its noise; `travel` its largest excursion from trim;
-    `at_limit` the largest share of a flight's samples on a declared limit, and `outside` the largest distance beyond one.
+    `at_limit` the largest share of a flight's samples on a declared limit, `outside` the largest distance beyond one.
     """
 
     control: str

@@ -125,5 +125,7 @@ def _interpolate(
         f"resampled linearly to {dt:.6g} s"
     ]
     if gap.any():
-        warnings.append(f"{int(gap.sum())} gaps of up to {steps.max():.3g} s are kept as missing samples")
+        warnings.append(
+            f"{int(gap.sum())} gap{'s' if gap.sum() > 1 else ''} of up to {steps.max():.3g} s stay missing samples"
+        )
     return dt, result, warnings

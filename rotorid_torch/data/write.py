@@ -37,8 +37,8 @@ def write_dataset(
     """Write dataset.toml, flights/NAME.npz and, where given, truth/NAME.npz; returns the folder.
 
     The arguments are those of `Dataset.from_arrays`, which validates them before anything is written; `truth` holds
-    arrays by flight and channel. float32 stays float32, all else is written as float64. An earlier data set at this place is
-    replaced whole.
+    arrays by flight and channel. float32 stays float32, all else is written as float64. An earlier data set at this
+    place is replaced whole.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def _without_none(value: Any) -> Any:
 
 
 def to_toml(document: Mapping[str, Any]) -> str:
-    """TOML of nested dicts, lists, text and numbers: plain keys first, then tables, lists of dicts as arrays of tables."""
+    """Write nested dicts, lists, text and numbers as TOML: plain keys first, then tables and arrays of tables."""
     return "\n".join(_table(document, ())).strip() + "\n"
 
 
