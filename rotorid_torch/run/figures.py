@@ -25,6 +25,7 @@ MEASURED, MODEL, QUIET = "#c0392b", "#1f4e9c", "#b8bcc4"
 LIST_COLOURS = {"identify": "#7f8c8d", "validate": "#1f4e9c", "acid": "#8e2f8f"}
 ROTOR = (*names.FLAPPING, "omega")
 SHOWN_FLIGHTS = 4
+WIDTH = 4.8  # inches: on a phone the letters stay readable
 LAGS = 50
 
 
@@ -83,7 +84,7 @@ def _of_one_flight(overlay: Overlay) -> Iterator[tuple[str, Figure]]:
 def side_by_side(overlays: Sequence[Overlay], channels: Sequence[str]) -> Figure:
     """Measured (red) and model (blue) over time: one row per channel, one column per flight."""
     rows = [name for name in channels if any(name in overlay.common(channels) for overlay in overlays)]
-    width = 7.0 if len(overlays) == 1 else 3.2 * len(overlays)
+    width = WIDTH if len(overlays) == 1 else 2.8 * len(overlays)
     figure, grid = _grid(rows, len(overlays), width)
     for column, overlay in enumerate(overlays):
         grid[0][column].set_title(f"{overlay.flight} ({overlay.list})", fontsize=10)
@@ -101,7 +102,7 @@ def residuals(overlays: Sequence[Overlay]) -> Figure:
     Above each axis: the share of the first 50 lags at which the error's autocorrelation lies in white noise's band.
     """
     rows = [name for name in names.BODY if any(overlay.common([name]) for overlay in overlays)]
-    figure, grid = _grid(rows, 1, 7.0, height=1.2)
+    figure, grid = _grid(rows, 1, WIDTH, height=1.1)
     for axes, name in zip((row[0] for row in grid), rows, strict=True):
         white = []
         for overlay in overlays:
@@ -111,7 +112,7 @@ def residuals(overlays: Sequence[Overlay]) -> Figure:
                 white.append(_white_share(error))
         axes.axhline(0.0, color="black", linewidth=0.5)
         axes.set_title(f"white at {100 * np.mean(white):.0f} % of lags", loc="right", fontsize=8)
-    grid[0][0].set_title("error over time: measured - model", loc="left", fontsize=10)
+    grid[0][0].set_title("measured - model", loc="left", fontsize=10)
     grid[-1][0].set_xlabel("time, s")
     return figure
 
@@ -119,7 +120,7 @@ def residuals(overlays: Sequence[Overlay]) -> Figure:
 def scores(fit: FitRecord) -> Figure:
     """J of every flight on the scale from the sensor noise alone to holding trim; logarithmic."""
     flights = sorted(fit.flights.items(), key=lambda item: LISTS.index(item[1].list))
-    figure = Figure(figsize=(7.0, 1.2 + 0.28 * len(flights)), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 1.3 + 0.25 * len(flights)), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots()
     for row, (_, flight) in enumerate(flights):
@@ -134,12 +135,12 @@ def scores(fit: FitRecord) -> Figure:
     axes.set_ylim(-0.6, len(flights) - 0.4)
     axes.set_yticks(range(len(flights)), [f"{name} ({flight.list})" for name, flight in flights], fontsize=9)
     axes.invert_yaxis()
-    axes.set_xlabel("J over 8 s; dot: the model; bar: sensor noise alone (left) to holding trim (right)", fontsize=8)
+    axes.set_xlabel("J over 8 s. Dot: the model. Bar: noise alone to holding trim", fontsize=9)
     axes.grid(axis="x", alpha=0.3)
     return figure
 
 
-def _grid(rows: Sequence[str], columns: int, width: float, height: float = 1.5) -> tuple[Figure, list[list[Axes]]]:
+def _grid(rows: Sequence[str], columns: int, width: float, height: float = 1.3) -> tuple[Figure, list[list[Axes]]]:
     figure = Figure(figsize=(width, 0.8 + height * len(rows)), layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.subplots(len(rows), columns, sharex="col", sharey="row", squeeze=False).tolist()

@@ -13,7 +13,7 @@ from rotorid_torch.run.html import render
 from rotorid_torch.run.monitor import Monitor
 from rotorid_torch.run.records import Report, encode_report
 
-DPI = 110
+DPI = 130
 
 
 def write_report(

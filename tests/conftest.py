@@ -1,0 +1,8 @@
+"""Settings of the whole test run: one thread, and examples that are the same on every machine and without a clock."""
+
+import hypothesis
+import torch
+
+torch.set_num_threads(1)
+hypothesis.settings.register_profile("project", derandomize=True, deadline=None, database=None)
+hypothesis.settings.load_profile("project")
