@@ -164,15 +164,14 @@ class Dataset:
 
     @cached_property
     def _reference(self) -> Mapping[str, float]:
-        quiet = [(self.flights[name], self._quiet[name]) for name in self.identify]
-        return MappingProxyType(
-            {
-                channel: float(
-                    torch.cat([f.channels[channel][:n] for f, n in quiet if channel in f.channels]).nanmean()
-                )
-                for channel in self._measured()
-            }
-        )
+        return MappingProxyType({channel: self._quiet_mean(channel) for channel in self._measured()})
+
+    def _quiet_mean(self, channel: str) -> float:
+        """Mean over the quiet parts; over the whole record of a channel that is missing in all of them."""
+        flights = [self.flights[name] for name in self.identify if self.flights[name].has(channel)]
+        quiet = torch.cat([flight.channels[channel][: self._quiet[flight.name]] for flight in flights]).nanmean()
+        every = torch.cat([flight.channels[channel] for flight in flights]).nanmean()
+        return float(every if quiet.isnan() else quiet)
 
     @cached_property
     def _scales(self) -> Mapping[str, float]:

@@ -18,6 +18,8 @@ UNIFORM = 0.01
 GAP_S = 0.02
 """An interval longer than this and than 2.5 samples is a gap: a tenth of the period of 5 Hz, beyond which a straight
 line is no longer what the aircraft did."""
+LONGEST_GAP = 100_000
+"""Samples that a flight may lack besides four times those it has; a longer pause makes two flights."""
 
 
 def make_flight(name: str, arrays: Arrays, file: str | Path) -> tuple[Flight, list[str]]:
@@ -61,6 +63,11 @@ def _check_time(time: np.ndarray, file: str | Path) -> None:
             "time",
             f"{what} at sample {at} ({time[at - 1]:.9g} s, then {time[at]:.9g} s)",
             "strictly increasing time",
+        )
+    if time[-1] - time[0] > (4 * len(time) + LONGEST_GAP) * np.median(steps):
+        at = int(steps.argmax())
+        raise InputError(
+            file, "time", f"jumps by {steps[at]:.4g} s at sample {at + 1}", "one flight without long pauses"
         )
 
 
@@ -111,8 +118,6 @@ def _interpolate(
     arrays: Arrays, time: np.ndarray, steps: np.ndarray, typical: float
 ) -> tuple[float, Arrays, list[str]]:
     count = max(1, round(float(time[-1]) / typical))
-    if count > 4 * len(time) + 100_000:
-        count = len(time) - 1
     dt = float(time[-1]) / count
     grid = dt * np.arange(count + 1)
     gap = steps > max(GAP_S, 2.5 * typical)

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from rotorid_torch.data.grid import make_flight
+from rotorid_torch.errors import InputError
 
 
 def flight_of(time, **channels):
@@ -77,3 +78,10 @@ def test_stack_and_bridge():
     assert flight.bridged(["p"])[:, 0].tolist() == [1.0, 1.0, 2.0, 3.0]
     assert flight.stack([]).shape == (4, 0)
     assert flight.lead(0.15) == slice(0, 2)
+
+
+def test_a_pause_of_hours_makes_two_flights():
+    time = 0.01 * np.arange(100)
+    time[50:] += 7200.0
+    with pytest.raises(InputError, match=r"time: jumps by 7200 s at sample 50; expected one flight"):
+        flight_of(time)
