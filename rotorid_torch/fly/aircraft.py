@@ -14,18 +14,15 @@ import numpy as np
 from rotorid_torch.fly.airframe import Fuselage, Surface, downwash, fuselage_loads, surface_force
 from rotorid_torch.fly.inflow import inflow_rates
 from rotorid_torch.fly.rotor import (
-    AirLoads,
-    BladeMotion,
     RootLoads,
     Rotor,
     air_loads,
     blade_motion,
     blade_rates,
     cross,
-    hinge_acceleration,
+    dot,
     root_loads,
     skew,
-    turn,
 )
 from rotorid_torch.fly.section import Array
 from rotorid_torch.fly.tail import TailRotor, tail_rotor
@@ -34,8 +31,8 @@ BODY, RATES, EULER, PLACE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 CONTROLS, INFLOW, TAIL_INFLOW = slice(12, 16), slice(16, 19), 19
 AZIMUTH, SPEED, TORQUE, SPEED_ERROR, BLADES = 20, 21, 22, 23, 24
 """Rows of the state: u v w | p q r | phi theta psi | north east height | lon lat col ped at the blades | lambda0
-lambda_c lambda_s | tail inflow | rotor azimuth, speed | engine torque, integrated speed error | flap, flap rate, lag, lag
-rate of each blade."""
+lambda_c lambda_s | tail inflow | rotor azimuth, speed | engine torque, integrated speed error | flap, flap rate, lag,
+lag rate of each blade."""
 
 CONTROL_NAMES = ("lon", "lat", "col", "ped")
 
@@ -44,7 +41,8 @@ CONTROL_NAMES = ("lon", "lat", "col", "ped")
 class Governor:
     """Rotor-speed governor and engine; `held`: the speed is constant, whatever torque that takes.
 
-    Gains on the speed error, N m per rad/s (per rad, per rad/s^2); `lag` of the engine, s; `inertia` of the drive, kg m^2.
+    Gains on the speed error, N m per rad/s (per rad, per rad/s^2); `lag` of the engine, s; `inertia` of the drive,
+    kg m^2.
 
     Source: Hilbert, NASA TM-85890, table 3 (UH-60 engine and governor).
     """
@@ -61,8 +59,8 @@ class Governor:
 class Aircraft:
     """Everything that flies, frozen: an effect is a changed copy.
 
-    `mass` and `inertia` are those of the body without blades, about its own centre of gravity; `limits` (4 pairs, rad) and
-    `actuator_lag` (s) belong to lon, lat, col, ped. `clockwise`: the rotor turns clockwise seen from above.
+    `mass` and `inertia` are those of the body without blades, about its own centre of gravity; `limits` (4 pairs, rad)
+    and `actuator_lag` (s) belong to lon, lat, col, ped. `clockwise`: the rotor turns clockwise seen from above.
     """
 
     name: str
@@ -87,11 +85,13 @@ class Aircraft:
         return BLADES + 4 * self.rotor.blades
 
     @cached_property
-    def body_matrix(self) -> Array:
-        """6 x 6: mass and inertia of the body."""
-        out = np.zeros((6, 6))
+    def own_matrix(self) -> Array:
+        """7 x 7: mass and inertia of the body, and of the drive about the shaft."""
+        out, turning = np.zeros((7, 7)), self.governor.inertia * self.rotor.to_shaft[2]
         out[:3, :3] = self.mass * np.eye(3)
-        out[3:, 3:] = self.inertia
+        out[3:6, 3:6] = self.inertia
+        out[3:6, 6] = out[6, 3:6] = turning
+        out[6, 6] = self.governor.inertia
         return out
 
     @cached_property
@@ -102,7 +102,13 @@ class Aircraft:
     @cached_property
     def levers(self) -> Array:
         """[3 x 5, 3]: matrices r x for hub, tail rotor, fuselage, fin, tailplane."""
-        points = (self.rotor.hub, self.tail.position, self.fuselage.position, self.fin.position, self.tailplane.position)
+        points = (
+            self.rotor.hub,
+            self.tail.position,
+            self.fuselage.position,
+            self.fin.position,
+            self.tailplane.position,
+        )
         return np.concatenate([skew(point) for point in points])
 
     @cached_property
@@ -127,9 +133,9 @@ class Aircraft:
 class Motion:
     """What the accelerations and loads of one instant are, body axes, [3, flight].
 
-    `specific_force`: acceleration of the centre of gravity minus gravity, m/s^2; `angular`: rad/s^2; `force` (N) and `moment`
-    (N m) act on the body from outside, gravity not among them, about its centre of gravity; [flight]: `shaft_torque` that the
-    engine gives, N m, and `speed_rate` of the rotor, rad/s^2.
+    `specific_force`: acceleration of the centre of gravity minus gravity, m/s^2; `angular`: rad/s^2; `force` (N) and
+    `moment` (N m) act on the body from outside, gravity not among them, about its centre of gravity; [flight]:
+    `shaft_torque` that the engine gives, N m, and `speed_rate` of the rotor, rad/s^2.
     """
 
     specific_force: Array
@@ -166,7 +172,10 @@ def rates(aircraft: Aircraft, x: Array, command: Array) -> tuple[Array, Motion]:
     low, high = aircraft.limit_rows
     dx[CONTROLS] = (np.clip(command, low, high) - x[CONTROLS]) / aircraft.actuator_lag
     _drive(aircraft, x, balance, dx)
-    dx[BLADES:] = _blades(aircraft, motion, air, balance, centripetal, speed).reshape(-1, flights)
+    linear = rotor.to_shaft @ (balance.specific_force - aircraft.levers[:3] @ balance.angular)
+    angular = rotor.to_shaft @ balance.angular
+    angular[2] += balance.speed_rate
+    dx[BLADES:] = blade_rates(rotor, motion, air, root, linear, angular, speed).reshape(-1, flights)
     return dx, balance
 
 
@@ -187,61 +196,47 @@ def _airframe_loads(aircraft: Aircraft, x: Array, local: Array, sweep: Array) ->
 
 
 def _solve(aircraft: Aircraft, x: Array, root: RootLoads, force: Array, moment: Array) -> Motion:
-    """Newton and Euler for the body with all blades hanging on it: six accelerations, seven with a free rotor."""
-    omega, free = x[RATES], not aircraft.governor.held
-    up = aircraft.rotor.to_shaft[2][:, None]
-    hub = np.asarray(aircraft.rotor.hub)[:, None, None]
-    arm = root.arm + hub
-    pull, flights = root.force.sum(1), x.shape[1]
+    """Newton and Euler for the body with all blades hanging on it, and the shaft: six unknowns, seven if it is free."""
+    omega, up, flights = x[RATES], aircraft.rotor.to_shaft[2][:, None], x.shape[1]
+    arm = root.arm + np.asarray(aircraft.rotor.hub)[:, None, None]
     gyroscopic = cross(omega, aircraft.inertia_matrix @ omega)
-    twist = (cross(arm, root.force) + root.moment).sum(1)
-    columns = _jacobian(arm, root, up if free else None)
-    known = np.concatenate([force + pull, moment + twist - gyroscopic])
-    matrix = np.zeros((flights, columns.shape[-1], columns.shape[-1]))
-    matrix[:, :6, :6] = aircraft.body_matrix
-    if free:
-        inertia = aircraft.governor.inertia
-        turning = inertia * up[:, 0]
-        matrix[:, 3:6, 6] += turning
-        matrix[:, 6, 3:6] += turning
-        matrix[:, 6, 6] += inertia
-        shaft = ((cross(root.arm, root.force) + root.moment).sum(1) * up).sum(0)
-        known = np.concatenate([known, (shaft + x[TORQUE])[None]])
+    known = np.empty((7, flights))
+    known[:3] = force + root.force.sum(1)
+    known[3:6] = moment + (cross(arm, root.force) + root.moment).sum(1) - gyroscopic
+    known[6] = ((cross(root.arm, root.force) + root.moment).sum(1) * up).sum(0)
+    columns = _jacobian(arm, root, up)
     reaction = columns.swapaxes(1, 2) @ columns
-    solved = np.linalg.solve(matrix + reaction, known.T[:, :, None])[:, :, 0]
-    inertial = (reaction @ solved[:, :, None])[:, :, 0].T
-    solved = solved.T
-    outside = known[:3] - inertial[:3]
-    about = known[3:6] + gyroscopic - inertial[3:6]
-    if free:
-        about = about - inertia * up * solved[6]
-        return Motion(solved[:3], solved[3:6], outside, about, x[TORQUE], solved[6])
-    hub_moment = moment + aircraft.levers[:3] @ (outside - force)
-    torque = ((hub_moment - about) * up).sum(0)
-    return Motion(solved[:3], solved[3:6], outside, about, torque, np.zeros_like(torque))
+    total = aircraft.own_matrix + reaction
+    size = 6 if aircraft.governor.held else 7
+    driven = known.copy()
+    driven[6] += x[TORQUE]
+    found = np.zeros((flights, 7, 1))
+    found[:, :size] = np.linalg.solve(total[:, :size, :size], driven[:size].T[:, :, None])
+    answer, torque = (reaction @ found)[:, :6, 0].T, (total[:, 6:] @ found)[:, 0, 0] - known[6]
+    solved = found[:, :, 0].T
+    about = known[3:6] + gyroscopic - answer[3:] - aircraft.governor.inertia * up * solved[6]
+    return Motion(solved[:3], solved[3:6], known[:3] - answer[:3], about, torque, solved[6])
 
 
-def _jacobian(arm: Array, root: RootLoads, up: Array | None) -> Array:
+def _jacobian(arm: Array, root: RootLoads, up: Array) -> Array:
     """Square root of the blades' reaction matrix: rows of all blades, columns of the unknown accelerations.
 
     The reaction of a blade to the acceleration a = J y of its hinge is -J' (light 1 + heavy d d') J y.
     """
     blades, flights = arm.shape[1:]
-    size = 6 if up is None else 7
-    rows = np.zeros((flights, blades, 4, size))
+    rows = np.zeros((flights, blades, 4, 7))
     light, heavy = np.sqrt(root.light), np.sqrt(root.heavy)
-    x, y, z = arm[0].T, arm[1].T, arm[2].T
+    x, y, z = light * arm.transpose(0, 2, 1)
     rows[:, :, 0, 0] = rows[:, :, 1, 1] = rows[:, :, 2, 2] = light
-    rows[:, :, 0, 4], rows[:, :, 0, 5] = light * z, -light * y
-    rows[:, :, 1, 3], rows[:, :, 1, 5] = -light * z, light * x
-    rows[:, :, 2, 3], rows[:, :, 2, 4] = light * y, -light * x
+    rows[:, :, 0, 4], rows[:, :, 0, 5] = z, -y
+    rows[:, :, 1, 3], rows[:, :, 1, 5] = -z, x
+    rows[:, :, 2, 3], rows[:, :, 2, 4] = y, -x
+    swing = cross(up[:, :, None], root.arm)
+    rows[:, :, :3, 6] = light * swing.transpose(2, 1, 0)
     rows[:, :, 3, :3] = heavy * root.d.transpose(2, 1, 0)
     rows[:, :, 3, 3:6] = heavy * cross(arm, root.d).transpose(2, 1, 0)
-    if up is not None:
-        swing = cross(up[:, :, None], root.arm)
-        rows[:, :, :3, 6] = light * swing.transpose(2, 1, 0)
-        rows[:, :, 3, 6] = heavy * (swing * root.d).sum(0).T
-    return rows.reshape(flights, 4 * blades, size)
+    rows[:, :, 3, 6] = heavy * dot(swing, root.d).T
+    return rows.reshape(flights, 4 * blades, 7)
 
 
 def _kinematics(aircraft: Aircraft, x: Array, balance: Motion, dx: Array) -> None:
@@ -270,17 +265,3 @@ def _drive(aircraft: Aircraft, x: Array, balance: Motion, dx: Array) -> None:
     dx[SPEED], dx[SPEED_ERROR] = balance.speed_rate, error
     wanted = governor.proportional * error + governor.integral * x[SPEED_ERROR] - governor.derivative * dx[SPEED]
     dx[TORQUE] = (wanted - x[TORQUE]) / governor.lag
-
-
-def _blades(
-    aircraft: Aircraft, motion: BladeMotion, air: AirLoads, balance: Motion, centripetal: Array, speed: Array
-) -> Array:
-    """Rates of the blades once the body's accelerations are known."""
-    rotor = aircraft.rotor
-    shift = balance.specific_force - aircraft.levers[:3] @ balance.angular + centripetal
-    acceleration = hinge_acceleration(rotor, motion, rotor.to_shaft @ shift, speed)
-    angular = turn(rotor.to_shaft @ balance.angular, motion.cosine, motion.sine)
-    angular[2] += balance.speed_rate
-    acceleration[1] += rotor.hinge_offset * angular[2]
-    acceleration[2] -= rotor.hinge_offset * angular[1]
-    return blade_rates(rotor, motion, air, acceleration, angular, speed)

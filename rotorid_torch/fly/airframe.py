@@ -12,8 +12,10 @@ from rotorid_torch.fly.section import Array, Section
 
 @dataclass(frozen=True)
 class Fuselage:
-    """Bluff body: `drag_area` along the body axes and `lift_area` to the side and downwards (lift slope x area), m^2;
-    `pitch_volume` and `yaw_volume` of the unstable pressure field, m^3.
+    """Bluff body with lift and unstable moments.
+
+    `drag_area` along the body axes and `lift_area` to the side and downwards (lift slope x area), m^2; `pitch_volume`
+    and `yaw_volume` of the unstable pressure field, m^3; `wake_factor`: downwash over mean induced velocity.
     """
 
     position: tuple[float, float, float]
@@ -26,7 +28,10 @@ class Fuselage:
 
 @dataclass(frozen=True)
 class Surface:
-    """Fin or tailplane. `upright`: it lifts to the side. Incidence goes from `incidence[0]` to `[1]` around `schedule` m/s."""
+    """Fin (`upright`: it lifts to the side) or tailplane.
+
+    The incidence goes from `incidence[0]` to `incidence[1]` around `schedule` m/s.
+    """
 
     position: tuple[float, float, float]
     area: float
@@ -48,8 +53,8 @@ class Surface:
 def downwash(radius: float, places: Array, sweep: Array, mean: Array) -> Array:
     """Downwash of the main rotor at points of the airframe, m/s.
 
-    A swept cylinder with a soft edge: inside it the wake blows with the mean induced velocity, outside it does not. Distance
-    and radius are taken across the wake, which gets flat where it is swept far.
+    A swept cylinder with a soft edge: inside it the wake blows with the mean induced velocity, outside it does not.
+    Distance and radius are taken across the wake, which gets flat where it is swept far.
 
     Parameters
     ----------
@@ -107,12 +112,8 @@ def surface_force(surface: Surface, velocity: Array, wash: Array, density: float
     ahead = velocity[0]
     blend = 0.5 * (1.0 + np.tanh((np.abs(ahead) - surface.schedule) / surface.schedule_width))
     incidence = surface.incidence[0] + blend * (surface.incidence[1] - surface.incidence[0])
-    sine, cosine = np.sin(incidence), np.cos(incidence)
-    flow = np.sqrt(ahead * ahead + across * across) + 1e-6
-    lift, drag = surface.section.coefficients(
-        (cosine * across + sine * ahead) / flow, (cosine * ahead - sine * across) / flow
-    )
-    pressure = 0.5 * density * surface.area * surface.shading * flow
+    lift, drag = surface.section.coefficients(incidence + np.arctan2(across, ahead))
+    pressure = (0.5 * density * surface.area * surface.shading) * np.sqrt(ahead * ahead + across * across)
     normal = -pressure * (lift * ahead + drag * across)
     force = surface.normal[:, None] * normal
     force[0] += pressure * (lift * across - drag * ahead)

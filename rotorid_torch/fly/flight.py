@@ -76,7 +76,7 @@ def fly_batch(
         if progress is not None and (k % 23 == 0 or k == samples - 1):
             progress(k + 1, samples)
     stacked = {name: np.stack(rows) for name, rows in kept.items()}
-    return Record(np.arange(samples) * dt, stacked.pop("x"), **stacked)
+    return Record(np.arange(samples, dtype=np.float64) * dt, stacked.pop("x"), **stacked)
 
 
 def _stage_times(samples: int, substeps: int, dt: float) -> Array:

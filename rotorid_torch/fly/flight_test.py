@@ -15,6 +15,7 @@ from rotorid_torch.fly.augmentation import Augmentation, design
 from rotorid_torch.fly.flight import Progress, fly_batch, with_heading
 from rotorid_torch.fly.linear import linearise
 from rotorid_torch.fly.manoeuvres import LISTS, chosen
+from rotorid_torch.fly.rotor import LOCK_SLOPE
 from rotorid_torch.fly.sensors import MEASURED, NOISE, Channels, measured_channels, true_channels
 from rotorid_torch.fly.trim import Trim, find_trim
 from rotorid_torch.fly.vehicle import load_aircraft
@@ -108,7 +109,9 @@ def _changed(aircraft: Aircraft, effect: str, size: float) -> Aircraft:
     """The aircraft with an effect switched on."""
     if effect not in EFFECTS:
         available = ", ".join(EFFECTS) or "none (this aircraft flies without undeclared effects)"
-        raise InputError("usage", "effect", f"the flight-test aircraft has no effect '{effect}'", f"one of: {available}")
+        raise InputError(
+            "usage", "effect", f"the flight-test aircraft has no effect '{effect}'", f"one of: {available}"
+        )
     return EFFECTS[effect](aircraft, size)
 
 
@@ -121,7 +124,7 @@ def declare(
     side, nose = ("right", "right") if aircraft.clockwise else ("left", "left")
     positive = {"lon": "nose up", "lat": f"{side} side down", "col": "climb", "ped": f"nose {nose}"}
     state = f"flight at {speed:g} m/s" if speed else "hover"
-    lock = aircraft.air_density * rotor.section.lift_slope * rotor.chord * rotor.radius**4 / rotor.flap_inertia
+    lock = aircraft.air_density * LOCK_SLOPE * rotor.chord * rotor.radius**4 / rotor.flap_inertia
     return {
         "format": 1,
         "name": name,

@@ -1,7 +1,7 @@
 """Linear model of the trimmed aircraft from its passage map: modes, and derivatives with rotor and inflow residualised.
 
-The matrix logarithm of the map's Jacobian is the constant system that passes through the same points: Floquet's theorem,
-with the blades' exchange of places it is at the same time the change to the fixed frame.
+The matrix logarithm of the map's Jacobian is the constant system that passes through the same points (Floquet's
+theorem); with the blades' exchange of places it is at the same time the change to the fixed frame.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import logm
 
 from rotorid_torch.fly.aircraft import CONTROLS, Aircraft
@@ -20,9 +21,10 @@ BODY_STATES = ("u", "v", "w", "p", "q", "r", "phi", "theta")
 
 @dataclass(frozen=True)
 class Linear:
-    """dx/dt = a x + b u about trim. `a` [n, n], `b` [n, 4], of the eight `BODY_STATES` (`full_a`, `full_b`: with the rotor).
+    """dx/dt = a x + b u about trim.
 
-    Controls are lon, lat, col, ped at the blades, rad. Gravity and kinematic terms are in `a`.
+    `a` [8, 8] and `b` [8, 4] are of the `BODY_STATES`, `full_a` and `full_b` with rotor and inflow. Controls are lon,
+    lat, col, ped at the blades, rad. Gravity and kinematic terms are in `a`.
     """
 
     a: Array
@@ -30,13 +32,13 @@ class Linear:
     full_a: Array
     full_b: Array
 
-    def modes(self) -> Array:
+    def modes(self) -> NDArray[np.complex128]:
         """Eigenvalues of the eight-state model, 1/s."""
-        return np.linalg.eigvals(self.a)
+        return np.linalg.eigvals(self.a).astype(np.complex128)
 
-    def full_modes(self) -> Array:
+    def full_modes(self) -> NDArray[np.complex128]:
         """Eigenvalues with rotor and inflow (Floquet exponents), 1/s."""
-        return np.linalg.eigvals(self.full_a)
+        return np.linalg.eigvals(self.full_a).astype(np.complex128)
 
 
 def linearise(aircraft: Aircraft, trim: Trim, shift: float = 1e-4) -> Linear:
@@ -45,7 +47,7 @@ def linearise(aircraft: Aircraft, trim: Trim, shift: float = 1e-4) -> Linear:
     Source: Johnson, Helicopter Theory, section 8.6 (Floquet theory); Padfield, Helicopter Flight Dynamics, section 2.3
     (reduction to the body's states).
     """
-    rows = np.concatenate([unknown_rows(aircraft), np.arange(CONTROLS.start, CONTROLS.stop)])
+    rows = [*unknown_rows(aircraft), *range(CONTROLS.start, CONTROLS.stop)]
     size = len(rows)
     shifts = np.hstack([shift * np.eye(size), -shift * np.eye(size)])
     batch = np.repeat(trim.state[:, None], 2 * size, axis=1)
@@ -62,15 +64,13 @@ def linearise(aircraft: Aircraft, trim: Trim, shift: float = 1e-4) -> Linear:
     return Linear(a, b, full_a, full_b)
 
 
-def derivatives(linear: Linear, trim: Trim, gravity: float) -> Array:
+def derivatives(linear: Linear, trim: Trim) -> Array:
     """Table of derivatives: rows X Y Z (m/s^2) L M N (rad/s^2) per u v w p q r (SI) and lon lat col ped (rad), 6 x 10.
 
-    Gravity and the terms of the turning axes are taken out of the rates; what is left belongs to the forces.
+    The terms of the turning axes are taken out of the rates, gravity is left aside; the rest belongs to the forces.
     """
     u, v, w = trim.state[:3]
-    phi, theta = trim.state[6:8]
     out = np.hstack([linear.a[:6, :6], linear.b[:6]])
-    # The rates hold v r - w q and so on; the attitude columns (gravity) are left aside.
     turning = np.array([[0.0, -w, v], [w, 0.0, -u], [-v, u, 0.0]])
     out[:3, 3:6] -= turning
     return out

@@ -1,4 +1,4 @@
-"""The flight test's manoeuvres: 3-2-1-1 inputs, doublets of both signs, a collective sweep, and which lists they go to."""
+"""The flight test's manoeuvres: 3-2-1-1 inputs, doublets of both signs, a collective sweep, and their lists."""
 
 from __future__ import annotations
 

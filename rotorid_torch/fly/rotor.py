@@ -21,6 +21,8 @@ import numpy as np
 
 from rotorid_torch.fly.section import Array, Section
 
+LOCK_SLOPE = 5.73  # 1/rad: the lift slope that tables of Lock numbers customarily assume
+
 
 @dataclass(frozen=True)
 class Rotor:
@@ -41,7 +43,6 @@ class Rotor:
     twist: float
     root_cutout: float
     tip_loss: float
-    elements: int
     section: Section
     blade_mass: float
     first_moment: float
@@ -49,6 +50,7 @@ class Rotor:
     flap_spring: float
     lag_spring: float
     lag_damper: float
+    elements: int = 8
 
     @cached_property
     def to_shaft(self) -> Array:
@@ -68,6 +70,17 @@ class Rotor:
         inner, outer = self.root_cutout * self.radius, self.tip_loss * self.radius
         radii = 0.5 * (outer + inner) + 0.5 * (outer - inner) * nodes
         return radii - self.hinge_offset, 0.5 * (outer - inner) * weights
+
+    @cached_property
+    def moments(self) -> Array:
+        """[2, elements]: integrates a load per metre to force and to moment about the hinge."""
+        stations, weights = self.stations
+        return np.stack([weights, weights * stations])
+
+    @cached_property
+    def twist_rows(self) -> Array:
+        """Twist at the elements, [elements, 1, 1] rad."""
+        return self.twist * ((self.stations[0] + self.hinge_offset) / self.radius)[:, None, None]
 
     @property
     def disc(self) -> float:
@@ -158,7 +171,7 @@ def blade_motion(rotor: Rotor, blades: Array, rates: Array, azimuth: Array, spee
 
 @dataclass(frozen=True)
 class AirLoads:
-    """Loads of the air on the blades: force and first moment of force about the hinge along n and t, [blade, flight]."""
+    """Loads of the air on the blades along n and t, [blade, flight]: force, N, and its moment about the hinge, N m."""
 
     normal: Array
     lagging: Array
@@ -183,8 +196,7 @@ def air_loads(
     Source: Leishman, Principles of Helicopter Aerodynamics, chapter 3 (blade element analysis).
     """
     offset, tip_speed = rotor.hinge_offset, speed * rotor.radius
-    stations, weights = rotor.stations
-    s = stations[:, None, None]
+    s = rotor.stations[0][:, None, None]
     hinge = turn(velocity, motion.cosine, motion.sine)
     hinge[1] += offset * motion.spin[2]
     hinge[2] -= offset * motion.spin[1]
@@ -197,17 +209,12 @@ def air_loads(
     c, k = np.cos(rotor.swash_phase), np.sin(rotor.swash_phase)
     cyclic1, cyclic2 = controls[1] * c + controls[0] * k, controls[0] * c - controls[1] * k
     pitch = controls[2] + cyclic1 * motion.cosine + cyclic2 * motion.sine
-    twist = rotor.twist * ((stations + offset) / rotor.radius)[:, None, None]
-    pitch = pitch + twist
-    sine, cosine = np.sin(pitch), np.cos(pitch)
-    flow = np.sqrt(up * up + ahead * ahead) + 1e-6
-    lift, drag = rotor.section.coefficients((sine * ahead - cosine * up) / flow, (cosine * ahead + sine * up) / flow)
-    pressure = (0.5 * density * rotor.chord) * flow
+    lift, drag = rotor.section.coefficients(pitch + rotor.twist_rows - np.arctan2(up, ahead))
+    pressure = (0.5 * density * rotor.chord) * np.sqrt(up * up + ahead * ahead)
     normal = pressure * (lift * ahead - drag * up)
     lagging = pressure * (lift * up + drag * ahead)
-    moments = np.stack([weights, weights * stations])
-    fn, mn = (moments @ normal.reshape(len(stations), -1)).reshape(2, *motion.flap.shape)
-    ft, mt = (moments @ lagging.reshape(len(stations), -1)).reshape(2, *motion.flap.shape)
+    fn, mn = (rotor.moments @ normal.reshape(rotor.elements, -1)).reshape(2, *motion.flap.shape)
+    ft, mt = (rotor.moments @ lagging.reshape(rotor.elements, -1)).reshape(2, *motion.flap.shape)
     return AirLoads(fn, ft, mn, mt, _loading(rotor, motion, fn, mn, tip_speed, density))
 
 
@@ -233,6 +240,7 @@ class RootLoads:
     moment: Array  # [3, blade, flight] N m, of spring and damper, about the hinge
     d: Array  # [3, blade, flight] blade directions
     arm: Array  # [3, blade, flight] m, from the hub to the hinge
+    acceleration: Array  # [3, blade, flight] m/s^2 of the hinges by velocities alone, blade frame
     light: float
     heavy: float
 
@@ -245,24 +253,26 @@ def root_loads(rotor: Rotor, motion: BladeMotion, air: AirLoads, centripetal: Ar
     centripetal : [3, flight] omega x (omega x hub), shaft frame, m/s^2.
     """
     mass, first, inertia = rotor.blade_mass, rotor.first_moment, rotor.flap_inertia
-    a = hinge_acceleration(rotor, motion, centripetal, speed)
-    spring_n, spring_t = hinge_moments(rotor, motion)
+    a = _hinge_acceleration(rotor, motion, centripetal, speed)
+    spring_n, spring_t = _hinge_moments(rotor, motion)
     q_n, q_t = air.normal_moment + spring_n, air.lagging_moment + spring_t
     light, heavy = mass - first * first / inertia, first * first / inertia
     rate = motion.normal_rate * motion.normal_rate + motion.lagging_rate * motion.lagging_rate
     along = first * rate - heavy * dot(motion.d, a)
     ratio = first / inertia
-    force = along * motion.d + (air.normal - ratio * q_n) * motion.n + (air.lagging - ratio * q_t) * motion.t - light * a
+    force = (
+        along * motion.d + (air.normal - ratio * q_n) * motion.n + (air.lagging - ratio * q_t) * motion.t - light * a
+    )
     moment = spring_t * motion.n - spring_n * motion.t
     arm = np.zeros_like(force)
     arm[0] = rotor.hinge_offset
     pack = np.stack([force, moment, motion.d, arm], axis=1)
     fixed = turn_back(pack, motion.cosine, motion.sine)
     body = (rotor.to_shaft.T @ fixed.reshape(3, -1)).reshape(fixed.shape)
-    return RootLoads(body[:, 0], body[:, 1], body[:, 2], body[:, 3], light, heavy)
+    return RootLoads(body[:, 0], body[:, 1], body[:, 2], body[:, 3], a, light, heavy)
 
 
-def hinge_acceleration(rotor: Rotor, motion: BladeMotion, centripetal: Array, speed: Array) -> Array:
+def _hinge_acceleration(rotor: Rotor, motion: BladeMotion, centripetal: Array, speed: Array) -> Array:
     """Acceleration of the hinges by velocities alone, blade frame, [3, blade, flight] m/s^2."""
     wr, wt, wz = motion.spin
     a = turn(centripetal, motion.cosine, motion.sine)
@@ -272,32 +282,35 @@ def hinge_acceleration(rotor: Rotor, motion: BladeMotion, centripetal: Array, sp
     return a
 
 
-def hinge_moments(rotor: Rotor, motion: BladeMotion) -> tuple[Array, Array]:
+def _hinge_moments(rotor: Rotor, motion: BladeMotion) -> tuple[Array, Array]:
     """Moments of springs and damper on the blade, as they enter the flap and the lag equation, N m."""
     lag = -(rotor.lag_spring * motion.lag + rotor.lag_damper * motion.lag_rate)
     return -rotor.flap_spring * motion.flap, lag / motion.n[2]
 
 
 def blade_rates(
-    rotor: Rotor, motion: BladeMotion, air: AirLoads, acceleration: Array, angular: Array, speed: Array
+    rotor: Rotor, motion: BladeMotion, air: AirLoads, root: RootLoads, linear: Array, angular: Array, speed: Array
 ) -> Array:
-    """Rates of flap, flap rate, lag, lag rate.
+    """Rates of flap, flap rate, lag, lag rate, once the accelerations of the hub are known.
 
     Parameters
     ----------
-    acceleration : [3, blade, flight] of the hinge without gravity, blade frame, m/s^2.
-    angular : [3, blade, flight] angular acceleration of the hub frame, blade frame, rad/s^2, without the part
-        that comes from the frame's own turning, which is added here.
+    linear : [3, flight] specific force of the hub beyond the centripetal part, shaft frame, m/s^2.
+    angular : [3, flight] angular acceleration of body plus rotor speed, shaft frame, rad/s^2.
+    speed : [flight] rad/s.
 
     Returns
     -------
     [4, blade, flight].
     """
-    first, inertia = rotor.first_moment, rotor.flap_inertia
+    first, inertia, offset = rotor.first_moment, rotor.flap_inertia, rotor.hinge_offset
     wd, wn, wt = motion.spin_dnt
     cb, sb = motion.n[2], motion.d[2]
-    spring_n, spring_t = hinge_moments(rotor, motion)
-    alpha = angular.copy()
+    spring_n, spring_t = _hinge_moments(rotor, motion)
+    alpha = turn(angular, motion.cosine, motion.sine)
+    acceleration = root.acceleration + turn(linear, motion.cosine, motion.sine)
+    acceleration[1] += offset * alpha[2]
+    acceleration[2] -= offset * alpha[1]
     alpha[0] += speed * motion.spin[1]
     alpha[1] -= speed * motion.spin[0]
     b_n = (air.normal_moment + spring_n - first * dot(motion.n, acceleration)) / inertia

@@ -33,12 +33,12 @@ class Section:
     blend = 0.025  # rad: width of the passage from attached to separated flow
     plate_lift, plate_drag = 1.1, 1.9
 
-    def coefficients(self, sine: Array, cosine: Array) -> tuple[Array, Array]:
-        """Lift and drag coefficients from sine and cosine of the angle of attack (any shape)."""
-        angle = np.arctan2(sine, cosine)
-        attached = 0.5 * (1.0 - np.tanh((np.abs(angle) - self.stall) * (0.5 / self.blend)))
+    def coefficients(self, angle: Array) -> tuple[Array, Array]:
+        """Lift and drag coefficients at an angle of attack, rad, any shape; |angle| below 2 pi - stall."""
+        attached = 0.5 - 0.5 * np.tanh((np.abs(angle) - self.stall) * (0.5 / self.blend))
+        sine = np.sin(angle)
         square = sine * sine
-        plate = (2.0 * self.plate_lift) * (sine * cosine)
+        plate = (2.0 * self.plate_lift) * (sine * np.cos(angle))
         lift = plate + attached * (self.lift_slope * angle - plate)
         drag = self.drag + square * (self.plate_drag + attached * (self.drag_rise - self.plate_drag))
         return lift, drag

@@ -81,7 +81,7 @@ def _at_imu(aircraft: Aircraft, record: Record, flight: int) -> Array:
 def measured_channels(truth: Channels, names: tuple[str, ...], flight: str, seed: int) -> Channels:
     """Channels as the sensors read them: truth and white noise, float32 (time exact, float64).
 
-    Every channel of every flight has a stream of its own, so that neither a subset of flights nor another length changes it.
+    Every channel of every flight has a stream of its own: neither a subset of flights nor another length changes it.
     """
     out: Channels = {}
     for name in names:

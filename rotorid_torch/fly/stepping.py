@@ -1,7 +1,7 @@
 """The simulator's own time loop: classical Runge-Kutta over a batch of flights, in numpy.
 
-Thousands of small steps on small arrays cost mostly call overhead, which numpy has least of; and an integrator that is not
-the identification's keeps the flight test independent of it.
+Thousands of small steps on small arrays cost mostly call overhead, which numpy has least of; and an integrator that is
+not the identification's keeps the flight test independent of it.
 """
 
 from __future__ import annotations

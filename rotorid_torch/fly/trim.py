@@ -8,7 +8,7 @@ left to settle: a flight that starts there stays there, up to its own instabilit
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,8 +32,10 @@ STEP_ANGLE = np.deg2rad(5.1)  # largest azimuth step; two steps per sample at 27
 
 @dataclass(frozen=True)
 class Trim:
-    """A trimmed flight: `state` [states] at azimuth zero; `controls` (lon lat col ped, rad); `speed`, m/s; largest residual
-    acceleration of the map, in SI.
+    """A trimmed flight.
+
+    `state` [states] at azimuth zero; `controls` lon lat col ped, rad; `speed`, m/s; `residual`: largest mean
+    acceleration that is left, SI.
     """
 
     state: Array
@@ -68,10 +70,9 @@ def passage(aircraft: Aircraft, x: Array) -> Array:
     return x
 
 
-def unknown_rows(aircraft: Aircraft) -> Array:
+def unknown_rows(aircraft: Aircraft) -> list[int]:
     """Rows of the state that trim looks for: velocity, rates, bank, pitch, inflows, blades (not controls)."""
-    fixed = [*range(8), *range(INFLOW.start, INFLOW.stop), TAIL_INFLOW]
-    return np.array([*fixed, *range(BLADES, aircraft.states)])
+    return [*range(8), *range(INFLOW.start, INFLOW.stop), TAIL_INFLOW, *range(BLADES, aircraft.states)]
 
 
 def find_trim(aircraft: Aircraft, speed: float, height: float = 27.4) -> Trim:
@@ -79,7 +80,7 @@ def find_trim(aircraft: Aircraft, speed: float, height: float = 27.4) -> Trim:
 
     Raises
     ------
-    InputError : the aircraft cannot be trimmed at this speed (too heavy for its rotor, too fast, an impossible vehicle).
+    InputError : no trim at this speed (too heavy for its rotor, too fast, an impossible vehicle).
     """
     reached, x, step = 0.0, _guess(aircraft, height), 10.0
     x, residual = _newton(aircraft, x, 0.0)
@@ -93,7 +94,9 @@ def find_trim(aircraft: Aircraft, speed: float, height: float = 27.4) -> Trim:
     low, high = aircraft.limit_rows
     controls = x[CONTROLS]
     if residual >= LOOSE or np.any(controls < low[:, 0]) or np.any(controls > high[:, 0]):
-        why = "cannot be trimmed" if residual >= LOOSE else f"needs controls {np.round(controls, 3).tolist()} rad to trim"
+        why = (
+            "cannot be trimmed" if residual >= LOOSE else f"needs controls {np.round(controls, 3).tolist()} rad to trim"
+        )
         raise InputError(aircraft.name, "speed", f"the aircraft {why} at {speed:g} m/s", "a flyable vehicle and speed")
     if not aircraft.governor.held:
         x[TORQUE] = _mean_torque(aircraft, x)
@@ -146,7 +149,7 @@ def _residual(aircraft: Aircraft, before: Array, after: Array, speed: float) -> 
 
 def _newton(aircraft: Aircraft, x: Array, speed: float, steps: int = 40) -> tuple[Array, float]:
     """Newton's method with step control; the Jacobian by differences, all perturbed flights in one batch."""
-    rows = np.concatenate([unknown_rows(aircraft), np.arange(CONTROLS.start, CONTROLS.stop)])
+    rows = [*unknown_rows(aircraft), *range(CONTROLS.start, CONTROLS.stop)]
     shifts = 1e-6 * np.hstack([np.zeros((len(rows), 1)), np.eye(len(rows))])
     size, damping = np.inf, 1.0
     base = x
@@ -173,8 +176,6 @@ def _newton(aircraft: Aircraft, x: Array, speed: float, steps: int = 40) -> tupl
 
 def _mean_torque(aircraft: Aircraft, x: Array) -> float:
     """Torque at the shaft that holds the rotor speed, N m, mean over a blade passage."""
-    from dataclasses import replace
-
     held = replace(aircraft, governor=replace(aircraft.governor, held=True))
     duration, total, steps = passage_time(aircraft), 0.0, 18
     state, controls = x[:, None], x[CONTROLS, None]

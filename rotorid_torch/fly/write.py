@@ -16,7 +16,10 @@ from rotorid_torch.fly.section import Array
 
 
 def write_dataset(
-    out: Path, declaration: Mapping[str, Any], flights: Mapping[str, Mapping[str, Array]], truth: Mapping[str, Mapping[str, Array]]
+    out: Path,
+    declaration: Mapping[str, Any],
+    flights: Mapping[str, Mapping[str, Array]],
+    truth: Mapping[str, Mapping[str, Array]],
 ) -> None:
     """Write a data set beside its place and rename it when complete.
 
@@ -34,7 +37,9 @@ def write_dataset(
         (partial / "dataset.toml").write_text(to_toml(declaration), encoding="utf-8")
         partial.rename(out)
     except OSError as error:
-        raise InputError(out, "", error.strerror or "cannot be written", "a place where files can be written") from error
+        raise InputError(
+            out, "", error.strerror or "cannot be written", "a place where files can be written"
+        ) from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)
 
