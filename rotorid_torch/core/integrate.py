@@ -15,6 +15,9 @@ from torchdiffeq import odeint
 Rates = Callable[[Tensor, Tensor, Tensor], Tensor]
 """rates(t, x[..., nx], u[..., nu]) -> dx/dt [..., nx]"""
 
+NODES = (0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0)
+"""Places of the four stages within a step."""
+
 
 def step(rates: Rates, t: Tensor, x: Tensor, u0: Tensor, u1: Tensor, dt: float) -> Tensor:
     """One step of the 3/8 rule from t to t + dt, controls linear in between.
@@ -29,12 +32,42 @@ def step(rates: Rates, t: Tensor, x: Tensor, u0: Tensor, u1: Tensor, dt: float) 
 
     Source: Kutta (1901); Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, table 1.2.
     """
+    return step_stages(rates, t, x, u0, u1, dt)[0]
+
+
+def step_stages(rates: Rates, t: Tensor, x: Tensor, u0: Tensor, u1: Tensor, dt: float) -> tuple[Tensor, Tensor]:
+    """The step, and the states of its four stages [4, ..., nx], where `step_jacobian` wants the rates' derivatives."""
     third, du = dt / 3.0, u1 - u0
     k1 = rates(t, x, u0)
-    k2 = rates(t + third, x + third * k1, u0 + du / 3.0)
-    k3 = rates(t + 2.0 * third, x + dt * (k2 - k1 / 3.0), u0 + du * (2.0 / 3.0))
-    k4 = rates(t + dt, x + dt * (k1 - k2 + k3), u1)
-    return x + (k1 + 3.0 * (k2 + k3) + k4) * (dt / 8.0)
+    x2 = x + third * k1
+    k2 = rates(t + third, x2, u0 + du / 3.0)
+    x3 = x + dt * (k2 - k1 / 3.0)
+    k3 = rates(t + 2.0 * third, x3, u0 + du * (2.0 / 3.0))
+    x4 = x + dt * (k1 - k2 + k3)
+    k4 = rates(t + dt, x4, u1)
+    return x + (k1 + 3.0 * (k2 + k3) + k4) * (dt / 8.0), torch.stack([x, x2, x3, x4])
+
+
+def step_jacobian(by_state: Tensor, by_other: Tensor, dt: float) -> tuple[Tensor, Tensor]:
+    """Exact derivatives of one step by its start and by anything else, from those of the rates at its four stages.
+
+    Parameters
+    ----------
+    by_state : [4, ..., nx, nx] derivatives of the rates by the state at the stages.
+    by_other : [4, ..., nx, n] derivatives by n other quantities, the state held.
+
+    Returns
+    -------
+    [..., nx, nx] and [..., nx, n].
+    """
+    nx = by_state.shape[-1]
+    both = torch.cat([by_state, by_other], dim=-1)
+    k1 = both[0]
+    k2 = both[1] + by_state[1] @ k1 * (dt / 3.0)
+    k3 = both[2] + by_state[2] @ torch.sub(k2, k1, alpha=1.0 / 3.0) * dt
+    k4 = both[3] + by_state[3] @ (k1 - k2 + k3) * dt
+    total = k2.add_(k3).mul_(3.0).add_(k1).add_(k4).mul_(dt / 8.0)
+    return total[..., :nx] + torch.eye(nx, dtype=both.dtype, device=both.device), total[..., nx:]
 
 
 def simulate(rates: Rates, x0: Tensor, controls: Tensor, dt: float, solver: str = "rk4") -> Tensor:
@@ -65,4 +98,6 @@ def simulate(rates: Rates, x0: Tensor, controls: Tensor, dt: float, solver: str 
         return rates(t, x, rows[k] + (place - k) * slopes[k])
 
     times = torch.arange(samples, dtype=x0.dtype, device=x0.device) * dt
-    return odeint(right_hand_side, x0, times, method=solver).movedim(0, -2)
+    states = odeint(right_hand_side, x0, times, method=solver)
+    assert isinstance(states, Tensor)
+    return states.movedim(0, -2)

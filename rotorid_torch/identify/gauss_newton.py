@@ -1,0 +1,231 @@
+"""Bounded Gauss-Newton: Levenberg-Marquardt damping scaled by the columns, projected active set, least squares by QR.
+
+Knows nothing of flight. The problem is told by two functions: `evaluate(theta, base, share)` gives the point there
+(one simulation; `base` is the point the step started from, `share` the part of their own step that eliminated unknowns
+are to make), `linearise(point)` the linear model of its residual (one Jacobian), asked for only after acceptance.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Generic, NamedTuple, Protocol, TypeVar
+
+import torch
+from torch import Tensor
+
+FLOOR = 1e-12
+"""A column of the whitened Jacobian shorter than this is zero."""
+NAMED_SHARE = 0.1
+"""Share of a direction that cannot be told above which a parameter in it is named."""
+
+
+class Point(Protocol):
+    """A place the optimiser has looked at; the cost is infinite or NaN where there is no solution."""
+
+    @property
+    def theta(self) -> Tensor:
+        """Parameters [n]."""
+        ...
+
+    @property
+    def cost(self) -> float:
+        """Half the sum of squared residuals, or what has the same gradient there."""
+        ...
+
+
+P = TypeVar("P", bound=Point)
+Evaluate = Callable[[Tensor, P | None, float], P]
+
+
+class Linear(NamedTuple):
+    """Near a point the cost is 1/2 |b - A step|^2 plus a constant, A [m, n], b [m].
+
+    `own` is the decrease that comes with any step, of unknowns that were eliminated from A.
+    """
+
+    A: Tensor
+    b: Tensor
+    own: float = 0.0
+
+    def decrease(self, step: Tensor) -> float:
+        """Predicted for a step, without what is its own."""
+        return float(0.5 * (self.b @ self.b - (self.b - self.A @ step).square().sum()))
+
+
+@dataclass(frozen=True)
+class Options:
+    """When to stop, and how careful to start."""
+
+    max_iterations: int = 50
+    tolerance: float = 1e-8  # predicted decrease of the cost, over the cost's size
+    absolute: float = 0.0  # the same without that; for a log-likelihood 1e-4 is a hundredth of a standard error
+    damping: float = 1e-3
+    max_trials: int = 12  # of one iteration
+
+
+@dataclass(frozen=True)
+class Minimum(Generic[P]):
+    """Where it ended: the point, the linear model there, the masks of the parameters, and a sentence."""
+
+    point: P
+    linear: Linear
+    at_bound: Tensor
+    not_identifiable: Tensor
+    converged: bool
+    message: str
+    iterations: int
+    history: list[float] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class _Subproblem:
+    linear: Linear
+    bounds: tuple[Tensor, Tensor]  # of theta
+    lower: Tensor  # of the step
+    upper: Tensor
+    free: Tensor
+    scale: Tensor
+
+
+def minimise(
+    evaluate: Evaluate[P],
+    linearise: Callable[[P], Linear],
+    start: Tensor | P,
+    lower: Tensor,
+    upper: Tensor,
+    *,
+    free: Tensor | None = None,
+    options: Options | None = None,
+    monitor: Callable[[int, float, Tensor], None] | None = None,
+) -> Minimum[P]:
+    """Minimum of half a sum of squares within bounds.
+
+    Parameters
+    ----------
+    evaluate : the point at theta [n]; must not fail, a cost of infinity or NaN rejects the step.
+    linearise : linear model of the residual at an accepted point.
+    start : parameters [n], or a point already evaluated.
+    lower, upper : [n] bounds, infinite where there are none. Where both are finite their distance is also the range
+        beyond which a direction's standard error makes it not identifiable (residuals are whitened).
+    free : [n] mask, False holds a parameter.
+    monitor : called after each accepted step with iteration, cost, theta.
+
+    Source: Levenberg (1944), Marquardt (1963); projected active set: Bertsekas (1982), SIAM J. Control Optim. 20(2);
+    held directions: Jategaonkar, Flight Vehicle System Identification, sec. 4.
+    """
+    options = options or Options()
+    point = evaluate(torch.clamp(start, lower, upper), None, 1.0) if isinstance(start, Tensor) else start
+    free = torch.ones_like(lower, dtype=torch.bool) if free is None else free
+    damping, history, message, converged, iteration = options.damping, [point.cost], "", False, 0
+    while True:
+        linear = linearise(point)
+        if not math.isfinite(point.cost):
+            raise ValueError("the start has no finite cost")
+        problem, blind = _subproblem(linear, point.theta, lower, upper, free)
+        whole = linear.decrease(_bounded_step(problem, 0.0)) + linear.own
+        if whole <= options.tolerance * abs(point.cost) + options.absolute:
+            converged, message = True, "converged: the predicted decrease is below the tolerance"
+            break
+        if iteration >= options.max_iterations:
+            message = f"stopped after {iteration} iterations"
+            break
+        better, damping = _descend(evaluate, point, problem, damping, options)
+        if better is None:
+            converged = whole <= 1e-6 * abs(point.cost)
+            message = "converged: no step lowers the cost" if converged else "no step lowers the cost"
+            break
+        point, iteration = better, iteration + 1
+        history.append(point.cost)
+        if monitor is not None:
+            monitor(iteration, point.cost, point.theta)
+    held = free & ((point.theta <= lower) | (point.theta >= upper))
+    return Minimum(point, linear, held, blind & free, converged, message, iteration, history)
+
+
+def _subproblem(
+    linear: Linear, theta: Tensor, lower: Tensor, upper: Tensor, free: Tensor
+) -> tuple[_Subproblem, Tensor]:
+    """The bounded linear problem at a point, directions that the data cannot tell held; and the mask of those named."""
+    A, b, own = linear
+    norms = torch.linalg.vector_norm(A, dim=0)
+    zero = norms <= FLOOR
+    gradient = -(A.mT @ b)
+    inward = ~(((theta <= lower) & (gradient > 0)) | ((theta >= upper) & (gradient < 0)))
+    mask = free & inward & ~zero
+    hold, named = _blind_directions(A, norms, upper - lower, mask)
+    if hold is not None:
+        A, b = torch.cat([A, hold]), torch.cat([b, b.new_zeros(len(hold))])
+    scale = torch.where(zero, torch.ones_like(norms), norms)
+    return _Subproblem(Linear(A, b, own), (lower, upper), lower - theta, upper - theta, mask, scale), zero | named
+
+
+def _blind_directions(A: Tensor, norms: Tensor, span: Tensor, mask: Tensor) -> tuple[Tensor | None, Tensor]:
+    """Rows that hold the directions whose standard error exceeds the bounds' range, and the parameters in them.
+
+    Without finite bounds a direction is blind where it is singular to working precision.
+    """
+    named = torch.zeros_like(mask)
+    if not bool(mask.any()):
+        return None, named
+    size = torch.where(torch.isfinite(span), span, 1e9 / norms)[mask]
+    _, values, rows = torch.linalg.svd(A[:, mask] * size, full_matrices=True)
+    told = torch.zeros(len(size), dtype=A.dtype, device=A.device)
+    told[: len(values)] = values
+    blind = rows[told < 1.0]
+    if len(blind) == 0:
+        return None, named
+    named[mask] = (blind**2).sum(0) > NAMED_SHARE
+    hold = A.new_zeros(len(blind), A.shape[1])
+    hold[:, mask] = max(float(values[0]), 1.0) * blind / size
+    return hold, named
+
+
+def _bounded_step(problem: _Subproblem, damping: float) -> Tensor:
+    """Step of the damped problem within the bounds: who would cross is set on its bound, the rest solved again."""
+    A, b, _ = problem.linear
+    if damping > 0.0:
+        A = torch.cat([A, torch.diag(damping**0.5 * problem.scale)])
+        b = torch.cat([b, torch.zeros_like(problem.scale)])
+    scaled = A / problem.scale
+    move = problem.free.clone()
+    step = torch.zeros_like(problem.lower)
+    while bool(move.any()):
+        rest = b - A[:, ~move] @ step[~move]
+        solution = torch.linalg.lstsq(scaled[:, move], rest.unsqueeze(-1), driver="gelsd").solution[:, 0]
+        step[move] = solution / problem.scale[move]
+        inside = torch.clamp(step, problem.lower, problem.upper)
+        crossed = move & (inside != step)
+        if not bool(crossed.any()):
+            break
+        step = torch.where(crossed, inside, step)
+        move = move & ~crossed
+    return step
+
+
+def _moved(theta: Tensor, step: Tensor, problem: _Subproblem) -> Tensor:
+    """Theta after the step, exactly on a bound where the step ends there."""
+    on_bound = (step <= problem.lower) | (step >= problem.upper)
+    bound = torch.where(step <= problem.lower, problem.bounds[0], problem.bounds[1])
+    return torch.where(on_bound, bound, theta + step)
+
+
+def _descend(
+    evaluate: Evaluate[P], point: P, problem: _Subproblem, damping: float, options: Options
+) -> tuple[P | None, float]:
+    """The first damped step that lowers the cost, and the damping to go on with."""
+    for attempt in range(options.max_trials):
+        step = _bounded_step(problem, damping)
+        share = 0.5 ** max(attempt - 2, 0)
+        trial = evaluate(_moved(point.theta, step, problem), point, share)
+        predicted = problem.linear.decrease(step) + (2.0 - share) * share * problem.linear.own
+        gain = (point.cost - trial.cost) / max(predicted, 1e-300)
+        if trial.cost < point.cost and gain > 1e-4:
+            if gain > 0.75:
+                damping = damping / 10.0 if damping > 1e-10 else 0.0
+            elif gain < 0.25:
+                damping = max(damping, 1e-6) * 4.0
+            return trial, damping
+        damping = max(damping, 1e-5) * 8.0
+    return None, damping

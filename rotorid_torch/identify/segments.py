@@ -1,0 +1,184 @@
+"""Records of several flights as one padded batch, and their cutting into segments that are simulated side by side."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
+
+from rotorid_torch.errors import InputError
+
+
+@dataclass(frozen=True)
+class Records:
+    """Flights of one sample interval, padded to the longest: controls held, outputs NaN beyond a flight's end.
+
+    `states` holds what is known of the state at each sample, to start segments from; NaN where nothing is known.
+    """
+
+    dt: float
+    lengths: Tensor  # [F] samples
+    start: Tensor  # [F] time of the first sample, s
+    controls: Tensor  # [F, T, nu]
+    outputs: Tensor  # [F, T, ny], NaN = missing
+    states: Tensor  # [F, T, nx], NaN = unknown
+
+    @property
+    def samples(self) -> int:
+        """Samples of the longest flight."""
+        return self.controls.shape[1]
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Pieces of flights, all simulated as one batch of equal length."""
+
+    dt: float
+    flight: Tensor  # [S] which flight
+    place: Tensor  # [S, T] sample of the flight, held at the last one beyond the piece's end
+    start: Tensor  # [S] time of the first sample, s
+    outputs: Tensor  # [S, T, ny], NaN = missing or beyond the end
+
+    @property
+    def samples(self) -> int:
+        """Samples of the longest piece."""
+        return self.place.shape[1]
+
+    def __len__(self) -> int:
+        return len(self.flight)
+
+    def take(self, record: Tensor) -> Tensor:
+        """A record over the flights [F, T, ...] cut into the pieces [S, T, ...]."""
+        return record[self.flight[:, None], self.place]
+
+    def give(self, pieces: Tensor, record: Tensor) -> Tensor:
+        """A copy of a record [F, T, ...] with the pieces [S, T, ...] written where they belong."""
+        inside = self.inside
+        record = record.clone()
+        flight = self.flight[:, None].expand_as(self.place)
+        record[flight[inside], self.place[inside]] = pieces[inside]
+        return record
+
+    def pick(self, which: Tensor) -> Segments:
+        """Some of the pieces."""
+        return Segments(self.dt, self.flight[which], self.place[which], self.start[which], self.outputs[which])
+
+    def head(self, samples: int) -> Segments:
+        """The first samples of every piece."""
+        return Segments(self.dt, self.flight, self.place[:, :samples], self.start, self.outputs[:, :samples])
+
+    @property
+    def inside(self) -> Tensor:
+        """[S, T] True up to a piece's end."""
+        steps = torch.diff(self.place, dim=1, prepend=self.place[:, :1] - 1)
+        return steps > 0
+
+
+def records_from(flights: Sequence[Mapping[str, Any]], states: int | None = None) -> Records:
+    """Flights given as dicts of arrays: time (T,), controls (T, nu), outputs (T, ny), and x0 (nx,) or states (T, nx).
+
+    `states` is the number of states where no flight says it.
+
+    Raises
+    ------
+    InputError
+        Where an array is missing, has another shape than the others, or time is not uniform.
+    """
+    if not flights:
+        raise InputError("flights", "", "the list is empty", "one dict per flight with time, controls, outputs")
+    rows = [_checked(f"flights[{i}]", flight) for i, flight in enumerate(flights)]
+    steps = [float(torch.diff(row["time"]).mean()) for row in rows]
+    for i, step in enumerate(steps):
+        if abs(step - steps[0]) > 1e-3 * steps[0]:
+            raise InputError(
+                f"flights[{i}]", "time", f"sample interval {step:.6g} s", f"{steps[0]:.6g} s as in the first flight"
+            )
+    nx = next((row["states"].shape[-1] for row in rows if "states" in row), states)
+    if nx is None:
+        raise InputError("flights[0]", "x0", "absent in every flight", "the initial state (nx,) of at least one flight")
+    for row in rows:
+        row.setdefault("states", torch.full((len(row["time"]), nx), math.nan, dtype=torch.float64))
+    for i, row in enumerate(rows):
+        for key in ("controls", "outputs", "states"):
+            if row[key].shape[-1] != rows[0][key].shape[-1]:
+                wrong = f"{row[key].shape[-1]} columns"
+                raise InputError(f"flights[{i}]", key, wrong, f"{rows[0][key].shape[-1]} as in the first flight")
+    longest = max(len(row["time"]) for row in rows)
+    held = [torch.cat([row["controls"], row["controls"][-1:].expand(longest - len(row["time"]), -1)]) for row in rows]
+    return Records(
+        dt=sum(steps) / len(steps),
+        lengths=torch.tensor([len(row["time"]) for row in rows]),
+        start=torch.stack([row["time"][0] for row in rows]),
+        controls=torch.stack(held),
+        outputs=pad_sequence([row["outputs"] for row in rows], batch_first=True, padding_value=math.nan),
+        states=pad_sequence([row["states"] for row in rows], batch_first=True, padding_value=math.nan),
+    )
+
+
+def _checked(place: str, flight: Mapping[str, Any]) -> dict[str, Tensor]:
+    row = {}
+    for key, dims in (("time", 1), ("controls", 2), ("outputs", 2)):
+        if key not in flight:
+            raise InputError(place, key, "absent", "an array, one row per sample")
+        row[key] = torch.as_tensor(flight[key]).to(torch.float64)
+        if row[key].dim() != dims or len(row[key]) != len(row["time"]):
+            expected = f"{dims} dimensions, {len(row['time'])} samples"
+            raise InputError(place, key, f"shape {tuple(row[key].shape)}", expected)
+    step = torch.diff(row["time"])
+    if (
+        len(step) < 1
+        or not bool((step > 0).all())
+        or float((step - step.mean()).abs().max()) > 0.01 * float(step.mean())
+    ):
+        raise InputError(
+            place, "time", "not uniform and increasing", "at least two samples at equal intervals (within 1 %)"
+        )
+    if not bool(torch.isfinite(row["controls"]).all()):
+        raise InputError(place, "controls", "holds NaN or infinity", "finite numbers")
+    if bool(torch.isinf(row["outputs"]).any()):
+        raise InputError(place, "outputs", "holds infinity", "finite numbers, NaN where missing")
+    known = _known_states(place, flight, len(step) + 1)
+    return row if known is None else row | {"states": known}
+
+
+def _known_states(place: str, flight: Mapping[str, Any], samples: int) -> Tensor | None:
+    """[T, nx] from `states`, its first row from `x0` where that is given."""
+    known = flight.get("states")
+    known = None if known is None else torch.as_tensor(known).to(torch.float64).clone()
+    if known is not None and (known.dim() != 2 or len(known) != samples):
+        raise InputError(place, "states", f"shape {tuple(known.shape)}", f"2 dimensions, {samples} samples")
+    if flight.get("x0") is None:
+        return known
+    x0 = torch.as_tensor(flight["x0"]).to(torch.float64)
+    if x0.dim() != 1 or not bool(torch.isfinite(x0).all()):
+        raise InputError(place, "x0", f"shape {tuple(x0.shape)} or not finite", "the initial state (nx,)")
+    if known is None:
+        known = torch.full((samples, len(x0)), math.nan, dtype=torch.float64)
+    known[0] = x0
+    return known
+
+
+def cut(records: Records, samples: int) -> Segments:
+    """Each flight in equal pieces of at most this many samples; they neither overlap nor leave a sample out."""
+    flight, first, length = [], [], []
+    for f, total in enumerate(records.lengths.tolist()):
+        pieces = math.ceil(total / samples)
+        edges = [round(i * total / pieces) for i in range(pieces + 1)]
+        for a, b in itertools.pairwise(edges):
+            flight.append(f)
+            first.append(a)
+            length.append(b - a)
+    offset = torch.arange(max(length))
+    place = torch.tensor(first)[:, None] + torch.minimum(offset, torch.tensor(length)[:, None] - 1)
+    which = torch.tensor(flight)
+    outputs = records.outputs[which[:, None], place].masked_fill(
+        (offset >= torch.tensor(length)[:, None])[..., None], math.nan
+    )
+    start = records.start[which] + place[:, 0] * records.dt
+    return Segments(records.dt, which, place, start, outputs)

@@ -1,0 +1,276 @@
+"""A module with forward(t, x, u) and output(x, u) as functions of one vector of free parameters, and derivatives."""
+
+from __future__ import annotations
+
+import copy
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import torch
+from torch import Tensor, nn
+from torch.func import functional_call, jvp, vjp, vmap
+
+from rotorid_torch.errors import InputError
+
+T = TypeVar("T")
+SAMPLE_POINTS = 128
+"""Points at which it is first looked which parameter reaches which row."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One free number: the nn.Parameter it lives in, its place there, and what is known of it."""
+
+    name: str
+    tensor: str
+    place: int
+    unit: str
+    lower: float
+    upper: float
+
+
+class _Surface(nn.Module):
+    """Lets any use of a module run with exchanged parameters."""
+
+    def __init__(self, model: nn.Module) -> None:
+        super().__init__()
+        self.model = model
+
+    def forward(self, use: Callable[[nn.Module], Any]) -> Any:
+        return use(self.model)
+
+
+class System:
+    """A copy of a module in float64, its free numbers as a vector theta [P].
+
+    Parameters
+    ----------
+    model : module with forward(t, x, u) -> dx/dt, output(x, u) -> y and, if it likes, tape(controls, dt) -> controls.
+    free : names of nn.Parameters (whole tensors, or one entry as "name[i]") or, where the module has a `parameter_set`,
+        of entries of its `theta`. None: all.
+    bounds : lower and upper bound by name; a parameter set brings its own.
+
+    Raises
+    ------
+    InputError
+        Where a name is unknown or given twice.
+    """
+
+    def __init__(
+        self,
+        model: nn.Module,
+        free: Sequence[str] | None = None,
+        bounds: Mapping[str, tuple[float, float]] | None = None,
+    ) -> None:
+        self.model = copy.deepcopy(model).double()
+        self._surface = _Surface(self.model)
+        self.entries = _entries(self.model, free, bounds or {})
+        if not self.entries:
+            raise InputError("free", "", "no parameter is free", "at least one name")
+        column = lambda numbers: torch.tensor(numbers, dtype=torch.float64)  # noqa: E731
+        self.names = tuple(e.name for e in self.entries)
+        self.units = tuple(e.unit for e in self.entries)
+        self.lower, self.upper = column([e.lower for e in self.entries]), column([e.upper for e in self.entries])
+        tensors = dict(self.model.named_parameters())
+        self.theta = torch.stack([tensors[e.tensor].detach().reshape(-1)[e.place] for e in self.entries])
+        self._whole = {name: p.detach() for name, p in tensors.items()}
+        self._places = {name: [i for i, e in enumerate(self.entries) if e.tensor == name] for name in tensors}
+        self.has_tape = callable(getattr(self.model, "tape", None))
+        self._rates_structure, self._output_structure = _Structure(), _Structure()
+
+    def at(self, theta: Tensor, use: Callable[[nn.Module], T]) -> T:
+        """What `use(model)` gives with the free numbers at theta [P]."""
+        values = {f"model.{name}": self._filled(theta, name) for name, places in self._places.items() if places}
+        return functional_call(self._surface, values, (use,))
+
+    def _filled(self, theta: Tensor, name: str) -> Tensor:
+        whole, index = self._whole[name], self._places[name]
+        place = torch.tensor([self.entries[i].place for i in index])
+        return whole.reshape(-1).index_put((place,), theta[torch.tensor(index)]).view(whole.shape)
+
+    def fitted(self, theta: Tensor) -> nn.Module:
+        """A copy of the module with the free numbers at theta."""
+        model = copy.deepcopy(self.model)
+        with torch.no_grad():
+            for name, parameter in model.named_parameters():
+                if self._places[name]:
+                    parameter.copy_(self._filled(theta, name))
+        return model
+
+    def rates(self, theta: Tensor, t: Tensor, x: Tensor, u: Tensor) -> Tensor:
+        """dx/dt [..., nx]."""
+        return self.at(theta, lambda model: model(t, x, u))
+
+    def output(self, theta: Tensor, x: Tensor, u: Tensor) -> Tensor:
+        """Outputs [..., ny]."""
+        return self.at(theta, lambda model: model.output(x, u))  # pyright: ignore[reportCallIssue]
+
+    def tape(self, theta: Tensor, controls: Tensor, dt: float) -> Tensor:
+        """The control record [..., T, nu] as the module's control path passes it on."""
+        if not self.has_tape:
+            return controls
+        return self.at(theta, lambda model: model.tape(controls, dt))  # pyright: ignore[reportCallIssue]
+
+    def tape_jacobian(self, theta: Tensor, controls: Tensor, dt: float) -> tuple[Tensor, Tensor]:
+        """Parameters the control path depends on [n], and the derivatives of the record by them [..., T, nu, n]."""
+        none = torch.zeros(0, dtype=torch.long), controls.new_zeros(*controls.shape, 0)
+        if not self.has_tape:
+            return none
+        value, pull = _pullback(lambda th: self.tape(th, controls, dt), theta)
+        weights = torch.randn(value.shape, generator=torch.Generator().manual_seed(0), dtype=value.dtype)
+        which = pull(weights)[0].nonzero()[:, 0]
+        if len(which) == 0:
+            return none
+        seeds = torch.eye(len(theta), dtype=theta.dtype)[which]
+        columns = [jvp(lambda th: self.tape(th, controls, dt), (theta,), (seed,))[1] for seed in seeds]
+        return which, torch.stack(columns, dim=-1)
+
+    def rates_jacobian(self, theta: Tensor, t: Tensor, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Derivatives of the rates by x [n, nx, nx], u [n, nx, nu] and theta [n, nx, P] at n points."""
+        by_x, by_u = _by_inputs(lambda x, u: self.rates(theta, t, x, u), x, u)
+        return by_x, by_u, self._rates_structure.jacobian(self.rates, theta, t, x, u)
+
+    def output_jacobian(self, theta: Tensor, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Derivatives of the outputs by x [n, ny, nx], u [n, ny, nu] and theta [n, ny, P] at n points."""
+        by_x, by_u = _by_inputs(lambda x, u: self.output(theta, x, u), x, u)
+        return by_x, by_u, self._output_structure.jacobian(self.output, theta, x, u)
+
+
+def _by_inputs(function: Callable[[Tensor, Tensor], Tensor], x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+    """Derivatives by x and u of a function that treats its rows apart: one backward pass per output, all at once."""
+    value, pull = _pullback(function, x, u)
+    seeds = torch.eye(value.shape[-1], dtype=value.dtype, device=value.device)
+    by_x, by_u = vmap(lambda seed: pull(seed.expand_as(value)), out_dims=(1, 1))(seeds)
+    return by_x, by_u
+
+
+def _pullback(
+    function: Callable[..., Tensor], *inputs: Tensor
+) -> tuple[Tensor, Callable[[Tensor], tuple[Tensor, ...]]]:
+    value, pull, *_ = vjp(function, *inputs)
+    return value, pull
+
+
+class _Structure:
+    """Derivatives by theta in forward mode, parameters that reach different rows sharing one pass.
+
+    Which parameter reaches which row is looked up at sample points; a random direction checks every result, and where
+    it disagrees, all parameters are passed one by one and the structure is corrected: the derivatives are exact.
+
+    Source: Curtis, Powell and Reid (1974), J. Inst. Maths Applics 13.
+    """
+
+    def __init__(self) -> None:
+        self.pattern: Tensor | None = None
+        self.group = torch.zeros(0, dtype=torch.long)
+
+    def jacobian(self, function: Callable[..., Tensor], theta: Tensor, *points: Tensor) -> Tensor:
+        """[n, rows, P] at points whose leading dimension is n."""
+        if self.pattern is None:
+            n = len(points[-1])
+            pick = torch.linspace(0, n - 1, min(n, SAMPLE_POINTS)).long()
+            self._learn(_passes(function, theta, torch.eye(len(theta), dtype=theta.dtype), *(p[pick] for p in points)))
+        result = self._grouped(function, theta, *points)
+        if not self._agrees(result, function, theta, *points):
+            dense = _passes(function, theta, torch.eye(len(theta), dtype=theta.dtype), *points)
+            self._learn(dense)
+            result = dense.permute(1, 2, 0)
+        return result
+
+    def _learn(self, dense: Tensor) -> None:
+        """Take nonzero entries of [P, n, rows] into the pattern and group the parameters anew."""
+        seen = ((dense != 0) | dense.isnan()).any(dim=1).mT  # [rows, P]
+        self.pattern = seen if self.pattern is None else seen | self.pattern
+        taken: list[Tensor] = []
+        group = [0] * self.pattern.shape[1]
+        for j in torch.argsort(self.pattern.sum(0), descending=True).tolist():
+            rows = self.pattern[:, j]
+            k = next((k for k, other in enumerate(taken) if not bool((other & rows).any())), len(taken))
+            if k == len(taken):
+                taken.append(torch.zeros_like(rows))
+            taken[k] = taken[k] | rows
+            group[j] = k
+        self.group = torch.tensor(group)
+
+    def _grouped(self, function: Callable[..., Tensor], theta: Tensor, *points: Tensor) -> Tensor:
+        assert self.pattern is not None
+        row, column = self.pattern.nonzero(as_tuple=True)
+        result = theta.new_zeros(len(points[-1]), *self.pattern.shape)
+        if len(row):
+            seeds = nn.functional.one_hot(self.group).mT.to(theta)
+            passes = _passes(function, theta, seeds, *points)
+            result[:, row, column] = passes[self.group[column], :, row].mT
+        return result
+
+    def _agrees(self, result: Tensor, function: Callable[..., Tensor], theta: Tensor, *points: Tensor) -> bool:
+        noise = torch.randn(len(theta), generator=torch.Generator().manual_seed(1), dtype=theta.dtype)
+        direction = noise * (1.0 + theta.abs())
+        truth = _passes(function, theta, direction[None], *points)[0]
+        size = torch.where(truth.isfinite(), truth.abs(), 0.0).amax(dim=0)
+        wrong = (result @ direction - truth).abs() > 1e-9 * size
+        return not bool((wrong & truth.isfinite()).any())
+
+
+def _passes(function: Callable[..., Tensor], theta: Tensor, seeds: Tensor, *points: Tensor) -> Tensor:
+    """Directional derivatives [k, n, rows] along the seeds [k, P]."""
+    return vmap(lambda seed: jvp(lambda th: function(th, *points), (theta,), (seed,))[1])(seeds)
+
+
+def _entries(model: nn.Module, free: Sequence[str] | None, bounds: Mapping[str, tuple[float, float]]) -> list[Entry]:
+    declared = getattr(model, "parameter_set", None)
+    known = _of_set(declared) if declared is not None else _of_tensors(model)
+    names = list(known) if free is None else list(free)
+    if isinstance(free, str):
+        raise InputError("free", free, "a single word", "a list of names")
+    entries: list[Entry] = []
+    for name in names:
+        chosen = known.get(name)
+        if chosen is None:
+            single = [e for group in known.values() for e in group if e.name == name]
+            if not single:
+                raise InputError("free", name, "no parameter of the model", f"one of {', '.join(known)}")
+            chosen = single
+        entries += [_bounded(e, bounds.get(e.name, bounds.get(name))) for e in chosen]
+    twice = sorted({e.name for e in entries if sum(o.name == e.name for o in entries) > 1})
+    if twice:
+        raise InputError("free", twice[0], "given twice", "each parameter once")
+    return entries
+
+
+def _bounded(entry: Entry, bounds: tuple[float, float] | None) -> Entry:
+    if bounds is None:
+        return entry
+    low, high = float(bounds[0]), float(bounds[1])
+    if not low <= high:
+        raise InputError("bounds", entry.name, f"{low} to {high}", "lower bound first")
+    return Entry(entry.name, entry.tensor, entry.place, entry.unit, low, high)
+
+
+def _of_set(declared: Any) -> dict[str, list[Entry]]:
+    rows = zip(declared.names, declared.units, declared.lower.tolist(), declared.upper.tolist(), strict=True)
+    return {n: [Entry(n, "theta", i, unit, low, high)] for i, (n, unit, low, high) in enumerate(rows)}
+
+
+def _of_tensors(model: nn.Module) -> dict[str, list[Entry]]:
+    known = {}
+    for name, tensor in model.named_parameters():
+        indices = (
+            [()]
+            if tensor.dim() == 0
+            else torch.cartesian_prod(*[torch.arange(n) for n in tensor.shape]).view(-1, tensor.dim()).tolist()
+        )
+        whole = len(indices) == 1
+        known[name] = [
+            Entry(
+                name if whole else f"{name}[{re.sub(r'[^0-9,]', '', str(list(index)))}]",
+                name,
+                i,
+                "",
+                -torch.inf,
+                torch.inf,
+            )
+            for i, index in enumerate(indices)
+        ]
+    return known

@@ -1,0 +1,178 @@
+"""Covariance of estimated parameters: Cramer-Rao, corrected for coloured residuals, and the jackknife over flights."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.identify.gauss_newton import Linear
+from rotorid_torch.identify.likelihood import Likelihood, Place
+
+SMOOTHING = 2
+"""Spectral lines to each side over which the residuals' spectrum is averaged."""
+LEAST_LEFT = 0.1
+"""Share of a line that the fit is never believed to have left below."""
+CHANCE = 2.326  # normal quantile of 99 %
+"""The jackknife counts where it exceeds the other estimate by more than this quantile of its own scatter."""
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Covariances [P, P] of the estimate, zero for what was held; standard errors [P] are the larger of two kinds."""
+
+    cramer_rao: Tensor
+    coloured: Tensor
+    jackknife: Tensor  # variances [P], NaN with fewer than three flights
+    covariance: Tensor
+    standard_errors: Tensor
+
+
+def uncertainty(likelihood: Likelihood, place: Place, linear: Linear, told: Tensor, loss: float) -> Uncertainty:
+    """Covariance of the estimate at its optimum.
+
+    The noise is taken as coloured (its spectrum that of the residuals), as in Morelli and Klein; leaving one flight out
+    in turn judges it without any assumption on the noise within a flight, but with few flights it scatters by
+    sqrt(1/(2 (F - 1))): it replaces the other estimate only where it is larger by more than chance.
+
+    Parameters
+    ----------
+    linear : linear model at the place, as `Likelihood.linearise` gives it.
+    told : [P] mask of the parameters estimated (not held, not on a bound, identifiable).
+    loss : samples over samples minus estimated numbers, by which residuals are too small.
+
+    Source: Morelli and Klein, Aircraft System Identification (2nd ed.), sec. 6.3.2 (coloured residuals);
+    Efron and Stein (1981), Ann. Statist. 9 (jackknife).
+    """
+    inverse, plain = _inverse(linear, told), linear[0].new_zeros(len(told), len(told))
+    plain[told[:, None] & told] = loss * (inverse @ inverse.mT).flatten()
+    middle = _score_covariance(likelihood, place, inverse, told)
+    coloured = torch.zeros_like(plain)
+    coloured[told[:, None] & told] = (inverse @ (inverse.mT @ middle @ inverse) @ inverse.mT).flatten()
+    variances = _jackknife(place.flights, likelihood.prior_rows(place), told)
+    limit = _chance(len(place.flights) - 1)
+    larger = variances > limit * coloured.diagonal()
+    stretch = torch.where(larger, (variances / coloured.diagonal()).sqrt(), 1.0)
+    covariance = coloured * stretch * stretch[:, None]
+    return Uncertainty(plain, coloured, variances, covariance, covariance.diagonal().sqrt())
+
+
+def _chance(freedom: int) -> float:
+    """Variance over true variance that only one jackknife in a hundred exceeds (Wilson and Hilferty 1931)."""
+    if freedom < 2:
+        return torch.inf
+    return (1.0 - 2.0 / (9.0 * freedom) + CHANCE * (2.0 / (9.0 * freedom)) ** 0.5) ** 3
+
+
+def _inverse(linear: Linear, told: Tensor) -> Tensor:
+    """Inverse of the triangle of A's told columns: covariance is this times its transpose."""
+    A = linear[0][:, told]
+    norms = torch.linalg.vector_norm(A, dim=0)
+    triangle = torch.linalg.qr(A / norms, mode="r").R
+    eye = torch.eye(len(norms), dtype=A.dtype, device=A.device)
+    return torch.linalg.solve_triangular(triangle, eye, upper=True) / norms[:, None]
+
+
+@dataclass(frozen=True)
+class _Flight:
+    """Whitened rows of one flight's segments: derivatives freed of initial states and biases, their basis, residual."""
+
+    derivatives: Tensor  # [s, T, ny, n]
+    basis: Tensor  # [s, T, ny, local] orthonormal columns that initial states and biases take out
+    residual: Tensor  # [s, T, ny]
+    valid: Tensor  # [s, T, ny]
+
+
+def _score_covariance(likelihood: Likelihood, place: Place, inverse: Tensor, told: Tensor) -> Tensor:
+    """Covariance [n, n] of the gradient of the log-likelihood, the residuals being coloured.
+
+    In the frequency domain: the sum over lines of G^H S G, G the transform of the derivatives freed of initial states,
+    S the residuals' spectrum. The fit has taken its share out of the residuals, most where the derivatives have their
+    power: each line is divided by the share left to it (one minus its leverage).
+    """
+    lines = 2 * place.residual.shape[1]
+    flights = list(_flights(likelihood, place, told))
+    spectrum = _spectrum(flights, inverse, lines)
+    weights = torch.full((lines // 2 + 1, 1, 1), 2.0 / lines, dtype=torch.float64)
+    weights[0] = weights[-1] = 1.0 / lines
+    total = torch.zeros(int(told.sum()), int(told.sum()), dtype=torch.float64)
+    for flight in flights:
+        for piece in flight.derivatives:
+            transform = torch.fft.rfft(piece, n=lines, dim=0)  # [lines, ny, n]
+            product = (weights * spectrum) @ transform
+            total += (transform.flatten(0, 1).mH @ product.flatten(0, 1)).real
+    return total
+
+
+def _spectrum(flights: Sequence[_Flight], inverse: Tensor, lines: int) -> Tensor:
+    """Spectrum [lines, ny, ny] of the whitened noise: one where it is white."""
+    ny = flights[0].residual.shape[-1]
+    power = torch.zeros(lines // 2 + 1, ny, ny, dtype=torch.complex128)
+    left = torch.zeros(lines // 2 + 1, ny, dtype=torch.float64)
+    for flight in flights:
+        residual = torch.fft.rfft(flight.residual, n=lines, dim=1)
+        power += torch.einsum("slc,sld->lcd", residual, residual.conj())
+        taken = torch.cat([flight.basis, flight.derivatives @ inverse], dim=-1)
+        for piece in taken:
+            left -= torch.fft.rfft(piece, n=lines, dim=0).abs().square().sum(-1)
+        left += flight.valid.sum(dim=(0, 1))
+    power, left = _smoothed(power), _smoothed(left)
+    root = torch.maximum(left, LEAST_LEFT * left.amax(dim=0)).clamp_min(1e-9).sqrt()
+    return power / root[:, :, None] / root[:, None, :]
+
+
+def _smoothed(lines: Tensor) -> Tensor:
+    """Averaged over neighbouring lines; the spectrum goes on beyond its ends as its own mirror image."""
+    m, n = min(SMOOTHING, len(lines) - 1), len(lines)
+    wide = torch.cat([lines[1 : m + 1].flip(0).conj(), lines, lines[n - m - 1 : n - 1].flip(0).conj()])
+    return torch.stack([wide[k : k + n] for k in range(2 * m + 1)]).mean(dim=0)
+
+
+def _flights(likelihood: Likelihood, place: Place, told: Tensor) -> Iterator[_Flight]:
+    nx, nb = likelihood.locals_per_segment, len(likelihood.biased)
+    for f in range(len(likelihood.records.lengths)):
+        which = (likelihood.segments.flight == f).nonzero()[:, 0]
+        part, there = likelihood.with_pieces(which), place.pick(which)
+        rows = torch.cat([rows for rows, _ in part.rows(there)], dim=1)
+        sd = rows.new_zeros(len(which), 0) if part.x0_sd is None else part.x0_sd
+        first = _basis(rows[..., :nx], sd)
+        rows = rows[..., nx:] - first @ (first.mT @ rows[..., nx:])
+        second = _basis(rows[..., :nb].flatten(0, 1), likelihood.bias_sd[likelihood.biased]).unflatten(
+            0, rows.shape[:2]
+        )
+        freed = rows[..., nb:-1][..., told]
+        freed = freed - second @ torch.einsum("srb,srn->bn", second, freed)
+        shape = there.residual.shape
+        white = there.whitener.apply(there.residual.unsqueeze(-1)).squeeze(-1)
+        yield _Flight(
+            freed.unflatten(1, shape[1:]),
+            torch.cat([first, second], -1).unflatten(1, shape[1:]),
+            white,
+            there.whitener.valid,
+        )
+
+
+def _basis(columns: Tensor, prior_sd: Tensor) -> Tensor:
+    """The part of the columns [..., m, n] that an estimate with this prior takes out of the rows."""
+    norms = torch.linalg.vector_norm(columns, dim=-2, keepdim=True).clamp_min(1e-12)
+    stack = torch.cat([columns / norms, torch.diag_embed(1.0 / prior_sd) / norms], dim=-2)
+    return torch.linalg.qr(stack).Q[..., : columns.shape[-2], :]
+
+
+def _jackknife(flights: Sequence[tuple[Tensor, Tensor]], prior: tuple[Tensor, Tensor], told: Tensor) -> Tensor:
+    """Variances [P] by leaving out one flight in turn, one Gauss-Newton step each; NaN below three flights."""
+    variances = torch.full(told.shape, torch.nan, dtype=torch.float64)
+    count = len(flights)
+    if count < 3:
+        return variances
+    steps = []
+    for left_out in range(count):
+        kept = [flights[f] for f in range(count) if f != left_out] + [prior]
+        A, b = torch.cat([a for a, _ in kept])[:, told], torch.cat([c for _, c in kept])
+        norms = torch.linalg.vector_norm(A, dim=0).clamp_min(1e-12)
+        steps.append(torch.linalg.lstsq(A / norms, b.unsqueeze(-1), driver="gelsd").solution[:, 0] / norms)
+    moved = torch.stack(steps)
+    variances[told] = (count - 1) / count * (moved - moved.mean(0)).square().sum(0)
+    return variances
