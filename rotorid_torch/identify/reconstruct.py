@@ -1,0 +1,314 @@
+"""Step 1: forces and moments, and the flight's own channels cleaned of noise, from whatever channels a flight has.
+
+The unscented filter and smoother of `ukf` on the six-degree-of-freedom equations of `motion`; time constants and powers
+of the forces are those of `gauss_markov`, found on the identify flights and held for all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.identify.force_noise import ForceNoise, find_force_noise
+from rotorid_torch.identify.motion import AXES, Motion, supported
+from rotorid_torch.identify.sensor_errors import kinematic_biases, vibration_lines
+from rotorid_torch.identify.ukf import Filtered, filter_and_smooth
+
+LAGS = 20
+"""Lags over which the innovations' autocorrelation is judged."""
+WANDER_S = 1.0
+"""Time in which a vibration line's amplitude may change by its own size."""
+
+
+@dataclass(frozen=True)
+class ReconstructOptions:
+    """Settings of step 1.
+
+    vibration : model lines of rotor vibration. biases : take off sensor biases that kinematics shows.
+    """
+
+    vibration: bool = True
+    biases: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class ReconstructedFlight:
+    """One flight after step 1.
+
+    channels, channel_sd : smoothed states by channel name, (T,) each, and their standard deviations.
+    specific : (T, 6) X Y Z over mass (m/s2), L M N over the inertia (rad/s2); NaN where no channel sees it.
+    specific_covariance : (T, 6, 6) of their errors.
+    loads, loads_sd : (T, 6) the same as forces and moments in `Reconstruction.units`.
+    innovations : by channel, (T,), measured minus predicted, in standard deviations.
+    biases : constants taken off the sensors beforehand, by channel.
+    """
+
+    name: str
+    time: Tensor
+    channels: Mapping[str, Tensor]
+    channel_sd: Mapping[str, Tensor]
+    specific: Tensor
+    specific_covariance: Tensor
+    loads: Tensor
+    loads_sd: Tensor
+    innovations: Mapping[str, Tensor]
+    log_likelihood: float
+    biases: Mapping[str, float]
+
+    @property
+    def forces(self) -> Tensor:
+        """X Y Z (T, 3)."""
+        return self.loads[:, :3]
+
+    @property
+    def moments(self) -> Tensor:
+        """L M N (T, 3)."""
+        return self.loads[:, 3:]
+
+    def whiteness(self) -> dict[str, tuple[float, float]]:
+        """Per channel the innovations' rms (1 if noise is as declared) and rms autocorrelation over 20 lags (0)."""
+        return {name: _whiteness(values) for name, values in self.innovations.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """Step 1 on all flights of a data set.
+
+    units : of X Y Z L M N: N and N m where mass and inertia are declared, else m/s2 and rad/s2 (per mass, per inertia).
+    noise : time constants and powers of the forces. lines : Hz of the vibration lines by channel. notes : for people.
+    """
+
+    flights: Mapping[str, ReconstructedFlight]
+    units: Mapping[str, str]
+    noise: ForceNoise
+    lines: Mapping[str, float]
+    notes: tuple[str, ...]
+
+    def arrays(self, name: str) -> dict[str, np.ndarray]:
+        """One flight as plain arrays: time, smoothed channels, X ... N in `units`, and sd_ of each."""
+        flight = self.flights[name]
+        loads = {axis: flight.loads[:, i] for i, axis in enumerate(AXES)}
+        sd = {axis: flight.loads_sd[:, i] for i, axis in enumerate(AXES)}
+        every = {**flight.channels, **loads}
+        spread = {f"sd_{key}": value for key, value in {**flight.channel_sd, **sd}.items()}
+        return {"time": flight.time.numpy(), **{key: value.numpy() for key, value in {**every, **spread}.items()}}
+
+
+def reconstruct(dataset: Dataset, options: ReconstructOptions | None = None) -> Reconstruction:
+    """Forces, moments and smoothed channels of every flight, with their covariance.
+
+    Missing samples and channels are skipped exactly. Constant errors of accelerometers without velocity and attitude to
+    tell them are part of the forces' trim.
+
+    Raises
+    ------
+    InputError : a flight lacks body rates.
+
+    Source: Jategaonkar, Flight Vehicle System Identification, ch. 10 (flight path reconstruction).
+    """
+    options = options or ReconstructOptions()
+    dataset.require_rates()
+    states, outputs = supported(dataset)
+    lines = vibration_lines(dataset, outputs) if options.vibration else {}
+    flights = list(dataset.flights.values())
+    biases = [kinematic_biases(dataset, flight) if options.biases else {} for flight in flights]
+    noise = find_force_noise(dataset, biases, {channel: hertz for channel, (hertz, _) in lines.items()})
+    motion = _motion(
+        dataset, (*states, *(f"{c} {part}" for c in lines for part in ("cos", "sin"))), outputs, noise, lines
+    )
+    with torch.no_grad():
+        got = _filter(dataset, motion, noise, biases, lines)
+    made = {flight.name: _flight(dataset, motion, got, noise, i, biases[i]) for i, flight in enumerate(flights)}
+    return Reconstruction(made, _units(dataset), noise, dict(motion.lines), _notes(dataset, noise, biases, lines))
+
+
+def _motion(
+    dataset: Dataset,
+    states: tuple[str, ...],
+    outputs: tuple[str, ...],
+    noise: ForceNoise,
+    lines: Mapping[str, tuple[float, float]],
+) -> Motion:
+    vehicle = dataset.vehicle
+    imu = vehicle.imu if vehicle.imu is not None and any(vehicle.imu) else None
+    return Motion(
+        states=states,
+        outputs=outputs,
+        tau=torch.as_tensor(noise.tau),
+        trim=torch.as_tensor(noise.trim)[:, None, :],
+        dt=torch.tensor([flight.dt for flight in dataset.flights.values()], dtype=torch.float64)[:, None, None],
+        gravity=vehicle.gravity,
+        inertia=None if vehicle.inertia is None else torch.tensor(vehicle.inertia, dtype=torch.float64),
+        imu=None if imu is None else torch.tensor(imu, dtype=torch.float64),
+        lines={channel: hertz for channel, (hertz, _) in lines.items()},
+    )
+
+
+def _filter(
+    dataset: Dataset,
+    motion: Motion,
+    noise: ForceNoise,
+    biases: list[dict[str, float]],
+    lines: Mapping[str, tuple[float, float]],
+) -> Filtered:
+    """All flights as one batch; shorter ones end in missing samples."""
+    flights = list(dataset.flights.values())
+    samples = max(flight.samples for flight in flights)
+    outputs = torch.full((len(flights), samples, len(motion.outputs)), torch.nan, dtype=torch.float64)
+    for i, flight in enumerate(flights):
+        offset = torch.tensor([biases[i].get(name, 0.0) for name in motion.outputs], dtype=torch.float64)
+        outputs[i, : flight.samples] = flight.stack(motion.outputs) - offset
+    sensor = torch.tensor([dataset.noise(name) for name in motion.outputs], dtype=torch.float64)
+    mean, cov = _prior(motion, outputs, sensor, noise, lines)
+    shape, constant = _noise_shapes(motion, lines)
+    power = torch.as_tensor(noise.power)
+
+    def noise_at(k: int) -> Tensor:
+        return torch.einsum("fi,finm->fnm", power[k], shape) + constant
+
+    return filter_and_smooth(
+        motion.rates,
+        motion.measure,
+        (mean, cov),
+        noise_at,
+        torch.diag(sensor.square()),
+        motion.phases(samples),
+        outputs,
+        1.0,
+    )
+
+
+def _prior(
+    motion: Motion,
+    outputs: Tensor,
+    sensor: Tensor,
+    noise: ForceNoise,
+    lines: Mapping[str, tuple[float, float]],
+) -> tuple[Tensor, Tensor]:
+    """First sample's state: what the channels say first, with ten times their noise; forces about their trim."""
+    mean = torch.zeros(len(outputs), len(motion.states), dtype=torch.float64)
+    sd = torch.full_like(mean, 10.0)
+    for j, name in enumerate(motion.states):
+        if name in AXES:
+            mean[:, j] = motion.trim[:, 0, AXES.index(name)]
+            sd[:, j] = torch.as_tensor(noise.spread[:, AXES.index(name)])
+        elif name in motion.outputs:
+            i = motion.outputs.index(name)
+            known = ~outputs[..., i].isnan()
+            first = outputs[..., i].gather(-1, known.to(torch.int8).argmax(dim=-1, keepdim=True))[..., 0]
+            mean[:, j] = first.nan_to_num(nan=0.0)
+            sd[:, j] = torch.where(known[:, 0], 10.0 * sensor[i], 10.0)
+        elif " " in name:
+            sd[:, j] = lines[name.split()[0]][1]
+    return mean, torch.diag_embed(sd.square())
+
+
+def _noise_shapes(motion: Motion, lines: Mapping[str, tuple[float, float]]) -> tuple[Tensor, Tensor]:
+    """Covariance per unit of each axis' power [F, 6, n, n] (the force and the speed it drives), and the lines' own."""
+    flights, n = motion.dt.shape[0], len(motion.states)
+    dt = motion.dt[:, 0, 0]
+    shape, constant = (
+        torch.zeros(flights, 6, n, n, dtype=torch.float64),
+        torch.zeros(flights, n, n, dtype=torch.float64),
+    )
+    for i, (axis, driven) in enumerate(zip(AXES, ("u", "v", "w", "p", "q", "r"), strict=True)):
+        if axis not in motion.states:
+            continue
+        f = motion.states.index(axis)
+        shape[:, i, f, f] = dt
+        if driven in motion.states:
+            s = motion.states.index(driven)
+            shape[:, i, s, s] = dt**3 / 3.0
+            shape[:, i, s, f] = shape[:, i, f, s] = dt.square() / 2.0
+    for channel, (_, rms) in lines.items():
+        first = motion.states.index(f"{channel} cos")
+        for j in (first, first + 1):
+            constant[:, j, j] = rms**2 * dt / WANDER_S
+    return shape, constant
+
+
+def _flight(
+    dataset: Dataset, motion: Motion, got: Filtered, noise: ForceNoise, i: int, biases: dict[str, float]
+) -> ReconstructedFlight:
+    flight = list(dataset.flights.values())[i]
+    T = flight.samples
+    assert got.smoothed_means is not None
+    assert got.smoothed_covariances is not None
+    mean, cov = got.smoothed_means[i, :T], got.smoothed_covariances[i, :T]
+    names = [name for name in motion.states if name not in AXES and " " not in name]
+    deviation = cov.diagonal(dim1=-2, dim2=-1).sqrt()
+    specific = torch.full((T, 6), torch.nan, dtype=torch.float64)
+    covariance = torch.full((T, 6, 6), torch.nan, dtype=torch.float64)
+    axes = [axis for axis in AXES if axis in motion.states and noise.seen[i, AXES.index(axis)]]
+    place, index = [AXES.index(axis) for axis in axes], [motion.states.index(axis) for axis in axes]
+    scale = torch.as_tensor(noise.variance_scale[:T, i]).sqrt()
+    specific[:, place] = mean[:, index]
+    block = cov[:, index][:, :, index] * scale[:, place, None] * scale[:, None, place]
+    covariance[:, torch.tensor(place)[:, None], torch.tensor(place)] = block
+    loads, sd = _loads(dataset, specific, covariance)
+    white = got.innovations[i, :T] / got.innovation_covariances[i, :T].diagonal(dim1=-2, dim2=-1).sqrt()
+    return ReconstructedFlight(
+        name=flight.name,
+        time=flight.time,
+        channels={name: mean[:, motion.states.index(name)].clone() for name in names},
+        channel_sd={name: deviation[:, motion.states.index(name)].clone() for name in names},
+        specific=specific,
+        specific_covariance=covariance,
+        loads=loads,
+        loads_sd=sd,
+        innovations={name: white[:, j].clone() for j, name in enumerate(motion.outputs)},
+        log_likelihood=float(got.log_likelihood[i]),
+        biases=biases,
+    )
+
+
+def _loads(dataset: Dataset, specific: Tensor, covariance: Tensor) -> tuple[Tensor, Tensor]:
+    """Forces and moments (T, 6) and their standard deviations from those per mass and inertia."""
+    vehicle = dataset.vehicle
+    mass = vehicle.mass or 1.0
+    eye = torch.eye(3, dtype=torch.float64)
+    inertia = eye if vehicle.inertia is None else torch.tensor(vehicle.inertia, dtype=torch.float64)
+    moment_covariance = inertia @ covariance[:, 3:, 3:] @ inertia.mT
+    variances = [covariance[:, :3, :3] * mass**2, moment_covariance]
+    sd = torch.cat([part.diagonal(dim1=-2, dim2=-1).sqrt() for part in variances], dim=-1)
+    return torch.cat([specific[:, :3] * mass, specific[:, 3:] @ inertia.mT], dim=-1), sd
+
+
+def _units(dataset: Dataset) -> dict[str, str]:
+    force = "m/s²" if dataset.vehicle.mass is None else "N"
+    moment = "rad/s²" if dataset.vehicle.inertia is None else "N m"
+    return {axis: force if i < 3 else moment for i, axis in enumerate(AXES)}
+
+
+def _notes(
+    dataset: Dataset, noise: ForceNoise, biases: list[dict[str, float]], lines: Mapping[str, tuple[float, float]]
+) -> tuple[str, ...]:
+    """What a reader of the result must know, in plain words."""
+    notes = []
+    if dataset.vehicle.mass is None:
+        notes.append("no mass declared: X Y Z are specific forces, m/s²")
+    if dataset.vehicle.inertia is None:
+        notes.append("no inertia declared: L M N are angular accelerations, rad/s²")
+    unseen = [axis for i, axis in enumerate(AXES) if not noise.seen[:, i].any()]
+    if unseen:
+        notes.append(f"no channel sees {' '.join(unseen)}")
+    for channel, (hertz, rms) in lines.items():
+        notes.append(f"vibration of {channel} at {hertz:.1f} Hz, rms {rms:.3g}, has a state of its own")
+    for flight, found in zip(dataset.flights, biases, strict=True):
+        notes += [f"{flight}: bias of {name} {value:.3g} taken off (kinematics)" for name, value in found.items()]
+    return tuple(notes)
+
+
+def _whiteness(values: Tensor) -> tuple[float, float]:
+    known = torch.where(values.isnan(), 0.0, values)
+    power = float(known.square().sum())
+    if power == 0.0:
+        return float("nan"), float("nan")
+    lags = [float((known[lag:] * known[:-lag]).sum()) / power for lag in range(1, min(LAGS, len(known) - 1) + 1)]
+    count = int((~values.isnan()).sum())
+    return (power / count) ** 0.5, float(np.sqrt(np.mean(np.square(lags)))) if lags else float("nan")
