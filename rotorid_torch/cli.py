@@ -213,7 +213,7 @@ def effects(options: Options) -> None:
     from rotorid_torch.effects.registry import registered
     from rotorid_torch.run.effects_table import effect_rows, effects_table
 
-    rows = effect_rows(registered())
+    rows = effect_rows(registered().values())
     _answer(options, {"effects": rows}, effects_table(rows))
 
 

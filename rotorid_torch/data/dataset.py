@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import torch
@@ -138,7 +138,7 @@ class Dataset:
         """Channels that a free run is scored on: those of `u v w p q r phi theta` that the identify flights have."""
         return tuple(name for name in names.BODY if self._scales.get(name, 0.0) > 0.0)
 
-    def listed(self, flight: str) -> str:
+    def listed(self, flight: str) -> Literal["identify", "validate", "acid"]:
         """List that a flight is in: "identify", "validate" or "acid"."""
         return "identify" if flight in self.identify else "validate" if flight in self.validate else "acid"
 
