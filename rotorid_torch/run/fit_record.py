@@ -1,0 +1,141 @@
+"""From a fitted model to the FIT of the report: parameters, modes, free runs and their scores on every flight."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.identify.step3 import Step3
+from rotorid_torch.model.model import Model
+from rotorid_torch.model.modes import modes
+from rotorid_torch.run.figures import Overlay
+from rotorid_torch.run.records import (
+    LISTS,
+    ChannelRecord,
+    FitRecord,
+    FlightRecord,
+    ModeRecord,
+    ParameterRecord,
+    ScoresRecord,
+    Status,
+    WindowsRecord,
+)
+from rotorid_torch.validate import scores
+from rotorid_torch.validate.free_run import Windows, free_run, windows
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Free runs of all flights: their record for the report, and their overlays for the pictures."""
+
+    flights: Mapping[str, FlightRecord]
+    scores: ScoresRecord
+    overlays: tuple[Overlay, ...]
+
+
+def fit_record(model: Model, spec: ModelSpec, step3: Step3, judged: Judged) -> FitRecord:
+    """FIT of a model that step 3 estimated and `judge` ran."""
+    return FitRecord(
+        parameters=parameter_records(model, step3),
+        modes=tuple(ModeRecord(eigenvalue=(m.eigenvalue.real, m.eigenvalue.imag), name=m.name) for m in modes(model, spec.sizes)),
+        flights=dict(judged.flights),
+        scores=judged.scores,
+    )
+
+
+def parameter_records(model: Model, step3: Step3) -> tuple[ParameterRecord, ...]:
+    """Every parameter of the model; those that step 3 left alone are frozen."""
+    minimum, se = step3.fit.minimum, step3.fit.uncertainty.standard_errors
+    place = {name: i for i, name in enumerate(step3.names)}
+    made = []
+    for k, declared in enumerate(model.parameter_set.parameters):
+        i = place.get(declared.name)
+        blind = i is not None and bool(minimum.not_identifiable[i])
+        status: Status = "frozen" if i is None else "not identifiable" if blind else "free"
+        made.append(
+            ParameterRecord(
+                name=declared.name,
+                value=float(model.theta.detach()[k]),
+                se=0.0 if i is None else float(se[i]),
+                unit=declared.unit,
+                bounds=declared.bounds,
+                at_bound=i is not None and bool(minimum.at_bound[i]),
+                status=status,
+            )
+        )
+    return tuple(made)
+
+
+def judge(model: Model, dataset: Dataset) -> Judged:
+    """Free runs over 8 s at every whole second of every flight, and their scores as the interface defines them."""
+    records, overlays, J = {}, [], defaultdict(list)
+    for name, (piece, outputs) in _all_windows(model, dataset).items():
+        record = _flight(model, dataset, name, piece, outputs)
+        records[name] = record
+        J[record.list].append(record.J if record.J is not None else torch.nan)
+        overlays.append(_overlay(model, dataset, name, piece, outputs))
+    totals = {k: float(scores.list_score(torch.tensor(J[k]))) if J[k] else None for k in LISTS}
+    return Judged(records, ScoresRecord(**totals), tuple(overlays))
+
+
+def _all_windows(model: Model, dataset: Dataset) -> dict[str, tuple[Windows, Tensor]]:
+    """All windows of all flights, run as one batch per sample interval; by flight."""
+    by_step = defaultdict(list)
+    for flight in dataset.flights.values():
+        by_step[flight.dt].append(flight)
+    found: dict[str, tuple[Windows, Tensor]] = {}
+    for dt, flights in by_step.items():
+        samples = min(scores.horizon_samples(dt), max(f.samples for f in flights))
+        places = [(f.name, k) for f in flights for k in scores.window_starts(f.samples, dt)]
+        pieces = windows(model, dataset, places, samples)
+        _, outputs = free_run(model, pieces)
+        for flight in flights:
+            own = [i for i, (name, _) in enumerate(places) if name == flight.name]
+            found[flight.name] = pieces.pick(own), outputs[own]
+    return {name: found[name] for name in dataset.flights}
+
+
+def _flight(model: Model, dataset: Dataset, name: str, piece: Windows, outputs: Tensor) -> FlightRecord:
+    scored = [c for c in dataset.scored() if c in model.body.outputs]
+    places = [model.body.outputs.index(c) for c in scored]
+    scale = torch.tensor([dataset.scales()[c] for c in scored], dtype=torch.float64)
+    noise = torch.tensor([dataset.noise(c) for c in scored], dtype=torch.float64)
+    J = scores.flight_J((outputs - piece.measured)[..., places], scale)
+    first = piece.measured[0]
+    spread = scores.window_statistics(J)
+    return FlightRecord(
+        list=dataset.listed(name),
+        J=float(J[0]),
+        J_noise=float(scores.noise_J(first[:, places], noise, scale)),
+        J_trim=float(scores.trim_J(first[:, places], scale, piece.dt)),
+        windows=WindowsRecord(median=spread.median, p10=spread.p10, p90=spread.p90),
+        channels=_channels(model, piece, outputs),
+    )
+
+
+def _channels(model: Model, piece: Windows, outputs: Tensor) -> dict[str, ChannelRecord]:
+    measured, run = piece.measured[0], outputs[0]
+    error, theil = run - measured, scores.theil(run, measured, piece.dt)
+    rmse, r2 = scores.rmse(error), scores.r2(error, measured)
+    return {
+        channel: ChannelRecord(
+            rmse=float(rmse[i]),
+            r2=float(r2[i]),
+            theil=float(theil.coefficient[i]),
+            theil_parts=(float(theil.parts[i, 0]), float(theil.parts[i, 1]), float(theil.parts[i, 2])),
+        )
+        for i, channel in enumerate(model.body.outputs)
+        if not bool(measured[:, i].isnan().all())
+    }
+
+
+def _overlay(model: Model, dataset: Dataset, name: str, piece: Windows, outputs: Tensor) -> Overlay:
+    columns = lambda values: dict(zip(model.body.outputs, values.unbind(-1), strict=True))  # noqa: E731
+    time = piece.dt * torch.arange(outputs.shape[1], dtype=torch.float64)
+    return Overlay(name, dataset.listed(name), time, columns(piece.measured[0]), columns(outputs[0]))

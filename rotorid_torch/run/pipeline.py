@@ -1,0 +1,252 @@
+"""The order of the steps: the only file that knows it."""
+
+from __future__ import annotations
+
+import warnings as python_warnings
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.effects.registry import registered
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.errors import InputError
+from rotorid_torch.identify import reconstruct as step1
+from rotorid_torch.identify.reconstruct import Reconstruction
+from rotorid_torch.identify.step2 import Step2, regress_model
+from rotorid_torch.identify.step3 import Step3, estimate_model
+from rotorid_torch.identify.structure import propose
+from rotorid_torch.model.model import Model
+from rotorid_torch.model.nominal import build
+from rotorid_torch.model.save import load as load_model
+from rotorid_torch.model.save import save as save_model
+from rotorid_torch.run.figures import draw
+from rotorid_torch.run.fit_record import fit_record, judge
+from rotorid_torch.run.folder import run_folder, whole_file
+from rotorid_torch.run.monitor import Monitor, peak_memory_mb
+from rotorid_torch.run.records import DatasetRecord, FitRecord, ParameterRecord, Report
+from rotorid_torch.run.write import write_report
+from rotorid_torch.validate.free_run import free_run, windows
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from rotorid_torch.run.figures import Overlay
+
+OUTSIDE = 0.1
+"""Share of the identified range by which a free run may leave it before it is told."""
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """An identified model with everything that is known about it.
+
+    model : the fitted module. fit : parameters, modes and scores. warnings : sentences for people.
+    """
+
+    model: Model
+    spec: ModelSpec
+    fit: FitRecord
+    record: Report
+    reconstruction: Reconstruction
+    regressions: Step2
+    estimate: Step3
+    overlays: tuple[Overlay, ...] = field(repr=False)
+
+    @property
+    def scores(self) -> dict[str, float | None]:
+        """J over the lists of flights: identify, validate, acid."""
+        totals = self.fit.scores
+        return {"identify": totals.identify, "validate": totals.validate, "acid": totals.acid}
+
+    @property
+    def parameters(self) -> tuple[ParameterRecord, ...]:
+        """Every parameter with its standard error, unit, bounds and status."""
+        return self.fit.parameters
+
+    def table(self) -> str:
+        """The parameters as text, one a line."""
+        errors = torch.tensor([p.se if p.se is not None else torch.nan for p in self.fit.parameters])
+        return self.model.parameter_set.table(self.model.theta, errors)
+
+    def plot(self) -> dict[str, Figure]:
+        """The report's pictures as matplotlib figures, by name."""
+        return draw(self.overlays, self.fit)
+
+    def report(self, path: str | Path) -> Path:
+        """Write the RUN (report, pictures, model, reconstruction) to a folder; InputError where it is not free."""
+        with run_folder(path) as folder:
+            self.write(folder)
+        return Path(path)
+
+    def write(self, folder: Path, monitor: Monitor | None = None) -> None:
+        """Write everything but log and TensorBoard records into an open run folder."""
+        _write_reconstruction(self.reconstruction, folder)
+        save_model(self.model, self.spec, folder / "model.pt")
+        write_report(folder, self.record, self.overlays, monitor)
+
+
+def reconstruct(dataset: Dataset, out: str | Path, *, seed: int = 0, monitor: Monitor | None = None) -> Reconstruction:
+    """Step 1 alone, written as a RUN."""
+    monitor = monitor or Monitor()
+    with run_folder(out) as folder, monitor.recording(folder):
+        with monitor.step("reconstruct"):
+            found = step1.reconstruct(dataset)
+        _write_reconstruction(found, folder)
+        write_report(folder, _report("reconstruct", dataset, seed, monitor, None, found.notes), (), monitor)
+    return found
+
+
+def identify(
+    dataset: Dataset,
+    *,
+    effects: Sequence[str] = (),
+    out: str | Path | None = None,
+    seed: int = 0,
+    device: str = "cpu",
+    monitor: Monitor | None = None,
+) -> Run:
+    """The three steps, free runs and scores; written as a RUN where `out` says so.
+
+    Parameters
+    ----------
+    effects : ids of effects that join the model, such as "control.delay".
+    out : folder of the run; an earlier RUN there is replaced when the new one is whole.
+    device : "cpu"; the steps run in float64 on the processor.
+
+    Raises
+    ------
+    InputError : the data set lacks what the steps need, an effect does not exist, or `out` is not free.
+    """
+    monitor = monitor or Monitor()
+    _refuse(effects, device)
+    torch.manual_seed(seed)
+    with ExitStack() as stack:
+        folder = stack.enter_context(run_folder(out)) if out is not None else None
+        if folder is not None:
+            stack.enter_context(monitor.recording(folder))
+        run = _identify(dataset, effects, seed, monitor)
+        if folder is not None:
+            run.write(folder, monitor)
+    return run
+
+
+def _identify(dataset: Dataset, effects: Sequence[str], seed: int, monitor: Monitor) -> Run:
+    with monitor.step("reconstruct"):
+        reconstruction = step1.reconstruct(dataset)
+    with monitor.step("ftr"):
+        spec = propose(dataset, reconstruction, effects)
+        model = build(spec)
+        regressions = regress_model(model, dataset, reconstruction)
+        monitor.scalars({f"ftr/R2/{row}": float(r.r2) for row, r in regressions.regressions.items()}, 0)
+    with monitor.step("ml"):
+
+        def watch(iteration: int, cost: float, theta: Tensor) -> None:
+            monitor.scalars({"ml/cost": cost}, iteration)
+
+        estimate = estimate_model(model, dataset, reconstruction, regressions, watch)
+    with monitor.step("validate"):
+        judged = judge(model, dataset)
+    fit = fit_record(model, spec, estimate, judged)
+    told = [*reconstruction.notes, *_notes(regressions), *_doubts(estimate, fit)]
+    report = _report("identify", dataset, seed, monitor, fit, told)
+    return Run(model, spec, fit, report, reconstruction, regressions, estimate, judged.overlays)
+
+
+def simulate(
+    model: str | Path, dataset: Dataset, flight: str, out: str | Path, start: float = 0.0, seconds: float | None = None
+) -> dict[str, np.ndarray]:
+    """Free run of a saved model on a flight, written as NAME.npz: time, outputs, states; warns outside the range.
+
+    Parameters
+    ----------
+    model : a RUN or a model.pt. start : s, where the run begins. seconds : its length; to the flight's end by default.
+
+    Raises
+    ------
+    InputError : no such model or flight, a control is missing, or start and seconds leave the flight.
+    """
+    place = Path(model)
+    loaded, spec = load_model(place / "model.pt" if place.is_dir() else place)
+    if flight not in dataset.flights:
+        raise InputError(dataset.path or dataset.name, "flight", f"there is no flight '{flight}'", ", ".join(dataset.flights))
+    record = dataset.flights[flight]
+    first, samples = _span(record.dt, record.samples, start, seconds, dataset.file(flight))
+    missing = [c for c in loaded.body.controls if not record.has(c)]
+    if missing:
+        raise InputError(dataset.file(flight), missing[0], "control is missing", "the controls of the model")
+    states, outputs = free_run(loaded, windows(loaded, dataset, [(flight, first)], samples))
+    found = {"time": record.time[first : first + samples].numpy()}
+    found |= dict(zip(loaded.layout.names, states[0].numpy().T, strict=True))
+    found |= dict(zip(loaded.body.outputs, outputs[0].numpy().T, strict=True))
+    _warn_outside(found | {c: record.channels[c][first : first + samples].numpy() for c in loaded.body.controls}, spec)
+    with whole_file(out) as file, file.open("wb") as handle:
+        np.savez(handle, **found)
+    return found
+
+
+def _span(dt: float, samples: int, start: float, seconds: float | None, file: str | Path) -> tuple[int, int]:
+    first = round(start / dt)
+    wanted = samples - first if seconds is None else round(seconds / dt) + 1
+    if not 0 <= first < samples - 1 or wanted < 2:
+        raise InputError(file, "start", f"{start} s lies outside the flight", f"0 to {(samples - 2) * dt:.2f} s")
+    return first, min(wanted, samples - first)
+
+
+def _warn_outside(found: dict[str, np.ndarray], spec: ModelSpec) -> None:
+    left = []
+    for name, (low, high) in spec.ranges.items():
+        margin = OUTSIDE * (high - low)
+        if name in found and (np.nanmin(found[name]) < low - margin or np.nanmax(found[name]) > high + margin):
+            left.append(name)
+    if left:
+        said = f"the run leaves the range of the flights that the model was identified from in {', '.join(left)}"
+        python_warnings.warn(f"{said}; do not trust it there", stacklevel=3)
+
+
+def _refuse(effects: Sequence[str], device: str) -> None:
+    for name in effects:
+        if name not in registered():
+            raise InputError("--effect", name, "there is no such effect", f"one of {', '.join(sorted(registered()))}")
+    if device != "cpu":
+        raise InputError("--device", device, "is not offered by identify yet", "cpu")
+
+
+def _notes(step2: Step2) -> list[str]:
+    return [f"step 2: {note}" for r in step2.regressions.values() for note in r.notes]
+
+
+def _doubts(step3: Step3, fit: FitRecord) -> list[str]:
+    """What the user must know about the estimate, in words."""
+    said = [] if step3.fit.minimum.converged else [f"step 3 did not converge: {step3.fit.minimum.message}"]
+    bound = [p.name for p in fit.parameters if p.at_bound]
+    blind = [p.name for p in fit.parameters if p.status == "not identifiable"]
+    said += [f"at a bound: {', '.join(bound)}"] if bound else []
+    said += [f"not identifiable from these flights, held: {', '.join(blind)}"] if blind else []
+    return said
+
+
+def _report(
+    command: str, dataset: Dataset, seed: int, monitor: Monitor, fit: FitRecord | None, told: Sequence[str]
+) -> Report:
+    return Report(
+        command=command,
+        dataset=DatasetRecord(name=dataset.name, sha256=dataset.sha256),
+        seed=seed,
+        time_s=monitor.time_record(),
+        peak_memory_mb=peak_memory_mb(),
+        before=fit,
+        warnings=(*dataset.warnings, *told),
+    )
+
+
+def _write_reconstruction(found: Reconstruction, folder: Path) -> None:
+    (folder / "reconstruct").mkdir(exist_ok=True)
+    for name in found.flights:
+        np.savez(folder / "reconstruct" / f"{name}.npz", **found.arrays(name))
