@@ -1,1 +1,1 @@
-"""Pure torch and floats: names, parameters, states, rigid body, the time loop. Knows no file, no data set, no effect."""
+"""Pure torch and floats: names, parameters, states, rigid body, time loop; knows no file, no data set, no effect."""

@@ -1,4 +1,4 @@
-"""Parameters: declared with name, unit and bounds; held as one flat vector whose names, bounds and status are data beside it."""
+"""Parameters: declared with name, unit and bounds; one flat vector, with names, bounds and priors as data beside it."""
 
 from __future__ import annotations
 
@@ -111,7 +111,9 @@ class ParameterSet:
         for i, p in enumerate(self.parameters):
             error = "" if errors is None or not math.isfinite(float(errors[i])) else f"{float(errors[i]):.2g}"
             bounds = f"{p.bounds[0]:.4g} .. {p.bounds[1]:.4g}"
-            rows.append((p.name, f"{float(theta[i]):.5g}", error, p.unit, bounds, "free" if p.free else "frozen"))
+            rows.append(
+                (p.name, f"{float(theta.detach()[i]):.5g}", error, p.unit, bounds, "free" if p.free else "frozen")
+            )
         return _aligned(rows)
 
     @staticmethod

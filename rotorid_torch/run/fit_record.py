@@ -43,7 +43,9 @@ def fit_record(model: Model, spec: ModelSpec, step3: Step3, judged: Judged) -> F
     """FIT of a model that step 3 estimated and `judge` ran."""
     return FitRecord(
         parameters=parameter_records(model, step3),
-        modes=tuple(ModeRecord(eigenvalue=(m.eigenvalue.real, m.eigenvalue.imag), name=m.name) for m in modes(model, spec.sizes)),
+        modes=tuple(
+            ModeRecord(eigenvalue=(m.eigenvalue.real, m.eigenvalue.imag), name=m.name) for m in modes(model, spec.sizes)
+        ),
         flights=dict(judged.flights),
         scores=judged.scores,
     )

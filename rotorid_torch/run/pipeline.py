@@ -175,7 +175,9 @@ def simulate(
     place = Path(model)
     loaded, spec = load_model(place / "model.pt" if place.is_dir() else place)
     if flight not in dataset.flights:
-        raise InputError(dataset.path or dataset.name, "flight", f"there is no flight '{flight}'", ", ".join(dataset.flights))
+        raise InputError(
+            dataset.path or dataset.name, "flight", f"there is no flight '{flight}'", ", ".join(dataset.flights)
+        )
     record = dataset.flights[flight]
     first, samples = _span(record.dt, record.samples, start, seconds, dataset.file(flight))
     missing = [c for c in loaded.body.controls if not record.has(c)]

@@ -1,0 +1,45 @@
+"""rotorid: identification of rotorcraft models from flight data."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rotorid_torch.data.dataset import Dataset as Dataset
+    from rotorid_torch.data.dataset import load as load
+    from rotorid_torch.data.flight import Flight as Flight
+    from rotorid_torch.effects.base import Effect as Effect
+    from rotorid_torch.effects.registry import register as register
+    from rotorid_torch.errors import InputError as InputError
+    from rotorid_torch.identify.ftr import regress as regress
+    from rotorid_torch.identify.ml import output_error as output_error
+    from rotorid_torch.identify.reconstruct import reconstruct as reconstruct
+    from rotorid_torch.identify.ukf import unscented_filter as unscented_filter
+    from rotorid_torch.model.model import Model as Model
+    from rotorid_torch.run.pipeline import Run as Run
+    from rotorid_torch.run.pipeline import identify as identify
+
+_PUBLIC = {
+    "Dataset": "data.dataset",
+    "load": "data.dataset",
+    "Flight": "data.flight",
+    "Effect": "effects.base",
+    "register": "effects.registry",
+    "InputError": "errors",
+    "regress": "identify.ftr",
+    "output_error": "identify.ml",
+    "reconstruct": "identify.reconstruct",
+    "unscented_filter": "identify.ukf",
+    "Model": "model.model",
+    "Run": "run.pipeline",
+    "identify": "run.pipeline",
+}
+__all__ = [*_PUBLIC]
+
+
+def __getattr__(name: str) -> Any:
+    # loaded when first used: `rotorid --help` needs no torch
+    if name not in _PUBLIC:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"rotorid_torch.{_PUBLIC[name]}"), name)

@@ -1,0 +1,50 @@
+"""States: declared by name and unit, held as one flat vector whose slices have names."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class State:
+    """One state of the flat vector; `doc` says what it is."""
+
+    name: str
+    unit: str = ""
+    doc: str = ""
+
+
+@dataclass(frozen=True)
+class StateLayout:
+    """Names of the flat state in order; answers where each one lies."""
+
+    states: tuple[State, ...]
+
+    def __len__(self) -> int:
+        return len(self.states)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names in the order of the flat state."""
+        return tuple(s.name for s in self.states)
+
+    def has(self, *names: str) -> bool:
+        """Whether all these states exist."""
+        return set(names) <= set(self.names)
+
+    def places(self, names: Sequence[str]) -> list[int]:
+        """Places of these names in the flat state; KeyError names those that exist."""
+        try:
+            return [self.names.index(n) for n in names]
+        except ValueError as e:
+            raise KeyError(f"no state among {list(names)}; there are {', '.join(self.names)}") from e
+
+    def pick(self, x: Tensor, *names: str) -> Tensor:
+        """These components of x [..., nx] as [..., len(names)]; neighbours come as a view."""
+        places = self.places(names)
+        if places == list(range(places[0], places[0] + len(places))):
+            return x[..., places[0] : places[0] + len(places)]
+        return x[..., places]

@@ -1,0 +1,40 @@
+"""The effects that exist, by id: the library's own and those that other packages offer under an entry point."""
+
+from __future__ import annotations
+
+from importlib.metadata import entry_points
+from typing import TYPE_CHECKING, TypeVar
+
+from rotorid_torch.effects.base import Effect
+from rotorid_torch.errors import InputError
+
+if TYPE_CHECKING:
+    from rotorid_torch.effects.spec import ModelSpec
+
+ENTRY_POINTS = "rotorid_torch.effects"
+EFFECTS: dict[str, type[Effect]] = {}
+
+E = TypeVar("E", bound=type[Effect])
+
+
+def register(effect: E) -> E:
+    """Class decorator: the effect can be named by its id; its `from_spec` makes it for a vehicle."""
+    EFFECTS[effect.id] = effect
+    return effect
+
+
+def registered() -> dict[str, type[Effect]]:
+    """All effects by id, those of other packages included."""
+    import rotorid_torch.effects.control  # noqa: F401  (registers itself)
+
+    for point in entry_points(group=ENTRY_POINTS):
+        point.load()
+    return EFFECTS
+
+
+def make(name: str, spec: ModelSpec) -> Effect:
+    """The effect of this id for a vehicle; InputError where there is none."""
+    known = registered()
+    if name not in known:
+        raise InputError("--effect", name, "there is no such effect", f"one of {', '.join(sorted(known))}")
+    return known[name].from_spec(spec)

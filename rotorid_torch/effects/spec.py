@@ -1,0 +1,66 @@
+"""What a model is built from, as plain data: declared by the data set, seen in its flights, chosen as structure."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import msgspec
+
+FlappingKind = Literal["none", "algebraic", "first order"]
+
+
+class RotorSpec(msgspec.Struct, frozen=True, kw_only=True):
+    """Main rotor as declared, SI; `direction` is "ccw" or "cw", seen from above."""
+
+    blades: int
+    radius: float
+    chord: float
+    speed: float
+    direction: str = "ccw"
+    hinge_offset: float | None = None
+    lock_number: float | None = None
+
+    @property
+    def spin(self) -> float:
+        """+1 for a rotor that turns counter-clockwise seen from above, -1 for the other."""
+        return 1.0 if self.direction == "ccw" else -1.0
+
+
+class ModelSpec(msgspec.Struct, frozen=True, kw_only=True):
+    """Plain data from which `nominal.build` makes the model; what model.pt holds beside theta.
+
+    states, controls, outputs : names of body states, controls and outputs, in order.
+    reference : value of every signal at the reference point.
+    sizes : rms excursion of every signal and of every row's response over the identify flights; scales the priors.
+    patterns : regressors of each row (X Y Z L M N, a0 a1 b1).
+    effects : ids of effects beyond the nominal model.
+    ranges : smallest and largest value of every signal in the identify flights.
+    """
+
+    states: tuple[str, ...]
+    controls: tuple[str, ...]
+    outputs: tuple[str, ...]
+    reference: dict[str, float]
+    sizes: dict[str, float]
+    ranges: dict[str, tuple[float, float]]
+    patterns: dict[str, tuple[str, ...]]
+    control_units: dict[str, str]
+    flapping: FlappingKind = "none"
+    inflow: bool = False
+    gravity: float = 9.80665
+    air_density: float = 1.225
+    mass: float | None = None
+    inertia: tuple[tuple[float, ...], ...] | None = None
+    hub: tuple[float, float, float] | None = None
+    imu: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rotor: RotorSpec | None = None
+    effects: tuple[str, ...] = ()
+
+    def plain(self) -> dict[str, Any]:
+        """As builtins, for model.pt."""
+        return msgspec.to_builtins(self)
+
+    @staticmethod
+    def from_plain(plain: Any) -> ModelSpec:
+        """From builtins; msgspec.ValidationError where they are not a spec."""
+        return msgspec.convert(plain, ModelSpec)

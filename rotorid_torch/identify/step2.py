@@ -1,0 +1,188 @@
+"""Step 2 on the model's own equations: Fourier transform regression of flapping, forces and moments.
+
+Response and regressors are measured quantities; what the declared physics adds beyond the linear terms is computed
+from them and from step 1's thrust, and subtracted before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES, SPECIFIC_FORCES, VELOCITIES
+from rotorid_torch.core.rigid import cross, gravity_in_body, gyroscopic
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.effects.base import Effect, Frame, Values
+from rotorid_torch.identify.equation import Equation, fit_equation
+from rotorid_torch.identify.ftr import Regression
+from rotorid_torch.identify.reconstruct import Reconstruction
+from rotorid_torch.identify.structure import ATTITUDE, have
+from rotorid_torch.model.flapping import AlgebraicFlapping, Flapping
+from rotorid_torch.model.forces import LinearForces
+from rotorid_torch.model.linear import LinearBlock
+from rotorid_torch.model.model import Model
+
+HIGHEST = {**dict.fromkeys(FLAPPING, 8.0), **dict.fromkeys((*FORCES, *MOMENTS), 4.0)}
+"""Hz: highest frequency of each equation, if its data reach it."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One flight as step 2 sees it: every signal bridged over gaps, step 1's loads, and the physics' known part."""
+
+    signals: Mapping[str, Tensor]  # each (T,)
+    known: Tensor  # (T, 6) forces m/s2 and moments rad/s2 of the physics beyond the linear terms
+    specific: Tensor  # (T, 6) step 1
+
+
+@dataclass(frozen=True)
+class Step2:
+    """Regressions by row, and the parameter vector that starts step 3."""
+
+    regressions: Mapping[str, Regression]
+    theta: Tensor
+
+
+def regress_model(model: Model, dataset: Dataset, reconstruction: Reconstruction) -> Step2:
+    """All linear parameters of the model from the identify flights, in closed form; the others keep their prior."""
+    theta = model.theta.detach().clone()
+    flights = [measured(model, dataset, reconstruction, name) for name in dataset.identify]
+    found = {}
+    for effect in model.chain:
+        if isinstance(effect, LinearForces | Flapping | AlgebraicFlapping):
+            for row in effect.block.rows:
+                equation = _equation(row, effect, effect.block, model, dataset, flights)
+                found[row] = fit_equation(equation)
+                _store(model, theta, effect.id, row, found[row])
+    return Step2(found, model.parameter_set.clamp(theta))
+
+
+def _store(model: Model, theta: Tensor, effect: str, row: str, fit: Regression) -> None:
+    for name, value in zip(fit.selected, fit.coefficients.tolist(), strict=True):
+        theta[model.parameter_set.index(f"{effect}.{row}.{name}")] = value
+
+
+def measured(model: Model, dataset: Dataset, reconstruction: Reconstruction, name: str) -> Measured:
+    """A flight's signals and what the declared physics beyond the derivatives gives on them."""
+    flight, step1 = dataset.flights[name], reconstruction.flights[name]
+    names = tuple(dict.fromkeys((*(s for s in model.layout.names), *FLAPPING, *model.body.controls)))
+    present = [n for n in names if flight.has(n)]
+    signals = dict(zip(present, flight.bridged(present).unbind(-1), strict=True))
+    specific = step1.specific.nan_to_num(0.0)
+    theta = model.theta.detach()
+    frame = Frame(signals, force=specific[:, :3], moment=torch.zeros_like(specific[:, 3:]))
+    for k, effect in enumerate(model.chain):
+        if isinstance(effect, LinearForces | Flapping | AlgebraicFlapping):
+            continue
+        values = model.values(theta, k)
+        own = _followed(effect, frame, values, flight.dt)
+        frame = replace(
+            frame, signals={**frame.signals, **dict(zip((s.name for s in effect.states), own.unbind(-1), strict=True))}
+        )
+        frame, _ = effect(frame, own, values)
+    assert frame.force is not None
+    assert frame.moment is not None
+    return Measured(frame.signals, torch.cat([frame.force - specific[:, :3], frame.moment], dim=-1), specific)
+
+
+def _followed(effect: Effect, frame: Frame, values, dt: float) -> Tensor:
+    """States of an effect [T, n] integrated along measured signals, from rest; implicit in its own state."""
+    samples = frame.force.shape[0] if frame.force is not None else 0
+    if not effect.states:
+        return torch.empty(samples, 0, dtype=torch.float64)
+    # linear in its own state for as long as a sample is short: dx/dt = c + A x with A by differences at the start
+    state = torch.zeros(samples, len(effect.states), dtype=torch.float64)
+    constant = effect(frame, state, values)[1]
+    slope = torch.stack(
+        [effect(frame, state + e, values)[1] - constant for e in torch.eye(len(effect.states), dtype=torch.float64)], -1
+    )
+    out, x = [], -torch.linalg.solve(slope[0], constant[0])
+    for c, a in zip(constant, slope, strict=True):
+        out.append(x)
+        x = torch.linalg.solve(torch.eye(len(x), dtype=torch.float64) - dt * a, x + dt * c)
+    return torch.stack(out)
+
+
+def _equation(
+    row: str, effect: Effect, block: LinearBlock, model: Model, dataset: Dataset, flights: Sequence[Measured]
+) -> Equation:
+    pattern = tuple(c for c in block.columns if f"{row}.{c}" in {p.name for p in effect.declared})
+    dt = [dataset.flights[f].dt for f in dataset.identify]
+    responses, kind, channel = _responses(row, model, dataset, flights, dt)
+    reference = model.reference
+    declared = {p.name: p for p in effect.declared}
+    prior = [declared[f"{row}.{c}"] for c in pattern]
+    known = {c: dataset.noise(c) for c in pattern if have(dataset, (c,))}
+    return Equation(
+        name=row,
+        response=responses,
+        regressors=[torch.stack([f.signals[c] - reference.get(c, 0.0) for c in pattern], dim=-1) for f in flights],
+        names=pattern,
+        dt=dt,
+        kind=kind,
+        response_noise=dataset.noise(channel),
+        regressor_noise=[known.get(c, 0.0) for c in pattern],
+        prior_mean=[p.value for p in prior],
+        prior_sd=[p.prior_sd for p in prior],
+        highest=HIGHEST[row],
+        trend=False,
+    )
+
+
+def _responses(
+    row: str, model: Model, dataset: Dataset, flights: Sequence[Measured], dt: Sequence[float]
+) -> tuple[list[Tensor], str, str]:
+    """The measured response of a row without its known part, what is regressed ("value", "derivative"), and its channel."""
+    if row in FLAPPING:
+        return (
+            [f.signals[row] for f in flights],
+            "value" if isinstance(model.effect("rotor"), AlgebraicFlapping) else "derivative",
+            row,
+        )
+    axis = (*FORCES, *MOMENTS).index(row)
+    if row in MOMENTS:
+        rates = [torch.stack([f.signals[n] for n in RATES], -1) for f in flights]
+        own = [f.known[:, axis] for f in flights]
+        if model.body.inertia is not None:
+            own = [k + gyroscopic(r, model.inertia)[:, axis - 3] for k, r in zip(own, rates, strict=True)]
+        return (
+            [r[:, axis - 3] - integral(k, h) for r, k, h in zip(rates, own, dt, strict=True)],
+            "derivative",
+            RATES[axis - 3],
+        )
+    if have(dataset, SPECIFIC_FORCES):
+        channel = SPECIFIC_FORCES[axis]
+        at_imu = [dataset.flights[n].bridged([channel])[:, 0] for n in dataset.identify]
+        return (
+            [a - _lever(model, f)[:, axis] - f.known[:, axis] for a, f in zip(at_imu, flights, strict=True)],
+            "value",
+            channel,
+        )
+    return (
+        [_velocity_response(model, f, axis, h) for f, h in zip(flights, dt, strict=True)],
+        "derivative",
+        VELOCITIES[axis],
+    )
+
+
+def _lever(model: Model, flight: Measured) -> Tensor:
+    """What an IMU off the centre of gravity adds to the specific force, (T, 3)."""
+    rates = torch.stack([flight.signals[n] for n in RATES], -1)
+    angular = flight.specific[:, 3:] + (gyroscopic(rates, model.inertia) if model.body.inertia is not None else 0.0)
+    return cross(angular, model.imu) + cross(rates, cross(rates, model.imu))
+
+
+def _velocity_response(model: Model, flight: Measured, axis: int, dt: float) -> Tensor:
+    """Velocity minus the integral of gravity, rotation of the axes and the known force: its rate is the linear force."""
+    velocity, rates, attitude = (torch.stack([flight.signals[n] for n in g], -1) for g in (VELOCITIES, RATES, ATTITUDE))
+    other = gravity_in_body(attitude, model.body.gravity) - cross(rates, velocity) + flight.known[:, :3]
+    return velocity[:, axis] - integral(other[:, axis], dt)
+
+
+def integral(signal: Tensor, dt: float) -> Tensor:
+    """Trapezoidal integral from the first sample, (T,)."""
+    steps = 0.5 * dt * (signal[1:] + signal[:-1])
+    return torch.cat([torch.zeros_like(signal[:1]), steps.cumsum(0)])

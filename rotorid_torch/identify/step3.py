@@ -1,0 +1,88 @@
+"""Step 3 on the model: output error over all identify flights, every parameter free within its bounds and prior."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.identify.ml import Fit, Settings, fit
+from rotorid_torch.identify.reconstruct import Reconstruction
+from rotorid_torch.identify.segments import Records, records_from
+from rotorid_torch.identify.step2 import Step2, measured
+from rotorid_torch.identify.system import System
+from rotorid_torch.model.model import Model
+
+RATE = 50.0
+"""Hz: records are averaged down to no less than this; body, flapping and inflow are slower than a fifth of it."""
+LENGTHS = (2.0, 5.0)
+"""s: segments of the two stages where velocities make the vehicle's slow, often unstable modes part of the model."""
+
+
+@dataclass(frozen=True)
+class Step3:
+    """The fit, and which parameters of the model it estimated (in the order of its theta)."""
+
+    fit: Fit
+    names: tuple[str, ...]
+
+
+def estimate_model(
+    model: Model,
+    dataset: Dataset,
+    reconstruction: Reconstruction,
+    start: Step2,
+    monitor: Callable[[int, float, Tensor], None] | None = None,
+) -> Step3:
+    """Maximum likelihood from step 2's values, which only start it; the model's theta is set to the estimate."""
+    with torch.no_grad():
+        model.theta.copy_(start.theta)
+    names = model.parameter_set.free
+    system = System(model, names)
+    places = [model.parameter_set.index(n) for n in names]
+    settings = Settings(
+        floor=_noise(model, dataset),
+        lengths=LENGTHS if "u" in model.body.states else None,
+        prior_mean=model.parameter_set.values[places],
+        prior_sd=model.parameter_set.prior_sd[places],
+    )
+    found = fit(system, records(model, dataset, reconstruction), settings=settings, monitor=monitor)
+    with torch.no_grad():
+        model.theta[places] = found.theta
+    return Step3(found, names)
+
+
+def _noise(model: Model, dataset: Dataset) -> Tensor:
+    """Sensor noise of the outputs after averaging, [ny]."""
+    every = max(1, int(1.0 / (dataset.flights[dataset.identify[0]].dt * RATE)))
+    return torch.tensor([dataset.noise(c) for c in model.body.outputs], dtype=torch.float64) / math.sqrt(every)
+
+
+def records(model: Model, dataset: Dataset, reconstruction: Reconstruction) -> Records:
+    """The identify flights as one batch: measured outputs, and smoothed states to start segments from."""
+    flights = []
+    for name in dataset.identify:
+        flight, step1 = dataset.flights[name], reconstruction.flights[name]
+        every = max(1, int(1.0 / (flight.dt * RATE)))
+        signals = measured(model, dataset, reconstruction, name).signals
+        unknown = torch.full_like(flight.time, math.nan)
+        states = [step1.channels.get(n, signals.get(n, unknown)) for n in model.layout.names]
+        flights.append(
+            {
+                "time": averaged(flight.time, every),
+                "controls": averaged(flight.bridged(model.body.controls), every),
+                "outputs": averaged(flight.stack(model.body.outputs), every),
+                "states": averaged(torch.stack(states, dim=-1), every),
+            }
+        )
+    return records_from(flights)
+
+
+def averaged(record: Tensor, every: int) -> Tensor:
+    """Means over `every` samples of a record (T, ...), all channels alike; a missing sample counts for nothing."""
+    whole = len(record) // every * every
+    return record[:whole].unflatten(0, (-1, every)).nanmean(dim=1)

@@ -1,0 +1,181 @@
+"""Which model the data support: states, equations, regressors, lag of the flapping; before anything is fitted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import msgspec
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.names import ATTITUDES, FLAPPING, FORCES, MOMENTS, RATES, SPECIFIC_FORCES, VELOCITIES
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.flight import Flight
+from rotorid_torch.effects.spec import FlappingKind, ModelSpec, RotorSpec
+from rotorid_torch.identify.reconstruct import Reconstruction
+from rotorid_torch.model.inflow import INDUCED, trim_velocity
+from rotorid_torch.model.nominal import thrust
+
+ATTITUDE = ATTITUDES[:2]
+OUTPUTS = (*VELOCITIES, *RATES, *ATTITUDE, *SPECIFIC_FORCES, *FLAPPING)
+LAGS = (0, 1, 2, 3, 4, 6, 8, 11, 16, 24, 32)
+"""Samples of first-order lag that are tried between flapping and what drives it."""
+ALGEBRAIC = 2
+"""Flapping that lags its drivers by no more samples than this is algebraic."""
+FLAP_TIME = 0.1
+"""s: usual time in which flapping follows; scales the prior of the flapping rates only."""
+
+
+def have(dataset: Dataset, names: Sequence[str]) -> bool:
+    """Whether all identify flights have all these channels."""
+    return all(dataset.flights[f].has(*names) for f in dataset.identify)
+
+
+def propose(dataset: Dataset, reconstruction: Reconstruction, effects: Sequence[str] = ()) -> ModelSpec:
+    """The nominal structure for a data set: what is measured and declared decides, nothing is tuned.
+
+    Velocities are states where they and the attitude are measured; forces have equations where velocities or all
+    specific forces are; flapping is first order, or algebraic where it follows its drivers without lag; the induced
+    velocity is a state where the rotor is declared.
+    """
+    moving = have(dataset, (*VELOCITIES, *ATTITUDE))
+    rotor = _rotor(dataset) if moving else None
+    inflow = rotor is not None and dataset.vehicle.mass is not None and dataset.vehicle.inertia is not None
+    states = [*(VELOCITIES if moving else ()), *RATES, *(ATTITUDE if have(dataset, ATTITUDE) else ())]
+    drivers = (*(VELOCITIES if moving else ()), *RATES, *dataset.controls)
+    flapping = _flapping_kind(dataset, drivers) if moving else "none"
+    vehicle = dataset.vehicle
+    spec = ModelSpec(
+        states=tuple(states),
+        controls=dataset.controls,
+        outputs=tuple(c for c in OUTPUTS if _predicted(c, states, flapping, dataset)),
+        reference={k: v for k, v in dataset.reference().items() if math.isfinite(v)},
+        sizes=_sizes(dataset, reconstruction, flapping),
+        ranges=_ranges(dataset),
+        patterns={},
+        control_units={c: dataset.control_specs[c].unit for c in dataset.controls},
+        flapping=flapping,
+        inflow=inflow,
+        gravity=vehicle.gravity,
+        air_density=vehicle.air_density,
+        mass=vehicle.mass,
+        inertia=None if vehicle.inertia is None else tuple(tuple(map(float, row)) for row in vehicle.inertia),
+        hub=None if vehicle.hub is None else _triple(vehicle.hub),
+        imu=(0.0, 0.0, 0.0) if vehicle.imu is None else _triple(vehicle.imu),
+        rotor=rotor,
+        effects=tuple(effects),
+    )
+    return _with_patterns(spec, drivers)
+
+
+def _with_patterns(spec: ModelSpec, drivers: Sequence[str]) -> ModelSpec:
+    lagged = spec.flapping == "first order"
+    columns = (*drivers, *(FLAPPING if lagged else ()), *((INDUCED,) if spec.inflow else ()))
+    forces = FORCES if "u" in spec.states or "ax" in spec.outputs else ()
+    patterns = dict.fromkeys((*forces, *MOMENTS), columns)
+    if spec.flapping != "none":
+        patterns |= dict.fromkeys(FLAPPING, columns)
+    reference = dict(spec.reference)
+    if spec.inflow:
+        assert spec.rotor is not None
+        assert spec.mass is not None
+        reference[INDUCED] = trim_velocity(spec.rotor, spec.air_density, spec.mass, reference, thrust(spec))
+    reference |= _trims(spec, forces)
+    sizes = spec.sizes | ({INDUCED: 0.1 * reference[INDUCED]} if spec.inflow else {})
+    return msgspec.structs.replace(spec, patterns=patterns, reference=reference, sizes=sizes)
+
+
+def _trims(spec: ModelSpec, forces: Sequence[str]) -> dict[str, float]:
+    """Trim values of the rows by balance with gravity at the reference; flapping at its reference."""
+    phi, theta = spec.reference.get("phi", 0.0), spec.reference.get("theta", 0.0)
+    weight = (-math.sin(theta), math.cos(theta) * math.sin(phi), math.cos(theta) * math.cos(phi))
+    trims = {f"{row}.trim": -spec.gravity * g for row, g in zip(FORCES, weight, strict=True) if row in forces}
+    if spec.flapping == "algebraic":
+        trims |= {f"{row}.trim": spec.reference[row] for row in FLAPPING}
+    return trims
+
+
+def _predicted(channel: str, states: Sequence[str], flapping: FlappingKind, dataset: Dataset) -> bool:
+    """Whether the model predicts a channel that the data set measures."""
+    if not any(dataset.flights[f].has(channel) for f in dataset.identify):
+        return False
+    if channel in SPECIFIC_FORCES:
+        return "u" in states or have(dataset, SPECIFIC_FORCES)
+    return channel in states or (channel in FLAPPING and flapping != "none")
+
+
+def _rotor(dataset: Dataset) -> RotorSpec | None:
+    """The declared rotor, where it is declared far enough to have a thrust."""
+    r = dataset.vehicle.rotor
+    if r is None or dataset.kind != "helicopter" or None in (r.blades, r.radius, r.chord, r.speed):
+        return None
+    wanted: dict[str, Any] = {
+        n: getattr(r, n) for n in ("blades", "radius", "chord", "speed", "hinge_offset", "lock_number")
+    }
+    return RotorSpec(**wanted, direction=r.direction or "ccw")
+
+
+def _triple(values: Sequence[float]) -> tuple[float, float, float]:
+    x, y, z = values
+    return float(x), float(y), float(z)
+
+
+def _flapping_kind(dataset: Dataset, drivers: Sequence[str]) -> FlappingKind:
+    """First order where the cyclic flapping lags its drivers, algebraic where it does not, none where not measured."""
+    if not have(dataset, FLAPPING):
+        return "none"
+    flights = [dataset.flights[f] for f in dataset.identify]
+    misfit = torch.stack([_lagged_misfit(flights, drivers, lag) for lag in LAGS])
+    return "algebraic" if LAGS[int(misfit.argmin())] <= ALGEBRAIC else "first order"
+
+
+def _lagged_misfit(flights: Sequence[Flight], drivers: Sequence[str], lag: int) -> Tensor:
+    """Mean log residual of a1 and b1 regressed on drivers that pass a first-order lag of so many samples."""
+    z = [lagged(f.bridged(drivers), lag) for f in flights]
+    z = [torch.cat([c - c.mean(0), torch.ones_like(c[:, :1])], dim=1) for c in z]
+    y = [f.bridged(FLAPPING[1:]) for f in flights]
+    columns, response = torch.cat(z), torch.cat(y)
+    columns = columns / columns.norm(dim=0).clamp_min(1e-12)
+    rest = response - columns @ torch.linalg.lstsq(columns, response, driver="gelsd").solution
+    return rest.square().mean(0).log().mean()
+
+
+def lagged(signal: Tensor, samples: float) -> Tensor:
+    """A first-order lag of so many samples over a record (T, n), in equilibrium at its start."""
+    if samples <= 0:
+        return signal
+    decay, state, passed = math.exp(-1.0 / samples), signal[0], []
+    for row in signal:
+        state = decay * state + (1.0 - decay) * row
+        passed.append(state)
+    return torch.stack(passed)
+
+
+def _sizes(dataset: Dataset, reconstruction: Reconstruction, flapping: FlappingKind) -> dict[str, float]:
+    """Rms excursion of every signal, and of every row's response, over the identify flights."""
+    reference = dataset.reference()
+    signals = (*VELOCITIES, *RATES, *ATTITUDE, *FLAPPING, *dataset.controls)
+    sizes = {}
+    for name in signals:
+        if have(dataset, (name,)):
+            values = torch.cat([dataset.flights[f].channels[name] for f in dataset.identify])
+            sizes[name] = float((values - reference[name]).square().nanmean().sqrt())
+    loads = torch.cat([reconstruction.flights[f].specific for f in dataset.identify])
+    for row, column in zip((*FORCES, *MOMENTS), (loads - loads.nanmean(0)).T, strict=True):
+        sizes[f"row.{row}"] = float(column.square().nanmean().sqrt().nan_to_num(1.0))
+    for row in FLAPPING:
+        if row in sizes:
+            sizes[f"row.{row}"] = sizes[row] / (FLAP_TIME if flapping == "first order" else 1.0)
+    return sizes
+
+
+def _ranges(dataset: Dataset) -> dict[str, tuple[float, float]]:
+    """Smallest and largest value of every signal in the identify flights."""
+    found: Mapping[str, list[Tensor]] = {n: [] for n in (*VELOCITIES, *RATES, *ATTITUDE, *dataset.controls)}
+    for flight in (dataset.flights[f] for f in dataset.identify):
+        for name, values in found.items():
+            if flight.has(name):
+                values.append(flight.channels[name][~flight.channels[name].isnan()])
+    return {n: (float(torch.cat(v).min()), float(torch.cat(v).max())) for n, v in found.items() if v}

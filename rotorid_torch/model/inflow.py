@@ -1,0 +1,93 @@
+"""Uniform inflow of the main rotor by momentum theory: one state, the induced velocity, that follows the thrust."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.core.state import State
+from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
+from rotorid_torch.effects.spec import RotorSpec
+
+INDUCED = "vi"
+APPARENT_MASS = 8.0 / (3.0 * math.pi)
+ITERATIONS = 4
+
+
+def induced_velocity(thrust: Tensor, u: Tensor, v: Tensor, w: Tensor) -> Tensor:
+    """Induced velocity by momentum theory, m/s.
+
+    Solves vi sqrt(u^2 + v^2 + (vi - w)^2) = thrust, with thrust = T/(2 rho A) in m2/s2 (w is positive down, so the disc
+    sinks into its own wake). Newton's iteration, a fixed number of steps from the level-flight solution.
+
+    Source: Glauert (1926); Padfield, Helicopter Flight Dynamics, eq. 3.118 ff.
+    """
+    level = 0.5 * (u * u + v * v)
+    # the thrust enters by its size: a free run that has gone astray must not end in NaN
+    vi = torch.sqrt(torch.sqrt(level * level + thrust * thrust) - level + 1e-12)
+    for _ in range(ITERATIONS):
+        axial = vi - w
+        speed = torch.sqrt(2.0 * level + axial * axial + 1e-12)
+        vi = vi - (vi * speed - thrust) / (speed + (vi * axial).abs() / speed)
+    return vi
+
+
+def trim_velocity(
+    rotor: RotorSpec, air_density: float, mass: float, reference: dict[str, float], thrust: float
+) -> float:
+    """Induced velocity at the reference, m/s, for a specific thrust, m/s2."""
+    disc = mass / (2.0 * air_density * torch.pi * rotor.radius**2)
+    at = (disc * thrust, *(reference[n] for n in ("u", "v", "w")))
+    return float(induced_velocity(*(torch.tensor(a, dtype=torch.float64) for a in at)))
+
+
+class Inflow(Effect):
+    """Induced velocity vi as a state, and the torque of induced power beyond its tangent.
+
+    tau dvi/dt = vi(T, u, v, w) - vi, with the thrust T of the present force and vi(...) of momentum theory. The
+    derivatives by vi in forces, moments and flapping are parameters of those equations. The rotor's torque adds
+    s N (T - T0) [(vi - vi0) - (w - w0)]/Omega to the yawing moment, s = +1 for counter-clockwise seen from above.
+
+    Source: Pitt and Peters, Vertica 5 (1981), uniform state; Padfield, Helicopter Flight Dynamics, sec. 3.2 (torque).
+    """
+
+    id, stage, role = "inflow", Stage.FORCES, Role.NOMINAL
+
+    def __init__(
+        self,
+        rotor: RotorSpec,
+        air_density: float,
+        mass: float,
+        inertia: Tensor,
+        reference: dict[str, float],
+        thrust: float,
+    ) -> None:
+        area = torch.pi * rotor.radius**2
+        disc = mass / (2.0 * air_density * area)
+        trim = reference[INDUCED]
+        # momentum theory with the apparent mass of a disc: tau = (8/(3 pi)) R / (2 V_m), V_m the flow through the disc
+        flow = math.hypot(reference["u"], reference["v"], trim - reference["w"]) + trim
+        tau = min(max(APPARENT_MASS * rotor.radius / (2.0 * flow), 0.03), 0.4)
+        super().__init__(
+            (
+                Parameter("tau", tau, "s", (0.02, 0.6), tau, doc="time constant of the induced velocity"),
+                Parameter("N", 1.0, "1", (-3.0, 5.0), 0.5, doc="share of induced power's torque beyond the tangent"),
+            ),
+            (State(INDUCED, "m/s", "induced velocity"),),
+        )
+        self.disc, self.trim, self.thrust, self.w = disc, trim, thrust, reference["w"]
+        self.torque = rotor.spin * mass / rotor.speed
+        self.about_z: Tensor
+        self.register_buffer("about_z", torch.linalg.inv(inertia)[:, 2])
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Adds the torque; the state's rate from the thrust of the frame's force."""
+        assert frame.force is not None
+        thrust, vi = -frame.force[..., 2], x[..., 0]
+        u, v, w = (frame.signals[n] for n in ("u", "v", "w"))
+        torque = self.torque * (thrust - self.thrust) * ((vi - self.trim) - (w - self.w))
+        rate = (induced_velocity(self.disc * thrust, u, v, w) - vi) / p["tau"]
+        return frame.add(None, (p["N"] * torque).unsqueeze(-1) * self.about_z), rate.unsqueeze(-1)

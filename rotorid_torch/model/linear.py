@@ -1,0 +1,53 @@
+"""A block of equations linear in their regressors: trim value plus derivatives, each a named parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor, nn
+
+from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.effects.base import Values
+
+
+class LinearBlock(nn.Module):
+    """rows = trim + D z, with z the perturbations of `columns` from the reference; D has entries only where declared.
+
+    Parameters
+    ----------
+    rows : names of the equations.
+    columns : names of all regressors, in the order of z.
+    pattern : for each row the regressors that it has.
+    declare : maps (row, column or "trim") to the Parameter, whose name is "row.column".
+    """
+
+    index: Tensor
+    trims: Tensor
+
+    def __init__(
+        self,
+        rows: Sequence[str],
+        columns: Sequence[str],
+        pattern: Mapping[str, Sequence[str]],
+        declared: Sequence[Parameter],
+    ) -> None:
+        super().__init__()
+        self.rows, self.columns = tuple(rows), tuple(columns)
+        self.declared = tuple(declared)
+        places = {p.name: i for i, p in enumerate(self.declared)}
+        absent = len(self.declared)  # a zero is appended there
+        index = [[places[f"{r}.{c}"] if c in pattern[r] else absent for c in self.columns] for r in self.rows]
+        self.register_buffer("index", torch.tensor(index, dtype=torch.int64))
+        self.register_buffer("trims", torch.tensor([places[f"{r}.trim"] for r in self.rows], dtype=torch.int64))
+
+    def matrix(self, p: Values) -> Tensor:
+        """D [..., rows, columns]."""
+        return torch.cat([p.vector, torch.zeros_like(p.vector[..., :1])], dim=-1)[..., self.index]
+
+    def forward(self, z: Tensor, p: Values) -> Tensor:
+        """Values of the rows [..., rows] at perturbations z [..., columns]."""
+        matrix, trim = self.matrix(p), p.vector[..., self.trims]
+        if matrix.dim() == 2:
+            return trim + z @ matrix.mT
+        return trim + (matrix @ z.unsqueeze(-1)).squeeze(-1)

@@ -1,0 +1,150 @@
+"""The identification model: body equations and an ordered chain of effects, with one flat parameter vector."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor, nn
+
+from rotorid_torch.core.names import ATTITUDES, RATES, SPECIFIC_FORCES, VELOCITIES
+from rotorid_torch.core.parameters import ParameterSet
+from rotorid_torch.core.rigid import euler_rates, gyroscopic, specific_force_at, vec, velocity_rates
+from rotorid_torch.core.state import State, StateLayout
+from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
+
+ATTITUDE = ATTITUDES[:2]
+ANGULAR_ACCELERATIONS = ("pdot", "qdot", "rdot")
+BODY_UNITS = dict.fromkeys(VELOCITIES, "m/s") | dict.fromkeys(RATES, "rad/s") | dict.fromkeys(ATTITUDE, "rad")
+
+
+@dataclass(frozen=True)
+class Body:
+    """What the body equations need: which states exist, gravity, inertia (None: gyroscopic terms left out), IMU place."""
+
+    states: tuple[str, ...]
+    controls: tuple[str, ...]
+    outputs: tuple[str, ...]
+    gravity: float = 9.80665
+    inertia: tuple[tuple[float, ...], ...] | None = None
+    imu: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+class Model(nn.Module):
+    """Body states and the effects' states in one flat vector; rates, outputs and the control record through the chain.
+
+    `forward(t, x, u)` gives dx/dt [..., nx] and `output(x, u)` the channels `outputs` [..., ny]; leading dimensions
+    broadcast, also against a theta [..., P] handed to `rates` and `outputs_at`.
+    """
+
+    def __init__(self, body: Body, effects: Sequence[Effect], reference: Mapping[str, float]) -> None:
+        super().__init__()
+        self.body, self.reference = body, dict(reference)
+        self.effects = nn.ModuleList(sorted(effects, key=lambda e: e.stage))
+        declared = [replace(p, name=f"{e.id}.{p.name}") for e in self.chain for p in e.declared]
+        self.parameter_set = ParameterSet(tuple(declared))
+        self.theta = nn.Parameter(self.parameter_set.values)
+        own = [replace(s, name=_state_name(e, s)) for e in self.chain for s in e.states]
+        self.layout = StateLayout(tuple([State(n, BODY_UNITS[n]) for n in body.states] + own))
+        inertia = (
+            torch.eye(3, dtype=torch.float64)
+            if body.inertia is None
+            else torch.tensor(body.inertia, dtype=torch.float64)
+        )
+        self.register_buffer("inertia", inertia)
+        self.register_buffer("imu", torch.tensor(body.imu, dtype=torch.float64))
+        self._slices = self._places()
+
+    inertia: Tensor
+    imu: Tensor
+
+    @property
+    def chain(self) -> list[Effect]:
+        """The effects in the order of their stages."""
+        return [e for e in self.effects if isinstance(e, Effect)]
+
+    def effect(self, name: str) -> Effect | None:
+        """The effect of this id, or None."""
+        return next((e for e in self.chain if e.id == name), None)
+
+    def _places(self) -> list[tuple[slice, slice]]:
+        parameter, state, places = 0, len(self.body.states), []
+        for e in self.chain:
+            places.append((slice(parameter, parameter + len(e.declared)), slice(state, state + len(e.states))))
+            parameter, state = parameter + len(e.declared), state + len(e.states)
+        return places
+
+    def values(self, theta: Tensor, k: int) -> Values:
+        """Slice of theta that belongs to the k-th effect of the chain."""
+        return Values(theta[..., self._slices[k][0]], tuple(p.name for p in self.chain[k].declared))
+
+    def frame(self, theta: Tensor, x: Tensor, u: Tensor) -> tuple[Frame, Tensor]:
+        """The frame after all stages, and the rates of the effects' own states [..., nx - nbody]."""
+        n = len(self.body.states)
+        signals = dict(zip(self.body.states, x[..., :n].unbind(-1), strict=True))
+        signals.update(zip(self.layout.names[n:], x[..., n:].unbind(-1), strict=True))
+        signals.update(zip(self.body.controls, u.unbind(-1), strict=True))
+        frame, rates = Frame(signals), []
+        for k, effect in enumerate(self.chain):
+            if effect.stage is Stage.CONTROL:
+                continue
+            frame, own = effect(frame, x[..., self._slices[k][1]], self.values(theta, k))
+            if effect.states:
+                rates.append(own)
+        return frame, torch.cat(rates, -1) if rates else x[..., :0]
+
+    def rates(self, theta: Tensor, x: Tensor, u: Tensor) -> Tensor:
+        """dx/dt [..., nx] at parameters theta [..., P], states x [..., nx], controls u [..., nu]."""
+        frame, own = self.frame(theta, x, u)
+        return torch.cat([*self._body_rates(frame, x), own], dim=-1)
+
+    def _angular(self, frame: Frame, rates: Tensor) -> Tensor:
+        assert frame.moment is not None
+        return frame.moment if self.body.inertia is None else frame.moment + gyroscopic(rates, self.inertia)
+
+    def _body_rates(self, frame: Frame, x: Tensor) -> list[Tensor]:
+        has, pick = self.layout.has, self.layout.pick
+        rates = pick(x, *RATES)
+        parts = []
+        if has(*VELOCITIES):
+            assert frame.force is not None
+            parts.append(
+                velocity_rates(pick(x, *VELOCITIES), rates, pick(x, *ATTITUDE), frame.force, self.body.gravity)
+            )
+        parts.append(self._angular(frame, rates))
+        if has(*ATTITUDE):
+            parts.append(euler_rates(rates, pick(x, *ATTITUDE))[..., :2])
+        return parts
+
+    def outputs_at(self, theta: Tensor, x: Tensor, u: Tensor) -> Tensor:
+        """Channels `body.outputs` [..., ny] at parameters theta [..., P]."""
+        frame, _ = self.frame(theta, x, u)
+        signals = dict(frame.signals)
+        rates = self.layout.pick(x, *RATES)
+        angular = self._angular(frame, rates)
+        signals.update(zip(ANGULAR_ACCELERATIONS, angular.unbind(-1), strict=True))
+        if frame.force is not None:
+            force = specific_force_at(self.imu, frame.force, rates, angular)
+            signals.update(zip(SPECIFIC_FORCES, force.unbind(-1), strict=True))
+        return vec(*(signals[n] for n in self.body.outputs))
+
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Tensor:
+        """dx/dt [..., nx] with the model's own theta."""
+        return self.rates(self.theta, x, u)
+
+    def output(self, x: Tensor, u: Tensor) -> Tensor:
+        """Channels `body.outputs` [..., ny] with the model's own theta."""
+        return self.outputs_at(self.theta, x, u)
+
+    def tape(self, controls: Tensor, dt: float) -> Tensor:
+        """The control record [..., T, nu] as it reaches the rotor: control-path effects, once over the whole record."""
+        for k, effect in enumerate(self.chain):
+            if effect.stage is Stage.CONTROL:
+                controls = effect.tape(controls, self.body.controls, dt, self.values(self.theta, k))
+        return controls
+
+
+def _state_name(effect: Effect, state: State) -> str:
+    """The nominal model's states are signals of their own name (a0, vi); other effects' carry the effect's id."""
+    return state.name if effect.role is Role.NOMINAL else f"{effect.id}.{state.name}"

@@ -1,0 +1,62 @@
+"""Modes of the model linearised at its reference, with the field's names for them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.names import FLAPPING
+from rotorid_torch.model.inflow import INDUCED
+from rotorid_torch.model.model import Model
+
+LONGITUDINAL, LATERAL = ("u", "w", "q", "theta"), ("v", "p", "r", "phi")
+
+
+@dataclass(frozen=True)
+class Mode:
+    """An eigenvalue, 1/s, and what the field calls such a motion; of a complex pair the one with positive frequency."""
+
+    eigenvalue: complex
+    name: str
+
+
+def reference_point(model: Model) -> tuple[Tensor, Tensor]:
+    """State [nx] and controls [nu] at the model's reference; what it does not know is zero."""
+    at = lambda names: torch.tensor([model.reference.get(n, 0.0) for n in names], dtype=torch.float64)  # noqa: E731
+    return at(model.layout.names), at(model.body.controls)
+
+
+def state_matrix(model: Model) -> Tensor:
+    """A [nx, nx] of dx/dt = A (x - x0) at the reference."""
+    x, u = reference_point(model)
+    theta = model.theta.detach()
+    return torch.func.jacfwd(lambda a: model.rates(theta, a, u))(x)
+
+
+def modes(model: Model, sizes: dict[str, float]) -> list[Mode]:
+    """All modes, slowest first; eigenvectors are weighed in units of the states' usual excursions `sizes`."""
+    scale = torch.tensor([max(sizes.get(n, 1.0), 1e-9) for n in model.layout.names], dtype=torch.float64)
+    values, vectors = torch.linalg.eig(state_matrix(model) * scale / scale[:, None])
+    left = torch.linalg.pinv(vectors)
+    share = (vectors * left.mT).abs()  # participation of state i in mode k
+    found = [
+        Mode(complex(v), _name(complex(v), dict(zip(model.layout.names, share[:, k].tolist(), strict=True))))
+        for k, v in enumerate(values)
+    ]
+    return sorted((m for m in found if m.eigenvalue.imag >= 0.0), key=lambda m: abs(m.eigenvalue))
+
+
+def _name(value: complex, share: dict[str, float]) -> str:
+    most = max(share, key=lambda n: share[n])
+    if most in FLAPPING or most not in (*LONGITUDINAL, *LATERAL):
+        return "flapping" if most in FLAPPING else "inflow" if most == INDUCED else most
+    total = lambda names: sum(share.get(n, 0.0) for n in names)  # noqa: E731
+    lateral = total(LATERAL) > total(LONGITUDINAL)
+    if abs(value.imag) > 1e-6 * (1.0 + abs(value)):
+        if most in ("p", "q") and value.real < -0.5 * abs(value):
+            return "roll and pitch subsidence"
+        return "lateral oscillation" if lateral else "phugoid"
+    named = {"p": "roll subsidence", "q": "pitch subsidence", "w": "heave subsidence", "r": "yaw subsidence"}
+    return named.get(most, "spiral" if lateral else "speed")

@@ -1,0 +1,118 @@
+"""The nominal model of a vehicle: which equations its data support, and the physics its declaration gives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+
+from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES, VELOCITIES
+from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.effects.base import Effect
+from rotorid_torch.effects.registry import make
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.model.flapping import AlgebraicFlapping, Flapping, reference_vector
+from rotorid_torch.model.forces import LinearForces, TailRotor, ThrustTilt
+from rotorid_torch.model.inflow import INDUCED, Inflow
+from rotorid_torch.model.linear import LinearBlock
+from rotorid_torch.model.model import Body, Model
+
+PRIOR_SPAN = 5.0
+"""A derivative times its regressor's rms excursion may reach this many times its row's rms before the prior objects."""
+TRIM_SPAN = 5.0
+UNITS = {"X": "m/s2", "Y": "m/s2", "Z": "m/s2", "L": "rad/s2", "M": "rad/s2", "N": "rad/s2"}
+SIGNAL_UNITS = (
+    dict.fromkeys((*VELOCITIES, INDUCED), "m/s") | dict.fromkeys(RATES, "rad/s") | dict.fromkeys(FLAPPING, "rad")
+)
+
+
+def rows(spec: ModelSpec) -> tuple[str, ...]:
+    """Force and moment equations that the model has: X Y Z where forces show in the data, L M N always."""
+    return tuple(r for r in (*FORCES, *MOMENTS) if r in spec.patterns)
+
+
+def build(spec: ModelSpec) -> Model:
+    """The model of a spec; KeyError where an effect's id is unknown."""
+    body = Body(spec.states, spec.controls, spec.outputs, spec.gravity, spec.inertia, spec.imu)
+    effects = [*_rotor(spec), _forces(spec), *_physics(spec), *(make(name, spec) for name in spec.effects)]
+    return Model(body, effects, spec.reference)
+
+
+def thrust(spec: ModelSpec) -> float:
+    """Specific force upwards at the reference, m/s2."""
+    return spec.gravity * math.cos(spec.reference.get("phi", 0.0)) * math.cos(spec.reference.get("theta", 0.0))
+
+
+def _rotor(spec: ModelSpec) -> list[Effect]:
+    if spec.flapping == "none":
+        return []
+    lagged = spec.flapping == "first order"
+    block = _block(spec, FLAPPING, "rad/s" if lagged else "rad")
+    reference = reference_vector(block.columns, spec.reference)
+    return [Flapping(block, reference) if lagged else AlgebraicFlapping(block, reference)]
+
+
+def _forces(spec: ModelSpec) -> LinearForces:
+    block = _block(spec, rows(spec), "")
+    return LinearForces(block, reference_vector(block.columns, spec.reference))
+
+
+def _block(spec: ModelSpec, names: Sequence[str], unit: str) -> LinearBlock:
+    present = {c for r in names for c in spec.patterns[r]}
+    columns = [c for c in (*VELOCITIES, *RATES, *FLAPPING, *spec.controls, INDUCED) if c in present]
+    declared = [p for r in names for p in _row(spec, r, UNITS.get(r, unit))]
+    return LinearBlock(names, columns, spec.patterns, declared)
+
+
+def _row(spec: ModelSpec, row: str, unit: str) -> list[Parameter]:
+    """Trim and derivatives of one equation, with priors scaled by the excursions of row and regressor."""
+    size = spec.sizes.get(f"row.{row}", 1.0)
+    trim = spec.reference.get(f"{row}.trim", 0.0)
+    made = [Parameter(f"{row}.trim", trim, unit, prior_sd=TRIM_SPAN * size, doc="value at the reference")]
+    for column in spec.patterns[row]:
+        per = SIGNAL_UNITS.get(column) or spec.control_units.get(column, "1")
+        sd = PRIOR_SPAN * size / max(spec.sizes.get(column, 1.0), 1e-12)
+        made.append(Parameter(f"{row}.{column}", 0.0, per_unit(unit, per), prior_sd=sd, doc=f"d{row}/d{column}"))
+    return made
+
+
+def _physics(spec: ModelSpec) -> list[Effect]:
+    """What the declared rotor and vehicle add beyond the tangent; nothing where they are not declared."""
+    rotor, mass, inertia = spec.rotor, spec.mass, spec.inertia
+    if rotor is None or mass is None or inertia is None or "Z" not in spec.patterns or "u" not in spec.states:
+        return []
+    tensor, lift = torch.tensor(inertia, dtype=torch.float64), thrust(spec)
+    made: list[Effect] = []
+    if spec.flapping != "none" and spec.hub is not None:
+        hub = torch.tensor(spec.hub, dtype=torch.float64)
+        made.append(ThrustTilt(hub, mass, tensor, rotor.spin, spec.reference, lift))
+    if spec.inflow:
+        made.append(Inflow(rotor, spec.air_density, mass, tensor, spec.reference, lift))
+    if "ped" in spec.controls:
+        made.append(TailRotor(1.2 * rotor.radius, spec.reference, spec.sizes))
+    return made
+
+
+def per_unit(above: str, below: str) -> str:
+    """Unit of a quotient in the field's form: "1/s" for (rad/s2)/(rad/s), "m/(s2 rad)" for (m/s2)/rad, ..."""
+    top, bottom = _powers(above), _powers(below)
+    powers = {k: top.get(k, 0) - bottom.get(k, 0) for k in ("m", "rad", "kg", "s")}
+    over = " ".join(_power(k, n) for k, n in powers.items() if n > 0) or "1"
+    under = [_power(k, -n) for k, n in powers.items() if n < 0]
+    if not under:
+        return over
+    return f"{over}/{under[0]}" if len(under) == 1 else f"{over}/({' '.join(under)})"
+
+
+def _powers(unit: str) -> dict[str, int]:
+    powers: dict[str, int] = {}
+    for sign, part in zip((1, -1), unit.partition("/")[::2], strict=True):
+        name = part.rstrip("0123456789")
+        if name and name not in ("1", "norm"):
+            powers[name] = sign * int(part[len(name) :] or 1)
+    return powers
+
+
+def _power(name: str, n: int) -> str:
+    return name if n == 1 else f"{name}{n}"
