@@ -93,7 +93,8 @@ class Values:
 class Effect(nn.Module):
     """One piece of physics.
 
-    A subclass sets `id`, `stage`, `role`, declares parameters and states, and writes `forward` or `tape`. Parameter names are local ("drag.x"); the model prefixes them with the id.
+    A subclass sets `id`, `stage`, `role`, declares parameters and states, and writes `forward` or `tape`. Parameter
+    names are local ("drag.x"); the model prefixes them with the id.
     """
 
     id: str = ""

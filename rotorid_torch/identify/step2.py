@@ -88,7 +88,7 @@ def measured(model: Model, dataset: Dataset, reconstruction: Reconstruction, nam
     return Measured(frame.signals, torch.cat([frame.force - specific[:, :3], frame.moment], dim=-1), specific)
 
 
-def _followed(effect: Effect, frame: Frame, values, dt: float) -> Tensor:
+def _followed(effect: Effect, frame: Frame, values: Values, dt: float) -> Tensor:
     """States of an effect [T, n] integrated along measured signals, from rest; implicit in its own state."""
     samples = frame.force.shape[0] if frame.force is not None else 0
     if not effect.states:
@@ -135,7 +135,7 @@ def _equation(
 def _responses(
     row: str, model: Model, dataset: Dataset, flights: Sequence[Measured], dt: Sequence[float]
 ) -> tuple[list[Tensor], str, str]:
-    """The measured response of a row without its known part, what is regressed ("value", "derivative"), and its channel."""
+    """Measured response of a row without its known part, the regression's kind, and the response's channel."""
     if row in FLAPPING:
         return (
             [f.signals[row] for f in flights],
@@ -176,7 +176,7 @@ def _lever(model: Model, flight: Measured) -> Tensor:
 
 
 def _velocity_response(model: Model, flight: Measured, axis: int, dt: float) -> Tensor:
-    """Velocity minus the integral of gravity, rotation of the axes and the known force: its rate is the linear force."""
+    """Velocity without gravity, turning axes and known force, integrated: its rate is the linear force."""
     velocity, rates, attitude = (torch.stack([flight.signals[n] for n in g], -1) for g in (VELOCITIES, RATES, ATTITUDE))
     other = gravity_in_body(attitude, model.body.gravity) - cross(rates, velocity) + flight.known[:, :3]
     return velocity[:, axis] - integral(other[:, axis], dt)

@@ -1,7 +1,7 @@
 """Forces and moments on the body: derivatives about the reference, and declared physics beyond the tangent.
 
-Forces are specific (m/s2, force over mass), moments are angular accelerations (rad/s2, inertia^-1 times moment), so that
-the derivatives exist without mass and inertia and have the textbook units.
+Forces are specific (m/s2, force over mass), moments are angular accelerations (rad/s2, inertia^-1 times moment), so
+that the derivatives exist without mass and inertia and have the textbook units.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class LinearForces(Effect):
 
 
 class ThrustTilt(Effect):
-    """The actual thrust, not the trim thrust, tilts with the disc: beyond the tangent, (T - T0) times the tilt, at the hub.
+    """Actual thrust, not trim thrust, tilts with the disc: beyond the tangent, (T - T0) times the tilt, at the hub.
 
     Specific: X -= x (T - T0)/m (a1 - a1ref), Y += y s (T - T0)/m (b1 - b1ref), s = +1 for a rotor that turns
     counter-clockwise seen from above; moments by the hub's arm, gains l and m. Gains are 1 in the physics.
@@ -80,7 +80,7 @@ class ThrustTilt(Effect):
 
 
 class TailRotor(Effect):
-    """The tail rotor beyond the tangent: pitch times side speed, side speed times its size, pitch squared; in Y, L and N.
+    """Tail rotor beyond the tangent: pitch times side speed, side speed times its size, pitch squared; in Y, L, N.
 
     Side speed at the tail: v - arm r.
 

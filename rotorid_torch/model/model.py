@@ -21,7 +21,7 @@ BODY_UNITS = dict.fromkeys(VELOCITIES, "m/s") | dict.fromkeys(RATES, "rad/s") | 
 
 @dataclass(frozen=True)
 class Body:
-    """What the body equations need: which states exist, gravity, inertia (None: gyroscopic terms left out), IMU place."""
+    """What the body equations need: states, gravity, inertia (None: no gyroscopic terms), place of the IMU."""
 
     states: tuple[str, ...]
     controls: tuple[str, ...]
