@@ -12,7 +12,7 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.identify import gauss_markov as gm
 from rotorid_torch.identify.motion import ACCELERATIONS
-from rotorid_torch.identify.sensor_errors import integral, kinematic_acceleration, without_line
+from rotorid_torch.identify.sensor_errors import integral, kinematic_acceleration, lever_arm, without_line
 
 Array = np.ndarray
 
@@ -140,8 +140,8 @@ def _axes(dataset: Dataset, flight: Flight, bias: Mapping[str, float], lines: Ma
         for rate, dot in zip(RATES, ACCELERATIONS, strict=True)
     ]
     kinematic = flight.has(*VELOCITIES, *RATES, "phi", "theta")
-    known = kinematic_acceleration(dataset, flight) if kinematic else None
-    lever = _lever_arm(dataset, flight)
+    known = kinematic_acceleration(dataset, flight, bias) if kinematic else None
+    lever = lever_arm(dataset, flight)
     pushing = []
     for i, (name, speed) in enumerate(zip(SPECIFIC_FORCES, VELOCITIES, strict=True)):
         if flight.has(name):
@@ -152,16 +152,6 @@ def _axes(dataset: Dataset, flight: Flight, bias: Mapping[str, float], lines: Ma
         else:
             pushing.append(_Record(nothing, False, 1.0))
     return pushing + turning
-
-
-def _lever_arm(dataset: Dataset, flight: Flight) -> Array:
-    """Specific force (T, 3) that an IMU away from the centre of gravity feels by rotation, from smoothed gyros."""
-    imu = dataset.vehicle.imu
-    if imu is None or not any(imu) or not flight.has(*RATES):
-        return np.zeros((flight.samples, 3))
-    omega = gm.smear(flight.bridged(RATES).numpy() + 1e3, flight.dt, 0.03) - 1e3
-    arm = np.array(imu)
-    return np.cross(np.gradient(omega, flight.dt, axis=0), arm) + np.cross(omega, np.cross(omega, arm))
 
 
 def _spread(rows: gm.Rows, axis: Array, seen: Array) -> tuple[Array, Array]:

@@ -13,14 +13,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.names import ATTITUDES, RATES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.identify.force_noise import ForceNoise, find_force_noise
 from rotorid_torch.identify.motion import AXES, Motion, supported
-from rotorid_torch.identify.sensor_errors import kinematic_biases, vibration_lines
+from rotorid_torch.identify.sensor_errors import kinematic_biases, kinematic_disagreement, vibration_lines
 from rotorid_torch.identify.ukf import Filtered, filter_and_smooth
 
 LAGS = 20
 """Lags over which the innovations' autocorrelation is judged."""
+UNSEEN_SD = dict.fromkeys((*RATES, *ATTITUDES), 0.3)
+"""Standard deviation of a first state that no channel sees then, rad and rad/s; 10 m and m/s for the others."""
 WANDER_S = 1.0
 """Time in which a vibration line's amplitude may change by its own size."""
 
@@ -158,18 +161,18 @@ def _filter(
 ) -> Filtered:
     """All flights as one batch; shorter ones end in missing samples."""
     flights = list(dataset.flights.values())
-    samples = max(flight.samples for flight in flights)
-    outputs = torch.full((len(flights), samples, len(motion.outputs)), torch.nan, dtype=torch.float64)
+    inputs = motion.inputs(torch.tensor([flight.samples for flight in flights]))
+    outputs = torch.full((*inputs.shape[:2], len(motion.outputs)), torch.nan, dtype=torch.float64)
     for i, flight in enumerate(flights):
         offset = torch.tensor([biases[i].get(name, 0.0) for name in motion.outputs], dtype=torch.float64)
         outputs[i, : flight.samples] = flight.stack(motion.outputs) - offset
     sensor = torch.tensor([dataset.noise(name) for name in motion.outputs], dtype=torch.float64)
     mean, cov = _prior(motion, outputs, sensor, noise, lines)
-    shape, constant = _noise_shapes(motion, lines)
+    shape, constant = _noise_shapes(motion, lines, kinematic_disagreement(dataset, biases))
     power = torch.as_tensor(noise.power)
 
     def noise_at(k: int) -> Tensor:
-        return torch.einsum("fi,finm->fnm", power[k], shape) + constant
+        return (torch.einsum("fi,finm->fnm", power[k], shape) + constant) * inputs[:, k, -1:, None]
 
     return filter_and_smooth(
         motion.rates,
@@ -177,7 +180,7 @@ def _filter(
         (mean, cov),
         noise_at,
         torch.diag(sensor.square()),
-        motion.phases(samples),
+        inputs,
         outputs,
         1.0,
     )
@@ -192,7 +195,8 @@ def _prior(
 ) -> tuple[Tensor, Tensor]:
     """First sample's state: what the channels say first, with ten times their noise; forces about their trim."""
     mean = torch.zeros(len(outputs), len(motion.states), dtype=torch.float64)
-    sd = torch.full_like(mean, 10.0)
+    unseen = torch.tensor([UNSEEN_SD.get(name, 10.0) for name in motion.states], dtype=torch.float64)
+    sd = unseen.expand_as(mean).clone()
     for j, name in enumerate(motion.states):
         if name in AXES:
             mean[:, j] = motion.trim[:, 0, AXES.index(name)]
@@ -202,13 +206,15 @@ def _prior(
             known = ~outputs[..., i].isnan()
             first = outputs[..., i].gather(-1, known.to(torch.int8).argmax(dim=-1, keepdim=True))[..., 0]
             mean[:, j] = first.nan_to_num(nan=0.0)
-            sd[:, j] = torch.where(known[:, 0], 10.0 * sensor[i], 10.0)
+            sd[:, j] = torch.where(known[:, 0], 10.0 * sensor[i], sd[:, j])
         elif " " in name:
             sd[:, j] = lines[name.split()[0]][1]
     return mean, torch.diag_embed(sd.square())
 
 
-def _noise_shapes(motion: Motion, lines: Mapping[str, tuple[float, float]]) -> tuple[Tensor, Tensor]:
+def _noise_shapes(
+    motion: Motion, lines: Mapping[str, tuple[float, float]], wander: Mapping[str, float]
+) -> tuple[Tensor, Tensor]:
     """Covariance per unit of each axis' power [F, 6, n, n] (the force and the speed it drives), and the lines' own."""
     flights, n = motion.dt.shape[0], len(motion.states)
     dt = motion.dt[:, 0, 0]
@@ -225,6 +231,10 @@ def _noise_shapes(motion: Motion, lines: Mapping[str, tuple[float, float]]) -> t
             s = motion.states.index(driven)
             shape[:, i, s, s] = dt**3 / 3.0
             shape[:, i, s, f] = shape[:, i, f, s] = dt.square() / 2.0
+    for channel, power in wander.items():
+        if channel in motion.states:
+            j = motion.states.index(channel)
+            constant[:, j, j] = power * dt
     for channel, (_, rms) in lines.items():
         first = motion.states.index(f"{channel} cos")
         for j in (first, first + 1):

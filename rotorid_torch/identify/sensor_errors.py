@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+import torch
 
-from rotorid_torch.core.names import RATES, SPECIFIC_FORCES, VELOCITIES
+from rotorid_torch.core import rigid
+from rotorid_torch.core.names import ATTITUDES, POSITIONS, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.vibration import SPAN_HZ, lines, spectrum
+from rotorid_torch.identify.gauss_markov import smear
 
 Array = np.ndarray
 
+WANDER_S = 0.25
+"""Time over which a channel is compared with the integral of its rate."""
+TOLERATED = 1.5
+"""Ratio of seen to expected variance up to which the sensors' noise explains the difference."""
 SIGNIFICANT = 5.0
 """Standard errors beyond which a bias is believed."""
 LINE_OVER_NOISE = 2.0
@@ -29,7 +37,7 @@ def kinematic_biases(dataset: Dataset, flight: Flight) -> dict[str, float]:
     if flight.has("phi", "theta", *RATES):
         found |= _rate_biases(dataset, flight)
         if flight.has(*VELOCITIES):
-            found |= _force_biases(dataset, flight)
+            found |= _force_biases(dataset, flight, found)
     return found
 
 
@@ -63,8 +71,8 @@ def _rate_biases(dataset: Dataset, flight: Flight) -> dict[str, float]:
     }
 
 
-def _force_biases(dataset: Dataset, flight: Flight) -> dict[str, float]:
-    known = kinematic_acceleration(dataset, flight)
+def _force_biases(dataset: Dataset, flight: Flight, rate_biases: Mapping[str, float]) -> dict[str, float]:
+    known = kinematic_acceleration(dataset, flight, rate_biases) - lever_arm(dataset, flight)
     span = flight.dt * (flight.samples - 1)
     tilt = dataset.vehicle.gravity * max(dataset.noise("phi"), dataset.noise("theta")) * math.sqrt(1 / flight.samples)
     found: dict[str, float] = {}
@@ -86,9 +94,10 @@ def _believed(dataset: Dataset, flight: Flight, name: str, value: float, referen
     return dataset.bias(name) == "free" and abs(value) > SIGNIFICANT * error
 
 
-def kinematic_acceleration(dataset: Dataset, flight: Flight) -> Array:
-    """d(u, v, w)/dt less specific force, m/s2 (T, 3), from measured attitude, rates and velocity."""
+def kinematic_acceleration(dataset: Dataset, flight: Flight, bias: Mapping[str, float]) -> Array:
+    """d(u, v, w)/dt less specific force, m/s2 (T, 3), from attitude, velocity and rates less their bias."""
     u, v, w, p, q, r, phi, theta = flight.bridged((*VELOCITIES, *RATES, "phi", "theta")).numpy().T
+    p, q, r = (rate - bias.get(name, 0.0) for rate, name in zip((p, q, r), RATES, strict=True))
     g = dataset.vehicle.gravity
     return np.stack(
         [
@@ -100,9 +109,68 @@ def kinematic_acceleration(dataset: Dataset, flight: Flight) -> Array:
     )
 
 
+def lever_arm(dataset: Dataset, flight: Flight) -> Array:
+    """Specific force (T, 3) that an IMU away from the centre of gravity feels by rotation, from smoothed gyros."""
+    imu = dataset.vehicle.imu
+    if imu is None or not any(imu) or not flight.has(*RATES):
+        return np.zeros((flight.samples, 3))
+    omega = smear(flight.bridged(RATES).numpy() + 1e3, flight.dt, 0.03) - 1e3
+    arm = np.array(imu)
+    return np.cross(np.gradient(omega, flight.dt, axis=0), arm) + np.cross(omega, np.cross(omega, arm))
+
+
 def integral(rate: Array, dt: float) -> Array:
     """Integral over time by the trapezoidal rule, zero at the first sample."""
     return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]))]) * dt
+
+
+def kinematic_disagreement(dataset: Dataset, biases: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Power, unit squared per s, by which attitude, velocity and position wander from their own rates, by channel.
+
+    Clocks that differ, filters and scale errors inside a sensor make measured angles something else than the integral
+    of measured rates. What changes within a quarter of a second beyond the sensors' noise is taken as a random walk,
+    pooled over the identify flights; nothing where the noise explains it.
+    """
+    excess: dict[str, list[tuple[float, float]]] = {}
+    for flight, bias in zip(dataset.flights.values(), biases, strict=True):
+        if flight.name in dataset.identify:
+            for name, (value, rate, rate_noise) in _paths(dataset, flight, bias).items():
+                lag = max(1, round(WANDER_S / flight.dt))
+                gap = value - integral(rate, flight.dt)
+                change = gap[lag:] - gap[:-lag]
+                change = change[~np.isnan(change)]
+                if change.size > lag:
+                    expected = 2.0 * dataset.noise(name) ** 2 + rate_noise**2 * flight.dt * WANDER_S
+                    excess.setdefault(name, []).append((float(change.var()), expected))
+    power = {name: np.mean(pairs, axis=0) for name, pairs in excess.items()}
+    return {n: float(seen - made) / WANDER_S for n, (seen, made) in power.items() if seen > TOLERATED * made}
+
+
+def _paths(dataset: Dataset, flight: Flight, bias: Mapping[str, float]) -> dict[str, tuple[Array, Array, float]]:
+    """Channels with the rate that kinematics gives them from other channels, and that rate's noise."""
+    found: dict[str, tuple[Array, Array, float]] = {}
+    if not flight.has("phi", "theta", *RATES):
+        return found
+    offset = torch.tensor([bias.get(name, 0.0) for name in RATES], dtype=torch.float64)
+    rates, attitude = flight.bridged(RATES) - offset, flight.bridged(ATTITUDES if flight.has("psi") else ATTITUDES[:2])
+    turning = rigid.euler_rates(rates, attitude).numpy()
+    for i, name in enumerate(ATTITUDES[: attitude.shape[-1]]):
+        found[name] = (flight.channels[name].numpy(), turning[:, i], max(dataset.noise(rate) for rate in RATES))
+    if not flight.has(*VELOCITIES):
+        return found
+    velocity, speed = flight.bridged(VELOCITIES), max(dataset.noise(name) for name in VELOCITIES)
+    if "psi" in found:
+        moving = rigid.position_rates(velocity, attitude).numpy()
+        for i, name in enumerate(POSITIONS):
+            if flight.has(name):
+                found[name] = (flight.channels[name].numpy(), moving[:, i], speed)
+    known, lever = kinematic_acceleration(dataset, flight, bias), lever_arm(dataset, flight)
+    tilt = dataset.vehicle.gravity * max(dataset.noise("phi"), dataset.noise("theta"))
+    for i, (name, force) in enumerate(zip(VELOCITIES, SPECIFIC_FORCES, strict=True)):
+        if flight.has(force):
+            pushed = flight.bridged((force,)).numpy()[:, 0] - bias.get(force, 0.0) - lever[:, i]
+            found[name] = (flight.channels[name].numpy(), pushed + known[:, i], math.hypot(dataset.noise(force), tilt))
+    return found
 
 
 def vibration_lines(dataset: Dataset, channels: tuple[str, ...]) -> dict[str, tuple[float, float]]:

@@ -262,8 +262,10 @@ def _scale(cov: Tensor) -> Tensor:
 
 
 def _symmetric(cov: Tensor) -> Tensor:
-    """Rounding of the matrix products taken out, in place."""
-    return cov.add_(cov.mT.clone()).mul_(0.5)
+    """Rounding of the matrix products taken out, in place; piece by piece, to spare memory."""
+    for part in cov.split(256):
+        part.copy_(0.5 * (part + part.mT))
+    return cov
 
 
 def _check(
