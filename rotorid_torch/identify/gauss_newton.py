@@ -17,6 +17,8 @@ from torch import Tensor
 
 FLOOR = 1e-12
 """A column of the whitened Jacobian shorter than this is zero."""
+ROUNDING = 1e-20
+"""Cost over the first cost that is nothing but rounding."""
 NAMED_SHARE = 0.1
 """Share of a direction that cannot be told above which a parameter in it is named."""
 
@@ -125,7 +127,7 @@ def minimise(
             raise ValueError("the start has no finite cost")
         problem, blind = _subproblem(linear, point.theta, lower, upper, free)
         whole = linear.decrease(_bounded_step(problem, 0.0)) + linear.own
-        if whole <= options.tolerance * abs(point.cost) + options.absolute:
+        if whole <= options.tolerance * abs(point.cost) + options.absolute + ROUNDING * abs(history[0]):
             converged, message = True, "converged: the predicted decrease is below the tolerance"
             break
         if iteration >= options.max_iterations:
@@ -154,32 +156,28 @@ def _subproblem(
     gradient = -(A.mT @ b)
     inward = ~(((theta <= lower) & (gradient > 0)) | ((theta >= upper) & (gradient < 0)))
     mask = free & inward & ~zero
-    hold, named = _blind_directions(A, norms, upper - lower, mask)
-    if hold is not None:
-        A, b = torch.cat([A, hold]), torch.cat([b, b.new_zeros(len(hold))])
+    mask, named = _told(A, norms, upper - lower, mask)
     scale = torch.where(zero, torch.ones_like(norms), norms)
     return _Subproblem(Linear(A, b, own), (lower, upper), lower - theta, upper - theta, mask, scale), zero | named
 
 
-def _blind_directions(A: Tensor, norms: Tensor, span: Tensor, mask: Tensor) -> tuple[Tensor | None, Tensor]:
-    """Rows that hold the directions whose standard error exceeds the bounds' range, and the parameters in them.
+def _told(A: Tensor, norms: Tensor, span: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+    """The mask without a parameter for each direction that the data cannot tell, and all parameters in such directions.
 
-    Without finite bounds a direction is blind where it is singular to working precision.
+    A direction cannot be told where its standard error exceeds the bounds' range, without finite bounds where it is
+    singular to working precision. The parameter with the largest part in it is held, the others follow from it.
     """
-    named = torch.zeros_like(mask)
-    if not bool(mask.any()):
-        return None, named
-    size = torch.where(torch.isfinite(span), span, 1e9 / norms)[mask]
-    _, values, rows = torch.linalg.svd(A[:, mask] * size, full_matrices=True)
-    told = torch.zeros(len(size), dtype=A.dtype, device=A.device)
-    told[: len(values)] = values
-    blind = rows[told < 1.0]
-    if len(blind) == 0:
-        return None, named
-    named[mask] = (blind**2).sum(0) > NAMED_SHARE
-    hold = A.new_zeros(len(blind), A.shape[1])
-    hold[:, mask] = max(float(values[0]), 1.0) * blind / size
-    return hold, named
+    mask, named = mask.clone(), torch.zeros_like(mask)
+    size = torch.where(torch.isfinite(span), span, 1e9 / norms)
+    while bool(mask.any()):
+        place = mask.nonzero()[:, 0]
+        _, values, rows = torch.linalg.svd((A * size)[:, mask], full_matrices=True)
+        if len(values) == len(place) and float(values[-1]) >= 1.0:
+            break
+        share = rows[-1] ** 2
+        named[place[share > NAMED_SHARE]] = True
+        mask[place[share.argmax()]] = False
+    return mask, named
 
 
 def _bounded_step(problem: _Subproblem, damping: float) -> Tensor:

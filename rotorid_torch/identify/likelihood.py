@@ -104,18 +104,21 @@ class Locals:
 
     def move(self, step: Tensor, flight: Tensor, share: float) -> tuple[Tensor, Tensor]:
         """Steps of the initial states [S, nx] and of the biases [F, nb], `share` of their own."""
-        nb, nx = self.flight.shape[1], self.segment.shape[1]
-        bias = _back(self.flight, step.expand(len(self.flight), -1), nb, share)
-        known = torch.cat([bias[flight], step.expand(len(flight), -1)], dim=1)
-        return _back(self.segment, known, nx, share), bias
+        return self.carry(step, flight, share * self.segment[:, :, -1], share * self.flight[:, :, -1])
+
+    def carry(self, step: Tensor, flight: Tensor, own: Tensor, own_bias: Tensor) -> tuple[Tensor, Tensor]:
+        """The same for any steps of their own, in units of their standard errors: [S, nx] and [F, nb]."""
+        bias = _back(self.flight, own_bias, step.expand(len(self.flight), -1))
+        return _back(self.segment, own, torch.cat([bias[flight], step.expand(len(flight), -1)], dim=1)), bias
 
     def own(self) -> float:
         """Decrease of the cost by initial states and biases alone."""
         return 0.5 * float(self.segment[:, :, -1].square().sum() + self.flight[:, :, -1].square().sum())
 
 
-def _back(triangles: Tensor, known: Tensor, n: int, share: float) -> Tensor:
-    rest = share * triangles[:, :, -1] - (triangles[:, :, n:-1] @ known.unsqueeze(-1)).squeeze(-1)
+def _back(triangles: Tensor, own: Tensor, known: Tensor) -> Tensor:
+    n = own.shape[1]
+    rest = own - (triangles[:, :, n:-1] @ known.unsqueeze(-1)).squeeze(-1)
     return torch.linalg.solve_triangular(triangles[:, :, :n], rest.unsqueeze(-1), upper=True).squeeze(-1)
 
 
@@ -150,6 +153,7 @@ class Likelihood:
     Parameters
     ----------
     prior_mean, prior_sd : [P] Gaussian prior of the parameters, infinite sd where there is none.
+    states : [F, T, nx] trajectories to start from, NaN where nothing is known.
     x0 : [S, nx] where initial states start from; they are held there where `x0_sd` is None.
     x0_mean, x0_sd : [S, nx] prior of the initial states, infinite sd where there is none.
     bias_sd : [ny] prior about zero of a constant per flight and output: 0 for none, infinite for a free one.
@@ -161,6 +165,7 @@ class Likelihood:
     system: System
     records: Records
     segments: Segments
+    states: Tensor
     noise: Noise
     x0: Tensor
     x0_mean: Tensor
@@ -182,16 +187,22 @@ class Likelihood:
 
     def evaluate(self, theta: Tensor, base: Place | None = None, share: float = 1.0) -> Place:
         """The place at theta: initial states and biases follow from the linear model at `base`."""
-        flights = len(self.records.lengths)
-        x0, bias, run = self.x0, self.x0.new_zeros(flights, len(self.biased)), None
+        x0, bias, run = self.x0, self.x0.new_zeros(len(self.records.lengths), len(self.biased)), None
+        near, transitions = self._guess(), None
         if base is not None and base.locals is not None:
             x0_step, bias_step = base.locals.move(theta - base.theta, self.segments.flight, share)
             x0, bias = base.x0 + (x0_step if self.x0_sd is not None else 0.0), base.bias + bias_step
-            if base.transitions is not None and self.solver == "rk4":
-                run = corrected(self.system, theta, self.records, self.segments, x0, base.run.states, base.transitions)
+            near, transitions = base.run.states, base.transitions
+        if self.solver == "rk4":
+            run = corrected(self.system, theta, self.records, self.segments, x0, near, transitions)
         if run is None:
             run = simulated(self.system, theta, self.records, self.segments, x0, self.solver)
         return self.place(theta, x0, bias, run)
+
+    def _guess(self) -> Tensor:
+        """Trajectories [S, T, nx] to start from: what is known of the states, else the initial ones."""
+        known = self.segments.take(self.states)
+        return torch.where(known.isnan(), self.x0[:, None], known)
 
     def place(self, theta: Tensor, x0: Tensor, bias: Tensor, run: Run) -> Place:
         """What a run says: residual, noise, cost."""

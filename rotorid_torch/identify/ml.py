@@ -236,6 +236,7 @@ class _Stages:
             system=self.system,
             records=self.records,
             segments=segments,
+            states=states,
             noise=Noise(s.noise, _floor(self.records) if s.floor is None else s.floor, s.matrix),
             x0=_guess(x0, self.records, segments),
             x0_mean=given.nan_to_num(0.0),

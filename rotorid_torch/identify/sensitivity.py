@@ -61,12 +61,19 @@ def traced(system: System, theta: Tensor, records: Records, segments: Segments, 
 
 @torch.no_grad()
 def corrected(
-    system: System, theta: Tensor, records: Records, segments: Segments, x0: Tensor, near: Tensor, transitions: Tensor
+    system: System,
+    theta: Tensor,
+    records: Records,
+    segments: Segments,
+    x0: Tensor,
+    near: Tensor,
+    transitions: Tensor | None = None,
 ) -> Run | None:
     """The segments' trajectories from a near one [S, T, nx] by Newton's method over all samples at once.
 
-    `transitions` [T - 1, S, nx, nx] are the steps' derivatives along the near one. The result is that of `simulated`
-    with "rk4" to rounding; None where the corrections do not shrink fast enough.
+    `transitions` [T - 1, S, nx, nx] are the steps' derivatives along the near one, where they are known; else they are
+    taken along each new one. The result is that of `simulated` with "rk4" to rounding; None where the corrections do
+    not shrink fast enough.
 
     Source: Bellen and Zennaro (1989), J. Comput. Appl. Math. 25 (parallel solution of difference equations).
     """
@@ -76,17 +83,18 @@ def corrected(
     inside = segments.inside.mT[1:, :, None]
     size = torch.where(segments.inside.mT[..., None], x.abs(), 0.0).amax(dim=(0, 1)).clamp_min(1e-12)
     times = _times(segments)[:-1]
-    before = torch.inf
+    before, slowest = torch.inf, 2.0 if transitions is None else 0.5
     for _ in range(SWEEPS):
         after = step(lambda t, x, u: system.rates(theta, t, x, u), times, x[:-1], u[:-1], u[1:], segments.dt)
-        change = _carried(transitions, torch.where(inside, after - x[1:], 0.0))
+        along = _transitions(system, theta, times, x[:-1], u, segments.dt) if transitions is None else transitions
+        change = _carried(along, torch.where(inside, after - x[1:], 0.0))
         x[1:] += change
         largest = float((change.abs() / size).max())
         shrinks = largest / before if before < torch.inf else 1.0
         if largest * shrinks < EXACT:
             states = x.transpose(0, 1).contiguous()
             return Run(theta, controls, states, system.output(theta, states, controls))
-        if not (shrinks < 0.5 or before == torch.inf) or not largest < torch.inf:
+        if not largest < torch.inf or (before < torch.inf and not shrinks < slowest):
             return None
         before = largest
     return None
@@ -124,8 +132,8 @@ def sensitivities(system: System, run: Run, records: Records, segments: Segments
     length = max(2, BLOCK_NUMBERS // (len(segments) * nx * width))
     carried = x.new_zeros(len(segments), nx, width)
     carried[:, :, :nx] = torch.eye(nx, dtype=x.dtype)
-    for k in range(0, total, length):
-        end = min(k + length, total)
+    for k in range(0, max(total - 1, 1), length):
+        end = total if k + length >= total - 1 else k + length  # no block of one sample: it has no step
         upto = min(end + 1, total)  # the step out of the block needs the next controls
         slopes = by_tape[segments.flight[:, None], segments.place[:, k:upto]].transpose(0, 1)
         tape = (which, slopes)
@@ -147,17 +155,37 @@ def _steps(
     system: System, theta: Tensor, t: Tensor, x: Tensor, u: Tensor, dt: float, tape: Tape
 ) -> tuple[Tensor, Tensor]:
     """Derivatives of the steps by their start [k, S, nx, nx], by initial state (none) and theta [k, S, nx, nx + P]."""
-    _, stages = step_stages(lambda t, x, u: system.rates(theta, t, x, u), t, x, u[:-1], u[1:], dt)
-    nodes = torch.tensor(NODES, dtype=x.dtype).view(4, 1, 1)
-    controls = u[:-1] + nodes[..., None] * (u[1:] - u[:-1])
-    shape = stages.shape[:-1]
-    flat = (t + dt * nodes).reshape(-1), stages.reshape(-1, x.shape[-1]), controls.reshape(-1, u.shape[-1])
-    by_x, by_u, by_theta = (d.unflatten(0, shape) for d in system.rates_jacobian(theta, *flat))
+    shape, points = _stages(system, theta, t, x, u, dt)
+    by_x, by_u, by_theta = (d.unflatten(0, shape) for d in system.rates_jacobian(theta, *points))
     which, slopes = tape
     if len(which):
+        nodes = torch.tensor(NODES, dtype=x.dtype).view(4, 1, 1)
         by_theta[..., which] += by_u @ (slopes[:-1] + nodes[..., None, None] * (slopes[1:] - slopes[:-1]))
     transitions, inputs = step_jacobian(by_x, by_theta, dt)
     return transitions, torch.nn.functional.pad(inputs, (x.shape[-1], 0))
+
+
+def _stages(
+    system: System, theta: Tensor, t: Tensor, x: Tensor, u: Tensor, dt: float
+) -> tuple[tuple[int, ...], tuple[Tensor, Tensor, Tensor]]:
+    """Times, states and controls of all stages of all steps as a flat list of points, and its shape [4, k, S]."""
+    _, stages = step_stages(lambda t, x, u: system.rates(theta, t, x, u), t, x, u[:-1], u[1:], dt)
+    nodes = torch.tensor(NODES, dtype=x.dtype).view(4, 1, 1)
+    controls = u[:-1] + nodes[..., None] * (u[1:] - u[:-1])
+    flat = (t + dt * nodes).reshape(-1), stages.reshape(-1, x.shape[-1]), controls.reshape(-1, u.shape[-1])
+    return tuple(stages.shape[:-1]), flat
+
+
+def _transitions(system: System, theta: Tensor, t: Tensor, x: Tensor, u: Tensor, dt: float) -> Tensor:
+    """Derivatives of the steps by their start [k, S, nx, nx]."""
+    nx, parts = x.shape[-1], []
+    length = max(1, BLOCK_NUMBERS // (x.shape[1] * nx * nx))
+    for k in range(0, len(x), length):
+        end = min(k + length, len(x))
+        shape, points = _stages(system, theta, t[k:end], x[k:end], u[k : end + 1], dt)
+        by_x = system.state_jacobian(theta, *points).unflatten(0, shape)
+        parts.append(step_jacobian(by_x, by_x[..., :0], dt)[0])
+    return torch.cat(parts)
 
 
 def _outputs(system: System, theta: Tensor, x: Tensor, u: Tensor, path: Tensor, tape: Tape) -> Tensor:

@@ -127,6 +127,10 @@ class System:
         columns = [jvp(lambda th: self.tape(th, controls, dt), (theta,), (seed,))[1] for seed in seeds]
         return which, torch.stack(columns, dim=-1)
 
+    def state_jacobian(self, theta: Tensor, t: Tensor, x: Tensor, u: Tensor) -> Tensor:
+        """Derivatives of the rates by x [n, nx, nx] at n points."""
+        return _by_inputs(lambda x, u: self.rates(theta, t, x, u), x, u)[0]
+
     def rates_jacobian(self, theta: Tensor, t: Tensor, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Derivatives of the rates by x [n, nx, nx], u [n, nx, nu] and theta [n, nx, P] at n points."""
         by_x, by_u = _by_inputs(lambda x, u: self.rates(theta, t, x, u), x, u)
@@ -142,8 +146,8 @@ def _by_inputs(function: Callable[[Tensor, Tensor], Tensor], x: Tensor, u: Tenso
     """Derivatives by x and u of a function that treats its rows apart: one backward pass per output, all at once."""
     value, pull = _pullback(function, x, u)
     seeds = torch.eye(value.shape[-1], dtype=value.dtype, device=value.device)
-    by_x, by_u = vmap(lambda seed: pull(seed.expand_as(value)), out_dims=(1, 1))(seeds)
-    return by_x, by_u
+    by_x, by_u = vmap(lambda seed: pull(seed.expand_as(value)))(seeds)
+    return by_x.movedim(0, 1), by_u.movedim(0, 1)
 
 
 def _pullback(

@@ -11,10 +11,13 @@ from torch import Tensor
 from rotorid_torch.identify.gauss_newton import Linear
 from rotorid_torch.identify.likelihood import Likelihood, Place
 
-SMOOTHING = 2
-"""Spectral lines to each side over which the residuals' spectrum is averaged."""
+SMOOTHING = 20
+"""Spectral lines to each side over which the residuals' spectrum of one segment is averaged; fewer of more segments."""
+LEAST_SMOOTHING = 3
 LEAST_LEFT = 0.1
 """Share of a line that the fit is never believed to have left below."""
+MOST_COLOUR = 0.99
+"""Correlation of successive residuals taken out before averaging, at most."""
 CHANCE = 2.326  # normal quantile of 99 %
 """The jackknife counts where it exceeds the other estimate by more than this quantile of its own scatter."""
 
@@ -118,14 +121,37 @@ def _spectrum(flights: Sequence[_Flight], inverse: Tensor, lines: int) -> Tensor
         for piece in taken:
             left -= torch.fft.rfft(piece, n=lines, dim=0).abs().square().sum(-1)
         left += flight.valid.sum(dim=(0, 1))
-    power, left = _smoothed(power), _smoothed(left)
+    pieces = sum(len(flight.residual) for flight in flights)
+    m = max(LEAST_SMOOTHING, round(SMOOTHING / pieces))
+    filters = _prewhitening(_per_line(_smoothed(power, LEAST_SMOOTHING), _smoothed(left, LEAST_SMOOTHING)), lines)
+    flat = filters[:, :, None] * power * filters[:, None, :].conj()
+    flat = _per_line(_smoothed(flat, m), _smoothed(left, m))
+    return flat / filters[:, :, None] / filters[:, None, :].conj()
+
+
+def _prewhitening(spectrum: Tensor, lines: int) -> Tensor:
+    """Transfer functions [lines, ny] of first-order filters that take most of the colour out of each output.
+
+    Averaging over lines is harmless where the spectrum is flat, not where it is steep.
+
+    Source: Andrews and Monahan (1992), Econometrica 60.
+    """
+    turn = torch.exp(-2j * torch.pi * torch.arange(len(spectrum), dtype=torch.float64) / lines)[:, None]
+    density = spectrum.diagonal(dim1=-2, dim2=-1).real
+    weights = torch.full((len(spectrum), 1), 2.0, dtype=torch.float64)
+    weights[0] = weights[-1] = 1.0
+    lag = (weights * density * turn.real).sum(0) / (weights * density).sum(0).clamp_min(1e-300)
+    return 1.0 - lag.clamp(-MOST_COLOUR, MOST_COLOUR) * turn
+
+
+def _per_line(power: Tensor, left: Tensor) -> Tensor:
     root = torch.maximum(left, LEAST_LEFT * left.amax(dim=0)).clamp_min(1e-9).sqrt()
     return power / root[:, :, None] / root[:, None, :]
 
 
-def _smoothed(lines: Tensor) -> Tensor:
-    """Averaged over neighbouring lines; the spectrum goes on beyond its ends as its own mirror image."""
-    m, n = min(SMOOTHING, len(lines) - 1), len(lines)
+def _smoothed(lines: Tensor, m: int) -> Tensor:
+    """Averaged over m lines to each side; the spectrum goes on beyond its ends as its own mirror image."""
+    m, n = min(m, len(lines) - 1), len(lines)
     wide = torch.cat([lines[1 : m + 1].flip(0).conj(), lines, lines[n - m - 1 : n - 1].flip(0).conj()])
     return torch.stack([wide[k : k + n] for k in range(2 * m + 1)]).mean(dim=0)
 
