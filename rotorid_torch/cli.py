@@ -12,6 +12,7 @@ import signal
 import sys
 import tempfile
 import traceback
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -58,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; `--help` leaves by SystemExit(0), as argparse does."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # read by torch on import; many small steps are fastest on one thread
     try:
-        with _interrupted_by(signal.SIGTERM, signal.SIGHUP):
+        with _interrupted_by(signal.SIGTERM, signal.SIGHUP), _libraries_keep_still():
             options = parser().parse_args(arguments)
             _refuse_missing_device(options.device)
             options.run(options)
@@ -204,8 +205,12 @@ def simulate(options: Options) -> None:
     from rotorid_torch.run import pipeline
 
     span = {"start": options.start, "seconds": options.seconds}
-    pipeline.simulate(options.model, load(options.dataset), options.flight, options.out, **span)
-    _answer(options, {"file": str(options.out)}, f"free run: {options.out}")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        pipeline.simulate(options.model, load(options.dataset), options.flight, options.out, **span)
+    told = [str(warning.message) for warning in caught if warning.category is UserWarning]
+    lines = [f"free run: {options.out}", *(f"warning: {sentence}" for sentence in told)]
+    _answer(options, {"file": str(options.out), "warnings": told}, "\n".join(lines))
 
 
 def effects(options: Options) -> None:
@@ -293,6 +298,14 @@ def _interrupted_by(*signals: signal.Signals) -> Iterator[None]:
     finally:
         for number, handler in earlier.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def _libraries_keep_still() -> Iterator[None]:
+    """Keep Python's warnings off stderr, which is for our own line; a run's monitor still writes them to log.txt."""
+    with warnings.catch_warnings():
+        warnings.showwarning = lambda *told, **more: None
+        yield
 
 
 def _tell(text: str, code: int) -> int:

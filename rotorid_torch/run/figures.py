@@ -47,8 +47,9 @@ class Overlay:
     model: Mapping[str, Tensor]
 
     def common(self, channels: Sequence[str]) -> list[str]:
-        """Those of `channels` that both sides have."""
-        return [name for name in channels if name in self.measured and name in self.model]
+        """Those of `channels` that both sides have, measured at one sample at least."""
+        both = [name for name in channels if name in self.measured and name in self.model]
+        return [name for name in both if not bool(self.measured[name].isnan().all())]
 
 
 def draw(overlays: Sequence[Overlay], fit: FitRecord | None) -> dict[str, Figure]:
