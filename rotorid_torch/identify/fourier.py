@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from math import comb
 
 import torch
@@ -11,6 +12,8 @@ END_ORDER = 8
 """Degree of the polynomial at each end of the quadrature; more than 8 would amplify the noise of the end samples."""
 NOISE_ORDER = 8
 """Order of the differences that leave the noise."""
+KINK_SIGMA = 5.0
+"""Standard deviations of noise above which a jump in slope is a kink."""
 
 
 def end_weights(theta: Tensor, order: int = END_ORDER) -> Tensor:
@@ -44,6 +47,20 @@ def end_weights(theta: Tensor, order: int = END_ORDER) -> Tensor:
     return coefficients @ torch.tensor(binomials, dtype=torch.complex128, device=theta.device)
 
 
+def kinks(x: Tensor, floor: Tensor) -> Tensor:
+    """Second differences (..., T) of a record at its kinks, zero elsewhere.
+
+    A kink is a sample where the fourth difference is no longer small against the second ones around it, as it is in
+    all that is smooth on the sample grid, and stands out of the noise. floor : (...) see `noise_floor`.
+    """
+    second, fourth = torch.zeros_like(x), torch.zeros_like(x)
+    second[..., 1:-1] = torch.diff(x, n=2, dim=-1)
+    fourth[..., 2:-2] = torch.diff(x, n=4, dim=-1).abs()
+    noise = KINK_SIGMA * comb(8, 4) ** 0.5 * floor.unsqueeze(-1)
+    around = torch.nn.functional.max_pool1d(second.abs().reshape(-1, 1, x.shape[-1]), 5, 1, 2).reshape(x.shape)
+    return torch.where((fourth > 1.5 * around) & (fourth > noise), second, 0.0)
+
+
 def chirp_z(x: Tensor, start: float, step: float, count: int) -> Tensor:
     """Sum of x[n] exp(-2j pi (start + k step) n) for k = 0 ... count - 1, by Bluestein's three FFTs.
 
@@ -71,7 +88,9 @@ def chirp_z(x: Tensor, start: float, step: float, count: int) -> Tensor:
     return torch.fft.ifft(product)[..., :count] * chirp[:count]
 
 
-def finite_transform(x: Tensor, dt: float, first: int, count: int, oversample: int = 1) -> Tensor:
+def finite_transform(
+    x: Tensor, dt: float, first: int, count: int, oversample: int = 1, kink: Tensor | None = None
+) -> Tensor:
     """Finite Fourier transform, the integral of x exp(-j w t) over the record, at frequencies k / (oversample T).
 
     Parameters
@@ -80,6 +99,8 @@ def finite_transform(x: Tensor, dt: float, first: int, count: int, oversample: i
     dt : sample interval, s.
     first, count : the first k and how many.
     oversample : points per 1/T; 1 gives the harmonics of the record by one FFT, more a finer grid by chirp-z.
+    kink : (..., T) second differences where the record is straight lines and not smooth (edges of a manoeuvre), zero
+        elsewhere; see `kinks`.
 
     Returns
     -------
@@ -89,17 +110,34 @@ def finite_transform(x: Tensor, dt: float, first: int, count: int, oversample: i
     """
     intervals = x.shape[-1] - 1
     grid = intervals * oversample
-    theta = 2.0 * torch.pi / grid * torch.arange(first, first + count, dtype=torch.float64, device=x.device)
-    turn = torch.exp(-1j * theta * intervals)
-    if oversample > 1:
-        total = chirp_z(x, first / grid, 1.0 / grid, count)
-    else:  # at the harmonics turn = 1: the last sample joins the first
-        total = torch.fft.rfft(x[..., :-1])[..., first : first + count] + x[..., -1:]
     order = min(END_ORDER, intervals // 8)
-    ends = end_weights(theta, order)
-    total = total + torch.complex(x[..., : order + 1], torch.zeros_like(x[..., : order + 1])) @ ends.T
-    tail = x[..., -order - 1 :].flip(-1)
-    return (total + turn * (torch.complex(tail, torch.zeros_like(tail)) @ ends.conj().T)) * dt
+    turn, ends, corner = (part.to(x.device) for part in _weights(intervals, grid, first, count, order))
+    total = _sum(x, grid, first, count)
+    if kink is not None and bool(kink.any()):
+        total = total + corner * _sum(kink, grid, first, count)
+    total = total + x[..., : order + 1].to(ends.dtype) @ ends.T
+    return (total + turn * (x[..., -order - 1 :].flip(-1).to(ends.dtype) @ ends.conj().T)) * dt
+
+
+def _sum(x: Tensor, grid: int, first: int, count: int) -> Tensor:
+    """Sum of x[n] exp(-2j pi k n / grid) for count values of k."""
+    if grid > x.shape[-1] - 1:
+        return chirp_z(x, first / grid, 1.0 / grid, count)
+    # at the harmonics exp(-j w T) = 1: the last sample joins the first
+    return torch.fft.rfft(x[..., :-1])[..., first : first + count] + x[..., -1:]
+
+
+@lru_cache(maxsize=64)
+def _weights(intervals: int, grid: int, first: int, count: int, order: int) -> tuple[Tensor, Tensor, Tensor]:
+    """exp(-j w T), weights of the end samples and of kinks at k / grid cycles per sample; flights are alike: kept.
+
+    Straight lines between samples have the factor sinc^2 where smooth records have 1. Second differences have the
+    factor -4 sin^2(theta / 2), so the share (1 - sinc^2) / (4 sin^2(theta / 2)) of them, 1/12 at low frequency, joins.
+    """
+    turns = torch.arange(first, first + count, dtype=torch.float64) / grid
+    theta = 2.0 * torch.pi * turns
+    corner = (1.0 - torch.sinc(turns).square()) / (4.0 * torch.sin(theta / 2.0).square())
+    return torch.exp(-1j * theta * intervals), end_weights(theta, order), corner
 
 
 def derivative_transform(x: Tensor, transform: Tensor, frequencies: Tensor, duration: float) -> Tensor:

@@ -15,6 +15,7 @@ from rotorid_torch.identify.fourier import (
     derivative_transform,
     fill_gaps,
     finite_transform,
+    kinks,
     noise_floor,
     noise_floor_scatter,
     nuisance_basis,
@@ -27,6 +28,8 @@ BELIEVED_RELIABILITY = 0.5
 """Below this, an estimated noise floor cannot be told from a broad-band signal and is not taken out."""
 MISSING_LIMIT = 0.25
 """Share of missing samples above which a record is refused."""
+ROUNDING = 1e-12
+"""Share of a regressor below which its content in the band is nothing but rounding."""
 REACH = 3
 """Harmonics on each side over which the colour of the residual is taken for smooth."""
 PRIOR_PASSES = 3
@@ -106,6 +109,7 @@ def regress(
     """Regress a response, or its derivative, on sampled regressors over a band of frequencies.
 
     Finite transforms with exact ends at the harmonics k/T of each flight; the derivative is j w x(w) plus end terms.
+    Records are taken for smooth between samples, and for straight lines where they have edges.
     Per flight, a constant, a trend and the two end terms (whose samples are noisy) are nuisance columns. White noise
     of the regressors is taken out of the normal matrix. Standard errors hold for residuals of any colour that is
     smooth over a few harmonics, and count two data per 1/T.
@@ -170,17 +174,21 @@ def flight_rows(
     duration = (y.shape[-1] - 1) * dt
     first, count = _harmonics(duration, band, oversample)
     frequencies = torch.arange(first, first + count, dtype=torch.float64, device=y.device) / (duration * oversample)
-    spectrum, rates = finite_transform(y, dt, first, count, oversample), torch.ones_like(frequencies)
+    floor, own_floor = noise_floor(x), noise_floor(y)
+    spectrum = finite_transform(y, dt, first, count, oversample, kinks(y, own_floor))
+    rates = torch.ones_like(frequencies)
     if kind == "derivative":
         spectrum = derivative_transform(y, spectrum, frequencies, duration)
         rates = (2.0 * torch.pi * frequencies).square()
     basis = nuisance_basis(frequencies, duration, ends=kind == "derivative", trend=trend)
     project = torch.eye(2 * count, dtype=torch.float64, device=y.device) - basis @ basis.T
     scale = (duration * oversample) ** -0.5
-    z = project @ as_rows(finite_transform(x, dt, first, count, oversample)).mT * scale
-    response_sd = noise_floor(y) if response_noise is None else y.new_full(y.shape[:-1], response_noise)
+    z = project @ as_rows(finite_transform(x, dt, first, count, oversample, kinks(x, floor))).mT * scale
+    still = torch.linalg.vector_norm(z, dim=-2) <= ROUNDING * x.abs().amax(-1) * duration**0.5
+    z = torch.where(still.unsqueeze(-2), 0.0, z)
+    response_sd = own_floor if response_noise is None else y.new_full(y.shape[:-1], response_noise)
     information = 2.0 * count / oversample - basis.shape[-1]
-    power, scatter = _noise_power(x, noise, dt * information / 2.0, z.square().sum(-2), notes)
+    power, scatter = _noise_power(floor, x.shape[-1], noise, dt * information / 2.0, z.square().sum(-2), notes)
     return Rows(
         response=(project @ as_rows(spectrum).unsqueeze(-1)).squeeze(-1) * scale,
         regressors=z,
@@ -362,19 +370,19 @@ def _harmonics(duration: float, band: tuple[float, float], oversample: int) -> t
 
 
 def _noise_power(
-    x: Tensor, noise: str | Tensor | Sequence[float], weight: float, power: Tensor, notes: list[str]
+    floor: Tensor, samples: int, noise: str | Tensor | Sequence[float], weight: float, power: Tensor, notes: list[str]
 ) -> tuple[Tensor, float]:
     """Noise power (..., n) of the regressors over the rows, given or estimated, and its relative scatter."""
     if not isinstance(noise, str):
-        sd = torch.as_tensor(noise, dtype=torch.float64, device=x.device)
+        sd = torch.as_tensor(noise, dtype=torch.float64, device=power.device)
         return (sd.square() * weight).expand(power.shape), 0.0
     if noise not in NOISES:
         raise InputError("arrays", "noise", f"{noise!r}", "'estimated', 'none' or a standard deviation per regressor")
     if noise == "none":
         return torch.zeros_like(power), 0.0
-    estimate = noise_floor(x).square() * weight
+    estimate = floor.square() * weight
     doubtful = estimate > (1.0 - BELIEVED_RELIABILITY) * power
     if bool(doubtful.any()):
         columns = sorted({int(i) for i in doubtful.nonzero()[:, -1]})
         notes.append(f"regressors {columns}: broad-band, noise not told from signal and not taken out")
-    return torch.where(doubtful, 0.0, estimate), noise_floor_scatter(x.shape[-1])
+    return torch.where(doubtful, 0.0, estimate), noise_floor_scatter(samples)

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.identify.equation import Equation, choose_band, columns_of, equation_rows, fit_rows
-from rotorid_torch.identify.ftr import Regression, Rows, total_noise
+from rotorid_torch.identify.fourier import noise_floor
+from rotorid_torch.identify.ftr import Regression, Rows, solve, total_noise
 from rotorid_torch.identify.noisy_least_squares import noisy_least_squares
 
 RELIABLE = 0.5
@@ -115,6 +116,46 @@ def beyond(equation: Equation, targets: Sequence[str], given: Sequence[str]) -> 
 def redundant(equation: Equation, targets: Sequence[str], given: Sequence[str]) -> list[str]:
     """Targets that carry nothing reliable beyond the given regressors: hold them or what drives them, not both."""
     return [found.name for found in beyond(equation, targets, given) if found.reliability < RELIABLE]
+
+
+def response_lag(equation: Equation) -> tuple[float, float]:
+    """Lag of a response behind its regressors: tau in x + tau dx/dt = sum of gains times regressors.
+
+    A response that follows its regressors at once (algebraic flapping) has a lag that is small against the sample
+    interval or not significant; then its derivative must not be regressed. x and dx/dt bear the same noise, but in
+    quadrature, so that only the power of each counts.
+
+    Parameters
+    ----------
+    equation : of kind "value".
+
+    Returns
+    -------
+    tau and its standard error, s.
+    """
+    noise = equation.regressor_noise
+    if noise is not None:
+        own = equation.response_noise
+        own = float(noise_floor(torch.as_tensor(equation.response[0]))) if own is None else own
+        noise = [*torch.as_tensor(noise).tolist(), own]
+    band = equation.band or choose_band(equation)
+    both = [
+        torch.cat((x, y.unsqueeze(-1)), dim=-1) for x, y in zip(equation.regressors, equation.response, strict=True)
+    ]
+    swapped = []
+    for flight in equation_rows(replace(equation, kind="derivative", regressors=both, regressor_noise=noise), band):
+        rate_noise = (flight.response_noise * (1.0 - flight.leverage)).sum(-1, keepdim=True)
+        swapped.append(
+            replace(
+                flight,
+                response=flight.regressors[:, -1],
+                regressors=torch.cat((flight.regressors[:, :-1], -flight.response.unsqueeze(-1)), dim=-1),
+                noise=torch.cat((flight.noise[:-1], rate_noise)),
+                response_noise=(flight.noise[-1:] / flight.information).expand_as(flight.response),
+            )
+        )
+    result = solve(swapped, band)
+    return float(result.coefficients[-1]), float(result.standard_errors[-1])
 
 
 def _folds(equation: Equation, flights: Sequence[Rows]) -> _Folds:

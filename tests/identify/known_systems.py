@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import torch
+from scipy.linalg import expm
 from torch import Tensor
+
+from rotorid_torch.identify.ftr import regress
 
 
 @dataclass(frozen=True)
@@ -35,8 +39,20 @@ class LinearSystem:
             forced += waves[:, i, k, None] * shape
             rest += waves[0, i, k] * shape
         values, vectors = np.linalg.eig(self.a)
-        free = np.linalg.solve(vectors, rest.real) * np.exp(values * times[:, None]) @ vectors.T
-        return torch.tensor(forced.real - free.real), torch.tensor(waves.sum(-1).real)
+        free = np.linalg.solve(vectors, np.real(rest)) * np.exp(values * times[:, None]) @ vectors.T
+        return torch.tensor(np.real(forced - free)), torch.tensor(np.real(waves.sum(-1)))
+
+    def follow(self, controls: np.ndarray, dt: float) -> Tensor:
+        """Return exact states (T, nx) from rest under controls (T, nu) that are straight lines between samples."""
+        states, inputs = self.b.shape
+        block = np.zeros((states + 2 * inputs, states + 2 * inputs))
+        block[:states, :states], block[:states, states : states + inputs] = self.a, self.b
+        block[states : states + inputs, states + inputs :] = np.eye(inputs) / dt
+        step = expm(block * dt)[:states]
+        record = np.zeros((len(controls), states))
+        for k, (now, after) in enumerate(pairwise(controls)):
+            record[k + 1] = step @ np.concatenate((record[k], now, after - now))
+        return torch.tensor(record)
 
 
 ROLL_PITCH_YAW = LinearSystem(
@@ -60,3 +76,24 @@ def noisy(records: Sequence[Tensor], noise: Tensor, runs: int, seed: int) -> lis
     """Add white noise, independent for every run: (runs, T, n)."""
     generator = torch.Generator().manual_seed(seed)
     return [r + noise * torch.randn(runs, *r.shape, generator=generator, dtype=torch.float64) for r in records]
+
+
+def coverage(
+    system: LinearSystem, records: Sequence[Tensor], dt: float, noise: Tensor, runs: int, given: bool, seed: int = 0
+) -> Tensor:
+    """Share of noisy runs whose 95 % interval holds the truth: (nx, nx + nu), one row per state equation.
+
+    noise : standard deviation of a sample of every channel; given tells the regression about it.
+    """
+    inside, states = [], len(system.a)
+    for start in range(0, runs, 250):
+        batch = noisy(records, noise, min(250, runs - start), seed + start)
+        fits = [
+            regress([r[..., k] for r in batch], batch, dt, noise=noise if given else "estimated") for k in range(states)
+        ]
+        inside.append(
+            torch.stack(
+                [(f.coefficients - system.row(k)).abs() < 1.96 * f.standard_errors for k, f in enumerate(fits)], dim=-2
+            )
+        )
+    return torch.cat(inside).to(torch.float64).mean(0)
