@@ -41,8 +41,8 @@ CONTROL_NAMES = ("lon", "lat", "col", "ped")
 class Governor:
     """Rotor-speed governor and engine; `held`: the speed is constant, whatever torque that takes.
 
-    Gains on the speed error, N m per rad/s (per rad, per rad/s^2); `lag` of the engine, s; `inertia` of the drive,
-    kg m^2.
+    Gains on the speed error, N m per rad/s (per rad, per rad/s^2); `lag` of the engine, s; `inertia` of the
+    drive as the rotor sees it, kg m^2.
 
     Source: Hilbert, NASA TM-85890, table 3 (UH-60 engine and governor).
     """
@@ -86,11 +86,10 @@ class Aircraft:
 
     @cached_property
     def own_matrix(self) -> Array:
-        """7 x 7: mass and inertia of the body, and of the drive about the shaft."""
-        out, turning = np.zeros((7, 7)), self.governor.inertia * self.rotor.to_shaft[2]
+        """7 x 7: mass and inertia of the body, and of the drive (fast shafts, seen from the rotor)."""
+        out = np.zeros((7, 7))
         out[:3, :3] = self.mass * np.eye(3)
         out[3:6, 3:6] = self.inertia
-        out[3:6, 6] = out[6, 3:6] = turning
         out[6, 6] = self.governor.inertia
         return out
 
@@ -214,7 +213,7 @@ def _solve(aircraft: Aircraft, x: Array, root: RootLoads, force: Array, moment: 
     found[:, :size] = np.linalg.solve(total[:, :size, :size], driven[:size].T[:, :, None])
     answer, torque = (reaction @ found)[:, :6, 0].T, (total[:, 6:] @ found)[:, 0, 0] - known[6]
     solved = found[:, :, 0].T
-    about = known[3:6] + gyroscopic - answer[3:] - aircraft.governor.inertia * up * solved[6]
+    about = known[3:6] + gyroscopic - answer[3:]
     return Motion(solved[:3], solved[3:6], known[:3] - answer[:3], about, torque, solved[6])
 
 

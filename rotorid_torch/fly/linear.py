@@ -14,7 +14,7 @@ from scipy.linalg import logm
 
 from rotorid_torch.fly.aircraft import CONTROLS, Aircraft
 from rotorid_torch.fly.section import Array
-from rotorid_torch.fly.trim import Trim, passage, passage_time, unknown_rows
+from rotorid_torch.fly.trim import Trim, passage, passage_time, unknown_rows, with_held_speed
 
 BODY_STATES = ("u", "v", "w", "p", "q", "r", "phi", "theta")
 
@@ -42,7 +42,7 @@ class Linear:
 
 
 def linearise(aircraft: Aircraft, trim: Trim, shift: float = 1e-4) -> Linear:
-    """Linear model about a trim by central differences over one blade passage.
+    """Linear model about a trim by central differences over one blade passage, rotor speed held.
 
     Source: Johnson, Helicopter Theory, section 8.6 (Floquet theory); Padfield, Helicopter Flight Dynamics, section 2.3
     (reduction to the body's states).
@@ -52,7 +52,7 @@ def linearise(aircraft: Aircraft, trim: Trim, shift: float = 1e-4) -> Linear:
     shifts = np.hstack([shift * np.eye(size), -shift * np.eye(size)])
     batch = np.repeat(trim.state[:, None], 2 * size, axis=1)
     batch[rows] += shifts
-    after = passage(aircraft, batch)[rows]
+    after = passage(with_held_speed(aircraft), batch)[rows]
     jump = (after[:, :size] - after[:, size:]) / (2.0 * shift)
     generator = np.real(logm(jump)) / passage_time(aircraft)
     states = size - 4

@@ -30,7 +30,7 @@ class Section:
     drag: float
     drag_rise: float
 
-    blend = 0.025  # rad: width of the passage from attached to separated flow
+    blend = 0.015  # rad: width of the passage from attached to separated flow
     plate_lift, plate_drag = 1.1, 1.9
 
     def coefficients(self, angle: Array) -> tuple[Array, Array]:

@@ -19,6 +19,7 @@ from rotorid_torch.fly.aircraft import (
     CONTROLS,
     INFLOW,
     SPEED,
+    SPEED_ERROR,
     TAIL_INFLOW,
     TORQUE,
     Aircraft,
@@ -70,6 +71,11 @@ def passage(aircraft: Aircraft, x: Array) -> Array:
     return x
 
 
+def with_held_speed(aircraft: Aircraft) -> Aircraft:
+    """The same aircraft with its rotor speed held."""
+    return replace(aircraft, governor=replace(aircraft.governor, held=True))
+
+
 def unknown_rows(aircraft: Aircraft) -> list[int]:
     """Rows of the state that trim looks for: velocity, rates, bank, pitch, inflows, blades (not controls)."""
     return [*range(8), *range(INFLOW.start, INFLOW.stop), TAIL_INFLOW, *range(BLADES, aircraft.states)]
@@ -82,6 +88,8 @@ def find_trim(aircraft: Aircraft, speed: float, height: float = 27.4) -> Trim:
     ------
     InputError : no trim at this speed (too heavy for its rotor, too fast, an impossible vehicle).
     """
+    free = not aircraft.governor.held
+    aircraft = with_held_speed(aircraft)
     reached, x, step = 0.0, _guess(aircraft, height), 10.0
     x, residual = _newton(aircraft, x, 0.0)
     while residual < LOOSE and reached < speed:
@@ -98,9 +106,9 @@ def find_trim(aircraft: Aircraft, speed: float, height: float = 27.4) -> Trim:
             "cannot be trimmed" if residual >= LOOSE else f"needs controls {np.round(controls, 3).tolist()} rad to trim"
         )
         raise InputError(aircraft.name, "speed", f"the aircraft {why} at {speed:g} m/s", "a flyable vehicle and speed")
-    if not aircraft.governor.held:
+    if free:
         x[TORQUE] = _mean_torque(aircraft, x)
-        x[TORQUE + 1] = x[TORQUE] / aircraft.governor.integral
+        x[SPEED_ERROR] = x[TORQUE] / aircraft.governor.integral
     return Trim(x, controls.copy(), speed, residual)
 
 
@@ -176,15 +184,14 @@ def _newton(aircraft: Aircraft, x: Array, speed: float, steps: int = 40) -> tupl
 
 def _mean_torque(aircraft: Aircraft, x: Array) -> float:
     """Torque at the shaft that holds the rotor speed, N m, mean over a blade passage."""
-    held = replace(aircraft, governor=replace(aircraft.governor, held=True))
     duration, total, steps = passage_time(aircraft), 0.0, 18
     state, controls = x[:, None], x[CONTROLS, None]
 
     def slope(state: Array, command: Array) -> Array:
-        return rates(held, state, command)[0]
+        return rates(aircraft, state, command)[0]
 
     for _ in range(steps):
-        first, motion = rates(held, state, controls)
+        first, motion = rates(aircraft, state, controls)
         total += float(motion.shaft_torque[0])
         state = runge_kutta(slope, state, first, (controls, controls, controls), duration / steps)
     return total / steps

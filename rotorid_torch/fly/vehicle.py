@@ -26,6 +26,7 @@ def load_aircraft(path: Path | None = None) -> Aircraft:
     if path is None:
         return _build(_values(reference), "uh60.toml", reference.name)
     declared = read_vehicle(path)
+    _check_numbers(_values(declared), path)
     values = _complete(_values(declared), _values(reference), declared)
     _check(values, path)
     return _build(values, str(path), declared.name)
@@ -43,8 +44,21 @@ def _values(file: VehicleFile) -> Values:
         for name, table in tables.items()
     }
     found["vehicle"].pop("rotor")
-    found["limits"] = {name: file.controls[name].limits for name in file.controls if file.controls[name].limits}
+    limits = {name: _limits(name, file) for name in file.controls}
+    found["limits"] = {name: pair for name, pair in limits.items() if pair is not None}
     return found
+
+
+def _limits(name: str, file: VehicleFile) -> tuple[float, float] | None:
+    """Limits of a blade angle in this aircraft's signs (nose up, left side down, climb, nose left); None for a stick."""
+    table = file.controls[name]
+    if table.unit != "rad" or table.limits is None:
+        return None
+    low, high = table.limits
+    turned = {"lon": "nose down", "lat": "right side down", "ped": "nose right"}
+    if file.vehicle.rotor.direction == "cw":
+        turned |= {"lat": "left side down", "ped": "nose left"}
+    return (-high, -low) if table.positive == turned.get(name) else (low, high)
 
 
 # How a value grows with the size of the aircraft: exponents of radius and of mass.
@@ -80,14 +94,14 @@ def _complete(declared: Values, reference: Values, file: VehicleFile) -> Values:
     radius = declared["rotor"].get("radius")
     mass = declared["vehicle"].get("mass")
     if radius is None:
-        radius = base[1] if mass is None else base[1] * (abs(mass) / base[0]) ** (1.0 / 3.0)
+        radius = base[1] if mass is None else base[1] * (mass / base[0]) ** (1.0 / 3.0)
     length = radius / base[1]
     weight = (base[0] * length**3 if mass is None else mass) / base[0]
     full: Values = {"limits": dict(reference["limits"]) | declared["limits"]}
     for table, powers in SCALES.items():
         full[table] = dict(reference[table])
         for key, (by_length, by_mass) in powers.items():
-            factor = length**by_length * abs(weight) ** by_mass
+            factor = length**by_length * weight**by_mass
             full[table][key] = (np.asarray(reference[table][key], dtype=float) * factor).tolist()
         full[table] |= declared[table]
     if file.vehicle.mass is not None or file.vehicle.inertia is not None:
@@ -105,25 +119,29 @@ def _scale_blades(full: Values, declared: Values, reference: Values) -> None:
     inertia = blade["flap_inertia"] * share
     if "lock_number" in declared["rotor"]:
         air = full["vehicle"]["air_density"] * LOCK_SLOPE * rotor["chord"] * rotor["radius"] ** 4
-        inertia = air / max(abs(rotor["lock_number"]), 0.1)
+        inertia = air / rotor["lock_number"]
     factor = inertia / blade["flap_inertia"]
     for key in ("mass", "first_moment", "flap_inertia", "lag_spring", "lag_damper"):
         if key not in declared["blade"]:
             blade[key] *= factor
 
 
-def _check(values: Values, path: Path) -> None:
-    """Refuse what no helicopter can be."""
-    vehicle, rotor, blade = values["vehicle"], values["rotor"], values["blade"]
-    for table in ("vehicle", "rotor", "blade", "tail_rotor", "governor", "actuators"):
-        for key, value in values[table].items():
-            if key in POSITIVE and not (np.isfinite(value) and value > 0.0):
-                raise InputError(path, f"{PLACES.get(table, table)}.{key}", f"is {value}", "a positive number")
+def _check_numbers(values: Values, path: Path) -> None:
+    """Refuse what is not finite, and what must be positive and is not."""
     for table, entries in values.items():
         for key, value in entries.items():
-            if isinstance(value, float | tuple | list) and "excludes" not in key:
-                if not np.isfinite(np.asarray(value, dtype=float)).all():
-                    raise InputError(path, f"{PLACES.get(table, table)}.{key}", "is not finite", "numbers")
+            place = f"{PLACES.get(table, table)}.{key}"
+            numeric = not isinstance(value, str) and key != "mass_excludes"
+            if numeric and not np.isfinite(np.asarray(value, dtype=float)).all():
+                raise InputError(path, place, "is not finite", "numbers")
+            if key in POSITIVE and np.any(np.asarray(value, dtype=float) <= 0.0):
+                raise InputError(path, place, f"is {value}", "a positive number")
+
+
+def _check(values: Values, path: Path) -> None:
+    """Refuse what no helicopter can be."""
+    _check_numbers(values, path)
+    vehicle, rotor, blade = values["vehicle"], values["rotor"], values["blade"]
     if rotor["blades"] < 2:
         raise InputError(path, "vehicle.rotor.blades", f"is {rotor['blades']}", "two blades or more")
     if not 0.0 <= rotor["hinge_offset"] < 0.4 * rotor["radius"]:
@@ -139,7 +157,7 @@ def _check(values: Values, path: Path) -> None:
 
 POSITIVE = (
     *("mass", "air_density", "gravity", "radius", "chord", "speed", "lock_number", "flap_inertia", "first_moment"),
-    *("lift_slope", "gear", "lag"),
+    *("lift_slope", "gear", "lag", "proportional", "integral", "area", "tip_loss"),
 )
 PLACES = {"rotor": "vehicle.rotor", "limits": "controls"}
 

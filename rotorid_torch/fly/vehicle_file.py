@@ -8,7 +8,7 @@ radians; positions from the centre of gravity that the mass belongs to, body axe
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 
@@ -43,10 +43,10 @@ class VehicleTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class ControlTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """[controls.NAME]: only the limits matter to an aircraft that is flown; the rest is what data sets say."""
+    """[controls.NAME]: limits of blade angles count; those of sticks, and the rest, are only read over."""
 
     limits: tuple[float, float] | None = None
-    unit: Literal["rad"] = "rad"
+    unit: Literal["rad", "m", "norm"] = "rad"
     noise: float | None = None
     positive: str = ""
 
@@ -129,9 +129,15 @@ class ActuatorTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class VehicleFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """A whole vehicle file."""
+    """A whole vehicle file; a data set's dataset.toml passes too, what it says of its flights is not used."""
 
     name: str = "vehicle"
+    format: Literal[1] = 1
+    kind: Literal["helicopter"] = "helicopter"
+    description: str = ""
+    channels: dict[str, dict[str, float | str]] = {}
+    flights: dict[str, list[str]] = {}
+    model: dict[str, Any] = {}
     vehicle: VehicleTable = VehicleTable()
     controls: dict[Literal["lon", "lat", "col", "ped"], ControlTable] = {}
     blade: BladeTable = BladeTable()

@@ -55,7 +55,7 @@ def refuse_existing(out: Path) -> None:
 def to_toml(table: Mapping[str, Any], prefix: str = "") -> str:
     """A mapping of numbers, strings, lists and mappings as toml."""
     plain = [f"{_key(key)} = {_value(value)}" for key, value in table.items() if not isinstance(value, Mapping)]
-    text = "\n".join([f"[{prefix}]", *plain] if prefix and plain else plain)
+    text = "\n".join([f"[{prefix}]", *plain] if prefix and (plain or not table) else plain)
     parts = [text] if text else []
     for key, value in table.items():
         if isinstance(value, Mapping):
