@@ -24,7 +24,10 @@ MEMORIES_S = (0.0, 0.1, 0.5)
 """How long a moved control keeps shaking the forces: at once, the rotor's flapping, its lead-lag and the body."""
 SMEAR_S = 0.5
 """Width over which realised and expected process noise are compared."""
-LARGEST_SCALE = 4.0
+LARGEST_SCALE = 30.0
+CONSTANTS = np.geomspace(1e-6, 0.25, 19)
+"""Constant powers that are tried, as shares of the sum of all powers."""
+ALLOWED_LOSS = 2.0
 
 
 @dataclass(frozen=True)
@@ -166,6 +169,30 @@ def find_power(rows: Rows, activity: Array, axis: Array, group: Array, spread: A
     return theta, taus
 
 
+def largest_constant(
+    rows: Rows, activity: Array, theta: Array, taus: Array, axis: Array, group: Array, spread: Array
+) -> Array:
+    """Theta with the constant part as large as the data allow: 2 units of log-likelihood below the most likely.
+
+    What forces do while the controls rest is often below the sensors' noise; "nothing" is then the most likely power,
+    but not the only one, and errors computed from it would be far too small.
+    """
+    trial = theta.sum(axis=1, keepdims=True) * CONSTANTS
+    n, count = len(axis), len(CONSTANTS) + 1
+    added = np.concatenate([np.zeros((len(theta), 1)), trial], axis=1)[axis]
+    power = np.concatenate([_power(activity, theta, axis) + added[:, j] for j in range(count)], axis=1)
+    many = Rows(np.tile(rows.value, (1, count)), np.tile(rows.integral, count), np.tile(rows.noise, count), rows.dt)
+    trim = smooth_rows(rows, _power(activity, theta, axis), taus[group], np.zeros(n), spread).trim
+    got = smooth_rows(many, power, np.tile(taus[group], count), np.tile(trim, count), np.tile(spread, count))
+    score = got.log_likelihood.reshape(count, n)
+    raised = theta.copy()
+    for i in np.unique(axis):
+        total = score[:, axis == i].sum(axis=1)
+        allowed = np.flatnonzero(total >= total[0] - ALLOWED_LOSS)
+        raised[i, 0] += added[axis == i][0, allowed.max()]
+    return raised
+
+
 def _power(activity: Array, theta: Array, axis: Array) -> Array:
     return np.einsum("tnj,nj->tn", activity, theta[axis])
 
@@ -194,7 +221,7 @@ def _peak(log_tau: Array, score: Array) -> float:
 
 
 def local_scale(got: Pass, power: Array, dt: float, least: float | Array) -> Array:
-    """How much stronger the process noise is, locally, than the model expects: [T, N], from `least` to 4.
+    """How much stronger the process noise is, locally, than the model expects: [T, N], from `least` to 30.
 
     Realised over expected energy within a Gaussian of half a second. Where a force is silent, nothing but measurement
     noise is left of the realised part, which is `least` of what is expected.
