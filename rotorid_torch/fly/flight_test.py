@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from rotorid_torch.data import Dataset
 from rotorid_torch.errors import InputError
 from rotorid_torch.fly.aircraft import CONTROL_NAMES, Aircraft
 from rotorid_torch.fly.augmentation import Augmentation, design
@@ -39,6 +40,13 @@ class FlightTest:
     aircraft: Aircraft
     trim: Trim
     augmentation: Augmentation
+
+    def dataset(self) -> Dataset:
+        """Return the measured flights as a data set in memory."""
+        tables = {
+            key: self.declaration[key] for key in ("kind", "description", "vehicle", "controls", "channels", "model")
+        }
+        return Dataset.from_arrays(self.flights, name=self.name, **self.declaration["flights"], **tables)
 
 
 def fly(

@@ -12,7 +12,7 @@ import numpy as np
 from rotorid_torch.errors import InputError
 from rotorid_torch.fly.aircraft import CONTROL_NAMES, Aircraft
 from rotorid_torch.fly.rotor import LOCK_SLOPE
-from rotorid_torch.fly.vehicle_file import VehicleFile, read_vehicle
+from rotorid_torch.fly.vehicle_file import ControlTable, VehicleFile, read_vehicle
 
 
 def load_aircraft(path: Path | None = None) -> Aircraft:
@@ -44,19 +44,19 @@ def _values(file: VehicleFile) -> Values:
         for name, table in tables.items()
     }
     found["vehicle"].pop("rotor")
-    limits = {name: _limits(name, file) for name in file.controls}
+    clockwise = file.vehicle.rotor.direction == "cw"
+    limits = {name: _limits(name, table, clockwise) for name, table in file.controls.items()}
     found["limits"] = {name: pair for name, pair in limits.items() if pair is not None}
     return found
 
 
-def _limits(name: str, file: VehicleFile) -> tuple[float, float] | None:
-    """Limits of a blade angle in this aircraft's signs (nose up, left side down, climb, nose left); None for a stick."""
-    table = file.controls[name]
+def _limits(name: str, table: ControlTable, clockwise: bool) -> tuple[float, float] | None:
+    """Limits of a blade angle in our signs (nose up, left side down, climb, nose left); None for a stick."""
     if table.unit != "rad" or table.limits is None:
         return None
     low, high = table.limits
     turned = {"lon": "nose down", "lat": "right side down", "ped": "nose right"}
-    if file.vehicle.rotor.direction == "cw":
+    if clockwise:
         turned |= {"lat": "left side down", "ped": "nose left"}
     return (-high, -low) if table.positive == turned.get(name) else (low, high)
 
@@ -111,7 +111,7 @@ def _complete(declared: Values, reference: Values, file: VehicleFile) -> Values:
 
 
 def _scale_blades(full: Values, declared: Values, reference: Values) -> None:
-    """Blade number shares chord and mass out; a declared Lock number sets the blades' inertia and what goes with it."""
+    """Blade number shares chord and mass out; a declared Lock number sets the blades' inertia and what follows."""
     rotor, blade = full["rotor"], full["blade"]
     share = reference["rotor"]["blades"] / max(rotor["blades"], 1)
     if "chord" not in declared["rotor"]:

@@ -37,8 +37,8 @@ def test_channels_are_those_of_the_reference_sets(folder):
 
 
 def test_data_set_loads(folder):
-    """Our own reader takes it without a warning."""
-    _, out = folder
+    """Our own reader takes it without a warning, from disk and from memory."""
+    flown, out = folder
     data = load(out)
     assert data.warnings == ()
     assert tuple(data.flights) == ("dbl_lat_p", "sweep_col")
@@ -48,6 +48,9 @@ def test_data_set_loads(folder):
     assert tuple(data.vehicle.mass_excludes) == ("blades",)
     assert data.noise("p") == 0.002
     assert data.reference()["col"] == pytest.approx(0.319, abs=0.01)
+    in_memory = flown.dataset()
+    assert in_memory.identify == data.identify
+    assert in_memory.scales() == pytest.approx(data.scales())
 
 
 def test_truth_satisfies_the_declared_rigid_body(folder):
