@@ -131,7 +131,7 @@ def test_an_exactly_known_state_stays_known() -> None:
 
 def test_covariances_stay_positive_definite_over_a_long_run() -> None:
     """A constant that is learnt ever better, a slow state and a fast one, variances over twelve decades."""
-    samples = 5_000
+    samples = 3_000
     rng = np.random.default_rng(5)
     dynamics = np.diag([-50.0, -0.01, 0.0])
     noise = np.diag([1e-2, 1e-14, 0.0])
@@ -154,7 +154,7 @@ def test_covariances_stay_positive_definite_over_a_long_run() -> None:
         scale = cov.diagonal(dim1=-2, dim2=-1).sqrt()
         assert torch.linalg.eigvalsh(cov / scale[..., None] / scale[..., None, :]).min() > 1e-9
     expected = outputs.mean()
-    assert abs(float(got.means[-1, 2]) - expected) < 0.05
+    assert abs(float(got.means[-1, 2]) - expected) < 0.08
 
 
 @settings(deadline=None, max_examples=25, derandomize=True)
