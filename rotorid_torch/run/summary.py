@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+from rotorid_torch.core import names
 from rotorid_torch.run.records import LISTS, ChannelRecord, FitRecord, ParameterRecord, Report
 
 # Shares of the motion explained, from which on a model is called so.
@@ -82,7 +83,7 @@ def next_steps(report: Report) -> list[str]:
 
 
 def weakest_channel(fit: FitRecord) -> tuple[str, str, float] | None:
-    """Flight, channel and relative error that is largest among flights not fitted; None where nothing is scored.
+    """Flight, body channel and relative error that is largest among flights not fitted; None where none is scored.
 
     The error is relative to the channel's motion on the flight that moves it most, so that an axis that a flight leaves
     alone (R² means nothing there) does not come out as the weakest.
@@ -96,7 +97,7 @@ def weakest_channel(fit: FitRecord) -> tuple[str, str, float] | None:
         for flight, record in fit.flights.items()
         if record.list != "identify"
         for name, channel in record.channels.items()
-        if motion[name] > 0.0
+        if name in names.BODY and motion[name] > 0.0
     ]
     return max(candidates, key=lambda c: c[2], default=None)
 
@@ -117,8 +118,8 @@ def _steps_of_scores(fit: FitRecord) -> Iterator[str]:
                 f" {_text(summary.J_trim)}). Do not use it: run rotorid check, then look at the error over time below."
             )
     fitted, judged = lists.get("identify"), lists.get("validate")
-    if fitted and judged and fitted.J is not None and judged.J is not None and fitted.J_trim and judged.J_trim:
-        if judged.J / judged.J_trim > 2.0 * fitted.J / fitted.J_trim:
+    if fitted and judged and fitted.explained is not None and judged.explained is not None:
+        if judged.explained < 0.9 and 1.0 - judged.explained > 3.0 * (1.0 - fitted.explained):
             yield (
                 "The model follows the flights it was made from much better than the others: it has more freedom than"
                 " the data support. Add identify flights, or free fewer parameters."
@@ -146,20 +147,20 @@ def _steps_of_parameters(parameters: Iterable[ParameterRecord]) -> Iterator[str]
     bound = [p.name for p in parameters if p.at_bound]
     if bound:
         yield (
-            f"{_names(bound)} at a bound: the value is the bound's, not the data's. Check the declared vehicle,"
+            f"{_listed(bound)} at a bound: the value is the bound's, not the data's. Check the declared vehicle,"
             " the units and the sign of the controls."
         )
     silent = [p.name for p in parameters if p.status == "not identifiable"]
     if silent:
-        yield f"The data do not tell {_names(silent)}: fly a manoeuvre that moves what it multiplies, or leave it out."
+        yield f"The data do not tell {_listed(silent)}: fly a manoeuvre that moves what it multiplies, or leave it out."
     vague = [p.name for p in parameters if p.status == "free" and p.se and p.value is not None and p.se > abs(p.value)]
     if vague:
-        yield f"{_names(vague)} could as well be zero: the standard error is larger than the value."
+        yield f"{_listed(vague)} could as well be zero: the standard error is larger than the value."
 
 
-def _names(names: list[str], shown: int = 4) -> str:
-    rest = f" and {len(names) - shown} more" if len(names) > shown else ""
-    return ", ".join(names[:shown]) + rest
+def _listed(parameters: list[str], shown: int = 4) -> str:
+    rest = f" and {len(parameters) - shown} more" if len(parameters) > shown else ""
+    return ", ".join(parameters[:shown]) + rest
 
 
 def _text(value: float | None) -> str:
