@@ -18,6 +18,8 @@ LEAST_LEFT = 0.1
 """Share of a line that the fit is never believed to have left below."""
 MOST_COLOUR = 0.99
 """Correlation of successive residuals taken out before averaging, at most."""
+STUDENT = (1.96**2 + 1.0) / 4.0
+"""Student's 95 % quantile is that of the normal distribution times 1 + this over the degrees of freedom."""
 CHANCE = 2.326  # normal quantile of 99 %
 """The jackknife counts where it exceeds the other estimate by more than this quantile of its own scatter."""
 
@@ -51,9 +53,8 @@ def uncertainty(likelihood: Likelihood, place: Place, linear: Linear, told: Tens
     """
     inverse, plain = _inverse(linear, told), linear[0].new_zeros(len(told), len(told))
     plain[told[:, None] & told] = loss * (inverse @ inverse.mT).flatten()
-    middle = _score_covariance(likelihood, place, inverse, told)
     coloured = torch.zeros_like(plain)
-    coloured[told[:, None] & told] = (inverse @ (inverse.mT @ middle @ inverse) @ inverse.mT).flatten()
+    coloured[told[:, None] & told] = _coloured(likelihood, place, inverse, told).flatten()
     variances = _jackknife(place.flights, likelihood.prior_rows(place), told)
     limit = _chance(len(place.flights) - 1)
     larger = variances > limit * coloured.diagonal()
@@ -88,28 +89,35 @@ class _Flight:
     valid: Tensor  # [s, T, ny]
 
 
-def _score_covariance(likelihood: Likelihood, place: Place, inverse: Tensor, told: Tensor) -> Tensor:
-    """Covariance [n, n] of the gradient of the log-likelihood, the residuals being coloured.
+def _coloured(likelihood: Likelihood, place: Place, inverse: Tensor, told: Tensor) -> Tensor:
+    """Covariance [n, n] of the estimate, the residuals being coloured.
 
-    In the frequency domain: the sum over lines of G^H S G, G the transform of the derivatives freed of initial states,
-    S the residuals' spectrum. The fit has taken its share out of the residuals, most where the derivatives have their
-    power: each line is divided by the share left to it (one minus its leverage).
+    In the frequency domain: the sum over lines of K^H S K, K the transform of how each sample moves the estimate, S the
+    residuals' spectrum. The fit has taken its share out of the residuals, most where the derivatives have their power:
+    each line is divided by the share left to it (one minus its leverage). The spectrum rests on few lines and scatters;
+    the covariance is widened so that 1.96 standard errors hold 95 % as Student's t would.
     """
     lines = 2 * place.residual.shape[1]
     flights = list(_flights(likelihood, place, told))
-    spectrum = _spectrum(flights, inverse, lines)
+    pieces = sum(len(flight.residual) for flight in flights)
+    reach = max(LEAST_SMOOTHING, round(SMOOTHING / pieces))
+    spectrum = _spectrum(flights, inverse, lines, reach)
     weights = torch.full((lines // 2 + 1, 1, 1), 2.0 / lines, dtype=torch.float64)
     weights[0] = weights[-1] = 1.0 / lines
-    total = torch.zeros(int(told.sum()), int(told.sum()), dtype=torch.float64)
+    n = int(told.sum())
+    covariance, share = torch.zeros(n, n, dtype=torch.float64), torch.zeros(lines // 2 + 1, n, dtype=torch.float64)
     for flight in flights:
         for piece in flight.derivatives:
-            transform = torch.fft.rfft(piece, n=lines, dim=0)  # [lines, ny, n]
-            product = (weights * spectrum) @ transform
-            total += (transform.flatten(0, 1).mH @ product.flatten(0, 1)).real
-    return total
+            moves = torch.fft.rfft(piece @ (inverse @ inverse.mT), n=lines, dim=0)  # [lines, ny, n]
+            product = (weights * spectrum) @ moves
+            covariance += (moves.flatten(0, 1).mH @ product.flatten(0, 1)).real
+            share += (moves.conj() * product).real.sum(dim=1)
+    freedom = pieces / _smoothed(share / share.sum(dim=0), reach).square().sum(dim=0)
+    widened = 1.0 + STUDENT / freedom
+    return covariance * widened * widened[:, None]
 
 
-def _spectrum(flights: Sequence[_Flight], inverse: Tensor, lines: int) -> Tensor:
+def _spectrum(flights: Sequence[_Flight], inverse: Tensor, lines: int, reach: int) -> Tensor:
     """Spectrum [lines, ny, ny] of the whitened noise: one where it is white."""
     ny = flights[0].residual.shape[-1]
     power = torch.zeros(lines // 2 + 1, ny, ny, dtype=torch.complex128)
@@ -121,11 +129,9 @@ def _spectrum(flights: Sequence[_Flight], inverse: Tensor, lines: int) -> Tensor
         for piece in taken:
             left -= torch.fft.rfft(piece, n=lines, dim=0).abs().square().sum(-1)
         left += flight.valid.sum(dim=(0, 1))
-    pieces = sum(len(flight.residual) for flight in flights)
-    m = max(LEAST_SMOOTHING, round(SMOOTHING / pieces))
     filters = _prewhitening(_per_line(_smoothed(power, LEAST_SMOOTHING), _smoothed(left, LEAST_SMOOTHING)), lines)
     flat = filters[:, :, None] * power * filters[:, None, :].conj()
-    flat = _per_line(_smoothed(flat, m), _smoothed(left, m))
+    flat = _per_line(_smoothed(flat, reach), _smoothed(left, reach))
     return flat / filters[:, :, None] / filters[:, None, :].conj()
 
 

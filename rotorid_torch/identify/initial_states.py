@@ -1,0 +1,63 @@
+"""What a stage starts from: initial states that fit the first part of each segment, and the noise the records show."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.identify.likelihood import Likelihood, Noise
+from rotorid_torch.identify.segments import Records, Segments
+
+FEWEST = 8
+"""Samples that an initial state is fitted to, at least."""
+
+
+def smallest_noise(records: Records) -> Tensor:
+    """Where no sensor noise is declared: so little that only a noiseless output feels it (no infinite weights)."""
+    flat = records.outputs.flatten(0, 1)
+    centred = flat - flat.nanmean(dim=0)
+    return 1e-7 * centred.square().nanmean(dim=0).sqrt().nan_to_num(0.0) + 1e-12
+
+
+def filled(x0: Tensor, records: Records, segments: Segments) -> Tensor:
+    """Initial states [S, nx] with what is unknown taken from the flight's first sample, or zero."""
+    first = records.states[segments.flight, 0]
+    return torch.where(x0.isnan(), first, x0).nan_to_num(0.0)
+
+
+def fitted_states(problem: Likelihood, theta: Tensor) -> Tensor:
+    """Initial states [S, nx] that fit the first part of each segment best, the parameters held.
+
+    Directions that the outputs do not show within that part stay at the guess.
+    """
+    ny = problem.records.outputs.shape[-1]
+    samples = min(problem.segments.samples, max(FEWEST, problem.segments.samples // 4))
+    held = Noise("held", problem.noise.floor, torch.diag(roughness(problem.records) ** 2))
+    head = replace(problem, segments=problem.segments.head(samples), noise=held)
+    head = replace(
+        head, bias_sd=torch.zeros(ny, dtype=torch.float64), prior_sd=torch.full_like(problem.prior_sd, math.inf)
+    )
+    best = head.evaluate(theta)
+    for _ in range(3):
+        if not math.isfinite(best.cost):
+            break
+        head.linearise(best)
+        assert best.locals is not None
+        nx = best.x0.shape[-1]
+        triangle, rest = best.locals.segment[:, :, :nx], best.locals.segment[:, :, -1:]
+        norms = torch.linalg.vector_norm(triangle, dim=1, keepdim=True).clamp_min(1e-12)
+        step = torch.linalg.lstsq(triangle / norms, rest, rcond=1e-3, driver="gelsd").solution / norms.mT
+        trial = replace(head, x0=best.x0 + step.squeeze(-1)).evaluate(theta)
+        if not trial.cost < best.cost:
+            break
+        best = trial
+    return best.x0
+
+
+def roughness(records: Records) -> Tensor:
+    """[ny] standard deviation of the outputs' sample-to-sample noise, from second differences."""
+    second = torch.diff(records.outputs, n=2, dim=1)
+    return (second.square().nanmean(dim=(0, 1)) / 6.0).sqrt().nan_to_num(1.0) + smallest_noise(records)

@@ -1,0 +1,309 @@
+"""Maximum likelihood in stages: short segments first, longer ones as far as the vehicle's stability allows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.identify.gauss_newton import Minimum, Options, minimise
+from rotorid_torch.identify.initial_states import filled, fitted_states, roughness, smallest_noise
+from rotorid_torch.identify.likelihood import Likelihood, Noise, Place
+from rotorid_torch.identify.quasi_newton import minimise_lbfgs
+from rotorid_torch.identify.segments import Records, cut
+from rotorid_torch.identify.system import System
+from rotorid_torch.identify.uncertainty import Uncertainty, uncertainty
+
+LENGTHS = (2.0, 5.0, 10.0, math.inf)
+"""Segment lengths that the stages choose from where nobody says otherwise, s."""
+FINE = Options(tolerance=0.0, absolute=1e-4)
+"""Options of the last stage: a predicted gain of 1e-4 in the log-likelihood is a hundredth of a standard error."""
+ROUGH = Options(max_iterations=8, absolute=0.5, damping=1e-2)
+"""Options of all stages but the last."""
+GROWTH = 30.0
+"""Growth of an error in the initial state that the first segments may show at most."""
+LAST_GROWTH = 1e3
+"""The same for the last: beyond it a longer record says nothing more of the parameters, only of the initial state."""
+TENTATIVE = 15
+"""Iterations after which a longer stage is given up."""
+SAME_FIT = 0.4
+"""Mean logarithm of the residuals' size that counts as the same quality of fit."""
+SHORTEST = 8
+"""Samples of the shortest segment."""
+
+Monitor = Callable[[int, float, Tensor], None]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a fit is made; what the data and the model do not say."""
+
+    noise: str = "diagonal"  # "diagonal", "full" or "held"
+    matrix: Tensor | None = None  # [ny, ny] where noise is held
+    floor: Tensor | None = None  # [ny] sensor noise, below which the residual's standard deviation is not believed
+    lengths: tuple[float, ...] | None = None  # of the segments, s, stage by stage; None: chosen from the data
+    x0: str = "free"  # or "fixed"
+    x0_sd: Tensor | None = None  # [nx] prior of the initial states about the states given, none by default
+    prior_mean: Tensor | None = None  # [P]
+    prior_sd: Tensor | None = None  # [P], infinite for none
+    bias_sd: Tensor | None = None  # [ny] prior of a constant per flight, 0 for none
+    solver: str = "rk4"
+    optimiser: str = "gauss-newton"  # or "lbfgs"
+    options: Options = FINE
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The end of a fit: likelihood of its last segments, minimum, covariance, and the stages' account."""
+
+    likelihood: Likelihood
+    minimum: Minimum[Place]
+    uncertainty: Uncertainty
+    stages: tuple[str, ...]
+    floor: Tensor | None
+
+    @property
+    def theta(self) -> Tensor:
+        """Parameters [P]."""
+        return self.minimum.point.theta
+
+    @property
+    def noise(self) -> Tensor:
+        """Covariance of the residuals [ny, ny], corrected for the numbers estimated."""
+        covariance = self.minimum.point.whitener.covariance
+        return (
+            covariance
+            if self.likelihood.noise.matrix is not None
+            else covariance * _loss(self.likelihood, self.minimum)
+        )
+
+    @property
+    def model_error_ratio(self) -> Tensor:
+        """[ny] the residuals' standard deviation over that of the sensors' noise.
+
+        The noise is the declared floor, or where none is declared the white part of the residual.
+        """
+        residual = self.minimum.point.residual
+        size = residual.square().nanmean(dim=(0, 1)).sqrt()
+        white = (torch.diff(residual, dim=1).square().nanmean(dim=(0, 1)) / 2.0).sqrt()
+        return size / (white if self.floor is None else torch.where(self.floor > 0, self.floor, white))
+
+
+def fit(
+    system: System,
+    records: Records,
+    theta: Tensor | None = None,
+    settings: Settings | None = None,
+    monitor: Monitor | None = None,
+) -> Fit:
+    """Maximum-likelihood estimate of a system's free parameters from records, stage by stage.
+
+    Short segments with initial states of their own converge from poor starts and for unstable vehicles; each later
+    stage starts from the parameters and states of the one before and is kept where it converges and fits as well.
+
+    Parameters
+    ----------
+    theta : [P] start, the system's own values by default.
+    monitor : called after each accepted step of every stage with iteration (counted through), cost, theta.
+    """
+    settings = settings or Settings()
+    stages = _Stages(system, records, settings, monitor)
+    theta, states = system.theta if theta is None else theta, records.states
+    best, samples, rough = None, stages.first(theta), False
+    while samples is not None:
+        rough = bool(stages.later(samples))
+        problem, start = stages.open(theta, states, samples)
+        found = stages.solve(
+            problem, start, _options(settings.options, rough, tentative=best is not None and settings.lengths is None)
+        )
+        stages.tell(samples, found)
+        if best is not None and not _as_good(best[1], found, chosen=settings.lengths is not None):
+            stages.account[-1] += ", not kept"
+            rough = True  # as the stage before it was
+            break
+        best = problem, found
+        theta, states = found.point.theta, problem.segments.give(found.point.run.states, states)
+        samples = stages.next(samples, problem, found.point)
+    assert best is not None
+    problem, found = stages.finish(*best, rough)
+    told = ~(found.at_bound | found.not_identifiable)
+    errors = uncertainty(problem, found.point, found.linear, told, _loss(problem, found))
+    return Fit(problem, found, errors, tuple(stages.account), settings.floor)
+
+
+def _options(last: Options, rough: bool, tentative: bool) -> Options:
+    if rough:
+        return ROUGH
+    return replace(last, max_iterations=min(TENTATIVE, last.max_iterations)) if tentative else last
+
+
+def _loss(problem: Likelihood, minimum: Minimum[Place]) -> float:
+    """Samples over samples minus numbers estimated from them."""
+    samples = int(minimum.point.whitener.valid.sum())
+    flights = len(problem.records.lengths)
+    estimated = (
+        len(minimum.point.theta) + problem.locals_per_segment * len(problem.segments) + len(problem.biased) * flights
+    )
+    return samples / max(samples - estimated, 1)
+
+
+def _as_good(shorter: Minimum[Place], longer: Minimum[Place], chosen: bool) -> bool:
+    """Whether a longer stage is kept; one that the caller has chosen may say itself that it has not converged."""
+    return (longer.converged or chosen) and _size(longer.point) < _size(shorter.point) + SAME_FIT
+
+
+def _size(place: Place) -> float:
+    """Mean over the outputs of the logarithm of the residual's standard deviation."""
+    size = place.residual.square().nanmean(dim=(0, 1)).sqrt()
+    return float(size[size > 0].log().mean())
+
+
+@dataclass
+class _Stages:
+    """Opens and solves the stages of one fit."""
+
+    system: System
+    records: Records
+    settings: Settings
+    monitor: Monitor | None
+    iterations: int = 0
+    account: list[str] = field(default_factory=list)
+
+    @property
+    def whole(self) -> int:
+        """Samples of the longest flight."""
+        return int(self.records.lengths.max())
+
+    def first(self, theta: Tensor) -> int:
+        """Samples per segment of the first stage."""
+        if self.settings.lengths is not None:
+            return self.lengths()[0]
+        if self._fits_already(theta):
+            return self.whole
+        return self._tame(theta, self.lengths()[0])
+
+    def lengths(self) -> list[int]:
+        """Samples per segment that stages may take, shortest first."""
+        wanted = LENGTHS if self.settings.lengths is None else self.settings.lengths
+        return sorted({self.whole if math.isinf(s) else min(round(s / self.records.dt), self.whole) for s in wanted})
+
+    def later(self, samples: int) -> list[int]:
+        """Lengths that may come after this one."""
+        if self.settings.lengths is not None:
+            return [n for n in self.lengths() if n > samples]
+        return [n for n in self.lengths() if n >= 1.5 * samples and (n == self.whole or n < 0.7 * self.whole)]
+
+    def next(self, samples: int, problem: Likelihood, place: Place) -> int | None:
+        """The length after this one: one step up, and after five seconds as far as the growth of errors allows."""
+        later = self.later(samples)
+        if self.settings.lengths is not None or not later:
+            return later[0] if later else None
+        tame = [n for n in later if _growth(problem, place, n) < LAST_GROWTH]
+        if not tame:
+            return None
+        return tame[0] if samples * self.records.dt < 0.9 * LENGTHS[1] else tame[-1]
+
+    def _tame(self, theta: Tensor, samples: int) -> int:
+        """Halved until an error in the initial state does not grow much over a segment."""
+        while samples >= 2 * SHORTEST:
+            problem, start = self.open(theta, self.records.states, samples)
+            if math.isfinite(start.cost):
+                problem.linearise(start)
+                if _growth(problem, start, samples) < GROWTH:
+                    break
+            samples //= 2
+        return samples
+
+    def _fits_already(self, theta: Tensor) -> bool:
+        """Whether residuals are near the noise from the start."""
+        start = self.open(theta, self.records.states, self.whole)[1]
+        if not math.isfinite(start.cost):
+            return False
+        noise = (
+            roughness(self.records).log().mean() if self.settings.floor is None else self.settings.floor.log().mean()
+        )
+        return _size(start) < float(noise) + SAME_FIT
+
+    def open(self, theta: Tensor, states: Tensor, samples: int, fixed: bool = False) -> tuple[Likelihood, Place]:
+        """The likelihood on segments of this length, and the place to start from."""
+        s, segments = self.settings, cut(self.records, samples)
+        ny, nx, count = self.records.outputs.shape[-1], self.records.states.shape[-1], len(theta)
+        x0, given = segments.take(states)[:, 0], segments.take(self.records.states)[:, 0]
+        spread = torch.full((nx,), math.inf, dtype=torch.float64) if s.x0_sd is None else s.x0_sd
+        sd = torch.where(given.isnan(), math.inf, spread)
+        problem = Likelihood(
+            system=self.system,
+            records=self.records,
+            segments=segments,
+            states=states,
+            noise=Noise(s.noise, smallest_noise(self.records) if s.floor is None else s.floor, s.matrix),
+            x0=filled(x0, self.records, segments),
+            x0_mean=given.nan_to_num(0.0),
+            x0_sd=None if fixed else sd,
+            prior_mean=theta if s.prior_mean is None else s.prior_mean,
+            prior_sd=torch.full((count,), math.inf, dtype=torch.float64) if s.prior_sd is None else s.prior_sd,
+            bias_sd=torch.zeros(ny, dtype=torch.float64) if s.bias_sd is None else s.bias_sd,
+            solver=s.solver,
+        )
+        if not fixed and bool(x0.isnan().any()):
+            problem = replace(problem, x0=torch.where(x0.isnan(), fitted_states(problem, theta), x0))
+        return problem, problem.evaluate(theta)
+
+    def tell(self, samples: int, found: Minimum[Place]) -> None:
+        """A line of the account."""
+        self.account.append(
+            f"segments of {samples * self.records.dt:.3g} s: {found.message} ({found.iterations} iterations)"
+        )
+
+    def finish(self, problem: Likelihood, found: Minimum[Place], rough: bool) -> tuple[Likelihood, Minimum[Place]]:
+        """The last stage kept, brought to the optimum, with initial states held where they are to be believed."""
+        if self.settings.x0 == "fixed":
+            problem, start = self.open(found.point.theta, self.records.states, self.whole, fixed=True)
+        elif not rough:
+            return problem, found
+        else:
+            start = found.point
+        found = self.solve(problem, start, self.settings.options)
+        self.tell(problem.segments.samples, found)
+        return problem, found
+
+    def solve(self, problem: Likelihood, start: Place, options: Options) -> Minimum[Place]:
+        """The minimum from a place."""
+        before = self.iterations
+
+        def monitor(iteration: int, cost: float, theta: Tensor) -> None:
+            self.iterations = before + iteration
+            if self.monitor is not None:
+                self.monitor(self.iterations, cost, theta)
+
+        method = minimise_lbfgs if self.settings.optimiser == "lbfgs" else gauss_newton
+        return method(problem, start, options, monitor)
+
+
+def _growth(problem: Likelihood, place: Place, samples: int) -> float:
+    """Largest growth of an error in the state over so many samples, states in units of their size."""
+    assert place.transitions is not None
+    product = torch.eye(place.x0.shape[-1], dtype=torch.float64).expand(len(problem.segments), -1, -1)
+    inside = problem.segments.inside.mT[1:, :, None, None]
+    for transition, there in zip(place.transitions, inside, strict=True):
+        product = torch.where(there, transition @ product, product)
+    size = place.run.states.square().mean(dim=(0, 1)).sqrt().clamp_min(1e-9)
+    product = product * size / size[:, None]
+    count, largest = max(1, round(samples / problem.segments.samples)), 0.0
+    for f in range(len(problem.records.lengths)):
+        pieces = product[problem.segments.flight == f]
+        for k in range(max(1, len(pieces) - count + 1)):
+            window = torch.eye(product.shape[-1], dtype=torch.float64)
+            for piece in pieces[k : k + count]:
+                window = piece @ window
+            largest = max(largest, float(window.abs().amax().nan_to_num(math.inf)))
+    return largest
+
+
+def gauss_newton(problem: Likelihood, start: Place, options: Options, monitor: Monitor | None = None) -> Minimum[Place]:
+    """The likelihood's minimum by bounded Gauss-Newton."""
+    lower, upper = problem.system.lower, problem.system.upper
+    return minimise(problem.evaluate, problem.linearise, start, lower, upper, options=options, monitor=monitor)
