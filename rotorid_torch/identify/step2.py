@@ -28,6 +28,9 @@ from rotorid_torch.model.model import Model
 HIGHEST = {**dict.fromkeys(FLAPPING, 8.0), **dict.fromkeys((*FORCES, *MOMENTS), 4.0)}
 """Hz: highest frequency of each equation, if its data reach it."""
 
+FOLLOWING = 10.0
+"""1/s: rate at which a body rate follows its controls where the regression sees no lag between them."""
+
 
 @dataclass(frozen=True)
 class Measured:
@@ -40,28 +43,59 @@ class Measured:
 
 @dataclass(frozen=True)
 class Step2:
-    """Regressions by row, and the parameter vector that starts step 3."""
+    """Regressions by row, the parameter vector that starts step 3, and the parameters that step 3 is to hold.
+
+    Where a regression finds a body rate that its controls drive without lag, and so no damping, the rate follows its
+    controls instead: cross-axis rates are held at zero in that row, for they would only imitate the missing lead.
+    """
 
     regressions: Mapping[str, Regression]
     theta: Tensor
+    held: tuple[str, ...]
 
 
 def regress_model(model: Model, dataset: Dataset, reconstruction: Reconstruction) -> Step2:
     """All linear parameters of the model from the identify flights, in closed form; the others keep their prior."""
     theta = model.theta.detach().clone()
     flights = [measured(model, dataset, reconstruction, name) for name in dataset.identify]
-    found = {}
+    found: dict[str, Regression] = {}
+    held: list[str] = []
     for effect in model.chain:
         if isinstance(effect, LinearForces | Flapping | AlgebraicFlapping):
             for row in effect.block.rows:
                 equation = _equation(row, effect, effect.block, model, dataset, flights)
                 found[row] = fit_equation(equation)
-                _store(model, theta, effect.id, row, found[row])
-    return Step2(found, model.parameter_set.clamp(theta))
+                _store(model, theta, effect.id, row, found[row].selected, found[row].coefficients)
+                if _undamped(model, theta, row):
+                    held += _follow(model, theta, row, equation, flights)
+    return Step2(found, model.parameter_set.clamp(theta), tuple(held))
 
 
-def _store(model: Model, theta: Tensor, effect: str, row: str, fit: Regression) -> None:
-    for name, value in zip(fit.selected, fit.coefficients.tolist(), strict=True):
+def _undamped(model: Model, theta: Tensor, row: str) -> bool:
+    """Whether a rate's own derivative came out beyond its bound."""
+    if row not in MOMENTS:
+        return False
+    place = model.parameter_set.index(f"forces.{row}.{RATES[MOMENTS.index(row)]}")
+    return bool(theta[place] > model.parameter_set.upper[place])
+
+
+def _follow(model: Model, theta: Tensor, row: str, equation: Equation, flights: Sequence[Measured]) -> list[str]:
+    """Let a rate follow the other signals at `FOLLOWING`: gains by regression of the rate itself; names to hold."""
+    rate = RATES[MOMENTS.index(row)]
+    others = [c for c in equation.names if c not in RATES]
+    gains = fit_equation(
+        replace(equation, response=[f.signals[rate] for f in flights], kind="value", prior_mean=None, prior_sd=None),
+        others,
+    )
+    rates = torch.tensor([-FOLLOWING if c == rate else 0.0 for c in RATES], dtype=torch.float64)
+    _store(model, theta, "forces", row, RATES, rates)
+    _store(model, theta, "forces", row, others, FOLLOWING * gains.coefficients)
+    return [f"forces.{row}.{c}" for c in RATES if c != rate]
+
+
+def _store(model: Model, theta: Tensor, effect: str, row: str, names: Sequence[str], values: Tensor) -> None:
+    """Write derivatives of a row into theta, in place."""
+    for name, value in zip(names, values.tolist(), strict=True):
         theta[model.parameter_set.index(f"{effect}.{row}.{name}")] = value
 
 

@@ -10,17 +10,20 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.identify.ml import Fit, Settings, fit
+from rotorid_torch.identify.gauss_newton import Options
 from rotorid_torch.identify.reconstruct import Reconstruction
 from rotorid_torch.identify.segments import Records, records_from
+from rotorid_torch.identify.stages import Fit, Settings, fit
 from rotorid_torch.identify.step2 import Step2, measured
 from rotorid_torch.identify.system import System
 from rotorid_torch.model.model import Model
 
 RATE = 50.0
 """Hz: records are averaged down to no less than this; body, flapping and inflow are slower than a fifth of it."""
+ENOUGH = Options(tolerance=0.0, absolute=0.05)
+"""The search ends where a step could raise the log-likelihood by no more than this, far below what the data tell."""
 LENGTHS = (2.0, 5.0)
-"""s: segments of the two stages where velocities make the vehicle's slow, often unstable modes part of the model."""
+"""s: segments of the two stages; an unstable vehicle's slow modes show in the second, its fast ones set the first."""
 
 
 @dataclass(frozen=True)
@@ -39,16 +42,17 @@ def estimate_model(
     monitor: Callable[[int, float, Tensor], None] | None = None,
 ) -> Step3:
     """Maximum likelihood from step 2's values, which only start it; the model's theta is set to the estimate."""
+    names = tuple(n for n in model.parameter_set.free if n not in start.held)
     with torch.no_grad():
         model.theta.copy_(start.theta)
-    names = model.parameter_set.free
     system = System(model, names)
     places = [model.parameter_set.index(n) for n in names]
     settings = Settings(
         floor=_noise(model, dataset),
-        lengths=LENGTHS if "u" in model.body.states else None,
+        lengths=LENGTHS,
         prior_mean=model.parameter_set.values[places],
         prior_sd=model.parameter_set.prior_sd[places],
+        options=ENOUGH,
     )
     found = fit(system, records(model, dataset, reconstruction), settings=settings, monitor=monitor)
     with torch.no_grad():

@@ -22,8 +22,8 @@ ATTITUDE = ATTITUDES[:2]
 OUTPUTS = (*VELOCITIES, *RATES, *ATTITUDE, *SPECIFIC_FORCES, *FLAPPING)
 LAGS = (0, 1, 2, 3, 4, 6, 8, 11, 16, 24, 32)
 """Samples of first-order lag that are tried between flapping and what drives it."""
-ALGEBRAIC = 2
-"""Flapping that lags its drivers by no more samples than this is algebraic."""
+ALGEBRAIC = 0
+"""Samples: flapping that lags its drivers by no more than this is algebraic."""
 FLAP_TIME = 0.1
 """s: usual time in which flapping follows; scales the prior of the flapping rates only."""
 

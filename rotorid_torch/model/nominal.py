@@ -21,6 +21,11 @@ from rotorid_torch.model.model import Body, Model
 PRIOR_SPAN = 5.0
 """A derivative times its regressor's rms excursion may reach this many times its row's rms before the prior objects."""
 TRIM_SPAN = 5.0
+EVERYTHING = (-math.inf, math.inf)
+FASTEST = 50.0
+"""1/s: no body rate decays faster; a rate that follows its control at once ends here."""
+DAMPING = (("L", "p"), ("M", "q"), ("N", "r"))
+"""Rotors damp the body rates: without flapping to carry the damping, these derivatives are not positive."""
 UNITS = {"X": "m/s2", "Y": "m/s2", "Z": "m/s2", "L": "rad/s2", "M": "rad/s2", "N": "rad/s2"}
 SIGNAL_UNITS = (
     dict.fromkeys((*VELOCITIES, INDUCED), "m/s") | dict.fromkeys(RATES, "rad/s") | dict.fromkeys(FLAPPING, "rad")
@@ -73,7 +78,8 @@ def _row(spec: ModelSpec, row: str, unit: str) -> list[Parameter]:
     for column in spec.patterns[row]:
         per = SIGNAL_UNITS.get(column) or spec.control_units.get(column, "1")
         sd = PRIOR_SPAN * size / max(spec.sizes.get(column, 1.0), 1e-12)
-        made.append(Parameter(f"{row}.{column}", 0.0, per_unit(unit, per), prior_sd=sd, doc=f"d{row}/d{column}"))
+        bounds = (-FASTEST, 0.0) if (row, column) in DAMPING and FLAPPING[0] not in spec.patterns[row] else EVERYTHING
+        made.append(Parameter(f"{row}.{column}", 0.0, per_unit(unit, per), bounds, sd, doc=f"d{row}/d{column}"))
     return made
 
 
