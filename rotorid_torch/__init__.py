@@ -12,10 +12,10 @@ if TYPE_CHECKING:
     from rotorid_torch.effects.base import Effect as Effect
     from rotorid_torch.effects.registry import register as register
     from rotorid_torch.errors import InputError as InputError
-    from rotorid_torch.identify.ftr import regress as regress
-    from rotorid_torch.identify.ml import output_error as output_error
-    from rotorid_torch.identify.reconstruct import reconstruct as reconstruct
-    from rotorid_torch.identify.ukf import unscented_filter as unscented_filter
+    from rotorid_torch.identification.ftr import regress as regress
+    from rotorid_torch.identification.ml import output_error as output_error
+    from rotorid_torch.identification.reconstruct import reconstruct as reconstruct
+    from rotorid_torch.identification.ukf import unscented_filter as unscented_filter
     from rotorid_torch.model.model import Model as Model
     from rotorid_torch.run.pipeline import Run as Run
     from rotorid_torch.run.pipeline import identify as identify
@@ -27,10 +27,10 @@ _PUBLIC = {
     "Effect": "effects.base",
     "register": "effects.registry",
     "InputError": "errors",
-    "regress": "identify.ftr",
-    "output_error": "identify.ml",
-    "reconstruct": "identify.reconstruct",
-    "unscented_filter": "identify.ukf",
+    "regress": "identification.ftr",
+    "output_error": "identification.ml",
+    "reconstruct": "identification.reconstruct",
+    "unscented_filter": "identification.ukf",
     "Model": "model.model",
     "Run": "run.pipeline",
     "identify": "run.pipeline",

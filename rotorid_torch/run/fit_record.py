@@ -11,7 +11,7 @@ from torch import Tensor
 
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.identify.step3 import Step3
+from rotorid_torch.identification.step3 import Step3
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.modes import modes
 from rotorid_torch.run.figures import Overlay

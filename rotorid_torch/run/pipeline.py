@@ -17,11 +17,11 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError
-from rotorid_torch.identify import reconstruct as step1
-from rotorid_torch.identify.reconstruct import Reconstruction
-from rotorid_torch.identify.step2 import Step2, regress_model
-from rotorid_torch.identify.step3 import Step3, estimate_model
-from rotorid_torch.identify.structure import propose
+from rotorid_torch.identification import reconstruct as step1
+from rotorid_torch.identification.reconstruct import Reconstruction
+from rotorid_torch.identification.step2 import Step2, regress_model
+from rotorid_torch.identification.step3 import Step3, estimate_model
+from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.model.save import load as load_model

@@ -13,7 +13,7 @@ from rotorid_torch.core.names import ATTITUDES, POSITIONS, RATES, SPECIFIC_FORCE
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.vibration import SPAN_HZ, lines, spectrum
-from rotorid_torch.identify.gauss_markov import smear
+from rotorid_torch.identification.gauss_markov import smear
 
 Array = np.ndarray
 

@@ -8,11 +8,11 @@ import torch
 from torch import Tensor, nn
 
 from rotorid_torch.errors import InputError
-from rotorid_torch.identify.ml import Settings, fit, output_error
-from rotorid_torch.identify.segments import cut, records_from
-from rotorid_torch.identify.sensitivity import corrected, sensitivities, simulated, traced
-from rotorid_torch.identify.system import System
-from tests.identify.output_error_cases import (
+from rotorid_torch.identification.ml import Settings, fit, output_error
+from rotorid_torch.identification.segments import cut, records_from
+from rotorid_torch.identification.sensitivity import corrected, sensitivities, simulated, traced
+from rotorid_torch.identification.system import System
+from tests.identification.output_error_cases import (
     RATE_LOOP,
     ROLL,
     SHORT_PERIOD,

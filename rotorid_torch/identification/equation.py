@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.errors import InputError
-from rotorid_torch.identify.ftr import Regression, solve
-from rotorid_torch.identify.noisy_least_squares import noisy_least_squares
-from rotorid_torch.identify.rows import Rows, flight_rows, total_noise
+from rotorid_torch.identification.ftr import Regression, solve
+from rotorid_torch.identification.noisy_least_squares import noisy_least_squares
+from rotorid_torch.identification.rows import Rows, flight_rows, total_noise
 
 HIGHEST = 8.0
 """Hz: default cap of a band chosen from the data."""

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.errors import InputError
-from rotorid_torch.identify.fourier import (
+from rotorid_torch.identification.fourier import (
     as_rows,
     derivative_transform,
     fill_gaps,

@@ -15,10 +15,10 @@ from torch import Tensor
 
 from rotorid_torch.core.names import ATTITUDES, RATES
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.identify.force_noise import ForceNoise, find_force_noise
-from rotorid_torch.identify.motion import AXES, Motion, supported
-from rotorid_torch.identify.sensor_errors import kinematic_biases, kinematic_disagreement, vibration_lines
-from rotorid_torch.identify.ukf import Filtered, filter_and_smooth
+from rotorid_torch.identification.force_noise import ForceNoise, find_force_noise
+from rotorid_torch.identification.motion import AXES, Motion, supported
+from rotorid_torch.identification.sensor_errors import kinematic_biases, kinematic_disagreement, vibration_lines
+from rotorid_torch.identification.ukf import Filtered, filter_and_smooth
 
 LAGS = 20
 """Lags over which the innovations' autocorrelation is judged."""

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.errors import InputError
-from rotorid_torch.identify.noisy_least_squares import Solution, noisy_least_squares, smooth_variance
-from rotorid_torch.identify.rows import Rows, flight_rows, total_noise
+from rotorid_torch.identification.noisy_least_squares import Solution, noisy_least_squares, smooth_variance
+from rotorid_torch.identification.rows import Rows, flight_rows, total_noise
 
 REACH = 3
 """Harmonics on each side over which the colour of the residual is taken for smooth."""

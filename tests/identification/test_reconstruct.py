@@ -14,8 +14,8 @@ from rotorid_torch.core import rigid
 from rotorid_torch.core.integrate import simulate
 from rotorid_torch.data import Dataset, load
 from rotorid_torch.errors import InputError
-from rotorid_torch.identify.motion import AXES, Motion
-from rotorid_torch.identify.reconstruct import Reconstruction, ReconstructOptions, reconstruct
+from rotorid_torch.identification.motion import AXES, Motion
+from rotorid_torch.identification.reconstruct import Reconstruction, ReconstructOptions, reconstruct
 from tests.helpers import shared
 
 MASS, INERTIA = 7000.0, [[7600.0, 0.0, -2200.0], [0.0, 54000.0, 0.0], [-2200.0, 0.0, 50000.0]]

@@ -10,12 +10,12 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.identify.gauss_newton import Options
-from rotorid_torch.identify.reconstruct import Reconstruction
-from rotorid_torch.identify.segments import Records, records_from
-from rotorid_torch.identify.stages import Fit, Settings, fit
-from rotorid_torch.identify.step2 import Step2, measured
-from rotorid_torch.identify.system import System
+from rotorid_torch.identification.gauss_newton import Options
+from rotorid_torch.identification.reconstruct import Reconstruction
+from rotorid_torch.identification.segments import Records, records_from
+from rotorid_torch.identification.stages import Fit, Settings, fit
+from rotorid_torch.identification.step2 import Step2, measured
+from rotorid_torch.identification.system import System
 from rotorid_torch.model.model import Model
 
 RATE = 50.0

@@ -11,8 +11,8 @@ from rotorid_torch.core.names import RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.identify import gauss_markov as gm
-from rotorid_torch.identify.motion import ACCELERATIONS
-from rotorid_torch.identify.sensor_errors import integral, kinematic_acceleration, lever_arm, without_line
+from rotorid_torch.identification.motion import ACCELERATIONS
+from rotorid_torch.identification.sensor_errors import integral, kinematic_acceleration, lever_arm, without_line
 
 Array = np.ndarray
 

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from rotorid_torch.identify.gauss_newton import FLOOR, Minimum, Options
-from rotorid_torch.identify.likelihood import Likelihood, Place
-from rotorid_torch.identify.sensitivity import traced
+from rotorid_torch.identification.gauss_newton import FLOOR, Minimum, Options
+from rotorid_torch.identification.likelihood import Likelihood, Place
+from rotorid_torch.identification.sensitivity import traced
 
 MEMORY = 20
 """Steps whose gradients are remembered."""

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from rotorid_torch.identify.gauss_newton import Linear
-from rotorid_torch.identify.likelihood import Likelihood, Place
+from rotorid_torch.identification.gauss_newton import Linear
+from rotorid_torch.identification.likelihood import Likelihood, Place
 
 SMOOTHING = 20
 """Spectral lines to each side over which the residuals' spectrum of one segment is averaged; fewer of more segments."""

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
-from rotorid_torch.identify.gauss_newton import Linear
-from rotorid_torch.identify.segments import Records, Segments
-from rotorid_torch.identify.sensitivity import Run, corrected, sensitivities, simulated
-from rotorid_torch.identify.system import System
+from rotorid_torch.identification.gauss_newton import Linear
+from rotorid_torch.identification.segments import Records, Segments
+from rotorid_torch.identification.sensitivity import Run, corrected, sensitivities, simulated
+from rotorid_torch.identification.system import System
 
 WEAK = 1e-9
 """Weight that keeps an initial state no output depends on where it is, relative to its column."""

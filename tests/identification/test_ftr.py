@@ -11,8 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rotorid_torch.errors import InputError
-from rotorid_torch.identify.ftr import regress
-from tests.identify.known_systems import NOISE, ROLL_PITCH_YAW, LinearSystem, coverage, flights, noisy
+from rotorid_torch.identification.ftr import regress
+from tests.identification.known_systems import NOISE, ROLL_PITCH_YAW, LinearSystem, coverage, flights, noisy
 
 DT = 1.0 / 154.0
 

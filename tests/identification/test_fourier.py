@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from rotorid_torch.identify.fourier import (
+from rotorid_torch.identification.fourier import (
     as_rows,
     chirp_z,
     derivative_transform,

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from rotorid_torch.core.integrate import simulate
 from rotorid_torch.errors import InputError
-from rotorid_torch.identify.ukf import unscented_filter
+from rotorid_torch.identification.ukf import unscented_filter
 
 A = np.array([[-0.8, 1.5, 0.2], [-2.0, -0.6, 0.4], [0.1, 0.0, -0.05]])
 B = np.array([[0.3, 0.0], [1.0, -0.4], [0.0, 0.2]])

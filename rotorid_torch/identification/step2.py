@@ -16,10 +16,10 @@ from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES, SPECIFIC_
 from rotorid_torch.core.rigid import cross, gravity_in_body, gyroscopic
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.base import Effect, Frame, Values
-from rotorid_torch.identify.equation import Equation, fit_equation
-from rotorid_torch.identify.ftr import Regression
-from rotorid_torch.identify.reconstruct import Reconstruction
-from rotorid_torch.identify.structure import ATTITUDE, have
+from rotorid_torch.identification.equation import Equation, fit_equation
+from rotorid_torch.identification.ftr import Regression
+from rotorid_torch.identification.reconstruct import Reconstruction
+from rotorid_torch.identification.structure import ATTITUDE, have
 from rotorid_torch.model.flapping import AlgebraicFlapping, Flapping
 from rotorid_torch.model.forces import LinearForces
 from rotorid_torch.model.linear import LinearBlock

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from rotorid_torch.identify.equation import Equation, choose_band, columns_of, equation_rows, fit_rows
-from rotorid_torch.identify.fourier import noise_floor
-from rotorid_torch.identify.ftr import Regression, solve
-from rotorid_torch.identify.noisy_least_squares import noisy_least_squares
-from rotorid_torch.identify.rows import Rows, total_noise
+from rotorid_torch.identification.equation import Equation, choose_band, columns_of, equation_rows, fit_rows
+from rotorid_torch.identification.fourier import noise_floor
+from rotorid_torch.identification.ftr import Regression, solve
+from rotorid_torch.identification.noisy_least_squares import noisy_least_squares
+from rotorid_torch.identification.rows import Rows, total_noise
 
 RELIABLE = 0.5
 """Least reliability that every held regressor must keep beyond the others."""

@@ -8,8 +8,8 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from rotorid_torch.identify.likelihood import Likelihood, Noise
-from rotorid_torch.identify.segments import Records, Segments
+from rotorid_torch.identification.likelihood import Likelihood, Noise
+from rotorid_torch.identification.segments import Records, Segments
 
 FEWEST = 8
 """Samples that an initial state is fitted to, at least."""

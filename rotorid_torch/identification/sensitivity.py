@@ -14,8 +14,8 @@ import torch
 from torch import Tensor, nn
 
 from rotorid_torch.core.integrate import NODES, simulate, step, step_jacobian, step_stages
-from rotorid_torch.identify.segments import Records, Segments
-from rotorid_torch.identify.system import System
+from rotorid_torch.identification.segments import Records, Segments
+from rotorid_torch.identification.system import System
 
 BLOCK_NUMBERS = 1_000_000
 """Numbers in the largest array of a block of samples; bounds the memory."""

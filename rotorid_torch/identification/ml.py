@@ -11,10 +11,10 @@ import torch
 from torch import Tensor, nn
 
 from rotorid_torch.errors import InputError
-from rotorid_torch.identify.segments import Records, records_from
-from rotorid_torch.identify.stages import FINE, Fit, Monitor, Settings, fit
-from rotorid_torch.identify.system import System
-from rotorid_torch.identify.uncertainty import Uncertainty
+from rotorid_torch.identification.segments import Records, records_from
+from rotorid_torch.identification.stages import FINE, Fit, Monitor, Settings, fit
+from rotorid_torch.identification.system import System
+from rotorid_torch.identification.uncertainty import Uncertainty
 
 
 @dataclass(frozen=True)

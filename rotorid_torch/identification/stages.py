@@ -9,13 +9,13 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
-from rotorid_torch.identify.gauss_newton import Minimum, Options, minimise
-from rotorid_torch.identify.initial_states import filled, fitted_states, roughness, smallest_noise
-from rotorid_torch.identify.likelihood import Likelihood, Noise, Place
-from rotorid_torch.identify.quasi_newton import minimise_lbfgs
-from rotorid_torch.identify.segments import Records, cut
-from rotorid_torch.identify.system import System
-from rotorid_torch.identify.uncertainty import Uncertainty, uncertainty
+from rotorid_torch.identification.gauss_newton import Minimum, Options, minimise
+from rotorid_torch.identification.initial_states import filled, fitted_states, roughness, smallest_noise
+from rotorid_torch.identification.likelihood import Likelihood, Noise, Place
+from rotorid_torch.identification.quasi_newton import minimise_lbfgs
+from rotorid_torch.identification.segments import Records, cut
+from rotorid_torch.identification.system import System
+from rotorid_torch.identification.uncertainty import Uncertainty, uncertainty
 
 LENGTHS = (2.0, 5.0, 10.0, math.inf)
 """Segment lengths that the stages choose from where nobody says otherwise, s."""
@@ -218,14 +218,17 @@ class _Stages:
         return samples
 
     def _fits_already(self, theta: Tensor) -> bool:
-        """Whether residuals are near the noise from the start."""
-        start = self.open(theta, self.records.states, self.whole)[1]
+        """Whether whole flights are near the noise from the start, and tame."""
+        problem, start = self.open(theta, self.records.states, self.whole)
         if not math.isfinite(start.cost):
             return False
         noise = (
             roughness(self.records).log().mean() if self.settings.floor is None else self.settings.floor.log().mean()
         )
-        return _size(start) < float(noise) + SAME_FIT
+        if _size(start) >= float(noise) + SAME_FIT:
+            return False
+        problem.linearise(start)
+        return _growth(problem, start, self.whole) < LAST_GROWTH
 
     def open(self, theta: Tensor, states: Tensor, samples: int, fixed: bool = False) -> tuple[Likelihood, Place]:
         """The likelihood on segments of this length, and the place to start from."""

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import torch
 
-from rotorid_torch.identify.ml import OutputError, output_error
-from rotorid_torch.identify.segments import cut, records_from
-from rotorid_torch.identify.sensitivity import sensitivities, simulated
-from rotorid_torch.identify.system import System
-from tests.identify.output_error_cases import ROLL, Roll, roll_flight
+from rotorid_torch.identification.ml import OutputError, output_error
+from rotorid_torch.identification.segments import cut, records_from
+from rotorid_torch.identification.sensitivity import sensitivities, simulated
+from rotorid_torch.identification.system import System
+from tests.identification.output_error_cases import ROLL, Roll, roll_flight
 
 SD = np.array([0.01, 0.02])
 WHOLE = [math.inf]

@@ -9,11 +9,11 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.errors import InputError
-from rotorid_torch.identify.equation import Equation, choose_band, fit_equation
-from rotorid_torch.identify.ftr import regress
-from rotorid_torch.identify.selection import beyond, redundant, response_lag, select
+from rotorid_torch.identification.equation import Equation, choose_band, fit_equation
+from rotorid_torch.identification.ftr import regress
+from rotorid_torch.identification.selection import beyond, redundant, response_lag, select
 from tests.helpers import shared
-from tests.identify.known_systems import NOISE, ROLL_PITCH_YAW, flights, noisy
+from tests.identification.known_systems import NOISE, ROLL_PITCH_YAW, flights, noisy
 
 DT = 1.0 / 154.0
 NAMES = ("p", "q", "r", "lat", "lon")

@@ -14,7 +14,7 @@ from rotorid_torch.core.names import ATTITUDES, FLAPPING, FORCES, MOMENTS, RATES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.spec import FlappingKind, ModelSpec, RotorSpec
-from rotorid_torch.identify.reconstruct import Reconstruction
+from rotorid_torch.identification.reconstruct import Reconstruction
 from rotorid_torch.model.inflow import INDUCED, trim_velocity
 from rotorid_torch.model.nominal import thrust
 

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from torch import Tensor
 from torch.func import jacrev
 
-from rotorid_torch.identify.gauss_newton import Linear, Minimum, Options, minimise
+from rotorid_torch.identification.gauss_newton import Linear, Minimum, Options, minimise
 
 
 @dataclass

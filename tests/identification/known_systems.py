@@ -11,7 +11,7 @@ import torch
 from scipy.linalg import expm
 from torch import Tensor
 
-from rotorid_torch.identify.ftr import regress
+from rotorid_torch.identification.ftr import regress
 
 
 @dataclass(frozen=True)
