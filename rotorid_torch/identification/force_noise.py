@@ -10,7 +10,7 @@ import numpy as np
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
-from rotorid_torch.identify import gauss_markov as gm
+from rotorid_torch.identification import gauss_markov as gm
 from rotorid_torch.identification.motion import ACCELERATIONS
 from rotorid_torch.identification.sensor_errors import integral, kinematic_acceleration, lever_arm, without_line
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rotorid_torch.identify import gauss_markov as gm
+from rotorid_torch.identification import gauss_markov as gm
 
 DT, SAMPLES = 0.02, 60
 
