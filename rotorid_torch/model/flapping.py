@@ -23,6 +23,7 @@ class Flapping(Effect):
     """
 
     id, stage, role = "rotor", Stage.ROTOR, Role.NOMINAL
+    reference: Tensor
 
     def __init__(self, block: LinearBlock, reference: Tensor) -> None:
         super().__init__(block.declared, tuple(State(n, "rad") for n in FLAPPING))
@@ -44,6 +45,7 @@ class AlgebraicFlapping(Effect):
     """
 
     id, stage, role = "rotor", Stage.ROTOR, Role.NOMINAL
+    reference: Tensor
 
     def __init__(self, block: LinearBlock, reference: Tensor) -> None:
         super().__init__(block.declared)

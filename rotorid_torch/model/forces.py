@@ -31,6 +31,7 @@ class LinearForces(Effect):
     """
 
     id, stage, role = "forces", Stage.FORCES, Role.NOMINAL
+    reference: Tensor
 
     def __init__(self, block: LinearBlock, reference: Tensor) -> None:
         super().__init__(block.declared)
@@ -55,6 +56,8 @@ class ThrustTilt(Effect):
     """
 
     id, stage, role = "rotor.tilt", Stage.FORCES, Role.NOMINAL
+    arm: Tensor
+    inverse: Tensor
 
     def __init__(
         self, hub: Tensor, mass: float, inertia: Tensor, spin: float, reference: dict[str, float], thrust: float

@@ -55,6 +55,7 @@ class Inflow(Effect):
     """
 
     id, stage, role = "inflow", Stage.FORCES, Role.NOMINAL
+    about_z: Tensor
 
     def __init__(
         self,
@@ -80,7 +81,6 @@ class Inflow(Effect):
         )
         self.disc, self.trim, self.thrust, self.w = disc, trim, thrust, reference["w"]
         self.torque = rotor.spin * mass / rotor.speed
-        self.about_z: Tensor
         self.register_buffer("about_z", torch.linalg.inv(inertia)[:, 2])
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:

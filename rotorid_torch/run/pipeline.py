@@ -189,7 +189,7 @@ def simulate(
     found |= dict(zip(loaded.body.outputs, outputs[0].numpy().T, strict=True))
     _warn_outside(found | {c: record.channels[c][first : first + samples].numpy() for c in loaded.body.controls}, spec)
     with whole_file(out) as file, file.open("wb") as handle:
-        np.savez(handle, **found)
+        np.savez(handle, **found)  # pyright: ignore[reportArgumentType]
     return found
 
 
@@ -251,4 +251,4 @@ def _report(
 def _write_reconstruction(found: Reconstruction, folder: Path) -> None:
     (folder / "reconstruct").mkdir(exist_ok=True)
     for name in found.flights:
-        np.savez(folder / "reconstruct" / f"{name}.npz", **found.arrays(name))
+        np.savez(folder / "reconstruct" / f"{name}.npz", **found.arrays(name))  # pyright: ignore[reportArgumentType]
