@@ -30,7 +30,9 @@ def scaled(factor: float) -> ShortPeriod:
     return ShortPeriod(**{name: factor * value for name, value in SHORT_PERIOD.items()})
 
 
-@pytest.mark.parametrize(("seconds", "factor"), [(10.0, 2.5), (10.0, 0.4), (10.0, 0.0), (20.0, 3.0), (20.0, 0.0)])
+@pytest.mark.parametrize(
+    ("seconds", "factor"), [(10.0, 2.5), (10.0, 0.4), (10.0, -1.0), (20.0, 3.0), (20.0, 1.0), (20.0, 0.0)]
+)
 def test_unstable_short_period_without_help(seconds: float, factor: float) -> None:
     flight = unstable_flight(seconds, noise=(0.003, 0.00015, 0.003), seed=3)
     found = output_error(scaled(factor), [flight])
