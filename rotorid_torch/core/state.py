@@ -23,6 +23,11 @@ class StateLayout:
 
     states: tuple[State, ...]
 
+    def __post_init__(self) -> None:
+        twice = sorted({n for n in self.names if self.names.count(n) > 1})
+        if twice:
+            raise ValueError(f"states declared twice: {twice}")
+
     def __len__(self) -> int:
         return len(self.states)
 

@@ -1,0 +1,85 @@
+"""Parameters: names, bounds that hold, free masks, and the table that prints."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rotorid_torch.core.parameters import Parameter, ParameterSet
+
+
+def a_set() -> ParameterSet:
+    return ParameterSet((
+        Parameter("L.p", -3.0, "1/s", (-50.0, 0.0), prior_sd=2.0),
+        Parameter("delay", 0.0, "s", (0.0, 0.25), free=False),
+        Parameter("X.u", unit="1/s"),
+    ))  # fmt: skip
+
+
+def test_columns_are_in_the_order_of_theta():
+    parameters = a_set()
+    assert parameters.names == ("L.p", "delay", "X.u")
+    assert parameters.units == ("1/s", "s", "1/s")
+    assert parameters.values.tolist() == [-3.0, 0.0, 0.0]
+    assert parameters.lower.tolist() == [-50.0, 0.0, -math.inf]
+    assert parameters.upper.tolist() == [0.0, 0.25, math.inf]
+    assert parameters.prior_sd.tolist() == [2.0, math.inf, math.inf]
+    assert parameters.values.dtype == torch.float64
+    assert len(parameters) == 3
+    assert [parameters.index(n) for n in parameters.names] == [0, 1, 2]
+
+
+def test_values_outside_their_bounds_are_refused():
+    for value in (0.5, math.nan, -51.0):
+        with pytest.raises(ValueError, match=r"L\.p: .* outside its bounds"):
+            Parameter("L.p", value, bounds=(-50.0, 0.0))
+    with pytest.raises(ValueError, match="outside"):
+        Parameter("L.p", 0.0, bounds=(1.0, -1.0))
+
+
+def test_a_name_declared_twice_is_told():
+    with pytest.raises(ValueError, match="declared twice.*'b'") as refusal:
+        ParameterSet((Parameter("a"), Parameter("b"), Parameter("b")))
+    assert "'a'" not in str(refusal.value)
+
+
+def test_unknown_names_are_told_with_those_that_exist():
+    with pytest.raises(KeyError, match=r"no parameter 'L\.q'.*L\.p, delay, X\.u"):
+        a_set().index("L.q")
+    with pytest.raises(KeyError, match=r"no parameters \['L\.q'\].*L\.p"):
+        a_set().with_free(["L.p", "L.q"])
+    assert "L.q" not in a_set()
+    assert "L.p" in a_set()
+
+
+def test_with_free_frees_exactly_these():
+    assert a_set().free == ("L.p", "X.u")
+    assert a_set().with_free(["delay"]).free == ("delay",)
+    assert a_set().with_free(["delay"]).values.tolist() == a_set().values.tolist()
+    assert a_set().with_free([]).free == ()
+
+
+@given(st.lists(st.lists(st.floats(-1e3, 1e3), min_size=3, max_size=3), min_size=1, max_size=4))
+def test_clamp_holds_the_bounds_and_nothing_else(rows: list[list[float]]):
+    theta = torch.tensor(rows, dtype=torch.float64)
+    parameters = a_set()
+    held = parameters.clamp(theta)
+    assert held.shape == theta.shape
+    assert bool(((held >= parameters.lower) & (held <= parameters.upper)).all())
+    inside = (theta >= parameters.lower) & (theta <= parameters.upper)
+    assert torch.equal(held[inside], theta[inside])
+    assert torch.equal(parameters.clamp(held), held)
+
+
+def test_table_prints_one_parameter_a_line():
+    theta = torch.tensor([-3.1234567, 0.02, 0.5], dtype=torch.float64, requires_grad=True)
+    lines = a_set().table(theta, torch.tensor([0.1, 0.0, math.nan])).splitlines()
+    assert lines[0].split() == ["name", "value", "se", "unit", "bounds", "status"]
+    assert lines[1].split() == ["L.p", "-3.1235", "0.1", "1/s", "-50", "..", "0", "free"]
+    assert lines[2].split() == ["delay", "0.02", "0", "s", "0", "..", "0.25", "frozen"]
+    assert lines[3].split() == ["X.u", "0.5", "1/s", "-inf", "..", "inf", "free"]
+    assert len(a_set().table(theta).splitlines()) == 4
