@@ -118,3 +118,39 @@ class TailRotor(Effect):
         y, roll, yaw = (terms.unsqueeze(-2) * rows).sum(-1).unbind(-1)
         zero = torch.zeros_like(y)
         return frame.add(vec(zero, y, zero), vec(roll, zero, yaw)), x
+
+
+class Tailplane(Effect):
+    """Tailplane beyond the tangent: lift and pitching moment grow with the square of the flow where it stands.
+
+    With perturbations du, dv_t = dv - arm dr, dw_t = dw + arm dq of the flow at the tail: M += uu du^2 + uw du dw_t +
+    ww dw_t^2 + vv dv_t^2 (dynamic pressure, incidence, and the main rotor's wake that sideslip shifts over the tail);
+    Z += uw du dw_t.
+
+    Source: Padfield, Helicopter Flight Dynamics, sec. 3.2 (empennage, fuselage and rotor wake on it).
+    """
+
+    id, stage, role = "tailplane", Stage.FORCES, Role.NOMINAL
+    terms = (("Z", "uw"), ("M", "uu"), ("M", "uw"), ("M", "ww"), ("M", "vv"))
+
+    def __init__(self, arm: float, reference: dict[str, float], sizes: dict[str, float]) -> None:
+        flow = {
+            "u": sizes.get("u", 1.0),
+            "v": math.hypot(sizes.get("v", 1.0), arm * sizes.get("r", 1.0)),
+            "w": math.hypot(sizes.get("w", 1.0), arm * sizes.get("q", 1.0)),
+        }
+        units = {"Z": "1/m", "M": "rad/m2"}
+        declared = []
+        for row, term in self.terms:
+            sd = sizes.get(f"row.{row}", 1.0) / max(flow[term[0]] * flow[term[1]], 1e-12)
+            declared.append(Parameter(f"{row}.{term}", 0.0, units[row], prior_sd=sd))
+        super().__init__(tuple(declared))
+        self.arm, self.at = arm, {n: reference[n] for n in ("u", "v", "w", "q", "r")}
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Adds lift and pitching moment of the tailplane's quadratic terms."""
+        du, dv, dw, dq, dr = (frame.signals[n] - self.at[n] for n in ("u", "v", "w", "q", "r"))
+        w, v = dw + self.arm * dq, dv - self.arm * dr
+        pitch = du * (p["M.uu"] * du + p["M.uw"] * w) + p["M.ww"] * w * w + p["M.vv"] * v * v
+        zero = torch.zeros_like(pitch)
+        return frame.add(vec(zero, zero, p["Z.uw"] * du * w), vec(zero, pitch, zero)), x

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from rotorid_torch.core.names import ATTITUDES, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.core.parameters import ParameterSet
-from rotorid_torch.core.rigid import euler_rates, gyroscopic, specific_force_at, vec, velocity_rates
+from rotorid_torch.core.rigid import euler_rates, gyroscopic, join, specific_force_at, vec, velocity_rates
 from rotorid_torch.core.state import State, StateLayout
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
 
@@ -92,12 +92,12 @@ class Model(nn.Module):
             frame, own = effect(frame, x[..., self._slices[k][1]], self.values(theta, k))
             if effect.states:
                 rates.append(own)
-        return frame, torch.cat(rates, -1) if rates else x[..., :0]
+        return frame, join(*rates) if rates else x[..., :0]
 
     def rates(self, theta: Tensor, x: Tensor, u: Tensor) -> Tensor:
         """dx/dt [..., nx] at parameters theta [..., P], states x [..., nx], controls u [..., nu]."""
         frame, own = self.frame(theta, x, u)
-        return torch.cat([*self._body_rates(frame, x), own], dim=-1)
+        return join(*self._body_rates(frame, x), own)
 
     def _angular(self, frame: Frame, rates: Tensor) -> Tensor:
         assert frame.moment is not None

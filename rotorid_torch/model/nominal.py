@@ -13,7 +13,7 @@ from rotorid_torch.effects.base import Effect
 from rotorid_torch.effects.registry import make
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.flapping import AlgebraicFlapping, Flapping, reference_vector
-from rotorid_torch.model.forces import LinearForces, TailRotor, ThrustTilt
+from rotorid_torch.model.forces import LinearForces, Tailplane, TailRotor, ThrustTilt
 from rotorid_torch.model.inflow import INDUCED, Inflow
 from rotorid_torch.model.linear import LinearBlock
 from rotorid_torch.model.model import Body, Model
@@ -21,6 +21,8 @@ from rotorid_torch.model.model import Body, Model
 PRIOR_SPAN = 5.0
 """A derivative times its regressor's rms excursion may reach this many times its row's rms before the prior objects."""
 TRIM_SPAN = 5.0
+TAIL_ARM, TAILPLANE_ARM = 1.2, 1.05
+"""Distances of tail rotor and tailplane behind the centre of gravity, in rotor radii; usual, where none is declared."""
 EVERYTHING = (-math.inf, math.inf)
 FASTEST = 50.0
 """1/s: no body rate decays faster; a rate that follows its control at once ends here."""
@@ -96,7 +98,8 @@ def _physics(spec: ModelSpec) -> list[Effect]:
     if spec.inflow:
         made.append(Inflow(rotor, spec.air_density, mass, tensor, spec.reference, lift))
     if "ped" in spec.controls:
-        made.append(TailRotor(1.2 * rotor.radius, spec.reference, spec.sizes))
+        made.append(TailRotor(TAIL_ARM * rotor.radius, spec.reference, spec.sizes))
+        made.append(Tailplane(TAILPLANE_ARM * rotor.radius, spec.reference, spec.sizes))
     return made
 
 
