@@ -15,6 +15,12 @@ def vec(*parts: Tensor) -> Tensor:
     return torch.stack(torch.broadcast_tensors(*parts), dim=-1)
 
 
+def join(*parts: Tensor) -> Tensor:
+    """Concatenate parts [..., n] along the last dimension after broadcasting their leading ones against each other."""
+    shape = torch.broadcast_shapes(*(part.shape[:-1] for part in parts))
+    return torch.cat([part.expand(*shape, -1) for part in parts], dim=-1)
+
+
 def cross(a: Tensor, b: Tensor) -> Tensor:
     """Cross product of a [..., 3] and b [..., 3], leading dimensions broadcast."""
     ax, ay, az = a.unbind(-1)

@@ -40,7 +40,7 @@ def rows(spec: ModelSpec) -> tuple[str, ...]:
 
 
 def build(spec: ModelSpec) -> Model:
-    """The model of a spec; KeyError where an effect's id is unknown."""
+    """The model of a spec; InputError where an effect's id is unknown."""
     body = Body(spec.states, spec.controls, spec.outputs, spec.gravity, spec.inertia, spec.imu)
     effects = [*_rotor(spec), _forces(spec), *_physics(spec), *(make(name, spec) for name in spec.effects)]
     return Model(body, effects, spec.reference)

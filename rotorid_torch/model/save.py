@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import pickle
+import warnings
 from pathlib import Path
+from typing import Any
 
-import msgspec
 import torch
 
 from rotorid_torch.effects.spec import ModelSpec
@@ -30,14 +30,25 @@ def load(path: str | Path) -> tuple[Model, ModelSpec]:
     """
     expected = "a model.pt written by rotorid identify"
     try:
-        held = torch.load(path, weights_only=True)
-        if not isinstance(held, dict) or held.get("format") != FORMAT:
-            raise InputError(path, "format", "not a model of this format", expected)
-        spec = ModelSpec.from_plain(held["spec"])
-        model = build(spec)
-        model.load_state_dict(held["state"])
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what torch remarks on a foreign file, the refusal says better
+            return _model(torch.load(path, weights_only=True))
     except OSError as e:
         raise InputError(path, "", e.strerror or "cannot be read", expected) from e
-    except (pickle.UnpicklingError, msgspec.ValidationError, RuntimeError, KeyError, EOFError) as e:
-        raise InputError(path, "", f"not a model: {str(e).splitlines()[0]}", expected) from e
+    except InputError as e:
+        raise InputError(path, e.key, e.wrong, e.expected) from e
+    except Exception as e:  # a damaged or foreign file may fail anywhere in pickle, torch, msgspec or build
+        said = str(e).splitlines() or ["the file is empty"]
+        raise InputError(path, "", f"not a model: {said[0]}", expected) from e
+
+
+def _model(held: Any) -> tuple[Model, ModelSpec]:
+    if not isinstance(held, dict) or held.get("format") != FORMAT:
+        raise ValueError(f"it has no format {FORMAT}")
+    spec = ModelSpec.from_plain(held["spec"])
+    model = build(spec)
+    model.load_state_dict(held["state"])
+    theta = model.theta.detach()
+    if not torch.equal(model.parameter_set.clamp(theta), theta):  # a NaN equals nothing
+        raise ValueError("its parameters leave their bounds")
     return model, spec
