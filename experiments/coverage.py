@@ -4,6 +4,8 @@ A roll axis (damping, stiffness, control power) flown twice at 20 Hz, with new n
 the roll acceleration with white noise on everything measured, output error with white noise, and output error with
 first-order autoregressive noise (coefficient 0.95), whose plain Cramer-Rao intervals are three to four times too small.
 
+The whole chain of steps follows, as in `coverage_chain.py`, which also runs alone.
+
 Expected: pooled 0.93-0.97 with white noise and each parameter above 0.90; with coloured noise 0.90-0.98 and 0.86.
 """
 
@@ -14,9 +16,12 @@ import random
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import torch
 import tyro
+from coverage_chain import LAG
+from coverage_chain import coverage as chain_coverage
 from torch import Tensor, nn
 from torch.utils.tensorboard import SummaryWriter
 
@@ -37,8 +42,11 @@ class Args:
 
     white_runs: int = 1000
     coloured_runs: int = 400
+    chain_runs: int = 200
+    chain_lag_runs: int = 50
+    """Of the whole chain; finished ones are kept beside the TensorBoard records and not run again."""
     quick: bool = False
-    """20 runs of each, to see that it works."""
+    """20 runs of each step and one of the chain, to see that it works."""
     seed: int = 0
     logdir: str = "runs/coverage"
 
@@ -135,6 +143,7 @@ def main(args: Args) -> None:
     torch.set_num_threads(1)
     if args.quick:
         args.white_runs = args.coloured_runs = 20
+        args.chain_runs, args.chain_lag_runs = 1, 0
     writer = SummaryWriter(args.logdir)
     writer.add_text("settings", json.dumps(asdict(args)))
     result = {
@@ -142,6 +151,9 @@ def main(args: Args) -> None:
         "ml_white": coverage("ml_white", one_fit, args.white_runs, 0.0, args, writer),
         "ml_coloured": coverage("ml_coloured", one_fit, args.coloured_runs, COLOUR, args, writer),
     }
+    for name, runs, lag in (("chain", args.chain_runs, 0.0), ("chain_with_lag", args.chain_lag_runs, LAG)):
+        if runs:
+            result[name] = chain_coverage(name, runs, lag, args.seed, Path(args.logdir), writer)
     writer.close()
     print(json.dumps(result))
 

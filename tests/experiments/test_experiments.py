@@ -1,0 +1,51 @@
+"""Every experiment runs from its command line in its quick form, and its last line is one JSON object."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.helpers import ROOT
+
+pytest.importorskip("tyro", reason="experiments need the extra 'experiments'")
+
+
+def quick(name: str, out: Path, *arguments: str) -> dict:
+    command = [sys.executable, str(ROOT / "experiments" / f"{name}.py"), "--quick", *arguments]
+    done = subprocess.run(
+        command, cwd=out, env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.mark.slow
+def test_paper_case_study_draws_the_papers_figures_and_follows_unseen_flights(tmp_path: Path) -> None:
+    result = quick("paper_case_study", tmp_path, "--out", str(tmp_path / "study"))
+    drawn = {file.stem for file in (tmp_path / "study").glob("*.png")}
+    wanted = {"figure4_forces", "figure5_flapping_driven", "figure6_moments", "figure7_velocities_sweep_col"}
+    assert wanted | {"figure8_rates_sweep_col", "figure9_rotor_sweep_col"} <= drawn
+    assert list((tmp_path / "study" / "tensorboard").iterdir())
+    assert min(min(flight.values()) for flight in result["step 1: 3 sigma"].values()) > 0.9
+    assert result["step 2: R2 of flapping along the flown motion"]["dbl_lon_n"]["a1"] > 0.95
+    assert result["step 3: R2 of moments along the flown motion"]["dbl_lon_n"]["M"] > 0.9
+    assert result["J"]["acid"] < 0.5
+
+
+def test_chain_coverage_holds_the_truth_and_continues_where_it_stopped(tmp_path: Path) -> None:
+    first = quick("coverage_chain", tmp_path, "--out", str(tmp_path / "chain"))["chain"]
+    assert first["runs"] == 1
+    assert first["intervals_missing"] == 0
+    assert first["pooled"] > 0.8
+    again = quick("coverage_chain", tmp_path, "--out", str(tmp_path / "chain"))["chain"]
+    assert again["pooled"] == first["pooled"]
+    assert again["seconds"] < 0.5 * first["seconds"]
+
+
+@pytest.mark.slow
+def test_coverage_of_single_steps_is_in_reach_of_95_percent(tmp_path: Path) -> None:
+    result = quick("coverage", tmp_path, "--logdir", str(tmp_path / "steps"))
+    assert all(step["pooled"] > 0.8 for step in result.values())
