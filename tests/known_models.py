@@ -50,7 +50,7 @@ def body_spec(**changes: Any) -> ModelSpec:
 
 def helicopter_spec(flapping: FlappingKind = "first order", **changes: Any) -> ModelSpec:
     """A declared helicopter about an uneven reference: every stage of the nominal model is there."""
-    reference = {
+    reference: dict[str, float] = {
         "u": 4.0, "v": -1.0, "w": 0.6, "p": 0.0, "q": 0.0, "r": 0.0, "phi": -0.04, "theta": 0.07,
         "lon": 0.02, "lat": -0.03, "col": 0.25, "ped": 0.2, "a0": 0.06, "a1": 0.03, "b1": -0.02,
     }  # fmt: skip
@@ -73,7 +73,7 @@ def helicopter_spec(flapping: FlappingKind = "first order", **changes: Any) -> M
     reference |= {f"{row}.trim": float(value) for row, value in zip(FORCES, weight, strict=True)}
     if flapping == "algebraic":
         reference |= {f"{row}.trim": reference[row] for row in FLAPPING}
-    return msgspec.structs.replace(spec, reference=reference, **changes)
+    return msgspec.structs.replace(spec, **{"reference": reference, **changes})
 
 
 def with_values(model: Model, values: dict[str, float]) -> Model:
@@ -93,7 +93,7 @@ def scattered(model: Model, seed: int = 0) -> Model:
             noise[i] = 0.0
     damped = {f"rotor.{n}.{n}": -8.0 for n in FLAPPING} | {"forces.L.p": -2.0, "forces.M.q": -1.0, "forces.N.r": -0.5}
     with torch.no_grad():
-        model.theta += noise
+        model.theta.copy_(model.parameter_set.clamp(model.theta + noise))
     return with_values(model, {n: v for n, v in damped.items() if n in model.parameter_set})
 
 
@@ -117,7 +117,9 @@ def points(model: Model, count: int, seed: int = 0, spread: float = 0.1) -> tupl
 
 def doublet(time: np.ndarray, start: float, width: float, size: float) -> np.ndarray:
     """Plus for `width` s from `start`, minus for as long."""
-    return size * (((time > start) & (time <= start + width)) * 1.0 - ((time > start + width) & (time <= start + 2 * width)))
+    return size * (
+        ((time > start) & (time <= start + width)) * 1.0 - ((time > start + width) & (time <= start + 2 * width))
+    )
 
 
 def manoeuvres(seconds: float, dt: float, names: tuple[str, ...] = STICKS, size: float = 0.04) -> dict[str, np.ndarray]:

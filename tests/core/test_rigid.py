@@ -89,7 +89,8 @@ def test_position_follows_the_turned_velocity(attitude: tuple, velocity: tuple):
 def test_euler_rates_are_those_of_the_turning_matrix(attitude: tuple, rates: tuple):
     h = 1e-5
     after, before = (
-        Rotation.from_matrix(to_body(tensor(attitude)).T) * Rotation.from_rotvec(s * h * np.array(rates)) for s in (1, -1)
+        Rotation.from_matrix(to_body(tensor(attitude)).T) * Rotation.from_rotvec(s * h * np.array(rates))
+        for s in (1, -1)
     )
     wanted = (after.as_euler("ZYX") - before.as_euler("ZYX"))[::-1] / (2 * h)
     np.testing.assert_allclose(rigid.euler_rates(tensor(rates), tensor(attitude)).numpy(), wanted, atol=1e-7)

@@ -1,0 +1,66 @@
+"""Modes: eigenvalues of a known matrix, and the field's names for them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from rotorid_torch.model.modes import modes, reference_point, state_matrix
+from tests.known_models import BODY, helicopter, linear_vehicle
+
+G = 9.80665
+
+
+def known_matrix() -> np.ndarray:
+    """dx/dt = A x of `linear_vehicle` in level hover."""
+    A = np.zeros((8, 8))
+    A[0, [0, 4, 7]] = -0.05, 0.4, -G
+    A[1, [1, 3, 6]] = -0.1, -0.4, G
+    A[2, 2] = -0.5
+    A[3, [1, 3, 4]] = -0.03, -3.0, -0.6
+    A[4, [0, 3, 4]] = 0.01, 0.2, -2.0
+    A[5, [1, 5]] = 0.02, -0.8
+    A[6, 3] = A[7, 4] = 1.0
+    return A
+
+
+def test_state_matrix_and_eigenvalues_are_those_of_the_derivatives():
+    model = linear_vehicle()
+    np.testing.assert_allclose(state_matrix(model).numpy(), known_matrix(), atol=1e-12)
+    wanted = [v for v in np.linalg.eigvals(known_matrix()) if v.imag >= 0]
+    found = modes(model, {})
+    assert [abs(m.eigenvalue) for m in found] == sorted(abs(m.eigenvalue) for m in found)
+    np.testing.assert_allclose([m.eigenvalue for m in found], sorted(wanted, key=abs), atol=1e-9)
+
+
+def test_names_are_the_field_s():
+    sizes = dict(zip(BODY, (3.0, 3.0, 2.0, 0.2, 0.2, 0.2, 0.2, 0.2), strict=True))
+    found = {m.name: m.eigenvalue for m in modes(linear_vehicle(), sizes)}
+    assert found["heave subsidence"] == pytest.approx(-0.5)
+    assert found["yaw subsidence"] == pytest.approx(-0.8)
+    assert found["roll subsidence"].real == pytest.approx(-2.9, abs=0.1)
+    assert found["pitch subsidence"].real == pytest.approx(-2.0, abs=0.2)
+    assert found["phugoid"].imag > 0
+    assert found["lateral oscillation"].imag > 0
+
+
+def test_units_of_the_states_do_not_change_modes():
+    model = linear_vehicle()
+    found = [modes(model, sizes) for sizes in ({}, {"u": 100.0, "p": 1e-3})]
+    for a, b in zip(*found, strict=True):
+        assert a.eigenvalue == pytest.approx(b.eigenvalue, abs=1e-9)
+
+
+def test_rotor_and_inflow_have_their_names():
+    names = [m.name for m in modes(helicopter(), {})]
+    assert "flapping" in names
+    assert "inflow" in names
+
+
+def test_reference_point_is_the_model_s():
+    model = helicopter()
+    x, u = reference_point(model)
+    assert x.dtype == u.dtype == torch.float64
+    assert x[: len(BODY)].tolist() == [model.reference[n] for n in BODY]
+    assert u.tolist() == [model.reference[n] for n in model.body.controls]
