@@ -33,6 +33,8 @@ class ModelSpec(msgspec.Struct, frozen=True, kw_only=True):
     reference : value of every signal at the reference point.
     sizes : rms excursion of every signal and of every row's response over the identify flights; scales the priors.
     patterns : regressors of each row (X Y Z L M N, a0 a1 b1).
+    flapping_doubtful : the lag is so short that first order and algebraic must both be tried.
+    inflow, cyclic_inflow : whether the induced velocity, and its first harmonics, are states.
     effects : ids of effects beyond the nominal model.
     ranges : smallest and largest value of every signal in the identify flights.
     """
@@ -46,7 +48,9 @@ class ModelSpec(msgspec.Struct, frozen=True, kw_only=True):
     patterns: dict[str, tuple[str, ...]]
     control_units: dict[str, str]
     flapping: FlappingKind = "none"
+    flapping_doubtful: bool = False
     inflow: bool = False
+    cyclic_inflow: bool = False
     gravity: float = 9.80665
     air_density: float = 1.225
     mass: float | None = None

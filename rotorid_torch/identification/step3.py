@@ -33,6 +33,12 @@ class Step3:
     fit: Fit
     names: tuple[str, ...]
 
+    @property
+    def criterion(self) -> float:
+        """Akaike's information criterion; the smaller, the better the structure, on the same records."""
+        cost = self.fit.minimum.point.cost
+        return 2.0 * (cost + len(self.names)) if math.isfinite(cost) else math.inf
+
 
 def estimate_model(
     model: Model,

@@ -15,15 +15,15 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.spec import FlappingKind, ModelSpec, RotorSpec
 from rotorid_torch.identification.reconstruct import Reconstruction
-from rotorid_torch.model.inflow import INDUCED, trim_velocity
+from rotorid_torch.model.inflow import CYCLIC, INDUCED, trim_velocity
 from rotorid_torch.model.nominal import thrust
 
 ATTITUDE = ATTITUDES[:2]
 OUTPUTS = (*VELOCITIES, *RATES, *ATTITUDE, *SPECIFIC_FORCES, *FLAPPING)
 LAGS = (0, 1, 2, 3, 4, 6, 8, 11, 16, 24, 32)
 """Samples of first-order lag that are tried between flapping and what drives it."""
-ALGEBRAIC = 0
-"""Samples: flapping that lags its drivers by no more than this is algebraic."""
+DOUBTFUL = 2
+"""Samples: flapping that lags its drivers by no more than this may as well be algebraic; none at all: it is."""
 FLAP_TIME = 0.1
 """s: usual time in which flapping follows; scales the prior of the flapping rates only."""
 
@@ -45,19 +45,22 @@ def propose(dataset: Dataset, reconstruction: Reconstruction, effects: Sequence[
     inflow = rotor is not None and dataset.vehicle.mass is not None and dataset.vehicle.inertia is not None
     states = [*(VELOCITIES if moving else ()), *RATES, *(ATTITUDE if have(dataset, ATTITUDE) else ())]
     drivers = (*(VELOCITIES if moving else ()), *RATES, *dataset.controls)
-    flapping = _flapping_kind(dataset, drivers) if moving else "none"
+    lag = _flapping_lag(dataset, drivers) if moving and have(dataset, FLAPPING) else None
+    flapping: FlappingKind = "none" if lag is None else "algebraic" if lag == 0 else "first order"
     vehicle = dataset.vehicle
     spec = ModelSpec(
         states=tuple(states),
         controls=dataset.controls,
         outputs=tuple(c for c in OUTPUTS if _predicted(c, states, flapping, dataset)),
         reference={k: v for k, v in dataset.reference().items() if math.isfinite(v)},
-        sizes=_sizes(dataset, reconstruction, flapping),
+        sizes=_sizes(dataset, reconstruction),
         ranges=_ranges(dataset),
         patterns={},
         control_units={c: dataset.control_specs[c].unit for c in dataset.controls},
         flapping=flapping,
+        flapping_doubtful=lag is not None and 0 < lag <= DOUBTFUL,
         inflow=inflow,
+        cyclic_inflow=inflow and lag is not None and lag > DOUBTFUL,
         gravity=vehicle.gravity,
         air_density=vehicle.air_density,
         mass=vehicle.mass,
@@ -70,6 +73,14 @@ def propose(dataset: Dataset, reconstruction: Reconstruction, effects: Sequence[
     return _with_patterns(spec, drivers)
 
 
+def rival(spec: ModelSpec) -> ModelSpec | None:
+    """The same structure with algebraic flapping, where the data leave open whether it lags; the likelihood decides."""
+    if not spec.flapping_doubtful:
+        return None
+    drivers = [c for c in spec.patterns[MOMENTS[0]] if c not in FLAPPING and c != INDUCED]
+    return _with_patterns(msgspec.structs.replace(spec, flapping="algebraic", flapping_doubtful=False), drivers)
+
+
 def _with_patterns(spec: ModelSpec, drivers: Sequence[str]) -> ModelSpec:
     lagged = spec.flapping == "first order"
     columns = (*drivers, *(FLAPPING if lagged else ()), *((INDUCED,) if spec.inflow else ()))
@@ -77,13 +88,20 @@ def _with_patterns(spec: ModelSpec, drivers: Sequence[str]) -> ModelSpec:
     patterns = dict.fromkeys((*forces, *MOMENTS), columns)
     if spec.flapping != "none":
         patterns |= dict.fromkeys(FLAPPING, columns)
+    if spec.cyclic_inflow:
+        patterns |= dict.fromkeys(FLAPPING[1:], (*columns, *CYCLIC))
     reference = dict(spec.reference)
     if spec.inflow:
         assert spec.rotor is not None
         assert spec.mass is not None
         reference[INDUCED] = trim_velocity(spec.rotor, spec.air_density, spec.mass, reference, thrust(spec))
     reference |= _trims(spec, forces)
+    if spec.cyclic_inflow:
+        reference |= {wake: reference[tilt] for wake, tilt in zip(CYCLIC, FLAPPING[1:], strict=True)}
     sizes = spec.sizes | ({INDUCED: 0.1 * reference[INDUCED]} if spec.inflow else {})
+    sizes |= {wake: sizes[tilt] for wake, tilt in zip(CYCLIC, FLAPPING[1:], strict=True) if spec.cyclic_inflow}
+    flapping_time = FLAP_TIME if lagged else 1.0
+    sizes |= {f"row.{row}": sizes[row] / flapping_time for row in FLAPPING if row in patterns}
     return msgspec.structs.replace(spec, patterns=patterns, reference=reference, sizes=sizes)
 
 
@@ -122,13 +140,11 @@ def _triple(values: Sequence[float]) -> tuple[float, float, float]:
     return float(x), float(y), float(z)
 
 
-def _flapping_kind(dataset: Dataset, drivers: Sequence[str]) -> FlappingKind:
-    """First order where the cyclic flapping lags its drivers, algebraic where it does not, none where not measured."""
-    if not have(dataset, FLAPPING):
-        return "none"
+def _flapping_lag(dataset: Dataset, drivers: Sequence[str]) -> int:
+    """Samples of first-order lag between cyclic flapping and what drives it that explain the flapping best."""
     flights = [dataset.flights[f] for f in dataset.identify]
     misfit = torch.stack([_lagged_misfit(flights, drivers, lag) for lag in LAGS])
-    return "algebraic" if LAGS[int(misfit.argmin())] <= ALGEBRAIC else "first order"
+    return LAGS[int(misfit.argmin())]
 
 
 def _lagged_misfit(flights: Sequence[Flight], drivers: Sequence[str], lag: int) -> Tensor:
@@ -153,8 +169,8 @@ def lagged(signal: Tensor, samples: float) -> Tensor:
     return torch.stack(passed)
 
 
-def _sizes(dataset: Dataset, reconstruction: Reconstruction, flapping: FlappingKind) -> dict[str, float]:
-    """Rms excursion of every signal, and of every row's response, over the identify flights."""
+def _sizes(dataset: Dataset, reconstruction: Reconstruction) -> dict[str, float]:
+    """Rms excursion of every signal, force and moment over the identify flights."""
     reference = dataset.reference()
     signals = (*VELOCITIES, *RATES, *ATTITUDE, *FLAPPING, *dataset.controls)
     sizes = {}
@@ -165,9 +181,6 @@ def _sizes(dataset: Dataset, reconstruction: Reconstruction, flapping: FlappingK
     loads = torch.cat([reconstruction.flights[f].specific for f in dataset.identify])
     for row, column in zip((*FORCES, *MOMENTS), (loads - loads.nanmean(0)).T, strict=True):
         sizes[f"row.{row}"] = float(column.square().nanmean().sqrt().nan_to_num(1.0))
-    for row in FLAPPING:
-        if row in sizes:
-            sizes[f"row.{row}"] = sizes[row] / (FLAP_TIME if flapping == "first order" else 1.0)
     return sizes
 
 

@@ -13,8 +13,11 @@ from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
 from rotorid_torch.effects.spec import RotorSpec
 
 INDUCED = "vi"
+CYCLIC = ("wa1", "wb1")
+HARMONIC_MASS = 32.0 / (45.0 * math.pi)
 APPARENT_MASS = 8.0 / (3.0 * math.pi)
 ITERATIONS = 4
+TIME_BOUNDS = (0.02, 0.6)
 
 
 def induced_velocity(thrust: Tensor, u: Tensor, v: Tensor, w: Tensor) -> Tensor:
@@ -44,6 +47,13 @@ def trim_velocity(
     return float(induced_velocity(*(torch.tensor(a, dtype=torch.float64) for a in at)))
 
 
+def _time_constant(mass: float, rotor: RotorSpec, reference: dict[str, float]) -> float:
+    """Of an inflow state, s, by the apparent mass of the air it moves: mass R / V_m, V_m the flow through the disc."""
+    trim = reference[INDUCED]
+    flow = math.hypot(reference["u"], reference["v"], trim - reference["w"]) + trim
+    return min(max(mass * rotor.radius / flow, 1.5 * TIME_BOUNDS[0]), TIME_BOUNDS[1] / 1.5)
+
+
 class Inflow(Effect):
     """Induced velocity vi as a state, and the torque of induced power beyond its tangent.
 
@@ -69,12 +79,10 @@ class Inflow(Effect):
         area = torch.pi * rotor.radius**2
         disc = mass / (2.0 * air_density * area)
         trim = reference[INDUCED]
-        # momentum theory with the apparent mass of a disc: tau = (8/(3 pi)) R / (2 V_m), V_m the flow through the disc
-        flow = math.hypot(reference["u"], reference["v"], trim - reference["w"]) + trim
-        tau = min(max(APPARENT_MASS * rotor.radius / (2.0 * flow), 0.03), 0.4)
+        tau = _time_constant(APPARENT_MASS / 2.0, rotor, reference)
         super().__init__(
             (
-                Parameter("tau", tau, "s", (0.02, 0.6), tau, doc="time constant of the induced velocity"),
+                Parameter("tau", tau, "s", TIME_BOUNDS, tau, doc="time constant of the induced velocity"),
                 Parameter("N", 1.0, "1", (-3.0, 5.0), 0.5, doc="share of induced power's torque beyond the tangent"),
             ),
             (State(INDUCED, "m/s", "induced velocity"),),
@@ -91,3 +99,25 @@ class Inflow(Effect):
         torque = self.torque * (thrust - self.thrust) * ((vi - self.trim) - (w - self.w))
         rate = (induced_velocity(self.disc * thrust, u, v, w) - vi) / p["tau"]
         return frame.add(None, (p["N"] * torque).unsqueeze(-1) * self.about_z), rate.unsqueeze(-1)
+
+
+class CyclicInflow(Effect):
+    """First harmonics of the inflow, as the flapping they belong to: tau d(wa1, wb1)/dt = (a1, b1) - (wa1, wb1).
+
+    A disc that tilts builds up inflow across itself, late; the flapping equations take these states as regressors.
+
+    Source: Pitt and Peters, Vertica 5 (1981), harmonic states, apparent mass 16/(45 pi).
+    """
+
+    id, stage, role = "cyclic_inflow", Stage.ROTOR, Role.NOMINAL
+
+    def __init__(self, rotor: RotorSpec, reference: dict[str, float]) -> None:
+        tau = _time_constant(2.0 * HARMONIC_MASS, rotor, reference)
+        super().__init__(
+            (Parameter("tau", tau, "s", TIME_BOUNDS, tau, doc="time constant of the inflow's first harmonics"),),
+            tuple(State(n, "rad", "first harmonic of the inflow, as flapping") for n in CYCLIC),
+        )
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Rates of the two states; nothing is added to the frame."""
+        return frame, (frame.stack(("a1", "b1")) - x) / p["tau"].unsqueeze(-1)

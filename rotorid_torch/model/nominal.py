@@ -14,7 +14,7 @@ from rotorid_torch.effects.registry import make
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.flapping import AlgebraicFlapping, Flapping, reference_vector
 from rotorid_torch.model.forces import LinearForces, Tailplane, TailRotor, ThrustTilt
-from rotorid_torch.model.inflow import INDUCED, Inflow
+from rotorid_torch.model.inflow import CYCLIC, INDUCED, CyclicInflow, Inflow
 from rotorid_torch.model.linear import LinearBlock
 from rotorid_torch.model.model import Body, Model
 
@@ -29,8 +29,9 @@ FASTEST = 50.0
 DAMPING = (("L", "p"), ("M", "q"), ("N", "r"))
 """Rotors damp the body rates: without flapping to carry the damping, these derivatives are not positive."""
 UNITS = {"X": "m/s2", "Y": "m/s2", "Z": "m/s2", "L": "rad/s2", "M": "rad/s2", "N": "rad/s2"}
-SIGNAL_UNITS = (
-    dict.fromkeys((*VELOCITIES, INDUCED), "m/s") | dict.fromkeys(RATES, "rad/s") | dict.fromkeys(FLAPPING, "rad")
+SIGNAL_UNITS = dict.fromkeys((*VELOCITIES, INDUCED), "m/s") | dict.fromkeys(RATES, "rad/s")
+SIGNAL_UNITS |= dict.fromkeys((*FLAPPING, *CYCLIC), "rad")
+    dict.fromkeys((*VELOCITIES, INDUCED), "m/s") | dict.fromkeys(RATES, "rad/s") | dict.fromkeys((*FLAPPING, *CYCLIC), "rad")
 )
 
 
@@ -67,7 +68,7 @@ def _forces(spec: ModelSpec) -> LinearForces:
 
 def _block(spec: ModelSpec, names: Sequence[str], unit: str) -> LinearBlock:
     present = {c for r in names for c in spec.patterns[r]}
-    columns = [c for c in (*VELOCITIES, *RATES, *FLAPPING, *spec.controls, INDUCED) if c in present]
+    columns = [c for c in (*VELOCITIES, *RATES, *FLAPPING, *spec.controls, INDUCED, *CYCLIC) if c in present]
     declared = [p for r in names for p in _row(spec, r, UNITS.get(r, unit))]
     return LinearBlock(names, columns, spec.patterns, declared)
 
@@ -97,6 +98,8 @@ def _physics(spec: ModelSpec) -> list[Effect]:
         made.append(ThrustTilt(hub, mass, tensor, rotor.spin, spec.reference, lift))
     if spec.inflow:
         made.append(Inflow(rotor, spec.air_density, mass, tensor, spec.reference, lift))
+    if spec.cyclic_inflow:
+        made.append(CyclicInflow(rotor, spec.reference))
     if "ped" in spec.controls:
         made.append(TailRotor(TAIL_ARM * rotor.radius, spec.reference, spec.sizes))
         made.append(Tailplane(TAILPLANE_ARM * rotor.radius, spec.reference, spec.sizes))

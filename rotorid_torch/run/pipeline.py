@@ -21,7 +21,7 @@ from rotorid_torch.identification import reconstruct as step1
 from rotorid_torch.identification.reconstruct import Reconstruction
 from rotorid_torch.identification.step2 import Step2, regress_model
 from rotorid_torch.identification.step3 import Step3, estimate_model
-from rotorid_torch.identification.structure import propose
+from rotorid_torch.identification.structure import propose, rival
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.model.save import load as load_model
@@ -140,23 +140,34 @@ def identify(
 def _identify(dataset: Dataset, effects: Sequence[str], seed: int, monitor: Monitor) -> Run:
     with monitor.step("reconstruct"):
         reconstruction = step1.reconstruct(dataset)
-    with monitor.step("ftr"):
-        spec = propose(dataset, reconstruction, effects)
-        model = build(spec)
-        regressions = regress_model(model, dataset, reconstruction)
-        monitor.scalars({f"ftr/R2/{row}": float(r.r2) for row, r in regressions.regressions.items()}, 0)
-    with monitor.step("ml"):
-
-        def watch(iteration: int, cost: float, theta: Tensor) -> None:
-            monitor.scalars({"ml/cost": cost}, iteration)
-
-        estimate = estimate_model(model, dataset, reconstruction, regressions, watch)
+    with monitor.step("structure"):
+        first = propose(dataset, reconstruction, effects)
+    tried = [_estimate(spec, dataset, reconstruction, monitor) for spec in (first, rival(first)) if spec is not None]
+    spec, model, regressions, estimate = min(tried, key=lambda t: t[3].criterion)
     with monitor.step("validate"):
         judged = judge(model, dataset)
     fit = fit_record(model, spec, estimate, judged)
     told = [*reconstruction.notes, *_notes(regressions), *_doubts(estimate, fit)]
     report = _report("identify", dataset, seed, monitor, fit, told)
     return Run(model, spec, fit, report, reconstruction, regressions, estimate, judged.overlays)
+
+
+def _estimate(
+    spec: ModelSpec, dataset: Dataset, reconstruction: Reconstruction, monitor: Monitor
+) -> tuple[ModelSpec, Model, Step2, Step3]:
+    """Steps 2 and 3 of one structure."""
+    model = build(spec)
+    with monitor.step("ftr"):
+        regressions = regress_model(model, dataset, reconstruction)
+        monitor.scalars({f"ftr/R2/{row}": float(r.r2) for row, r in regressions.regressions.items()}, 0)
+
+    def watch(iteration: int, cost: float, theta: Tensor) -> None:
+        monitor.scalars({"ml/cost": cost}, iteration)
+
+    with monitor.step("ml"):
+        estimate = estimate_model(model, dataset, reconstruction, regressions, watch)
+    monitor.say(f"flapping {spec.flapping}: Akaike's criterion {estimate.criterion:.6g}")
+    return spec, model, regressions, estimate
 
 
 def simulate(
@@ -221,7 +232,12 @@ def _refuse(effects: Sequence[str], device: str) -> None:
 
 
 def _notes(step2: Step2) -> list[str]:
-    return [f"step 2: {note}" for r in step2.regressions.values() for note in r.notes]
+    """What the regressions remarked, each remark once with the rows that it is about."""
+    rows: dict[str, list[str]] = {}
+    for row, regression in step2.regressions.items():
+        for note in regression.notes:
+            rows.setdefault(note.removeprefix(f"{row}: "), []).append(row)
+    return [f"step 2, {' '.join(where)}: {note}" for note, where in rows.items()]
 
 
 def _doubts(step3: Step3, fit: FitRecord) -> list[str]:
