@@ -18,7 +18,17 @@ E = TypeVar("E", bound=type[Effect])
 
 
 def register(effect: E) -> E:
-    """Class decorator: the effect can be named by its id; its `from_spec` makes it for a vehicle."""
+    """Class decorator: the effect can be named by its id; its `from_spec` makes it for a vehicle.
+
+    Raises
+    ------
+    ValueError : the class has no id, or another class has it.
+    """
+    if not effect.id:
+        raise ValueError(f"{effect.__name__} has no id")
+    other = EFFECTS.get(effect.id, effect)
+    if (other.__module__, other.__qualname__) != (effect.__module__, effect.__qualname__):
+        raise ValueError(f"{effect.__name__}: the id {effect.id!r} is taken by {other.__module__}.{other.__qualname__}")
     EFFECTS[effect.id] = effect
     return effect
 

@@ -42,6 +42,9 @@ class Model(nn.Module):
         super().__init__()
         self.body, self.reference = body, dict(reference)
         self.effects = nn.ModuleList(sorted(effects, key=lambda e: e.stage))
+        ids = [e.id for e in self.chain]
+        if len(set(ids)) < len(ids):
+            raise ValueError(f"effects of one id: {sorted({i for i in ids if ids.count(i) > 1})}")
         declared = [replace(p, name=f"{e.id}.{p.name}") for e in self.chain for p in e.declared]
         self.parameter_set = ParameterSet(tuple(declared))
         self.theta = nn.Parameter(self.parameter_set.values)

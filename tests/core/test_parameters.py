@@ -42,7 +42,7 @@ def test_values_outside_their_bounds_are_refused():
 
 
 def test_a_name_declared_twice_is_told():
-    with pytest.raises(ValueError, match="declared twice.*'b'") as refusal:
+    with pytest.raises(ValueError, match=r"declared twice.*'b'") as refusal:
         ParameterSet((Parameter("a"), Parameter("b"), Parameter("b")))
     assert "'a'" not in str(refusal.value)
 
