@@ -31,8 +31,6 @@ DAMPING = (("L", "p"), ("M", "q"), ("N", "r"))
 UNITS = {"X": "m/s2", "Y": "m/s2", "Z": "m/s2", "L": "rad/s2", "M": "rad/s2", "N": "rad/s2"}
 SIGNAL_UNITS = dict.fromkeys((*VELOCITIES, INDUCED), "m/s") | dict.fromkeys(RATES, "rad/s")
 SIGNAL_UNITS |= dict.fromkeys((*FLAPPING, *CYCLIC), "rad")
-    dict.fromkeys((*VELOCITIES, INDUCED), "m/s") | dict.fromkeys(RATES, "rad/s") | dict.fromkeys((*FLAPPING, *CYCLIC), "rad")
-)
 
 
 def rows(spec: ModelSpec) -> tuple[str, ...]:
