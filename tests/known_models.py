@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
 from rotorid_torch.core.integrate import simulate
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES, STICKS, VELOCITIES
@@ -151,17 +152,15 @@ def flown(
     rng = np.random.default_rng(seed)
     x0 = torch.tensor([model.reference.get(n, 0.0) for n in model.layout.names], dtype=torch.float64)
     start = torch.tensor([model.reference.get(n, 0.0) for n in model.body.controls], dtype=torch.float64)
-    clean = {}
+    u = start + pad_sequence([torch.tensor(moves) for moves in controls.values()], batch_first=True)
     with torch.no_grad():
-        for name, moves in controls.items():
-            u = start + torch.tensor(moves)
-            tape = model.tape(u, dt)
-            x = simulate(lambda t, x, u: model.rates(model.theta, x, u), x0, tape, dt)
-            y = model.output(x, tape)
-            clean[name] = dict(zip(model.body.controls, u.numpy().T, strict=True)) | dict(
-                zip(model.body.outputs, y.numpy().T, strict=True)
-            )
-    outputs = model.body.outputs
+        tape = model.tape(u, dt)
+        y = model.output(simulate(lambda t, x, u: model.rates(model.theta, x, u), x0, tape, dt), tape)
+    outputs, record = model.body.outputs, torch.cat([u, y], dim=-1)
+    clean = {
+        name: dict(zip((*model.body.controls, *outputs), rows[: len(controls[name])].numpy().T, strict=True))
+        for name, rows in zip(controls, record, strict=True)
+    }
     size = {c: float(np.sqrt(np.mean([np.var(f[c]) for f in clean.values()]))) for c in outputs}
     sd = {c: max(noise * size[c], 1e-7) for c in outputs}
     flights = {

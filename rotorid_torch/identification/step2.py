@@ -19,6 +19,7 @@ from rotorid_torch.effects.base import Effect, Frame, Values
 from rotorid_torch.identification.equation import Equation, fit_equation
 from rotorid_torch.identification.ftr import Regression
 from rotorid_torch.identification.reconstruct import Reconstruction
+from rotorid_torch.identification.selection import beyond
 from rotorid_torch.identification.structure import ATTITUDE, have
 from rotorid_torch.model.flapping import AlgebraicFlapping, Flapping
 from rotorid_torch.model.forces import LinearForces
@@ -52,6 +53,7 @@ class Step2:
     regressions: Mapping[str, Regression]
     theta: Tensor
     held: tuple[str, ...]
+    own_share: Mapping[str, float]  # of each control's in-band motion, what body states do not explain (feedback)
 
 
 def regress_model(model: Model, dataset: Dataset, reconstruction: Reconstruction) -> Step2:
@@ -60,6 +62,7 @@ def regress_model(model: Model, dataset: Dataset, reconstruction: Reconstruction
     flights = [measured(model, dataset, reconstruction, name) for name in dataset.identify]
     found: dict[str, Regression] = {}
     held: list[str] = []
+    shares: dict[str, float] = {}
     for effect in model.chain:
         if isinstance(effect, LinearForces | Flapping | AlgebraicFlapping):
             for row in effect.block.rows:
@@ -68,7 +71,15 @@ def regress_model(model: Model, dataset: Dataset, reconstruction: Reconstruction
                 _store(model, theta, effect.id, row, found[row].selected, found[row].coefficients)
                 if _undamped(model, theta, row):
                     held += _follow(model, theta, row, equation, flights)
-    return Step2(found, model.parameter_set.clamp(theta), tuple(held))
+                if row == MOMENTS[0]:
+                    shares = _own_shares(equation, model)
+    return Step2(found, model.parameter_set.clamp(theta), tuple(held), shares)
+
+
+def _own_shares(equation: Equation, model: Model) -> dict[str, float]:
+    """Share of each control's motion in the equation's band that is its own and not feedback of the body states."""
+    states = [n for n in equation.names if n in model.body.states]
+    return {b.name: b.share for b in beyond(equation, model.body.controls, states)}
 
 
 def _undamped(model: Model, theta: Tensor, row: str) -> bool:

@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 
     from rotorid_torch.run.figures import Overlay
 
+OWN_SHARE = 0.1
+"""Share of a control's motion that feedback does not explain, below which its derivatives stand in doubt."""
 OUTSIDE = 0.1
 """Share of the identified range by which a free run may leave it before it is told."""
 
@@ -160,6 +162,8 @@ def _estimate(
     with monitor.step("ftr"):
         regressions = regress_model(model, dataset, reconstruction)
         monitor.scalars({f"ftr/R2/{row}": float(r.r2) for row, r in regressions.regressions.items()}, 0)
+        for line in regression_table(regressions):
+            monitor.log(line)
 
     def watch(iteration: int, cost: float, theta: Tensor) -> None:
         monitor.scalars({"ml/cost": cost}, iteration)
@@ -231,13 +235,29 @@ def _refuse(effects: Sequence[str], device: str) -> None:
         raise InputError("--device", device, "is not offered by identify yet", "cpu")
 
 
+def regression_table(step2: Step2) -> list[str]:
+    """One line per equation of step 2: band, R2, condition number, worst variance inflation and reliability."""
+    return [
+        f"{row}: band {r.band[0]:.2f} to {r.band[1]:.2f} Hz, R2 {float(r.r2):.4f}, condition {float(r.condition):.0f},"
+        f" variance inflation up to {float(r.vif.max()):.0f}, reliability from {float(r.reliability.min()):.2f}"
+        for row, r in step2.regressions.items()
+    ]
+
+
 def _notes(step2: Step2) -> list[str]:
     """What the regressions remarked, each remark once with the rows that it is about."""
     rows: dict[str, list[str]] = {}
     for row, regression in step2.regressions.items():
         for note in regression.notes:
             rows.setdefault(note.removeprefix(f"{row}: "), []).append(row)
-    return [f"step 2, {' '.join(where)}: {note}" for note, where in rows.items()]
+    told = [f"step 2, {' '.join(where)}: {note}" for note, where in rows.items()]
+    fed_back = [f"{name} ({100.0 * share:.0f} %)" for name, share in step2.own_share.items() if share < OWN_SHARE]
+    if fed_back:
+        told.append(
+            f"little of {', '.join(fed_back)} is its own motion, the rest is feedback of the states: its derivatives"
+            " and theirs are told only in combination; fly inputs on that control, or with the augmentation off"
+        )
+    return told
 
 
 def _doubts(step3: Step3, fit: FitRecord) -> list[str]:

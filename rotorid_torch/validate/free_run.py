@@ -31,12 +31,13 @@ class Windows:
     starts: tuple[int, ...]
     controls: Tensor  # [W, T, nu], after the control path, held beyond the end
     measured: Tensor  # [W, T, ny]
+    noise: Tensor  # [ny] of a sample
 
     def pick(self, which: Sequence[int]) -> Windows:
         """Some of the pieces."""
         chosen = list(which)
         names, starts = tuple(self.names[i] for i in chosen), tuple(self.starts[i] for i in chosen)
-        return Windows(self.dt, names, starts, self.controls[chosen], self.measured[chosen])
+        return Windows(self.dt, names, starts, self.controls[chosen], self.measured[chosen], self.noise)
 
 
 def windows(model: Model, dataset: Dataset, places: Sequence[tuple[str, int]], samples: int) -> Windows:
@@ -53,7 +54,8 @@ def windows(model: Model, dataset: Dataset, places: Sequence[tuple[str, int]], s
         outputs.append(torch.where((index < flight.samples)[:, None], measured, torch.nan))
     dt = dataset.flights[places[0][0]].dt
     names, starts = zip(*places, strict=True)
-    return Windows(dt, names, starts, torch.stack(controls), torch.stack(outputs))
+    noise = torch.tensor([dataset.noise(c) for c in model.body.outputs], dtype=torch.float64)
+    return Windows(dt, names, starts, torch.stack(controls), torch.stack(outputs), noise)
 
 
 @torch.no_grad()
@@ -82,10 +84,11 @@ def _initial(model: Model, pieces: Windows) -> Tensor:
     controls, outputs = pieces.controls[:, :samples], [i for i, c in enumerate(model.body.outputs) if c in body]
     wanted = pieces.measured[:, :samples, outputs]
     known = ~wanted.isnan()
-    weight = known / _roughness(wanted)
+    weight = known / pieces.noise[outputs]
     columns = [body.index(model.body.outputs[i]) for i in outputs]
     x = torch.tensor([model.reference.get(n, 0.0) for n in body], dtype=torch.float64).repeat(len(wanted), 1)
-    x[:, columns] = wanted[:, : max(1, samples // 8)].nanmean(dim=1).nan_to_num(0.0)
+    first = wanted[:, : max(1, samples // 8)].nanmean(dim=1)
+    x[:, columns] = torch.where(first.isnan(), x[:, columns], first)
     probes = PROBE * torch.eye(len(body), dtype=torch.float64)
     for _ in range(ITERATIONS):
         trials = torch.cat([x[None], x + probes[:, None]])
@@ -97,12 +100,6 @@ def _initial(model: Model, pieces: Windows) -> Tensor:
         step = torch.linalg.lstsq(jacobian / norms, residual.unsqueeze(-1), rcond=1e-8, driver="gelsd").solution
         x = x + step.squeeze(-1) / norms[:, 0]
     return equilibrium(model, x, controls[:, 0])
-
-
-def _roughness(outputs: Tensor) -> Tensor:
-    """Noise of each channel from second differences, [ny]; keeps the first second's channels in proportion."""
-    second = torch.diff(outputs, n=2, dim=1) if outputs.shape[1] > 2 else outputs
-    return (second.square().nanmean(dim=(0, 1)) / 6.0).sqrt().nan_to_num(1.0).clamp_min(1e-9)
 
 
 @torch.no_grad()

@@ -20,7 +20,7 @@ def share_within(error: Tensor, sd: Tensor, sigmas: float) -> Tensor:
 def slow_error(error: Tensor, signal: Tensor, dt: float, hertz: float = SLOW_HZ) -> Tensor:
     """Root mean square of the error below a frequency over that of the signal's deviation from its mean: [..., n].
 
-    `error` and `signal` [..., T, n] without gaps; `dt` in s.
+    `error` [..., T, n] and `signal` [..., S, n] without gaps; `dt` in s. The signal may be longer: several flights.
     """
     deviation = signal - signal.mean(dim=-2, keepdim=True)
     slow = below(error, dt, hertz)

@@ -48,7 +48,7 @@ def test_a_smooth_record_is_shifted_accurately(delay: float):
     found, wanted = delayed(smooth(TIME), delay), smooth(TIME - delay)
     error = (found - wanted).abs()[20:]
     assert float(error[:-1].max()) < 3e-5
-    assert float(error[-1].max()) < 1e-3  # no sample beyond
+    assert float(error[-1].max()) < 5e-3  # no sample beyond
     held = TIME < delay - DT
     assert torch.equal(found[held], smooth(TIME)[:1].expand(int(held.sum()), -1))
 

@@ -29,7 +29,7 @@ def test_paper_case_study_draws_the_papers_figures_and_follows_unseen_flights(tm
     wanted = {"figure4_forces", "figure5_flapping_driven", "figure6_moments", "figure7_velocities_sweep_col"}
     assert wanted | {"figure8_rates_sweep_col", "figure9_rotor_sweep_col"} <= drawn
     assert list((tmp_path / "study" / "tensorboard").iterdir())
-    assert min(min(flight.values()) for flight in result["step 1: 3 sigma"].values()) > 0.9
+    assert min(min(flight.values()) for flight in result["step 1: truth within 3 sigma"].values()) > 0.9
     assert result["step 2: R2 of flapping along the flown motion"]["dbl_lon_n"]["a1"] > 0.95
     assert result["step 3: R2 of moments along the flown motion"]["dbl_lon_n"]["M"] > 0.9
     assert result["J"]["acid"] < 0.5
