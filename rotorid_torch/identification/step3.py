@@ -20,8 +20,8 @@ from rotorid_torch.model.model import Model
 
 RATE = 50.0
 """Hz: records are averaged down to no less than this; body, flapping and inflow are slower than a fifth of it."""
-ENOUGH = Options(tolerance=0.0, absolute=0.05)
-"""The search ends where a step could raise the log-likelihood by no more than this, far below what the data tell."""
+ENOUGH = Options(tolerance=1e-5, absolute=0.05)
+"""The search ends where a step could change the log-likelihood by no more than this: less than a standard error."""
 LENGTHS = (2.0, 5.0)
 """s: segments of the two stages; an unstable vehicle's slow modes show in the second, its fast ones set the first."""
 
