@@ -14,6 +14,7 @@ from rotorid_torch.core.names import ATTITUDES, FLAPPING, FORCES, MOMENTS, RATES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.spec import FlappingKind, ModelSpec, RotorSpec
+from rotorid_torch.errors import InputError
 from rotorid_torch.identification.reconstruct import Reconstruction
 from rotorid_torch.model.inflow import CYCLIC, INDUCED, trim_velocity
 from rotorid_torch.model.nominal import thrust
@@ -39,7 +40,12 @@ def propose(dataset: Dataset, reconstruction: Reconstruction, effects: Sequence[
     Velocities are states where they and the attitude are measured; forces have equations where velocities or all
     specific forces are; flapping is first order, or algebraic where it follows its drivers without lag; the induced
     velocity is a state where the rotor is declared.
+
+    Raises
+    ------
+    InputError : an identify flight lacks a body rate.
     """
+    _require_rates(dataset)
     moving = have(dataset, (*VELOCITIES, *ATTITUDE))
     rotor = _rotor(dataset) if moving else None
     inflow = rotor is not None and dataset.vehicle.mass is not None and dataset.vehicle.inertia is not None
@@ -79,6 +85,13 @@ def rival(spec: ModelSpec) -> ModelSpec | None:
         return None
     drivers = [c for c in spec.patterns[MOMENTS[0]] if c not in FLAPPING and c != INDUCED]
     return _with_patterns(msgspec.structs.replace(spec, flapping="algebraic", flapping_doubtful=False), drivers)
+
+
+def _require_rates(dataset: Dataset) -> None:
+    for flight in (dataset.flights[f] for f in dataset.identify):
+        for rate in RATES:
+            if not flight.has(rate):
+                raise InputError(dataset.file(flight.name), rate, "is missing", "p, q and r in every identify flight")
 
 
 def _with_patterns(spec: ModelSpec, drivers: Sequence[str]) -> ModelSpec:
