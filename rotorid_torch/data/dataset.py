@@ -147,14 +147,12 @@ class Dataset:
         return find_flight(self.path, flight) if self.path is not None else f"arrays: flight {flight}"
 
     def require_rates(self) -> None:
-        """Raise InputError where a flight lacks a body rate that others have, or no flight of a helicopter has any."""
-        have = [rate for rate in names.RATES if any(flight.has(rate) for flight in self.flights.values())]
-        needed = have or (["p"] if self.kind == "helicopter" else [])
+        """Raise InputError where a flight lacks one of the body rates, which every step needs."""
         for flight in self.flights.values():
-            for rate in needed:
+            for rate in names.RATES:
                 if not flight.has(rate):
                     what = "is all NaN" if rate in flight.channels else "is missing"
-                    raise InputError(self.file(flight.name), rate, what, "body rates in rad/s in every flight")
+                    raise InputError(self.file(flight.name), rate, what, "body rates p q r in rad/s in every flight")
 
     @cached_property
     def _quiet(self) -> dict[str, int]:

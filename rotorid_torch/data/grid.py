@@ -18,6 +18,8 @@ UNIFORM = 0.01
 GAP_S = 0.02
 """An interval longer than this and than 2.5 samples is a gap: a tenth of the period of 5 Hz, beyond which a straight
 line is no longer what the aircraft did."""
+INTERVALS_S = (1e-5, 2.0)
+"""Shortest and longest usual interval of a flight record; beyond them time is not in seconds."""
 LONGEST_GAP = 100_000
 """Samples that a flight may lack besides four times those it has; a longer pause makes two flights."""
 
@@ -64,7 +66,11 @@ def _check_time(time: np.ndarray, file: str | Path) -> None:
             f"{what} at sample {at} ({time[at - 1]:.9g} s, then {time[at]:.9g} s)",
             "strictly increasing time",
         )
-    if time[-1] - time[0] > (4 * len(time) + LONGEST_GAP) * np.median(steps):
+    typical = float(np.median(steps))
+    if not INTERVALS_S[0] <= typical <= INTERVALS_S[1]:
+        wanted = f"time in s, with samples {INTERVALS_S[0]:g} to {INTERVALS_S[1]:g} s apart"
+        raise InputError(file, "time", f"has samples {typical:.4g} s apart", wanted)
+    if time[-1] - time[0] > (4 * len(time) + LONGEST_GAP) * typical:
         at = int(steps.argmax())
         raise InputError(
             file, "time", f"jumps by {steps[at]:.4g} s at sample {at + 1}", "one flight without long pauses"

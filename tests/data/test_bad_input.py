@@ -123,6 +123,8 @@ FLIGHTS = {
     "time runs backwards": (changed_time(5, 0.01), ["time: runs backwards at sample 5"]),
     "time holds nan": (changed_time(5, np.nan), ["time: is nan at sample 5"]),
     "time is infinite": (changed_time(399, np.inf), ["time: is inf"]),
+    "time in milliseconds": (with_channel("time", 1000.0 * small_flight()["time"]), ["time: ", "20 s apart", "in s"]),
+    "time in hours": (with_channel("time", small_flight()["time"] / 3600.0), ["time: ", "5.556e-06 s apart", "in s"]),
     "no time": (without("time"), ["time: is missing"]),
     "unequal lengths": (with_channel("p", np.zeros(399)), ["p: has 399 samples", "400"]),
     "two dimensions": (with_channel("p", np.zeros((400, 1))), ["p: has 2 dimensions"]),

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from rotorid_torch.data import Dataset, load
+from rotorid_torch.errors import InputError
 from tests.helpers import shared, shared_sets, small_arrays, small_flight, small_folder
 
 
@@ -151,13 +152,19 @@ def test_undeclared_control_and_unknown_model_key_are_told():
 
 
 def test_require_rates_names_the_file_and_the_rate(folder):
-    from rotorid_torch.errors import InputError
-
     arrays = small_arrays()["two"]
     arrays["q"] = np.full(400, np.nan)
     np.savez(folder / "flights" / "two.npz", **arrays)
     with pytest.raises(InputError, match=r"two\.npz: q: is all NaN; expected body rates"):
         load(folder).require_rates()
+
+
+@pytest.mark.parametrize(("rate", "values", "told"), [("r", None, "is missing"), ("q", np.nan, "is all NaN")])
+def test_a_rate_that_no_flight_has_is_required_all_the_same(rate, values, told):
+    arrays = {channel: np.array(signal) for channel, signal in small_flight().items() if channel != rate}
+    arrays |= {} if values is None else {rate: np.full(400, values)}
+    with pytest.raises(InputError, match=rf"flight f: {rate}: {told}"):
+        Dataset.from_arrays({"f": arrays}, identify=["f"]).require_rates()
 
 
 def test_declared_zero_noise_still_has_a_weight():
