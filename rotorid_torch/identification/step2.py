@@ -6,6 +6,7 @@ from them and from step 1's thrust, and subtracted before.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -28,6 +29,9 @@ from rotorid_torch.model.model import Model
 
 HIGHEST = {**dict.fromkeys(FLAPPING, 8.0), **dict.fromkeys((*FORCES, *MOMENTS), 4.0)}
 """Hz: highest frequency of each equation, if its data reach it."""
+
+MIDDLE = 2.0
+"""Hz: where the noise of an integrated accelerometer is read."""
 
 FOLLOWING = 10.0
 """1/s: rate at which a body rate follows its controls where the regression sees no lag between them."""
@@ -156,7 +160,7 @@ def _equation(
 ) -> Equation:
     pattern = tuple(c for c in block.columns if f"{row}.{c}" in {p.name for p in effect.declared})
     dt = [dataset.flights[f].dt for f in dataset.identify]
-    responses, kind, channel = _responses(row, model, dataset, flights, dt)
+    responses, kind, noise = _responses(row, model, dataset, flights, dt)
     reference = model.reference
     declared = {p.name: p for p in effect.declared}
     prior = [declared[f"{row}.{c}"] for c in pattern]
@@ -168,7 +172,7 @@ def _equation(
         names=pattern,
         dt=dt,
         kind=kind,
-        response_noise=dataset.noise(channel),
+        response_noise=noise,
         regressor_noise=[known.get(c, 0.0) for c in pattern],
         prior_mean=[p.value for p in prior],
         prior_sd=[p.prior_sd for p in prior],
@@ -179,13 +183,13 @@ def _equation(
 
 def _responses(
     row: str, model: Model, dataset: Dataset, flights: Sequence[Measured], dt: Sequence[float]
-) -> tuple[list[Tensor], str, str]:
-    """Measured response of a row without its known part, the regression's kind, and the response's channel."""
+) -> tuple[list[Tensor], str, float]:
+    """Measured response of a row without its known part, the regression's kind, and the response's noise."""
     if row in FLAPPING:
         return (
             [f.signals[row] for f in flights],
             "value" if isinstance(model.effect("rotor"), AlgebraicFlapping) else "derivative",
-            row,
+            dataset.noise(row),
         )
     axis = (*FORCES, *MOMENTS).index(row)
     if row in MOMENTS:
@@ -196,28 +200,41 @@ def _responses(
         return (
             [r[:, axis - 3] - integral(k, h) for r, k, h in zip(rates, own, dt, strict=True)],
             "derivative",
-            RATES[axis - 3],
+            dataset.noise(RATES[axis - 3]),
         )
     if have(dataset, SPECIFIC_FORCES):
-        channel = SPECIFIC_FORCES[axis]
-        at_imu = [dataset.flights[n].bridged([channel])[:, 0] for n in dataset.identify]
-        return (
-            [a - _lever(model, f)[:, axis] - f.known[:, axis] for a, f in zip(at_imu, flights, strict=True)],
-            "value",
-            channel,
-        )
+        return _accelerometer_response(model, dataset, flights, axis, dt)
     return (
         [_velocity_response(model, f, axis, h) for f, h in zip(flights, dt, strict=True)],
         "derivative",
-        VELOCITIES[axis],
+        dataset.noise(VELOCITIES[axis]),
     )
 
 
-def _lever(model: Model, flight: Measured) -> Tensor:
-    """What an IMU off the centre of gravity adds to the specific force, (T, 3)."""
-    rates = torch.stack([flight.signals[n] for n in RATES], -1)
-    angular = flight.specific[:, 3:] + (gyroscopic(rates, model.inertia) if model.body.inertia is not None else 0.0)
-    return cross(angular, model.imu) + cross(rates, cross(rates, model.imu))
+def _accelerometer_response(
+    model: Model, dataset: Dataset, flights: Sequence[Measured], axis: int, dt: Sequence[float]
+) -> tuple[list[Tensor], str, float]:
+    """Specific force at the centre of gravity without its known part, from an IMU that may sit elsewhere.
+
+    There the arm's angular acceleration is the rate of measured rates, so response and arm are integrated and regressed
+    by their derivative: step 1's smoothed moments would leave their attenuation in the force.
+    """
+    channel = SPECIFIC_FORCES[axis]
+    noise = dataset.noise(channel)
+    left = [dataset.flights[n].bridged([channel])[:, 0] for n in dataset.identify]
+    left = [a - f.known[:, axis] for a, f in zip(left, flights, strict=True)]
+    if not bool(model.imu.any()):
+        return left, "value", noise
+    rates = [torch.stack([f.signals[n] for n in RATES], -1) for f in flights]
+    speed = [cross(r, model.imu) for r in rates]
+    inward = [cross(r, s)[:, axis] for r, s in zip(rates, speed, strict=True)]
+    reach = cross(torch.eye(3, dtype=torch.float64), model.imu)[:, axis]  # of each gyro
+    gyros = float((reach * torch.tensor([dataset.noise(n) for n in RATES], dtype=torch.float64)).norm())
+    return (
+        [integral(a - i, h) - s[:, axis] for a, i, s, h in zip(left, inward, speed, dt, strict=True)],
+        "derivative",
+        math.hypot(gyros, noise / (2.0 * math.pi * MIDDLE)),
+    )
 
 
 def _velocity_response(model: Model, flight: Measured, axis: int, dt: float) -> Tensor:
