@@ -45,7 +45,7 @@ def write_dataset(
     InputError : where the data are bad, or something that is not a data set is in the way.
     """
     place = Path(folder).absolute()
-    _check_place(place)
+    refuse_unless_free(place)
     Dataset.from_arrays(
         flights,
         identify=identify,
@@ -85,7 +85,8 @@ def write_dataset(
     return place
 
 
-def _check_place(place: Path) -> None:
+def refuse_unless_free(place: Path) -> None:
+    """Raise InputError where something that is not a data set is in the way."""
     if place.is_dir() and not place.is_symlink():
         if (place / "dataset.toml").exists() or not any(place.iterdir()):
             return

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from rotorid_torch.data import Dataset
+from rotorid_torch.data.write import refuse_unless_free, write_dataset
 from rotorid_torch.errors import InputError
 from rotorid_torch.fly.aircraft import CONTROL_NAMES, Aircraft
 from rotorid_torch.fly.augmentation import Augmentation, design
@@ -20,7 +21,6 @@ from rotorid_torch.fly.rotor import LOCK_SLOPE
 from rotorid_torch.fly.sensors import MEASURED, NOISE, Channels, measured_channels, true_channels
 from rotorid_torch.fly.trim import Trim, find_trim
 from rotorid_torch.fly.vehicle import load_aircraft
-from rotorid_torch.fly.write import refuse_existing, write_dataset
 
 EFFECTS: dict[str, Callable[[Aircraft, float], Aircraft]] = {}
 """Undeclared physics that can be switched on: id -> a changed copy of the aircraft."""
@@ -81,7 +81,7 @@ def fly(
     """
     out = None if out is None else Path(out)
     if out is not None:
-        refuse_existing(out)
+        refuse_unless_free(out.absolute())
     names = chosen(flights)
     _check_numbers(speed, heading, height, seconds)
     aircraft = load_aircraft(None if vehicle is None else Path(vehicle))
@@ -97,8 +97,15 @@ def fly(
     label = out.name if out is not None else f"{aircraft.name}-{speed:g}"
     declaration = declare(aircraft, label, names, channels, speed, height)
     if out is not None:
-        write_dataset(out, declaration, measured, truth)
+        _write(out, declaration, measured, truth)
     return FlightTest(label, declaration, measured, truth, aircraft, trim, augmentation)
+
+
+def _write(out: Path, declaration: dict[str, Any], measured: Mapping[str, Any], truth: Mapping[str, Any]) -> None:
+    """The flown set as a data set with its truth; an earlier data set there is replaced."""
+    keys = ("name", "kind", "description", "vehicle", "controls", "channels", "model")
+    tables: dict[str, Any] = {key: declaration.get(key) for key in keys}
+    write_dataset(out, measured, **declaration["flights"], **tables, truth=truth)
 
 
 def _check_numbers(speed: float, heading: float, height: float, seconds: float) -> None:
