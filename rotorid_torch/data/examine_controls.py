@@ -23,11 +23,11 @@ def controls(dataset: Dataset) -> Iterator[Finding]:
     moving = [e for e in every if e.moved]
     bound = [e for e in moving if e.independent < FEEDBACK]
     if bound:
-        told = ", ".join(f"{e.control} {e.independent:.0%}" for e in bound)
+        told = ", ".join(f"{e.independent:.0%} of {e.control}" for e in bound)
         yield finding(
             "warning",
             " ".join(e.control for e in bound),
-            f"only {told} of the motion from {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz is the control's own,",
+            f"only {told} from {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz is the control's own motion,",
             "the rest follows",
             "the aircraft and the other controls (feedback): only combinations of derivatives can be found.",
             "Fly test inputs on top of the controller, one control at a time.",

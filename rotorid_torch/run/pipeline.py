@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError
@@ -26,6 +27,7 @@ from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.model.save import load as load_model
 from rotorid_torch.model.save import save as save_model
+from rotorid_torch.run import remarks
 from rotorid_torch.run.figures import draw
 from rotorid_torch.run.fit_record import fit_record, judge
 from rotorid_torch.run.folder import run_folder, whole_file
@@ -39,8 +41,8 @@ if TYPE_CHECKING:
 
     from rotorid_torch.run.figures import Overlay
 
-OWN_SHARE = 0.1
-"""Share of a control's motion that feedback does not explain, below which its derivatives stand in doubt."""
+SHORTEST_S = 1.5
+"""Least length of a flight to identify from: the regressions need several periods of the slowest motion they hold."""
 OUTSIDE = 0.1
 """Share of the identified range by which a free run may leave it before it is told."""
 
@@ -128,6 +130,7 @@ def identify(
     """
     monitor = monitor or Monitor()
     _refuse(effects, device)
+    _refuse_unfit(dataset)
     torch.manual_seed(seed)
     with ExitStack() as stack:
         folder = stack.enter_context(run_folder(out)) if out is not None else None
@@ -140,17 +143,23 @@ def identify(
 
 
 def _identify(dataset: Dataset, effects: Sequence[str], seed: int, monitor: Monitor) -> Run:
+    seen = at_one_rate(dataset)
     with monitor.step("reconstruct"):
-        reconstruction = step1.reconstruct(dataset)
+        reconstruction = step1.reconstruct(seen)
     with monitor.step("structure"):
-        first = propose(dataset, reconstruction, effects)
-    tried = [_estimate(spec, dataset, reconstruction, monitor) for spec in (first, rival(first)) if spec is not None]
+        first = propose(seen, reconstruction, effects)
+    tried = [_estimate(spec, seen, reconstruction, monitor) for spec in (first, rival(first)) if spec is not None]
     spec, model, regressions, estimate = min(tried, key=lambda t: t[3].criterion)
     with monitor.step("validate"):
         judged = judge(model, dataset)
     fit = fit_record(model, spec, estimate, judged)
-    told = [*reconstruction.notes, *_notes(regressions), *_doubts(estimate, fit)]
-    report = _report("identify", dataset, seed, monitor, fit, told)
+    told = [
+        *reconstruction.notes,
+        *remarks.of_controls(seen, regressions.own_share),
+        *remarks.of_regressions(regressions),
+        *remarks.of_estimate(estimate, fit),
+    ]
+    report = _report("identify", seen, seed, monitor, fit, told)
     return Run(model, spec, fit, report, reconstruction, regressions, estimate, judged.overlays)
 
 
@@ -162,7 +171,7 @@ def _estimate(
     with monitor.step("ftr"):
         regressions = regress_model(model, dataset, reconstruction)
         monitor.scalars({f"ftr/R2/{row}": float(r.r2) for row, r in regressions.regressions.items()}, 0)
-        for line in regression_table(regressions):
+        for line in remarks.regression_table(regressions):
             monitor.log(line)
 
     def watch(iteration: int, cost: float, theta: Tensor) -> None:
@@ -231,43 +240,23 @@ def _refuse(effects: Sequence[str], device: str) -> None:
     for name in effects:
         if name not in registered():
             raise InputError("--effect", name, "there is no such effect", f"one of {', '.join(sorted(registered()))}")
+        if list(effects).count(name) > 1:
+            raise InputError("--effect", name, "is named twice", "each effect once")
     if device != "cpu":
         raise InputError("--device", device, "is not offered by identify yet", "cpu")
 
 
-def regression_table(step2: Step2) -> list[str]:
-    """One line per equation of step 2: band, R2, condition number, worst variance inflation and reliability."""
-    return [
-        f"{row}: band {r.band[0]:.2f} to {r.band[1]:.2f} Hz, R2 {float(r.r2):.4f}, condition {float(r.condition):.0f},"
-        f" variance inflation up to {float(r.vif.max()):.0f}, reliability from {float(r.reliability.min()):.2f}"
-        for row, r in step2.regressions.items()
-    ]
-
-
-def _notes(step2: Step2) -> list[str]:
-    """What the regressions remarked, each remark once with the rows that it is about."""
-    rows: dict[str, list[str]] = {}
-    for row, regression in step2.regressions.items():
-        for note in regression.notes:
-            rows.setdefault(note.removeprefix(f"{row}: "), []).append(row)
-    told = [f"step 2, {' '.join(where)}: {note}" for note, where in rows.items()]
-    fed_back = [f"{name} ({100.0 * share:.0f} %)" for name, share in step2.own_share.items() if share < OWN_SHARE]
-    if fed_back:
-        told.append(
-            f"little of {', '.join(fed_back)} is its own motion, the rest is feedback of the states: its derivatives"
-            " and theirs are told only in combination; fly inputs on that control, or with the augmentation off"
-        )
-    return told
-
-
-def _doubts(step3: Step3, fit: FitRecord) -> list[str]:
-    """What the user must know about the estimate, in words."""
-    said = [] if step3.fit.minimum.converged else [f"step 3 did not converge: {step3.fit.minimum.message}"]
-    bound = [p.name for p in fit.parameters if p.at_bound]
-    blind = [p.name for p in fit.parameters if p.status == "not identifiable"]
-    said += [f"at a bound: {', '.join(bound)}"] if bound else []
-    said += [f"not identifiable from these flights, held: {', '.join(blind)}"] if blind else []
-    return said
+def _refuse_unfit(dataset: Dataset) -> None:
+    """Refuse data that no step can make a model of."""
+    dataset.require_rates()
+    if not any(dataset.scales()[control] > 0.0 for control in dataset.controls):
+        file = dataset.file(dataset.identify[0])
+        raise InputError(file, dataset.controls[0], "no control moves in any identify flight", "a test input on one")
+    for name in dataset.identify:
+        seconds = float(dataset.flights[name].time[-1])
+        if seconds < SHORTEST_S:
+            wanted = f"at least {SHORTEST_S:g} s in a flight of the identify list"
+            raise InputError(dataset.file(name), "time", f"the flight lasts {seconds:.3g} s", wanted)
 
 
 def _report(

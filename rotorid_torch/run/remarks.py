@@ -1,0 +1,78 @@
+"""What a user must know about an identification: one sentence per kind, what it means and what to do next."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.excitation import excitation
+from rotorid_torch.identification.step2 import Step2
+from rotorid_torch.identification.step3 import Step3
+from rotorid_torch.run.records import FitRecord
+
+OWN_SHARE = 0.1
+"""Share of a control's own motion below which its derivatives and the states' are told only together."""
+SHOWN = 6
+"""Names that a sentence lists; report.json's parameters hold all of them."""
+
+
+def regression_table(step2: Step2) -> list[str]:
+    """One line per equation of step 2: band, R2, condition number, worst variance inflation and reliability."""
+    return [
+        f"{row}: band {r.band[0]:.2f} to {r.band[1]:.2f} Hz, R2 {float(r.r2):.4f}, condition {float(r.condition):.0f},"
+        f" variance inflation up to {float(r.vif.max()):.0f}, reliability from {float(r.reliability.min()):.2f}"
+        for row, r in step2.regressions.items()
+    ]
+
+
+def of_controls(dataset: Dataset, own_share: Mapping[str, float]) -> Iterator[str]:
+    """Controls that the identify flights leave alone, and those that mostly follow the states."""
+    still = [control for control in dataset.controls if not excitation(dataset, control).moved]
+    if still:
+        yield (
+            f"{listed(still)} hardly moves in any identify flight: what it does stays unknown; fly a doublet or a"
+            " 3-2-1-1 on it"
+        )
+    low = {control: share for control, share in own_share.items() if share < OWN_SHARE and control not in still}
+    if low:
+        told = ", ".join(f"{control} ({share:.0%})" for control, share in low.items())
+        yield (
+            f"little of {told} is its own motion, the rest is feedback of the states: its derivatives"
+            " and theirs are told only in combination; fly inputs on that control, or with the augmentation off"
+        )
+
+
+def of_regressions(step2: Step2) -> Iterator[str]:
+    """What step 2 remarked: every kind of remark once, with the equations that it is about."""
+    rows: dict[str, list[str]] = {}
+    for row, regression in step2.regressions.items():
+        for note in regression.notes:
+            rows.setdefault(note.removeprefix(f"{row}: "), []).append(row)
+    for note, where in rows.items():
+        yield f"step 2, equation{'s' if len(where) > 1 else ''} of {' '.join(where)}: {note}"
+
+
+def of_estimate(step3: Step3, fit: FitRecord) -> Iterator[str]:
+    """What leaves the estimate of step 3 in doubt."""
+    if not step3.fit.minimum.converged:
+        yield (
+            f"step 3 did not converge ({step3.fit.minimum.message}): take the standard errors with care;"
+            " longer flights, or test inputs on every control, would help"
+        )
+    bound = [p.name for p in fit.parameters if p.at_bound]
+    if bound:
+        yield (
+            f"at a bound: {listed(bound)}; the value is the bound's, not the data's: check units, signs of the"
+            " controls and the declared vehicle"
+        )
+    blind = [p.name for p in fit.parameters if p.status == "not identifiable"]
+    if blind:
+        yield (
+            f"not identifiable from these flights, held: {listed(blind)}; fly a manoeuvre that moves what they multiply"
+        )
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names with commas; beyond the first ones their number."""
+    rest = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return ", ".join(names[:SHOWN]) + rest

@@ -1,0 +1,44 @@
+"""What the report says about an identification: one sentence per kind, with what to do next."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from rotorid_torch.data import Dataset
+from rotorid_torch.run import remarks
+from tests.helpers import small_flight
+
+
+def test_a_control_at_rest_and_one_that_follows_the_states_are_told_apart():
+    still = {name: np.zeros(400) if name == "lon" else values for name, values in small_flight().items()}
+    dataset = Dataset.from_arrays({"f": still}, identify=["f"])
+    rest, follows = remarks.of_controls(dataset, {"lon": 0.0, "lat": 0.04})
+    assert rest.startswith("lon hardly moves in any identify flight")
+    assert follows.startswith("little of lat (4%) is its own motion")
+    assert [sentence[:3] for sentence in remarks.of_controls(dataset, {"lon": 0.0, "lat": 0.5})] == ["lon"]
+
+
+def test_one_remark_of_several_equations_is_one_sentence():
+    noisy = SimpleNamespace(notes=("noise fills a combination",))
+    doubtful = SimpleNamespace(notes=("N: does not hold even up to 1 Hz; smallest band", "noise fills a combination"))
+    step2 = SimpleNamespace(regressions={"L": noisy, "N": doubtful})
+    assert list(remarks.of_regressions(step2)) == [
+        "step 2, equations of L N: noise fills a combination",
+        "step 2, equation of N: does not hold even up to 1 Hz; smallest band",
+    ]
+
+
+def test_doubts_about_the_estimate_name_parameters_and_say_what_to_do(fit):
+    step3 = SimpleNamespace(fit=SimpleNamespace(minimum=SimpleNamespace(converged=False, message="stopped after 9")))
+    said = list(remarks.of_estimate(step3, fit))
+    assert [sentence.split(":")[0] for sentence in said[1:]] == [
+        "at a bound",
+        "not identifiable from these flights, held",
+    ]
+    assert "did not converge (stopped after 9)" in said[0]
+    assert "forces.M.q" in said[1]
+    assert "forces.N.u" in said[2]
+
+
+def test_many_names_end_in_their_number():
+    assert remarks.listed([f"p{i}" for i in range(9)]) == "p0, p1, p2, p3, p4, p5 and 3 more"
