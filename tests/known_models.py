@@ -174,3 +174,12 @@ def flown(
     declared.setdefault("channels", {c: {"noise": sd[c], "bias": "none"} for c in outputs})
     declared.setdefault("vehicle", {"imu": list(model.body.imu)})
     return Dataset.from_arrays(flights, **lists, **declared)
+
+
+def rate_vehicle(**changes: Any) -> Model:
+    """The rates of `linear_vehicle` alone: three states, nothing else measured."""
+    spec = body_spec(
+        states=RATES, outputs=RATES, patterns=dict.fromkeys(MOMENTS, (*RATES, *STICKS)), imu=(0.0, 0.0, 0.0), **changes
+    )
+    model = build(spec)
+    return with_values(model, {n: DERIVATIVES.get(n[7:], 0.0) for n in model.parameter_set.names if n[:7] == "forces."})

@@ -129,7 +129,7 @@ def measured(model: Model, dataset: Dataset, reconstruction: Reconstruction, nam
         values = model.values(theta, k)
         own = _followed(effect, frame, values, flight.dt)
         frame = replace(
-            frame, signals={**frame.signals, **dict(zip((s.name for s in effect.states), own.unbind(-1), strict=True))}
+            frame, signals={**frame.signals, **dict(zip(model.state_names(k), own.unbind(-1), strict=True))}
         )
         frame, _ = effect(frame, own, values)
     assert frame.force is not None
@@ -148,7 +148,7 @@ def _followed(effect: Effect, frame: Frame, values: Values, dt: float) -> Tensor
     slope = torch.stack(
         [effect(frame, state + e, values)[1] - constant for e in torch.eye(len(effect.states), dtype=torch.float64)], -1
     )
-    out, x = [], -torch.linalg.solve(slope[0], constant[0])
+    out, x = [], -torch.linalg.pinv(slope[0]) @ constant[0]
     for c, a in zip(constant, slope, strict=True):
         out.append(x)
         x = torch.linalg.solve(torch.eye(len(x), dtype=torch.float64) - dt * a, x + dt * c)

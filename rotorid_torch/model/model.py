@@ -78,6 +78,10 @@ class Model(nn.Module):
             parameter, state = parameter + len(e.declared), state + len(e.states)
         return places
 
+    def state_names(self, k: int) -> tuple[str, ...]:
+        """Names in the flat state of the k-th effect's own states."""
+        return self.layout.names[self._slices[k][1]]
+
     def values(self, theta: Tensor, k: int) -> Values:
         """Slice of theta that belongs to the k-th effect of the chain."""
         return Values(theta[..., self._slices[k][0]], tuple(p.name for p in self.chain[k].declared))

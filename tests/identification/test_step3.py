@@ -1,0 +1,166 @@
+"""Step 3 on flights of known models: what flew comes back within its standard errors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from rotorid_torch.data import Dataset
+from rotorid_torch.effects.base import Frame, Values
+from rotorid_torch.effects.registry import EFFECTS
+from rotorid_torch.identification.reconstruct import reconstruct
+from rotorid_torch.identification.step2 import Step2, measured, regress_model
+from rotorid_torch.identification.step3 import Step3, averaged, estimate_model, records
+from rotorid_torch.identification.structure import propose
+from rotorid_torch.model.model import Model
+from rotorid_torch.model.nominal import build
+from tests.effects.own_effects import OWN, OwnLag
+from tests.known_models import DERIVATIVES, flown, linear_vehicle, manoeuvres, rate_vehicle, with_values
+
+DT = 0.02
+
+
+@pytest.fixture(autouse=True)
+def own_effects(monkeypatch: pytest.MonkeyPatch) -> None:
+    for own in OWN:
+        monkeypatch.setitem(EFFECTS, own.id, own)
+
+
+def estimated(data: Dataset, *effects: str) -> tuple[Step3, Model, Step2]:
+    step1 = reconstruct(data)
+    model = build(propose(data, step1, effects))
+    start = regress_model(model, data, step1)
+    return estimate_model(model, data, step1, start), model, start
+
+
+def deviations(found: Step3, model: Model, truth: dict[str, float]) -> dict[str, float]:
+    """Estimates minus truth, in standard errors; trims left out."""
+    se = dict(zip(found.names, found.fit.uncertainty.standard_errors.tolist(), strict=True))
+    theta = model.theta.detach()
+    return {
+        n: (float(theta[model.parameter_set.index(n)]) - truth.get(n, 0.0)) / se[n]
+        for n in found.names
+        if not n.endswith("trim") and se[n] > 0
+    }
+
+
+@pytest.fixture(scope="module")
+def rates() -> Dataset:
+    return flown(rate_vehicle(), manoeuvres(8.0, DT), DT, noise=0.03, seed=3)
+
+
+def test_known_parameters_come_back_within_three_standard_errors():
+    data = flown(linear_vehicle(), manoeuvres(8.0, DT), DT, noise=0.02, seed=2)
+    found, model, start = estimated(data)
+    assert found.fit.minimum.converged
+    off = deviations(found, model, {f"forces.{n}": v for n, v in DERIVATIVES.items()})
+    assert len(off) == 60
+    size = np.abs(list(off.values()))
+    assert float((size < 3.0).mean()) > 0.97
+    assert float(size.max()) < 4.5
+    assert 0.5 < float(np.sqrt((size**2).mean())) < 1.5
+    assert not torch.equal(model.theta.detach(), start.theta)
+    assert found.criterion < float("inf")
+
+
+def test_rates_alone(rates: Dataset):
+    found, model, _ = estimated(rates)
+    off = deviations(
+        found, model, {n: v for n, v in zip(model.parameter_set.names, rate_vehicle().theta.tolist(), strict=True)}
+    )
+    assert max(abs(v) for v in off.values()) < 3.5
+    torch.testing.assert_close(found.fit.model_error_ratio, torch.ones(3).double(), atol=0.1, rtol=0)
+
+
+def test_a_delay_comes_back():
+    truth = with_values(rate_vehicle(effects=("control.delay",)), {"control.delay.common": 0.07})
+    data = flown(truth, manoeuvres(8.0, DT), DT, noise=0.02, seed=4)
+    found, model, _ = estimated(data, "control.delay")
+    values = dict(zip(model.parameter_set.names, model.theta.tolist(), strict=True))
+    assert values["control.delay.common"] == pytest.approx(0.07, abs=0.003)
+    off = deviations(found, model, dict(zip(truth.parameter_set.names, truth.theta.tolist(), strict=True)))
+    assert abs(off["control.delay.common"]) < 3.0
+    assert max(abs(v) for v in off.values()) < 4.0
+
+
+def test_a_delay_that_is_not_there_is_found_at_zero(rates: Dataset):
+    found, model, _ = estimated(rates, "control.delay")
+    value = float(model.theta.detach()[model.parameter_set.index("control.delay.common")])
+    se = float(found.fit.uncertainty.standard_errors[found.names.index("control.delay.common")])
+    bound = bool(found.fit.minimum.at_bound[found.names.index("control.delay.common")])
+    assert value == 0.0 or value < 3.0 * se
+    assert bound == (value == 0.0)
+
+
+def test_an_own_effect_with_a_state_comes_back():
+    truth = with_values(
+        rate_vehicle(effects=("own.lag",)), {"own.lag.L": 20.0, "own.lag.tau": 0.4, "forces.L.lat": 10.0}
+    )
+    data = flown(truth, manoeuvres(8.0, DT), DT, noise=0.01, seed=5)
+    found, model, _ = estimated(data, "own.lag")
+    assert model.layout.names[-1] == "own.lag.late"
+    off = deviations(found, model, dict(zip(truth.parameter_set.names, truth.theta.tolist(), strict=True)))
+    assert abs(off["own.lag.L"]) < 4.0
+    assert abs(off["own.lag.tau"]) < 4.0
+
+
+def test_states_of_effects_follow_the_record_to_start_from():
+    model = with_values(rate_vehicle(effects=("own.lag",)), {"own.lag.tau": 0.4})
+    data = flown(model, manoeuvres(8.0, DT), DT)
+    step1 = reconstruct(data)
+    late = measured(model, data, step1, "f_lat").signals["own.lag.late"]
+    stick, wanted = data.flights["f_lat"].channels["lat"], [0.0]
+    for a, b in zip(stick[:-1].tolist(), stick[1:].tolist(), strict=True):
+        wanted.append(wanted[-1] + DT / 0.4 * (0.5 * (a + b) - wanted[-1]))
+    torch.testing.assert_close(late, torch.tensor(wanted).double(), atol=3e-3, rtol=0)
+    known = records(model, data, step1).states[..., -1]
+    assert bool(known.isfinite().all())
+
+
+def test_an_effect_that_integrates_starts_at_zero(monkeypatch: pytest.MonkeyPatch):
+    class OwnIntegral(OwnLag):
+        id = "own.integral"
+
+        def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+            return frame, frame.signals["lat"].unsqueeze(-1).expand_as(x)
+
+    monkeypatch.setitem(EFFECTS, "own.integral", OwnIntegral)
+    model = rate_vehicle(effects=("own.integral",))
+    data = flown(model, manoeuvres(3.0, DT), DT)
+    state = measured(model, data, reconstruct(data), "f_lat").signals["own.integral.late"]
+    assert abs(float(state[0])) < 1e-9
+    assert float(state.max()) == pytest.approx(0.04 * 0.9, abs=2e-3)
+
+
+def test_parameters_that_step_2_holds_stay(rates: Dataset):
+    step1 = reconstruct(rates)
+    model = build(propose(rates, step1))
+    start = regress_model(model, rates, step1)
+    held = ("forces.L.q", "forces.N.p")
+    found = estimate_model(model, rates, step1, replace(start, held=held))
+    assert not set(held) & set(found.names)
+    places = [model.parameter_set.index(n) for n in held]
+    assert torch.equal(model.theta.detach()[places], start.theta[places])
+
+
+def test_fast_records_are_averaged():
+    record = torch.arange(11.0, dtype=torch.float64)[:, None].repeat(1, 2)
+    record[4, 1] = torch.nan
+    found = averaged(record, 3)
+    assert found[:, 0].tolist() == [1.0, 4.0, 7.0]
+    assert found[:, 1].tolist() == [1.0, 4.0, 7.0]
+    record[3:6, 1] = torch.nan
+    assert bool(averaged(record, 3)[1, 1].isnan())
+
+
+def test_records_are_at_fifty_hertz_at_least():
+    for dt, wanted in ((0.01, 0.02), (1 / 154, 3 / 154), (0.04, 0.04)):
+        data = flown(rate_vehicle(), manoeuvres(3.0, dt), dt)
+        step1 = reconstruct(data)
+        found = records(build(propose(data, step1)), data, step1)
+        assert found.dt == pytest.approx(wanted)
+        assert found.states.shape[-1] == 3
