@@ -156,18 +156,15 @@ def identified(dataset: Dataset) -> dict[str, tuple[float, float]]:
     return {name: (value, error) for name, value, error in rows if not name.endswith(".trim") and error > 0.0}
 
 
-def kept(file: Path) -> dict[int, dict[str, tuple[float, float]]]:
-    """Runs that are done; a last line cut off by an interruption is not."""
-    lines = file.read_text(encoding="utf-8").split("\n")[:-1] if file.exists() else []
-    return {entry["run"]: entry["found"] for entry in map(json.loads, lines)}
-
-
 def coverage(name: str, runs: int, lag: float, seed: int, out: Path, writer: SummaryWriter) -> dict:
     """Shares of intervals that hold the truth, or the pseudo-true values where the controls lag."""
     out.mkdir(parents=True, exist_ok=True)
     file, clean, began = out / f"{name}-seed{seed}.jsonl", clean_flights(lag), time.perf_counter()
     wanted = truth() if lag == 0.0 else {n: v for n, (v, _) in identified(measured(clean, None)).items()}
-    done = kept(file)
+    lines = file.read_text(encoding="utf-8").splitlines(keepends=True) if file.exists() else []
+    lines = [line for line in lines if line.endswith("\n")]  # an interruption may have cut off the last one
+    file.write_text("".join(lines), encoding="utf-8")
+    done = {entry["run"]: entry["found"] for entry in map(json.loads, lines)}
     for run in range(runs):
         if run not in done:
             done[run] = identified(measured(clean, np.random.default_rng([seed, run])))

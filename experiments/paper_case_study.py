@@ -21,7 +21,6 @@ from pathlib import Path
 import numpy as np
 import torch
 import tyro
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
@@ -79,7 +78,7 @@ def true(truth: Truth, dataset: Dataset, name: str, channels: tuple[str, ...]) -
 
 
 def step1_tables(dataset: Dataset, found: Reconstruction, truth: Truth) -> dict[str, dict[str, dict[str, float]]]:
-    """What of the truth lies within the errors, and what the errors below 2 Hz are; per flight and component."""
+    """Shares of the truth within the error bars, and the errors below 2 Hz; per flight and component."""
     known = {name: true(truth, dataset, name, AXES) for name in found.flights}
     every, tables = torch.cat([k - k.mean(0) for k in known.values()]), {}
     for name, flight in found.flights.items():
@@ -98,7 +97,6 @@ def step1_tables(dataset: Dataset, found: Reconstruction, truth: Truth) -> dict[
 def figure4(dataset: Dataset, found: Reconstruction, truth: Truth, name: str) -> Figure:
     """Estimated (blue) and true (red) forces; right their difference within three standard deviations."""
     figure = Figure(figsize=(9.6, 6.0), layout="constrained")
-    FigureCanvasAgg(figure)
     flight, known = found.flights[name], true(truth, dataset, name, FORCES) / 1e3
     estimate, band, time = flight.forces / 1e3, 3.0 * flight.loads_sd / 1e3, flight.time
     for k, (left, right) in enumerate(figure.subplots(3, 2, sharex=True)):
@@ -160,7 +158,7 @@ def explained(overlays: list[Overlay], channels: tuple[str, ...]) -> dict[str, d
 
 def pictures(run: Run, dataset: Dataset, truth: Truth, driven: Mapping[str, list[Overlay]]) -> dict[str, Figure]:
     """All figures by the name of their file."""
-    lateral = next((n for n in dataset.identify if n == "f321_lat"), dataset.identify[0])
+    lateral = "f321_lat" if "f321_lat" in dataset.flights else dataset.identify[0]
     moments = side_by_side(driven["step 3"], MOMENTS)
     moments.legends[0].get_texts()[0].set_text("true")
     for axes in moments.axes:
@@ -168,14 +166,6 @@ def pictures(run: Run, dataset: Dataset, truth: Truth, driven: Mapping[str, list
             axes.set_ylabel(f"{axis}, {run.reconstruction.units[axis]}")
     made = {"figure4_forces": figure4(dataset, run.reconstruction, truth, lateral), "figure6_moments": moments}
     return made | {"figure5_flapping_driven": side_by_side(driven["step 2"], FLAPPING)} | run.plot()
-
-
-def show(console: Console, title: str, rows: Mapping[str, Mapping[str, float]]) -> None:
-    """One table: a row per flight, a column per component."""
-    table = Table("flight", *next(iter(rows.values())), title=title)
-    for name, row in rows.items():
-        table.add_row(name, *(f"{v:.3f}" for v in row.values()))
-    console.print(table)
 
 
 def main(args: Args) -> None:
@@ -194,8 +184,11 @@ def main(args: Args) -> None:
     tables = step1_tables(dataset, run.reconstruction, truth)
     tables["step 2: R2 of flapping along the flown motion"] = explained(driven["step 2"], FLAPPING)
     tables["step 3: R2 of moments along the flown motion"] = explained(driven["step 3"], MOMENTS)
-    for title, table in tables.items():
-        show(console, title, table)
+    for title, rows in tables.items():
+        table = Table("flight", *next(iter(rows.values())), title=title)
+        for name, row in rows.items():
+            table.add_row(name, *(f"{value:.3f}" for value in row.values()))
+        console.print(table)
     console.print(scorecard(run.record))
     for name, figure in pictures(run, dataset, truth, driven).items():
         figure.savefig(args.out / f"{name}.png", dpi=110)

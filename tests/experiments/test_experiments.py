@@ -40,6 +40,8 @@ def test_chain_coverage_holds_the_truth_and_continues_where_it_stopped(tmp_path:
     assert first["runs"] == 1
     assert first["intervals_missing"] == 0
     assert first["pooled"] > 0.8
+    with next((tmp_path / "chain").glob("*.jsonl")).open("a", encoding="utf-8") as file:
+        file.write('{"run": 1, "fou')  # as a killed run leaves it
     again = quick("coverage_chain", tmp_path, "--out", str(tmp_path / "chain"))["chain"]
     assert again["pooled"] == first["pooled"]
     assert again["seconds"] < 0.5 * first["seconds"]
