@@ -82,7 +82,7 @@ def judge(model: Model, dataset: Dataset) -> Judged:
         records[name] = record
         J[record.list].append(record.J if record.J is not None else torch.nan)
         overlays.append(_overlay(model, dataset, name, piece, outputs))
-    totals = {k: float(scores.list_score(torch.tensor(J[k]))) if J[k] else None for k in LISTS}
+    totals = {k: float(scores.list_score(torch.tensor(J[k], dtype=torch.float64))) if J[k] else None for k in LISTS}
     return Judged(records, ScoresRecord(**totals), tuple(overlays))
 
 

@@ -1,0 +1,239 @@
+"""The order of the steps: one call from flights to report, the same every time, and bad input told."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import rotorid_torch as rotorid
+from rotorid_torch.data import Dataset
+from rotorid_torch.effects.registry import EFFECTS
+from rotorid_torch.errors import InputError
+from rotorid_torch.model.save import load as load_model
+from rotorid_torch.model.save import save as save_model
+from rotorid_torch.run import pipeline, records
+from rotorid_torch.run.pipeline import Run, identify, simulate
+from tests.effects.own_effects import OwnDrag
+from tests.known_models import STICKS, flown, linear_vehicle, manoeuvres, rate_vehicle, with_values
+
+DT = 0.04
+LISTS = {"identify": ["f_lon", "f_lat", "f_col"], "validate": ["f_ped"]}
+
+
+@pytest.fixture(scope="module")
+def data() -> Dataset:
+    return flown(rate_vehicle(), manoeuvres(9.0, DT), DT, noise=0.02, lists=LISTS)
+
+
+@pytest.fixture(scope="module")
+def run(data: Dataset, tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Path]:
+    out = tmp_path_factory.mktemp("runs") / "run"
+    return identify(data, out=out), out
+
+
+def test_a_run_is_whole(run: tuple[Run, Path]):
+    _, out = run
+    assert {p.name for p in out.iterdir()} >= {"report.json", "report.html", "model.pt", "reconstruct", "log.txt"}
+    assert {p.stem for p in (out / "reconstruct").iterdir()} == {"f_lon", "f_lat", "f_col", "f_ped"}
+
+
+def test_report_is_what_the_interface_says(run: tuple[Run, Path], data: Dataset):
+    made, out = run
+    report = json.loads((out / "report.json").read_text())
+    assert report["format"] == 1
+    assert report["command"] == "identify"
+    assert report["dataset"] == {"name": data.name, "sha256": data.sha256}
+    assert report["after"] is None
+    assert report["seed"] == 0
+    assert report["time_s"]["total"] >= report["time_s"]["ml"] > 0
+    fit = report["before"]
+    assert set(fit) == {"parameters", "modes", "flights", "scores"}
+    assert set(fit["parameters"][0]) == {"name", "value", "se", "unit", "bounds", "at_bound", "status"}
+    assert set(fit["flights"]) == set(data.flights)
+    assert set(fit["flights"]["f_ped"]["channels"]) == {"p", "q", "r"}
+    assert fit["scores"]["acid"] is None
+    assert fit["scores"]["identify"] == pytest.approx(
+        math.sqrt(np.mean([fit["flights"][n]["J"] ** 2 for n in LISTS["identify"]])), rel=1e-9
+    )
+    assert fit["scores"]["validate"] == fit["flights"]["f_ped"]["J"] == made.scores["validate"]
+    assert records.read_report(out).before == made.fit
+
+
+def test_scores_of_a_perfect_structure_are_those_of_the_noise(run: tuple[Run, Path]):
+    made, _ = run
+    for flight in made.fit.flights.values():
+        assert flight.J is not None
+        assert flight.J_noise is not None
+        assert flight.J_noise == pytest.approx(flight.J, rel=0.35)
+        assert flight.J_trim is not None
+        assert flight.J_trim > 10 * flight.J
+
+
+def test_the_saved_model_is_the_fitted_one(run: tuple[Run, Path]):
+    made, out = run
+    loaded, spec = load_model(out / "model.pt")
+    assert torch.equal(loaded.theta, made.model.theta)
+    assert spec == made.spec
+
+
+def test_simulate_gives_the_overlay_of_the_report(run: tuple[Run, Path], data: Dataset, tmp_path: Path):
+    made, out = run
+    found = simulate(out, data, "f_lat", tmp_path / "free.npz")
+    overlay = next(o for o in made.overlays if o.flight == "f_lat")
+    written = np.load(tmp_path / "free.npz")
+    for channel in ("p", "q", "r"):
+        np.testing.assert_allclose(found[channel][: len(overlay.time)], overlay.model[channel].numpy(), atol=1e-9)
+        np.testing.assert_array_equal(written[channel], found[channel])
+    assert len(written["time"]) == data.flights["f_lat"].samples
+
+
+def test_simulate_starts_and_ends_where_it_is_told(run: tuple[Run, Path], data: Dataset, tmp_path: Path):
+    _, out = run
+    found = simulate(out / "model.pt", data, "f_lat", tmp_path / "free.npz", start=2.0, seconds=3.0)
+    assert found["time"][0] == pytest.approx(2.0)
+    assert found["time"][-1] == pytest.approx(5.0)
+    late = simulate(out, data, "f_lat", tmp_path / "free.npz", start=7.0, seconds=30.0)
+    assert late["time"][-1] == pytest.approx(9.0)
+
+
+@pytest.mark.parametrize(
+    ("more", "key"),
+    [
+        ({"start": 9.0}, "start"),
+        ({"start": -1.0}, "start"),
+        ({"start": math.nan}, "start"),
+        ({"start": math.inf}, "start"),
+        ({"seconds": -1.0}, "seconds"),
+        ({"seconds": 0.0}, "seconds"),
+        ({"seconds": math.nan}, "seconds"),
+    ],
+)
+def test_simulate_refuses_times_outside_the_flight(
+    more: dict[str, float], key: str, run: tuple[Run, Path], data: Dataset, tmp_path: Path
+):
+    with pytest.raises(InputError) as refusal:
+        simulate(run[1], data, "f_lat", tmp_path / "free.npz", **more)  # f_lat was identified from: no warning
+    assert refusal.value.key == key
+    assert not list(tmp_path.iterdir())
+
+
+def test_simulate_refuses_what_is_not_there(run: tuple[Run, Path], data: Dataset, tmp_path: Path):
+    with pytest.raises(InputError, match="no flight 'f_lan'"):
+        simulate(run[1], data, "f_lan", tmp_path / "free.npz")
+    with pytest.raises(InputError, match="No such file"):
+        simulate(tmp_path / "nowhere", data, "f_lat", tmp_path / "free.npz")
+    other = flown(rate_vehicle(), {"f_lat": manoeuvres(3.0, DT)["f_lat"]}, DT)
+    fewer = {"f": {c: other.flights["f_lat"].channels[c] for c in ("time", "p", "q", "r", "lat")}}
+    with pytest.raises(InputError, match="control is missing"):
+        simulate(run[1], Dataset.from_arrays(fewer, identify=["f"]), "f", tmp_path / "free.npz")
+
+
+def test_simulate_warns_outside_the_identified_range(run: tuple[Run, Path], tmp_path: Path):
+    wild = flown(rate_vehicle(), manoeuvres(3.0, DT, size=0.3), DT)
+    with pytest.warns(UserWarning, match=r"leaves the range.*p.*lat"):
+        simulate(run[1], wild, "f_lat", tmp_path / "free.npz")
+
+
+def test_simulate_bridges_missing_samples_of_controls(run: tuple[Run, Path], data: Dataset, tmp_path: Path):
+    flights = {"f": {c: v.clone() for c, v in data.flights["f_lat"].channels.items()}}
+    flights["f"]["col"][20:] = math.nan
+    gaps = Dataset.from_arrays(flights, identify=["f"])
+    found = simulate(run[1], gaps, "f", tmp_path / "free.npz", start=2.0)
+    assert np.isfinite(found["p"]).all()
+
+
+def test_the_same_seed_gives_the_same_numbers(run: tuple[Run, Path], data: Dataset):
+    again = identify(data)
+    assert torch.equal(again.model.theta, run[0].model.theta)
+    assert again.fit == run[0].fit
+
+
+def test_python_shows_what_the_report_holds(run: tuple[Run, Path], tmp_path: Path):
+    made, _ = run
+    assert set(made.scores) == {"identify", "validate", "acid"}
+    table = made.table().splitlines()
+    assert len(table) == len(made.parameters) + 1
+    assert made.plot()
+    out = made.report(tmp_path / "copy")
+    assert (out / "report.json").is_file()
+    assert load_model(out / "model.pt")[1] == made.spec
+
+
+def test_identify_is_the_public_name():
+    assert rotorid.identify is identify
+    assert rotorid.Run is Run
+
+
+def test_a_list_without_flights_has_no_score():
+    few = flown(rate_vehicle(), manoeuvres(4.0, DT), DT, noise=0.02)
+    found = identify(few)
+    assert found.scores["validate"] is None
+    assert found.scores["acid"] is None
+    assert found.scores["identify"] is not None
+
+
+def without_rates(data: Dataset) -> Dataset:
+    flights = {n: {c: f.channels[c] for c in ("time", *STICKS)} for n, f in data.flights.items()}
+    return Dataset.from_arrays(flights, identify=data.identify)
+
+
+def test_bad_input_is_told_and_leaves_nothing(data: Dataset, tmp_path: Path):
+    out = tmp_path / "run"
+    with pytest.raises(InputError, match=r"p: is missing.*body rates"):
+        identify(without_rates(data), out=out)
+    with pytest.raises(InputError, match=r"--effect: control\.dely.*control\.delay"):
+        identify(data, effects=["control.dely"], out=out)
+    with pytest.raises(InputError, match=r"--effect: control\.delay.*twice"):
+        identify(data, effects=["control.delay", "control.delay"], out=out)
+    with pytest.raises(InputError, match="--device: tpu"):
+        identify(data, device="tpu", out=out)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_run_stands_in_nobody_s_way(data: Dataset, tmp_path: Path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "thesis.tex").write_text("mine")
+    with pytest.raises(InputError):
+        identify(data, out=tmp_path / "run")
+    assert (tmp_path / "run" / "thesis.tex").read_text() == "mine"
+
+
+def test_an_own_effect_goes_all_the_way(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    monkeypatch.setitem(EFFECTS, OwnDrag.id, OwnDrag)
+    truth = with_values(linear_vehicle(effects=("own.drag",)), {"own.drag.x": 0.05, "own.drag.y": 0.08})
+    data = flown(truth, manoeuvres(8.0, DT, size=0.08), DT, noise=0.01, seed=2)
+    made = identify(data, effects=["own.drag"], out=tmp_path / "run")
+    found = {p.name: p for p in made.parameters}
+    for axis, value in (("x", 0.05), ("y", 0.08)):
+        drag = found[f"own.drag.{axis}"]
+        assert drag.value is not None
+        assert drag.se is not None
+        assert abs(drag.value - value) < 3.5 * drag.se
+        assert drag.value > 3.0 * drag.se
+    loaded, _ = load_model(tmp_path / "run" / "model.pt")
+    assert loaded.effect("own.drag") is not None
+    monkeypatch.delitem(EFFECTS, OwnDrag.id)
+    with pytest.raises(InputError, match=r"model\.pt.*own\.drag"):
+        load_model(tmp_path / "run" / "model.pt")
+
+
+def test_reconstruct_alone_writes_a_run(data: Dataset, tmp_path: Path):
+    found = pipeline.reconstruct(data, tmp_path / "run")
+    held = np.load(tmp_path / "run" / "reconstruct" / "f_lon.npz")
+    np.testing.assert_allclose(held["p"], found.flights["f_lon"].channels["p"].numpy())
+    assert json.loads((tmp_path / "run" / "report.json").read_text())["before"] is None
+
+
+def test_a_model_that_diverges_is_simulated(run: tuple[Run, Path], data: Dataset, tmp_path: Path):
+    wild = load_model(run[1] / "model.pt")[0]
+    wild.theta.data[wild.parameter_set.index("forces.L.q")] = 1e3
+    wild.theta.data[wild.parameter_set.index("forces.M.p")] = 1e3
+    save_model(wild, run[0].spec, tmp_path / "model.pt")
+    with pytest.warns(UserWarning, match="leaves the range"):
+        found = simulate(tmp_path / "model.pt", data, "f_lat", tmp_path / "free.npz")
+    assert np.isfinite(found["p"]).all()
