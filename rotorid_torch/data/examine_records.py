@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -15,21 +15,31 @@ from rotorid_torch.data.vibration import content_ends, lines, spectrum
 
 def reading(dataset: Dataset) -> Iterator[Finding]:
     """What had to be changed or left out on reading."""
-    told: dict[str, list[str]] = {"": []}
-    for sentence in dataset.warnings:
-        name, _, rest = sentence.partition(": ")
-        told.setdefault(name if name.startswith("flight ") and rest else "", []).append(rest or sentence)
-    for sentence in told.pop(""):
-        yield finding("note", "", f"{sentence}.")
-    if told:
-        first, sentences = next(iter(told.items()))
-        flights = [name.removeprefix("flight ") for name in told]
-        more = f" ({len(flights) - 1} other flights likewise: {', '.join(flights[1:])})" if len(flights) > 1 else ""
-        advice = "Record on one clock if fast dynamics matter."
-        yield finding("note", "time", f"{first}: {'; '.join(sentences)}{more}.", advice, flight=flights[0])
+    for flight, sentence in condensed(dataset.warnings):
+        if flight:
+            advice = "Record on one clock if fast dynamics matter."
+            yield finding("note", "time", f"{sentence}.", advice, flight=flight)
+        else:
+            yield finding("note", "", f"{sentence}.")
     rates = sorted({round(1.0 / flight.dt, 2) for flight in dataset.flights.values()})
     if rates[-1] > 1.05 * rates[0]:
         yield finding("note", "time", f"flights are sampled at {rates[0]:g} to {rates[-1]:g} Hz.")
+
+
+def condensed(warnings: Sequence[str]) -> list[tuple[str, str]]:
+    """Flight and sentence of a data set's warnings; those of several flights become one, with the first flight's."""
+    general, by_flight = [], dict[str, list[str]]()
+    for sentence in warnings:
+        name, _, rest = sentence.partition(": ")
+        if name.startswith("flight ") and rest:
+            by_flight.setdefault(name.removeprefix("flight "), []).append(rest)
+        else:
+            general.append(("", sentence))
+    if not by_flight:
+        return general
+    first, *others = by_flight
+    more = f" (likewise in {', '.join(others)})" if others else ""
+    return [*general, (first, f"{'; '.join(by_flight[first])}{more}")]
 
 
 def gaps(dataset: Dataset) -> Iterator[Finding]:

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.names import ATTITUDES, RATES
+from rotorid_torch.core.names import ATTITUDES, RATES, unit
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.identification.force_noise import ForceNoise, find_force_noise
 from rotorid_torch.identification.motion import AXES, Motion, supported
@@ -301,16 +302,19 @@ def _notes(
     """What a reader of the result must know, in plain words."""
     notes = []
     if dataset.vehicle.mass is None:
-        notes.append("no mass declared: X Y Z are specific forces, m/s²")
+        notes.append("no mass declared: X Y Z are specific forces, m/s²; declare vehicle.mass for newtons")
     if dataset.vehicle.inertia is None:
-        notes.append("no inertia declared: L M N are angular accelerations, rad/s²")
+        notes.append("no inertia declared: L M N are angular accelerations, rad/s²; declare vehicle.inertia for N m")
     unseen = [axis for i, axis in enumerate(AXES) if not noise.seen[:, i].any()]
     if unseen:
-        notes.append(f"no channel sees {' '.join(unseen)}")
-    for channel, (hertz, rms) in lines.items():
-        notes.append(f"vibration of {channel} at {hertz:.1f} Hz, rms {rms:.3g}, has a state of its own")
-    for flight, found in zip(dataset.flights, biases, strict=True):
-        notes += [f"{flight}: bias of {name} {value:.3g} taken off (kinematics)" for name, value in found.items()]
+        notes.append(f"no channel sees {' '.join(unseen)}: nothing is known of them but that they are there")
+    if lines:
+        told = ", ".join(f"{channel} at {hertz:.1f} Hz ({rms:.2g} rms)" for channel, (hertz, rms) in lines.items())
+        notes.append(f"vibration was taken out of the motion: {told}")
+    largest = {name: max(abs(b[name]) for b in biases if name in b) for name in dict.fromkeys(chain(*biases))}
+    if largest:
+        told = ", ".join(f"{name} up to {value:.2g} {unit(name)}" for name, value in largest.items())
+        notes.append(f"constant sensor errors that the kinematics show were taken off, flight by flight: {told}")
     return tuple(notes)
 
 

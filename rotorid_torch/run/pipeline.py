@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings as python_warnings
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -207,21 +208,27 @@ def simulate(
     missing = [c for c in loaded.body.controls if not record.has(c)]
     if missing:
         raise InputError(dataset.file(flight), missing[0], "control is missing", "the controls of the model")
-    states, outputs = free_run(loaded, windows(loaded, dataset, [(flight, first)], samples))
+    pieces = windows(loaded, dataset, [(flight, first)], samples)
+    states, outputs = free_run(loaded, pieces)
     found = {"time": record.time[first : first + samples].numpy()}
     found |= dict(zip(loaded.layout.names, states[0].numpy().T, strict=True))
     found |= dict(zip(loaded.body.outputs, outputs[0].numpy().T, strict=True))
-    _warn_outside(found | {c: record.channels[c][first : first + samples].numpy() for c in loaded.body.controls}, spec)
+    _warn_outside(found | dict(zip(loaded.body.controls, pieces.controls[0].numpy().T, strict=True)), spec)
     with whole_file(out) as file, file.open("wb") as handle:
         np.savez(handle, **found)  # pyright: ignore[reportArgumentType]
     return found
 
 
 def _span(dt: float, samples: int, start: float, seconds: float | None, file: str | Path) -> tuple[int, int]:
+    last = (samples - 2) * dt
+    if not -0.5 * dt <= start < last + 0.5 * dt:
+        raise InputError(file, "start", f"{start} s lies outside the flight", f"0 to {last:.2f} s")
     first = round(start / dt)
-    wanted = samples - first if seconds is None else round(seconds / dt) + 1
-    if not 0 <= first < samples - 1 or wanted < 2:
-        raise InputError(file, "start", f"{start} s lies outside the flight", f"0 to {(samples - 2) * dt:.2f} s")
+    if seconds is None:
+        return first, samples - first
+    if not 0.5 * dt < seconds < math.inf:
+        raise InputError(file, "seconds", f"is {seconds}", f"at least one sample interval, {dt:.4g} s")
+    wanted = round(seconds / dt) + 1
     return first, min(wanted, samples - first)
 
 
@@ -269,7 +276,7 @@ def _report(
         time_s=monitor.time_record(),
         peak_memory_mb=peak_memory_mb(),
         before=fit,
-        warnings=(*dataset.warnings, *told),
+        warnings=(*remarks.of_reading(dataset), *told),
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.examine_records import condensed
 from rotorid_torch.data.excitation import excitation
 from rotorid_torch.identification.step2 import Step2
 from rotorid_torch.identification.step3 import Step3
@@ -23,6 +24,12 @@ def regression_table(step2: Step2) -> list[str]:
         f" variance inflation up to {float(r.vif.max()):.0f}, reliability from {float(r.reliability.min()):.2f}"
         for row, r in step2.regressions.items()
     ]
+
+
+def of_reading(dataset: Dataset) -> Iterator[str]:
+    """What was changed or left out when the data set was read; all flights in one sentence."""
+    for flight, sentence in condensed(dataset.warnings):
+        yield f"flight {flight}: {sentence}" if flight else sentence
 
 
 def of_controls(dataset: Dataset, own_share: Mapping[str, float]) -> Iterator[str]:

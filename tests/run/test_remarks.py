@@ -18,6 +18,16 @@ def test_a_control_at_rest_and_one_that_follows_the_states_are_told_apart():
     assert [sentence[:3] for sentence in remarks.of_controls(dataset, {"lon": 0.0, "lat": 0.5})] == ["lon"]
 
 
+def test_what_reading_changed_in_many_flights_is_one_sentence():
+    dataset = SimpleNamespace(
+        warnings=("control lat has no table", "flight a: time is not uniform: resampled", "flight b: time is rough")
+    )
+    assert list(remarks.of_reading(dataset)) == [
+        "control lat has no table",
+        "flight a: time is not uniform: resampled (likewise in b)",
+    ]
+
+
 def test_one_remark_of_several_equations_is_one_sentence():
     noisy = SimpleNamespace(notes=("noise fills a combination",))
     doubtful = SimpleNamespace(notes=("N: does not hold even up to 1 Hz; smallest band", "noise fills a combination"))
