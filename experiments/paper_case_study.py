@@ -109,7 +109,8 @@ def figure4(dataset: Dataset, found: Reconstruction, truth: Truth, name: str) ->
         right.set_ylabel(f"error of {FORCES[k]}, kN")
     for axes in figure.axes:
         axes.grid(alpha=0.3)
-        axes.legend(fontsize=8, loc="upper right")
+    for axes in figure.axes[:2]:
+        axes.legend(fontsize=8, loc="lower right", framealpha=0.4)
     figure.suptitle(name, fontsize=10)
     figure.supxlabel("time, s", fontsize=10)
     return figure
