@@ -36,6 +36,9 @@ SHORTEST = 8
 
 Monitor = Callable[[int, float, Tensor], None]
 
+NEARER = (1.0, 0.7, 0.4, 0.2, 0.0)
+"""Shares of the way from the prior mean to a start that are tried in turn."""
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -113,6 +116,7 @@ def fit(
     stages = _Stages(system, records, settings, monitor)
     theta, states = system.theta if theta is None else theta, records.states
     best, samples, rough = None, stages.first(theta), False
+    theta = stages.flyable(theta, samples)
     while samples is not None:
         rough = bool(stages.later(samples))
         problem, start = stages.open(theta, states, samples)
@@ -184,6 +188,17 @@ class _Stages:
         if self._fits_already(theta):
             return self.whole
         return self._tame(theta, self.lengths()[0])
+
+    def flyable(self, theta: Tensor, samples: int) -> Tensor:
+        """The start; one that diverges within a segment is brought nearer to the prior mean until it does not."""
+        mean = self.settings.prior_mean
+        if mean is None:
+            return theta
+        for share in NEARER:
+            nearer = mean + share * (theta - mean)
+            if math.isfinite(self.open(nearer, self.records.states, samples)[1].cost):
+                return nearer
+        return theta
 
     def lengths(self) -> list[int]:
         """Samples per segment that stages may take, shortest first."""

@@ -183,14 +183,14 @@ def lagged(signal: Tensor, samples: float) -> Tensor:
 
 
 def _sizes(dataset: Dataset, reconstruction: Reconstruction) -> dict[str, float]:
-    """Rms excursion of every signal, force and moment over the identify flights."""
+    """Rms excursion of every signal, force and moment over the identify flights; of a still signal its noise."""
     reference = dataset.reference()
     signals = (*VELOCITIES, *RATES, *ATTITUDE, *FLAPPING, *dataset.controls)
     sizes = {}
     for name in signals:
         if have(dataset, (name,)):
             values = torch.cat([dataset.flights[f].channels[name] for f in dataset.identify])
-            sizes[name] = float((values - reference[name]).square().nanmean().sqrt())
+            sizes[name] = max(float((values - reference[name]).square().nanmean().sqrt()), dataset.noise(name))
     loads = torch.cat([reconstruction.flights[f].specific for f in dataset.identify])
     for row, column in zip((*FORCES, *MOMENTS), (loads - loads.nanmean(0)).T, strict=True):
         sizes[f"row.{row}"] = float(column.square().nanmean().sqrt().nan_to_num(1.0))

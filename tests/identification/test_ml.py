@@ -198,6 +198,17 @@ def test_prior_bias_and_noise_floor() -> None:
     np.testing.assert_allclose(coarse.model_error_ratio.numpy(), [0.2, 0.4], rtol=0.2)
 
 
+def test_a_start_that_diverges_is_brought_nearer_to_the_prior() -> None:
+    records = records_from([roll_flight(np.random.default_rng(10))])
+    prior = Settings(
+        lengths=(2.0,),
+        prior_mean=torch.zeros(3, dtype=torch.float64),
+        prior_sd=torch.full((3,), 50.0, dtype=torch.float64),
+    )
+    found = fit(System(Roll((3e3, 2e6, 2.0))), records, settings=prior)
+    assert float((found.theta - torch.tensor(ROLL)).abs().max()) < 0.2
+
+
 def test_monitor_and_the_cost_that_falls() -> None:
     seen: list[tuple[int, float]] = []
     flights = [roll_flight(np.random.default_rng(0))]

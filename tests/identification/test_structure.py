@@ -177,6 +177,12 @@ def test_sizes_and_ranges_are_those_of_the_flights():
     assert spec.reference["col"] == pytest.approx(0.2, abs=0.01)
 
 
+def test_a_signal_at_rest_has_the_size_of_its_noise():
+    flights = {name: recorded(k, BODY, STICKS) | {"v": np.full(400, 0.3)} for k, name in enumerate(("one", "two"))}
+    data = Dataset.from_arrays(flights, identify=["one", "two"], channels={"v": {"noise": 0.05}})
+    assert propose(data, Loads(data)).sizes["v"] == 0.05  # pyright: ignore[reportArgumentType]
+
+
 def test_effects_are_handed_on():
     data = a_dataset(RATES)
     spec = propose(data, Loads(data), ("control.delay",))  # pyright: ignore[reportArgumentType]
