@@ -282,7 +282,7 @@ def _refuse_missing_device(device: str) -> None:
         import torch
 
         if not torch.cuda.is_available():
-            raise InputError("rotorid", "--device", "no CUDA device is available here", "cpu")
+            raise InputError("--device", device, "no CUDA device is available here", "cpu")
 
 
 @contextmanager

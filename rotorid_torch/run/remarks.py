@@ -15,6 +15,13 @@ OWN_SHARE = 0.1
 """Share of a control's own motion below which its derivatives and the states' are told only together."""
 SHOWN = 6
 """Names that a sentence lists; report.json's parameters hold all of them."""
+MEANINGS = {
+    "noise fills a combination of the regressors": "their sum or difference hardly moved in these flights, so the prior"
+    " sets it; fly inputs that move one control at a time",
+    "does not hold even up to": "look for a wrong sign, a time shift between channels, gusts or motion too large to be"
+    " linear; step 3 begins from weak values there",
+}
+"""What a remark of the regressions means to somebody who identifies a vehicle, by its beginning."""
 
 
 def regression_table(step2: Step2) -> list[str]:
@@ -56,7 +63,9 @@ def of_regressions(step2: Step2) -> Iterator[str]:
         for note in regression.notes:
             rows.setdefault(note.removeprefix(f"{row}: "), []).append(row)
     for note, where in rows.items():
-        yield f"step 2, equation{'s' if len(where) > 1 else ''} of {' '.join(where)}: {note}"
+        meaning = next((m for beginning, m in MEANINGS.items() if note.startswith(beginning)), None)
+        told = f"{note.partition(';')[0]}: {meaning}" if meaning else note
+        yield f"step 2, equation{'s' if len(where) > 1 else ''} of {' '.join(where)}: {told}"
 
 
 def of_estimate(step3: Step3, fit: FitRecord) -> Iterator[str]:

@@ -29,13 +29,17 @@ def test_what_reading_changed_in_many_flights_is_one_sentence():
 
 
 def test_one_remark_of_several_equations_is_one_sentence():
-    noisy = SimpleNamespace(notes=("noise fills a combination",))
-    doubtful = SimpleNamespace(notes=("N: does not hold even up to 1 Hz; smallest band", "noise fills a combination"))
+    noisy = SimpleNamespace(notes=("noise fills a combination of the regressors; leave one of them out",))
+    doubtful = SimpleNamespace(notes=("N: does not hold even up to 1 Hz; smallest band", *noisy.notes))
     step2 = SimpleNamespace(regressions={"L": noisy, "N": doubtful})
-    assert list(remarks.of_regressions(step2)) == [
-        "step 2, equations of L N: noise fills a combination",
-        "step 2, equation of N: does not hold even up to 1 Hz; smallest band",
-    ]
+    both, one = remarks.of_regressions(step2)
+    assert both.startswith("step 2, equations of L N: noise fills a combination of the regressors: their sum")
+    assert one.startswith("step 2, equation of N: does not hold even up to 1 Hz: look for a wrong sign")
+
+
+def test_a_remark_without_a_meaning_of_its_own_is_told_as_it_is():
+    step2 = SimpleNamespace(regressions={"L": SimpleNamespace(notes=("response: 3 missing samples",))})
+    assert list(remarks.of_regressions(step2)) == ["step 2, equation of L: response: 3 missing samples"]
 
 
 def test_doubts_about_the_estimate_name_parameters_and_say_what_to_do(fit):
