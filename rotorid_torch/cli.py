@@ -203,7 +203,9 @@ def simulate(options: Options) -> None:
     """Free run of a model on a flight."""
     from rotorid_torch.data import load
     from rotorid_torch.run import pipeline
+    from rotorid_torch.run.folder import refuse_unless_file
 
+    refuse_unless_file(options.out)
     span = {"start": options.start, "seconds": options.seconds}
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
@@ -320,8 +322,8 @@ def _write_log() -> str:
 
 
 def _seed(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from 0 on")
+    if not text.isdecimal() or len(text) > 18:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a whole number from 0 on, of 18 digits at most")
     return int(text)
 
 

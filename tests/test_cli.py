@@ -78,6 +78,7 @@ BAD_USAGE = [
     ["identify", "x", "--out"],
     ["identify", "x", "--out", "y", "--seed", "-1"],
     ["identify", "x", "--out", "y", "--seed", "1.5"],
+    ["identify", "x", "--out", "y", "--seed", "99999999999999999999"],
     ["identify", "x", "--out", "y", "--device", "tpu"],
     ["identify", "x", "--out", "y", "--wrong"],
     ["fly", "--out", "y", "--size", "3"],
@@ -235,6 +236,14 @@ def test_run_in_the_way_is_refused_before_the_data_are_read(tmp_path: Path, caps
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert "not a run" in err
     assert [p.name for p in (tmp_path / "run").iterdir()] == ["thesis.txt"]
+
+
+def test_simulate_refuses_its_file_before_any_work(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    for out, told in ((tmp_path, "is a folder"), (tmp_path / "no" / "f.npz", "does not exist")):
+        words = ["simulate", tmp_path / "no model", tmp_path / "no data", "--flight", "f", "--out", out]
+        code, _, err = run(capsys, *words)
+        assert (code, err.count("\n")) == (2, 1)
+        assert told in err
 
 
 def test_missing_data_set_is_one_line_and_leaves_no_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -57,16 +57,22 @@ def whole_file(out: str | Path) -> Iterator[Path]:
     ------
     InputError : at once, where `out` is a folder, or its parent is missing or cannot be written to.
     """
+    refuse_unless_file(out)
     place = Path(out).absolute()
-    if place.is_dir():
-        raise InputError(out, "", "is a folder", "the name of a file to write")
-    _refuse_parent(place)
     partial = _partial_name(place).with_suffix(place.suffix)
     try:
         yield partial
         partial.replace(place)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def refuse_unless_file(out: str | Path) -> None:
+    """Raise InputError where no file can be written to `out`: a folder lies there, or the parent is no use."""
+    place = Path(out).absolute()
+    if place.is_dir():
+        raise InputError(out, "", "is a folder", "the name of a file to write")
+    _refuse_parent(place)
 
 
 def refuse_unless_free(out: str | Path) -> None:
