@@ -11,7 +11,7 @@ from torch import Tensor
 
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.identification.gauss_newton import Options
-from rotorid_torch.identification.reconstruct import Reconstruction
+from rotorid_torch.identification.reconstruct import ReconstructedFlight, Reconstruction
 from rotorid_torch.identification.segments import Records, records_from
 from rotorid_torch.identification.stages import Fit, Settings, fit
 from rotorid_torch.identification.step2 import Step2, measured
@@ -85,11 +85,16 @@ def records(model: Model, dataset: Dataset, reconstruction: Reconstruction) -> R
             {
                 "time": averaged(flight.time, every),
                 "controls": averaged(flight.bridged(model.body.controls), every),
-                "outputs": averaged(flight.stack(model.body.outputs), every),
+                "outputs": averaged(flight.stack(model.body.outputs) - _biases(model, step1), every),
                 "states": averaged(torch.stack(states, dim=-1), every),
             }
         )
     return records_from(flights)
+
+
+def _biases(model: Model, step1: ReconstructedFlight) -> Tensor:
+    """Constants per flight that step 1 found on the sensors, [ny]; nuisance, so no score knows them."""
+    return torch.tensor([step1.biases.get(c, 0.0) for c in model.body.outputs], dtype=torch.float64)
 
 
 def averaged(record: Tensor, every: int) -> Tensor:

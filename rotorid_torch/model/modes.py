@@ -11,6 +11,8 @@ from rotorid_torch.core.names import FLAPPING
 from rotorid_torch.model.inflow import INDUCED
 from rotorid_torch.model.model import Model
 
+SLOW = 1.0
+"""rad/s: a longitudinal oscillation slower than this is the phugoid, a faster one the short period."""
 LONGITUDINAL, LATERAL = ("u", "w", "q", "theta"), ("v", "p", "r", "phi")
 
 
@@ -57,6 +59,6 @@ def _name(value: complex, share: dict[str, float]) -> str:
     if abs(value.imag) > 1e-6 * (1.0 + abs(value)):
         if most in ("p", "q") and value.real < -0.5 * abs(value):
             return "roll and pitch subsidence"
-        return "lateral oscillation" if lateral else "phugoid"
+        return "lateral oscillation" if lateral else "phugoid" if abs(value) < SLOW else "short period"
     named = {"p": "roll subsidence", "q": "pitch subsidence", "w": "heave subsidence", "r": "yaw subsidence"}
     return named.get(most, "spiral" if lateral else "speed")
