@@ -120,6 +120,10 @@ def fit(
     while samples is not None:
         rough = bool(stages.later(samples))
         problem, start = stages.open(theta, states, samples)
+        if best is not None and not math.isfinite(start.cost):
+            stages.account.append(f"segments of {samples * records.dt:.3g} s: diverge, not tried")
+            rough = True  # as the stage before it was
+            break
         found = stages.solve(
             problem, start, _options(settings.options, rough, tentative=best is not None and settings.lengths is None)
         )

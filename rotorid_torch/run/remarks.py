@@ -10,6 +10,7 @@ from rotorid_torch.data.excitation import excitation
 from rotorid_torch.identification.step2 import Step2
 from rotorid_torch.identification.step3 import Step3
 from rotorid_torch.run.records import FitRecord
+from rotorid_torch.run.summary import WORSE_THAN_TRIM, list_summaries
 
 OWN_SHARE = 0.1
 """Share of a control's own motion below which its derivatives and the states' are told only together."""
@@ -75,6 +76,12 @@ def of_estimate(step3: Step3, fit: FitRecord) -> Iterator[str]:
             f"step 3 did not converge ({step3.fit.minimum.message}): take the standard errors with care;"
             " longer flights, or test inputs on every control, would help"
         )
+    for summary in list_summaries(fit):
+        if summary.grade == WORSE_THAN_TRIM:
+            yield (
+                f"on the {summary.name} flights the model is {WORSE_THAN_TRIM} (J {summary.J:.3g} against"
+                f" {summary.J_trim:.3g}): do not use it; look at the data with rotorid check first"
+            )
     bound = [p.name for p in fit.parameters if p.at_bound]
     if bound:
         yield (

@@ -1,6 +1,7 @@
 """Output error on known systems: unstable short period, rate loop; derivatives, noise, bounds, priors, bad input."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from rotorid_torch.errors import InputError
 from rotorid_torch.identification.ml import Settings, fit, output_error
 from rotorid_torch.identification.segments import cut, records_from
 from rotorid_torch.identification.sensitivity import corrected, sensitivities, simulated, traced
+from rotorid_torch.identification.stages import _Stages
 from rotorid_torch.identification.system import System
 from tests.identification.output_error_cases import (
     RATE_LOOP,
@@ -206,6 +208,20 @@ def test_a_start_that_diverges_is_brought_nearer_to_the_prior() -> None:
         prior_sd=torch.full((3,), 50.0, dtype=torch.float64),
     )
     found = fit(System(Roll((3e3, 2e6, 2.0))), records, settings=prior)
+    assert float((found.theta - torch.tensor(ROLL)).abs().max()) < 0.2
+
+
+def test_a_stage_that_diverges_from_the_one_before_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    opened = _Stages.open
+
+    def diverging(self: _Stages, theta: Tensor, states: Tensor, samples: int, fixed: bool = False):
+        problem, start = opened(self, theta, states, samples, fixed)
+        return problem, replace(start, cost=math.inf) if samples > 60 else start
+
+    monkeypatch.setattr(_Stages, "open", diverging)
+    records = records_from([roll_flight(np.random.default_rng(10))])
+    found = fit(System(Roll()), records, settings=Settings(lengths=(50 * records.dt, math.inf)))
+    assert "diverge, not tried" in found.stages[1]
     assert float((found.theta - torch.tensor(ROLL)).abs().max()) < 0.2
 
 

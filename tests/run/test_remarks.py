@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 
 from rotorid_torch.data import Dataset
@@ -52,6 +53,15 @@ def test_doubts_about_the_estimate_name_parameters_and_say_what_to_do(fit):
     assert "did not converge (stopped after 9)" in said[0]
     assert "forces.M.q" in said[1]
     assert "forces.N.u" in said[2]
+
+
+def test_a_model_worse_than_holding_trim_is_told(fit):
+    flights = {"f1": msgspec.structs.replace(fit.flights["f1"], J=40.0)}
+    scores = msgspec.structs.replace(fit.scores, identify=40.0)
+    bad = msgspec.structs.replace(fit, flights=flights, scores=scores, parameters=())
+    step3 = SimpleNamespace(fit=SimpleNamespace(minimum=SimpleNamespace(converged=True)))
+    (said,) = remarks.of_estimate(step3, bad)
+    assert said.startswith("on the identify flights the model is worse than holding trim (J 40 against 1): do not use")
 
 
 def test_many_names_end_in_their_number():
