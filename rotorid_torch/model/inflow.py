@@ -104,7 +104,8 @@ class Inflow(Effect):
 class CyclicInflow(Effect):
     """First harmonics of the inflow, as the flapping they belong to: tau d(wa1, wb1)/dt = (a1, b1) - (wa1, wb1).
 
-    A disc that tilts builds up inflow across itself, late; the flapping equations take these states as regressors.
+    A disc that tilts builds up inflow across itself, late; the flapping equations take these states as regressors. The
+    time constant is held at the declared rotor's: the derivatives by these states and it tell the same story.
 
     Source: Pitt and Peters, Vertica 5 (1981), harmonic states, apparent mass 16/(45 pi).
     """
@@ -114,7 +115,7 @@ class CyclicInflow(Effect):
     def __init__(self, rotor: RotorSpec, reference: dict[str, float]) -> None:
         tau = _time_constant(2.0 * HARMONIC_MASS, rotor, reference)
         super().__init__(
-            (Parameter("tau", tau, "s", TIME_BOUNDS, tau, doc="time constant of the inflow's first harmonics"),),
+            (Parameter("tau", tau, "s", TIME_BOUNDS, tau, free=False, doc="time constant of the first harmonics"),),
             tuple(State(n, "rad", "first harmonic of the inflow, as flapping") for n in CYCLIC),
         )
 
