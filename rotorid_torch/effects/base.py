@@ -52,7 +52,6 @@ class Frame:
     """
 
     signals: Mapping[str, Tensor]
-    air: Tensor | None = None
     force: Tensor | None = None
     moment: Tensor | None = None
 

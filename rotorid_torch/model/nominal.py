@@ -19,8 +19,7 @@ from rotorid_torch.model.linear import LinearBlock
 from rotorid_torch.model.model import Body, Model
 
 PRIOR_SPAN = 5.0
-"""A derivative times its regressor's rms excursion may reach this many times its row's rms before the prior objects."""
-TRIM_SPAN = 5.0
+"""A trim, or a derivative times its regressor's rms, may reach this many times its row's rms before the prior objects."""
 TAIL_ARM, TAILPLANE_ARM = 1.2, 1.05
 """Distances of tail rotor and tailplane behind the centre of gravity, in rotor radii; usual, where none is declared."""
 EVERYTHING = (-math.inf, math.inf)
@@ -75,7 +74,7 @@ def _row(spec: ModelSpec, row: str, unit: str) -> list[Parameter]:
     """Trim and derivatives of one equation, with priors scaled by the excursions of row and regressor."""
     size = spec.sizes.get(f"row.{row}", 1.0)
     trim = spec.reference.get(f"{row}.trim", 0.0)
-    made = [Parameter(f"{row}.trim", trim, unit, prior_sd=TRIM_SPAN * size, doc="value at the reference")]
+    made = [Parameter(f"{row}.trim", trim, unit, prior_sd=PRIOR_SPAN * size, doc="value at the reference")]
     for column in spec.patterns[row]:
         per = SIGNAL_UNITS.get(column) or spec.control_units.get(column, "1")
         sd = PRIOR_SPAN * size / max(spec.sizes.get(column, 1.0), 1e-12)
