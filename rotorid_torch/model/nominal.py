@@ -19,7 +19,7 @@ from rotorid_torch.model.linear import LinearBlock
 from rotorid_torch.model.model import Body, Model
 
 PRIOR_SPAN = 5.0
-"""A trim, or a derivative times its regressor's rms, may reach this many times its row's rms before the prior objects."""
+"""A trim, or a derivative times its regressor's rms, may reach this many times its row's rms before the prior minds."""
 TAIL_ARM, TAILPLANE_ARM = 1.2, 1.05
 """Distances of tail rotor and tailplane behind the centre of gravity, in rotor radii; usual, where none is declared."""
 EVERYTHING = (-math.inf, math.inf)
