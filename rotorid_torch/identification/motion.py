@@ -67,10 +67,11 @@ class Motion:
         omega = self.pick(x, RATES)
         partners = torch.cat([omega, self.pick(x, VELOCITIES)], dim=-1) if self.has("u") else omega
         products = (omega.unsqueeze(-1) * partners.unsqueeze(-2)).flatten(-2)
-        change = x @ self._linear + products @ self._bilinear + self._toward_trim
+        toward_trim = u[..., -1 - len(self._axes) : -1] @ self._push
+        change = x @ self._linear + products @ self._bilinear + toward_trim
         if self.has("phi"):
             change = change + self._turning(x, omega)
-        return change * (self.dt * u[..., -1:])
+        return change * u[..., -1:]
 
     def _turning(self, x: Tensor, omega: Tensor) -> Tensor:
         """Gravity, Euler angles and position: what depends on attitude, in the places of the state."""
@@ -107,14 +108,18 @@ class Motion:
                     A[f, self.states.index(driven)] = 1.0
         return A
 
+    @property
+    def _axes(self) -> tuple[str, ...]:
+        """Forces and moments that are states."""
+        return tuple(axis for axis in AXES if axis in self.states)
+
     @cached_property
-    def _toward_trim(self) -> Tensor:
-        """[F, 1, nx], trim over time constant."""
-        push = torch.zeros(*self.trim.shape[:-1], len(self.states), dtype=torch.float64)
-        for i, axis in enumerate(AXES):
-            if axis in self.states:
-                push[..., self.states.index(axis)] = self.trim[..., i] / self.tau[i]
-        return push
+    def _push(self) -> Tensor:
+        """[axes, nx], from the trim of each force to its rate."""
+        table = torch.zeros(len(self._axes), len(self.states), dtype=torch.float64)
+        for i, axis in enumerate(self._axes):
+            table[i, self.states.index(axis)] = 1.0 / self.tau[AXES.index(axis)]
+        return table
 
     @cached_property
     def _bilinear(self) -> Tensor:
@@ -147,7 +152,7 @@ class Motion:
             more = [self._by_rotation(name, turn, force) for name in self.outputs]
             y = y + torch.stack([torch.zeros_like(y[..., 0]) if part is None else part for part in more], dim=-1)
         if self.lines:
-            amplitudes = x[..., -2 * len(self.lines) :] * u[..., :-1]
+            amplitudes = x[..., -2 * len(self.lines) :] * u[..., : 2 * len(self.lines)]
             y = y + amplitudes @ self._line_places
         return y
 
@@ -180,15 +185,17 @@ class Motion:
         return table
 
     def inputs(self, lengths: Tensor) -> Tensor:
-        """Cosine and sine of each line's phase, and 1 while a flight of `lengths` [F] lasts: [F, T, 2 x lines + 1].
+        """What differs between flights and samples, as controls [F, T, nu].
 
-        After its end a flight stands still, with nothing measured.
+        Cosine and sine of each line's phase; the trim of each force that is a state; last, the sample interval while a
+        flight of `lengths` [F] lasts. After its end that is zero: the flight stands still, with nothing measured.
         """
         count = torch.arange(int(lengths.max()), dtype=torch.float64)
         time = count * self.dt[..., 0]
         angles = [2.0 * torch.pi * hertz * time for hertz in self.lines.values()]
         pairs = [part for angle in angles for part in (angle.cos(), angle.sin())]
-        return torch.stack([*pairs, (count < lengths.unsqueeze(-1)).to(torch.float64)], dim=-1)
+        trims = [self.trim[..., AXES.index(axis)].expand_as(time) for axis in self._axes]
+        return torch.stack([*pairs, *trims, (count < lengths.unsqueeze(-1)) * self.dt[..., 0]], dim=-1)
 
     def _attitudes(self) -> tuple[str, ...]:
         return ATTITUDES if self.has("psi") else ATTITUDES[:2]

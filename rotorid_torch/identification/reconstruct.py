@@ -19,6 +19,7 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.identification.force_noise import ForceNoise, find_force_noise
 from rotorid_torch.identification.motion import AXES, Motion, supported
 from rotorid_torch.identification.sensor_errors import kinematic_biases, kinematic_disagreement, vibration_lines
+from rotorid_torch.identification.sigma_points import ProcessNoise
 from rotorid_torch.identification.ukf import Filtered, filter_and_smooth
 
 LAGS = 20
@@ -170,16 +171,15 @@ def _filter(
     sensor = torch.tensor([dataset.noise(name) for name in motion.outputs], dtype=torch.float64)
     mean, cov = _prior(motion, outputs, sensor, noise, lines)
     shape, constant = _noise_shapes(motion, lines, kinematic_disagreement(dataset, biases))
-    power = torch.as_tensor(noise.power)
-
-    def noise_at(k: int) -> Tensor:
-        return (torch.einsum("fi,finm->fnm", power[k], shape) + constant) * inputs[:, k, -1:, None]
-
+    rows, columns = torch.triu(shape.abs().sum(dim=(0, 1)) + constant.sum(dim=0)).nonzero(as_tuple=True)
+    power = torch.as_tensor(noise.power)[: inputs.shape[1] - 1]
+    entries = torch.einsum("tfi,fin->ftn", power, shape[..., rows, columns]) + constant[:, None, rows, columns]
+    lasting = inputs[:, :-1, -1:] > 0.0
     return filter_and_smooth(
         motion.rates,
         motion.measure,
         (mean, cov),
-        noise_at,
+        ProcessNoise(len(motion.states), rows, columns, entries * lasting),
         torch.diag(sensor.square()),
         inputs,
         outputs,

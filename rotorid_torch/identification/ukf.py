@@ -1,7 +1,8 @@
 """Non-augmented unscented Kalman filter with two concatenated unscented transforms, and the unscented RTS smoother.
 
-Sigma points sit at the mean and at +- sqrt(n) columns of the covariance's root (alpha 1, kappa 0, beta 2): every
-weight is positive, so that each covariance is a sum of squares (Joseph form) and stays symmetric positive definite.
+Sigma points sit at the mean and at +- sqrt(n) columns of the covariance's root (alpha 1, kappa 0, beta 2): no weight
+is negative, so that each covariance is a sum of squares (Joseph form) and stays symmetric positive definite.
+Two engines do the same to rounding: `core.native`, compiled for the functions at hand, and torch below.
 Sources: Julier and Uhlmann, Proc. IEEE 92 (2004); Wu et al., IEEE Signal Processing Letters 12 (2005), on redrawing
 the sigma points after the process noise; Sarkka, IEEE Trans. Automatic Control 53 (2008), on the smoother.
 """
@@ -11,18 +12,26 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
 from rotorid_torch.core.integrate import step
+from rotorid_torch.core.native import filtering
+from rotorid_torch.core.native.fallback import say_once
+from rotorid_torch.core.native.filtering import Weights
+from rotorid_torch.core.native.trace import Unsupported
 from rotorid_torch.errors import InputError
+from rotorid_torch.identification import sigma_points
+from rotorid_torch.identification.sigma_points import ProcessNoise, SigmaPoints, divide, root
 
 Dynamics = Callable[[Tensor, Tensor], Tensor]
 """f(x[..., nx], u[..., nu]) -> dx/dt [..., nx], or h(x, u) -> y [..., ny]"""
-NoiseAt = Callable[[int], Tensor]
-"""covariance of the process noise [..., nx, nx] that enters between sample k and k + 1"""
+Engine = Literal["native", "reference"]
+"""compiled code for these functions (CPU), or torch, eager and differentiable, on any device"""
+WORTH_COMPILING = 500
+"""Samples that take torch about as long as a compiler needs for the model."""
 
 
 @dataclass(frozen=True)
@@ -88,33 +97,109 @@ def unscented_filter(
     )
     _check(f, h, x0, P0, Q, R, controls, outputs, dt)
     with torch.no_grad():
-        return filter_and_smooth(f, h, (x0, P0), lambda k: Q, R, controls, outputs, dt, smooth)
+        return filter_and_smooth(f, h, (x0, P0), ProcessNoise.constant(Q), R, controls, outputs, dt, smooth)
 
 
 def filter_and_smooth(
     f: Dynamics,
     h: Dynamics,
     prior: tuple[Tensor, Tensor],
-    noise_at: NoiseAt,
+    noise: ProcessNoise,
     R: Tensor,
     controls: Tensor,
     outputs: Tensor,
     dt: float,
     smooth: bool = True,
+    points: SigmaPoints | None = None,
+    engine: Engine | None = None,
 ) -> Filtered:
-    """`unscented_filter` without its checks, and with process noise that may change with time."""
+    """`unscented_filter` without its checks, with process noise that may change with time, and any sigma points.
+
+    engine : None takes native code from `WORTH_COMPILING` samples on, and says once why where it cannot.
+
+    Raises
+    ------
+    InputError : sigma points with which a covariance could become indefinite.
+    Unsupported : engine "native", and these functions cannot become native code, or not here.
+    """
     batch = torch.broadcast_shapes(prior[0].shape[:-1], prior[1].shape[:-2], controls.shape[:-2], outputs.shape[:-2])
-    tape = _Tape(batch, outputs.shape[-2], prior[0].shape[-1], outputs.shape[-1], smooth)
-    u = controls.expand(*batch, *controls.shape[-2:]).movedim(-2, 0).unsqueeze(-2)
-    y = outputs.expand(*batch, *outputs.shape[-2:]).movedim(-2, 0)
+    mean, cov, controls, outputs = (
+        a.expand(*batch, *a.shape[-k:]) for a, k in ((prior[0], 1), (prior[1], 2), (controls, 2), (outputs, 2))
+    )
+    given = _Given(f, h, mean, cov, noise, R, controls, outputs, dt)
+    weights = (points or SigmaPoints()).weights(mean.shape[-1])
+    long = outputs.shape[-2] >= WORTH_COMPILING
+    if engine == "native" or (engine is None and long and _plain(mean, cov, noise.values, R, controls, outputs)):
+        try:
+            return _filter_natively(given, weights, smooth)
+        except Unsupported as reason:
+            if engine == "native":
+                raise
+            say_once(f"the filter runs in torch, 30 to 200 times slower than compiled: {reason}")
+    return _filter_in_torch(given, weights, smooth)
+
+
+@dataclass(frozen=True, eq=False)
+class _Given:
+    """The filter's arguments, all with the batch's leading dimensions but noise and R."""
+
+    f: Dynamics
+    h: Dynamics
+    mean: Tensor
+    cov: Tensor
+    noise: ProcessNoise
+    R: Tensor
+    controls: Tensor
+    outputs: Tensor
+    dt: float
+
+
+def _plain(*tensors: Tensor) -> bool:
+    """Numbers in float64 on the CPU, and nobody asks for derivatives."""
+    plain = all(a.dtype == torch.float64 and a.device.type == "cpu" for a in tensors)
+    return plain and not (torch.is_grad_enabled() and any(a.requires_grad for a in tensors))
+
+
+def _filter_natively(given: _Given, weights: Weights, smooth: bool) -> Filtered:
+    """All leading dimensions as one list of flights."""
+    batch, ny = given.mean.shape[:-1], given.outputs.shape[-1]
+    flights, values = math.prod(batch), given.noise.values
+    if values.dim() > 2:
+        values = values.expand(*batch, *values.shape[-2:]).reshape(flights, *values.shape[-2:])
+
+    def listed(a: Tensor, kept: int) -> Tensor:
+        return a.reshape(flights, *a.shape[-kept:])
+
+    with torch.no_grad():
+        mean, controls = listed(given.mean, 1), listed(given.controls, 2)
+        compiled = filtering.CompiledFilter.of(given.f, given.h, mean, controls[:, 0], ny)
+        problem = filtering.Problem(
+            mean=mean,
+            covariance=listed(given.cov, 2),
+            R=given.R,
+            controls=controls,
+            outputs=listed(given.outputs, 2),
+            rows=given.noise.rows,
+            columns=given.noise.columns,
+            values=values.reshape(-1, *values.shape[-2:]),
+            dt=given.dt,
+        )
+        got = compiled.run(problem, weights, smooth, threads=torch.get_num_threads())
+    shaped = {name: a if a is None else a.reshape((*batch, *a.shape[1:])) for name, a in vars(got).items()}
+    return Filtered(**shaped)  # pyright: ignore[reportArgumentType]
+
+
+def _filter_in_torch(given: _Given, weights: Weights, smooth: bool) -> Filtered:
+    mean, cov, f, h, R, dt = given.mean, given.cov, given.f, given.h, given.R, given.dt
+    tape = _Tape(mean.shape[:-1], given.outputs.shape[-2], mean.shape[-1], given.outputs.shape[-1], smooth)
+    u = given.controls.movedim(-2, 0).unsqueeze(-2)
+    y = given.outputs.movedim(-2, 0)
     missing = y.isnan()
     gaps = missing.flatten(1).any(dim=1).tolist()
-    weights = _weights(prior[0].shape[-1])
-    root_R = _root(R)
-    mean, cov = (a.expand(*batch, *a.shape[-k:]) for k, a in zip((1, 2), prior, strict=True))
+    root_R = root(R)
     for k in range(len(y)):
         if k:
-            mean, cov = _predict(tape, k - 1, f, mean, cov, noise_at(k - 1), u[k - 1], u[k], dt, weights)
+            mean, cov = _predict(tape, k - 1, f, mean, cov, given.noise.at(k - 1), u[k - 1], u[k], dt, weights)
         mean, cov = _update(tape, k, h, mean, cov, R, root_R, u[k], y[k], missing[k] if gaps[k] else None, weights)
     if smooth:
         _smooth(tape)
@@ -158,18 +243,17 @@ def _predict(
     u0: Tensor,
     u1: Tensor,
     dt: float,
-    weights: tuple[Tensor, float],
+    weights: Weights,
 ) -> tuple[Tensor, Tensor]:
     """Process transform from sample k to k + 1; the smoother's gain and the covariance it cannot remove."""
-    root_weight, reach = weights
-    offsets = _offsets(_root(cov), reach)
+    offsets, root_weight = sigma_points.offsets(root(cov), weights), sigma_points.root_weights(mean.shape[-1], weights)
     points = step(lambda t, x, u: f(x, u), torch.zeros(()), mean.unsqueeze(-2) + offsets, u0, u1, dt)
-    ahead = points[..., 1:, :].mean(dim=-2)
+    ahead = sigma_points.mean_of(points, weights)
     spread = root_weight * (points - ahead.unsqueeze(-2))
     cov_ahead = spread.mT @ spread + Q
     if tape.gain.shape[0]:
         start = root_weight * offsets
-        gain = _divide(start.mT @ spread, cov_ahead)
+        gain = divide(start.mT @ spread, cov_ahead)
         rest = start - spread @ gain.mT
         tape.predicted[k + 1], tape.gain[k], tape.leak[k] = ahead, gain, rest.mT @ rest + gain @ Q @ gain.mT
     return ahead, cov_ahead
@@ -186,13 +270,12 @@ def _update(
     u: Tensor,
     y: Tensor,
     missing: Tensor | None,
-    weights: tuple[Tensor, float],
+    weights: Weights,
 ) -> tuple[Tensor, Tensor]:
     """Measurement transform on redrawn sigma points; rows that are missing get no cross covariance, so no gain."""
-    root_weight, reach = weights
-    offsets = _offsets(_root(cov), reach)
+    offsets, root_weight = sigma_points.offsets(root(cov), weights), sigma_points.root_weights(mean.shape[-1], weights)
     points = h(mean.unsqueeze(-2) + offsets, u)
-    expected = points[..., 1:, :].mean(dim=-2)
+    expected = sigma_points.mean_of(points, weights)
     start, spread = root_weight * offsets, root_weight * (points - expected.unsqueeze(-2))
     innovation, S = y - expected, spread.mT @ spread + R
     tape.innovation[k], tape.spread[k] = innovation, S
@@ -220,45 +303,6 @@ def _smooth(tape: _Tape) -> None:
         change = tape.smoothed[k + 1] - tape.predicted[k + 1]
         tape.smoothed[k] = tape.mean[k] + (tape.gain[k] @ change.unsqueeze(-1)).squeeze(-1)
         tape.leak[k] += tape.gain[k] @ tape.leak[k + 1] @ tape.gain[k].mT
-
-
-def _weights(nx: int) -> tuple[Tensor, float]:
-    """Square roots of the covariance's weights [2 nx + 1, 1] (the centre's is beta) and the reach of the points."""
-    weight = torch.full((2 * nx + 1, 1), 0.5 / nx, dtype=torch.float64)
-    weight[0] = 2.0
-    return weight.sqrt(), math.sqrt(nx)
-
-
-def _offsets(root: Tensor, reach: float) -> Tensor:
-    """Sigma points about the mean [..., 2 nx + 1, nx]: none, + and - the columns of the root."""
-    columns = reach * root.mT
-    return torch.cat([torch.zeros_like(columns[..., :1, :]), columns, -columns], dim=-2)
-
-
-def _root(cov: Tensor) -> Tensor:
-    """A with A A' = cov: Cholesky, or from eigenvalues where a state is known exactly (zero variance)."""
-    root, failed = torch.linalg.cholesky_ex(cov)
-    if not failed.any():
-        return root
-    scale = _scale(cov)
-    value, vector = torch.linalg.eigh(cov / (scale.unsqueeze(-1) * scale.unsqueeze(-2)))
-    return scale.unsqueeze(-1) * vector * value.clamp(min=0.0).sqrt().unsqueeze(-2)
-
-
-def _divide(cross: Tensor, cov: Tensor) -> Tensor:
-    """Cross times the inverse of cov, or its pseudo-inverse where a state is known exactly."""
-    root, failed = torch.linalg.cholesky_ex(cov)
-    if not failed.any():
-        return torch.cholesky_solve(cross.mT, root).mT
-    scale = _scale(cov)
-    inverse = torch.linalg.pinv(cov / (scale.unsqueeze(-1) * scale.unsqueeze(-2)), rtol=1e-13, hermitian=True)
-    return cross @ (inverse / (scale.unsqueeze(-1) * scale.unsqueeze(-2)))
-
-
-def _scale(cov: Tensor) -> Tensor:
-    """Standard deviations, 1 where zero."""
-    deviation = cov.diagonal(dim1=-2, dim2=-1).clamp(min=0.0).sqrt()
-    return torch.where(deviation > 0.0, deviation, 1.0)
 
 
 def _symmetric(cov: Tensor) -> Tensor:

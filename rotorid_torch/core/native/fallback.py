@@ -1,0 +1,12 @@
+"""What is said where native code cannot be had and torch does the work."""
+
+from __future__ import annotations
+
+import functools
+import logging
+
+
+@functools.cache
+def say_once(text: str) -> None:
+    """One line on the error stream, the first time in a process; nothing later."""
+    logging.getLogger("rotorid_torch").warning(text)

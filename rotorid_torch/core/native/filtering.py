@@ -1,0 +1,188 @@
+"""The unscented filter and smoother in native code: a model's functions traced, compiled and run over all flights."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.native.build import library
+from rotorid_torch.core.native.dynamics import evaluation, sizes
+from rotorid_torch.core.native.emit import Constants
+from rotorid_torch.core.native.symbols import Graph
+from rotorid_torch.core.native.trace import Unsupported, scalarise
+
+Function = Callable[[Tensor, Tensor], Tensor]
+"""(x [..., nx], u [..., nu]) -> [..., n]"""
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Where sigma points lie and what they count: mean +- reach times the columns of the covariance's root.
+
+    centre_mean, centre_covariance : weights of the point at the mean; other : weight of each other point in both.
+    """
+
+    reach: float
+    centre_mean: float
+    centre_covariance: float
+    other: float
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Flights F of T samples each, and what is known beforehand.
+
+    mean, covariance : [F, nx], [F, nx, nx] of the first sample's state. R : [ny, ny]. controls : [F, T, nu].
+    outputs : [F, T, ny], NaN where missing. rows, columns : [n] places of the process noise's entries, rows <= columns.
+    values : [F or 1, T - 1 or 1, n] these entries. dt : s.
+    """
+
+    mean: Tensor
+    covariance: Tensor
+    R: Tensor
+    controls: Tensor
+    outputs: Tensor
+    rows: Tensor
+    columns: Tensor
+    values: Tensor
+    dt: float
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """[F, T, ...] as in `identification.ukf.Filtered`; None where not asked for."""
+
+    means: Tensor
+    covariances: Tensor
+    innovations: Tensor
+    innovation_covariances: Tensor | None
+    log_likelihood: Tensor
+    smoothed_means: Tensor | None
+    smoothed_covariances: Tensor | None
+
+
+class _Settings(ctypes.Structure):
+    _fields_ = [(name, ctypes.c_double) for name in ("dt", "reach", "centre_mean", "centre_covariance", "other")]
+
+
+class _Task(ctypes.Structure):
+    _fields_ = [
+        *((name, ctypes.c_int64) for name in ("flights", "samples", "entries", "noise_flights", "noise_samples")),
+        *((name, ctypes.c_void_p) for name in ("controls", "outputs", "mean", "covariance", "R", "noise", "numbers")),
+        *((name, ctypes.c_void_p) for name in ("row", "column", "means", "covariances", "innovations", "spreads")),
+        *((name, ctypes.c_void_p) for name in ("likelihood", "smoothed_means", "smoothed_covariances")),
+    ]
+
+
+class _Lifted(Constants):
+    """Numbers of a model as data, so that models that differ in numbers only are one and the same code."""
+
+    def name(self, node: int) -> str:
+        """0, 1 and 2 as they are, any other number by its place."""
+        value = self.graph.value(node)
+        assert value is not None  # nothing else is shared where there are no parameters
+        if value in (0.0, 1.0, -1.0, 2.0):
+            return super().name(node)
+        return f"c[{self.places.setdefault(node, len(self.places))}]"
+
+    def values(self) -> Tensor:
+        """The numbers, in order."""
+        return torch.tensor([self.graph.value(node) for node in self.places], dtype=torch.float64)
+
+    def prepare(self) -> str:
+        """They are handed over as they are."""
+        return f"enum {{ NC = {max(len(self.places), 1)}, LIFTED = {len(self.places)} }};\n"
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledFilter:
+    """Filter and smoother for dx/dt = f(x, u), y = h(x, u): C++ and the numbers in it."""
+
+    source: str
+    numbers: Tensor
+
+    @classmethod
+    def of(cls, f: Function, h: Function, x: Tensor, u: Tensor, ny: int) -> CompiledFilter:
+        """Trace both functions at a point.
+
+        Parameters
+        ----------
+        x, u : [F, nx], [F, nu] a state and controls of each flight, where the functions are tried. ny : outputs.
+
+        Raises
+        ------
+        Unsupported : native code does not know an operation in them, or they are not the same for every flight.
+        """
+        graph, bodies = Graph(), []
+        constants = _Lifted(graph)
+        for name, function, n in (("rates", f, x.shape[-1]), ("outputs", h, ny)):
+            _check_one_point(name, function, x, u, n)
+            nodes = scalarise(graph, function, {"x": x[:1], "u": u[:1]})
+            bodies.append(evaluation(graph, name, nodes, constants))
+        size = sizes(NX=x.shape[-1], NU=u.shape[-1], NY=ny)
+        text = f'#include "lanes.h"\n{size}{constants.prepare()}{"".join(bodies)}#include "filter.h"\n'
+        return cls(text, constants.values())
+
+    def run(
+        self, problem: Problem, weights: Weights, smooth: bool = True, spreads: bool = True, threads: int = 1
+    ) -> Answer:
+        """Filter, and smooth, all flights; the answer does not depend on the number of threads.
+
+        spreads : write down the innovations' covariances.
+
+        Raises
+        ------
+        Unsupported : it cannot be compiled here. MemoryError : the smoother's memory does not suffice.
+        """
+        given = {name: _ready(getattr(problem, name)) for name in ("controls", "outputs", "mean", "covariance", "R")}
+        noise, places = _ready(problem.values), [_ready(p, torch.int64) for p in (problem.rows, problem.columns)]
+        (flights, samples, ny), nx = problem.outputs.shape, problem.mean.shape[-1]
+
+        def empty(*shape: int, wanted: bool = True) -> Tensor | None:
+            return torch.empty(flights, *shape, dtype=torch.float64) if wanted else None
+
+        answer = {
+            "means": empty(samples, nx),
+            "covariances": empty(samples, nx, nx),
+            "innovations": empty(samples, ny),
+            "spreads": empty(samples, ny, ny, wanted=spreads),
+            "likelihood": empty(),
+            "smoothed_means": empty(samples, nx, wanted=smooth),
+            "smoothed_covariances": empty(samples, nx, nx, wanted=smooth),
+        }
+        arrays = {**given, "numbers": self.numbers, "noise": noise, "row": places[0], "column": places[1], **answer}
+        task = _Task(
+            flights=flights,
+            samples=samples,
+            entries=len(places[0]),
+            noise_flights=noise.shape[0],
+            noise_samples=noise.shape[1],
+            **{name: array.data_ptr() for name, array in arrays.items() if array is not None},
+        )
+        settings = _Settings(problem.dt, weights.reach, weights.centre_mean, weights.centre_covariance, weights.other)
+        if library(self.source).unscented(ctypes.byref(settings), ctypes.byref(task), threads):
+            raise MemoryError(f"smoothing {samples} samples of {nx} states")
+        answer["innovation_covariances"], answer["log_likelihood"] = answer.pop("spreads"), answer.pop("likelihood")
+        return Answer(**answer)  # pyright: ignore[reportArgumentType]
+
+
+def _check_one_point(name: str, function: Function, x: Tensor, u: Tensor, n: int) -> None:
+    """What is traced for one flight must hold for all: constants of single flights have to come in with u."""
+    try:
+        together = function(x.unsqueeze(-2), u.unsqueeze(-2))
+        pairs = [(function(x[i : i + 1], u[i : i + 1]), together[i]) for i in (0, len(x) - 1)]
+    except (RuntimeError, IndexError, ValueError) as error:
+        raise Unsupported(f"for one state, its {name} fail: {str(error).splitlines()[0]}") from error
+    for alone, among_all in pairs:
+        if alone.shape != (1, n) or together.shape != (len(x), 1, n):
+            raise Unsupported(f"for one state, its {name} have shape {tuple(alone.shape[1:])}, not ({n},)")
+        if not torch.allclose(alone, among_all, rtol=1e-9, atol=1e-12, equal_nan=True):
+            raise Unsupported(f"its {name} differ from flight to flight; what does must come in with the controls")
+
+
+def _ready(array: Tensor, dtype: torch.dtype = torch.float64) -> Tensor:
+    return array.detach().to(dtype).contiguous()

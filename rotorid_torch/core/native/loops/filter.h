@@ -1,0 +1,326 @@
+// Unscented filter and smoother of the model that stands before: rates, outputs, step.
+//
+// With the prior's root X (columns X_j, reach g, weight w of a point) the outputs at the points give
+//   D_j = w g (h(x + g X_j) - h(x - g X_j)),   E_j = sqrt(w / 2) (h(x + g X_j) + h(x - g X_j) - 2 y),
+// so that cov(x, y) = sum X_j D_j' and S = D'D + rest, rest = E'E + centre + R. With rest = V'V and G = D V^-1 the
+// posterior is X (1 + G G')^-1 X': its root comes from the factor of 1 + G G' and that of rest, nothing is subtracted
+// from a covariance, and the root is at hand for the next sigma points. The same D and E of the next state give the
+// prediction and the smoother's gain. Sources: Julier and Uhlmann 2004; Sarkka 2008; the square-root information form
+// of the update: Maybeck, Stochastic Models, Estimation, and Control 1, ch. 7.
+//
+// One flight: sigma points lie in lanes. Several: W flights lie in lanes.
+#pragma once
+#include <atomic>
+#include <cstdlib>
+#include <memory>
+#include <new>
+#include "matrices.h"
+#include "step.h"
+
+struct Settings { double dt, reach, mean_centre, centre, other; };  // weights: centre's (mean, covariance), others'
+struct Task {  // arrays in C order; flights F, samples T
+  int64_t flights, samples, entries, noise_flights, noise_samples;
+  const double *controls, *outputs, *mean, *covariance, *R, *noise, *numbers;
+  const int64_t *row, *column;  // where the entries of the process noise stand, row <= column
+  double *means, *covariances, *innovations, *spreads, *likelihood, *smoothed_means, *smoothed_covariances;
+};
+
+template <class T> struct Filter {
+  enum { LX = vectors<T>(NX), LY = vectors<T>(NY), LR = vectors<T>(NX + 1), LE = vectors<T>(NY + 1), LA = LE + LX };
+  enum { NS = 2 * NX + 1, LP = vectors<double>(NS) };
+  const Settings& set;
+  const Task& task;
+  const size_t first, count;  // flights
+  vd P[NX][LX] = {}, U[NX][LR] = {}, ahead[NS][LX] = {}, seen[NS][LY] = {}, rest[NY][LA] = {}, S[NY][LY] = {};
+  vd information[NX][LX] = {}, S_X[NX][LX] = {}, gain[NX][LX] = {}, pieces[2 * NX][LX] = {}, root[NX][LX] = {};
+  vd mean[LX] = {}, moved[LX] = {}, expected[LY] = {};
+  double points[NX][LP * W] = {}, images[NX > NY ? NX : NY][LP * W] = {};
+  double c[NC];  // the model's numbers
+
+  Filter(const Settings& set, const Task& task, size_t first, size_t count) : set(set), task(task), first(first), count(count) {
+    for (int i = 0; i < LIFTED; i++) c[i] = task.numbers[i];
+  }
+
+  // --- numbers of these flights in and out; `stride` from one flight to the next; lanes to spare repeat the last flight
+  T load(const double* p, size_t stride) const {
+    if constexpr (PER<T> > 1) return p[first * stride];
+    else {
+      T v;
+      for (size_t l = 0; l < W; l++) v[l] = p[(first + (l < count ? l : count - 1)) * stride];
+      return v;
+    }
+  }
+  void store(double* p, size_t stride, T v) const {
+    if constexpr (PER<T> > 1) p[first * stride] = v;
+    else for (size_t l = 0; l < count; l++) p[(first + l) * stride] = v[l];
+  }
+  template <int N, int L> void store_symmetric(double* p, size_t stride, const vd (*A)[L]) const {
+    for (int i = 0; i < N; i++)
+      for (int j = i; j < N; j++) {
+        const T v = numbers<T>(A[i])[j];
+        store(p + i * N + j, stride, v);
+        if (j > i) store(p + j * N + i, stride, v);
+      }
+  }
+  void controls(size_t k, vd* u) const {
+    for (int i = 0; i < NU; i++) u[i] = vd{} + load(task.controls + k * NU + i, task.samples * NU);
+  }
+
+  // --- Z: rows D_j, E_j and the centre's; mean of the images of the sigma points x, x +- reach rows of U under `map`
+  template <int N, int L, class Map> void spread(const Map& map, vd (*Z)[L], vd* middle) {
+    const double odd = set.other * set.reach, even = std::sqrt(0.5 * set.other), centre = std::sqrt(set.centre);
+    T* m = numbers<T>(middle);
+    if constexpr (PER<T> == 1) {
+      vd plus[NX], minus[NX], above[N], below[N], sum[N] = {};
+      for (int j = 0; j < NX; j++) {
+        for (int i = 0; i < NX; i++) {
+          const vd offset = i < j ? vd{} : set.reach * U[j][i];
+          plus[i] = mean[i] + offset, minus[i] = mean[i] - offset;
+        }
+        map(plus, above), map(minus, below);
+        for (int i = 0; i < N; i++) {
+          Z[j][i] = odd * (above[i] - below[i]);
+          sum[i] += Z[NX + j][i] = above[i] + below[i];
+        }
+      }
+      map(mean, above);
+      for (int i = 0; i < N; i++) {
+        m[i] = set.mean_centre * above[i] + set.other * sum[i];
+        Z[2 * NX][i] = centre * (above[i] - m[i]);
+        for (int j = 0; j < NX; j++) Z[NX + j][i] = even * (Z[NX + j][i] - 2.0 * m[i]);
+      }
+    } else {
+      lay_out();
+      for (int b = 0; b < LP; b++) {
+        vd in[NX], out[N];
+        for (int i = 0; i < NX; i++) in[i] = ((vd*)points[i])[b];
+        map(in, out);
+        for (int i = 0; i < N; i++) ((vd*)images[i])[b] = out[i];
+      }
+      for (int i = 0; i < N; i++) {
+        const double* y = images[i];
+        double sum = 0.0;
+        for (int s = 0; s < 2 * NX; s++) sum += y[s];
+        m[i] = set.mean_centre * y[2 * NX] + set.other * sum;
+        numbers<T>(Z[2 * NX])[i] = centre * (y[2 * NX] - m[i]);
+        for (int j = 0; j < NX; j++) {
+          numbers<T>(Z[j])[i] = odd * (y[j] - y[NX + j]);
+          numbers<T>(Z[NX + j])[i] = even * (y[j] + y[NX + j] - 2.0 * m[i]);
+        }
+      }
+    }
+  }
+  void lay_out() {  // sigma points of one flight: first +, then -, then the centre and copies of it
+    for (int i = 0; i < NX; i++) {
+      const double x = numbers<double>(mean)[i];
+      for (int b = 0; b < LP; b++) ((vd*)points[i])[b] = vd{} + x;
+      for (int j = 0; j <= i; j++) {
+        const double offset = set.reach * numbers<double>(U[j])[i];
+        points[i][j] = x + offset, points[i][NX + j] = x - offset;
+      }
+    }
+  }
+
+  // --- measurement at sample k: mean and U become those of the posterior, P its covariance
+  T update(size_t k) {
+    vd u[NU + 1];
+    controls(k, u);
+    spread<NY>([&](const vd* x, vd* y) { outputs(x, u, c, y); }, seen, expected);
+    squares<T, NY>(rest, seen + NX, NX + 1);
+    for (int i = 0; i < NY; i++)
+      for (int j = i; j < NY; j++) numbers<T>(rest[i])[j] += task.R[i * NY + j];
+    if (task.spreads) {
+      for (int i = 0; i < NY; i++) for (int b = i / PER<T>; b < LY; b++) S[i][b] = rest[i][b];
+      squares<T, NY, ADD>(S, seen, NX);
+      store_symmetric<NY>(task.spreads + k * NY * NY, task.samples * NY * NY, S);
+    }
+    T number = T() + double(NY), zero[NY] = {};
+    for (int i = 0; i < NY; i++) {
+      T* row = numbers<T>(rest[i]);
+      for (int j = 0; j < NX; j++) row[LE * PER<T> + j] = numbers<T>(seen[j])[i];
+      row[NY] = load(task.outputs + k * NY + i, task.samples * NY) - numbers<T>(expected)[i];
+      store(task.innovations + k * NY + i, task.samples * NY, row[NY]);
+    }
+    leave_out_missing(number);
+    eliminate<T, NY, LA>(rest, zero);
+    squares<T, NX, SET, LOWER>(information, (const vd(*)[LA])((vd*)rest + LE), NY);
+    T shift[NX] = {};
+    for (int i = 0; i < NX; i++) {
+      numbers<T>(information[i])[i] += 1.0;
+      for (int m = 0; m < NY; m++) shift[i] += numbers<T>(rest[m])[LE * PER<T> + i] * numbers<T>(rest[m])[NY];
+      numbers<T>(U[i])[NX] = shift[i];
+    }
+    eliminate_upwards<T, NX>(information, U);
+    squares<T, NX, SET, UPPER, UP_TO_ROW>(P, U, NX);
+    return correct(number);
+  }
+  // what a missing output says: nothing, with variance one
+  void leave_out_missing(T& number) {
+    T present[NY], all = T() + 1.0;
+    for (int i = 0; i < NY; i++) {
+      const T e = numbers<T>(rest[i])[NY];
+      present[i] = e == e ? T() + 1.0 : T();
+      all *= present[i];
+    }
+    if constexpr (PER<T> > 1) { if (all == 1.0) return; }
+    else {
+      bool every = true;
+      for (int l = 0; l < W; l++) every = every && all[l] == 1.0;
+      if (every) return;
+    }
+    number = T();
+    for (int i = 0; i < NY; i++) {
+      T* row = numbers<T>(rest[i]);
+      number += present[i];
+      for (int j = i; j < NY; j++) row[j] *= present[i] * present[j];
+      row[i] += 1.0 - present[i];
+      row[NY] = present[i] > 0.0 ? row[NY] : T();
+      for (int b = LE; b < LA; b++) rest[i][b] *= present[i];
+    }
+  }
+  // mean of the posterior; returns the log-likelihood of the innovation, as the sum of what the state takes up and leaves
+  T correct(T number) {
+    T z[NX], quadratic = T();  // change of the state in units of the prior's root
+    vd change[LX] = {};
+    for (int j = 0; j < NX; j++) {
+      const T v = numbers<T>(U[j])[NX];
+      for (int b = j / PER<T>; b < LX; b++) change[b] += v * U[j][b];
+    }
+    // V^-T v: back from the posterior's to the prior's root
+    for (int i = 0; i < NX; i++) z[i] = numbers<T>(U[i])[NX];
+    for (int i = 0; i < NX; i++) {
+      const T* row = numbers<T>(information[i]);
+      for (int m = 0; m < i; m++) z[i] -= row[m] * z[m];
+      z[i] /= row[i];
+      quadratic += z[i] * z[i];
+    }
+    for (int m = 0; m < NY; m++) {
+      const T* row = numbers<T>(rest[m]);
+      T left = row[NY];
+      for (int j = 0; j < NX; j++) left -= row[LE * PER<T> + j] * z[j];
+      quadratic += left * left;
+    }
+    for (int b = 0; b < LX; b++) mean[b] += change[b];
+    const T logarithm = log_diagonal<T, NY>(rest) + log_diagonal<T, NX>(information);
+    return -0.5 * (quadratic + number * 1.8378770664093453) - logarithm;  // log 2 pi
+  }
+
+  // --- prediction from sample k to k + 1: mean and P of the prior there; for the smoother also gain and leak
+  void predict(size_t k, vd* memory) {
+    vd u0[NU + 1], u1[NU + 1];
+    controls(k, u0), controls(k + 1, u1);
+    spread<NX>([&](const vd* x, vd* y) { step(x, u0, u1, set.dt, c, y); }, ahead, moved);
+    squares<T, NX>(P, ahead, NS);
+    add_noise(k, P);
+    if (memory) remember(k, memory);
+    for (int b = 0; b < LX; b++) mean[b] = moved[b];
+    factor<T, NX>(P, U);
+  }
+  void add_noise(size_t k, vd (*A)[LX]) const {
+    const size_t at = task.noise_samples > 1 ? k * task.entries : 0;
+    const size_t stride = task.noise_flights > 1 ? task.noise_samples * task.entries : 0;
+    for (int64_t e = 0; e < task.entries; e++)
+      numbers<T>(A[task.row[e]])[task.column[e]] += load(task.noise + at + e, stride);
+  }
+
+  // --- smoother. Its gain is cross P^-1 with cross = X D'; what the next sample cannot tell of this one (the leak) is
+  // the sum of squares of X - gain D' and of gain F, where F F' is the rest of P beside D D'.
+  void remember(size_t k, vd* memory) {
+    product<SET, WHOLE, UP_TO_ROW, NX, LX, T>(pieces, numbers<T>(U[0]), LR * PER<T>, 1, ahead, NX);
+    for (int i = 0; i < NX; i++)
+      for (int j = 0; j < NX; j++) numbers<T>(gain[j])[i] = numbers<T>(pieces[i])[j];  // transposed, as all below
+    squares<T, NX>(S_X, ahead + NX, NX + 1);
+    add_noise(k, S_X);
+    factor<T, NX>(P, root);
+    divide<T, NX>(gain, root);
+    for (int j = 0; j < NX; j++) for (int b = 0; b < LX; b++) pieces[j][b] = U[j][b];
+    product<SUBTRACT, WHOLE, ALL, NX, LX, T>(pieces, numbers<T>(ahead[0]), 1, LX * PER<T>, gain, NX);
+    factor<T, NX>(S_X, root);
+    product<SET, WHOLE, FROM_ROW, NX, LX, T>(pieces + NX, numbers<T>(root[0]), 1, LX * PER<T>, gain, NX);
+    squares<T, NX>(S_X, pieces, 2 * NX);
+    for (int b = 0; b < LX; b++) *memory++ = moved[b];
+    for (int i = 0; i < NX; i++) for (int b = 0; b < LX; b++) *memory++ = gain[i][b];
+    for (int i = 0; i < NX; i++) for (int b = i / PER<T>; b < LX; b++) *memory++ = S_X[i][b];
+  }
+  static constexpr size_t memory_size() {  // vectors a sample
+    size_t size = LX + NX * LX;
+    for (int i = 0; i < NX; i++) size += LX - i / PER<T>;
+    return size;
+  }
+  // mean and P of sample k given all outputs, from those of sample k + 1
+  void look_back(size_t k, const vd* memory) {
+    const vd *predicted = memory, *leak = memory + LX + NX * LX;
+    for (int i = 0; i < NX; i++) for (int b = 0; b < LX; b++) gain[i][b] = memory[LX + i * LX + b];
+    for (int b = 0; b < LX; b++) moved[b] = mean[b] - predicted[b];
+    for (int i = 0; i < NX; i++) numbers<T>(mean)[i] = load(task.means + k * NX + i, task.samples * NX);
+    for (int j = 0; j < NX; j++) {
+      const T change = numbers<T>(moved)[j];
+      for (int b = 0; b < LX; b++) mean[b] += change * gain[j][b];
+    }
+    factor<T, NX>(P, root);
+    product<SET, WHOLE, FROM_ROW, NX, LX, T>(pieces, numbers<T>(root[0]), 1, LX * PER<T>, gain, NX);
+    for (int i = 0; i < NX; i++) for (int b = i / PER<T>; b < LX; b++) P[i][b] = *leak++;
+    squares<T, NX, ADD>(P, pieces, NX);
+  }
+
+  void start() {
+    for (int i = 0; i < NX; i++) {
+      numbers<T>(mean)[i] = load(task.mean + i, NX);
+      for (int j = i; j < NX; j++) numbers<T>(P[i])[j] = load(task.covariance + i * NX + j, NX * NX);
+    }
+    factor<T, NX>(P, U);
+  }
+  void write(size_t k, double* means, double* covariances) const {
+    for (int i = 0; i < NX; i++) store(means + k * NX + i, task.samples * NX, numbers<T>(mean)[i]);
+    store_symmetric<NX>(covariances + k * NX * NX, task.samples * NX * NX, P);
+  }
+  void run(vd* memory) {
+    T likelihood = T();
+    start();
+    const size_t last = task.samples - 1, size = memory_size();
+    for (size_t k = 0; k <= last; k++) {
+      likelihood += update(k);
+      write(k, task.means, task.covariances);
+      if (k < last) predict(k, memory ? memory + k * size : nullptr);
+    }
+    store(task.likelihood, 1, likelihood);
+    if (!task.smoothed_means) return;
+    write(last, task.smoothed_means, task.smoothed_covariances);
+    for (size_t k = last; k-- > 0;) {
+      look_back(k, memory + k * size);
+      write(k, task.smoothed_means, task.smoothed_covariances);
+    }
+  }
+};
+
+// The flights of one job: W in lanes, or one alone. Which way depends on their number only, never on the threads.
+template <class T> static void run_flights(const Settings& set, const Task& task, size_t first, size_t count) {
+  struct Free { void operator()(vd* p) const { std::free(p); } };
+  std::unique_ptr<vd, Free> memory;
+  if (task.smoothed_means) {
+    const size_t bytes = Filter<T>::memory_size() * task.samples * sizeof(vd);
+    memory.reset((vd*)std::aligned_alloc(sizeof(vd), bytes));
+    if (!memory) throw std::bad_alloc();
+  }
+  std::make_unique<Filter<T>>(set, task, first, count)->run(memory.get());
+}
+
+// 0, or 1 where memory did not suffice. Jobs are taken in order by whoever is free.
+extern "C" int unscented(const Settings* set, const Task* task, int threads) {
+  const size_t flights = task->flights, rest = flights % W, alone = rest == 1 || 2 * rest < W ? rest : 0;
+  const size_t full = (flights - alone + W - 1) / W, jobs = full + alone;
+  std::atomic<size_t> next{0};
+  std::atomic<int> failed{0};
+  auto work = [&] {
+    for (size_t job; (job = next++) < jobs;) try {
+      const size_t first = job < full ? job * W : flights - alone + (job - full);
+      if (job < full) run_flights<vd>(*set, *task, first, flights - alone - first < W ? flights - alone - first : W);
+      else run_flights<double>(*set, *task, first, 1);
+    } catch (const std::bad_alloc&) { failed = 1; }
+  };
+  std::vector<std::thread> others;
+  for (int t = 1; t < threads && (size_t)t < jobs; t++) others.emplace_back(work);
+  work();
+  for (auto& other : others) other.join();
+  return failed;
+}

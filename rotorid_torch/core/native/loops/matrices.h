@@ -1,0 +1,136 @@
+// Small matrices whose rows are held in vectors, for two cases by one text.
+//   T = double: one problem; a row of n numbers fills ceil(n / W) vectors, the last one padded.
+//   T = vd:     W problems at once, one a lane; a row of n numbers is n vectors.
+// Symmetric matrices are kept as their upper half. A covariance is a sum of squares of rows, and factors of it are
+// found by elimination, so none ever loses its symmetry or becomes indefinite.
+#pragma once
+#include "lanes.h"
+
+template <class T> constexpr int PER = sizeof(vd) / sizeof(T);  // numbers in a vector
+template <class T> constexpr int vectors(int n) { return (n + PER<T> - 1) / PER<T>; }
+template <class T> static inline T* numbers(vd* row) { return (T*)row; }
+template <class T> static inline const T* numbers(const vd* row) { return (const T*)row; }
+
+enum Into { SET, ADD, SUBTRACT };
+enum Half { WHOLE, UPPER, LOWER };
+enum Terms { ALL, UP_TO_ROW, FROM_ROW };  // which rows enter row i of a product: all, 0 ... i, i ... end
+
+// A x B vectors of sum_s f[s, i + a] rows[s][j + b], held in registers while s runs.
+template <Into INTO, class T, int A, int B, int LO, int LR>
+static inline void tile(vd (*out)[LO], int i, int j, const T* f, int next_s, int next_i, const vd (*rows)[LR], int from, int to) {
+  vd sum[A][B] = {};
+  f += (ptrdiff_t)next_i * i;
+  for (int s = from; s < to; s++) {
+    const vd* row = rows[s] + j;
+    const T* g = f + (ptrdiff_t)next_s * s;
+    for (int a = 0; a < A; a++) {
+      const T factor = g[next_i * a];
+      for (int b = 0; b < B; b++) sum[a][b] += factor * row[b];
+    }
+  }
+  for (int a = 0; a < A; a++)
+    for (int b = 0; b < B; b++) {
+      vd& place = out[i + a][j + b];
+      place = INTO == SET ? sum[a][b] : INTO == ADD ? place + sum[a][b] : place - sum[a][b];
+    }
+}
+
+// Rows i ... i + A - 1 of a product, in tiles.
+template <Into INTO, Half HALF, Terms TERMS, class T, int A, int L, int LO, int LR>
+static inline void band(vd (*out)[LO], int i, const T* f, int next_s, int next_i, const vd (*rows)[LR], int count) {
+  const int from = TERMS == FROM_ROW ? i : 0, to = TERMS == UP_TO_ROW ? i + A : count;
+  const int end = HALF == LOWER ? (i + A - 1) / PER<T> + 1 : L;
+  int j = HALF == UPPER ? i / PER<T> : 0;
+  for (; j + 4 <= end; j += 4) tile<INTO, T, A, 4>(out, i, j, f, next_s, next_i, rows, from, to);
+  if (end - j == 3) tile<INTO, T, A, 3>(out, i, j, f, next_s, next_i, rows, from, to);
+  if (end - j == 2) tile<INTO, T, A, 2>(out, i, j, f, next_s, next_i, rows, from, to);
+  if (end - j == 1) tile<INTO, T, A, 1>(out, i, j, f, next_s, next_i, rows, from, to);
+}
+
+// out (N rows, L vectors each) = or += or -= sum_s f[s, i] rows[s], s = 0 ... count - 1.
+template <Into INTO, Half HALF, Terms TERMS, int N, int L, class T, int LO, int LR>
+static inline void product(vd (*out)[LO], const T* f, int next_s, int next_i, const vd (*rows)[LR], int count) {
+  constexpr int whole = N / 4 * 4;
+  for (int i = 0; i < whole; i += 4) band<INTO, HALF, TERMS, T, 4, L>(out, i, f, next_s, next_i, rows, count);
+  if constexpr (N - whole == 3) band<INTO, HALF, TERMS, T, 3, L>(out, whole, f, next_s, next_i, rows, count);
+  if constexpr (N - whole == 2) band<INTO, HALF, TERMS, T, 2, L>(out, whole, f, next_s, next_i, rows, count);
+  if constexpr (N - whole == 1) band<INTO, HALF, TERMS, T, 1, L>(out, whole, f, next_s, next_i, rows, count);
+}
+
+// One half of the sum of squares rows' rows.
+template <class T, int N, Into INTO = SET, Half HALF = UPPER, Terms TERMS = ALL, int LO, int LR>
+static inline void squares(vd (*out)[LO], const vd (*rows)[LR], int count) {
+  product<INTO, HALF, TERMS, N, vectors<T>(N), T>(out, numbers<T>(rows[0]), LR * PER<T>, 1, rows, count);
+}
+
+// 1 / sqrt(pivot), 0 where the pivot is not above the floor: what is known exactly has no direction.
+template <class T> static inline T inverse_root(T pivot, T floor) { return pivot > floor ? 1.0 / F_sqrt(pivot) : T(); }
+
+// The upper factor U of the first N columns of A = U'U, in place, zeros below; the columns to their right become U'^-1
+// times them. A pivot that is not above its floor leaves a zero row.
+template <class T, int N, int END, int L> static inline void eliminate(vd (*A)[L], const T* floor) {
+  for (int j = 0; j < N; j++) {
+    T* row = numbers<T>(A[j]);
+    const T scale = inverse_root<T>(row[j], floor[j]);
+    for (int i = j / PER<T> * PER<T>; i < j; i++) row[i] = T();
+    for (int b = j / PER<T>; b < END; b++) A[j][b] *= scale;
+    for (int i = j + 1; i < N; i++) {
+      const T share = row[i];
+      for (int b = i / PER<T>; b < END; b++) A[i][b] -= share * A[j][b];
+    }
+  }
+}
+
+// The same from the last row to the first: B = V V', V upper, kept as its transpose in the lower half; `right`, which
+// is upper triangular but for its columns from N on, becomes V^-1 times itself.
+template <class T, int N, int L, int LR> static inline void eliminate_upwards(vd (*B)[L], vd (*right)[LR]) {
+  for (int j = N - 1; j >= 0; j--) {
+    T* row = numbers<T>(B[j]);
+    const T scale = inverse_root<T>(row[j], T());
+    for (int b = 0; b <= j / PER<T>; b++) B[j][b] *= scale;
+    for (int b = j / PER<T>; b < LR; b++) right[j][b] *= scale;
+    for (int i = 0; i < j; i++) {
+      const T share = row[i];
+      for (int b = 0; b <= i / PER<T>; b++) B[i][b] -= share * B[j][b];
+      for (int b = j / PER<T>; b < LR; b++) right[i][b] -= share * right[j][b];
+    }
+  }
+}
+
+// Upper factor of a covariance, whose rows are the offsets of its sigma points; rows of exactly known states are zero.
+template <class T, int N, int L, int LR> static inline void factor(const vd (*cov)[L], vd (*root)[LR]) {
+  T floor[N];
+  for (int i = 0; i < N; i++) {
+    for (int b = i / PER<T>; b < vectors<T>(N); b++) root[i][b] = cov[i][b];
+    floor[i] = numbers<T>(cov[i])[i] * (N * 2.220446049250313e-16);
+  }
+  eliminate<T, N, vectors<T>(N)>(root, floor);
+}
+
+// rows (N of them) become (U'U)^-1 times themselves; zero where U has a zero row.
+template <class T, int N, int L, int LU> static inline void divide(vd (*rows)[L], const vd (*U)[LU]) {
+  T inverse[N];
+  for (int j = 0; j < N; j++) {
+    const T* row = numbers<T>(U[j]);
+    inverse[j] = row[j] > 0.0 ? 1.0 / row[j] : T();
+    for (int b = 0; b < L; b++) rows[j][b] *= inverse[j];
+    for (int i = j + 1; i < N; i++)
+      for (int b = 0; b < L; b++) rows[i][b] -= row[i] * rows[j][b];
+  }
+  for (int j = N - 1; j >= 0; j--) {
+    const T* row = numbers<T>(U[j]);
+    for (int i = j + 1; i < N; i++)
+      for (int b = 0; b < L; b++) rows[j][b] -= row[i] * rows[i][b];
+    for (int b = 0; b < L; b++) rows[j][b] *= inverse[j];
+  }
+}
+
+// Sum of the logarithms of the diagonal of a triangular matrix.
+template <class T, int N, int L> static inline T log_diagonal(const vd (*U)[L]) {
+  T sum = T(), group = T() + 1.0;
+  for (int j = 0; j < N; j++) {
+    group *= numbers<T>(U[j])[j];
+    if (j % 6 == 5 || j == N - 1) sum += F_log(group), group = T() + 1.0;
+  }
+  return sum;
+}
