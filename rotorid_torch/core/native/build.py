@@ -1,0 +1,109 @@
+"""Compiles C++ once and keeps it: libraries are found again by a hash of all that they are made of."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+from rotorid_torch.core.native.trace import Unsupported
+
+LOOPS = Path(__file__).parent / "loops"
+FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-std=c++17", "-fPIC", "-shared", "-pthread", "-Wno-psabi")
+LIMIT_S = 300.0
+"""s: a compiler that takes longer than this is given up."""
+NO_COMPILER = "no C++ compiler was found (g++ on PATH, or CXX=...)"
+
+
+def compiler() -> str:
+    """Path of the C++ compiler.
+
+    Raises
+    ------
+    Unsupported : there is none.
+    """
+    wanted = os.environ.get("CXX", "g++")
+    found = shutil.which(wanted)
+    if found is None:
+        raise Unsupported(NO_COMPILER)
+    return found
+
+
+def cache_folder() -> Path:
+    """Where libraries are kept: ROTORID_CACHE, or the user's cache folder."""
+    chosen = os.environ.get("ROTORID_CACHE")
+    base = (
+        Path(chosen) if chosen else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rotorid-torch"
+    )
+    return base / "native"
+
+
+@functools.lru_cache
+def _target(program: str) -> str:
+    """All of the compiler's macros: its version and this machine's instruction set."""
+    asked = subprocess.run(
+        [program, *FLAGS, "-dM", "-E", "-x", "c++", os.devnull], capture_output=True, text=True, check=False
+    )
+    if asked.returncode:
+        raise Unsupported(f"{program} does not work: {asked.stderr.strip().splitlines()[-1:]}")
+    return asked.stdout
+
+
+def lanes() -> int:
+    """Doubles in the widest vector register, as `loops/lanes.h` has it."""
+    macros = _target(compiler())
+    return 8 if "__AVX512F__" in macros else 4 if "__AVX2__" in macros else 2
+
+
+@functools.lru_cache
+def _loops() -> str:
+    return "\n".join(path.read_text() for path in sorted(LOOPS.glob("*.h")))
+
+
+@functools.lru_cache(maxsize=64)
+def library(source: str) -> ctypes.CDLL:
+    """The compiled source, from the cache where it was built before; safe for processes that build at once.
+
+    Raises
+    ------
+    Unsupported : there is no compiler, it refuses the source, or the cache cannot be written.
+    """
+    program = compiler()
+    key = hashlib.sha256("\n".join([source, _loops(), _target(program), *FLAGS]).encode()).hexdigest()[:24]
+    file = cache_folder() / f"{key}.so"
+    if not file.exists():
+        _compile(program, source, file)
+    try:
+        return ctypes.CDLL(str(file))
+    except OSError as error:
+        file.unlink(missing_ok=True)  # cut short by a full disk or a crash: built anew next time
+        raise Unsupported(f"the compiled model cannot be loaded: {error}") from error
+
+
+def _compile(program: str, source: str, file: Path) -> None:
+    """Build beside the place and rename: nobody ever sees half a library."""
+    vector_functions = ["-lmvec"] if platform.machine() == "x86_64" and platform.libc_ver()[0] == "glibc" else []
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=file.parent) as folder:
+            text, made = Path(folder) / "model.cpp", Path(folder) / "model.so"
+            text.write_text(source)
+            command = [program, *FLAGS, f"-I{LOOPS}", str(text), "-o", str(made), *vector_functions, "-lm"]
+            done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=LIMIT_S)
+            if done.returncode:
+                raise Unsupported(f"{program} refuses the model: {_first_error(done.stderr)}")
+            made.replace(file)
+    except OSError as error:
+        raise Unsupported(f"the compiled model cannot be kept in {file.parent}: {error.strerror}") from error
+    except subprocess.TimeoutExpired as error:
+        raise Unsupported(f"{program} took longer than {LIMIT_S:g} s") from error
+
+
+def _first_error(output: str) -> str:
+    return next((line for line in output.splitlines() if "error" in line), output.strip()[:200])

@@ -1,0 +1,221 @@
+"""A model as native code: rates and outputs traced once; trajectories, sensitivities and normal equations from it."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.native.build import lanes, library
+from rotorid_torch.core.native.derive import Columns, Tangent, derivatives
+from rotorid_torch.core.native.emit import SHARED, Constants, straight_line
+from rotorid_torch.core.native.symbols import Graph
+from rotorid_torch.core.native.trace import scalarise
+
+Function = Callable[[Tensor, Tensor, Tensor], Tensor]
+"""(x [nx], u [nu], theta [P]) -> [n]: one point, no leading dimensions."""
+
+
+def traced(graph: Graph, function: Function, x: Tensor, u: Tensor, theta: Tensor) -> list[int]:
+    """Nodes of a function's results; the inputs are called x, u and th."""
+    return scalarise(graph, function, {"x": x, "u": u, SHARED: theta})
+
+
+def evaluation(graph: Graph, name: str, results: Sequence[int], constants: Constants) -> str:
+    """C++ of a function's values: name(x, u, c, out) for a double or a vector of them."""
+    body = straight_line(graph, {f"out[{i}]": node for i, node in enumerate(results)}, constants)
+    arguments = "const T* x, const T* u, const double* c, T* out"
+    return f"template <class T> static inline void {name}({arguments}) {{\n{body}\n}}\n"
+
+
+def sizes(**numbers: int) -> str:
+    """The sizes that the loops are compiled for."""
+    return f"enum {{ {', '.join(f'{name} = {number}' for name, number in numbers.items())} }};\n"
+
+
+@dataclass(frozen=True, eq=False)
+class Dynamics:
+    """dx/dt = rates(x, u, theta), y = outputs(x, u, theta) in native code; libraries are built when first asked for.
+
+    Parameters
+    ----------
+    nx, nu, ny, count : numbers of states, controls, outputs, parameters.
+    path : parameters that the controls depend on (their derivatives come with the controls).
+    biased : outputs with a constant of their own as further unknowns.
+    """
+
+    graph: Graph
+    rates: tuple[int, ...]
+    outputs: tuple[int, ...]
+    nx: int
+    nu: int
+    ny: int
+    count: int
+    path: tuple[int, ...] = ()
+    biased: tuple[int, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        rates: Function,
+        outputs: Function,
+        x: Tensor,
+        u: Tensor,
+        theta: Tensor,
+        path: Sequence[int] = (),
+        biased: Sequence[int] = (),
+    ) -> Dynamics:
+        """Trace both functions at a point.
+
+        Raises
+        ------
+        Unsupported : an operation in them is not known to native code.
+        """
+        graph = Graph()
+        f, h = (traced(graph, function, x, u, theta) for function in (rates, outputs))
+        n = len(x), len(u), len(h), len(theta)
+        return cls(graph, tuple(f), tuple(h), *n, tuple(path), tuple(biased))
+
+    @cached_property
+    def columns(self) -> Columns:
+        """Where the tangents of the parameters lie."""
+        rows = [derivatives(self.graph, results) for results in (self.rates, self.outputs)]
+        return Columns.arranged(rows, self.count, self.path, lanes())
+
+    @cached_property
+    def source(self) -> str:
+        """C++ for trajectories."""
+        constants = Constants(self.graph)
+        f = evaluation(self.graph, "rates", self.rates, constants)
+        h = evaluation(self.graph, "outputs", self.outputs, constants)
+        size = sizes(NX=self.nx, NU=self.nu, NY=self.ny)
+        return f'#include "lanes.h"\n{size}{constants.prepare()}{f}{h}#include "simulate.h"\n'
+
+    @cached_property
+    def sensitivity_source(self) -> str:
+        """C++ for derivatives."""
+        constants, columns = Constants(self.graph), self.columns
+        f = Tangent(self.graph, "rates", self.rates, columns, constants).text()
+        h = Tangent(self.graph, "outputs", self.outputs, columns, constants).text()
+        size = sizes(NX=self.nx, NU=self.nu, NY=self.ny, LOOP=columns.loop, PATH=columns.path, NBIAS=len(self.biased))
+        biased = ", ".join(str(i) for i in (*self.biased, 0))
+        declared = f"static const int BIASED[] = {{{biased}}};\n"
+        return f'#include "lanes.h"\n{size}{declared}{constants.prepare()}{f}{h}#include "sensitivity.h"\n'
+
+    def simulate(
+        self, theta: Tensor, x0: Tensor, controls: Tensor, dt: float, limit: float = math.inf, threads: int = 1
+    ) -> tuple[Tensor, Tensor]:
+        """Trajectories [B, T, nx] and outputs [B, T, ny] from x0 [B, nx] under controls [B, T, nu] linear in between.
+
+        limit : states and rates beyond it are held there; infinite for none.
+        """
+        x0, controls, theta = _ready(x0), _ready(controls), _ready(theta)
+        count, samples = controls.shape[:2]
+        states, outputs = (torch.empty(count, samples, n, dtype=torch.float64) for n in (self.nx, self.ny))
+        library(self.source).simulate(
+            count,
+            samples,
+            ctypes.c_double(dt),
+            ctypes.c_double(limit),
+            *(_address(a) for a in (controls, x0, theta, states, outputs)),
+            threads,
+        )
+        return states, outputs
+
+    def normal_equations(self, problem: LinearProblem, threads: int = 1) -> tuple[Tensor, Tensor]:
+        """Products of the whitened rows' columns [S, n, n] (upper part), and the last states by the first [S, nx, nx].
+
+        Columns: initial states (where `problem.initial`), biases, parameters, residual.
+        """
+        order = self._order(problem.initial)
+        count, n = len(problem.x0), len(order)
+        H = torch.zeros(count, n, n, dtype=torch.float64)
+        passage = torch.empty(count, self.nx, self.nx, dtype=torch.float64)
+        self._call("normal_equations", problem, order, (H, passage), threads)
+        return H, passage
+
+    def whitened_rows(self, problem: LinearProblem, threads: int = 1) -> Tensor:
+        """The whitened rows themselves [S, T ny, n], zero beyond a segment's end; columns as in `normal_equations`."""
+        order = self._order(problem.initial)
+        rows = torch.zeros(len(problem.x0), problem.samples * self.ny, len(order), dtype=torch.float64)
+        self._call("whitened_rows", problem, order, (rows,), threads)
+        return rows
+
+    def triangles(self, H: Tensor, first: int) -> tuple[Tensor, Tensor]:
+        """The first rows of the triangles of symmetric matrices [B, n, n] (upper part), and what is left of the rest.
+
+        A column that depends on those before it to rounding gets a weak diagonal and zeros: [B, first, n] and
+        [B, n - first, n - first].
+        """
+        rest, top = H.clone(), torch.zeros(len(H), first, H.shape[-1], dtype=torch.float64)
+        library(self.sensitivity_source).triangles(len(H), H.shape[-1], first, _address(rest), _address(top))
+        return top, rest[:, first:, first:]
+
+    def _order(self, initial: bool) -> Tensor:
+        columns = self.columns
+        first_x0 = columns.loop + columns.path
+        states = range(first_x0, first_x0 + self.nx if initial else first_x0)
+        bias = first_x0 + self.nx
+        residual = bias + len(self.biased)
+        return torch.tensor([*states, *range(bias, residual), *columns.place, residual], dtype=torch.int32)
+
+    def _call(
+        self, name: str, problem: LinearProblem, order: Tensor, results: tuple[Tensor, ...], threads: int
+    ) -> None:
+        given = (problem.length, problem.controls, self._path(problem), problem.residual, problem.x0, problem.theta)
+        whitening = (problem.weight, problem.pattern, problem.table)
+        getattr(library(self.sensitivity_source), name)(
+            len(problem.x0),
+            problem.samples,
+            ctypes.c_double(problem.dt),
+            *(_address(a) for a in (*given, *whitening)),
+            len(order),
+            *(_address(a) for a in (order, *results)),
+            threads,
+        )
+
+    def _path(self, problem: LinearProblem) -> Tensor | None:
+        """Derivatives of the controls [S, T, nu, n] filled up to whole vectors."""
+        missing = self.columns.path - len(self.path)
+        return torch.nn.functional.pad(problem.path, (0, missing)).contiguous() if self.path else None
+
+
+@dataclass(frozen=True, eq=False)
+class LinearProblem:
+    """Segments to linearise: all float64 and contiguous.
+
+    controls [S, T, nu]; path [S, T, nu, n] derivatives of the controls by the control path's parameters; residual
+    [S, T, ny], NaN = missing; x0 [S, nx]; length [S] samples (int32); theta [P]; weight [ny] one over the standard
+    deviations, or a table [patterns, ny, ny] of lower triangular whitening matrices with pattern [S, T] (int32).
+    initial : whether initial states are unknowns.
+    """
+
+    dt: float
+    length: Tensor
+    controls: Tensor
+    path: Tensor
+    residual: Tensor
+    x0: Tensor
+    theta: Tensor
+    weight: Tensor
+    pattern: Tensor | None = None
+    table: Tensor | None = None
+    initial: bool = True
+
+    @property
+    def samples(self) -> int:
+        """Samples of the longest segment."""
+        return self.controls.shape[1]
+
+
+def _ready(values: Tensor) -> Tensor:
+    return values.detach().to(torch.float64).contiguous()
+
+
+def _address(values: Tensor | None) -> ctypes.c_void_p:
+    return ctypes.c_void_p(None if values is None else values.data_ptr())

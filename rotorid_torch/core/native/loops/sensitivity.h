@@ -1,0 +1,243 @@
+// Forward sensitivities of segments of flights, whitened rows and their normal equations, columns in SIMD lanes.
+// Needs rates_linear, RATES_FIRST, RATES_INTO, rates_by_state, rates_by_control, the same of outputs, prepare; columns of a row:
+// [parameters of the loop | of the control path | initial states | biases | residual], filled up to whole vectors.
+#include "step.h"
+
+enum {
+  FIRST_X0 = LOOP + PATH,
+  BIAS = FIRST_X0 + NX,
+  RESIDUAL = BIAS + NBIAS,
+  WIDTH = (RESIDUAL + W) / W * W,       // doubles of a row
+  VECTORS = WIDTH / W,
+  MOVING = (BIAS + W - 1) / W,          // vectors that are integrated
+  PARAMETER_VECTORS = FIRST_X0 / W,
+  ROWS = NY * (64 / NY > 0 ? 64 / NY : 1)  // rows gathered before they are multiplied out
+};
+
+struct Problem {
+  int n;                 // samples of the longest segment
+  double dt;
+  const double* u;       // [S, n, NU]
+  const double* path;    // [S, n, NU, PATH] derivatives of the controls by the control path's parameters
+  const double* residual;  // [S, n, NY], NaN = missing
+  const double* x0;      // [S, NX]
+  const double* c;
+  const double* weight;  // [NY] one over the standard deviation
+  const int* pattern;    // [S, n] which whitening matrix, or null for `weight`
+  const double* table;   // [patterns, NY, NY]
+};
+
+typedef double Row[WIDTH];
+
+// upper += rows' rows, in the upper triangle: two vectors of columns by W rows at a time stay in registers.
+static void multiply_out(const Row* rows, int count, Row* upper) {
+  for (int b = 0; b < VECTORS; b += 2) {
+    const int more = b + 1 < VECTORS;
+    for (int i = 0; i < (b + 1 + more) * W; i += W / 2) {
+      vd left[W / 2], right[W / 2];
+      for (int q = 0; q < W / 2; q++) {
+        left[q] = *(vd*)&upper[i + q][W * b];
+        right[q] = more ? *(vd*)&upper[i + q][W * (b + 1)] : vd{};
+      }
+      if (more) for (int r = 0; r < count; r++) {
+        const vd s = *(const vd*)&rows[r][W * b], t = *(const vd*)&rows[r][W * (b + 1)];
+        for (int q = 0; q < W / 2; q++) { left[q] += rows[r][i + q] * s; right[q] += rows[r][i + q] * t; }
+      } else for (int r = 0; r < count; r++) {
+        const vd s = *(const vd*)&rows[r][W * b];
+        for (int q = 0; q < W / 2; q++) left[q] += rows[r][i + q] * s;
+      }
+      for (int q = 0; q < W / 2; q++) {
+        *(vd*)&upper[i + q][W * b] = left[q];
+        if (more) *(vd*)&upper[i + q][W * (b + 1)] = right[q];
+      }
+    }
+  }
+}
+
+struct Sensitivity {
+  alignas(64) double S[NX][WIDTH] = {};
+  alignas(64) double A[4][RATES_A], K[4][RATES_K] = {};
+  alignas(64) double C[OUTPUTS_A], L[OUTPUTS_K] = {};
+  alignas(64) Row raw[NY], rows[ROWS];
+  vd path[4][NU + 1][PATH / W + 1];
+  double x[NX];
+};
+
+// Adds to the tangents what the parameters of vector b do themselves, and the control path through the controls.
+static inline void direct(int b, const int* first, const int* into, const double* K, vd* out) {
+  if (b >= PARAMETER_VECTORS) return;
+  for (int k = first[b]; k < first[b + 1]; k++) out[into[k]] += *(const vd*)&K[k * W];
+}
+static inline bool on_path(int b) { return PATH && b >= LOOP / W && b < PARAMETER_VECTORS; }
+
+// One Runge-Kutta step of vector b of the tangents.
+static void tangent_step(int b, Sensitivity& s, const double* c, double dt) {
+  vd X[NX], D[NX], k[4][NX], U[NU + 1];
+  for (int i = 0; i < NX; i++) D[i] = X[i] = *(vd*)&s.S[i][W * b];
+  auto stage = [&](int g) {
+    rates_by_state(s.A[g], c, D, k[g]);
+    direct(b, RATES_FIRST, RATES_INTO, s.K[g], k[g]);
+    if (on_path(b)) {
+      for (int j = 0; j < NU; j++) U[j] = s.path[g][j][b - LOOP / W];
+      rates_by_control(s.A[g], c, U, k[g]);
+    }
+  };
+  stage(0);
+  for (int i = 0; i < NX; i++) D[i] = X[i] + (dt / 3.0) * k[0][i];
+  stage(1);
+  for (int i = 0; i < NX; i++) D[i] = X[i] + dt * (k[1][i] - k[0][i] / 3.0);
+  stage(2);
+  for (int i = 0; i < NX; i++) D[i] = X[i] + dt * (k[0][i] - k[1][i] + k[2][i]);
+  stage(3);
+  for (int i = 0; i < NX; i++)
+    *(vd*)&s.S[i][W * b] = X[i] + (k[0][i] + 3.0 * (k[1][i] + k[2][i]) + k[3][i]) * (dt / 8.0);
+}
+
+static void output_rows(int b, Sensitivity& s, const double* c) {
+  vd D[NX], U[NU + 1], y[NY];
+  for (int i = 0; i < NX; i++) D[i] = *(vd*)&s.S[i][W * b];
+  outputs_by_state(s.C, c, D, y);
+  direct(b, OUTPUTS_FIRST, OUTPUTS_INTO, s.L, y);
+  if (on_path(b)) {
+    for (int j = 0; j < NU; j++) U[j] = s.path[0][j][b - LOOP / W];
+    outputs_by_control(s.C, c, U, y);
+  }
+  for (int i = 0; i < NY; i++) *(vd*)&s.raw[i][W * b] = y[i];
+}
+
+// Rows of one sample, whitened; what is missing is zero.
+static void whiten(const Problem& p, size_t sample, Sensitivity& s, Row* rows) {
+  const double* r = p.residual + sample * NY;
+  for (int i = 0; i < NY; i++) {
+    for (int j = BIAS; j < WIDTH; j++) s.raw[i][j] = 0.0;
+    for (int j = 0; j < NBIAS; j++) if (BIASED[j] == i) s.raw[i][BIAS + j] = 1.0;
+    s.raw[i][RESIDUAL] = std::isnan(r[i]) ? 0.0 : r[i];
+  }
+  for (int i = 0; i < NY; i++) {
+    vd* to = (vd*)rows[i];
+    if (!p.pattern) {
+      const double w = std::isnan(r[i]) ? 0.0 : p.weight[i];
+      for (int b = 0; b < VECTORS; b++) to[b] = w == 0.0 ? vd{} : w * ((vd*)s.raw[i])[b];
+      continue;
+    }
+    const double* w = p.table + ((size_t)p.pattern[sample] * NY + i) * NY;
+    for (int b = 0; b < VECTORS; b++) to[b] = vd{};
+    for (int j = 0; j <= i; j++) if (w[j] != 0.0)
+      for (int b = 0; b < VECTORS; b++) to[b] += w[j] * ((vd*)s.raw[j])[b];
+  }
+}
+
+static void load_path(const Problem& p, size_t sample, bool last, Sensitivity& s) {
+  if (!PATH) return;
+  const double *a = p.path + sample * NU * PATH, *z = last ? a : a + NU * PATH;
+  for (int g = 0; g < 4; g++) for (int j = 0; j < NU; j++) for (int q = 0; q < PATH; q++)
+    ((double*)s.path[g][j])[q] = a[j * PATH + q] + NODE[g] * (z[j * PATH + q] - a[j * PATH + q]);
+}
+
+// One segment: calls sink(rows, count) with whitened rows in order of time; ends with the tangents of its last sample.
+template <class Sink>
+static void segment(const Problem& p, int which, int length, Sensitivity& s, Sink sink) {
+  double out[NX + NY], z[NX], k[4][NX], u[NU + 1];
+  memcpy(s.x, p.x0 + (size_t)which * NX, sizeof s.x);
+  for (int i = 0; i < NX; i++) s.S[i][FIRST_X0 + i] = 1.0;
+  int gathered = 0;
+  for (int t = 0; t < length; t++) {
+    const size_t sample = (size_t)which * p.n + t;
+    const bool last = t == length - 1;
+    const double *u0 = p.u + sample * NU, *u1 = last ? u0 : u0 + NU;
+    load_path(p, sample, last, s);
+    outputs_linear(s.x, u0, p.c, out, s.C, s.L);
+    for (int b = 0; b < MOVING; b++) output_rows(b, s, p.c);
+    whiten(p, sample, s, s.rows + gathered);
+    gathered += NY;
+    if (gathered == ROWS || last) { sink(s.rows, gathered); gathered = 0; }
+    if (last) return;
+    for (int g = 0; g < 4; g++) {
+      for (int i = 0; i < NX; i++) {
+        double v = s.x[i];
+        for (int m = 0; m < g; m++) v += (p.dt * SLOPE[g][m]) * k[m][i];
+        z[i] = v;
+      }
+      for (int i = 0; i < NU; i++) u[i] = u0[i] + NODE[g] * (u1[i] - u0[i]);
+      rates_linear(z, u, p.c, k[g], s.A[g], s.K[g]);
+    }
+    for (int i = 0; i < NX; i++) s.x[i] += (k[0][i] + 3.0 * (k[1][i] + k[2][i]) + k[3][i]) * (p.dt / 8.0);
+    for (int b = 0; b < MOVING; b++) tangent_step(b, s, p.c, p.dt);
+  }
+}
+
+// Rows of the triangle of the first `count` columns of a symmetric matrix H [n, n] (upper part), which becomes what is
+// left of it. A column that depends on earlier ones to rounding gets a weak diagonal and nothing else: it stays put.
+static void eliminate(int n, int count, double* H, double* triangle) {
+  const double SAME = 1e-13, WEAK = 1e-9;
+  for (int i = 0; i < count; i++) {
+    double* row = H + (size_t)i * n;
+    double* to = triangle + (size_t)i * n;
+    const double whole = to[i];  // the column's squared length, as the caller has put it there
+    const bool told = row[i] > SAME * whole && row[i] > 0.0;
+    const double pivot = told ? std::sqrt(row[i]) : WEAK * std::sqrt(whole > 0.0 ? whole : 0.0) + 1e-12;
+    for (int j = 0; j < n; j++) to[j] = j < i || !told ? 0.0 : row[j] / pivot;
+    to[i] = pivot;
+    if (!told) continue;
+    for (int m = i + 1; m < n; m++) {
+      const double f = to[m];
+      if (f != 0.0) for (int j = m; j < n; j++) H[(size_t)m * n + j] -= f * to[j];
+    }
+  }
+}
+
+extern "C" void triangles(int count, int n, int first, double* H, double* out) {  // [count, n, n] -> [count, first, n]
+  for (int s = 0; s < count; s++) {
+    double *h = H + (size_t)s * n * n, *t = out + (size_t)s * first * n;
+    for (int i = 0; i < first; i++) t[(size_t)i * n + i] = h[(size_t)i * n + i];
+    eliminate(n, first, h, t);
+  }
+}
+
+static void each(int count, int threads, const std::function<void(int)>& work) {
+  std::vector<std::thread> pool;
+  auto run = [&](int t) { for (int i = t; i < count; i += threads) work(i); };
+  for (int t = 1; t < threads && t < count; t++) pool.emplace_back(run, t);
+  run(0);
+  for (auto& t : pool) t.join();
+}
+
+// order [n]: column of each entry of the result, the residual last; n columns.
+// H [S, n, n] upper part of each segment's normal equations; passage [S, NX, NX]: last state by first.
+extern "C" void normal_equations(int count, int n, double dt, const int* length, const double* u, const double* path,
+                                 const double* residual, const double* x0, const double* th, const double* weight,
+                                 const int* pattern, const double* table, int columns, const int* order, double* H,
+                                 double* passage, int threads) {
+  std::vector<double> c(NC);
+  prepare(th, c.data());
+  const Problem p{n, dt, u, path, residual, x0, c.data(), weight, pattern, table};
+  each(count, threads, [&](int i) {
+    struct Room { Sensitivity s; alignas(64) double upper[WIDTH][WIDTH] = {}; };
+    auto room = std::make_unique<Room>();
+    segment(p, i, length[i], room->s, [&](const Row* rows, int k) { multiply_out(rows, k, room->upper); });
+    double* h = H + (size_t)i * columns * columns;
+    for (int a = 0; a < columns; a++) for (int b = a; b < columns; b++) {
+      const int q = order[a] < order[b] ? order[a] : order[b], r = order[a] < order[b] ? order[b] : order[a];
+      h[(size_t)a * columns + b] = room->upper[q][r];
+    }
+    for (int a = 0; a < NX; a++) for (int b = 0; b < NX; b++)
+      passage[((size_t)i * NX + a) * NX + b] = room->s.S[a][FIRST_X0 + b];
+  });
+}
+
+// The whitened rows themselves: rows [S, n * NY, columns], zero beyond a segment's end.
+extern "C" void whitened_rows(int count, int n, double dt, const int* length, const double* u, const double* path,
+                              const double* residual, const double* x0, const double* th, const double* weight,
+                              const int* pattern, const double* table, int columns, const int* order, double* rows,
+                              int threads) {
+  std::vector<double> c(NC);
+  prepare(th, c.data());
+  const Problem p{n, dt, u, path, residual, x0, c.data(), weight, pattern, table};
+  each(count, threads, [&](int i) {
+    auto s = std::make_unique<Sensitivity>();
+    double* to = rows + (size_t)i * n * NY * columns;
+    segment(p, i, length[i], *s, [&](const Row* made, int k) {
+      for (int r = 0; r < k; r++, to += columns) for (int j = 0; j < columns; j++) to[j] = made[r][order[j]];
+    });
+  });
+}

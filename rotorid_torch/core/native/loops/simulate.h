@@ -1,0 +1,67 @@
+// Trajectories: W of them in lanes, threads over groups of W; nothing depends on the number of threads.
+// Needs rates<T>, outputs<T>, prepare.
+#include "step.h"
+
+// A state beyond `limit` is held there, and what has no finite rate rests: a run that has diverged says so by its size.
+static inline vd held(vd x, double limit) {
+  x = x == x ? x : vd{};
+  x = x > limit ? lanes(limit) : x;
+  return x < -limit ? lanes(-limit) : x;
+}
+static inline void held_step(const vd* x, const vd* u0, const vd* u1, double dt, const double* c, double limit, vd* out) {
+  vd k[4][NX], z[NX], u[NU + 1];
+  for (int g = 0; g < 4; g++) {
+    for (int i = 0; i < NX; i++) {
+      vd s = x[i];
+      for (int m = 0; m < g; m++) s += (dt * SLOPE[g][m]) * k[m][i];
+      z[i] = held(s, limit);
+    }
+    for (int i = 0; i < NU; i++) u[i] = u0[i] + NODE[g] * (u1[i] - u0[i]);
+    rates(z, u, c, k[g]);
+    for (int i = 0; i < NX; i++) k[g][i] = held(k[g][i], limit);
+  }
+  for (int i = 0; i < NX; i++)
+    out[i] = x[i] + (k[0][i] + 3.0 * (k[1][i] + k[2][i]) + k[3][i]) * (dt / 8.0);
+}
+
+// u [B, n, NU], x0 [B, NX] -> states [B, n, NX] and, where asked for, y [B, n, NY].
+static void group(int lanes_used, int n, double dt, double limit, const double* u, const double* x0, const double* c,
+                  double* states, double* y) {
+  vd x[NX], u0[NU + 1] = {}, u1[NU + 1] = {}, out[NY + NX];
+  const size_t nu = (size_t)n * NU, nx = (size_t)n * NX, ny = (size_t)n * NY;
+  auto load = [&](int k, vd* v) {
+    for (int l = 0; l < W; l++) for (int i = 0; i < NU; i++) v[i][l] = u[(l < lanes_used ? l : 0) * nu + (size_t)k * NU + i];
+  };
+  for (int l = 0; l < W; l++) for (int i = 0; i < NX; i++) x[i][l] = x0[(l < lanes_used ? l : 0) * NX + i];
+  load(0, u0);
+  for (int k = 0; k < n; k++) {
+    for (int l = 0; l < lanes_used; l++) for (int i = 0; i < NX; i++) states[l * nx + (size_t)k * NX + i] = x[i][l];
+    if (y) {
+      outputs(x, u0, c, out);
+      for (int l = 0; l < lanes_used; l++) for (int i = 0; i < NY; i++) y[l * ny + (size_t)k * NY + i] = out[i][l];
+    }
+    if (k == n - 1) return;
+    load(k + 1, u1);
+    if (limit < INFINITY) held_step(x, u0, u1, dt, c, limit, out); else step(x, u0, u1, dt, c, out);
+    memcpy(x, out, sizeof x);
+    memcpy(u0, u1, sizeof u0);
+  }
+}
+
+extern "C" void simulate(int count, int n, double dt, double limit, const double* u, const double* x0, const double* th,
+                         double* states, double* y, int threads) {
+  std::vector<double> c(NC);
+  prepare(th, c.data());
+  const int groups = (count + W - 1) / W;
+  std::vector<std::thread> pool;
+  auto work = [&](int t) {
+    for (int g = t; g < groups; g += threads) {
+      const size_t b = (size_t)g * W;
+      const int used = count - (int)b < W ? count - (int)b : W;
+      group(used, n, dt, limit, u + b * n * NU, x0 + b * NX, c.data(), states + b * n * NX, y ? y + b * n * NY : nullptr);
+    }
+  };
+  for (int t = 1; t < threads && t < groups; t++) pool.emplace_back(work, t);
+  work(0);
+  for (auto& t : pool) t.join();
+}
