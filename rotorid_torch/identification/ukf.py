@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import torch
@@ -24,6 +24,7 @@ from rotorid_torch.core.native.filtering import Weights
 from rotorid_torch.core.native.trace import Unsupported
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification import sigma_points
+from rotorid_torch.identification.iterated import Problem, iterated, learns_constants
 from rotorid_torch.identification.sigma_points import ProcessNoise, SigmaPoints, divide, root
 
 Dynamics = Callable[[Tensor, Tensor], Tensor]
@@ -81,7 +82,9 @@ def unscented_filter(
     smooth : also run the Rauch-Tung-Striebel smoother.
 
     Leading dimensions (flights) are a batch. Arrays of numpy are taken as well; all is done in float64.
-    To estimate a constant parameter, append it to the state with a rate of zero.
+    To estimate a constant parameter, append it to the state with a rate of zero. Where f or h are not linear with it,
+    filter and smoother are then repeated, linearised about what the whole record says (`iterated`), until nothing
+    changes: the estimate no longer depends on how far off or how wide the prior was, and reaches the Cramer-Rao bound.
 
     Returns
     -------
@@ -96,8 +99,13 @@ def unscented_filter(
         torch.as_tensor(a, dtype=torch.float64) for a in (x0, P0, Q, R, controls, outputs)
     )
     _check(f, h, x0, P0, Q, R, controls, outputs, dt)
+    noise = ProcessNoise.constant(Q)
     with torch.no_grad():
-        return filter_and_smooth(f, h, (x0, P0), ProcessNoise.constant(Q), R, controls, outputs, dt, smooth)
+        given = Problem(f, h, x0, P0, Q, R, controls, outputs, dt)
+        if not learns_constants(given):
+            return filter_and_smooth(f, h, (x0, P0), noise, R, controls, outputs, dt, smooth)
+        got = iterated(given, lambda cov: filter_and_smooth(f, h, (x0, cov), noise, R, controls, outputs, dt))
+    return got if smooth else replace(got, smoothed_means=None, smoothed_covariances=None)
 
 
 def filter_and_smooth(
@@ -306,7 +314,9 @@ def _smooth(tape: _Tape) -> None:
 
 
 def _symmetric(cov: Tensor) -> Tensor:
-    """Rounding of the matrix products taken out, in place; piece by piece, to spare memory."""
+    """Rounding of the matrix products taken out; in place and piece by piece to spare memory, unless derivatives flow."""
+    if cov.requires_grad:
+        return 0.5 * (cov + cov.mT)
     for part in cov.split(256):
         part.copy_(0.5 * (part + part.mT))
     return cov
