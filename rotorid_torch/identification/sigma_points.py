@@ -40,13 +40,12 @@ class SigmaPoints:
             raise InputError(
                 "unscented_filter", "alpha", f"and kappa give a reach of {size:g}", "alpha² (nx + kappa) > 0"
             )
-        mean = 1.0 - nx / size
-        centre = mean + 1.0 - self.alpha**2 + self.beta
+        centre = 1.0 - nx / size + 1.0 - self.alpha**2 + self.beta
         if centre < 0.0:
             raise InputError(
                 "unscented_filter", "beta", f"gives the mean weight {centre:g} in covariances", "a larger alpha or beta"
             )
-        return Weights(math.sqrt(size), mean, centre, 0.5 / size)
+        return Weights(math.sqrt(size), centre, 0.5 / size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,14 +82,15 @@ def offsets(root: Tensor, weights: Weights) -> Tensor:
 
 
 def mean_of(points: Tensor, weights: Weights) -> Tensor:
-    """[..., n] of the images of the sigma points [..., 2 nx + 1, n]."""
-    return weights.centre_mean * points[..., 0, :] + weights.other * points[..., 1:, :].sum(dim=-2)
+    """[..., n] of the images of the sigma points [..., 2 nx + 1, n]; exact where all agree."""
+    centre = points[..., :1, :]
+    return centre.squeeze(-2) + weights.other * (points - centre).sum(dim=-2)
 
 
 def root_weights(nx: int, weights: Weights) -> Tensor:
     """Square roots of the weights in covariances [2 nx + 1, 1]."""
     weight = torch.full((2 * nx + 1, 1), weights.other, dtype=torch.float64)
-    weight[0] = weights.centre_covariance
+    weight[0] = weights.centre
     return weight.sqrt()
 
 

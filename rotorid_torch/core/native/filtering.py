@@ -23,12 +23,11 @@ Function = Callable[[Tensor, Tensor], Tensor]
 class Weights:
     """Where sigma points lie and what they count: mean +- reach times the columns of the covariance's root.
 
-    centre_mean, centre_covariance : weights of the point at the mean; other : weight of each other point in both.
+    other : weight of each such point. centre : weight of the mean itself in covariances (in means: the rest to one).
     """
 
     reach: float
-    centre_mean: float
-    centre_covariance: float
+    centre: float
     other: float
 
 
@@ -66,7 +65,7 @@ class Answer:
 
 
 class _Settings(ctypes.Structure):
-    _fields_ = [(name, ctypes.c_double) for name in ("dt", "reach", "centre_mean", "centre_covariance", "other")]
+    _fields_ = [(name, ctypes.c_double) for name in ("dt", "reach", "centre", "other")]
 
 
 class _Task(ctypes.Structure):
@@ -163,7 +162,7 @@ class CompiledFilter:
             noise_samples=noise.shape[1],
             **{name: array.data_ptr() for name, array in arrays.items() if array is not None},
         )
-        settings = _Settings(problem.dt, weights.reach, weights.centre_mean, weights.centre_covariance, weights.other)
+        settings = _Settings(problem.dt, weights.reach, weights.centre, weights.other)
         if library(self.source).unscented(ctypes.byref(settings), ctypes.byref(task), threads):
             raise MemoryError(f"smoothing {samples} samples of {nx} states")
         answer["innovation_covariances"], answer["log_likelihood"] = answer.pop("spreads"), answer.pop("likelihood")

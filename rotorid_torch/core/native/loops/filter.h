@@ -17,13 +17,19 @@
 #include "matrices.h"
 #include "step.h"
 
-struct Settings { double dt, reach, mean_centre, centre, other; };  // weights: centre's (mean, covariance), others'
+struct Settings { double dt, reach, centre, other; };  // weights: the centre's in covariances, each other point's
 struct Task {  // arrays in C order; flights F, samples T
   int64_t flights, samples, entries, noise_flights, noise_samples;
   const double *controls, *outputs, *mean, *covariance, *R, *noise, *numbers;
   const int64_t *row, *column;  // where the entries of the process noise stand, row <= column
   double *means, *covariances, *innovations, *spreads, *likelihood, *smoothed_means, *smoothed_covariances;
 };
+
+// The model, one copy of its code for all that need it.
+[[gnu::noinline]] static void see(const vd* x, const vd* u, const double* c, vd* y) { outputs(x, u, c, y); }
+[[gnu::noinline]] static void move(const vd* x, const vd* u0, const vd* u1, double dt, const double* c, vd* out) {
+  step(x, u0, u1, dt, c, out);
+}
 
 template <class T> struct Filter {
   enum { LX = vectors<T>(NX), LY = vectors<T>(NY), LR = vectors<T>(NX + 1), LE = vectors<T>(NY + 1), LA = LE + LX };
@@ -66,28 +72,29 @@ template <class T> struct Filter {
     for (int i = 0; i < NU; i++) u[i] = vd{} + load(task.controls + k * NU + i, task.samples * NU);
   }
 
-  // --- Z: rows D_j, E_j and the centre's; mean of the images of the sigma points x, x +- reach rows of U under `map`
+  // --- Z: rows D_j, E_j and the centre's; mean, as the centre's image and a shift (exact where all agree), of the images of the sigma points x, x +- reach rows of U under `map`
   template <int N, int L, class Map> void spread(const Map& map, vd (*Z)[L], vd* middle) {
-    const double odd = set.other * set.reach, even = std::sqrt(0.5 * set.other), centre = std::sqrt(set.centre);
+    const double odd = set.other * set.reach, even = std::sqrt(0.5 * set.other), middle_root = std::sqrt(set.centre);
     T* m = numbers<T>(middle);
     if constexpr (PER<T> == 1) {
-      vd plus[NX], minus[NX], above[N], below[N], sum[N] = {};
-      for (int j = 0; j < NX; j++) {
-        for (int i = 0; i < NX; i++) {
-          const vd offset = i < j ? vd{} : set.reach * U[j][i];
-          plus[i] = mean[i] + offset, minus[i] = mean[i] - offset;
-        }
-        map(plus, above), map(minus, below);
-        for (int i = 0; i < N; i++) {
-          Z[j][i] = odd * (above[i] - below[i]);
-          sum[i] += Z[NX + j][i] = above[i] + below[i];
-        }
+      vd point[NX], centre[N], image[2][N], sum[N] = {};
+      map(mean, centre);
+      for (int s = 0; s < 2 * NX; s++) {  // + and - of each pair in turn
+        const int j = s / 2;
+        const double reach = s % 2 ? -set.reach : set.reach;
+        for (int i = 0; i < NX; i++) point[i] = i < j ? mean[i] : mean[i] + reach * U[j][i];
+        map(point, image[s % 2]);
+        if (s % 2)
+          for (int i = 0; i < N; i++) {
+            Z[j][i] = odd * (image[0][i] - image[1][i]);
+            sum[i] += Z[NX + j][i] = (image[0][i] - centre[i]) + (image[1][i] - centre[i]);
+          }
       }
-      map(mean, above);
       for (int i = 0; i < N; i++) {
-        m[i] = set.mean_centre * above[i] + set.other * sum[i];
-        Z[2 * NX][i] = centre * (above[i] - m[i]);
-        for (int j = 0; j < NX; j++) Z[NX + j][i] = even * (Z[NX + j][i] - 2.0 * m[i]);
+        const vd shift = set.other * sum[i];
+        m[i] = centre[i] + shift;
+        Z[2 * NX][i] = -middle_root * shift;
+        for (int j = 0; j < NX; j++) Z[NX + j][i] = even * (Z[NX + j][i] - 2.0 * shift);
       }
     } else {
       lay_out();
@@ -99,13 +106,15 @@ template <class T> struct Filter {
       }
       for (int i = 0; i < N; i++) {
         const double* y = images[i];
+        const double centre = y[2 * NX];
         double sum = 0.0;
-        for (int s = 0; s < 2 * NX; s++) sum += y[s];
-        m[i] = set.mean_centre * y[2 * NX] + set.other * sum;
-        numbers<T>(Z[2 * NX])[i] = centre * (y[2 * NX] - m[i]);
+        for (int s = 0; s < 2 * NX; s++) sum += y[s] - centre;
+        const double shift = set.other * sum;
+        m[i] = centre + shift;
+        numbers<T>(Z[2 * NX])[i] = -middle_root * shift;
         for (int j = 0; j < NX; j++) {
           numbers<T>(Z[j])[i] = odd * (y[j] - y[NX + j]);
-          numbers<T>(Z[NX + j])[i] = even * (y[j] + y[NX + j] - 2.0 * m[i]);
+          numbers<T>(Z[NX + j])[i] = even * ((y[j] - centre) + (y[NX + j] - centre) - 2.0 * shift);
         }
       }
     }
@@ -125,13 +134,13 @@ template <class T> struct Filter {
   T update(size_t k) {
     vd u[NU + 1];
     controls(k, u);
-    spread<NY>([&](const vd* x, vd* y) { outputs(x, u, c, y); }, seen, expected);
+    spread<NY>([&](const vd* x, vd* y) { see(x, u, c, y); }, seen, expected);
     squares<T, NY>(rest, seen + NX, NX + 1);
     for (int i = 0; i < NY; i++)
       for (int j = i; j < NY; j++) numbers<T>(rest[i])[j] += task.R[i * NY + j];
     if (task.spreads) {
       for (int i = 0; i < NY; i++) for (int b = i / PER<T>; b < LY; b++) S[i][b] = rest[i][b];
-      squares<T, NY, ADD>(S, seen, NX);
+      squares<T, NY>(S, seen, NX, ADD);
       store_symmetric<NY>(task.spreads + k * NY * NY, task.samples * NY * NY, S);
     }
     T number = T() + double(NY), zero[NY] = {};
@@ -143,7 +152,7 @@ template <class T> struct Filter {
     }
     leave_out_missing(number);
     eliminate<T, NY, LA>(rest, zero);
-    squares<T, NX, SET, LOWER>(information, (const vd(*)[LA])((vd*)rest + LE), NY);
+    squares<T, NX>(information, (const vd(*)[LA])((vd*)rest + LE), NY, SET, LOWER);
     T shift[NX] = {};
     for (int i = 0; i < NX; i++) {
       numbers<T>(information[i])[i] += 1.0;
@@ -151,7 +160,7 @@ template <class T> struct Filter {
       numbers<T>(U[i])[NX] = shift[i];
     }
     eliminate_upwards<T, NX>(information, U);
-    squares<T, NX, SET, UPPER, UP_TO_ROW>(P, U, NX);
+    squares<T, NX>(P, U, NX, SET, UPPER, UP_TO_ROW);
     return correct(number);
   }
   // what a missing output says: nothing, with variance one
@@ -209,7 +218,7 @@ template <class T> struct Filter {
   void predict(size_t k, vd* memory) {
     vd u0[NU + 1], u1[NU + 1];
     controls(k, u0), controls(k + 1, u1);
-    spread<NX>([&](const vd* x, vd* y) { step(x, u0, u1, set.dt, c, y); }, ahead, moved);
+    spread<NX>([&](const vd* x, vd* y) { move(x, u0, u1, set.dt, c, y); }, ahead, moved);
     squares<T, NX>(P, ahead, NS);
     add_noise(k, P);
     if (memory) remember(k, memory);
@@ -226,7 +235,7 @@ template <class T> struct Filter {
   // --- smoother. Its gain is cross P^-1 with cross = X D'; what the next sample cannot tell of this one (the leak) is
   // the sum of squares of X - gain D' and of gain F, where F F' is the rest of P beside D D'.
   void remember(size_t k, vd* memory) {
-    product<SET, WHOLE, UP_TO_ROW, NX, LX, T>(pieces, numbers<T>(U[0]), LR * PER<T>, 1, ahead, NX);
+    multiply<T, NX>(pieces, U, true, ahead, NX, SET, UP_TO_ROW);
     for (int i = 0; i < NX; i++)
       for (int j = 0; j < NX; j++) numbers<T>(gain[j])[i] = numbers<T>(pieces[i])[j];  // transposed, as all below
     squares<T, NX>(S_X, ahead + NX, NX + 1);
@@ -234,9 +243,9 @@ template <class T> struct Filter {
     factor<T, NX>(P, root);
     divide<T, NX>(gain, root);
     for (int j = 0; j < NX; j++) for (int b = 0; b < LX; b++) pieces[j][b] = U[j][b];
-    product<SUBTRACT, WHOLE, ALL, NX, LX, T>(pieces, numbers<T>(ahead[0]), 1, LX * PER<T>, gain, NX);
+    multiply<T, NX>(pieces, ahead, false, gain, NX, SUBTRACT, ALL);
     factor<T, NX>(S_X, root);
-    product<SET, WHOLE, FROM_ROW, NX, LX, T>(pieces + NX, numbers<T>(root[0]), 1, LX * PER<T>, gain, NX);
+    multiply<T, NX>(pieces + NX, root, false, gain, NX, SET, FROM_ROW);
     squares<T, NX>(S_X, pieces, 2 * NX);
     for (int b = 0; b < LX; b++) *memory++ = moved[b];
     for (int i = 0; i < NX; i++) for (int b = 0; b < LX; b++) *memory++ = gain[i][b];
@@ -258,9 +267,9 @@ template <class T> struct Filter {
       for (int b = 0; b < LX; b++) mean[b] += change * gain[j][b];
     }
     factor<T, NX>(P, root);
-    product<SET, WHOLE, FROM_ROW, NX, LX, T>(pieces, numbers<T>(root[0]), 1, LX * PER<T>, gain, NX);
+    multiply<T, NX>(pieces, root, false, gain, NX, SET, FROM_ROW);
     for (int i = 0; i < NX; i++) for (int b = i / PER<T>; b < LX; b++) P[i][b] = *leak++;
-    squares<T, NX, ADD>(P, pieces, NX);
+    squares<T, NX>(P, pieces, NX, ADD);
   }
 
   void start() {

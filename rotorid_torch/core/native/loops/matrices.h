@@ -15,52 +15,58 @@ enum Into { SET, ADD, SUBTRACT };
 enum Half { WHOLE, UPPER, LOWER };
 enum Terms { ALL, UP_TO_ROW, FROM_ROW };  // which rows enter row i of a product: all, 0 ... i, i ... end
 
-// A x B vectors of sum_s f[s, i + a] rows[s][j + b], held in registers while s runs.
-template <Into INTO, class T, int A, int B, int LO, int LR>
-static inline void tile(vd (*out)[LO], int i, int j, const T* f, int next_s, int next_i, const vd (*rows)[LR], int from, int to) {
-  vd sum[A][B] = {};
-  f += (ptrdiff_t)next_i * i;
-  for (int s = from; s < to; s++) {
-    const vd* row = rows[s] + j;
-    const T* g = f + (ptrdiff_t)next_s * s;
-    for (int a = 0; a < A; a++) {
-      const T factor = g[next_i * a];
-      for (int b = 0; b < B; b++) sum[a][b] += factor * row[b];
-    }
+// sum_s f[s, i] rows[s] for the rows i of a matrix; sizes are data here, so that one code serves all products.
+template <class T> struct Product {
+  const T* f;
+  ptrdiff_t next_s, next_i;  // in f
+  const vd* rows;
+  ptrdiff_t next_row;
+  int count;
+
+  // A rows of B vectors from row i, vector j on, held in registers while s runs
+  template <int A, int B> [[gnu::noinline]] void tile(vd* out, ptrdiff_t next_out, int i, int j, int from, int to, Into into) const {
+    vd sum[A][B] = {};
+    const T* g = f + next_i * i + next_s * from;
+    const vd* row = rows + next_row * from + j;
+    for (int s = from; s < to; s++, g += next_s, row += next_row)
+      for (int a = 0; a < A; a++) {
+        const T share = g[next_i * a];
+        for (int b = 0; b < B; b++) sum[a][b] += share * row[b];
+      }
+    out += next_out * i + j;
+    for (int a = 0; a < A; a++, out += next_out)
+      for (int b = 0; b < B; b++) out[b] = into == SET ? sum[a][b] : into == ADD ? out[b] + sum[a][b] : out[b] - sum[a][b];
   }
-  for (int a = 0; a < A; a++)
-    for (int b = 0; b < B; b++) {
-      vd& place = out[i + a][j + b];
-      place = INTO == SET ? sum[a][b] : INTO == ADD ? place + sum[a][b] : place - sum[a][b];
-    }
+  template <int A> void band(vd* out, ptrdiff_t next_out, int i, int L, Into into, Half half, Terms terms) const {
+    const int from = terms == FROM_ROW ? i : 0, to = terms == UP_TO_ROW && i + A < count ? i + A : count;
+    const int end = half == LOWER ? (i + A - 1) / PER<T> + 1 : L;
+    int j = half == UPPER ? i / PER<T> : 0;
+    for (; j + 4 <= end; j += 4) tile<A, 4>(out, next_out, i, j, from, to, into);
+    if (end - j == 3) tile<A, 3>(out, next_out, i, j, from, to, into);
+    if (end - j == 2) tile<A, 2>(out, next_out, i, j, from, to, into);
+    if (end - j == 1) tile<A, 1>(out, next_out, i, j, from, to, into);
+  }
+  [[gnu::noinline]] void into(vd* out, ptrdiff_t next_out, int N, int L, Into into, Half half, Terms terms) const {
+    int i = 0;
+    for (; i + 4 <= N; i += 4) band<4>(out, next_out, i, L, into, half, terms);
+    if (N - i == 3) band<3>(out, next_out, i, L, into, half, terms);
+    if (N - i == 2) band<2>(out, next_out, i, L, into, half, terms);
+    if (N - i == 1) band<1>(out, next_out, i, L, into, half, terms);
+  }
+};
+
+// out (N rows) = or += or -= A rows, or A' rows where `transposed`, of `count` rows.
+template <class T, int N, int LO, int LA, int LR>
+static inline void multiply(vd (*out)[LO], const vd (*A)[LA], bool transposed, const vd (*rows)[LR], int count, Into into, Terms terms) {
+  const ptrdiff_t along = 1, down = LA * PER<T>;
+  Product<T>{numbers<T>(A[0]), transposed ? down : along, transposed ? along : down, rows[0], LR, count}.into(
+      out[0], LO, N, vectors<T>(N), into, WHOLE, terms);
 }
 
-// Rows i ... i + A - 1 of a product, in tiles.
-template <Into INTO, Half HALF, Terms TERMS, class T, int A, int L, int LO, int LR>
-static inline void band(vd (*out)[LO], int i, const T* f, int next_s, int next_i, const vd (*rows)[LR], int count) {
-  const int from = TERMS == FROM_ROW ? i : 0, to = TERMS == UP_TO_ROW ? i + A : count;
-  const int end = HALF == LOWER ? (i + A - 1) / PER<T> + 1 : L;
-  int j = HALF == UPPER ? i / PER<T> : 0;
-  for (; j + 4 <= end; j += 4) tile<INTO, T, A, 4>(out, i, j, f, next_s, next_i, rows, from, to);
-  if (end - j == 3) tile<INTO, T, A, 3>(out, i, j, f, next_s, next_i, rows, from, to);
-  if (end - j == 2) tile<INTO, T, A, 2>(out, i, j, f, next_s, next_i, rows, from, to);
-  if (end - j == 1) tile<INTO, T, A, 1>(out, i, j, f, next_s, next_i, rows, from, to);
-}
-
-// out (N rows, L vectors each) = or += or -= sum_s f[s, i] rows[s], s = 0 ... count - 1.
-template <Into INTO, Half HALF, Terms TERMS, int N, int L, class T, int LO, int LR>
-static inline void product(vd (*out)[LO], const T* f, int next_s, int next_i, const vd (*rows)[LR], int count) {
-  constexpr int whole = N / 4 * 4;
-  for (int i = 0; i < whole; i += 4) band<INTO, HALF, TERMS, T, 4, L>(out, i, f, next_s, next_i, rows, count);
-  if constexpr (N - whole == 3) band<INTO, HALF, TERMS, T, 3, L>(out, whole, f, next_s, next_i, rows, count);
-  if constexpr (N - whole == 2) band<INTO, HALF, TERMS, T, 2, L>(out, whole, f, next_s, next_i, rows, count);
-  if constexpr (N - whole == 1) band<INTO, HALF, TERMS, T, 1, L>(out, whole, f, next_s, next_i, rows, count);
-}
-
-// One half of the sum of squares rows' rows.
-template <class T, int N, Into INTO = SET, Half HALF = UPPER, Terms TERMS = ALL, int LO, int LR>
-static inline void squares(vd (*out)[LO], const vd (*rows)[LR], int count) {
-  product<INTO, HALF, TERMS, N, vectors<T>(N), T>(out, numbers<T>(rows[0]), LR * PER<T>, 1, rows, count);
+// One half of the sum of squares rows' rows; of `count` rows.
+template <class T, int N, int LO, int LR>
+static inline void squares(vd (*out)[LO], const vd (*rows)[LR], int count, Into into = SET, Half half = UPPER, Terms terms = ALL) {
+  Product<T>{numbers<T>(rows[0]), LR * PER<T>, 1, rows[0], LR, count}.into(out[0], LO, N, vectors<T>(N), into, half, terms);
 }
 
 // 1 / sqrt(pivot), 0 where the pivot is not above the floor: what is known exactly has no direction.
@@ -98,7 +104,7 @@ template <class T, int N, int L, int LR> static inline void eliminate_upwards(vd
 }
 
 // Upper factor of a covariance, whose rows are the offsets of its sigma points; rows of exactly known states are zero.
-template <class T, int N, int L, int LR> static inline void factor(const vd (*cov)[L], vd (*root)[LR]) {
+template <class T, int N, int L, int LR> [[gnu::noinline]] static void factor(const vd (*cov)[L], vd (*root)[LR]) {
   T floor[N];
   for (int i = 0; i < N; i++) {
     for (int b = i / PER<T>; b < vectors<T>(N); b++) root[i][b] = cov[i][b];
