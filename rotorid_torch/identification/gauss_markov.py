@@ -220,13 +220,13 @@ def _peak(log_tau: Array, score: Array) -> float:
     return float(np.exp(log_tau[i] + shift * (log_tau[1] - log_tau[0])))
 
 
-def local_scale(got: Pass, power: Array, dt: float, least: float | Array) -> Array:
+def local_scale(got: Pass, power: Array, dt: float, least: float | Array, width_s: float = SMEAR_S) -> Array:
     """How much stronger the process noise is, locally, than the model expects: [T, N], from `least` to 30.
 
-    Realised over expected energy within a Gaussian of half a second. Where a force is silent, nothing but measurement
+    Realised over expected energy within a Gaussian of that width. Where a force is silent, nothing but measurement
     noise is left of the realised part, which is `least` of what is expected.
     """
-    top, bottom = smear(got.realised * power, dt, SMEAR_S), smear(got.expected * power, dt, SMEAR_S)
+    top, bottom = smear(got.realised * power, dt, width_s), smear(got.expected * power, dt, width_s)
     return np.clip(top / np.maximum(bottom, 1e-300), least, LARGEST_SCALE)
 
 

@@ -4,7 +4,7 @@ import math
 
 import torch
 
-from rotorid_torch.validate.reconstruction import below, share_within, slow_error
+from rotorid_torch.validate.reconstruction import below, least_slow_error, share_within, slow_error
 
 
 def test_normal_errors_fall_within_their_deviation_as_often_as_the_normal_law_says() -> None:
@@ -26,3 +26,33 @@ def test_only_what_is_slow_counts_as_slow_error() -> None:
     assert torch.allclose(
         slow_error(both.expand(3, -1, -1), signal, dt), torch.tensor([0.3, 0.1], dtype=torch.float64).expand(3, 2)
     )
+
+
+def test_least_error_is_that_of_the_ideal_smoother() -> None:
+    """All of a hidden signal, all of the noise under a strong one, half the energy of each where they are equal."""
+    dt, generator = 0.01, torch.Generator().manual_seed(1)
+    white = below(torch.randn(4000, 1, dtype=torch.float64, generator=generator), dt, 2.0)
+    signal = white.repeat(1, 2) * torch.tensor([1.0, 3.0], dtype=torch.float64)
+
+    def error(variance: float) -> torch.Tensor:
+        return least_slow_error(signal, lambda hertz: torch.full((len(hertz), 2), variance), dt)
+
+    assert torch.allclose(error(1e9), torch.ones(2, dtype=torch.float64), atol=0.05)
+    noise = math.sqrt(2.0 * 2.0 * dt * 1e-8)
+    deviation = signal.std(dim=0, unbiased=False)
+    assert torch.allclose(error(1e-8), noise / deviation, rtol=0.1)
+    assert (0.3 < error(1.0)[0]) & (error(1.0)[0] < 0.75)
+    assert (error(1.0)[1] < 0.7 * error(1.0)[0]).item()
+
+
+def test_least_error_of_a_silent_stretch_is_less_than_of_a_steady_signal() -> None:
+    """A burst of one second needs fewer coefficients than a signal of the same energy that lasts."""
+    dt = 0.01
+    time = dt * torch.arange(1600, dtype=torch.float64)
+    burst = torch.sin(2 * math.pi * time) * ((time > 7.0) & (time < 9.0))
+    steady = torch.randn(1600, dtype=torch.float64, generator=torch.Generator().manual_seed(2))[:, None]
+    steady = below(steady, dt, 2.0)[:, 0]
+    steady = steady * burst.std() / steady.std()
+    both = torch.stack([burst, steady], dim=-1)
+    least = least_slow_error(both, lambda hertz: torch.full((len(hertz), 2), 1.0), dt)
+    assert least[0] < 0.8 * least[1]
