@@ -60,13 +60,22 @@ template <class T> struct Filter {
     if constexpr (PER<T> > 1) p[first * stride] = v;
     else for (size_t l = 0; l < count; l++) p[(first + l) * stride] = v[l];
   }
-  template <int N, int L> void store_symmetric(double* p, size_t stride, const vd (*A)[L]) const {
-    for (int i = 0; i < N; i++)
-      for (int j = i; j < N; j++) {
-        const T v = numbers<T>(A[i])[j];
-        store(p + i * N + j, stride, v);
-        if (j > i) store(p + j * N + i, stride, v);
+  template <int N, int L> [[gnu::noinline]] void store_symmetric(double* p, size_t stride, const vd (*A)[L]) const {
+    auto entry = [&](int n) { const int i = n / N, j = n % N; return numbers<T>(A[i < j ? i : j])[i < j ? j : i]; };
+    if constexpr (PER<T> > 1) {
+      p += first * stride;
+      for (int i = 0; i < N; i++)
+        for (int j = i; j < N; j++) p[i * N + j] = p[j * N + i] = numbers<T>(A[i])[j];
+    } else {
+      constexpr int whole = N * N / W * W;
+      for (int n = 0; n < whole; n += W) {  // W neighbours of each lane at a time
+        vd block[W];
+        for (int q = 0; q < W; q++) block[q] = entry(n + q);
+        transpose(block);
+        for (size_t l = 0; l < count; l++) memcpy(p + (first + l) * stride + n, block + l, sizeof(vd));
       }
+      for (int n = whole; n < N * N; n++) store(p + n, stride, entry(n));
+    }
   }
   void controls(size_t k, vd* u) const {
     for (int i = 0; i < NU; i++) u[i] = vd{} + load(task.controls + k * NU + i, task.samples * NU);
@@ -189,19 +198,18 @@ template <class T> struct Filter {
   }
   // mean of the posterior; returns the log-likelihood of the innovation, as the sum of what the state takes up and leaves
   T correct(T number) {
-    T z[NX], quadratic = T();  // change of the state in units of the prior's root
+    T z[NX], inverse[NX], quadratic = T();  // z: change of the state in units of the prior's root
     vd change[LX] = {};
     for (int j = 0; j < NX; j++) {
       const T v = numbers<T>(U[j])[NX];
       for (int b = j / PER<T>; b < LX; b++) change[b] += v * U[j][b];
     }
     // V^-T v: back from the posterior's to the prior's root
-    for (int i = 0; i < NX; i++) z[i] = numbers<T>(U[i])[NX];
-    for (int i = 0; i < NX; i++) {
-      const T* row = numbers<T>(information[i]);
-      for (int m = 0; m < i; m++) z[i] -= row[m] * z[m];
-      z[i] /= row[i];
-      quadratic += z[i] * z[i];
+    for (int i = 0; i < NX; i++) z[i] = numbers<T>(U[i])[NX], inverse[i] = 1.0 / numbers<T>(information[i])[i];
+    for (int m = 0; m < NX; m++) {
+      z[m] *= inverse[m];
+      quadratic += z[m] * z[m];
+      for (int i = m + 1; i < NX; i++) z[i] -= numbers<T>(information[i])[m] * z[m];
     }
     for (int m = 0; m < NY; m++) {
       const T* row = numbers<T>(rest[m]);

@@ -6,10 +6,27 @@
 #pragma once
 #include "lanes.h"
 
-template <class T> constexpr int PER = sizeof(vd) / sizeof(T);  // numbers in a vector
+template <class T> constexpr unsigned PER = sizeof(vd) / sizeof(T);  // numbers in a vector
 template <class T> constexpr int vectors(int n) { return (n + PER<T> - 1) / PER<T>; }
 template <class T> static inline T* numbers(vd* row) { return (T*)row; }
 template <class T> static inline const T* numbers(const vd* row) { return (const T*)row; }
+
+// W vectors become their transpose, in log2(W) exchanges of halves.
+template <int H, int... LANE> static inline void exchange(vd* v, std::integer_sequence<int, LANE...>) {
+  for (int i = 0; i < W; i++)
+    if (!(i & H)) {
+      const vd a = v[i], b = v[i + H];
+#ifdef __clang__
+      v[i] = __builtin_shufflevector(a, b, (LANE & H ? W + LANE - H : LANE)...);
+      v[i + H] = __builtin_shufflevector(a, b, (LANE & H ? W + LANE : LANE + H)...);
+#else
+      v[i] = __builtin_shuffle(a, b, vl{(LANE & H ? W + LANE - H : LANE)...});
+      v[i + H] = __builtin_shuffle(a, b, vl{(LANE & H ? W + LANE : LANE + H)...});
+#endif
+    }
+  if constexpr (2 * H < W) exchange<2 * H>(v, std::integer_sequence<int, LANE...>());
+}
+static inline void transpose(vd* v) { exchange<1>(v, std::make_integer_sequence<int, W>()); }
 
 enum Into { SET, ADD, SUBTRACT };
 enum Half { WHOLE, UPPER, LOWER };
