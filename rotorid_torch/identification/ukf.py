@@ -314,7 +314,7 @@ def _smooth(tape: _Tape) -> None:
 
 
 def _symmetric(cov: Tensor) -> Tensor:
-    """Rounding of the matrix products taken out; in place and piece by piece to spare memory, unless derivatives flow."""
+    """Rounding of the matrix products taken out; in place, piece by piece, to spare memory unless derivatives flow."""
     if cov.requires_grad:
         return 0.5 * (cov + cov.mT)
     for part in cov.split(256):

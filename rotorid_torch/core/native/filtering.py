@@ -77,26 +77,6 @@ class _Task(ctypes.Structure):
     ]
 
 
-class _Lifted(Constants):
-    """Numbers of a model as data, so that models that differ in numbers only are one and the same code."""
-
-    def name(self, node: int) -> str:
-        """0, 1 and 2 as they are, any other number by its place."""
-        value = self.graph.value(node)
-        assert value is not None  # nothing else is shared where there are no parameters
-        if value in (0.0, 1.0, -1.0, 2.0):
-            return super().name(node)
-        return f"c[{self.places.setdefault(node, len(self.places))}]"
-
-    def values(self) -> Tensor:
-        """The numbers, in order."""
-        return torch.tensor([self.graph.value(node) for node in self.places], dtype=torch.float64)
-
-    def prepare(self) -> str:
-        """They are handed over as they are."""
-        return f"enum {{ NC = {max(len(self.places), 1)}, LIFTED = {len(self.places)} }};\n"
-
-
 @dataclass(frozen=True, eq=False)
 class CompiledFilter:
     """Filter and smoother for dx/dt = f(x, u), y = h(x, u): C++ and the numbers in it."""
@@ -117,14 +97,14 @@ class CompiledFilter:
         Unsupported : native code does not know an operation in them, or they are not the same for every flight.
         """
         graph, bodies = Graph(), []
-        constants = _Lifted(graph)
+        constants = Constants(graph, 0)
         for name, function, n in (("rates", f, x.shape[-1]), ("outputs", h, ny)):
             _check_one_point(name, function, x, u, n)
             nodes = scalarise(graph, function, {"x": x[:1], "u": u[:1]})
             bodies.append(evaluation(graph, name, nodes, constants))
         size = sizes(NX=x.shape[-1], NU=u.shape[-1], NY=ny)
         text = f'#include "lanes.h"\n{size}{constants.prepare()}{"".join(bodies)}#include "filter.h"\n'
-        return cls(text, constants.values())
+        return cls(text, constants.numbers())
 
     def run(
         self, problem: Problem, weights: Weights, smooth: bool = True, spreads: bool = True, threads: int = 1

@@ -44,7 +44,7 @@ template <class T> struct Filter {
   double c[NC];  // the model's numbers
 
   Filter(const Settings& set, const Task& task, size_t first, size_t count) : set(set), task(task), first(first), count(count) {
-    for (int i = 0; i < LIFTED; i++) c[i] = task.numbers[i];
+    prepare(task.numbers, c);
   }
 
   // --- numbers of these flights in and out; `stride` from one flight to the next; lanes to spare repeat the last flight
