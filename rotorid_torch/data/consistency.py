@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,7 +65,7 @@ def kernel(dt: float, width_s: float = WIDTH_S) -> tuple[Array, Array]:
     return bell / bell.sum(), slope / (slope @ -time)
 
 
-def agreement(pair: Pair, flights: Sequence[Flight]) -> Agreement | None:
+def agreement(pair: Pair, flights: Iterable[Flight]) -> Agreement | None:
     """Scale, lag and bias between the two sides of a pair; None where the flights are too short or nothing moves."""
     sides = {f.name: s for f in flights if f.has(*pair.channels) and (s := _sides(pair, f)) is not None}
     if not sides:
@@ -191,7 +191,7 @@ def velocity_pairs(dataset: Dataset) -> tuple[Pair, ...]:
     base = ("u", "v", "w", "p", "q", "r", "phi", "theta")
     pairs = []
     for axis, (velocity, sensor) in enumerate(zip(("u", "v", "w"), ("ax", "ay", "az"), strict=True)):
-        felt = any(f.has(sensor) for f in dataset.flights.values())
+        felt = any(facts.has(sensor) for facts in dataset.facts.values())
         if not felt and axis == 2:
             continue
         channels = (*base, sensor) if felt else base

@@ -1,11 +1,11 @@
-"""A data set: vehicle, flights and their lists, read and validated once; reference point, scales and noise."""
+"""A data set: vehicle, flights and their lists, validated once, read as needed; reference point, scales and noise."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,14 +13,16 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 import msgspec
-import torch
+import numpy as np
 
 from rotorid_torch.core import names
 from rotorid_torch.data import suspicion
 from rotorid_torch.data.declare import Declaration, declare, read_declaration
+from rotorid_torch.data.facts import Facts
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.grid import make_flight
 from rotorid_torch.data.noise import white_noise
+from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.data.quiet import quiet_samples
 from rotorid_torch.data.read import find_flight, parse_flight, take_arrays
 from rotorid_torch.data.schema import ChannelSpec, ControlSpec, ModelSettings, Vehicle
@@ -28,11 +30,16 @@ from rotorid_torch.errors import InputError
 
 NOISE_FLOOR = 1e-3
 """Least noise of a channel that declares none, as a share of its rms deviation: a filtered channel is not exact."""
+ENOUGH = 100
+"""Identify flights that a noise or a spectrum is estimated from, at most; more make it no more certain."""
 
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """Flights of one vehicle about one reference point. Made by `load` or `Dataset.from_arrays`, both validating."""
+    """Flights of one vehicle about one reference point. Made by `load` or `Dataset.from_arrays`, both validating.
+
+    `flights` of a folder are read when they are asked for, those used last stay in memory; `facts` of all are known.
+    """
 
     name: str
     kind: str
@@ -44,6 +51,7 @@ class Dataset:
     control_specs: Mapping[str, ControlSpec]
     channel_specs: Mapping[str, ChannelSpec]
     flights: Mapping[str, Flight]
+    facts: Mapping[str, Facts]
     identify: tuple[str, ...]
     validate: tuple[str, ...]
     acid: tuple[str, ...]
@@ -91,7 +99,7 @@ class Dataset:
         }
         declaration = declare(document, "arrays")
         digest = hashlib.sha256(json.dumps(document, sort_keys=True).encode())
-        made, warnings = {}, []
+        made, facts, warnings = {}, {}, []
         for flight_name in declaration.flights.all():
             if flight_name not in flights:
                 raise InputError(
@@ -102,9 +110,10 @@ class Dataset:
             for channel, values in arrays.items():
                 digest.update(channel.encode() + values.tobytes())
             made[flight_name], told = make_flight(flight_name, arrays, place)
+            facts[flight_name] = _facts(made[flight_name], place)
             warnings += told
         places: dict[str, str | Path] = {flight: f"arrays: flight {flight}" for flight in made}
-        return _assemble(declaration, made, None, "arrays", places, digest.hexdigest(), warnings)
+        return _assemble(declaration, made, facts, None, "arrays", places, digest.hexdigest(), warnings)
 
     def noise(self, channel: str) -> float:
         """Standard deviation of a sample of a channel or control: declared, else from the identify flights.
@@ -146,49 +155,70 @@ class Dataset:
         """File of a flight, for messages; words where the data set was made from arrays."""
         return find_flight(self.path, flight) if self.path is not None else f"arrays: flight {flight}"
 
+    def some(self, most: int) -> tuple[str, ...]:
+        """Identify flights, at most so many: one of each of as many parts of the list, always the same ones.
+
+        Which one of a part is left to chance, for lists that take axis after axis in turn.
+        """
+        if len(self.identify) <= most:
+            return self.identify
+        places = (np.arange(most) + np.random.default_rng(0).random(most)) * len(self.identify) / most
+        return tuple(self.identify[int(place)] for place in places)
+
     def require_rates(self) -> None:
         """Raise InputError where a flight lacks one of the body rates, which every step needs."""
-        for flight in self.flights.values():
+        for flight, facts in self.facts.items():
             for rate in names.RATES:
-                if not flight.has(rate):
-                    what = "is all NaN" if rate in flight.channels else "is missing"
-                    raise InputError(self.file(flight.name), rate, what, "body rates p q r in rad/s in every flight")
+                if not facts.has(rate):
+                    what = "is all NaN" if rate in facts.channels else "is missing"
+                    raise InputError(self.file(flight), rate, what, "body rates p q r in rad/s in every flight")
 
     @cached_property
     def _quiet(self) -> dict[str, int]:
+        return self._quiet_parts[0]
+
+    @cached_property
+    def _quiet_parts(self) -> tuple[dict[str, int], dict[str, tuple[float, int]]]:
+        """Quiet samples of every flight; sum and number of each channel's samples in those of the identify flights."""
         spread = {control: self._scales[control] for control in self.controls}
         noise = {control: self.noise(control) for control in self.controls}
-        return {name: quiet_samples(flight, noise, spread) for name, flight in self.flights.items()}
+        identify, samples = set(self.identify), dict[str, int]()
+        sums: dict[str, tuple[float, int]] = dict.fromkeys(self._measured(), (0.0, 0))
+        for name, flight in self.flights.items():
+            samples[name] = quiet_samples(flight, noise, spread)
+            for channel in sums if name in identify else ():
+                if channel in flight.channels:
+                    values = flight.channels[channel][: samples[name]]
+                    total, count = sums[channel]
+                    sums[channel] = total + float(values.nansum()), count + int((~values.isnan()).sum())
+        return samples, sums
 
     @cached_property
     def _reference(self) -> Mapping[str, float]:
-        return MappingProxyType({channel: self._quiet_mean(channel) for channel in self._measured()})
+        quiet = self._quiet_parts[1]
+        return MappingProxyType({c: total / n if n else self._mean(c) for c, (total, n) in quiet.items()})
 
-    def _quiet_mean(self, channel: str) -> float:
-        """Mean over the quiet parts; over the whole record of a channel that is missing in all of them."""
-        flights = [self.flights[name] for name in self.identify if self.flights[name].has(channel)]
-        quiet = torch.cat([flight.channels[channel][: self._quiet[flight.name]] for flight in flights]).nanmean()
-        every = torch.cat([flight.channels[channel] for flight in flights]).nanmean()
-        return float(every if quiet.isnan() else quiet)
+    def _mean(self, channel: str) -> float:
+        """Mean over the whole identify flights, for a channel that is missing in all their quiet parts."""
+        spreads = [facts.spreads[channel] for facts in self._identified() if facts.has(channel)]
+        return sum(s.mean() * s.count for s in spreads) / sum(s.count for s in spreads)
 
     @cached_property
     def _scales(self) -> Mapping[str, float]:
         return MappingProxyType({channel: self._scale(channel) for channel in self._measured()})
 
     def _scale(self, channel: str) -> float:
-        squares = []
-        for flight in (self.flights[name] for name in self.identify):
-            if flight.has(channel):
-                values = flight.channels[channel]
-                start = values[flight.lead()].nanmean()
-                start = start if not start.isnan() else values[~values.isnan()][0]
-                squares.append((values - start).square())
-        return math.sqrt(float(torch.cat(squares).nanmean()))
+        spreads = [facts.spreads[channel] for facts in self._identified() if facts.has(channel)]
+        return math.sqrt(sum(s.squares for s in spreads) / sum(s.count for s in spreads))
+
+    def _identified(self) -> Iterator[Facts]:
+        """Facts of the identify flights."""
+        return (self.facts[name] for name in self.identify)
 
     def _measured(self) -> tuple[str, ...]:
         """Channels besides time that any identify flight has, in order of appearance."""
-        found = {c: None for name in self.identify for c in self.flights[name].channels if self.flights[name].has(c)}
-        return tuple(c for c in found if c != "time")
+        found = {channel: None for facts in self._identified() for channel in facts.spreads}
+        return tuple(channel for channel in found if channel != "time")
 
     @cached_property
     def _estimates(self) -> dict[str, float]:
@@ -196,14 +226,14 @@ class Dataset:
 
     def _estimated_noise(self, channel: str) -> float:
         if channel not in self._estimates:
-            records = [
-                self.flights[name].channels[channel].numpy()
-                for name in self.identify
-                if self.flights[name].has(channel)
-            ]
-            estimate, least = white_noise(records), NOISE_FLOOR * self._scales.get(channel, 0.0)
+            estimate, least = white_noise(self.records(channel)), NOISE_FLOOR * self._scales.get(channel, 0.0)
             self._estimates[channel] = max(estimate if math.isfinite(estimate) else 0.0, least, 1e-12)
         return self._estimates[channel]
+
+    def records(self, channel: str) -> list[np.ndarray]:
+        """A channel's records (T,) in the identify flights that have it, a hundred at most: enough for a spectrum."""
+        there = [name for name in self.some(ENOUGH) if self.facts[name].has(channel)]
+        return [self.flights[name].channels[channel].numpy() for name in there]
 
 
 def load(path: str | Path) -> Dataset:
@@ -223,15 +253,33 @@ def load(path: str | Path) -> Dataset:
     toml = folder / "dataset.toml"
     declaration, content = read_declaration(toml)
     digest = hashlib.sha256(content)
-    made, places, warnings = {}, {}, []
+    digests: dict[str, bytes] = {}
+    flights = OnDemand(declaration.flights.all(), lambda name: _again(name, places[name], digests[name]))
+    places, facts, warnings = {}, {}, []
     for name in declaration.flights.all():
         file = find_flight(folder, name)
         data = _bytes(file)
         digest.update(data)
-        made[name], told = make_flight(name, parse_flight(file, data), file)
-        places[name] = file
+        digests[name] = hashlib.sha256(data).digest()
+        flight, told = make_flight(name, parse_flight(file, data), file)
+        facts[name], places[name] = _facts(flight, file), file
+        flights.keep(name, flight)
         warnings += told
-    return _assemble(declaration, made, folder, toml, places, digest.hexdigest(), warnings)
+    return _assemble(declaration, flights, facts, folder, toml, places, digest.hexdigest(), warnings)
+
+
+def _again(name: str, file: Path, digest: bytes) -> Flight:
+    """Read a flight once more; InputError where its file is no longer what it was."""
+    data = _bytes(file)
+    if hashlib.sha256(data).digest() != digest:
+        raise InputError(file, "", "has changed since the data set was loaded", "a file that stays until the run ends")
+    return make_flight(name, parse_flight(file, data), file)[0]
+
+
+def _facts(flight: Flight, file: str | Path) -> Facts:
+    """What later steps want to know without the samples, where these make sense."""
+    suspicion.refuse_degrees_of_attitude(flight, file)
+    return Facts.of(flight)
 
 
 def _bytes(file: Path) -> bytes:
@@ -251,7 +299,8 @@ def _plain(table: Any) -> Any:
 
 def _assemble(
     declaration: Declaration,
-    flights: dict[str, Flight],
+    flights: Mapping[str, Flight],
+    facts: Mapping[str, Facts],
     folder: Path | None,
     toml: str | Path,
     places: Mapping[str, str | Path],
@@ -259,7 +308,7 @@ def _assemble(
     warnings: list[str],
 ) -> Dataset:
     """Checks that need declaration and flights together, then the Dataset."""
-    controls, told = _controls(declaration, flights, places)
+    controls, told = _controls(declaration, facts, places)
     specs = {
         name: declaration.controls.get(name) or ControlSpec(unit="norm" if names.is_motor(name) else "rad")
         for name in controls
@@ -270,9 +319,9 @@ def _assemble(
         raise InputError(
             toml, "vehicle.motors", f"declares {len(motors)} motors", f"{len(commands)}, one per motor command"
         )
-    for name, flight in flights.items():
-        suspicion.refuse_degrees(flight, specs, places[name])
-    present = {channel for flight in flights.values() for channel in flight.channels}
+    for name, known in facts.items():
+        suspicion.refuse_degrees_of_controls(known, specs, places[name])
+    present = {channel for known in facts.values() for channel in known.channels}
     for channel in declaration.channels:
         if names.channel(channel) is None and channel not in present:
             hint = names.nearest(channel, names.CHANNELS)
@@ -290,6 +339,7 @@ def _assemble(
         control_specs=MappingProxyType(specs),
         channel_specs=MappingProxyType(dict(declaration.channels)),
         flights=MappingProxyType(flights),
+        facts=MappingProxyType(facts),
         identify=declaration.flights.identify,
         validate=declaration.flights.validate,
         acid=declaration.flights.acid,
@@ -299,20 +349,20 @@ def _assemble(
 
 
 def _controls(
-    declaration: Declaration, flights: Mapping[str, Flight], places: Mapping[str, str | Path]
+    declaration: Declaration, facts: Mapping[str, Facts], places: Mapping[str, str | Path]
 ) -> tuple[tuple[str, ...], list[str]]:
     """Controls: the declared ones and those of the vehicle's kind that are recorded; every flight must have them."""
-    recorded = {channel for flight in flights.values() for channel in flight.channels if names.is_control(channel)}
+    recorded = {channel for known in facts.values() for channel in known.channels if names.is_control(channel)}
     motors = declaration.kind == "multirotor"
     own = {name for name in recorded if names.is_motor(name) == motors}
     chosen = names.ordered_controls(set(declaration.controls) | own or recorded)
     if not chosen:
         file = places[declaration.flights.identify[0]]
         raise InputError(file, "controls", "there is no control", "at least one of lon, lat, col, ped, motor1, ...")
-    for name, flight in flights.items():
+    for name, known in facts.items():
         for control in chosen:
-            if not flight.has(control):
-                what = "is all NaN" if control in flight.channels else "is missing"
+            if not known.has(control):
+                what = "is all NaN" if control in known.channels else "is missing"
                 raise InputError(places[name], control, what, "every control of the data set in every flight")
     undeclared = [name for name in chosen if name not in declaration.controls]
     told = [

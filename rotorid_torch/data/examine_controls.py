@@ -59,7 +59,7 @@ def _limits(dataset: Dataset, every: Sequence[Excitation]) -> Iterator[Finding]:
 
 def trim(dataset: Dataset) -> Iterator[Finding]:
     """Whether the identify flights begin quietly enough to know the trim."""
-    moving = [name for name in dataset.identify if dataset.quiet(name) * dataset.flights[name].dt < 0.8]
+    moving = [name for name in dataset.identify if dataset.quiet(name) * dataset.facts[name].dt < 0.8]
     if not moving:
         yield finding("good", "", "every identify flight begins with a quiet second: the trim is well known.")
         return

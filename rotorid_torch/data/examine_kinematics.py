@@ -22,7 +22,7 @@ BIAS = {"rad/s": 0.004, "m/s²": 0.15, "m/s": 0.15}
 
 def kinematics(dataset: Dataset) -> Iterator[Finding]:
     """Attitude against rates, velocity against specific force, position against velocity."""
-    flights = list(dataset.flights.values())
+    flights = dataset.flights.values()
     lags: dict[str, list[Agreement]] = {}
     for left, right, pairs in GROUPS:
         results = [a for pair in pairs(dataset) if (a := agreement(pair, flights)) is not None]
@@ -91,7 +91,7 @@ def _scale_and_bias(a: Agreement, dataset: Dataset) -> Iterator[Finding]:
 
 def sticks(dataset: Dataset) -> Iterator[Finding]:
     """Sticks that are stamped after the rates that they command, and delays that differ between flights."""
-    flights = list(dataset.flights.values())
+    flights = dataset.flights.values()
     for pair in consistency.stick_pairs(dataset):
         a = agreement(pair, flights)
         if a is None or a.r2 < 0.6:

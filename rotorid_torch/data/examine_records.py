@@ -21,7 +21,7 @@ def reading(dataset: Dataset) -> Iterator[Finding]:
             yield finding("note", "time", f"{sentence}.", advice, flight=flight)
         else:
             yield finding("note", "", f"{sentence}.")
-    rates = sorted({round(1.0 / flight.dt, 2) for flight in dataset.flights.values()})
+    rates = sorted({round(1.0 / facts.dt, 2) for facts in dataset.facts.values()})
     if rates[-1] > 1.05 * rates[0]:
         yield finding("note", "time", f"flights are sampled at {rates[0]:g} to {rates[-1]:g} Hz.")
 
@@ -66,16 +66,16 @@ def units(dataset: Dataset) -> Iterator[Finding]:
                 told = f"reaches {largest:.3g} {names.unit(channel)} ({guess})."
                 yield finding("warning", channel, told, "Check its unit and look for spikes.")
     for control in filter(names.is_motor, dataset.controls):
-        values = [flight.bridged([control]) for flight in dataset.flights.values()]
-        low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
+        spreads = [facts.spreads[control] for facts in dataset.facts.values()]
+        low, high = min(spread.low for spread in spreads), max(spread.high for spread in spreads)
         if low < -0.05 or high > 1.05:
             yield finding("error", control, f"runs from {low:.4g} to {high:.4g}. Scale the motor command to 0…1.")
 
 
 def _largest(dataset: Dataset, channel: str) -> Iterator[float]:
-    for flight in dataset.flights.values():
-        if flight.has(channel):
-            yield float(flight.channels[channel].nan_to_num(0.0).abs().max())
+    for facts in dataset.facts.values():
+        if facts.has(channel):
+            yield max(abs(facts.spreads[channel].low), abs(facts.spreads[channel].high))
 
 
 def gravity(dataset: Dataset) -> Iterator[Finding]:
@@ -105,13 +105,13 @@ def noise(dataset: Dataset) -> Iterator[Finding]:
     """Declared noise against the record's, estimates where none is declared, records that were filtered."""
     estimated, smooth = [], []
     for channel in (c for c in dataset.scales() if names.channel(c) is not None):
-        records = _identify_records(dataset, channel)
+        records = dataset.records(channel)
         floor, spec = white_noise(records), dataset.control_specs.get(channel) or dataset.channel_specs.get(channel)
         if spec is None or spec.noise is None:
             estimated.append(f"{channel} {dataset.noise(channel):.2g}")
             sensor = channel in (*names.RATES, *names.SPECIFIC_FORCES)
             if sensor and floor < 2e-3 * dataset.scales()[channel]:
-                dt = dataset.flights[dataset.identify[0]].dt
+                dt = dataset.facts[dataset.identify[0]].dt
                 smooth.append((channel, content_ends(*spectrum(records, dt))))
         elif spec.noise > 0.0 and not 0.6 < floor / spec.noise < 1.6 and np.isfinite(floor):
             told = f"declares noise of {spec.noise:.3g}, the record's white floor is {floor:.3g} {names.unit(channel)}."
@@ -129,10 +129,10 @@ def vibration(dataset: Dataset) -> Iterator[Finding]:
     """Lines of rotor vibration in rates and specific force."""
     rotor = dataset.vehicle.rotor
     for channel in (*names.RATES, *names.SPECIFIC_FORCES):
-        records = _identify_records(dataset, channel)
+        records = dataset.records(channel)
         if not records:
             continue
-        strongest = lines(*spectrum(records, dataset.flights[dataset.identify[0]].dt))
+        strongest = lines(*spectrum(records, dataset.facts[dataset.identify[0]].dt))
         shown = [line for line in strongest if line.share > 0.03 and line.rms > 0.3 * dataset.noise(channel)]
         if not shown:
             continue
@@ -144,8 +144,3 @@ def vibration(dataset: Dataset) -> Iterator[Finding]:
         )
         advice = "Isolate the sensor, or declare the rotor's speed, so that this is not taken for motion."
         yield finding("warning" if shown[0].share > 0.2 else "note", channel, f"vibration at {told}.", advice)
-
-
-def _identify_records(dataset: Dataset, channel: str) -> list[np.ndarray]:
-    flights = (dataset.flights[name] for name in dataset.identify)
-    return [flight.channels[channel].numpy() for flight in flights if flight.has(channel)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,24 +35,45 @@ class Excitation:
 
 def excitation(dataset: Dataset, control: str) -> Excitation:
     """Figures of one control, see `Excitation`."""
-    flights = [dataset.flights[name] for name in dataset.identify]
-    noise, scale = dataset.noise(control), dataset.scales()[control]
+    flights = [dataset.facts[name] for name in dataset.identify]
     motion = [c for c in (*names.RATES, "phi", "theta") if all(f.has(c) for f in flights)]
     others = [c for c in dataset.controls if c != control]
-    width = max(1, round(0.1 / flights[0].dt))
-    values = {f.name: running_mean(f.bridged([control])[:, 0].numpy(), width) for f in flights}
-    trims = {f.name: values[f.name][f.lead()].mean() for f in flights}
-    swing = {name: np.sqrt(np.mean((v - trims[name]) ** 2)) for name, v in values.items()}
     limits = dataset.control_specs[control].limits
-    every = [f.bridged([control])[:, 0].numpy() for f in dataset.flights.values()]
+    every = [facts.spreads[control] for facts in dataset.facts.values()]
+    found = moves(dataset, [control])[control]
     return Excitation(
         control=control,
-        independent=independent_share(flights, control, [*others, *motion]),
-        moved=tuple(name for name, rms in swing.items() if rms > max(4.0 * noise / np.sqrt(width), 0.25 * scale)),
-        travel=float(max(np.abs(v - trims[name]).max() for name, v in values.items())),
-        at_limit=max(_share_at(v, limits) for v in every) if limits else 0.0,
-        outside=max(float(max(limits[0] - v.min(), v.max() - limits[1], 0.0)) for v in every) if limits else 0.0,
+        independent=independent_share((dataset.flights[n] for n in dataset.identify), control, [*others, *motion]),
+        moved=found.flights,
+        travel=found.travel,
+        at_limit=max(_share_at(f.bridged([control])[:, 0].numpy(), limits) for f in dataset.flights.values())
+        if limits
+        else 0.0,
+        outside=max(max(limits[0] - s.low, s.high - limits[1], 0.0) for s in every) if limits else 0.0,
     )
+
+
+@dataclass(frozen=True)
+class Moves:
+    """Identify flights in which a control moved beyond its noise, and its largest excursion from trim in any."""
+
+    flights: tuple[str, ...]
+    travel: float
+
+
+def moves(dataset: Dataset, controls: Sequence[str]) -> dict[str, Moves]:
+    """What these controls did in the identify flights."""
+    width = max(1, round(0.1 / dataset.facts[dataset.identify[0]].dt))
+    moved: dict[str, list[str]] = {control: [] for control in controls}
+    travel = dict.fromkeys(controls, 0.0)
+    for flight in (dataset.flights[name] for name in dataset.identify):
+        for control, values in zip(controls, flight.bridged(controls).numpy().T, strict=True):
+            smooth = running_mean(values, width)
+            away = smooth - smooth[flight.lead()].mean()
+            least = max(4.0 * dataset.noise(control) / np.sqrt(width), 0.25 * dataset.scales()[control])
+            moved[control] += [flight.name] if np.sqrt(np.mean(away**2)) > least else []
+            travel[control] = max(travel[control], float(np.abs(away).max()))
+    return {control: Moves(tuple(moved[control]), travel[control]) for control in controls}
 
 
 def _share_at(values: np.ndarray, limits: tuple[float, float]) -> float:
@@ -60,7 +81,7 @@ def _share_at(values: np.ndarray, limits: tuple[float, float]) -> float:
     return float(np.mean((values <= limits[0] + margin) | (values >= limits[1] - margin)))
 
 
-def independent_share(flights: Sequence[Flight], control: str, regressors: Sequence[str]) -> float:
+def independent_share(flights: Iterable[Flight], control: str, regressors: Sequence[str]) -> float:
     """Share of a control's variance in the band that real multiples of the regressors leave, pooled over flights; 0…1.
 
     Source: Tischler and Remple, Aircraft and Rotorcraft System Identification, 2nd ed., ch. 9 (correlated inputs).

@@ -9,7 +9,9 @@ import numpy as np
 import torch
 
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.facts import Facts
 from rotorid_torch.data.flight import Flight
+from rotorid_torch.data.on_demand import OnDemand
 
 SAME = 5e-4
 """Relative difference of two sample intervals up to which they are one."""
@@ -21,16 +23,18 @@ def at_one_rate(dataset: Dataset) -> Dataset:
     Faster flights are averaged over one interval of the slow grid and interpolated linearly, all channels alike, so
     that what relates them stays; a sentence in `warnings` says so.
     """
-    intervals = [flight.dt for flight in dataset.flights.values()]
+    intervals = [facts.dt for facts in dataset.facts.values()]
     slow = max(intervals)
     if slow - min(intervals) <= SAME * slow:
         return dataset
-    flights = {name: _slowed(flight, slow) for name, flight in dataset.flights.items()}
+    flights = OnDemand(dataset.flights, lambda name: _slowed(dataset.flights[name], slow))
+    facts = {name: Facts.of(flight) for name, flight in flights.items()}
     told = (
         f"flights are recorded at {1.0 / slow:.4g} to {1.0 / min(intervals):.4g} Hz: the three steps see all of them at"
         f" {1.0 / slow:.4g} Hz, free runs are judged as recorded; record at one rate if fast dynamics matter"
     )
-    return replace(dataset, flights=MappingProxyType(flights), warnings=(*dataset.warnings, told))
+    warnings = (*dataset.warnings, told)
+    return replace(dataset, flights=MappingProxyType(flights), facts=MappingProxyType(facts), warnings=warnings)
 
 
 def _slowed(flight: Flight, dt: float) -> Flight:

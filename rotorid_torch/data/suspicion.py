@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rotorid_torch.data.facts import Facts
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.schema import ControlSpec
 from rotorid_torch.errors import InputError
@@ -15,15 +16,17 @@ from rotorid_torch.errors import InputError
 PAIRS = (("phi", "p"), ("theta", "q"), ("psi", "r"))
 
 
-def refuse_degrees(flight: Flight, controls: Mapping[str, ControlSpec], file: str | Path) -> None:
-    """Raise InputError where degrees stand for radians.
-
-    A blade angle above pi/2, or an attitude that moves about 57 times as much as its rate says, or a 57th of it.
-    """
+def refuse_degrees_of_controls(facts: Facts, controls: Mapping[str, ControlSpec], file: str | Path) -> None:
+    """Raise InputError where a blade angle is above pi/2."""
     for control, spec in controls.items():
-        largest = float(flight.channels[control].abs().nan_to_num(0.0).max())
+        spread = facts.spreads[control]
+        largest = max(abs(spread.low), abs(spread.high))
         if spec.unit == "rad" and largest > math.pi / 2:
             raise InputError(file, control, f"reaches {largest:.4g} (degrees?)", "a blade angle in rad, at most 1.571")
+
+
+def refuse_degrees_of_attitude(flight: Flight, file: str | Path) -> None:
+    """Raise InputError where an attitude moves about 57 times as much as its rate says, or a 57th of it."""
     for angle, rate in PAIRS:
         if not flight.has(angle, rate):
             continue

@@ -260,7 +260,7 @@ def _refuse_unfit(dataset: Dataset) -> None:
         file = dataset.file(dataset.identify[0])
         raise InputError(file, dataset.controls[0], "no control moves in any identify flight", "a test input on one")
     for name in dataset.identify:
-        seconds = float(dataset.flights[name].time[-1])
+        seconds = dataset.facts[name].seconds
         if seconds < SHORTEST_S:
             wanted = f"at least {SHORTEST_S:g} s in a flight of the identify list"
             raise InputError(dataset.file(name), "time", f"the flight lasts {seconds:.3g} s", wanted)

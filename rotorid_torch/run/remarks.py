@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.examine_records import condensed
-from rotorid_torch.data.excitation import excitation
+from rotorid_torch.data.excitation import moves
 from rotorid_torch.identification.step2 import Step2
 from rotorid_torch.identification.step3 import Step3
 from rotorid_torch.run.records import FitRecord
@@ -42,7 +42,7 @@ def of_reading(dataset: Dataset) -> Iterator[str]:
 
 def of_controls(dataset: Dataset, own_share: Mapping[str, float]) -> Iterator[str]:
     """Controls that the identify flights leave alone, and those that mostly follow the states."""
-    still = [control for control in dataset.controls if not excitation(dataset, control).moved]
+    still = [control for control, found in moves(dataset, dataset.controls).items() if not found.flights]
     if still:
         yield (
             f"{listed(still)} hardly moves in any identify flight: what it does stays unknown; fly a doublet or a"

@@ -1,0 +1,73 @@
+"""What is known of a flight without its samples: taken once, when it is read, so that it need not stay in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorid_torch.data.flight import Flight
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """One channel of one flight: its mean over the first 0.5 s, and what it does about that.
+
+    start : that mean; the first sample there is, where all of these are missing. count : samples that are there.
+    total, squares : sums of (sample - start) and of its square. low, high : least and largest sample.
+    """
+
+    start: float
+    count: int
+    total: float
+    squares: float
+    low: float
+    high: float
+
+    def mean(self) -> float:
+        """Mean over the record."""
+        return self.start + self.total / self.count
+
+    def squares_about(self, level: float) -> float:
+        """Sum of (sample - level)²."""
+        away = self.start - level
+        return self.squares + 2.0 * away * self.total + self.count * away**2
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Sample interval in s, number of samples, all channels, and the spread of those with any sample."""
+
+    dt: float
+    samples: int
+    channels: tuple[str, ...]
+    spreads: Mapping[str, Spread]
+
+    @classmethod
+    def of(cls, flight: Flight) -> Facts:
+        """Take them from a flight."""
+        lead = flight.lead()
+        spreads = {name: _spread(values.numpy(), lead) for name, values in flight.channels.items()}
+        known = {name: spread for name, spread in spreads.items() if spread is not None}
+        return cls(flight.dt, flight.samples, tuple(flight.channels), known)
+
+    @property
+    def seconds(self) -> float:
+        """From the first sample to the last."""
+        return (self.samples - 1) * self.dt
+
+    def has(self, *names: str) -> bool:
+        """Whether every one of these channels is there and not all NaN."""
+        return all(name in self.spreads for name in names)
+
+
+def _spread(values: np.ndarray, lead: slice) -> Spread | None:
+    there = values[~np.isnan(values)]
+    if not len(there):
+        return None
+    first = values[lead]
+    first = first[~np.isnan(first)]
+    start = float(first.mean()) if len(first) else float(there[0])
+    away = there - start
+    return Spread(start, len(there), float(away.sum()), float(away @ away), float(there.min()), float(there.max()))

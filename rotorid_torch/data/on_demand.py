@@ -1,0 +1,104 @@
+"""Items by name that are made when they are asked for: a thousand flights in the memory of a few dozen."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import weakref
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.errors import InputError
+
+Item = TypeVar("Item")
+
+BUDGET = 64 * 2**20
+"""Bytes of items that stay in memory; a few dozen flights of a quarter of a minute."""
+
+
+class OnDemand(Mapping[str, Item], Generic[Item]):
+    """Items by name, each made when first asked for; those used last stay in memory.
+
+    What leaves the memory is made again when it is wanted again, or, where that is costly, read from a temporary folder
+    that lives as long as this mapping. What fits into the budget is made once and stays.
+
+    Parameters
+    ----------
+    names : of the items, in order.
+    make : gives the item of a name.
+    costly : write what leaves the memory to disk. Items are then dataclasses of tensors, numbers, text and dicts.
+    budget : bytes in memory, `BUDGET` by default; the item used last stays whatever its size.
+    """
+
+    def __init__(
+        self, names: Iterable[str], make: Callable[[str], Item], *, costly: bool = False, budget: int | None = None
+    ) -> None:
+        self._names = tuple(names)
+        self._places = {name: i for i, name in enumerate(self._names)}
+        self._make, self._costly = make, costly
+        self._budget = BUDGET if budget is None else budget
+        self._memory: dict[str, tuple[Item, int]] = {}  # used last stands last
+        self._bytes = 0
+        self._folder: Path | None = None
+        self._written: dict[str, type[Item]] = {}
+
+    def __getitem__(self, name: str) -> Item:
+        if name not in self._places:
+            raise KeyError(name)
+        if name in self._memory:
+            self._memory[name] = self._memory.pop(name)
+            return self._memory[name][0]
+        item = self._read(name) if name in self._written else self._make(name)
+        self.keep(name, item)
+        return item
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._places
+
+    def keep(self, name: str, item: Item) -> None:
+        """Take an item that is already made."""
+        size = _bytes(item)
+        self._memory[name] = item, size
+        self._bytes += size
+        while self._bytes > self._budget and len(self._memory) > 1:
+            oldest = next(iter(self._memory))
+            gone, size = self._memory.pop(oldest)
+            self._bytes -= size
+            if self._costly and oldest not in self._written:
+                self._write(oldest, gone)
+
+    def _write(self, name: str, item: Item) -> None:
+        if self._folder is None:
+            self._folder = Path(tempfile.mkdtemp(prefix="rotorid-"))
+            weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
+        try:
+            torch.save(vars(item), self._file(name))
+        except (OSError, RuntimeError) as error:
+            wanted = "space for what is kept of the flights; TMPDIR names another folder"
+            raise InputError(self._folder, "", f"cannot be written to ({error})", wanted) from None
+        self._written[name] = type(item)
+
+    def _read(self, name: str) -> Item:
+        return self._written[name](**torch.load(self._file(name), weights_only=True))
+
+    def _file(self, name: str) -> Path:
+        assert self._folder is not None
+        return self._folder / f"{self._places[name]}.pt"
+
+
+def _bytes(item: Any) -> int:
+    if isinstance(item, Tensor):
+        return item.nbytes
+    if isinstance(item, Mapping):
+        return sum(map(_bytes, item.values()))
+    return sum(map(_bytes, vars(item).values())) if hasattr(item, "__dict__") else 0
