@@ -1,0 +1,1 @@
+"""Parts of `scripts/bench.py`: rows and bars, clocks, and what is measured."""

@@ -1,0 +1,108 @@
+"""Clocks: several programs in turn, whole processes, and where the time of one of them went."""
+
+from __future__ import annotations
+
+import cProfile
+import io
+import os
+import pstats
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from statistics import median
+from typing import Any
+
+from rotorid_torch.core.native import dynamics, filtering
+
+LINES = 12
+"""Lines of a profile that are shown."""
+
+
+class Failed(Exception):
+    """A process that was to be timed failed."""
+
+
+def interleaved(programs: Mapping[str, Callable[[], Any]], repeats: int, budget: float = 90.0) -> dict[str, float]:
+    """Medians, s, of programs that run in turn, so that what else the machine does hits all alike.
+
+    Each has been called before. After `budget` seconds no further round begins.
+    """
+    seconds: dict[str, list[float]] = {name: [] for name in programs}
+    end = time.perf_counter() + budget
+    for k in range(repeats):
+        if k and time.perf_counter() > end:
+            break
+        for name, program in programs.items():
+            begin = time.perf_counter()
+            program()
+            seconds[name].append(time.perf_counter() - begin)
+    return {name: median(values) for name, values in seconds.items()}
+
+
+def process(*arguments: str, **environment: str) -> tuple[float, str]:
+    """Wall time, s, and output of a fresh Python with these arguments.
+
+    Raises
+    ------
+    Failed : with the last line that it said.
+    """
+    env = {**os.environ, "OMP_NUM_THREADS": "1", **environment}
+    begin = time.perf_counter()
+    done = subprocess.run([sys.executable, *arguments], env=env, capture_output=True, text=True, check=False)
+    spent = time.perf_counter() - begin
+    if done.returncode:
+        raise Failed(done.stderr.strip().splitlines()[-1] if done.stderr.strip() else f"exit code {done.returncode}")
+    return spent, done.stdout
+
+
+class _Timed:
+    """A library whose functions add up the time spent in them."""
+
+    def __init__(self, library: Any, seconds: Counter[str]) -> None:
+        self._library, self._seconds = library, seconds
+
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        function = getattr(self._library, name)
+
+        def call(*arguments: Any) -> Any:
+            begin = time.perf_counter()
+            try:
+                return function(*arguments)
+            finally:
+                self._seconds[name] += time.perf_counter() - begin
+
+        return call
+
+
+@contextmanager
+def native_seconds() -> Iterator[Counter[str]]:
+    """Seconds spent in each loop of native code while the block runs."""
+    seconds: Counter[str] = Counter()
+    libraries = {module: module.library for module in (dynamics, filtering)}
+    for module, library in libraries.items():
+        module.library = lambda source, library=library: _Timed(library(source), seconds)  # pyright: ignore
+    try:
+        yield seconds
+    finally:
+        for module, library in libraries.items():
+            module.library = library
+
+
+def profile(title: str, program: Callable[[], Any]) -> str:
+    """Where the time of one call goes: loops of native code, and the Python functions that take most themselves."""
+    with native_seconds() as loops:
+        begin = time.perf_counter()
+        program()
+        whole = time.perf_counter() - begin
+    recorder = cProfile.Profile()
+    recorder.runcall(program)
+    said = io.StringIO()
+    pstats.Stats(recorder, stream=said).strip_dirs().sort_stats("tottime").print_stats(LINES)
+    lines = [line for line in said.getvalue().splitlines() if line.strip()]
+    first = next(i for i, line in enumerate(lines) if "ncalls" in line)
+    native = "".join(f"\n  native {name}: {s:.4f} s, {s / whole:.0%}" for name, s in loops.most_common())
+    rest = f"\n  all else: {whole - sum(loops.values()):.4f} s"
+    return f"{title}: {whole:.4f} s{native}{rest}\n" + "\n".join(lines[first:])

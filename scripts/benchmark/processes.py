@@ -1,0 +1,143 @@
+"""Whole processes: imports, commands, and how time and memory grow with the number of flights."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from benchmark.clock import interleaved, process, profile
+from benchmark.rows import Figure, NotMeasured
+from benchmark.setting import Measured, Setting
+from rotorid_torch.data.dataset import Dataset, load
+from rotorid_torch.data.write import write_dataset
+from rotorid_torch.run import pipeline
+
+FEW = 10
+"""Flights that larger sets are held against."""
+FRESH = {
+    "import": ("-c", "import rotorid_torch"),
+    "import-identify": ("-c", "from rotorid_torch import identify"),
+    "help": ("-m", "rotorid_torch", "--help"),
+}
+"""Arguments of a fresh Python."""
+ASKS_FOR_HELP = """
+import sys
+from rotorid_torch.cli import main
+try:
+    main(["--help"])
+finally:
+    print("torch" in sys.modules, file=sys.stderr)
+"""
+
+
+def imports(setting: Setting) -> Measured:
+    """Seconds until the package, what it takes to identify, and the list of commands are there."""
+    found: Measured = {}
+    fresh = {name: partial(process, *arguments) for name, arguments in FRESH.items() if name in setting.wanted}
+    if "import-identify" in fresh:
+        fresh["torch"] = partial(process, "-c", "import torch")
+    for program in fresh.values():
+        program()  # the first time is the disk's
+    seconds = interleaved(fresh, min(setting.repeats, 5))
+    for name in setting.wanted & FRESH.keys():
+        found[name] = Figure(seconds[name], "s")
+    if "import-identify" in fresh:
+        whole, torch = seconds["import-identify"], seconds["torch"]
+        found["import-identify"] = Figure(whole, "s", f"import torch, {torch:.3g} s", whole / torch)
+    if "help-torch" in setting.wanted:
+        said = subprocess.run([sys.executable, "-c", ASKS_FOR_HELP], capture_output=True, text=True, check=False)
+        found["help-torch"] = Figure(float(said.stderr.strip().endswith("True")), "times")
+    return found
+
+
+def identify(setting: Setting) -> Measured:
+    """The command on the data set in a fresh process: nothing built before, and again with what it built."""
+    data, runs = setting.dataset(), setting.folder / "runs"
+    cache = {"ROTORID_CACHE": str(setting.folder / "cache")}
+    found: Measured = {}
+    runs.mkdir(exist_ok=True)
+    for name in ("identify-first", "identify-warm"):
+        run = runs / name
+        seconds, _ = process("-m", "rotorid_torch", "identify", str(data), "--out", str(run), "--quiet", **cache)
+        found[name] = Figure(seconds, "s")
+        if setting.profile:
+            stages = json.loads((run / "report.json").read_text())["time_s"]
+            told = ", ".join(f"{stage} {spent:.2f} s" for stage, spent in stages.items() if spent is not None)
+            setting.tell(f"{name}: {seconds:.2f} s, of which {told}")
+    if setting.profile:
+        dataset = load(data)
+        setting.tell(profile("identify, in one process", partial(pipeline.identify, dataset)))
+    return found
+
+
+def close_loop(setting: Setting) -> Measured:
+    """The command on the data set, floors cached by an earlier run."""
+    data, cache = setting.dataset(), {"ROTORID_CACHE": str(setting.folder / "cache")}
+    if "close-loop" not in process("-m", "rotorid_torch", "--help")[1]:
+        raise NotMeasured("rotorid has no close-loop yet")
+    command = ("-m", "rotorid_torch", "close-loop", str(data), "--quiet", "--out", str(setting.folder / "loop"))
+    process(*command, **cache)
+    return {"close-loop": Figure(process(*command, **cache)[0], "s")}
+
+
+def many_flights(setting: Setting, count: int) -> Measured:
+    """The command on 10 flights and on many: time per flight and peak memory."""
+    if count > 100 and not setting.full:
+        raise NotMeasured("takes long (--full)")
+    time, memory = f"flights-{count}-time", f"flights-{count}-memory"
+    few, many = (_identified(setting, n) for n in (FEW, count))
+    each = [seconds / n for (seconds, _), n in ((few, FEW), (many, count))]
+    return {
+        time: Figure(each[1], "s a flight", f"{FEW} flights, {each[0]:.3g} s a flight", each[1] / each[0]),
+        memory: Figure(many[1], "MB", f"{FEW} flights, {few[1]:.0f} MB", many[1] / few[1]),
+    }
+
+
+def _identified(setting: Setting, count: int) -> tuple[float, float]:
+    """Wall time, s, and peak memory, MB, of identifying so many flights; kept, so that 10 flights run once."""
+    run = setting.folder / "runs" / f"flights-{count}"
+    kept = run.with_suffix(".json")
+    run.parent.mkdir(exist_ok=True)
+    if not kept.exists():
+        data = repeated(load(setting.dataset()), count, setting.folder / f"flights-{count}")
+        seconds, _ = process("-m", "rotorid_torch", "identify", str(data), "--out", str(run), "--quiet")
+        peak = json.loads((run / "report.json").read_text())["peak_memory_mb"]
+        kept.write_text(json.dumps([seconds, peak]))
+    seconds, peak = json.loads(kept.read_text())
+    return seconds, peak
+
+
+def repeated(dataset: Dataset, count: int, folder: Path) -> Path:
+    """A data set of `count` flights to identify: those of another one again and again, each with fresh noise."""
+    rng = np.random.default_rng(0)
+
+    def arrays(name: str, noise: float) -> dict[str, np.ndarray]:
+        flight = dataset.flights[name]
+        made = {"time": flight.time.numpy()}
+        for channel in sorted(flight.channels.keys() - {"time"}):
+            more = noise * dataset.noise(channel) * rng.standard_normal(flight.samples)
+            made[channel] = flight.channels[channel].numpy() + more
+        return made
+
+    names = [dataset.identify[k % len(dataset.identify)] for k in range(count)]
+    flights = {f"{name}_{k}": arrays(name, 1.0) for k, name in enumerate(names)}
+    return write_dataset(
+        folder,
+        flights | {name: arrays(name, 0.0) for name in dataset.validate},
+        identify=tuple(flights),
+        validate=dataset.validate,
+        kind=dataset.kind,
+        vehicle=dataset.vehicle,
+        controls=dataset.control_specs,
+        channels=dataset.channel_specs,
+    )
+
+
+def ranks(setting: Setting) -> Measured:
+    """Two ranks against one, held against what two independent processes gain."""
+    raise NotMeasured("rotorid does not run on several ranks yet")
