@@ -27,19 +27,26 @@ def derivatives(graph: Graph, results: Sequence[int]) -> Derivatives:
 
 @dataclass(frozen=True)
 class Columns:
-    """Where each parameter's tangent lies.
+    """Where the tangents of each unknown lie in a row, in vectors of `width` lanes.
 
-    place : column of each parameter. loop, path : columns of the loop's and of the control path's parameters, each
-    filled up to whole vectors of `width` lanes. width : lanes.
+    parameters : column of each parameter. loop, path : columns of the loop's and of the control path's parameters, each
+    filled up to whole vectors. starts : initial states behind them. biases : columns of the biases. residual : its
+    column. total : of a row. The last three use lanes that the others leave free.
     """
 
-    place: tuple[int, ...]
+    parameters: tuple[int, ...]
     loop: int
     path: int
+    starts: int
+    biases: tuple[int, ...]
+    residual: int
+    total: int
     width: int
 
     @classmethod
-    def arranged(cls, rows: Sequence[Derivatives], count: int, path: Sequence[int], width: int) -> Columns:
+    def arranged(
+        cls, rows: Sequence[Derivatives], count: int, path: Sequence[int], starts: int, biases: int, width: int
+    ) -> Columns:
         """Parameters that reach the same results beside each other, so that few vectors reach each result."""
         reach: list[list[int]] = [[] for _ in range(count)]
         for k, row in enumerate(row for group in rows for row in group):
@@ -47,13 +54,16 @@ class Columns:
                 if name == SHARED:
                     reach[place].append(k)
         inside = sorted((p for p in range(count) if p not in path), key=lambda p: (reach[p], p))
-        loop = -(-len(inside) // width) * width
-        place = [0] * count
-        for column, p in enumerate(inside):
-            place[p] = column
-        for column, p in enumerate(path):
-            place[p] = loop + column
-        return cls(tuple(place), loop, -(-len(path) // width) * width, width)
+        loop, behind = (-(-n // width) * width for n in (len(inside), len(path)))
+        parameters = [0] * count
+        for first, group in ((0, inside), (loop, path)):
+            for column, p in enumerate(group):
+                parameters[p] = first + column
+        last = loop + behind + starts
+        free = [*range(len(inside), loop), *range(loop + len(path), loop + behind)]
+        free += range(last, last + biases + 1)
+        total = -(-max(last, free[biases] + 1) // width) * width
+        return cls(tuple(parameters), loop, behind, starts, tuple(free[:biases]), free[biases], total, width)
 
 
 class Tangent:
@@ -69,24 +79,23 @@ class Tangent:
         self.by_control = [self._terms(row, "u", "U") for row in rows]
         self.by_parameter = self._parameters(rows)
 
-    def _terms(self, row: dict[tuple[str, int], int], name: str, tangent: str) -> list[str]:
+    def _terms(self, row: dict[tuple[str, int], int], by: str, tangent: str) -> list[str]:
         terms = []
         for (kind, place), node in row.items():
-            if kind != name:
+            if kind != by:
                 continue
             if self.graph.value(node) == 1.0:
                 terms.append(f"{tangent}[{place}]")
-            elif self.constants.shared(node):
-                terms.append(f"{self.constants.name(node)} * {tangent}[{place}]")
             else:
-                terms.append(f"A[{self.stored.setdefault(node, len(self.stored))}] * {tangent}[{place}]")
+                name = self.constants.name(node) or f"A[{self.stored.setdefault(node, len(self.stored))}]"
+                terms.append(f"{name} * {tangent}[{place}]")
         return terms
 
     def _parameters(self, rows: Derivatives) -> dict[str, int]:
         """Derivatives by parameters, vector by vector of columns, in each the results that they reach."""
         width = self.columns.width
         entries = [
-            (self.columns.place[place], i, node)
+            (self.columns.parameters[place], i, node)
             for i, row in enumerate(rows)
             for (kind, place), node in row.items()
             if kind == SHARED
@@ -109,7 +118,7 @@ class Tangent:
             f"static const int {upper}_FIRST[] = {{{', '.join(map(str, first))}}};\n"
             f"static const int {upper}_INTO[] = {{{', '.join(str(i) for _, i in self.pairs) or '0'}}};\n"
             f"static void {self.name}_linear(const double* x, const double* u, const double* c, double* out, "
-            f"double* A, double* K) {{\n{straight_line(self.graph, assignments, self.constants, 'double')}\n}}\n"
+            f"double* A, double* K) {{\n{straight_line(self.graph, assignments, self.constants.name, 'double')}\n}}\n"
             + self._map("by_state", "D", self.by_state)
             + self._map("by_control", "U", self.by_control)
         )

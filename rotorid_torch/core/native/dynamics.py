@@ -28,7 +28,7 @@ def traced(graph: Graph, function: Function, x: Tensor, u: Tensor, theta: Tensor
 
 def evaluation(graph: Graph, name: str, results: Sequence[int], constants: Constants) -> str:
     """C++ of a function's values: name(x, u, c, out) for a double or a vector of them."""
-    body = straight_line(graph, {f"out[{i}]": node for i, node in enumerate(results)}, constants)
+    body = straight_line(graph, {f"out[{i}]": node for i, node in enumerate(results)}, constants.name)
     arguments = "const T* x, const T* u, const double* c, T* out"
     return f"template <class T> static inline void {name}({arguments}) {{\n{body}\n}}\n"
 
@@ -47,6 +47,8 @@ class Dynamics:
     nx, nu, ny, count : numbers of states, controls, outputs, parameters.
     path : parameters that the controls depend on (their derivatives come with the controls).
     biased : outputs with a constant of their own as further unknowns.
+    initial : whether initial states are unknowns.
+    classic : Runge's rule instead of the 3/8 rule.
     """
 
     graph: Graph
@@ -58,6 +60,8 @@ class Dynamics:
     count: int
     path: tuple[int, ...] = ()
     biased: tuple[int, ...] = ()
+    initial: bool = True
+    classic: bool = False
 
     @classmethod
     def of(
@@ -69,6 +73,8 @@ class Dynamics:
         theta: Tensor,
         path: Sequence[int] = (),
         biased: Sequence[int] = (),
+        initial: bool = True,
+        classic: bool = False,
     ) -> Dynamics:
         """Trace both functions at a point.
 
@@ -79,33 +85,40 @@ class Dynamics:
         graph = Graph()
         f, h = (traced(graph, function, x, u, theta) for function in (rates, outputs))
         n = len(x), len(u), len(h), len(theta)
-        return cls(graph, tuple(f), tuple(h), *n, tuple(path), tuple(biased))
+        return cls(graph, tuple(f), tuple(h), *n, tuple(path), tuple(biased), initial, classic)
 
     @cached_property
     def columns(self) -> Columns:
         """Where the tangents of the parameters lie."""
         rows = [derivatives(self.graph, results) for results in (self.rates, self.outputs)]
-        return Columns.arranged(rows, self.count, self.path, lanes())
+        starts = self.nx if self.initial else 0
+        return Columns.arranged(rows, self.count, self.path, starts, len(self.biased), lanes())
 
     @cached_property
-    def source(self) -> str:
-        """C++ for trajectories."""
-        constants = Constants(self.graph)
+    def simulation(self) -> tuple[str, Tensor]:
+        """C++ for trajectories, and the numbers in it."""
+        constants = Constants(self.graph, self.count)
         f = evaluation(self.graph, "rates", self.rates, constants)
         h = evaluation(self.graph, "outputs", self.outputs, constants)
         size = sizes(NX=self.nx, NU=self.nu, NY=self.ny)
-        return f'#include "lanes.h"\n{size}{constants.prepare()}{f}{h}#include "simulate.h"\n'
+        return f'{self._head}{size}{constants.prepare()}{f}{h}#include "simulate.h"\n', constants.numbers()
 
     @cached_property
-    def sensitivity_source(self) -> str:
-        """C++ for derivatives."""
-        constants, columns = Constants(self.graph), self.columns
+    def sensitivity(self) -> tuple[str, Tensor]:
+        """C++ for derivatives, and the numbers in it."""
+        constants, columns = Constants(self.graph, self.count), self.columns
         f = Tangent(self.graph, "rates", self.rates, columns, constants).text()
         h = Tangent(self.graph, "outputs", self.outputs, columns, constants).text()
-        size = sizes(NX=self.nx, NU=self.nu, NY=self.ny, LOOP=columns.loop, PATH=columns.path, NBIAS=len(self.biased))
-        biased = ", ".join(str(i) for i in (*self.biased, 0))
-        declared = f"static const int BIASED[] = {{{biased}}};\n"
-        return f'#include "lanes.h"\n{size}{declared}{constants.prepare()}{f}{h}#include "sensitivity.h"\n'
+        size = sizes(NX=self.nx, NU=self.nu, NY=self.ny, LOOP=columns.loop, PATH=columns.path, STARTS=columns.starts)
+        size += sizes(NBIAS=len(self.biased), RESIDUAL=columns.residual, WIDTH=columns.total)
+        biases = (("BIASED", self.biased), ("BIAS_COLUMN", columns.biases))
+        size += "".join(f"static const int {k}[] = {{{', '.join(map(str, (*v, 0)))}}};\n" for k, v in biases)
+        text = f'{self._head}{size}{constants.prepare()}{f}{h}#include "sensitivity.h"\n'
+        return text, constants.numbers()
+
+    @property
+    def _head(self) -> str:
+        return ("#define CLASSIC\n" if self.classic else "") + '#include "lanes.h"\n'
 
     def simulate(
         self, theta: Tensor, x0: Tensor, controls: Tensor, dt: float, limit: float = math.inf, threads: int = 1
@@ -114,10 +127,11 @@ class Dynamics:
 
         limit : states and rates beyond it are held there; infinite for none.
         """
-        x0, controls, theta = _ready(x0), _ready(controls), _ready(theta)
+        source, numbers = self.simulation
+        x0, controls, theta = _ready(x0), _ready(controls), _ready(torch.cat([theta, numbers]))
         count, samples = controls.shape[:2]
         states, outputs = (torch.empty(count, samples, n, dtype=torch.float64) for n in (self.nx, self.ny))
-        library(self.source).simulate(
+        library(source).simulate(
             count,
             samples,
             ctypes.c_double(dt),
@@ -130,9 +144,9 @@ class Dynamics:
     def normal_equations(self, problem: LinearProblem, threads: int = 1) -> tuple[Tensor, Tensor]:
         """Products of the whitened rows' columns [S, n, n] (upper part), and the last states by the first [S, nx, nx].
 
-        Columns: initial states (where `problem.initial`), biases, parameters, residual.
+        Columns: initial states where they are unknowns, biases, parameters, residual.
         """
-        order = self._order(problem.initial)
+        order = self._order()
         count, n = len(problem.x0), len(order)
         H = torch.zeros(count, n, n, dtype=torch.float64)
         passage = torch.empty(count, self.nx, self.nx, dtype=torch.float64)
@@ -141,35 +155,37 @@ class Dynamics:
 
     def whitened_rows(self, problem: LinearProblem, threads: int = 1) -> Tensor:
         """The whitened rows themselves [S, T ny, n], zero beyond a segment's end; columns as in `normal_equations`."""
-        order = self._order(problem.initial)
+        order = self._order()
         rows = torch.zeros(len(problem.x0), problem.samples * self.ny, len(order), dtype=torch.float64)
         self._call("whitened_rows", problem, order, (rows,), threads)
         return rows
 
-    def triangles(self, H: Tensor, first: int) -> tuple[Tensor, Tensor]:
+    def triangles(self, H: Tensor, first: int, weak: float) -> tuple[Tensor, Tensor]:
         """The first rows of the triangles of symmetric matrices [B, n, n] (upper part), and what is left of the rest.
 
-        A column that depends on those before it to rounding gets a weak diagonal and zeros: [B, first, n] and
-        [B, n - first, n - first].
+        A column that depends on those before it to rounding gets zeros, and on the diagonal `weak` times its length:
+        [B, first, n] and [B, n - first, n - first].
         """
         rest, top = H.clone(), torch.zeros(len(H), first, H.shape[-1], dtype=torch.float64)
-        library(self.sensitivity_source).triangles(len(H), H.shape[-1], first, _address(rest), _address(top))
+        library(self.sensitivity[0]).triangles(
+            len(H), H.shape[-1], first, ctypes.c_double(weak), _address(rest), _address(top)
+        )
         return top, rest[:, first:, first:]
 
-    def _order(self, initial: bool) -> Tensor:
+    def _order(self) -> Tensor:
         columns = self.columns
         first_x0 = columns.loop + columns.path
-        states = range(first_x0, first_x0 + self.nx if initial else first_x0)
-        bias = first_x0 + self.nx
-        residual = bias + len(self.biased)
-        return torch.tensor([*states, *range(bias, residual), *columns.place, residual], dtype=torch.int32)
+        starts = range(first_x0, first_x0 + columns.starts)
+        return torch.tensor([*starts, *columns.biases, *columns.parameters, columns.residual], dtype=torch.int32)
 
     def _call(
         self, name: str, problem: LinearProblem, order: Tensor, results: tuple[Tensor, ...], threads: int
     ) -> None:
-        given = (problem.length, problem.controls, self._path(problem), problem.residual, problem.x0, problem.theta)
+        source, numbers = self.sensitivity
+        theta = _ready(torch.cat([problem.theta, numbers]))
+        given = (problem.length, problem.controls, self._path(problem), problem.residual, problem.x0, theta)
         whitening = (problem.weight, problem.pattern, problem.table)
-        getattr(library(self.sensitivity_source), name)(
+        getattr(library(source), name)(
             len(problem.x0),
             problem.samples,
             ctypes.c_double(problem.dt),
@@ -192,7 +208,6 @@ class LinearProblem:
     controls [S, T, nu]; path [S, T, nu, n] derivatives of the controls by the control path's parameters; residual
     [S, T, ny], NaN = missing; x0 [S, nx]; length [S] samples (int32); theta [P]; weight [ny] one over the standard
     deviations, or a table [patterns, ny, ny] of lower triangular whitening matrices with pattern [S, T] (int32).
-    initial : whether initial states are unknowns.
     """
 
     dt: float
@@ -205,7 +220,6 @@ class LinearProblem:
     weight: Tensor
     pattern: Tensor | None = None
     table: Tensor | None = None
-    initial: bool = True
 
     @property
     def samples(self) -> int:

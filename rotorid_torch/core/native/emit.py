@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+
+import torch
+from torch import Tensor
 
 from rotorid_torch.core.native.operations import COMPARISONS, OPERATIONS
 from rotorid_torch.core.native.symbols import Graph
@@ -12,12 +15,20 @@ SHARED = "th"
 """Name of the input that is the same in all lanes and at all times: the parameters."""
 
 
-class Constants:
-    """Expressions of the parameters alone; they are computed once, before the loop, as c[0], c[1], ..."""
+PLAIN = (0.0, 1.0, -1.0, 2.0, -2.0, 0.5, -0.5)
+"""Numbers that are written into the code; all others are data, so that models which differ in numbers share it."""
 
-    def __init__(self, graph: Graph) -> None:
-        self.graph = graph
-        self.places: dict[int, int] = {}
+
+class Constants:
+    """Expressions of parameters and numbers alone; they are computed once, before the loop, as c[0], c[1], ...
+
+    The loop is handed one vector th: `count` parameters, then the numbers of the model.
+    """
+
+    def __init__(self, graph: Graph, count: int) -> None:
+        self.graph, self.count = graph, count
+        self._places: dict[int, int] = {}
+        self._numbers: dict[int, int] = {}
         self._shared: dict[int, bool] = {}
 
     def shared(self, node: int) -> bool:
@@ -32,18 +43,31 @@ class Constants:
                 self._shared[node] = all(self.shared(a) for a in self.graph.arguments(node))
         return self._shared[node]
 
-    def name(self, node: int) -> str:
-        """What the loop calls such an expression."""
+    def name(self, node: int) -> str | None:
+        """What the loop calls such an expression; None for any other."""
+        if not self.shared(node):
+            return None
         value = self.graph.value(node)
-        if value is not None:
+        if value in PLAIN:
             return _number(value)
-        return f"c[{self.places.setdefault(node, len(self.places))}]"
+        return f"c[{self._places.setdefault(node, len(self._places))}]"
+
+    def _given(self, node: int) -> str | None:
+        """What a number is called before the loop."""
+        value = self.graph.value(node)
+        if value is None or value in PLAIN:
+            return None if value is None else _number(value)
+        return f"th[{self.count + self._numbers.setdefault(node, len(self._numbers))}]"
 
     def prepare(self) -> str:
-        """The function that fills c from th."""
-        body = straight_line(self.graph, {f"c[{k}]": node for node, k in self.places.items()}, None, "double")
-        count = max(len(self.places), 1)
+        """The function that fills c from th; asked for when the loop's functions are written."""
+        body = straight_line(self.graph, {f"c[{k}]": node for node, k in self._places.items()}, self._given, "double")
+        count = max(len(self._places), 1)
         return f"enum {{ NC = {count} }};\nstatic void prepare(const double* th, double* c) {{\n{body}\n}}\n"
+
+    def numbers(self) -> Tensor:
+        """The model's numbers, in order; complete after `prepare`."""
+        return torch.tensor([self.graph.value(node) for node in self._numbers], dtype=torch.float64)
 
 
 def _number(value: float) -> str:
@@ -54,24 +78,22 @@ def _number(value: float) -> str:
     return repr(value) if value >= 0 else f"({value!r})"
 
 
-def straight_line(graph: Graph, results: Mapping[str, int], constants: Constants | None, kind: str = "T") -> str:
+def straight_line(graph: Graph, results: Mapping[str, int], known: Callable[[int], str | None], kind: str = "T") -> str:
     """Assignments "result = expression;" of {result: node} and of all that they need, in order.
 
-    `constants` None: everything is computed here, for parameters too.
+    known : name of a node that is there already, None for one that is computed here. kind : type of what varies.
     """
     text: dict[int, str] = {}
     varies: dict[int, bool] = {}
     pairs: set[int] = set()
     code: list[str] = []
-    for node in _needed(graph, results, constants):
-        operation = graph.operation(node)
-        if constants is not None and constants.shared(node):
-            text[node], varies[node] = constants.name(node), False
+    for node in _needed(graph, results, known):
+        operation, name = graph.operation(node), known(node)
+        if name is not None:
+            text[node], varies[node] = name, False
             continue
         varies[node] = True
-        if operation == "constant":
-            text[node], varies[node] = _number(float(graph.nodes[node][1])), False
-        elif operation == "input":
+        if operation == "input":
             _, name, place = graph.nodes[node]
             text[node] = f"{name}[{place}]"
         elif operation in ("sin", "cos"):
@@ -89,14 +111,14 @@ def straight_line(graph: Graph, results: Mapping[str, int], constants: Constants
     return "\n".join(f"  {line}" for line in code)
 
 
-def _needed(graph: Graph, results: Mapping[str, int], constants: Constants | None) -> list[int]:
-    """Nodes that the results depend on, earlier ones first; what is shared is not looked into."""
+def _needed(graph: Graph, results: Mapping[str, int], known: Callable[[int], str | None]) -> list[int]:
+    """Nodes that the results depend on, earlier ones first; what is known is not looked into."""
     wanted, seen = list(results.values()), set()
     while wanted:
         node = wanted.pop()
         if node not in seen:
             seen.add(node)
-            if constants is None or not constants.shared(node):
+            if known(node) is None:
                 wanted.extend(graph.arguments(node))
     return sorted(seen)
 

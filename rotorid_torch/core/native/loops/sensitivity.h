@@ -1,17 +1,16 @@
 // Forward sensitivities of segments of flights, whitened rows and their normal equations, columns in SIMD lanes.
-// Needs rates_linear, RATES_FIRST, RATES_INTO, rates_by_state, rates_by_control, the same of outputs, prepare; columns of a row:
-// [parameters of the loop | of the control path | initial states | biases | residual], filled up to whole vectors.
+// Needs rates_linear, RATES_FIRST, RATES_INTO, rates_by_state, rates_by_control, the same of outputs, prepare.
+// A row has WIDTH columns: LOOP of the loop's parameters, PATH of the control path's, STARTS initial states; biases
+// (BIAS_COLUMN) and the residual (RESIDUAL) lie in lanes that those leave free, or behind them.
+#define LINEARISED
 #include "step.h"
 
 enum {
   FIRST_X0 = LOOP + PATH,
-  BIAS = FIRST_X0 + NX,
-  RESIDUAL = BIAS + NBIAS,
-  WIDTH = (RESIDUAL + W) / W * W,       // doubles of a row
   VECTORS = WIDTH / W,
-  MOVING = (BIAS + W - 1) / W,          // vectors that are integrated
+  MOVING = (FIRST_X0 + STARTS + W - 1) / W,  // vectors that are integrated
   PARAMETER_VECTORS = FIRST_X0 / W,
-  ROWS = NY * (64 / NY > 0 ? 64 / NY : 1)  // rows gathered before they are multiplied out
+  ROWS = NY * (64 / NY > 0 ? 64 / NY : 1)    // rows gathered before they are multiplied out
 };
 
 struct Problem {
@@ -58,7 +57,7 @@ struct Sensitivity {
   alignas(64) double S[NX][WIDTH] = {};
   alignas(64) double A[4][RATES_A], K[4][RATES_K] = {};
   alignas(64) double C[OUTPUTS_A], L[OUTPUTS_K] = {};
-  alignas(64) Row raw[NY], rows[ROWS];
+  alignas(64) Row raw[NY] = {}, rows[ROWS];
   vd path[4][NU + 1][PATH / W + 1];
   double x[NX];
 };
@@ -72,25 +71,18 @@ static inline bool on_path(int b) { return PATH && b >= LOOP / W && b < PARAMETE
 
 // One Runge-Kutta step of vector b of the tangents.
 static void tangent_step(int b, Sensitivity& s, const double* c, double dt) {
-  vd X[NX], D[NX], k[4][NX], U[NU + 1];
-  for (int i = 0; i < NX; i++) D[i] = X[i] = *(vd*)&s.S[i][W * b];
-  auto stage = [&](int g) {
-    rates_by_state(s.A[g], c, D, k[g]);
-    direct(b, RATES_FIRST, RATES_INTO, s.K[g], k[g]);
+  vd X[NX], out[NX], U[NU + 1];
+  for (int i = 0; i < NX; i++) X[i] = *(vd*)&s.S[i][W * b];
+  auto slope = [&](const vd* D, int g, vd* k) {
+    rates_by_state(s.A[g], c, D, k);
+    direct(b, RATES_FIRST, RATES_INTO, s.K[g], k);
     if (on_path(b)) {
       for (int j = 0; j < NU; j++) U[j] = s.path[g][j][b - LOOP / W];
-      rates_by_control(s.A[g], c, U, k[g]);
+      rates_by_control(s.A[g], c, U, k);
     }
   };
-  stage(0);
-  for (int i = 0; i < NX; i++) D[i] = X[i] + (dt / 3.0) * k[0][i];
-  stage(1);
-  for (int i = 0; i < NX; i++) D[i] = X[i] + dt * (k[1][i] - k[0][i] / 3.0);
-  stage(2);
-  for (int i = 0; i < NX; i++) D[i] = X[i] + dt * (k[0][i] - k[1][i] + k[2][i]);
-  stage(3);
-  for (int i = 0; i < NX; i++)
-    *(vd*)&s.S[i][W * b] = X[i] + (k[0][i] + 3.0 * (k[1][i] + k[2][i]) + k[3][i]) * (dt / 8.0);
+  runge_kutta(X, dt, slope, out);
+  for (int i = 0; i < NX; i++) *(vd*)&s.S[i][W * b] = out[i];
 }
 
 static void output_rows(int b, Sensitivity& s, const double* c) {
@@ -109,8 +101,7 @@ static void output_rows(int b, Sensitivity& s, const double* c) {
 static void whiten(const Problem& p, size_t sample, Sensitivity& s, Row* rows) {
   const double* r = p.residual + sample * NY;
   for (int i = 0; i < NY; i++) {
-    for (int j = BIAS; j < WIDTH; j++) s.raw[i][j] = 0.0;
-    for (int j = 0; j < NBIAS; j++) if (BIASED[j] == i) s.raw[i][BIAS + j] = 1.0;
+    for (int j = 0; j < NBIAS; j++) s.raw[i][BIAS_COLUMN[j]] = BIASED[j] == i ? 1.0 : 0.0;
     s.raw[i][RESIDUAL] = std::isnan(r[i]) ? 0.0 : r[i];
   }
   for (int i = 0; i < NY; i++) {
@@ -137,9 +128,9 @@ static void load_path(const Problem& p, size_t sample, bool last, Sensitivity& s
 // One segment: calls sink(rows, count) with whitened rows in order of time; ends with the tangents of its last sample.
 template <class Sink>
 static void segment(const Problem& p, int which, int length, Sensitivity& s, Sink sink) {
-  double out[NX + NY], z[NX], k[4][NX], u[NU + 1];
+  double out[NY], next[NX], u[NU + 1];
   memcpy(s.x, p.x0 + (size_t)which * NX, sizeof s.x);
-  for (int i = 0; i < NX; i++) s.S[i][FIRST_X0 + i] = 1.0;
+  for (int i = 0; i < STARTS; i++) s.S[i][FIRST_X0 + i] = 1.0;
   int gathered = 0;
   for (int t = 0; t < length; t++) {
     const size_t sample = (size_t)which * p.n + t;
@@ -152,30 +143,26 @@ static void segment(const Problem& p, int which, int length, Sensitivity& s, Sin
     gathered += NY;
     if (gathered == ROWS || last) { sink(s.rows, gathered); gathered = 0; }
     if (last) return;
-    for (int g = 0; g < 4; g++) {
-      for (int i = 0; i < NX; i++) {
-        double v = s.x[i];
-        for (int m = 0; m < g; m++) v += (p.dt * SLOPE[g][m]) * k[m][i];
-        z[i] = v;
-      }
-      for (int i = 0; i < NU; i++) u[i] = u0[i] + NODE[g] * (u1[i] - u0[i]);
-      rates_linear(z, u, p.c, k[g], s.A[g], s.K[g]);
-    }
-    for (int i = 0; i < NX; i++) s.x[i] += (k[0][i] + 3.0 * (k[1][i] + k[2][i]) + k[3][i]) * (p.dt / 8.0);
+    auto slope = [&](const double* z, int g, double* k) {
+      between(u0, u1, g, u);
+      rates_linear(z, u, p.c, k, s.A[g], s.K[g]);
+    };
+    runge_kutta(s.x, p.dt, slope, next);
+    memcpy(s.x, next, sizeof s.x);
     for (int b = 0; b < MOVING; b++) tangent_step(b, s, p.c, p.dt);
   }
 }
 
 // Rows of the triangle of the first `count` columns of a symmetric matrix H [n, n] (upper part), which becomes what is
-// left of it. A column that depends on earlier ones to rounding gets a weak diagonal and nothing else: it stays put.
-static void eliminate(int n, int count, double* H, double* triangle) {
-  const double SAME = 1e-13, WEAK = 1e-9;
+// left of it. A column that depends on earlier ones to rounding gets a weak diagonal and nothing else: what it stands for stays put.
+static void eliminate(int n, int count, double weak, double* H, double* triangle) {
+  const double SAME = 1e-13;
   for (int i = 0; i < count; i++) {
     double* row = H + (size_t)i * n;
     double* to = triangle + (size_t)i * n;
     const double whole = to[i];  // the column's squared length, as the caller has put it there
     const bool told = row[i] > SAME * whole && row[i] > 0.0;
-    const double pivot = told ? std::sqrt(row[i]) : WEAK * std::sqrt(whole > 0.0 ? whole : 0.0) + 1e-12;
+    const double pivot = told ? std::sqrt(row[i]) : weak * (std::sqrt(whole > 0.0 ? whole : 0.0) + 1e-3);
     for (int j = 0; j < n; j++) to[j] = j < i || !told ? 0.0 : row[j] / pivot;
     to[i] = pivot;
     if (!told) continue;
@@ -186,11 +173,11 @@ static void eliminate(int n, int count, double* H, double* triangle) {
   }
 }
 
-extern "C" void triangles(int count, int n, int first, double* H, double* out) {  // [count, n, n] -> [count, first, n]
+extern "C" void triangles(int count, int n, int first, double weak, double* H, double* out) {  // [count, n, n] -> [count, first, n]
   for (int s = 0; s < count; s++) {
     double *h = H + (size_t)s * n * n, *t = out + (size_t)s * first * n;
     for (int i = 0; i < first; i++) t[(size_t)i * n + i] = h[(size_t)i * n + i];
-    eliminate(n, first, h, t);
+    eliminate(n, first, weak, h, t);
   }
 }
 
@@ -220,7 +207,7 @@ extern "C" void normal_equations(int count, int n, double dt, const int* length,
       const int q = order[a] < order[b] ? order[a] : order[b], r = order[a] < order[b] ? order[b] : order[a];
       h[(size_t)a * columns + b] = room->upper[q][r];
     }
-    for (int a = 0; a < NX; a++) for (int b = 0; b < NX; b++)
+    for (int a = 0; a < STARTS; a++) for (int b = 0; b < STARTS; b++)
       passage[((size_t)i * NX + a) * NX + b] = room->s.S[a][FIRST_X0 + b];
   });
 }

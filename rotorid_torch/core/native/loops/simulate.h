@@ -9,19 +9,14 @@ static inline vd held(vd x, double limit) {
   return x < -limit ? lanes(-limit) : x;
 }
 static inline void held_step(const vd* x, const vd* u0, const vd* u1, double dt, const double* c, double limit, vd* out) {
-  vd k[4][NX], z[NX], u[NU + 1];
-  for (int g = 0; g < 4; g++) {
-    for (int i = 0; i < NX; i++) {
-      vd s = x[i];
-      for (int m = 0; m < g; m++) s += (dt * SLOPE[g][m]) * k[m][i];
-      z[i] = held(s, limit);
-    }
-    for (int i = 0; i < NU; i++) u[i] = u0[i] + NODE[g] * (u1[i] - u0[i]);
-    rates(z, u, c, k[g]);
-    for (int i = 0; i < NX; i++) k[g][i] = held(k[g][i], limit);
-  }
-  for (int i = 0; i < NX; i++)
-    out[i] = x[i] + (k[0][i] + 3.0 * (k[1][i] + k[2][i]) + k[3][i]) * (dt / 8.0);
+  vd u[NU + 1], inside[NX];
+  auto slope = [&](const vd* z, int g, vd* k) {
+    for (int i = 0; i < NX; i++) inside[i] = held(z[i], limit);
+    between(u0, u1, g, u);
+    rates(inside, u, c, k);
+    for (int i = 0; i < NX; i++) k[i] = held(k[i], limit);
+  };
+  runge_kutta(x, dt, slope, out);
 }
 
 // u [B, n, NU], x0 [B, NX] -> states [B, n, NX] and, where asked for, y [B, n, NY].
