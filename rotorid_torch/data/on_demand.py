@@ -29,13 +29,18 @@ class OnDemand(Mapping[str, Item], Generic[Item]):
     Parameters
     ----------
     names : of the items, in order.
-    make : gives the item of a name.
+    make : gives the item of a name; None where `keep` hands over all of them.
     costly : write what leaves the memory to disk. Items are then dataclasses of tensors, numbers, text and dicts.
     budget : bytes in memory, `BUDGET` by default; the item used last stays whatever its size.
     """
 
     def __init__(
-        self, names: Iterable[str], make: Callable[[str], Item], *, costly: bool = False, budget: int | None = None
+        self,
+        names: Iterable[str],
+        make: Callable[[str], Item] | None = None,
+        *,
+        costly: bool = False,
+        budget: int | None = None,
     ) -> None:
         self._names = tuple(names)
         self._places = {name: i for i, name in enumerate(self._names)}
@@ -47,12 +52,15 @@ class OnDemand(Mapping[str, Item], Generic[Item]):
         self._written: dict[str, type[Item]] = {}
 
     def __getitem__(self, name: str) -> Item:
-        if name not in self._places:
-            raise KeyError(name)
         if name in self._memory:
             self._memory[name] = self._memory.pop(name)
             return self._memory[name][0]
-        item = self._read(name) if name in self._written else self._make(name)
+        if name in self._written:
+            item = self._read(name)
+        elif self._make is not None and name in self._places:
+            item = self._make(name)
+        else:
+            raise KeyError(name)
         self.keep(name, item)
         return item
 

@@ -29,6 +29,8 @@ known (flight-test aircraft in hover): with 1 the truth lies within one standard
 Derived from the frequency at which the records' spectra sink into the noise, the share is too small where forces jump:
 the truth then leaves three standard deviations more often.
 """
+SEARCHED = 40
+"""Identify flights that powers and time constants are sought in, at most; more make them no more certain."""
 ADAPTIONS = 2
 ADAPTED = 0.1
 """Least factor by which the power is lowered where a flight is quieter than its controls."""
@@ -38,17 +40,31 @@ ADAPT_S = 0.35
 
 @dataclass(frozen=True, eq=False)
 class ForceNoise:
-    """X Y Z L M N per mass and inertia as Gauss-Markov processes, for all flights F and samples T of the longest.
+    """X Y Z L M N per mass and inertia as Gauss-Markov processes.
 
     tau : [6] s. sources : names of what makes process noise, "constant" first; theta : [6, sources] power by source
-    at its rms over the identify flights, unit squared per s. power : [T, F, 6] the sum, locally adapted.
-    trim, spread : [F, 6] mean and standard deviation about it. seen : [F, 6] whether a channel sees the axis.
-    variance_scale : [T, F, 6] factor on the variance of the smoothed force, from realised over expected process noise.
+    at its rms, unit squared per s. active : which of all sources these are; rms : [sources] of them.
+    variance : [6] of each about its trim. seen : [6] whether a channel of any flight sees the axis.
     """
 
     tau: Array
     sources: tuple[str, ...]
     theta: Array
+    active: Array
+    rms: Array
+    variance: Array
+    seen: Array
+
+
+@dataclass(frozen=True, eq=False)
+class LocalNoise:
+    """The same in a few flights F with T samples in the longest, adapted to what each of them did.
+
+    power : [T, F, 6] the sum of the sources, locally adapted. trim, spread : [F, 6] mean and standard deviation about
+    it. seen : [F, 6] whether a channel sees the axis. variance_scale : [T, F, 6] factor on the variance of the smoothed
+    force, from realised over expected process noise.
+    """
+
     power: Array
     trim: Array
     spread: Array
@@ -65,42 +81,69 @@ class _Record:
     noise: float
 
 
-def find_force_noise(dataset: Dataset, biases: Sequence[Mapping[str, float]], lines: Mapping[str, float]) -> ForceNoise:
-    """Maximum likelihood on the identify flights, then held; adapted once, locally, in every flight.
+Biases = Mapping[str, Mapping[str, float]]
+"""Constants to take off, by flight and channel."""
 
-    biases : constants to take off, per flight; lines : Hz of vibration lines to take out, by channel.
-    """
-    flights = list(dataset.flights.values())
-    records = [_axes(dataset, flight, bias, lines) for flight, bias in zip(flights, biases, strict=True)]
-    samples, dt = max(flight.samples for flight in flights), float(np.mean([flight.dt for flight in flights]))
-    flat = [record for flight in records for record in flight]
-    value = np.stack([np.pad(r.value, (0, samples - len(r.value)), constant_values=np.nan) for r in flat], axis=1)
-    rows = gm.Rows(value, np.array([r.integral for r in flat]), np.array([r.noise for r in flat]), dt)
-    activity, sources = _activity(dataset, flights, samples)
-    axis, flight_of = np.tile(np.arange(6), len(flights)), np.repeat(np.arange(len(flights)), 6)
-    seen = np.isfinite(value).sum(axis=0) > 0
-    mean, spread = _spread(rows, axis, seen)
-    fitted = np.isin(flight_of, [i for i, f in enumerate(flights) if f.name in dataset.identify]) & seen
-    theta, tau = _search(rows, activity, axis, flight_of, spread, fitted)
-    power = np.einsum("tfj,ij->tfi", activity, theta).reshape(samples, -1)
-    least_power, trim = theta[axis, 0], mean
+
+def find_force_noise(dataset: Dataset, biases: Biases, lines: Mapping[str, float]) -> ForceNoise:
+    """Maximum likelihood on at most `SEARCHED` identify flights; lines : Hz of lines to take out, by channel."""
+    searched = [dataset.flights[name] for name in dataset.some(SEARCHED)]
+    dt = _interval(dataset)
+    rows = _rows([_axes(dataset, flight, biases[flight.name], lines) for flight in searched], dt)
+    longest = max(facts.samples for facts in dataset.facts.values())
+    columns = [_columns(dataset, flight) for flight in searched]
+    rms = np.sqrt(np.mean([_mean_square(made, longest) for made in columns], axis=0))
+    active = rms > 0.0
+    activity = _side_by_side(columns, len(rows.value))[..., active] / rms[active]
+    variance, seen = _variances(dataset, biases, lines)
+    axis, flight_of = np.tile(np.arange(6), len(searched)), np.repeat(np.arange(len(searched)), 6)
+    fitted = np.isfinite(rows.value).sum(axis=0) > 0
+    theta, tau = _search(rows, activity, axis, flight_of, _spread(rows, variance[axis]), fitted)
+    sources = ["constant", *(f"{c} {memory:g} s" for memory in gm.MEMORIES_S for c in dataset.controls)]
+    names = tuple(name for name, on in zip(sources, active, strict=True) if on)
+    return ForceNoise(tau, names, theta, active, rms[active], variance, seen)
+
+
+def adapted(
+    dataset: Dataset, names: Sequence[str], noise: ForceNoise, biases: Biases, lines: Mapping[str, float]
+) -> LocalNoise:
+    """Powers, trims and their errors in a few flights, whose powers follow what the forces did there."""
+    flights = [dataset.flights[name] for name in names]
+    dt = _interval(dataset)
+    rows = _rows([_axes(dataset, flight, biases[flight.name], lines) for flight in flights], dt)
+    samples, axis = len(rows.value), np.tile(np.arange(6), len(flights))
+    activity = _side_by_side([_columns(dataset, flight) for flight in flights], samples)
+    power = np.einsum("tfj,ij->tfi", activity[..., noise.active] / noise.rms, noise.theta).reshape(samples, -1)
+    least_power, spread, tau = noise.theta[axis, 0], _spread(rows, noise.variance[axis]), noise.tau[axis]
+    block = _block(dataset)
+    trim = np.array([_level(rows.value[:, n], bool(rows.integral[n]), block, dt)[0] for n in range(len(axis))])
     for _ in range(ADAPTIONS):
-        got = gm.smooth_rows(rows, power, tau[axis], trim, spread)
+        got = gm.smooth_rows(rows, power, tau, trim, spread)
         power, trim = np.maximum(power * gm.local_scale(got, power, dt, ADAPTED, ADAPT_S), least_power), got.trim
-    last = gm.smooth_rows(rows, power, tau[axis], trim, spread)
+    last = gm.smooth_rows(rows, power, tau, trim, spread)
     least = np.where(rows.integral, QUIET_SHARE[True], QUIET_SHARE[False])
     scale = gm.local_scale(last, power, dt, least)
     shape = (len(flights), 6)
-    return ForceNoise(
-        tau=tau,
-        sources=sources,
-        theta=theta,
+    return LocalNoise(
         power=power.reshape(samples, *shape),
         trim=last.trim.reshape(shape),
         spread=spread.reshape(shape),
-        seen=seen.reshape(shape),
+        seen=(np.isfinite(rows.value).sum(axis=0) > 0).reshape(shape),
         variance_scale=(least + OWN_SHARE * (scale - least)).reshape(samples, *shape),
     )
+
+
+def _interval(dataset: Dataset) -> float:
+    """Sample interval, s: one for all flights."""
+    return float(np.mean([facts.dt for facts in dataset.facts.values()]))
+
+
+def _rows(flights: Sequence[Sequence[_Record]], dt: float) -> gm.Rows:
+    """Six records of each flight side by side; shorter ones end in missing samples."""
+    flat = [record for flight in flights for record in flight]
+    samples = max(len(record.value) for record in flat)
+    value = np.stack([np.pad(r.value, (0, samples - len(r.value)), constant_values=np.nan) for r in flat], axis=1)
+    return gm.Rows(value, np.array([r.integral for r in flat]), np.array([r.noise for r in flat]), dt)
 
 
 def _search(
@@ -125,19 +168,20 @@ def _search(
     return theta, tau
 
 
-def _activity(dataset: Dataset, flights: list[Flight], samples: int) -> tuple[Array, tuple[str, ...]]:
-    """Sources of process noise [T, F, J], each of rms 1 over the identify flights; silent ones left out."""
+def _columns(dataset: Dataset, flight: Flight) -> Array:
+    """Sources of process noise in a flight, [T, all sources], not scaled."""
     noise = np.array([dataset.noise(control) for control in dataset.controls])
-    columns = []
-    for flight in flights:
-        made = gm.control_activity(flight.bridged(dataset.controls).numpy(), noise, flight.dt)
-        columns.append(np.pad(made, ((0, samples - len(made)), (0, 0)), mode="edge"))
-    activity = np.stack(columns, axis=1)
-    chosen = [i for i, flight in enumerate(flights) if flight.name in dataset.identify]
-    rms = np.sqrt((activity[:, chosen] ** 2).mean(axis=(0, 1)))
-    names = ["constant", *(f"{c} {memory:g} s" for memory in gm.MEMORIES_S for c in dataset.controls)]
-    active = rms > 0.0
-    return activity[..., active] / rms[active], tuple(n for n, on in zip(names, active, strict=True) if on)
+    return gm.control_activity(flight.bridged(dataset.controls).numpy(), noise, flight.dt)
+
+
+def _mean_square(columns: Array, samples: int) -> Array:
+    """Mean square over so many samples of each column, held at its end."""
+    return ((columns**2).sum(axis=0) + (samples - len(columns)) * columns[-1] ** 2) / samples
+
+
+def _side_by_side(columns: Sequence[Array], samples: int) -> Array:
+    """Columns of several flights as one array [T, F, J], held at their ends."""
+    return np.stack([np.pad(made, ((0, samples - len(made)), (0, 0)), mode="edge") for made in columns], axis=1)
 
 
 def _axes(dataset: Dataset, flight: Flight, bias: Mapping[str, float], lines: Mapping[str, float]) -> list[_Record]:
@@ -171,20 +215,41 @@ def _axes(dataset: Dataset, flight: Flight, bias: Mapping[str, float], lines: Ma
     return pushing + turning
 
 
-def _spread(rows: gm.Rows, axis: Array, seen: Array) -> tuple[Array, Array]:
-    """Mean of the force in each row and its standard deviation about it, the latter pooled over the flights of an axis.
+def _variances(dataset: Dataset, biases: Biases, lines: Mapping[str, float]) -> tuple[Array, Array]:
+    """Variance [6] of the force of each axis about its mean, pooled over the flights that see it, and whether any does.
 
-    Where the integral is recorded, the force is its slope over tenths of a second.
+    One where none does.
     """
-    block = min(max(1, round(0.1 / rows.dt)), max(1, len(rows.value) // 4))
-    coarse = gm.block_means(rows.value, block)
-    slope = np.diff(coarse, axis=0) / (block * rows.dt)
-    mean, variance = np.zeros(len(axis)), np.zeros(len(axis))
-    for n in np.flatnonzero(seen):
-        force = slope[:, n] if rows.integral[n] else coarse[:, n]
-        force = force[~np.isnan(force)]
-        if force.size:
-            mean[n], variance[n] = (0.0 if rows.integral[n] else force.mean()), force.var()
+    block, dt = _block(dataset), _interval(dataset)
+    total, count = np.zeros(6), np.zeros(6)
+    for flight in dataset.flights.values():
+        for i, record in enumerate(_axes(dataset, flight, biases[flight.name], lines)):
+            if np.isfinite(record.value).any():
+                total[i] += _level(record.value, record.integral, block, dt)[1]
+                count[i] += 1
+    return np.where(count > 0, total / np.maximum(count, 1), 1.0), count > 0
+
+
+def _block(dataset: Dataset) -> int:
+    """Samples of a tenth of a second; a quarter of the longest flight if that is less."""
+    longest = max(facts.samples for facts in dataset.facts.values())
+    return min(max(1, round(0.1 / _interval(dataset))), max(1, longest // 4))
+
+
+def _level(value: Array, integral: bool, block: int, dt: float) -> tuple[float, float]:
+    """Mean of the force in a record (T,) and its variance about it; zeros where nothing is recorded.
+
+    Where the integral is recorded, the force is its slope over tenths of a second, and its mean is left to the filter.
+    """
+    coarse = gm.block_means(value, block)
+    force = np.diff(coarse) / (block * dt) if integral else coarse
+    force = force[~np.isnan(force)]
+    if not force.size:
+        return 0.0, 0.0
+    return (0.0 if integral else float(force.mean())), float(force.var())
+
+
+def _spread(rows: gm.Rows, variance: Array) -> Array:
+    """Standard deviation [N] of the force about its trim, given its variance [N]; not below the sensor's noise."""
     floor = (rows.noise * np.where(rows.integral, 1.0, 0.1)) ** 2
-    pooled = np.array([variance[(axis == i) & seen].mean() if ((axis == i) & seen).any() else 1.0 for i in range(6)])
-    return mean, np.sqrt(np.maximum(pooled[axis], floor))
+    return np.sqrt(np.maximum(variance, floor))

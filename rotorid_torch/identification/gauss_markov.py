@@ -28,6 +28,8 @@ LARGEST_SCALE = 30.0
 CONSTANTS = np.geomspace(1e-6, 0.25, 19)
 """Constant powers that are tried, as shares of the sum of all powers."""
 ALLOWED_LOSS = 2.0
+SIDE_BY_SIDE = 1200
+"""Rows of one pass while candidates are compared; more are no faster and need their memory."""
 
 
 @dataclass(frozen=True)
@@ -178,19 +180,27 @@ def largest_constant(
     but not the only one, and errors computed from it would be far too small.
     """
     trial = theta.sum(axis=1, keepdims=True) * CONSTANTS
-    n, count = len(axis), len(CONSTANTS) + 1
     added = np.concatenate([np.zeros((len(theta), 1)), trial], axis=1)[axis]
-    power = np.concatenate([_power(activity, theta, axis) + added[:, j] for j in range(count)], axis=1)
-    many = Rows(np.tile(rows.value, (1, count)), np.tile(rows.integral, count), np.tile(rows.noise, count), rows.dt)
-    trim = smooth_rows(rows, _power(activity, theta, axis), taus[group], np.zeros(n), spread).trim
-    got = smooth_rows(many, power, np.tile(taus[group], count), np.tile(trim, count), np.tile(spread, count))
-    score = got.log_likelihood.reshape(count, n)
+    power = _power(activity, theta, axis)
+    trim = smooth_rows(rows, power, taus[group], np.zeros(len(axis)), spread).trim
+    together = max(1, SIDE_BY_SIDE // len(axis))
+    parts = [added[:, j : j + together] for j in range(0, added.shape[1], together)]
+    score = np.concatenate([_likelihoods(rows, power, part, taus[group], trim, spread) for part in parts])
     raised = theta.copy()
     for i in np.unique(axis):
         total = score[:, axis == i].sum(axis=1)
         allowed = np.flatnonzero(total >= total[0] - ALLOWED_LOSS)
         raised[i, 0] += added[axis == i][0, allowed.max()]
     return raised
+
+
+def _likelihoods(rows: Rows, power: Array, added: Array, tau: Array, trim: Array, spread: Array) -> Array:
+    """Log-likelihoods [count, N] with each of the constants added [N, count] to the power, all as rows of one pass."""
+    n, count = added.shape
+    many = Rows(np.tile(rows.value, (1, count)), np.tile(rows.integral, count), np.tile(rows.noise, count), rows.dt)
+    more = np.concatenate([power + added[:, j] for j in range(count)], axis=1)
+    got = smooth_rows(many, more, np.tile(tau, count), np.tile(trim, count), np.tile(spread, count))
+    return got.log_likelihood.reshape(count, n)
 
 
 def _power(activity: Array, theta: Array, axis: Array) -> Array:

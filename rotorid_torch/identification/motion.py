@@ -215,7 +215,7 @@ def supported(dataset: Dataset) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """States that the channels of a data set support, and the channels that see them."""
 
     def seen(*names: str) -> bool:
-        return any(flight.has(*names) for flight in dataset.flights.values())
+        return any(facts.has(*names) for facts in dataset.facts.values())
 
     states: list[str] = []
     attitude = seen("phi", "theta")

@@ -6,7 +6,7 @@ of the forces are those of `gauss_markov`, found on the identify flights and hel
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
@@ -16,7 +16,15 @@ from torch import Tensor
 
 from rotorid_torch.core.names import ATTITUDES, RATES, unit
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.identification.force_noise import ForceNoise, find_force_noise
+from rotorid_torch.data.on_demand import OnDemand
+from rotorid_torch.identification.force_noise import (
+    SEARCHED,
+    Biases,
+    ForceNoise,
+    LocalNoise,
+    adapted,
+    find_force_noise,
+)
 from rotorid_torch.identification.motion import AXES, Motion, supported
 from rotorid_torch.identification.sensor_errors import kinematic_biases, kinematic_disagreement, vibration_lines
 from rotorid_torch.identification.sigma_points import ProcessNoise
@@ -28,6 +36,8 @@ UNSEEN_SD = dict.fromkeys((*RATES, *ATTITUDES), 0.3)
 """Standard deviation of a first state that no channel sees then, rad and rad/s; 10 m and m/s for the others."""
 WANDER_S = 1.0
 """Time in which a vibration line's amplitude may change by its own size."""
+TOGETHER = 32_000
+"""Samples that are filtered at once: what the filter writes of them takes two hundred megabytes."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +92,7 @@ class ReconstructedFlight:
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """Step 1 on all flights of a data set.
+    """Step 1 on all flights of a data set; of many, those used last are in memory and the others on disk.
 
     units : of X Y Z L M N: N and N m where mass and inertia are declared, else m/s2 and rad/s2 (per mass, per inertia).
     noise : time constants and powers of the forces. lines : Hz of the vibration lines by channel. notes : for people.
@@ -119,24 +129,48 @@ def reconstruct(dataset: Dataset, options: ReconstructOptions | None = None) -> 
     options = options or ReconstructOptions()
     dataset.require_rates()
     states, outputs = supported(dataset)
-    lines = vibration_lines(dataset, outputs) if options.vibration else {}
-    flights = list(dataset.flights.values())
-    biases = [kinematic_biases(dataset, flight) if options.biases else {} for flight in flights]
-    noise = find_force_noise(dataset, biases, {channel: hertz for channel, (hertz, _) in lines.items()})
-    motion = _motion(
-        dataset, (*states, *(f"{c} {part}" for c in lines for part in ("cos", "sin"))), outputs, noise, lines
-    )
-    with torch.no_grad():
-        got = _filter(dataset, motion, noise, biases, lines)
-    made = {flight.name: _flight(dataset, motion, got, noise, i, biases[i]) for i, flight in enumerate(flights)}
-    return Reconstruction(made, _units(dataset), noise, dict(motion.lines), _notes(dataset, noise, biases, lines))
+    searched = dataset.some(SEARCHED)
+    lines = vibration_lines(dataset, searched, outputs) if options.vibration else {}
+    biases = {
+        flight.name: kinematic_biases(dataset, flight) if options.biases else {} for flight in dataset.flights.values()
+    }
+    hertz = {channel: hertz for channel, (hertz, _) in lines.items()}
+    noise = find_force_noise(dataset, biases, hertz)
+    wander = kinematic_disagreement(dataset, searched, biases)
+    states = (*states, *(f"{c} {part}" for c in lines for part in ("cos", "sin")))
+    made = OnDemand[ReconstructedFlight](dataset.flights, costly=True)
+
+    def reconstructed(names: Sequence[str]) -> list[ReconstructedFlight]:
+        local = adapted(dataset, names, noise, biases, hertz)
+        motion = _motion(dataset, names, states, outputs, noise, local, lines)
+        with torch.no_grad():
+            got = _filter(dataset, names, motion, local, biases, lines, wander)
+        return [_flight(dataset, motion, got, local, i, name, biases[name]) for i, name in enumerate(names)]
+
+    for names in _groups(dataset):
+        for flight in reconstructed(names):
+            made.keep(flight.name, flight)
+    return Reconstruction(made, _units(dataset), noise, hertz, _notes(dataset, noise, biases, lines))
+
+
+def _groups(dataset: Dataset) -> Iterator[list[str]]:
+    """Flights of about the same length, as many as are filtered at once."""
+    group: list[str] = []
+    for name in sorted(dataset.flights, key=lambda name: dataset.facts[name].samples):
+        if group and (len(group) + 1) * dataset.facts[name].samples > TOGETHER:
+            yield group
+            group = []
+        group.append(name)
+    yield group
 
 
 def _motion(
     dataset: Dataset,
+    names: Sequence[str],
     states: tuple[str, ...],
     outputs: tuple[str, ...],
     noise: ForceNoise,
+    local: LocalNoise,
     lines: Mapping[str, tuple[float, float]],
 ) -> Motion:
     vehicle = dataset.vehicle
@@ -145,8 +179,8 @@ def _motion(
         states=states,
         outputs=outputs,
         tau=torch.as_tensor(noise.tau),
-        trim=torch.as_tensor(noise.trim)[:, None, :],
-        dt=torch.tensor([flight.dt for flight in dataset.flights.values()], dtype=torch.float64)[:, None, None],
+        trim=torch.as_tensor(local.trim)[:, None, :],
+        dt=torch.tensor([dataset.facts[name].dt for name in names], dtype=torch.float64)[:, None, None],
         gravity=vehicle.gravity,
         inertia=None if vehicle.inertia is None else torch.tensor(vehicle.inertia, dtype=torch.float64),
         imu=None if imu is None else torch.tensor(imu, dtype=torch.float64),
@@ -156,21 +190,22 @@ def _motion(
 
 def _filter(
     dataset: Dataset,
+    names: Sequence[str],
     motion: Motion,
-    noise: ForceNoise,
-    biases: list[dict[str, float]],
+    noise: LocalNoise,
+    biases: Biases,
     lines: Mapping[str, tuple[float, float]],
+    wander: Mapping[str, float],
 ) -> Filtered:
-    """All flights as one batch; shorter ones end in missing samples."""
-    flights = list(dataset.flights.values())
-    inputs = motion.inputs(torch.tensor([flight.samples for flight in flights]))
+    """Some flights as one batch; shorter ones end in missing samples."""
+    inputs = motion.inputs(torch.tensor([dataset.facts[name].samples for name in names]))
     outputs = torch.full((*inputs.shape[:2], len(motion.outputs)), torch.nan, dtype=torch.float64)
-    for i, flight in enumerate(flights):
-        offset = torch.tensor([biases[i].get(name, 0.0) for name in motion.outputs], dtype=torch.float64)
+    for i, flight in enumerate(dataset.flights[name] for name in names):
+        offset = torch.tensor([biases[flight.name].get(c, 0.0) for c in motion.outputs], dtype=torch.float64)
         outputs[i, : flight.samples] = flight.stack(motion.outputs) - offset
     sensor = torch.tensor([dataset.noise(name) for name in motion.outputs], dtype=torch.float64)
     mean, cov = _prior(motion, outputs, sensor, noise, lines)
-    shape, constant = _noise_shapes(motion, lines, kinematic_disagreement(dataset, biases))
+    shape, constant = _noise_shapes(motion, lines, wander)
     rows, columns = torch.triu(shape.abs().sum(dim=(0, 1)) + constant.sum(dim=0)).nonzero(as_tuple=True)
     power = torch.as_tensor(noise.power)[: inputs.shape[1] - 1]
     entries = torch.einsum("tfi,fin->ftn", power, shape[..., rows, columns]) + constant[:, None, rows, columns]
@@ -191,7 +226,7 @@ def _prior(
     motion: Motion,
     outputs: Tensor,
     sensor: Tensor,
-    noise: ForceNoise,
+    noise: LocalNoise,
     lines: Mapping[str, tuple[float, float]],
 ) -> tuple[Tensor, Tensor]:
     """First sample's state: what the channels say first, with ten times their noise; forces about their trim."""
@@ -244,14 +279,20 @@ def _noise_shapes(
 
 
 def _flight(
-    dataset: Dataset, motion: Motion, got: Filtered, noise: ForceNoise, i: int, biases: dict[str, float]
+    dataset: Dataset,
+    motion: Motion,
+    got: Filtered,
+    noise: LocalNoise,
+    i: int,
+    name: str,
+    biases: Mapping[str, float],
 ) -> ReconstructedFlight:
-    flight = list(dataset.flights.values())[i]
-    T = flight.samples
+    """One flight of a batch, free of it."""
+    time, T = dataset.flights[name].time, dataset.facts[name].samples
     assert got.smoothed_means is not None
     assert got.smoothed_covariances is not None
     mean, cov = got.smoothed_means[i, :T], got.smoothed_covariances[i, :T]
-    names = [name for name in motion.states if name not in AXES and " " not in name]
+    names = [state for state in motion.states if state not in AXES and " " not in state]
     deviation = cov.diagonal(dim1=-2, dim2=-1).sqrt()
     specific = torch.full((T, 6), torch.nan, dtype=torch.float64)
     covariance = torch.full((T, 6, 6), torch.nan, dtype=torch.float64)
@@ -264,15 +305,15 @@ def _flight(
     loads, sd = _loads(dataset, specific, covariance)
     white = got.innovations[i, :T] / got.innovation_covariances[i, :T].diagonal(dim1=-2, dim2=-1).sqrt()
     return ReconstructedFlight(
-        name=flight.name,
-        time=flight.time,
-        channels={name: mean[:, motion.states.index(name)].clone() for name in names},
-        channel_sd={name: deviation[:, motion.states.index(name)].clone() for name in names},
+        name=name,
+        time=time,
+        channels={state: mean[:, motion.states.index(state)].clone() for state in names},
+        channel_sd={state: deviation[:, motion.states.index(state)].clone() for state in names},
         specific=specific,
         specific_covariance=covariance,
         loads=loads,
         loads_sd=sd,
-        innovations={name: white[:, j].clone() for j, name in enumerate(motion.outputs)},
+        innovations={output: white[:, j].clone() for j, output in enumerate(motion.outputs)},
         log_likelihood=float(got.log_likelihood[i]),
         biases=biases,
     )
@@ -297,7 +338,7 @@ def _units(dataset: Dataset) -> dict[str, str]:
 
 
 def _notes(
-    dataset: Dataset, noise: ForceNoise, biases: list[dict[str, float]], lines: Mapping[str, tuple[float, float]]
+    dataset: Dataset, noise: ForceNoise, biases: Biases, lines: Mapping[str, tuple[float, float]]
 ) -> tuple[str, ...]:
     """What a reader of the result must know, in plain words."""
     notes = []
@@ -305,16 +346,20 @@ def _notes(
         notes.append("no mass declared: X Y Z are specific forces, m/s²; declare vehicle.mass for newtons")
     if dataset.vehicle.inertia is None:
         notes.append("no inertia declared: L M N are angular accelerations, rad/s²; declare vehicle.inertia for N m")
-    unseen = [axis for i, axis in enumerate(AXES) if not noise.seen[:, i].any()]
+    unseen = [axis for i, axis in enumerate(AXES) if not noise.seen[i]]
     if unseen:
         notes.append(f"no channel sees {' '.join(unseen)}: nothing is known of them but that they are there")
     if lines:
         told = ", ".join(f"{channel} at {hertz:.1f} Hz ({rms:.2g} rms)" for channel, (hertz, rms) in lines.items())
         notes.append(f"vibration was taken out of the motion: {told}")
-    largest = {name: max(abs(b[name]) for b in biases if name in b) for name in dict.fromkeys(chain(*biases))}
+    known = biases.values()
+    largest = {name: max(abs(b[name]) for b in known if name in b) for name in dict.fromkeys(chain(*known))}
     if largest:
         told = ", ".join(f"{name} up to {value:.2g} {unit(name)}" for name, value in largest.items())
         notes.append(f"constant sensor errors that the kinematics show were taken off, flight by flight: {told}")
+    if len(dataset.identify) > SEARCHED:
+        told = f"{SEARCHED} of the {len(dataset.identify)} identify flights, spread over the list"
+        notes.append(f"how strongly and fast the forces change was found from {told}; it holds for all")
     return tuple(notes)
 
 

@@ -124,24 +124,25 @@ def integral(rate: Array, dt: float) -> Array:
     return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]))]) * dt
 
 
-def kinematic_disagreement(dataset: Dataset, biases: Sequence[Mapping[str, float]]) -> dict[str, float]:
+def kinematic_disagreement(
+    dataset: Dataset, names: Sequence[str], biases: Mapping[str, Mapping[str, float]]
+) -> dict[str, float]:
     """Power, unit squared per s, by which attitude, velocity and position wander from their own rates, by channel.
 
     Clocks that differ, filters and scale errors inside a sensor make measured angles something else than the integral
     of measured rates. What changes within a quarter of a second beyond the sensors' noise is taken as a random walk,
-    pooled over the identify flights; nothing where the noise explains it.
+    pooled over the named flights; nothing where the noise explains it.
     """
     excess: dict[str, list[tuple[float, float]]] = {}
-    for flight, bias in zip(dataset.flights.values(), biases, strict=True):
-        if flight.name in dataset.identify:
-            for name, (value, rate, rate_noise) in _paths(dataset, flight, bias).items():
-                lag = max(1, round(WANDER_S / flight.dt))
-                gap = value - integral(rate, flight.dt)
-                change = gap[lag:] - gap[:-lag]
-                change = change[~np.isnan(change)]
-                if change.size > lag:
-                    expected = 2.0 * dataset.noise(name) ** 2 + rate_noise**2 * flight.dt * WANDER_S
-                    excess.setdefault(name, []).append((float(change.var()), expected))
+    for flight in (dataset.flights[name] for name in names):
+        for name, (value, rate, rate_noise) in _paths(dataset, flight, biases[flight.name]).items():
+            lag = max(1, round(WANDER_S / flight.dt))
+            gap = value - integral(rate, flight.dt)
+            change = gap[lag:] - gap[:-lag]
+            change = change[~np.isnan(change)]
+            if change.size > lag:
+                expected = 2.0 * dataset.noise(name) ** 2 + rate_noise**2 * flight.dt * WANDER_S
+                excess.setdefault(name, []).append((float(change.var()), expected))
     power = {name: np.mean(pairs, axis=0) for name, pairs in excess.items()}
     return {n: float(seen - made) / WANDER_S for n, (seen, made) in power.items() if seen > TOLERATED * made}
 
@@ -173,12 +174,14 @@ def _paths(dataset: Dataset, flight: Flight, bias: Mapping[str, float]) -> dict[
     return found
 
 
-def vibration_lines(dataset: Dataset, channels: tuple[str, ...]) -> dict[str, tuple[float, float]]:
-    """Strongest vibration line (Hz, rms) of each of these channels that has one worth a state, over identify flights.
+def vibration_lines(
+    dataset: Dataset, names: Sequence[str], channels: tuple[str, ...]
+) -> dict[str, tuple[float, float]]:
+    """Strongest vibration line (Hz, rms) of each of these channels that has one worth a state, over the named flights.
 
     Only lines well below the Nyquist frequency; flights of other sample rates than the first are left out.
     """
-    flights = [dataset.flights[name] for name in dataset.identify]
+    flights = [dataset.flights[name] for name in names]
     dt, found = flights[0].dt, {}
     for channel in channels:
         records = [f.channels[channel].numpy() for f in flights if f.has(channel) and abs(f.dt / dt - 1.0) < 1e-2]

@@ -228,3 +228,30 @@ def test_true_forces_of_other_peoples_simulators_are_covered(name: str) -> None:
         close.append((size < 1.0).mean(axis=0))
     assert np.mean(inside, axis=0).min() > 0.96
     assert 0.55 < np.mean(close) < 0.85
+
+
+def test_flights_that_go_through_the_filter_in_groups_come_out_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = dataset({f"f{seed}": fly(seed, 150)[0] for seed in range(2)})
+    whole = reconstruct(data)
+    monkeypatch.setattr("rotorid_torch.identification.reconstruct.TOGETHER", 150)
+    monkeypatch.setattr("rotorid_torch.data.on_demand.BUDGET", 1)
+    parts = reconstruct(data)
+    assert parts.notes == whole.notes
+    for name, flight in whole.flights.items():
+        again = parts.flights[name]
+        assert torch.allclose(again.specific, flight.specific, rtol=1e-9, atol=1e-9)
+        assert torch.allclose(again.specific_covariance, flight.specific_covariance, rtol=1e-9, atol=1e-12)
+        assert again.biases == flight.biases
+        assert again.log_likelihood == pytest.approx(flight.log_likelihood, rel=1e-9)
+
+
+def test_of_many_flights_some_tell_how_forces_change(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = dataset({f"f{seed}": fly(seed)[0] for seed in range(3)})
+    monkeypatch.setattr("rotorid_torch.identification.reconstruct.SEARCHED", 2)
+    monkeypatch.setattr("rotorid_torch.identification.force_noise.SEARCHED", 2)
+    got = reconstruct(data)
+    assert list(got.flights) == list(data.flights)
+    assert any("2 of the 3 identify flights" in note for note in got.notes)
+    share, own = errors(got, "f1", fly(1)[1])
+    assert share.max() < 0.2
+    assert (own < 3.0).mean() > 0.97
