@@ -134,7 +134,7 @@ def _choose(where: Tensor, one: Filtered, other: Filtered) -> Filtered:
     """Flight by flight."""
     chosen: dict[str, Tensor] = {}
     for name, a in vars(one).items():
-        chosen[name] = torch.where(where.reshape(*where.shape, *(1,) * (a.dim() - where.dim())), a, vars(other)[name])
+        chosen[name] = torch.where(where[(..., *(None,) * (a.dim() - where.dim()))], a, vars(other)[name])
     return replace(one, **chosen)
 
 
@@ -158,7 +158,7 @@ def _pass(given: Problem, prior: tuple[Tensor, Tensor], u: Tensor, y: Tensor, me
     """Linearise over smoothed densities, filter, smooth; all time first, u [T, ..., 1, nu]."""
     about, cov = _sound(mean, cov, prior)
     move = _linearise(lambda x: _after_step(given, x, u), about[:-1], cov[:-1])
-    sense = _linearise(lambda x: given.h(x, u), about, cov)
+    sense = _linearise(lambda x: given.h(x, u.expand(*x.shape[:-1], -1)), about, cov)
     noise = root(given.Q + move.bend)
     forward = _filter(move, sense, noise, (prior[0] - about[0], root(prior[1])), given.R, y, about)
     mean, cov = _smooth(move, sense, noise, forward, given.R, y, about)
@@ -168,6 +168,7 @@ def _pass(given: Problem, prior: tuple[Tensor, Tensor], u: Tensor, y: Tensor, me
 
 
 def _after_step(given: Problem, x: Tensor, u: Tensor) -> Tensor:
+    u = u.expand(-1, *x.shape[1:-1], -1)
     return step(lambda t, state, v: given.f(state, v), torch.zeros(()), x, u[:-1], u[1:], given.dt)
 
 

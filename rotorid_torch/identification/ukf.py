@@ -22,10 +22,10 @@ from rotorid_torch.core.native import filtering
 from rotorid_torch.core.native.fallback import say_once
 from rotorid_torch.core.native.filtering import Weights
 from rotorid_torch.core.native.trace import Unsupported
-from rotorid_torch.errors import InputError
 from rotorid_torch.identification import sigma_points
 from rotorid_torch.identification.iterated import Problem, iterated, learns_constants
 from rotorid_torch.identification.sigma_points import ProcessNoise, SigmaPoints, divide, root
+from rotorid_torch.identification.ukf_input import check
 
 Dynamics = Callable[[Tensor, Tensor], Tensor]
 """f(x[..., nx], u[..., nu]) -> dx/dt [..., nx], or h(x, u) -> y [..., ny]"""
@@ -93,15 +93,16 @@ def unscented_filter(
 
     Raises
     ------
-    InputError : shapes that do not fit, NaN in anything but the outputs, a covariance that is not symmetric.
+    InputError : shapes that do not fit, functions that do not broadcast, NaN in anything but the outputs, a covariance
+        that is not symmetric.
     """
     x0, P0, Q, R, controls, outputs = (
         torch.as_tensor(a, dtype=torch.float64) for a in (x0, P0, Q, R, controls, outputs)
     )
-    _check(f, h, x0, P0, Q, R, controls, outputs, dt)
-    noise = ProcessNoise.constant(Q)
+    given = Problem(f, h, x0, P0, Q, R, controls, outputs, dt)
     with torch.no_grad():
-        given = Problem(f, h, x0, P0, Q, R, controls, outputs, dt)
+        check(given)
+        noise = ProcessNoise.constant(Q)
         if not learns_constants(given):
             return filter_and_smooth(f, h, (x0, P0), noise, R, controls, outputs, dt, smooth)
         got = iterated(given, lambda cov: filter_and_smooth(f, h, (x0, cov), noise, R, controls, outputs, dt))
@@ -172,7 +173,9 @@ def _filter_natively(given: _Given, weights: Weights, smooth: bool) -> Filtered:
     """All leading dimensions as one list of flights."""
     batch, ny = given.mean.shape[:-1], given.outputs.shape[-1]
     flights, values = math.prod(batch), given.noise.values
-    if values.dim() > 2:
+    if values.dim() == 2:
+        values = values.unsqueeze(0)
+    else:
         values = values.expand(*batch, *values.shape[-2:]).reshape(flights, *values.shape[-2:])
 
     def listed(a: Tensor, kept: int) -> Tensor:
@@ -189,7 +192,7 @@ def _filter_natively(given: _Given, weights: Weights, smooth: bool) -> Filtered:
             outputs=listed(given.outputs, 2),
             rows=given.noise.rows,
             columns=given.noise.columns,
-            values=values.reshape(-1, *values.shape[-2:]),
+            values=values,
             dt=given.dt,
         )
         got = compiled.run(problem, weights, smooth, threads=torch.get_num_threads())
@@ -200,7 +203,8 @@ def _filter_natively(given: _Given, weights: Weights, smooth: bool) -> Filtered:
 def _filter_in_torch(given: _Given, weights: Weights, smooth: bool) -> Filtered:
     mean, cov, f, h, R, dt = given.mean, given.cov, given.f, given.h, given.R, given.dt
     tape = _Tape(mean.shape[:-1], given.outputs.shape[-2], mean.shape[-1], given.outputs.shape[-1], smooth)
-    u = given.controls.movedim(-2, 0).unsqueeze(-2)
+    points = 2 * mean.shape[-1] + 1
+    u = given.controls.movedim(-2, 0).unsqueeze(-2).expand(-1, *mean.shape[:-1], points, -1)
     y = given.outputs.movedim(-2, 0)
     missing = y.isnan()
     gaps = missing.flatten(1).any(dim=1).tolist()
@@ -320,55 +324,3 @@ def _symmetric(cov: Tensor) -> Tensor:
     for part in cov.split(256):
         part.copy_(0.5 * (part + part.mT))
     return cov
-
-
-def _check(
-    f: Dynamics,
-    h: Dynamics,
-    x0: Tensor,
-    P0: Tensor,
-    Q: Tensor,
-    R: Tensor,
-    controls: Tensor,
-    outputs: Tensor,
-    dt: float,
-) -> None:
-    """Shapes and values of everything the user hands in."""
-    if outputs.dim() < 2 or outputs.shape[-2] < 1:
-        raise _wrong("outputs", f"has shape {tuple(outputs.shape)}", "(..., T, ny) with at least one sample")
-    nx, ny, samples = (x0.shape[-1] if x0.dim() else 0), outputs.shape[-1], outputs.shape[-2]
-    if nx == 0:
-        raise _wrong("x0", f"has shape {tuple(x0.shape)}", "(..., nx)")
-    if controls.dim() < 2 or controls.shape[-2] != samples:
-        raise _wrong("controls", f"has shape {tuple(controls.shape)}", f"(..., {samples}, nu) like the outputs")
-    for key, matrix, n in (("P0", P0, nx), ("Q", Q, nx), ("R", R, ny)):
-        _check_covariance(key, matrix, n)
-    for key, value in (("x0", x0), ("controls", controls)):
-        if not value.isfinite().all():
-            raise _wrong(key, "holds NaN or infinity", "finite numbers")
-    if outputs.isinf().any():
-        raise _wrong("outputs", "holds infinity", "numbers, NaN where missing")
-    if not dt > 0.0:
-        raise _wrong("dt", f"is {dt}", "a sample interval above zero, s")
-    with torch.no_grad():
-        first = controls[..., 0, :]
-        for key, value, n in (("f", f(x0, first), nx), ("h", h(x0, first), ny)):
-            if value.shape[-1:] != (n,):
-                raise _wrong(key, f"returns shape {tuple(value.shape)}", f"(..., {n})")
-
-
-def _check_covariance(key: str, matrix: Tensor, n: int) -> None:
-    if matrix.shape[-2:] != (n, n) or (key != "P0" and matrix.dim() != 2):
-        raise _wrong(key, f"has shape {tuple(matrix.shape)}", f"({n}, {n})")
-    if not matrix.isfinite().all():
-        raise _wrong(key, "holds NaN or infinity", "a covariance")
-    size = matrix.diagonal(dim1=-2, dim2=-1).abs().max()
-    if (matrix - matrix.mT).abs().max() > 1e-9 * size:
-        raise _wrong(key, "is not symmetric", "a covariance")
-    lowest = torch.linalg.eigvalsh(matrix).min()
-    if lowest < -1e-9 * size or (key == "R" and lowest <= 0.0):
-        raise _wrong(key, f"has eigenvalue {lowest:.3g}", "a covariance" + (" without zeros" if key == "R" else ""))
-
-
-def _wrong(key: str, wrong: str, expected: str) -> InputError:
-    return InputError("unscented_filter", key, wrong, expected)

@@ -199,6 +199,38 @@ def test_any_covariance_is_symmetric_positive_definite_and_smoothing_never_adds_
     assert got.log_likelihood.shape == (2,)
 
 
+@pytest.mark.parametrize("flights", [(), (2,)])
+def test_without_process_noise_the_smoother_is_the_recursion_of_least_squares(flights: tuple[int, ...]) -> None:
+    """What is left to learn is the first state: the information of all samples, carried back to it."""
+    controls, outputs = record(np.random.default_rng(6), 50, gaps=False)
+    got = unscented_filter(
+        linear(A, B), linear(C, D), X0, P0, np.zeros((3, 3)), R,
+        np.tile(controls, (*flights, 1, 1)), np.tile(outputs, (*flights, 1, 1)), DT,
+    )  # fmt: skip
+    F, _, _ = discrete()
+    information, passage = np.linalg.inv(P0), np.eye(3)
+    for _ in range(50):
+        information = information + passage.T @ C.T @ np.linalg.inv(R) @ C @ passage
+        passage = F @ passage
+    assert got.smoothed_covariances is not None
+    first = got.smoothed_covariances[..., 0, :, :]
+    assert relative(first, np.broadcast_to(np.linalg.inv(information), first.shape)) < 1e-9
+
+
+def test_controls_come_in_the_shape_of_the_states() -> None:
+    """So that a column of each can stand beside the other in one stack."""
+    controls, outputs = record(np.random.default_rng(7), 30, gaps=False)
+
+    def f(x: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
+        return torch.stack([x[..., 1], u[..., 0] - x[..., 0], 0.0 * x[..., 2]], dim=-1)
+
+    def h(x: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
+        return torch.stack([x[..., 0] * x[..., 2], u[..., 1]], dim=-1)
+
+    got = unscented_filter(f, h, X0, P0, np.diag([1e-3, 1e-3, 0.0]), R, controls, outputs, DT)
+    assert torch.allclose(got.innovations[:, 1], torch.tensor(outputs - controls)[:, 1])
+
+
 SHORT_PERIOD = torch.tensor([-1.4249, -1.4768, -6.2632, 0.2163, -3.7067, -12.784], dtype=torch.float64)
 FORWARD_SPEED = 44.57
 FEEDBACK = torch.tensor([0.025, 0.0], dtype=torch.float64)
@@ -275,6 +307,9 @@ def test_derivatives_of_an_unstable_short_period_come_out_as_augmented_states(se
         ({"outputs": np.zeros(5)}, "outputs: has shape"),
         ({"dt": 0.0}, "dt: is 0"),
         ({"f": lambda x, u: x[..., :2]}, "f: returns shape"),
+        ({"f": lambda x, u: torch.stack([x[1], x[0], x[2]])}, r"f: returns shape .* write x\[..., 0\]"),
+        ({"h": lambda x, u: x[:2] @ torch.eye(2).double()}, "h: fails: "),
+        ({"x0": np.zeros((2, 3)), "P0": np.stack([np.eye(3)] * 3)}, "x0: P0, controls and outputs have leading"),
     ],
 )
 def test_wrong_input_is_told_in_one_line(change: dict[str, object], word: str) -> None:
