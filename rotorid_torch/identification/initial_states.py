@@ -8,8 +8,9 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from rotorid_torch.identification.likelihood import Likelihood, Noise
+from rotorid_torch.identification.likelihood import Likelihood
 from rotorid_torch.identification.segments import Records, Segments
+from rotorid_torch.identification.whitening import Noise
 
 FEWEST = 8
 """Samples that an initial state is fitted to, at least."""

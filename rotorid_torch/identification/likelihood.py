@@ -1,98 +1,31 @@
-"""The output-error likelihood of segments: whitened residuals, linear model, initial states and biases eliminated."""
+"""The output-error likelihood of segments: residuals, linear model, initial states and biases eliminated.
+
+Flights are taken in parts that fit the memory; what belongs to all of them are sums in a fixed order.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
+from rotorid_torch.identification.engine import Engine, Part, Unknowns
 from rotorid_torch.identification.gauss_newton import Linear
 from rotorid_torch.identification.segments import Records, Segments
-from rotorid_torch.identification.sensitivity import Run, corrected, sensitivities, simulated
+from rotorid_torch.identification.sensitivity import Run
 from rotorid_torch.identification.system import System
+from rotorid_torch.identification.whitening import Moments, Noise, Whitener
 
-WEAK = 1e-9
-"""Weight that keeps an initial state no output depends on where it is, relative to its column."""
-
-LEAST_EIGENVALUE = 1e-6
-"""Of the residuals' correlation matrix."""
-
-
-@dataclass(frozen=True)
-class Noise:
-    """How the residual's covariance comes about.
-
-    `kind` "diagonal" or "full" is estimated from the residuals themselves, at least `floor` (standard deviations [ny]);
-    "held" is `matrix` [ny, ny].
-    """
-
-    kind: str
-    floor: Tensor
-    matrix: Tensor | None = None
-
-    def covariance(self, residual: Tensor) -> Tensor:
-        """[ny, ny] from residuals [S, T, ny], NaN = missing."""
-        if self.matrix is not None:
-            return self.matrix
-        valid = ~residual.isnan()
-        filled = torch.where(valid, residual, 0.0).flatten(0, 1)
-        count = valid.flatten(0, 1).to(filled)
-        if self.kind == "diagonal":
-            return torch.diag(torch.maximum(filled.square().sum(0) / count.sum(0).clamp_min(1.0), self.floor**2))
-        pairs = filled.mT @ filled / (count.mT @ count).clamp_min(1.0)
-        return _definite(pairs + torch.diag((self.floor**2 - pairs.diagonal()).clamp_min(0.0)))
-
-
-def _definite(covariance: Tensor) -> Tensor:
-    """With the correlations' eigenvalues at least so large that it can be inverted."""
-    sd = covariance.diagonal().clamp_min(1e-300).sqrt()
-    values, vectors = torch.linalg.eigh(covariance / sd / sd[:, None])
-    return (vectors * values.clamp_min(LEAST_EIGENVALUE)) @ vectors.mT * sd * sd[:, None]
-
-
-@dataclass(frozen=True)
-class Whitener:
-    """Residuals and their derivatives in units of the noise; missing samples become zero, exactly as if left out."""
-
-    covariance: Tensor
-    valid: Tensor  # [S, T, ny]
-    table: Tensor | None = None  # [patterns, ny, ny] for a full covariance
-    pattern: Tensor | None = None  # [S, T]
-
-    @classmethod
-    def of(cls, covariance: Tensor, valid: Tensor) -> Whitener:
-        """With one whitening matrix for each pattern of missing channels."""
-        if bool((covariance == torch.diag(covariance.diagonal())).all()):
-            return cls(covariance, valid)
-        rows, pattern = torch.unique(valid.flatten(0, 1), dim=0, return_inverse=True)
-        table = covariance.new_zeros(len(rows), *covariance.shape)
-        for k, row in enumerate(rows):
-            there = row.nonzero()[:, 0]
-            chosen = covariance[there[:, None], there]
-            inverse = torch.linalg.solve_triangular(
-                torch.linalg.cholesky(chosen), torch.eye(len(there)).to(chosen), upper=False
-            )
-            table[k, there[:, None], there] = inverse
-        return cls(covariance, valid, table, pattern.view(valid.shape[:2]))
-
-    def apply(self, values: Tensor, first: int = 0) -> Tensor:
-        """Values [S, k, ny, n] of the samples from `first` on."""
-        part = slice(first, first + values.shape[1])
-        values = torch.where(self.valid[:, part, :, None], values, 0.0)
-        if self.table is None or self.pattern is None:
-            return values / self.covariance.diagonal().sqrt()[:, None]
-        return self.table[self.pattern[:, part]] @ values
-
-    def log_determinant(self) -> float:
-        """Of the covariance, summed over the samples."""
-        if self.table is None or self.pattern is None:
-            return float((self.valid.sum(dim=(0, 1)) * self.covariance.diagonal().log()).sum())
-        diagonals = self.table.diagonal(dim1=-2, dim2=-1)
-        logs = -2.0 * torch.where(diagonals > 0, diagonals, 1.0).log().sum(-1)
-        return float(logs[self.pattern].sum())
+PART_NUMBERS = 4_000_000
+"""Numbers that a part of the segments may need at once."""
+KEPT_NUMBERS = 40_000_000
+"""Numbers of runs and residuals that a place keeps; beyond, they are made again when asked for."""
+MOST_BLOCKS = 40
+"""Blocks of flights whose linear models are kept apart, for the jackknife."""
 
 
 @dataclass(frozen=True)
@@ -129,21 +62,14 @@ class Place:
     theta: Tensor
     x0: Tensor  # [S, nx]
     bias: Tensor  # [F, nb]
-    run: Run
-    residual: Tensor  # [S, T, ny] measured - model, NaN = missing
-    whitener: Whitener
-    cost: float
+    parts: list[Part] | None = None  # None: too large to be kept
+    covariance: Tensor = field(default_factory=lambda: torch.zeros(0))
+    moments: Moments | None = None
+    cost: float = math.inf
     locals: Locals | None = None
-    transitions: Tensor | None = None
-    flights: list[tuple[Tensor, Tensor]] = field(default_factory=list)
-
-    def pick(self, which: Tensor) -> Place:
-        """The same for some of the segments, without the linear model."""
-        run = Run(self.run.theta, self.run.controls[which], self.run.states[which], self.run.outputs[which])
-        w = self.whitener
-        pattern = None if w.pattern is None else w.pattern[which]
-        whitener = Whitener(w.covariance, w.valid[which], w.table, pattern)
-        return Place(self.theta, self.x0[which], self.bias, run, self.residual[which], whitener, self.cost)
+    passage: Tensor | None = None  # [S, nx, nx] last state of each segment by its first
+    transitions: list[Tensor | None] = field(default_factory=list)  # part by part
+    blocks: list[tuple[Tensor, Tensor]] = field(default_factory=list)  # linear models of blocks of flights
 
 
 @dataclass(frozen=True)
@@ -163,6 +89,7 @@ class Likelihood:
     """
 
     system: System
+    engine: Engine
     records: Records
     segments: Segments
     states: Tensor
@@ -173,9 +100,8 @@ class Likelihood:
     prior_mean: Tensor
     prior_sd: Tensor
     bias_sd: Tensor
-    solver: str = "rk4"
 
-    @property
+    @cached_property
     def biased(self) -> Tensor:
         """Outputs with a constant per flight."""
         return (self.bias_sd > 0).nonzero()[:, 0]
@@ -185,51 +111,92 @@ class Likelihood:
         """Initial states estimated per segment."""
         return 0 if self.x0_sd is None else self.x0.shape[-1]
 
+    @cached_property
+    def samples(self) -> int:
+        """Measured values, all outputs together."""
+        return int((~self.segments.outputs.isnan()).sum())
+
+    @cached_property
+    def _groups(self) -> list[Tensor]:
+        """Segments of each part, whole flights."""
+        per_segment = self.segments.samples * (self.x0.shape[-1] + 3 * self.segments.outputs.shape[-1])
+        per_segment += (self.x0.shape[-1] + len(self.prior_mean) + len(self.biased) + 1) ** 2
+        most = max(1, PART_NUMBERS // per_segment)
+        groups: list[list[int]] = [[]]
+        for f in torch.unique(self.segments.flight).tolist():
+            mine = (self.segments.flight == f).nonzero()[:, 0].tolist()
+            if groups[-1] and len(groups[-1]) + len(mine) > most:
+                groups.append([])
+            groups[-1] += mine
+        return [torch.tensor(group) for group in groups]
+
+    @property
+    def _kept(self) -> bool:
+        width = self.x0.shape[-1] + 2 * self.segments.outputs.shape[-1]
+        return len(self.segments) * self.segments.samples * width <= KEPT_NUMBERS
+
     def evaluate(self, theta: Tensor, base: Place | None = None, share: float = 1.0) -> Place:
         """The place at theta: initial states and biases follow from the linear model at `base`."""
-        x0, bias, run = self.x0, self.x0.new_zeros(len(self.records.lengths), len(self.biased)), None
-        near, transitions = self._guess(), None
+        x0, bias = self.x0, self.x0.new_zeros(len(self.records.lengths), len(self.biased))
         if base is not None and base.locals is not None:
             x0_step, bias_step = base.locals.move(theta - base.theta, self.segments.flight, share)
             x0, bias = base.x0 + (x0_step if self.x0_sd is not None else 0.0), base.bias + bias_step
-            near, transitions = base.run.states, base.transitions
-        if self.solver == "rk4":
-            run = corrected(self.system, theta, self.records, self.segments, x0, near, transitions)
-        if run is None:
-            run = simulated(self.system, theta, self.records, self.segments, x0, self.solver)
-        return self.place(theta, x0, bias, run)
+        place = Place(theta, x0, bias)
+        made = self._made(place, base)
+        return self.judged(place, list(made) if self._kept else None)
 
-    def _guess(self) -> Tensor:
-        """Trajectories [S, T, nx] to start from: what is known of the states, else the initial ones."""
-        known = self.segments.take(self.states)
-        return torch.where(known.isnan(), self.x0[:, None], known)
+    def parts(self, place: Place) -> Iterable[Part]:
+        """The place's runs and residuals, part by part."""
+        return self._made(place, None) if place.parts is None else place.parts
+
+    def _made(self, place: Place, base: Place | None) -> Iterator[Part]:
+        """Parts simulated; from what is known of the base's trajectories where that helps."""
+        for k, which in enumerate(self._groups):
+            segments, steps = self.segments.pick(which), None
+            near = segments.take(self.states)
+            near = torch.where(near.isnan(), self.x0[which][:, None], near)
+            if base is not None and base.parts is not None and base.locals is not None:
+                near, steps = base.parts[k].run.states, base.transitions[k]
+            run = self.engine.run(place.theta, self.records, segments, place.x0[which], near, steps)
+            yield self._part(place, which, segments, run)
+
+    def _part(self, place: Place, which: Tensor, segments: Segments, run: Run) -> Part:
+        bias = place.bias
+        constants = torch.zeros(len(bias), run.outputs.shape[-1], dtype=bias.dtype).index_copy(1, self.biased, bias)
+        return Part(which, segments, run, segments.outputs - run.outputs - constants[segments.flight][:, None])
 
     def place(self, theta: Tensor, x0: Tensor, bias: Tensor, run: Run) -> Place:
-        """What a run says: residual, noise, cost."""
-        constants = torch.zeros(len(bias), run.outputs.shape[-1], dtype=bias.dtype).index_copy(1, self.biased, bias)
-        residual = self.segments.outputs - run.outputs - constants[self.segments.flight][:, None]
-        valid = ~self.segments.outputs.isnan()
-        seen = residual.detach().masked_fill(~valid, math.nan)
-        if not bool(torch.isfinite(seen[valid]).all()):
-            unit = torch.eye(seen.shape[-1], dtype=seen.dtype)
-            return Place(theta, x0, bias, run, residual, Whitener(unit, valid), math.inf)
-        whitener = Whitener.of(self.noise.covariance(seen), valid)
-        place = Place(theta, x0, bias, run, residual, whitener, math.inf)
+        """What a run of all segments says."""
+        place = Place(theta, x0, bias)
+        everything = torch.arange(len(self.segments))
+        return self.judged(place, [self._part(place, everything, self.segments, run)])
+
+    def judged(self, place: Place, parts: list[Part] | None) -> Place:
+        """The place with the noise that its residuals show, and its cost; infinite where a run has diverged."""
+        place.parts = parts
+        ny = self.segments.outputs.shape[-1]
+        residuals = (part.residual.detach().masked_fill(~part.valid, math.nan) for part in self.parts(place))
+        place.moments = Moments.of(residuals, ny)
+        known = sum(int(part.valid.sum()) for part in parts) if parts is not None else self.samples
+        finite = torch.isfinite(place.moments.products).all() and int(place.moments.count.diagonal().sum()) == known
+        if not bool(finite):
+            place.covariance = torch.eye(ny, dtype=torch.float64)
+            return place
+        place.covariance = self.noise.covariance(place.moments)
         cost = float(self.total(place).detach())
         place.cost = cost if math.isfinite(cost) else math.inf
         return place
 
     def total(self, place: Place) -> Tensor:
         """Minus log-likelihood and priors at a place; its gradient is right although the noise's covariance is held."""
-        white = place.whitener.apply(place.residual.unsqueeze(-1))
-        rows = [
-            white.flatten(),
-            self.prior_rows(place)[1],
-            self._x0_rows(place).flatten(),
-            self._bias_rows(place).flatten(),
-        ]
-        spread = 0.0 if self.noise.matrix is not None else 0.5 * place.whitener.log_determinant()
-        return 0.5 * torch.cat(rows).square().sum() + spread
+        prior = (self.prior_rows(place)[1], self.x0_rows(place).flatten(), self._bias_rows(place).flatten())
+        total = 0.5 * torch.cat(prior).square().sum()
+        for part in self.parts(place):
+            whitener = Whitener.of(place.covariance, part.valid)
+            total = total + 0.5 * whitener.apply(part.residual.unsqueeze(-1)).square().sum()
+            if self.noise.matrix is None:
+                total = total + 0.5 * whitener.log_determinant()
+        return total
 
     def prior_rows(self, place: Place) -> tuple[Tensor, Tensor]:
         """Rows of the parameters' prior."""
@@ -237,73 +204,75 @@ class Likelihood:
         rows = torch.diag(1.0 / self.prior_sd)[there]
         return rows, (self.prior_mean - place.theta)[there] / self.prior_sd[there]
 
-    def _x0_rows(self, place: Place) -> Tensor:
+    def x0_rows(self, place: Place) -> Tensor:
+        """Rows [S, nx] of the initial states' prior."""
         return self.x0.new_zeros(0) if self.x0_sd is None else (self.x0_mean - place.x0) / self.x0_sd
 
     def _bias_rows(self, place: Place) -> Tensor:
         return -place.bias / self.bias_sd[self.biased]
 
+    def unknowns(self, place: Place, which: Tensor) -> Unknowns:
+        """The columns of the linear model of some segments."""
+        if self.x0_sd is None:
+            return Unknowns(None, self.x0.new_zeros(0), self.biased)
+        return Unknowns(self.x0_sd[which], self.x0_rows(place)[which], self.biased)
+
     @torch.no_grad()
     def linearise(self, place: Place) -> Linear:
         """Linear model of the whitened residual in the shared parameters; the place remembers the elimination."""
-        nx, nb = self.locals_per_segment, len(self.biased)
-        triangles, transitions = self._triangles(place)
-        place.transitions = transitions
-        flights = []
-        for f in range(len(self.records.lengths)):
-            rows = triangles[self.segments.flight == f][:, nx:, nx:].flatten(0, 1)
-            pull = rows.new_zeros(nb, rows.shape[1])
-            pull[:, :nb] = torch.diag(1.0 / self.bias_sd[self.biased])
-            pull[:, -1] = self._bias_rows(place)[f]
-            flights.append(torch.linalg.qr(torch.cat([rows, pull]), mode="r").R)
-        stack = torch.stack([_square(r) for r in flights])
-        place.locals = Locals(triangles[:, :nx], stack[:, :nb])
-        place.flights = [(r[nb:, nb:-1], r[nb:, -1]) for r in stack]
-        A, b = self.prior_rows(place)
-        A, b = torch.cat([a for a, _ in place.flights] + [A]), torch.cat([c for _, c in place.flights] + [b])
-        return Linear(A, b, place.locals.own())
+        starts, passages, biases, rests = [], [], [], []
+        place.transitions = []
+        for part in self.parts(place):
+            whitener = Whitener.of(place.covariance, part.valid)
+            found = self.engine.eliminate(self.records, part, whitener, self.unknowns(place, part.which))
+            starts.append(found.starts)
+            passages.append(found.passage)
+            place.transitions.append(found.transitions)
+            for f in torch.unique(part.segments.flight).tolist():
+                bias, rest = self._of_flight(place, f, found.rest[part.segments.flight == f])
+                biases.append(bias)
+                rests.append(rest)
+        place.locals, place.passage = Locals(torch.cat(starts), torch.stack(biases)), torch.cat(passages)
+        blocks = [self._joined(rests[k::MOST_BLOCKS]) for k in range(min(MOST_BLOCKS, len(rests)))]
+        place.blocks = [self._triangle(block) for block in blocks]
+        prior = torch.cat([part if part.dim() == 2 else part[:, None] for part in self.prior_rows(place)], dim=1)
+        return Linear(*self._triangle(self.engine.joined(torch.stack(blocks), prior)), place.locals.own())
 
-    def _triangles(self, place: Place) -> tuple[Tensor, Tensor]:
-        """QR of each segment's rows [initial state | bias | theta | residual], block by block; and the transitions."""
-        triangles, transitions = None, []
-        for rows, more in self.rows(place):
-            stack = rows if triangles is None else torch.cat([triangles, rows], dim=1)
-            triangles = torch.linalg.qr(stack, mode="r").R
-            transitions.append(more)
-        assert triangles is not None
-        return self._with_x0_prior(triangles, place), torch.cat(transitions)
+    def _of_flight(self, place: Place, flight: int, rests: Tensor) -> tuple[Tensor, Tensor]:
+        """Rows of the triangle of a flight's biases, and what is left of its segments for the parameters."""
+        nb = len(self.biased)
+        pull = rests.new_zeros(nb, rests.shape[-1])
+        pull[:, :nb] = torch.diag(1.0 / self.bias_sd[self.biased])
+        pull[:, -1] = self._bias_rows(place)[flight]
+        return self.engine.split(self.engine.joined(rests, pull), nb)
 
-    def _with_x0_prior(self, triangles: Tensor, place: Place) -> Tensor:
-        nx, width = self.locals_per_segment, triangles.shape[-1]
-        pull = triangles.new_zeros(len(triangles), 2 * nx, width)
-        if self.x0_sd is not None:
-            pull[:, :nx, :nx] = torch.diag_embed(1.0 / self.x0_sd)
-            pull[:, :nx, -1] = self._x0_rows(place)
-            norms = torch.linalg.vector_norm(triangles[:, :, :nx], dim=1)
-            pull[:, nx:, :nx] = torch.diag_embed(WEAK * norms + 1e-12)
-        triangles = torch.linalg.qr(torch.cat([triangles, pull], dim=1), mode="r").R
-        return _square(triangles)
+    def _joined(self, rests: list[Tensor]) -> Tensor:
+        """Several flights' as one."""
+        return self.engine.joined(torch.stack(rests), rests[0].new_zeros(0, rests[0].shape[-1]))
 
-    def rows(self, place: Place) -> Iterator[tuple[Tensor, Tensor]]:
-        """Whitened rows [S, k ny, nx + nb + P + 1] of successive blocks of samples, and the steps' transitions."""
-        skip = place.run.states.shape[-1] - self.locals_per_segment
-        constant = torch.eye(place.residual.shape[-1], dtype=torch.float64)[:, self.biased]
-        for block in sensitivities(self.system, place.run, self.records, self.segments):
-            slopes = block.outputs[..., skip:].transpose(0, 1)
-            k, nx = slopes.shape[1], self.locals_per_segment
-            residual = place.residual[:, block.first : block.first + k].unsqueeze(-1)
-            parts = [slopes[..., :nx], constant.expand(*slopes.shape[:2], *constant.shape), slopes[..., nx:], residual]
-            yield place.whitener.apply(torch.cat(parts, dim=-1), block.first).flatten(1, 2), block.transitions
+    def _triangle(self, rest: Tensor) -> tuple[Tensor, Tensor]:
+        """Linear model A [P, P], b [P] of the parameters."""
+        top, _ = self.engine.split(rest, len(rest) - 1)
+        return top[:, :-1], top[:, -1]
 
-    def with_pieces(self, which: Tensor) -> Likelihood:
-        """The same for some of the segments."""
-        sd = None if self.x0_sd is None else self.x0_sd[which]
-        return replace(
-            self, segments=self.segments.pick(which), x0=self.x0[which], x0_mean=self.x0_mean[which], x0_sd=sd
-        )
+    def by_flight(self, place: Place) -> Iterator[tuple[Part, Whitener, Tensor]]:
+        """Each flight with its whitened rows [S, T ny, nx + nb + P + 1]."""
+        for part in self.parts(place):
+            for f in torch.unique(part.segments.flight).tolist():
+                mine = (part.segments.flight == f).nonzero()[:, 0]
+                run = part.run
+                run = Run(run.theta, run.controls[mine], run.states[mine], run.outputs[mine])
+                flight = Part(part.which[mine], part.segments.pick(mine), run, part.residual[mine])
+                whitener = Whitener.of(place.covariance, flight.valid)
+                yield (
+                    flight,
+                    whitener,
+                    self.engine.rows(self.records, flight, whitener, self.unknowns(place, flight.which)),
+                )
 
-
-def _square(triangles: Tensor) -> Tensor:
-    """Triangles [..., m, n] with m <= n filled up with rows of zeros."""
-    missing = triangles.shape[-1] - triangles.shape[-2]
-    return torch.nn.functional.pad(triangles, (0, 0, 0, missing)) if missing > 0 else triangles
+    def states_at(self, place: Place, record: Tensor) -> Tensor:
+        """A copy of a record of states [F, T, nx] with the place's trajectories written where they belong."""
+        record = record.clone()
+        for part in self.parts(place):
+            part.segments.write(part.run.states, record)
+        return record

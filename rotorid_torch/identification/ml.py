@@ -176,7 +176,9 @@ def _result(system: System, records: Records, found: Fit) -> OutputError:
         )
         for i, e in enumerate(system.entries)
     ]
-    residual = found.likelihood.segments.give(place.residual, torch.full_like(records.outputs, math.nan))
+    residual = torch.full_like(records.outputs, math.nan)
+    for part in found.likelihood.parts(place):
+        part.segments.write(part.residual, residual)
     first = (found.likelihood.segments.place[:, 0] == 0).nonzero()[:, 0]
     return OutputError(
         model=system.fitted(theta),

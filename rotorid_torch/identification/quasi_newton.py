@@ -94,7 +94,7 @@ class _Variables:
         """Minus log-likelihood and the pull back to the bounds."""
         theta, x0, bias, pull = self.values()
         p = self.problem
-        run = traced(p.system, theta, p.records, p.segments, x0, p.solver)
+        run = traced(p.system, theta, p.records, p.segments, x0, p.engine.solver)
         return p.total(p.place(theta, x0, bias, run)) + pull
 
     @torch.no_grad()
@@ -102,4 +102,4 @@ class _Variables:
         """Where the variables are."""
         theta, x0, bias, _ = self.values()
         p = self.problem
-        return p.place(theta, x0, bias, traced(p.system, theta, p.records, p.segments, x0, p.solver))
+        return p.place(theta, x0, bias, traced(p.system, theta, p.records, p.segments, x0, p.engine.solver))

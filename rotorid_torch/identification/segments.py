@@ -57,13 +57,11 @@ class Segments:
         """A record over the flights [F, T, ...] cut into the pieces [S, T, ...]."""
         return record[self.flight[:, None], self.place]
 
-    def give(self, pieces: Tensor, record: Tensor) -> Tensor:
-        """A copy of a record [F, T, ...] with the pieces [S, T, ...] written where they belong."""
+    def write(self, pieces: Tensor, record: Tensor) -> None:
+        """Write the pieces [S, T, ...] into a record [F, T, ...] where they belong."""
         inside = self.inside
-        record = record.clone()
         flight = self.flight[:, None].expand_as(self.place)
         record[flight[inside], self.place[inside]] = pieces[inside]
-        return record
 
     def pick(self, which: Tensor) -> Segments:
         """Some of the pieces."""

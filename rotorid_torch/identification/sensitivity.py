@@ -25,6 +25,10 @@ EXACT = 1e-11
 """Error left in a corrected trajectory, relative to each state's size."""
 
 
+Tape = tuple[Tensor, Tensor]
+"""Parameters the control path depends on, and the controls' derivatives by them [..., nu, n]."""
+
+
 @dataclass(frozen=True)
 class Run:
     """Segments under given parameters: controls after the control path, states and outputs."""
@@ -37,7 +41,15 @@ class Run:
 
 def controls_at(system: System, theta: Tensor, records: Records, segments: Segments) -> Tensor:
     """Controls of the segments [S, T, nu] behind the control path, which sees the whole flight."""
-    return segments.take(system.tape(theta, records.controls, records.dt))
+    flights, place = torch.unique(segments.flight, return_inverse=True)
+    return system.tape(theta, records.controls[flights], records.dt)[place[:, None], segments.place]
+
+
+def control_slopes(system: System, theta: Tensor, records: Records, segments: Segments) -> Tape:
+    """Parameters the control path depends on [n], and the controls' derivatives by them [S, T, nu, n]."""
+    flights, place = torch.unique(segments.flight, return_inverse=True)
+    which, slopes = system.tape_jacobian(theta, records.controls[flights], records.dt)
+    return which, slopes[place[:, None], segments.place]
 
 
 @torch.no_grad()
@@ -127,7 +139,7 @@ def sensitivities(system: System, run: Run, records: Records, segments: Segments
     """Exact derivatives of the segments' outputs by their initial states and by theta, in blocks of samples."""
     theta, nx, total = run.theta, run.states.shape[-1], segments.samples
     x, u, times = run.states.transpose(0, 1), run.controls.transpose(0, 1), _times(segments)
-    which, by_tape = system.tape_jacobian(theta, records.controls, records.dt)
+    which, by_tape = control_slopes(system, theta, records, segments)
     width = nx + len(theta)
     length = max(2, BLOCK_NUMBERS // (len(segments) * nx * width))
     carried = x.new_zeros(len(segments), nx, width)
@@ -135,8 +147,7 @@ def sensitivities(system: System, run: Run, records: Records, segments: Segments
     for k in range(0, max(total - 1, 1), length):
         end = total if k + length >= total - 1 else k + length  # no block of one sample: it has no step
         upto = min(end + 1, total)  # the step out of the block needs the next controls
-        slopes = by_tape[segments.flight[:, None], segments.place[:, k:upto]].transpose(0, 1)
-        tape = (which, slopes)
+        tape = (which, by_tape[:, k:upto].transpose(0, 1))
         transitions, inputs = _steps(system, theta, times[k : upto - 1], x[k : upto - 1], u[k:upto], segments.dt, tape)
         path = x.new_empty(end - k, len(segments), nx, width)
         path[0] = carried
@@ -145,10 +156,6 @@ def sensitivities(system: System, run: Run, records: Records, segments: Segments
         if end < total:
             carried = torch.baddbmm(inputs[-1], transitions[-1], path[-1])
         yield Block(k, _outputs(system, theta, x[k:end], u[k:end], path, tape), transitions)
-
-
-Tape = tuple[Tensor, Tensor]
-"""Parameters the control path depends on, and the controls' derivatives by them [k, S, nu, n]."""
 
 
 def _steps(

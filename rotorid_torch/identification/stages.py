@@ -5,17 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
+from rotorid_torch.identification.engine import Engine, engine_for
 from rotorid_torch.identification.gauss_newton import Minimum, Options, minimise
 from rotorid_torch.identification.initial_states import filled, fitted_states, roughness, smallest_noise
-from rotorid_torch.identification.likelihood import Likelihood, Noise, Place
+from rotorid_torch.identification.likelihood import Likelihood, Place
 from rotorid_torch.identification.quasi_newton import minimise_lbfgs
 from rotorid_torch.identification.segments import Records, cut
 from rotorid_torch.identification.system import System
 from rotorid_torch.identification.uncertainty import Uncertainty, uncertainty
+from rotorid_torch.identification.whitening import Moments, Noise
 
 LENGTHS = (2.0, 5.0, 10.0, math.inf)
 """Segment lengths that the stages choose from where nobody says otherwise, s."""
@@ -55,6 +58,7 @@ class Settings:
     bias_sd: Tensor | None = None  # [ny] prior of a constant per flight, 0 for none
     solver: str = "rk4"
     optimiser: str = "gauss-newton"  # or "lbfgs"
+    engine: str | None = None  # "native" or "reference"; None: native where that is possible
     options: Options = FINE
 
 
@@ -76,7 +80,7 @@ class Fit:
     @property
     def noise(self) -> Tensor:
         """Covariance of the residuals [ny, ny], corrected for the numbers estimated."""
-        covariance = self.minimum.point.whitener.covariance
+        covariance = self.minimum.point.covariance
         return (
             covariance
             if self.likelihood.noise.matrix is not None
@@ -89,9 +93,11 @@ class Fit:
 
         The noise is the declared floor, or where none is declared the white part of the residual.
         """
-        residual = self.minimum.point.residual
-        size = residual.square().nanmean(dim=(0, 1)).sqrt()
-        white = (torch.diff(residual, dim=1).square().nanmean(dim=(0, 1)) / 2.0).sqrt()
+        steps = (torch.diff(part.residual, dim=1) for part in self.likelihood.parts(self.minimum.point))
+        white = (Moments.of(steps, len(self.noise)).mean_square / 2.0).sqrt()
+        moments = self.minimum.point.moments
+        assert moments is not None
+        size = moments.mean_square.sqrt()
         return size / (white if self.floor is None else torch.where(self.floor > 0, self.floor, white))
 
 
@@ -133,7 +139,7 @@ def fit(
             rough = True  # as the stage before it was
             break
         best = problem, found
-        theta, states = found.point.theta, problem.segments.give(found.point.run.states, states)
+        theta, states = found.point.theta, problem.states_at(found.point, states)
         samples = stages.next(samples, problem, found.point)
     assert best is not None
     problem, found = stages.finish(*best, rough)
@@ -150,7 +156,7 @@ def _options(last: Options, rough: bool, tentative: bool) -> Options:
 
 def _loss(problem: Likelihood, minimum: Minimum[Place]) -> float:
     """Samples over samples minus numbers estimated from them."""
-    samples = int(minimum.point.whitener.valid.sum())
+    samples = problem.samples
     flights = len(problem.records.lengths)
     estimated = (
         len(minimum.point.theta) + problem.locals_per_segment * len(problem.segments) + len(problem.biased) * flights
@@ -165,7 +171,8 @@ def _as_good(shorter: Minimum[Place], longer: Minimum[Place], chosen: bool) -> b
 
 def _size(place: Place) -> float:
     """Mean over the outputs of the logarithm of the residual's standard deviation."""
-    size = place.residual.square().nanmean(dim=(0, 1)).sqrt()
+    assert place.moments is not None
+    size = place.moments.mean_square.sqrt()
     return float(size[size > 0].log().mean())
 
 
@@ -179,6 +186,11 @@ class _Stages:
     monitor: Monitor | None
     iterations: int = 0
     account: list[str] = field(default_factory=list)
+
+    @cached_property
+    def engine(self) -> Engine:
+        """What simulates and takes derivatives."""
+        return engine_for(self.system, self.records, self.settings.solver, self.settings.engine)
 
     @property
     def whole(self) -> int:
@@ -258,6 +270,7 @@ class _Stages:
         sd = torch.where(given.isnan(), math.inf, spread)
         problem = Likelihood(
             system=self.system,
+            engine=self.engine,
             records=self.records,
             segments=segments,
             states=states,
@@ -268,7 +281,6 @@ class _Stages:
             prior_mean=theta if s.prior_mean is None else s.prior_mean,
             prior_sd=torch.full((count,), math.inf, dtype=torch.float64) if s.prior_sd is None else s.prior_sd,
             bias_sd=torch.zeros(ny, dtype=torch.float64) if s.bias_sd is None else s.bias_sd,
-            solver=s.solver,
         )
         if not fixed and bool(x0.isnan().any()):
             problem = replace(problem, x0=torch.where(x0.isnan(), fitted_states(problem, theta), x0))
@@ -307,12 +319,12 @@ class _Stages:
 
 def _growth(problem: Likelihood, place: Place, samples: int) -> float:
     """Largest growth of an error in the state over so many samples, states in units of their size."""
-    assert place.transitions is not None
-    product = torch.eye(place.x0.shape[-1], dtype=torch.float64).expand(len(problem.segments), -1, -1)
-    inside = problem.segments.inside.mT[1:, :, None, None]
-    for transition, there in zip(place.transitions, inside, strict=True):
-        product = torch.where(there, transition @ product, product)
-    size = place.run.states.square().mean(dim=(0, 1)).sqrt().clamp_min(1e-9)
+    assert place.passage is not None
+    total, count = 0.0, 0
+    for part in problem.parts(place):
+        total, count = total + part.run.states.square().sum(dim=(0, 1)), count + part.run.states[..., 0].numel()
+    size = torch.as_tensor(total / count).sqrt().clamp_min(1e-9)
+    product = place.passage
     product = product * size / size[:, None]
     count, largest = max(1, round(samples / problem.segments.samples)), 0.0
     for f in range(len(problem.records.lengths)):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -55,8 +55,8 @@ def uncertainty(likelihood: Likelihood, place: Place, linear: Linear, told: Tens
     plain[told[:, None] & told] = loss * (inverse @ inverse.mT).flatten()
     coloured = torch.zeros_like(plain)
     coloured[told[:, None] & told] = _coloured(likelihood, place, inverse, told).flatten()
-    variances = _jackknife(place.flights, likelihood.prior_rows(place), told)
-    limit = _chance(len(place.flights) - 1)
+    variances = _jackknife(place.blocks, likelihood.prior_rows(place), told)
+    limit = _chance(len(place.blocks) - 1)
     larger = variances > limit * coloured.diagonal()
     stretch = torch.where(larger, (variances / coloured.diagonal()).sqrt(), 1.0)
     covariance = coloured * stretch * stretch[:, None]
@@ -97,16 +97,15 @@ def _coloured(likelihood: Likelihood, place: Place, inverse: Tensor, told: Tenso
     each line is divided by the share left to it (one minus its leverage). The spectrum rests on few lines and scatters;
     the covariance is widened so that 1.96 standard errors hold 95 % as Student's t would.
     """
-    lines = 2 * place.residual.shape[1]
-    flights = list(_flights(likelihood, place, told))
-    pieces = sum(len(flight.residual) for flight in flights)
+    lines = 2 * likelihood.segments.samples
+    pieces = len(likelihood.segments)
     reach = max(LEAST_SMOOTHING, round(SMOOTHING / pieces))
-    spectrum = _spectrum(flights, inverse, lines, reach)
+    spectrum = _spectrum(_flights(likelihood, place, told), inverse, lines, reach)
     weights = torch.full((lines // 2 + 1, 1, 1), 2.0 / lines, dtype=torch.float64)
     weights[0] = weights[-1] = 1.0 / lines
     n = int(told.sum())
     covariance, share = torch.zeros(n, n, dtype=torch.float64), torch.zeros(lines // 2 + 1, n, dtype=torch.float64)
-    for flight in flights:
+    for flight in _flights(likelihood, place, told):  # once more, for all of them need not fit the memory
         for piece in flight.derivatives:
             moves = torch.fft.rfft(piece @ (inverse @ inverse.mT), n=lines, dim=0)  # [lines, ny, n]
             product = (weights * spectrum) @ moves
@@ -117,18 +116,16 @@ def _coloured(likelihood: Likelihood, place: Place, inverse: Tensor, told: Tenso
     return covariance * widened * widened[:, None]
 
 
-def _spectrum(flights: Sequence[_Flight], inverse: Tensor, lines: int, reach: int) -> Tensor:
+def _spectrum(flights: Iterable[_Flight], inverse: Tensor, lines: int, reach: int) -> Tensor:
     """Spectrum [lines, ny, ny] of the whitened noise: one where it is white."""
-    ny = flights[0].residual.shape[-1]
-    power = torch.zeros(lines // 2 + 1, ny, ny, dtype=torch.complex128)
-    left = torch.zeros(lines // 2 + 1, ny, dtype=torch.float64)
+    power, left = torch.zeros((), dtype=torch.complex128), torch.zeros((), dtype=torch.float64)
     for flight in flights:
         residual = torch.fft.rfft(flight.residual, n=lines, dim=1)
-        power += torch.einsum("slc,sld->lcd", residual, residual.conj())
+        power = power + torch.einsum("slc,sld->lcd", residual, residual.conj())
         taken = torch.cat([flight.basis, flight.derivatives @ inverse], dim=-1)
         for piece in taken:
-            left -= torch.fft.rfft(piece, n=lines, dim=0).abs().square().sum(-1)
-        left += flight.valid.sum(dim=(0, 1))
+            left = left - torch.fft.rfft(piece, n=lines, dim=0).abs().square().sum(-1)
+        left = left + flight.valid.sum(dim=(0, 1))
     filters = _prewhitening(_per_line(_smoothed(power, LEAST_SMOOTHING), _smoothed(left, LEAST_SMOOTHING)), lines)
     flat = filters[:, :, None] * power * filters[:, None, :].conj()
     flat = _per_line(_smoothed(flat, reach), _smoothed(left, reach))
@@ -164,11 +161,8 @@ def _smoothed(lines: Tensor, m: int) -> Tensor:
 
 def _flights(likelihood: Likelihood, place: Place, told: Tensor) -> Iterator[_Flight]:
     nx, nb = likelihood.locals_per_segment, len(likelihood.biased)
-    for f in range(len(likelihood.records.lengths)):
-        which = (likelihood.segments.flight == f).nonzero()[:, 0]
-        part, there = likelihood.with_pieces(which), place.pick(which)
-        rows = torch.cat([rows for rows, _ in part.rows(there)], dim=1)
-        sd = rows.new_zeros(len(which), 0) if part.x0_sd is None else part.x0_sd
+    for part, whitener, rows in likelihood.by_flight(place):
+        sd = rows.new_zeros(len(part.which), 0) if likelihood.x0_sd is None else likelihood.x0_sd[part.which]
         first = _basis(rows[..., :nx], sd)
         rows = rows[..., nx:] - first @ (first.mT @ rows[..., nx:])
         second = _basis(rows[..., :nb].flatten(0, 1), likelihood.bias_sd[likelihood.biased]).unflatten(
@@ -176,13 +170,10 @@ def _flights(likelihood: Likelihood, place: Place, told: Tensor) -> Iterator[_Fl
         )
         freed = rows[..., nb:-1][..., told]
         freed = freed - second @ torch.einsum("srb,srn->bn", second, freed)
-        shape = there.residual.shape
-        white = there.whitener.apply(there.residual.unsqueeze(-1)).squeeze(-1)
+        shape = part.residual.shape
+        white = whitener.apply(part.residual.unsqueeze(-1)).squeeze(-1)
         yield _Flight(
-            freed.unflatten(1, shape[1:]),
-            torch.cat([first, second], -1).unflatten(1, shape[1:]),
-            white,
-            there.whitener.valid,
+            freed.unflatten(1, shape[1:]), torch.cat([first, second], -1).unflatten(1, shape[1:]), white, part.valid
         )
 
 

@@ -116,6 +116,20 @@ class Dynamics:
         text = f'{self._head}{size}{constants.prepare()}{f}{h}#include "sensitivity.h"\n'
         return text, constants.numbers()
 
+    def build(self) -> None:
+        """Compile the trajectories' code now.
+
+        Raises
+        ------
+        Unsupported : there is no compiler, or it refuses the model.
+        """
+        library(self.simulation[0])
+
+    def depends_on(self, name: str, place: int) -> bool:
+        """Whether rates or outputs depend on an input, "x" or "u"."""
+        wanted = self.graph.input(name, place)
+        return any(wanted in self.graph.gradient(node) for node in (*self.rates, *self.outputs))
+
     @property
     def _head(self) -> str:
         return ("#define CLASSIC\n" if self.classic else "") + '#include "lanes.h"\n'

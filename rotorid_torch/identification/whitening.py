@@ -1,0 +1,107 @@
+"""Covariance of the residuals, and residuals and their derivatives in units of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+LEAST_EIGENVALUE = 1e-6
+"""Of the residuals' correlation matrix."""
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Sums over residuals: products [ny, ny], and how many samples each is made of [ny, ny]."""
+
+    products: Tensor
+    count: Tensor
+
+    @classmethod
+    def of(cls, residuals: Iterable[Tensor], ny: int) -> Moments:
+        """From residuals [S, T, ny], NaN = missing."""
+        products, count = (torch.zeros(ny, ny, dtype=torch.float64) for _ in range(2))
+        for residual in residuals:
+            there = ~residual.isnan()
+            filled = torch.where(there, residual, 0.0).flatten(0, 1)
+            known = there.flatten(0, 1).to(filled)
+            products, count = products + filled.mT @ filled, count + known.mT @ known
+        return cls(products, count)
+
+    @property
+    def mean_square(self) -> Tensor:
+        """[ny]; NaN where there is nothing."""
+        return self.products.diagonal() / self.count.diagonal()
+
+
+@dataclass(frozen=True)
+class Noise:
+    """How the residual's covariance comes about.
+
+    `kind` "diagonal" or "full" is estimated from the residuals themselves, at least `floor` (standard deviations [ny]);
+    "held" is `matrix` [ny, ny].
+    """
+
+    kind: str
+    floor: Tensor
+    matrix: Tensor | None = None
+
+    def covariance(self, moments: Moments) -> Tensor:
+        """[ny, ny] from the residuals' sums."""
+        if self.matrix is not None:
+            return self.matrix
+        pairs = moments.products / moments.count.clamp_min(1.0)
+        if self.kind == "diagonal":
+            return torch.diag(torch.maximum(pairs.diagonal(), self.floor**2))
+        return _definite(pairs + torch.diag((self.floor**2 - pairs.diagonal()).clamp_min(0.0)))
+
+
+def _definite(covariance: Tensor) -> Tensor:
+    """With the correlations' eigenvalues at least so large that it can be inverted."""
+    sd = covariance.diagonal().clamp_min(1e-300).sqrt()
+    values, vectors = torch.linalg.eigh(covariance / sd / sd[:, None])
+    return (vectors * values.clamp_min(LEAST_EIGENVALUE)) @ vectors.mT * sd * sd[:, None]
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """Residuals and their derivatives in units of the noise; missing samples become zero, exactly as if left out."""
+
+    covariance: Tensor
+    valid: Tensor  # [S, T, ny]
+    table: Tensor | None = None  # [patterns, ny, ny] for a full covariance
+    pattern: Tensor | None = None  # [S, T]
+
+    @classmethod
+    def of(cls, covariance: Tensor, valid: Tensor) -> Whitener:
+        """With one whitening matrix for each pattern of missing channels."""
+        if bool((covariance == torch.diag(covariance.diagonal())).all()):
+            return cls(covariance, valid)
+        rows, pattern = torch.unique(valid.flatten(0, 1), dim=0, return_inverse=True)
+        table = covariance.new_zeros(len(rows), *covariance.shape)
+        for k, row in enumerate(rows):
+            there = row.nonzero()[:, 0]
+            chosen = covariance[there[:, None], there]
+            inverse = torch.linalg.solve_triangular(
+                torch.linalg.cholesky(chosen), torch.eye(len(there)).to(chosen), upper=False
+            )
+            table[k, there[:, None], there] = inverse
+        return cls(covariance, valid, table, pattern.view(valid.shape[:2]))
+
+    def apply(self, values: Tensor, first: int = 0) -> Tensor:
+        """Values [S, k, ny, n] of the samples from `first` on."""
+        part = slice(first, first + values.shape[1])
+        values = torch.where(self.valid[:, part, :, None], values, 0.0)
+        if self.table is None or self.pattern is None:
+            return values / self.covariance.diagonal().sqrt()[:, None]
+        return self.table[self.pattern[:, part]] @ values
+
+    def log_determinant(self) -> float:
+        """Of the covariance, summed over the samples."""
+        if self.table is None or self.pattern is None:
+            return float((self.valid.sum(dim=(0, 1)) * self.covariance.diagonal().log()).sum())
+        diagonals = self.table.diagonal(dim1=-2, dim2=-1)
+        logs = -2.0 * torch.where(diagonals > 0, diagonals, 1.0).log().sum(-1)
+        return float(logs[self.pattern].sum())
