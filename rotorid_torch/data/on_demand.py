@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -30,7 +31,7 @@ class OnDemand(Mapping[str, Item], Generic[Item]):
     ----------
     names : of the items, in order.
     make : gives the item of a name; None where `keep` hands over all of them.
-    costly : write what leaves the memory to disk. Items are then dataclasses of tensors, numbers, text and dicts.
+    costly : write what leaves the memory to disk; items are then dataclasses, with float64 tensors, also in dicts.
     budget : bytes in memory, `BUDGET` by default; the item used last stays whatever its size.
     """
 
@@ -49,7 +50,7 @@ class OnDemand(Mapping[str, Item], Generic[Item]):
         self._memory: dict[str, tuple[Item, int]] = {}  # used last stands last
         self._bytes = 0
         self._folder: Path | None = None
-        self._written: dict[str, type[Item]] = {}
+        self._written: dict[str, tuple[type[Item], Any]] = {}  # what is on disk, and how it is to be put together
 
     def __getitem__(self, name: str) -> Item:
         if name in self._memory:
@@ -89,19 +90,22 @@ class OnDemand(Mapping[str, Item], Generic[Item]):
         if self._folder is None:
             self._folder = Path(tempfile.mkdtemp(prefix="rotorid-"))
             weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
+        parts: list[Tensor] = []
+        self._written[name] = type(item), _taken_apart(vars(item), parts)
         try:
-            torch.save(vars(item), self._file(name))
-        except (OSError, RuntimeError) as error:
+            torch.cat(parts).numpy().tofile(self._file(name))
+        except OSError as error:
             wanted = "space for what is kept of the flights; TMPDIR names another folder"
             raise InputError(self._folder, "", f"cannot be written to ({error})", wanted) from None
-        self._written[name] = type(item)
 
     def _read(self, name: str) -> Item:
-        return self._written[name](**torch.load(self._file(name), weights_only=True))
+        kind, form = self._written[name]
+        numbers = torch.from_numpy(np.fromfile(self._file(name)))
+        return kind(**_put_together(form, iter(numbers.split(_sizes(form)))))
 
     def _file(self, name: str) -> Path:
         assert self._folder is not None
-        return self._folder / f"{self._places[name]}.pt"
+        return self._folder / f"{self._places[name]}.bin"
 
 
 def _bytes(item: Any) -> int:
@@ -110,3 +114,25 @@ def _bytes(item: Any) -> int:
     if isinstance(item, Mapping):
         return sum(map(_bytes, item.values()))
     return sum(map(_bytes, vars(item).values())) if hasattr(item, "__dict__") else 0
+
+
+def _taken_apart(value: Any, parts: list[Tensor]) -> Any:
+    """The value with shapes in place of its tensors, whose numbers are appended to `parts` in order."""
+    if isinstance(value, Tensor):
+        parts.append(value.detach().reshape(-1))
+        return value.shape
+    return {key: _taken_apart(v, parts) for key, v in value.items()} if isinstance(value, Mapping) else value
+
+
+def _sizes(form: Any) -> list[int]:
+    """How many numbers each tensor has, in order."""
+    if isinstance(form, torch.Size):
+        return [form.numel()]
+    return [size for part in form.values() for size in _sizes(part)] if isinstance(form, Mapping) else []
+
+
+def _put_together(form: Any, parts: Iterator[Tensor]) -> Any:
+    """The value that was taken apart."""
+    if isinstance(form, torch.Size):
+        return next(parts).reshape(form)
+    return {key: _put_together(part, parts) for key, part in form.items()} if isinstance(form, Mapping) else form

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from math import ceil
 
@@ -31,6 +31,7 @@ class Equation:
     """A response and its candidate regressors on several flights; a known part is subtracted from the response before.
 
     name : for people. response : one (T,) per flight. regressors : one (T, n) per flight. names : (n) of regressors.
+        Records are read flight by flight and may be made on demand.
     dt : s, or one per flight. kind : "derivative" or "value", see `regress`.
     response_noise : standard deviation of a sample, or None to estimate it.
     regressor_noise : (n,), or None to estimate it from every record.
@@ -41,8 +42,8 @@ class Equation:
     """
 
     name: str
-    response: Sequence[Tensor]
-    regressors: Sequence[Tensor]
+    response: Collection[Tensor]
+    regressors: Collection[Tensor]
     names: tuple[str, ...]
     dt: float | Sequence[float]
     kind: str = "derivative"

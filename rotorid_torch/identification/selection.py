@@ -137,7 +137,7 @@ def response_lag(equation: Equation) -> tuple[float, float]:
     noise = equation.regressor_noise
     if noise is not None:
         own = equation.response_noise
-        own = float(noise_floor(torch.as_tensor(equation.response[0]))) if own is None else own
+        own = float(noise_floor(torch.as_tensor(next(iter(equation.response))))) if own is None else own
         noise = [*torch.as_tensor(noise).tolist(), own]
     band = equation.band or choose_band(equation)
     both = [

@@ -7,15 +7,17 @@ from them and from step 1's thrust, and subtracted before.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.core.rigid import cross, gravity_in_body, gyroscopic
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.effects.base import Effect, Frame, Values
 from rotorid_torch.identification.equation import Equation, fit_equation
 from rotorid_torch.identification.ftr import Regression
@@ -63,7 +65,7 @@ class Step2:
 def regress_model(model: Model, dataset: Dataset, reconstruction: Reconstruction) -> Step2:
     """All linear parameters of the model from the identify flights, in closed form; the others keep their prior."""
     theta = model.theta.detach().clone()
-    flights = [measured(model, dataset, reconstruction, name) for name in dataset.identify]
+    flights = OnDemand(dataset.identify, lambda name: measured(model, dataset, reconstruction, name), costly=True)
     found: dict[str, Regression] = {}
     held: list[str] = []
     shares: dict[str, float] = {}
@@ -94,12 +96,16 @@ def _undamped(model: Model, theta: Tensor, row: str) -> bool:
     return bool(theta[place] > model.parameter_set.upper[place])
 
 
-def _follow(model: Model, theta: Tensor, row: str, equation: Equation, flights: Sequence[Measured]) -> list[str]:
+def _follow(model: Model, theta: Tensor, row: str, equation: Equation, flights: Mapping[str, Measured]) -> list[str]:
     """Let a rate follow the other signals at `FOLLOWING`: gains by regression of the rate itself; names to hold."""
     rate = RATES[MOMENTS.index(row)]
     others = [c for c in equation.names if c not in RATES]
+
+    def rate_of(name: str, flight: Measured) -> Tensor:
+        return flight.signals[rate]
+
     gains = fit_equation(
-        replace(equation, response=[f.signals[rate] for f in flights], kind="value", prior_mean=None, prior_sd=None),
+        replace(equation, response=_each(flights, rate_of), kind="value", prior_mean=None, prior_sd=None),
         others,
     )
     rates = torch.tensor([-FOLLOWING if c == rate else 0.0 for c in RATES], dtype=torch.float64)
@@ -148,29 +154,40 @@ def _followed(effect: Effect, frame: Frame, values: Values, dt: float) -> Tensor
     slope = torch.stack(
         [effect(frame, state + e, values)[1] - constant for e in torch.eye(len(effect.states), dtype=torch.float64)], -1
     )
-    out, x = [], -torch.linalg.pinv(slope[0]) @ constant[0]
-    for c, a in zip(constant, slope, strict=True):
-        out.append(x)
-        x = torch.linalg.solve(torch.eye(len(x), dtype=torch.float64) - dt * a, x + dt * c)
-    return torch.stack(out)
+    x = (-torch.linalg.pinv(slope[0]) @ constant[0]).numpy()
+    passed = torch.linalg.inv(torch.eye(len(effect.states), dtype=torch.float64) - dt * slope)
+    added = (passed @ (dt * constant).unsqueeze(-1)).squeeze(-1).numpy()
+    out = np.empty_like(added)
+    for k, (factor, push) in enumerate(zip(passed.numpy(), added, strict=True)):
+        out[k] = x
+        x = factor @ x + push
+    return torch.from_numpy(out)
+
+
+def _each(flights: Mapping[str, Measured], take: Callable[[str, Measured], Tensor]) -> Collection[Tensor]:
+    """One record per flight, made when it is asked for."""
+    return OnDemand(flights, lambda name: take(name, flights[name]), budget=0).values()
 
 
 def _equation(
-    row: str, effect: Effect, block: LinearBlock, model: Model, dataset: Dataset, flights: Sequence[Measured]
+    row: str, effect: Effect, block: LinearBlock, model: Model, dataset: Dataset, flights: Mapping[str, Measured]
 ) -> Equation:
     pattern = tuple(c for c in block.columns if f"{row}.{c}" in {p.name for p in effect.declared})
-    dt = [dataset.flights[f].dt for f in dataset.identify]
-    responses, kind, noise = _responses(row, model, dataset, flights, dt)
+    responses, kind, noise = _responses(row, model, dataset, flights)
     reference = model.reference
     declared = {p.name: p for p in effect.declared}
     prior = [declared[f"{row}.{c}"] for c in pattern]
     known = {c: dataset.noise(c) for c in pattern if have(dataset, (c,))}
+
+    def regressors(name: str, flight: Measured) -> Tensor:
+        return torch.stack([flight.signals[c] - reference.get(c, 0.0) for c in pattern], dim=-1)
+
     return Equation(
         name=row,
         response=responses,
-        regressors=[torch.stack([f.signals[c] - reference.get(c, 0.0) for c in pattern], dim=-1) for f in flights],
+        regressors=_each(flights, regressors),
         names=pattern,
-        dt=dt,
+        dt=[dataset.facts[f].dt for f in dataset.identify],
         kind=kind,
         response_noise=noise,
         regressor_noise=[known.get(c, 0.0) for c in pattern],
@@ -182,38 +199,37 @@ def _equation(
 
 
 def _responses(
-    row: str, model: Model, dataset: Dataset, flights: Sequence[Measured], dt: Sequence[float]
-) -> tuple[list[Tensor], str, float]:
+    row: str, model: Model, dataset: Dataset, flights: Mapping[str, Measured]
+) -> tuple[Collection[Tensor], str, float]:
     """Measured response of a row without its known part, the regression's kind, and the response's noise."""
     if row in FLAPPING:
         return (
-            [f.signals[row] for f in flights],
+            _each(flights, lambda name, flight: flight.signals[row]),
             "value" if isinstance(model.effect("rotor"), AlgebraicFlapping) else "derivative",
             dataset.noise(row),
         )
     axis = (*FORCES, *MOMENTS).index(row)
     if row in MOMENTS:
-        rates = [torch.stack([f.signals[n] for n in RATES], -1) for f in flights]
-        own = [f.known[:, axis] for f in flights]
-        if model.body.inertia is not None:
-            own = [k + gyroscopic(r, model.inertia)[:, axis - 3] for k, r in zip(own, rates, strict=True)]
-        return (
-            [r[:, axis - 3] - integral(k, h) for r, k, h in zip(rates, own, dt, strict=True)],
-            "derivative",
-            dataset.noise(RATES[axis - 3]),
-        )
+
+        def rate(name: str, flight: Measured) -> Tensor:
+            rates, own = torch.stack([flight.signals[n] for n in RATES], -1), flight.known[:, axis]
+            if model.body.inertia is not None:
+                own = own + gyroscopic(rates, model.inertia)[:, axis - 3]
+            return rates[:, axis - 3] - integral(own, dataset.facts[name].dt)
+
+        return _each(flights, rate), "derivative", dataset.noise(RATES[axis - 3])
     if have(dataset, SPECIFIC_FORCES):
-        return _accelerometer_response(model, dataset, flights, axis, dt)
+        return _accelerometer_response(model, dataset, flights, axis)
     return (
-        [_velocity_response(model, f, axis, h) for f, h in zip(flights, dt, strict=True)],
+        _each(flights, lambda name, flight: _velocity_response(model, flight, axis, dataset.facts[name].dt)),
         "derivative",
         dataset.noise(VELOCITIES[axis]),
     )
 
 
 def _accelerometer_response(
-    model: Model, dataset: Dataset, flights: Sequence[Measured], axis: int, dt: Sequence[float]
-) -> tuple[list[Tensor], str, float]:
+    model: Model, dataset: Dataset, flights: Mapping[str, Measured], axis: int
+) -> tuple[Collection[Tensor], str, float]:
     """Specific force at the centre of gravity without its known part, from an IMU that may sit elsewhere.
 
     There the arm's angular acceleration is the rate of measured rates, so response and arm are integrated and regressed
@@ -221,20 +237,22 @@ def _accelerometer_response(
     """
     channel = SPECIFIC_FORCES[axis]
     noise = dataset.noise(channel)
-    left = [dataset.flights[n].bridged([channel])[:, 0] for n in dataset.identify]
-    left = [a - f.known[:, axis] for a, f in zip(left, flights, strict=True)]
+
+    def force(name: str, flight: Measured) -> Tensor:
+        return dataset.flights[name].bridged([channel])[:, 0] - flight.known[:, axis]
+
     if not bool(model.imu.any()):
-        return left, "value", noise
-    rates = [torch.stack([f.signals[n] for n in RATES], -1) for f in flights]
-    speed = [cross(r, model.imu) for r in rates]
-    inward = [cross(r, s)[:, axis] for r, s in zip(rates, speed, strict=True)]
+        return _each(flights, force), "value", noise
     reach = cross(torch.eye(3, dtype=torch.float64), model.imu)[:, axis]  # of each gyro
     gyros = float((reach * torch.tensor([dataset.noise(n) for n in RATES], dtype=torch.float64)).norm())
-    return (
-        [integral(a - i, h) - s[:, axis] for a, i, s, h in zip(left, inward, speed, dt, strict=True)],
-        "derivative",
-        math.hypot(gyros, noise / (2.0 * math.pi * MIDDLE)),
-    )
+
+    def velocity(name: str, flight: Measured) -> Tensor:
+        rates = torch.stack([flight.signals[n] for n in RATES], -1)
+        speed = cross(rates, model.imu)
+        inward = cross(rates, speed)[:, axis]
+        return integral(force(name, flight) - inward, dataset.facts[name].dt) - speed[:, axis]
+
+    return _each(flights, velocity), "derivative", math.hypot(gyros, noise / (2.0 * math.pi * MIDDLE))
 
 
 def _velocity_response(model: Model, flight: Measured, axis: int, dt: float) -> Tensor:

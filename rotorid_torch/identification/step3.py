@@ -68,28 +68,57 @@ def estimate_model(
 
 def _noise(model: Model, dataset: Dataset) -> Tensor:
     """Sensor noise of the outputs after averaging, [ny]."""
-    every = max(1, int(1.0 / (dataset.flights[dataset.identify[0]].dt * RATE)))
+    every = _every(dataset.facts[dataset.identify[0]].dt)
     return torch.tensor([dataset.noise(c) for c in model.body.outputs], dtype=torch.float64) / math.sqrt(every)
 
 
 def records(model: Model, dataset: Dataset, reconstruction: Reconstruction) -> Records:
     """The identify flights as one batch: measured outputs, and smoothed states to start segments from."""
-    flights = []
-    for name in dataset.identify:
-        flight, step1 = dataset.flights[name], reconstruction.flights[name]
-        every = max(1, int(1.0 / (flight.dt * RATE)))
-        signals = measured(model, dataset, reconstruction, name).signals
-        unknown = torch.full_like(flight.time, math.nan)
-        states = [step1.channels.get(n, signals.get(n, unknown)) for n in model.layout.names]
-        flights.append(
+    batch: Records | None = None
+    lengths = [dataset.facts[name].samples // _every(dataset.facts[name].dt) for name in dataset.identify]
+    for i, name in enumerate(dataset.identify):
+        own = _record(model, dataset, reconstruction, name)
+        if batch is None:
+            batch = _empty(own, len(lengths), max(lengths))
+        batch.lengths[i], batch.start[i] = own.lengths[0], own.start[0]
+        batch.controls[i], batch.outputs[i, : own.samples] = own.controls[0, -1], own.outputs[0]
+        batch.controls[i, : own.samples], batch.states[i, : own.samples] = own.controls[0], own.states[0]
+    assert batch is not None
+    return batch
+
+
+def _every(dt: float) -> int:
+    """Samples that are averaged to one."""
+    return max(1, int(1.0 / (dt * RATE)))
+
+
+def _record(model: Model, dataset: Dataset, reconstruction: Reconstruction, name: str) -> Records:
+    """One flight alone."""
+    flight, step1 = dataset.flights[name], reconstruction.flights[name]
+    every = _every(flight.dt)
+    signals = measured(model, dataset, reconstruction, name).signals
+    unknown = torch.full_like(flight.time, math.nan)
+    states = [step1.channels.get(n, signals.get(n, unknown)) for n in model.layout.names]
+    return records_from(
+        [
             {
                 "time": averaged(flight.time, every),
                 "controls": averaged(flight.bridged(model.body.controls), every),
                 "outputs": averaged(flight.stack(model.body.outputs) - _biases(model, step1), every),
                 "states": averaged(torch.stack(states, dim=-1), every),
             }
-        )
-    return records_from(flights)
+        ]
+    )
+
+
+def _empty(one: Records, flights: int, samples: int) -> Records:
+    """Room for so many flights like this one."""
+
+    def nothing(columns: int) -> Tensor:
+        return torch.full((flights, samples, columns), math.nan, dtype=torch.float64)
+
+    sizes = (part.shape[-1] for part in (one.controls, one.outputs, one.states))
+    return Records(one.dt, one.lengths.repeat(flights), one.start.repeat(flights), *map(nothing, sizes))
 
 
 def _biases(model: Model, step1: ReconstructedFlight) -> Tensor:

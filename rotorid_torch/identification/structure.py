@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
 import torch
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
 from rotorid_torch.core.names import ATTITUDES, FLAPPING, FORCES, MOMENTS, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
@@ -21,6 +22,8 @@ from rotorid_torch.model.nominal import thrust
 
 ATTITUDE = ATTITUDES[:2]
 OUTPUTS = (*VELOCITIES, *RATES, *ATTITUDE, *SPECIFIC_FORCES, *FLAPPING)
+LAGGED = 40
+"""Identify flights that tell the lag, at most."""
 LAGS = (0, 1, 2, 3, 4, 6, 8, 11, 16, 24, 32)
 """Samples of first-order lag that are tried between flapping and what drives it."""
 DOUBTFUL = 2
@@ -31,7 +34,7 @@ FLAP_TIME = 0.1
 
 def have(dataset: Dataset, names: Sequence[str]) -> bool:
     """Whether all identify flights have all these channels."""
-    return all(dataset.flights[f].has(*names) for f in dataset.identify)
+    return all(dataset.facts[f].has(*names) for f in dataset.identify)
 
 
 def propose(dataset: Dataset, reconstruction: Reconstruction, effects: Sequence[str] = ()) -> ModelSpec:
@@ -88,10 +91,10 @@ def rival(spec: ModelSpec) -> ModelSpec | None:
 
 
 def _require_rates(dataset: Dataset) -> None:
-    for flight in (dataset.flights[f] for f in dataset.identify):
+    for name in dataset.identify:
         for rate in RATES:
-            if not flight.has(rate):
-                raise InputError(dataset.file(flight.name), rate, "is missing", "p, q and r in every identify flight")
+            if not dataset.facts[name].has(rate):
+                raise InputError(dataset.file(name), rate, "is missing", "p, q and r in every identify flight")
 
 
 def _with_patterns(spec: ModelSpec, drivers: Sequence[str]) -> ModelSpec:
@@ -130,7 +133,7 @@ def _trims(spec: ModelSpec, forces: Sequence[str]) -> dict[str, float]:
 
 def _predicted(channel: str, states: Sequence[str], flapping: FlappingKind, dataset: Dataset) -> bool:
     """Whether the model predicts a channel that the data set measures."""
-    if not any(dataset.flights[f].has(channel) for f in dataset.identify):
+    if not any(dataset.facts[f].has(channel) for f in dataset.identify):
         return False
     if channel in SPECIFIC_FORCES:
         return "u" in states or have(dataset, SPECIFIC_FORCES)
@@ -155,14 +158,15 @@ def _triple(values: Sequence[float]) -> tuple[float, float, float]:
 
 def _flapping_lag(dataset: Dataset, drivers: Sequence[str]) -> int:
     """Samples of first-order lag between cyclic flapping and what drives it that explain the flapping best."""
-    flights = [dataset.flights[f] for f in dataset.identify]
+    flights = [dataset.flights[f] for f in dataset.some(LAGGED)]
     misfit = torch.stack([_lagged_misfit(flights, drivers, lag) for lag in LAGS])
     return LAGS[int(misfit.argmin())]
 
 
 def _lagged_misfit(flights: Sequence[Flight], drivers: Sequence[str], lag: int) -> Tensor:
     """Mean log residual of a1 and b1 regressed on drivers that pass a first-order lag of so many samples."""
-    z = [lagged(f.bridged(drivers), lag) for f in flights]
+    passed = lagged(pad_sequence([f.bridged(drivers) for f in flights]), lag).unbind(1)
+    z = [record[: f.samples] for record, f in zip(passed, flights, strict=True)]
     z = [torch.cat([c - c.mean(0), torch.ones_like(c[:, :1])], dim=1) for c in z]
     y = [f.bridged(FLAPPING[1:]) for f in flights]
     columns, response = torch.cat(z), torch.cat(y)
@@ -172,7 +176,7 @@ def _lagged_misfit(flights: Sequence[Flight], drivers: Sequence[str], lag: int) 
 
 
 def lagged(signal: Tensor, samples: float) -> Tensor:
-    """A first-order lag of so many samples over a record (T, n), in equilibrium at its start."""
+    """A first-order lag of so many samples over records (T, ...), in equilibrium at their start."""
     if samples <= 0:
         return signal
     decay, state, passed = math.exp(-1.0 / samples), signal[0], []
@@ -189,19 +193,30 @@ def _sizes(dataset: Dataset, reconstruction: Reconstruction) -> dict[str, float]
     sizes = {}
     for name in signals:
         if have(dataset, (name,)):
-            values = torch.cat([dataset.flights[f].channels[name] for f in dataset.identify])
-            sizes[name] = max(float((values - reference[name]).square().nanmean().sqrt()), dataset.noise(name))
-    loads = torch.cat([reconstruction.flights[f].specific for f in dataset.identify])
-    for row, column in zip((*FORCES, *MOMENTS), (loads - loads.nanmean(0)).T, strict=True):
-        sizes[f"row.{row}"] = float(column.square().nanmean().sqrt().nan_to_num(1.0))
+            spreads = [dataset.facts[f].spreads[name] for f in dataset.identify]
+            square = sum(s.squares_about(reference[name]) for s in spreads) / sum(s.count for s in spreads)
+            sizes[name] = max(math.sqrt(square), dataset.noise(name))
+    for row, deviation in zip((*FORCES, *MOMENTS), _deviations(dataset, reconstruction), strict=True):
+        sizes[f"row.{row}"] = deviation
     return sizes
+
+
+def _deviations(dataset: Dataset, reconstruction: Reconstruction) -> list[float]:
+    """Standard deviation of each force and moment over the identify flights; one where it is unknown."""
+    moments = []
+    for loads in (reconstruction.flights[f].specific for f in dataset.identify):
+        mean = loads.nanmean(0)
+        moments.append(torch.stack([(~loads.isnan()).sum(0), mean.nan_to_num(0.0), (loads - mean).square().nansum(0)]))
+    count, mean, squares = torch.stack(moments, dim=1)
+    between = (count * (mean - (count * mean).sum(0) / count.sum(0)).square()).sum(0)
+    return ((squares.sum(0) + between) / count.sum(0)).sqrt().nan_to_num(1.0).tolist()
 
 
 def _ranges(dataset: Dataset) -> dict[str, tuple[float, float]]:
     """Smallest and largest value of every signal in the identify flights."""
-    found: Mapping[str, list[Tensor]] = {n: [] for n in (*VELOCITIES, *RATES, *ATTITUDE, *dataset.controls)}
-    for flight in (dataset.flights[f] for f in dataset.identify):
-        for name, values in found.items():
-            if flight.has(name):
-                values.append(flight.channels[name][~flight.channels[name].isnan()])
-    return {n: (float(torch.cat(v).min()), float(torch.cat(v).max())) for n, v in found.items() if v}
+    found = {}
+    for name in (*VELOCITIES, *RATES, *ATTITUDE, *dataset.controls):
+        spreads = [dataset.facts[f].spreads[name] for f in dataset.identify if dataset.facts[f].has(name)]
+        if spreads:
+            found[name] = min(s.low for s in spreads), max(s.high for s in spreads)
+    return found
