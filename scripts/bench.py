@@ -18,11 +18,15 @@ from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT / "scripts"), str(ROOT / "experiments")]
+EARLIER = os.environ.get("PYTHONPATH", "")
+PLACES = [str(ROOT), str(ROOT / "scripts"), str(ROOT / "experiments")]
+sys.path[:0] = PLACES
+os.environ["PYTHONPATH"] = os.pathsep.join(PLACES + os.environ.get("PYTHONPATH", "").split(os.pathsep)).strip(
+    os.pathsep
+)
 
 import torch  # noqa: E402  (after the number of threads)
 from benchmark import models, problems, processes  # noqa: E402
-from benchmark.clock import Failed  # noqa: E402
 from benchmark.rows import ROWS, Figure, NotMeasured, Result, judged, plain, table  # noqa: E402
 from benchmark.setting import Measured, Setting  # noqa: E402
 from rich.console import Console  # noqa: E402
@@ -128,8 +132,8 @@ def measured(setting: Setting, begins: Callable[[str], None]) -> tuple[list[Resu
             got = measurement.measure(setting)
         except NotMeasured as reason:
             got = dict.fromkeys(chosen, f"not measured: {reason}")
-        except Failed as reason:
-            got = dict.fromkeys(chosen, f"failed: {reason}")
+        except Exception as reason:  # one row that fails must not cost the others, which took minutes
+            got = dict.fromkeys(chosen, f"failed: {type(reason).__name__}: {reason}")
         for name in chosen:
             figure = got[name]
             if isinstance(figure, Figure):

@@ -21,10 +21,6 @@ LINES = 12
 """Lines of a profile that are shown."""
 
 
-class Failed(Exception):
-    """A process that was to be timed failed."""
-
-
 def interleaved(programs: Mapping[str, Callable[[], Any]], repeats: int, budget: float = 90.0) -> dict[str, float]:
     """Medians, s, of programs that run in turn, so that what else the machine does hits all alike.
 
@@ -47,14 +43,16 @@ def process(*arguments: str, **environment: str) -> tuple[float, str]:
 
     Raises
     ------
-    Failed : with the last line that it said.
+    RuntimeError : it fails; with the last line that it said.
     """
     env = {**os.environ, "OMP_NUM_THREADS": "1", **environment}
     begin = time.perf_counter()
     done = subprocess.run([sys.executable, *arguments], env=env, capture_output=True, text=True, check=False)
     spent = time.perf_counter() - begin
     if done.returncode:
-        raise Failed(done.stderr.strip().splitlines()[-1] if done.stderr.strip() else f"exit code {done.returncode}")
+        raise RuntimeError(
+            done.stderr.strip().splitlines()[-1] if done.stderr.strip() else f"exit code {done.returncode}"
+        )
     return spent, done.stdout
 
 
@@ -91,18 +89,23 @@ def native_seconds() -> Iterator[Counter[str]]:
             module.library = library
 
 
-def profile(title: str, program: Callable[[], Any]) -> str:
-    """Where the time of one call goes: loops of native code, and the Python functions that take most themselves."""
+def profile(title: str, program: Callable[[], Any], once: bool = False) -> str:
+    """Where the time of a call goes: loops of native code, and the Python functions that take most themselves.
+
+    once : both from one call, for programs that take long; else the functions come from a second call, so that
+        watching them does not lengthen the first.
+    """
+    recorder = cProfile.Profile()
     with native_seconds() as loops:
         begin = time.perf_counter()
-        program()
+        recorder.runcall(program) if once else program()
         whole = time.perf_counter() - begin
-    recorder = cProfile.Profile()
-    recorder.runcall(program)
+    if not once:
+        recorder.runcall(program)
     said = io.StringIO()
     pstats.Stats(recorder, stream=said).strip_dirs().sort_stats("tottime").print_stats(LINES)
     lines = [line for line in said.getvalue().splitlines() if line.strip()]
     first = next(i for i, line in enumerate(lines) if "ncalls" in line)
-    native = "".join(f"\n  native {name}: {s:.4f} s, {s / whole:.0%}" for name, s in loops.most_common())
-    rest = f"\n  all else: {whole - sum(loops.values()):.4f} s"
-    return f"{title}: {whole:.4f} s{native}{rest}\n" + "\n".join(lines[first:])
+    native = [f"  native {name}: {seconds:.4f} s, {seconds / whole:.0%}" for name, seconds in loops.most_common()]
+    rest = f"  all else: {whole - sum(loops.values()):.4f} s"
+    return "\n".join([f"{title}: {whole:.4f} s", *native, rest, *lines[first:]])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -14,23 +13,24 @@ from torch import Tensor
 from benchmark.clock import interleaved, process, profile
 from benchmark.rows import Figure
 from benchmark.setting import Measured, Setting
-from rotorid_torch.core.native.dynamics import Dynamics, LinearProblem
 from rotorid_torch.data.dataset import Dataset, load
 from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification import step3
-from rotorid_torch.identification.likelihood import Likelihood, Noise, Place
+from rotorid_torch.identification.engine import engine_for
+from rotorid_torch.identification.gauss_newton import Linear
+from rotorid_torch.identification.likelihood import Likelihood, Place
 from rotorid_torch.identification.reconstruct import Reconstruction, reconstruct
 from rotorid_torch.identification.segments import cut
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.identification.system import System
+from rotorid_torch.identification.whitening import Noise
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.model.save import save
 
 EFFECTS = ("control.delay",)
 """Joined to the nominal model; the first that exists."""
-SCRIPTS = Path(__file__).resolve().parents[1]
 SECONDS = 5.0
 """Length of the segments, as in the fit's last stage."""
 
@@ -57,7 +57,7 @@ def prepared(data: Path) -> Prepared:
     return Prepared(dataset, found, propose(dataset, found, EFFECTS))
 
 
-def likelihood(given: Prepared) -> Likelihood:
+def likelihood(given: Prepared, engine: str) -> Likelihood:
     """That of the fit's last stage, from the prior mean, initial states free."""
     model = given.model
     system = System(model, tuple(model.parameter_set.free))
@@ -68,6 +68,7 @@ def likelihood(given: Prepared) -> Likelihood:
     x0 = segments.take(records.states)[:, 0].nan_to_num(0.0)
     return Likelihood(
         system=system,
+        engine=engine_for(system, records, "rk4", engine),
         records=records,
         segments=segments,
         states=records.states,
@@ -94,58 +95,43 @@ def engine(setting: Setting) -> Measured:
     """The fit's engine for the model in fresh processes: with an empty cache, and with what the first one built."""
     given, file = prepared(setting.dataset()), setting.folder / "model.pt"
     save(given.model, given.spec, file)
-    places = {"ROTORID_CACHE": str(setting.folder / "engine"), "PYTHONPATH": str(SCRIPTS)}
     found: Measured = {}
     for name in ("engine-new", "engine-cached"):
-        _, said = process("-m", "benchmark.engine", str(file), **places)
+        _, said = process("-m", "benchmark.engine", str(file), ROTORID_CACHE=str(setting.folder / "engine"))
         found[name] = Figure(float(said), "s")
     return found
 
 
 def gauss_newton(setting: Setting) -> Measured:
     """Trajectories and linear model once, by both engines, from a place that has been linearised before."""
-    problem = likelihood(prepared(setting.dataset()))
-    theta = problem.system.theta
-    base = problem.evaluate(theta)
-    native, rows = native_iteration(problem, base), torch.cat([rows for rows, _ in problem.rows(base)], dim=1)
-    products, expected = native(), rows.mT @ rows
-    size = expected.diagonal(dim1=-2, dim2=-1).sqrt()
-    scale = (size.unsqueeze(-1) * size.unsqueeze(-2)).clamp_min(1e-300)
-    difference = float(((products - expected).triu().abs() / scale).max())
-    problem.linearise(base)
-    programs = {"native": native, "reference": lambda: problem.linearise(problem.evaluate(theta, base))}
+    given = prepared(setting.dataset())
+    programs, linear = {}, {}
+    for engine in ("native", "reference"):
+        problem = likelihood(given, engine)
+        theta = problem.system.theta
+        base = problem.evaluate(theta)
+        linear[engine] = problem.linearise(base)
+        programs[engine] = partial(iteration, problem, base, theta)
     seconds = interleaved(programs, min(setting.repeats, 3))
     if setting.profile:
-        setting.tell(profile("Gauss-Newton iteration, native", native))
+        setting.tell(profile("Gauss-Newton iteration, native", programs["native"]))
     fast, slow = seconds["native"], seconds["reference"]
     return {
         "gauss-newton": Figure(fast, "s", f"reference engine, {slow:.3g} s", slow / fast),
-        "accuracy-gauss-newton": Figure(difference, "relative", "reference engine"),
+        "accuracy-gauss-newton": Figure(_difference(**linear), "relative", "reference engine"),
     }
 
 
-def native_iteration(problem: Likelihood, base: Place) -> Callable[[], Tensor]:
-    """Products of the whitened derivatives' columns [S, n, n] (upper part): initial states, parameters, residual."""
-    system, segments, records = problem.system, problem.segments, problem.records
-    theta, now, weight = system.theta, torch.zeros((), dtype=torch.float64), base.whitener.covariance.diagonal().rsqrt()
-    length = segments.inside.sum(dim=1).to(torch.int32)
-    which, _ = system.tape_jacobian(theta, records.controls, records.dt)
-    engine = Dynamics.of(
-        lambda x, u, th: system.rates(th, now, x, u),
-        lambda x, u, th: system.output(th, x, u),
-        problem.x0[0],
-        records.controls[0, 0],
-        theta,
-        path=which.tolist(),
-    )
+def iteration(problem: Likelihood, base: Place, theta: Tensor) -> Linear:
+    """What one iteration asks of the likelihood: trajectories at a new place and the linear model there."""
+    return problem.linearise(problem.evaluate(theta, base))
 
-    def program() -> Tensor:
-        controls = segments.take(system.tape(theta, records.controls, records.dt))
-        path = segments.take(system.tape_jacobian(theta, records.controls, records.dt)[1])
-        _, outputs = engine.simulate(theta, problem.x0, controls, records.dt)
-        residual = segments.outputs - outputs
-        return engine.normal_equations(
-            LinearProblem(records.dt, length, controls, path, residual, problem.x0, theta, weight)
-        )[0]
 
-    return program
+def _difference(native: Linear, reference: Linear) -> float:
+    """Largest one of the normal equations' entries, relative to the roots of the diagonal."""
+    products = []
+    for A, b, _ in (native, reference):
+        whole = torch.cat([A, b.unsqueeze(-1)], dim=-1)
+        products.append(whole.mT @ whole)
+    size = products[1].diagonal().sqrt().clamp_min(1e-300)  # of a parameter that nothing depends on
+    return float(((products[0] - products[1]).abs() / (size[:, None] * size)).max())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -14,10 +15,13 @@ from benchmark_models import DerivativeModel, LoadedBody, numbers
 from benchmark.clock import interleaved, profile
 from benchmark.rows import Figure, NotMeasured
 from benchmark.setting import Measured, Setting
-from rotorid_torch.core.native.dynamics import Dynamics, LinearProblem
+from rotorid_torch.identification.engine import engine_for
+from rotorid_torch.identification.likelihood import Likelihood
+from rotorid_torch.identification.segments import Records, cut
 from rotorid_torch.identification.sigma_points import ProcessNoise, SigmaPoints
 from rotorid_torch.identification.system import System
 from rotorid_torch.identification.ukf import Engine, filter_and_smooth
+from rotorid_torch.identification.whitening import Noise
 
 Program = Callable[[], dict[str, Any]]
 """Solves a problem and returns what the anchors return, as numpy arrays."""
@@ -102,30 +106,41 @@ def _on(threads: int, program: Callable[[], Any]) -> Any:
         torch.set_num_threads(before)
 
 
-def normal_equations(problems: Any, data: dict[str, Any], threads: int = 1) -> Program:
-    """Problem B by the engine of the likelihood: trajectories, then the products of the whitened derivatives."""
+def normal_equations(problems: Any, data: dict[str, Any], threads: int = 1, engine: Engine = "native") -> Program:
+    """Problem B by the likelihood that `identify` minimises: one evaluation and its linear model."""
     system = System(DerivativeModel(problems, data["p"]))
     controls, y, x0 = (numbers(data[name]) for name in ("c", "y", "x0"))
-    theta, weight, now = system.theta, 1.0 / numbers(problems.SD_B), torch.zeros((), dtype=torch.float64)
-    length = torch.full((len(y),), y.shape[1], dtype=torch.int32)
-    engine = Dynamics.of(
-        lambda x, u, th: system.rates(th, now, x, u),
-        lambda x, u, th: system.output(th, x, u),
-        x0[0],
-        controls[0, 0],
-        theta,
-        initial=False,
-        classic=True,
+    flights, samples, count = len(y), y.shape[1], len(system.theta)
+    records = Records(
+        dt=problems.DT,
+        lengths=torch.full((flights,), samples),
+        start=torch.zeros(flights, dtype=torch.float64),
+        controls=controls,
+        outputs=y,
+        states=torch.cat([x0[:, None], torch.full_like(y[:, 1:], math.nan)], dim=1),
+    )
+    sd = numbers(problems.SD_B)
+    problem = Likelihood(
+        system=system,
+        engine=engine_for(system, records, "rk4", engine),
+        records=records,
+        segments=cut(records, samples),
+        states=records.states,
+        noise=Noise("held", sd, torch.diag(sd**2)),
+        x0=x0,
+        x0_mean=x0,
+        x0_sd=None,
+        prior_mean=system.theta,
+        prior_sd=torch.full((count,), math.inf, dtype=torch.float64),
+        bias_sd=torch.zeros(y.shape[-1], dtype=torch.float64),
     )
 
-    def program() -> dict[str, Any]:
-        _, outputs = engine.simulate(theta, x0, controls, problems.DT, threads=threads)
-        task = LinearProblem(problems.DT, length, controls, theta[:0], y - outputs, x0, theta, weight)
-        products = engine.normal_equations(task, threads)[0].sum(dim=0)
-        whole = products.triu() + products.triu(1).mT
-        return {"cost": 0.5 * float(whole[-1, -1]), "g": whole[:-1, -1].numpy(), "H": whole[:-1, :-1].numpy()}
+    def solve() -> dict[str, Any]:
+        place = problem.evaluate(system.theta)
+        A, b, _ = problem.linearise(place)
+        return {"cost": place.cost, "g": (A.mT @ b).numpy(), "H": (A.mT @ A).numpy()}
 
-    return program
+    return lambda: _on(threads, solve)
 
 
 PRODUCT: dict[str, Callable[..., Program]] = {"A": filtering, "B": normal_equations}
@@ -143,7 +158,7 @@ def race(setting: Setting, problem: str, flights: int) -> Measured:
         except NotMeasured as reason:
             missing[name] = str(reason)
     seconds = interleaved(programs, min(setting.repeats, 5) if flights >= MANY else setting.repeats)
-    if setting.profile:
+    if setting.profile and "product" in programs:
         setting.tell(profile(f"{problem}, {flights} flights, one thread", programs["product"]))
     return {row: _compared(seconds, *pair, missing) for row, pair in wanted.items()}
 
@@ -165,14 +180,15 @@ def _compared(seconds: dict[str, float], product: str, other: str, missing: dict
 
 
 def agreement(setting: Setting, problem: str) -> Measured:
-    """Differences to C++, and for A to the filter in torch."""
+    """Differences to C++ and to the reference engine, on two flights."""
     anchors = Anchors(setting.anchors)
     data, found = anchors.data(problem, 2, setting.quick), {}
-    got = PRODUCT[problem](anchors.problems, data)()
+    make = PRODUCT[problem]
+    got = make(anchors.problems, data)()
     if f"accuracy-{problem}-cpp" in setting.wanted:
         difference = anchors.error(problem, got, anchors.peer(problem, "cpp", data)())
         found[f"accuracy-{problem}-cpp"] = Figure(difference, "relative", "C++")
-    if problem == "A" and "accuracy-A" in setting.wanted:
-        difference = anchors.error("A", got, filtering(anchors.problems, data, engine="reference")())
-        found["accuracy-A"] = Figure(difference, "relative", "reference engine")
+    if f"accuracy-{problem}" in setting.wanted:
+        difference = anchors.error(problem, got, make(anchors.problems, data, engine="reference")())
+        found[f"accuracy-{problem}"] = Figure(difference, "relative", "reference engine")
     return found

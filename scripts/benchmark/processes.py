@@ -71,7 +71,7 @@ def identify(setting: Setting) -> Measured:
             setting.tell(f"{name}: {seconds:.2f} s, of which {told}")
     if setting.profile:
         dataset = load(data)
-        setting.tell(profile("identify, in one process", partial(pipeline.identify, dataset)))
+        setting.tell(profile("identify, in one process", partial(pipeline.identify, dataset), once=True))
     return found
 
 
@@ -133,8 +133,9 @@ def repeated(dataset: Dataset, count: int, folder: Path) -> Path:
         validate=dataset.validate,
         kind=dataset.kind,
         vehicle=dataset.vehicle,
-        controls=dataset.control_specs,
-        channels=dataset.channel_specs,
+        controls=dict(dataset.control_specs),
+        channels=dict(dataset.channel_specs),
+        model=dataset.settings,
     )
 
 
