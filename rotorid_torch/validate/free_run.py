@@ -9,6 +9,9 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.integrate import simulate
+from rotorid_torch.core.native.dynamics import Dynamics
+from rotorid_torch.core.native.fallback import say_once
+from rotorid_torch.core.native.trace import Unsupported
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.model.model import Model
 
@@ -65,21 +68,61 @@ def free_run(model: Model, pieces: Windows) -> tuple[Tensor, Tensor]:
     The body's initial state is fitted to the measured outputs of the first second by the same model; the effects'
     own states are in equilibrium with it.
     """
-    x0 = _initial(model, pieces)
-    states = _run(model, x0, pieces.controls, pieces.dt)
-    return states, model.output(states, pieces.controls)
+    run = _Runs.of(model)
+    x0 = _initial(run, pieces)
+    return run(x0, pieces.controls, pieces.dt)
 
 
-def _run(model: Model, x0: Tensor, controls: Tensor, dt: float) -> Tensor:
-    def rates(t: Tensor, x: Tensor, u: Tensor) -> Tensor:
-        held = x.clamp(-STRAYED, STRAYED)
-        return model.rates(model.theta, held, u).nan_to_num(0.0).clamp(-STRAYED, STRAYED)
+@dataclass(frozen=True)
+class _Runs:
+    """Trajectories of a model that are held in range: in native code where it can be compiled, else in torch."""
 
-    return simulate(rates, x0, controls, dt)
+    model: Model
+    compiled: Dynamics | None
+
+    @classmethod
+    def of(cls, model: Model) -> _Runs:
+        x, u = (
+            torch.tensor([model.reference.get(n, 0.0) for n in names], dtype=torch.float64)
+            for names in (model.layout.names, model.body.controls)
+        )
+        try:
+            dynamics = Dynamics.of(
+                lambda x, u, theta: model.rates(theta, x, u),
+                lambda x, u, theta: model.outputs_at(theta, x, u),
+                x,
+                u,
+                model.theta.detach(),
+            )
+            dynamics.build()
+        except Unsupported as error:
+            say_once(f"free runs are simulated in torch, many times slower than compiled: {error}")
+            return cls(model, None)
+        return cls(model, dynamics)
+
+    def __call__(self, x0: Tensor, controls: Tensor, dt: float) -> tuple[Tensor, Tensor]:
+        """States [..., W, T, nx] and outputs [..., W, T, ny] from x0 [..., W, nx] under controls [W, T, nu]."""
+        if self.compiled is None:
+            states = self._in_torch(x0, controls, dt)
+            return states, self.model.output(states, controls)
+        shape = x0.shape[:-1]
+        flat = controls.expand(*shape, *controls.shape[-2:]).reshape(-1, *controls.shape[-2:])
+        made = self.compiled.simulate(
+            self.model.theta.detach(), x0.reshape(-1, x0.shape[-1]), flat, dt, STRAYED, torch.get_num_threads()
+        )
+        return made[0].unflatten(0, shape), made[1].unflatten(0, shape)
+
+    def _in_torch(self, x0: Tensor, controls: Tensor, dt: float) -> Tensor:
+        def rates(t: Tensor, x: Tensor, u: Tensor) -> Tensor:
+            held = x.clamp(-STRAYED, STRAYED)
+            return self.model.rates(self.model.theta, held, u).nan_to_num(0.0).clamp(-STRAYED, STRAYED)
+
+        return simulate(rates, x0, controls, dt)
 
 
-def _initial(model: Model, pieces: Windows) -> Tensor:
+def _initial(run: _Runs, pieces: Windows) -> Tensor:
     """Initial states [W, nx] by Gauss-Newton on the first second, all perturbed bodies as further rows of one batch."""
+    model = run.model
     body, samples = model.body.states, max(2, min(round(FIRST / pieces.dt) + 1, pieces.controls.shape[1]))
     controls, outputs = pieces.controls[:, :samples], [i for i, c in enumerate(model.body.outputs) if c in body]
     wanted = pieces.measured[:, :samples, outputs]
@@ -93,7 +136,7 @@ def _initial(model: Model, pieces: Windows) -> Tensor:
     for _ in range(ITERATIONS):
         trials = torch.cat([x[None], x + probes[:, None]])
         x0 = equilibrium(model, trials, controls[:, 0])
-        runs = _run(model, x0, controls, pieces.dt)[..., columns]
+        runs = run(x0, controls, pieces.dt)[0][..., columns]
         jacobian = ((runs[1:] - runs[0]) / PROBE * weight).permute(1, 2, 3, 0).flatten(1, 2)
         residual = torch.where(known, (wanted - runs[0]) * weight, 0.0).flatten(1, 2)
         norms = jacobian.norm(dim=1, keepdim=True).clamp_min(1e-12)
