@@ -34,7 +34,9 @@ def state_matrix(model: Model) -> Tensor:
     """A [nx, nx] of dx/dt = A (x - x0) at the reference."""
     x, u = reference_point(model)
     theta = model.theta.detach()
-    return torch.func.jacfwd(lambda a: model.rates(theta, a, u))(x)
+    by_state = torch.autograd.functional.jacobian(lambda a: model.rates(theta, a, u), x)
+    assert isinstance(by_state, Tensor)
+    return by_state
 
 
 def modes(model: Model, sizes: dict[str, float]) -> list[Mode]:

@@ -5,6 +5,7 @@ A Monitor without a console and without a folder tells nothing; steps call it al
 
 from __future__ import annotations
 
+import io
 import resource
 import sys
 import time
@@ -17,7 +18,6 @@ from typing import TYPE_CHECKING, TextIO
 from rotorid_torch.run.records import TimeRecord
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from rich.console import Console
     from rich.progress import Progress
     from torch.utils.tensorboard.writer import SummaryWriter
@@ -91,10 +91,12 @@ class Monitor:
                 self._board.add_scalar(name, value, iteration)
         self.log(f"{iteration}: " + ", ".join(f"{name} {value:.6g}" for name, value in values.items()))
 
-    def figure(self, name: str, figure: Figure, iteration: int = 0) -> None:
-        """Record a figure for TensorBoard."""
+    def picture(self, name: str, png: bytes, iteration: int = 0) -> None:
+        """Record a picture for TensorBoard."""
         if self._board:
-            self._board.add_figure(name, figure, iteration)
+            from matplotlib.image import imread
+
+            self._board.add_image(name, imread(io.BytesIO(png))[..., :3], iteration, dataformats="HWC")
 
     def time_record(self) -> TimeRecord:
         """Seconds per step so far, and in all since the monitor was made."""

@@ -27,14 +27,12 @@ def write_report(
     overlays : free runs of the flights that are to be shown, any lists.
     monitor : where TensorBoard records; None records nothing.
     """
-    figures = draw(overlays, report.fit)
-    pictures = {name: png(figure) for name, figure in figures.items()}
+    pictures = {name: png(figure) for name, figure in draw(overlays, report.fit).items()}
     (folder / "figures").mkdir(exist_ok=True)
     for name, content in pictures.items():
         (folder / "figures" / f"{name}.png").write_bytes(content)
-    if monitor:
-        for name, figure in figures.items():
-            monitor.figure(name, figure)
+        if monitor:
+            monitor.picture(name, content)
     (folder / "report.html").write_text(render(report, pictures), encoding="utf-8")
     (folder / "report.json").write_bytes(encode_report(report))
 

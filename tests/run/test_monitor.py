@@ -13,6 +13,7 @@ from rich.console import Console
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from rotorid_torch.run.monitor import Monitor, peak_memory_mb
+from rotorid_torch.run.write import png
 
 
 def test_folder_holds_scalars_figures_log_and_warnings(tmp_path: Path):
@@ -20,8 +21,7 @@ def test_folder_holds_scalars_figures_log_and_warnings(tmp_path: Path):
     with monitor.recording(tmp_path):
         for iteration, cost in enumerate((3.0, 2.0, 1.5)):
             monitor.scalars({"ml/cost": cost}, iteration)
-        figure = Figure(figsize=(1, 1))
-        monitor.figure("overlay/p", figure, 2)
+        monitor.picture("overlay/p", png(Figure(figsize=(1, 1))), 2)
         with warnings.catch_warnings():
             warnings.simplefilter("always")
             warnings.warn("a rotor without blades", UserWarning, stacklevel=1)
@@ -40,7 +40,7 @@ def test_without_console_and_folder_nothing_is_told(capfd: pytest.CaptureFixture
     with monitor.step("ml"):
         monitor.progress(1, 3)
         monitor.scalars({"ml/cost": 1.0}, 0)
-        monitor.figure("overlay", Figure())
+        monitor.picture("overlay", b"")
     monitor.say("done")
     assert capfd.readouterr() == ("", "")
 
