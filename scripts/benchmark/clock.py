@@ -39,7 +39,7 @@ def interleaved(programs: Mapping[str, Callable[[], Any]], repeats: int, budget:
 
 
 def process(*arguments: str, **environment: str) -> tuple[float, str]:
-    """Wall time, s, and output of a fresh Python with these arguments.
+    """Wall time, s, and output of a fresh Python with these arguments; the package is this project's, wherever one is.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def process(*arguments: str, **environment: str) -> tuple[float, str]:
     """
     env = {**os.environ, "OMP_NUM_THREADS": "1", **environment}
     begin = time.perf_counter()
-    done = subprocess.run([sys.executable, *arguments], env=env, capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-P", *arguments], env=env, capture_output=True, text=True, check=False)
     spent = time.perf_counter() - begin
     if done.returncode:
         raise RuntimeError(

@@ -70,8 +70,8 @@ def identify(setting: Setting) -> Measured:
             told = ", ".join(f"{stage} {spent:.2f} s" for stage, spent in stages.items() if spent is not None)
             setting.tell(f"{name}: {seconds:.2f} s, of which {told}")
     if setting.profile:
-        dataset = load(data)
-        setting.tell(profile("identify, in one process", partial(pipeline.identify, dataset), once=True))
+        program = partial(pipeline.identify, load(data), out=runs / "profiled")
+        setting.tell(profile("identify, in this process", program, once=True))
     return found
 
 
