@@ -101,16 +101,19 @@ def _coloured(likelihood: Likelihood, place: Place, inverse: Tensor, told: Tenso
     pieces = len(likelihood.segments)
     reach = max(LEAST_SMOOTHING, round(SMOOTHING / pieces))
     spectrum = _spectrum(_flights(likelihood, place, told), inverse, lines, reach)
-    weights = torch.full((lines // 2 + 1, 1, 1), 2.0 / lines, dtype=torch.float64)
+    weights = torch.full((lines // 2 + 1,), 2.0 / lines, dtype=torch.float64)
     weights[0] = weights[-1] = 1.0 / lines
-    n = int(told.sum())
+    value, vector = torch.linalg.eigh(spectrum)
+    root = (vector * (value.clamp_min(0.0) * weights[:, None]).sqrt()[:, None, :]).mH
+    n, gain = int(told.sum()), inverse @ inverse.mT
     covariance, share = torch.zeros(n, n, dtype=torch.float64), torch.zeros(lines // 2 + 1, n, dtype=torch.float64)
     for flight in _flights(likelihood, place, told):  # once more, for all of them need not fit the memory
         for piece in flight.derivatives:
-            moves = torch.fft.rfft(piece @ (inverse @ inverse.mT), n=lines, dim=0)  # [lines, ny, n]
-            product = (weights * spectrum) @ moves
-            covariance += (moves.flatten(0, 1).mH @ product.flatten(0, 1)).real
-            share += (moves.conj() * product).real.sum(dim=1)
+            moves = root @ torch.fft.rfft(piece @ gain, n=lines, dim=0)  # [lines, ny, n], in units of the noise
+            parts = torch.view_as_real(moves).movedim(-1, 2)  # real matrix products cost half of complex ones
+            flat = parts.flatten(0, 2)
+            covariance += flat.mT @ flat
+            share += parts.square().sum(dim=(1, 2))
     freedom = pieces / _smoothed(share / share.sum(dim=0), reach).square().sum(dim=0)
     widened = 1.0 + STUDENT / freedom
     return covariance * widened * widened[:, None]
