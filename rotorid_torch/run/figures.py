@@ -18,7 +18,8 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from torch import Tensor
 
 from rotorid_torch.core import names
-from rotorid_torch.run.records import LISTS, FitRecord
+from rotorid_torch.run.records import FitRecord
+from rotorid_torch.run.summary import shown_flights
 from rotorid_torch.validate.scores import autocorrelation
 
 MEASURED, MODEL, QUIET = "#c0392b", "#1f4e9c", "#b8bcc4"
@@ -119,8 +120,8 @@ def residuals(overlays: Sequence[Overlay]) -> Figure:
 
 
 def scores(fit: FitRecord) -> Figure:
-    """J of every flight on the scale from the sensor noise alone to holding trim; logarithmic."""
-    flights = sorted(fit.flights.items(), key=lambda item: LISTS.index(item[1].list))
+    """J of every flight shown on the scale from the sensor noise alone to holding trim; logarithmic."""
+    flights = list(shown_flights(fit).items())
     figure = Figure(figsize=(WIDTH, 1.3 + 0.25 * len(flights)), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -26,8 +26,12 @@ from rotorid_torch.run.records import (
     Status,
     WindowsRecord,
 )
+from rotorid_torch.run.summary import SHOWN
 from rotorid_torch.validate import scores
-from rotorid_torch.validate.free_run import Windows, free_run, windows
+from rotorid_torch.validate.free_run import Runs, Windows, free_run, windows
+
+TOGETHER = 200_000
+"""Samples of windows that are run at once; what is known of them takes some hundred megabytes."""
 
 
 @dataclass(frozen=True)
@@ -75,32 +79,52 @@ def parameter_records(model: Model, step3: Step3) -> tuple[ParameterRecord, ...]
 
 
 def judge(model: Model, dataset: Dataset) -> Judged:
-    """Free runs over 8 s at every whole second of every flight, and their scores as the interface defines them."""
-    records, overlays, J = {}, [], defaultdict(list)
-    for name, (piece, outputs) in _all_windows(model, dataset).items():
-        record = _flight(model, dataset, name, piece, outputs)
-        records[name] = record
+    """Free runs over 8 s at every whole second of every flight, and their scores as the interface defines them.
+
+    Overlays are those of the first flights of each list, `SHOWN` of them.
+    """
+    records, overlays, J = {}, {}, defaultdict(list)
+    shown = {name for flights in (dataset.identify, dataset.validate, dataset.acid) for name in flights[:SHOWN]}
+    for name, piece, outputs in _all_windows(model, dataset):
+        records[name] = record = _flight(model, dataset, name, piece, outputs)
         J[record.list].append(record.J if record.J is not None else torch.nan)
-        overlays.append(_overlay(model, dataset, name, piece, outputs))
+        if name in shown:
+            overlays[name] = _overlay(model, dataset, name, piece, outputs)
     totals = {k: float(scores.list_score(torch.tensor(J[k], dtype=torch.float64))) if J[k] else None for k in LISTS}
-    return Judged(records, ScoresRecord(**totals), tuple(overlays))
+    ordered = {name: records[name] for name in dataset.flights}
+    return Judged(ordered, ScoresRecord(**totals), tuple(overlays[name] for name in ordered if name in overlays))
 
 
-def _all_windows(model: Model, dataset: Dataset) -> dict[str, tuple[Windows, Tensor]]:
-    """All windows of all flights, run as one batch per sample interval; by flight."""
+def _all_windows(model: Model, dataset: Dataset) -> Iterator[tuple[str, Windows, Tensor]]:
+    """All windows of every flight with their outputs, some flights at once; by sample interval."""
     by_step = defaultdict(list)
-    for flight in dataset.flights.values():
-        by_step[flight.dt].append(flight)
-    found: dict[str, tuple[Windows, Tensor]] = {}
-    for dt, flights in by_step.items():
-        samples = min(scores.horizon_samples(dt), max(f.samples for f in flights))
-        places = [(f.name, k) for f in flights for k in scores.window_starts(f.samples, dt)]
+    for name, facts in dataset.facts.items():
+        by_step[facts.dt].append(name)
+    groups = [(dt, group) for dt, names in by_step.items() for group in _groups(dataset, names, dt)]
+    run = Runs.of(model)
+    for dt, names in groups:
+        samples = min(scores.horizon_samples(dt), max(dataset.facts[name].samples for name in names))
+        starts = {name: scores.window_starts(dataset.facts[name].samples, dt) for name in names}
+        places = [(name, k) for name in names for k in starts[name]]
         pieces = windows(model, dataset, places, samples)
-        _, outputs = free_run(model, pieces)
-        for flight in flights:
-            own = [i for i, (name, _) in enumerate(places) if name == flight.name]
-            found[flight.name] = pieces.pick(own), outputs[own]
-    return {name: found[name] for name in dataset.flights}
+        _, outputs = free_run(model, pieces, run)
+        first = 0
+        for name in names:
+            own = range(first, first + len(starts[name]))
+            yield name, pieces.pick(own), outputs[first : own.stop]
+            first = own.stop
+
+
+def _groups(dataset: Dataset, names: Sequence[str], dt: float) -> Iterator[list[str]]:
+    """Flights whose windows are run at once."""
+    group, total = [], 0
+    for name in names:
+        own = len(scores.window_starts(dataset.facts[name].samples, dt)) * scores.horizon_samples(dt)
+        if group and total + own > TOGETHER:
+            yield group
+            group, total = [], 0
+        group, total = [*group, name], total + own
+    yield group
 
 
 def _flight(model: Model, dataset: Dataset, name: str, piece: Windows, outputs: Tensor) -> FlightRecord:
@@ -138,6 +162,6 @@ def _channels(model: Model, piece: Windows, outputs: Tensor) -> dict[str, Channe
 
 
 def _overlay(model: Model, dataset: Dataset, name: str, piece: Windows, outputs: Tensor) -> Overlay:
-    columns = lambda values: dict(zip(model.body.outputs, values.unbind(-1), strict=True))  # noqa: E731
+    columns = lambda values: dict(zip(model.body.outputs, values.clone().unbind(-1), strict=True))  # noqa: E731
     time = piece.dt * torch.arange(outputs.shape[1], dtype=torch.float64)
     return Overlay(name, dataset.listed(name), time, columns(piece.measured[0]), columns(outputs[0]))

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
 from rotorid_torch.run.records import FitRecord, ModeRecord, ParameterRecord, Report
-from rotorid_torch.run.summary import headline, list_summaries, next_steps
+from rotorid_torch.run.summary import headline, list_summaries, next_steps, shown_flights
 
 CAPTIONS = {
     "scores": "Every flight between its two yardsticks.",
@@ -37,7 +37,7 @@ def render(report: Report, pictures: Mapping[str, bytes]) -> str:
         report=report,
         headline=headline(report),
         steps=next_steps(report),
-        fits=[(title, fit, list_summaries(fit)) for title, fit in _fits(report)],
+        fits=[(title, fit, list_summaries(fit), shown_flights(fit)) for title, fit in _fits(report)],
         pictures=[(name, _caption(name), base64.b64encode(png).decode()) for name, png in pictures.items()],
     )
 

@@ -7,11 +7,13 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from rotorid_torch.core import names
-from rotorid_torch.run.records import LISTS, ChannelRecord, FitRecord, ParameterRecord, Report
+from rotorid_torch.run.records import LISTS, ChannelRecord, FitRecord, FlightRecord, ParameterRecord, Report
 
 # Shares of the motion explained, from which on a model is called so.
 GRADES = ((0.97, "very good"), (0.90, "good"), (0.70, "usable with care"), (0.0, "poor"))
 WORSE_THAN_TRIM = "worse than holding trim"
+SHOWN = 12
+"""Flights of each list that pictures and tables of channels show; scores are those of all."""
 THEIL_PARTS = (
     "an offset: look at the trim and the sensor biases",
     "a wrong amplitude: look at the gains (control and damping derivatives) of that axis",
@@ -55,6 +57,12 @@ def list_summaries(fit: FitRecord) -> list[ListSummary]:
             yardsticks = (_rms(f.J_noise for f in flights), _rms(f.J_trim for f in flights))
             summaries.append(ListSummary(name, len(flights), getattr(fit.scores, name), *yardsticks))
     return summaries
+
+
+def shown_flights(fit: FitRecord) -> dict[str, FlightRecord]:
+    """The first flights of each list, which pictures and tables show."""
+    ordered = [[name for name, flight in fit.flights.items() if flight.list == which] for which in LISTS]
+    return {name: fit.flights[name] for flights in ordered for name in flights[:SHOWN]}
 
 
 def headline(report: Report) -> str:

@@ -62,26 +62,27 @@ def windows(model: Model, dataset: Dataset, places: Sequence[tuple[str, int]], s
 
 
 @torch.no_grad()
-def free_run(model: Model, pieces: Windows) -> tuple[Tensor, Tensor]:
+def free_run(model: Model, pieces: Windows, run: Runs | None = None) -> tuple[Tensor, Tensor]:
     """States [W, T, nx] and outputs [W, T, ny] of the free runs of all pieces.
 
     The body's initial state is fitted to the measured outputs of the first second by the same model; the effects'
-    own states are in equilibrium with it.
+    own states are in equilibrium with it. `run` serves many calls; made where it is not given.
     """
-    run = _Runs.of(model)
+    run = run or Runs.of(model)
     x0 = _initial(run, pieces)
     return run(x0, pieces.controls, pieces.dt)
 
 
 @dataclass(frozen=True)
-class _Runs:
+class Runs:
     """Trajectories of a model that are held in range: in native code where it can be compiled, else in torch."""
 
     model: Model
     compiled: Dynamics | None
 
     @classmethod
-    def of(cls, model: Model) -> _Runs:
+    def of(cls, model: Model) -> Runs:
+        """Compile the model, or say once why that cannot be."""
         x, u = (
             torch.tensor([model.reference.get(n, 0.0) for n in names], dtype=torch.float64)
             for names in (model.layout.names, model.body.controls)
@@ -120,7 +121,7 @@ class _Runs:
         return simulate(rates, x0, controls, dt)
 
 
-def _initial(run: _Runs, pieces: Windows) -> Tensor:
+def _initial(run: Runs, pieces: Windows) -> Tensor:
     """Initial states [W, nx] by Gauss-Newton on the first second, all perturbed bodies as further rows of one batch."""
     model = run.model
     body, samples = model.body.states, max(2, min(round(FIRST / pieces.dt) + 1, pieces.controls.shape[1]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from types import SimpleNamespace
 
 import pytest
@@ -25,19 +26,24 @@ def data() -> Dataset:
     )
 
 
-@pytest.fixture
-def judged(data: Dataset, monkeypatch: pytest.MonkeyPatch) -> fit_record.Judged:
+def judgement(data: Dataset, monkeypatch: pytest.MonkeyPatch) -> fit_record.Judged:
     """Judgement of a model that is off by 0.1 of every channel's scale on the first flight, 0.2 and 0.3 on the next."""
     off = {name: 0.1 * (k + 1) for k, name in enumerate(data.flights)}
 
-    def replayed(model: object, pieces: Windows) -> tuple[Tensor, Tensor]:
+    def replayed(model: object, pieces: Windows, run: object) -> tuple[Tensor, Tensor]:
         scale = torch.tensor([data.scales().get(name, 1.0) for name in OUTPUTS], dtype=torch.float64)
         size = torch.tensor([off[name] for name in pieces.names], dtype=torch.float64)
         return torch.zeros(0), pieces.measured + size[:, None, None] * scale
 
     monkeypatch.setattr(fit_record, "free_run", replayed)
+    monkeypatch.setattr(fit_record.Runs, "of", lambda model: None)
     body = SimpleNamespace(outputs=OUTPUTS, controls=("lat",))
     return fit_record.judge(SimpleNamespace(body=body, tape=lambda controls, dt: controls), data)
+
+
+@pytest.fixture
+def judged(data: Dataset, monkeypatch: pytest.MonkeyPatch) -> fit_record.Judged:
+    return judgement(data, monkeypatch)
 
 
 def test_a_known_error_gives_the_same_J_and_windows(judged: fit_record.Judged):
@@ -67,3 +73,21 @@ def test_overlays_show_every_flight_from_its_start(judged: fit_record.Judged):
     assert shown == [("one", "identify"), ("two", "validate"), ("three", "acid")]
     assert judged.overlays[0].time[0] == 0.0
     assert judged.overlays[0].common(OUTPUTS) == ["v", "p", "phi", "az"]
+
+
+def test_flights_judged_in_groups_come_out_the_same(
+    judged: fit_record.Judged, data: Dataset, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(fit_record, "TOGETHER", 1)
+    apart = judgement(data, monkeypatch)
+    assert apart.flights == judged.flights
+    assert list(apart.flights) == list(data.flights)
+    assert apart.scores == judged.scores
+
+
+def test_of_many_flights_the_first_of_each_list_are_shown(data: Dataset, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(fit_record, "SHOWN", 1)
+    two = dataclasses.replace(data, identify=("one", "two"), validate=())
+    judged = judgement(two, monkeypatch)
+    assert [overlay.flight for overlay in judged.overlays] == ["one", "three"]
+    assert list(judged.flights) == ["one", "two", "three"]

@@ -160,3 +160,15 @@ def test_scorecard_fits_a_screen(report: records.Report):
     assert "0.120" in text
     assert "warning: the flight f2" in text
     assert len(text.splitlines()) < 25
+
+
+def test_of_many_flights_the_page_shows_the_first_of_each_list(report: records.Report, fit: records.FitRecord):
+    one = next(iter(fit.flights.values()))
+    flights = {f"f{k}": msgspec.structs.replace(one, list=records.LISTS[k % 3]) for k in range(60)}
+    many = msgspec.structs.replace(fit, flights=flights)
+    assert list(summary.shown_flights(many)) == [f"f{3 * k + which}" for which in range(3) for k in range(12)]
+    page = render(msgspec.structs.replace(report, before=many), {})
+    assert "36 of the 60 flights" in page
+    assert page.count("<details>") == 36
+    assert "<td>f59</td>" in page
+    assert len(figures.scores(many).axes[0].get_yticks()) == 36
