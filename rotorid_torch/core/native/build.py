@@ -12,7 +12,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from rotorid_torch.core.native.trace import Unsupported
+from rotorid_torch.core.native.fallback import Unsupported
 
 LOOPS = Path(__file__).parent / "loops"
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-std=c++17", "-fPIC", "-shared", "-pthread", "-Wno-psabi")

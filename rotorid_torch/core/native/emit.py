@@ -87,7 +87,7 @@ def straight_line(graph: Graph, results: Mapping[str, int], known: Callable[[int
     varies: dict[int, bool] = {}
     pairs: set[int] = set()
     code: list[str] = []
-    for node in _needed(graph, results, known):
+    for node in graph.needed(list(results.values()), lambda n: known(n) is not None):
         operation, name = graph.operation(node), known(node)
         if name is not None:
             text[node], varies[node] = name, False
@@ -111,18 +111,6 @@ def straight_line(graph: Graph, results: Mapping[str, int], known: Callable[[int
     return "\n".join(f"  {line}" for line in code)
 
 
-def _needed(graph: Graph, results: Mapping[str, int], known: Callable[[int], str | None]) -> list[int]:
-    """Nodes that the results depend on, earlier ones first; what is known is not looked into."""
-    wanted, seen = list(results.values()), set()
-    while wanted:
-        node = wanted.pop()
-        if node not in seen:
-            seen.add(node)
-            if known(node) is None:
-                wanted.extend(graph.arguments(node))
-    return sorted(seen)
-
-
 def _as(kind: str, text: str, varies: bool) -> str:
     """A number that is the same in all lanes, as a vector."""
     return text if varies or kind == "double" else f"({kind}() + {text})"
@@ -135,7 +123,7 @@ def _type(operation: str, kind: str) -> str:
 def _expression(graph: Graph, node: int, text: Mapping[int, str], varies: Mapping[int, bool], kind: str) -> str:
     operation, arguments = graph.operation(node), graph.arguments(node)
     plain = [text[a] for a in arguments]
-    if operation in ("where", "maximum", "minimum", "atan2") or operation in COMPARISONS:
+    if operation in ("where", "maximum", "minimum", "atan2", "pow") or operation in COMPARISONS:
         first = 1 if operation == "where" else 0  # a condition is what it is
         plain[first:] = [_as(kind, text[a], varies[a]) for a in arguments[first:]]
     return OPERATIONS[operation].text.format(*plain)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import heapq
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from rotorid_torch.core.native.operations import COMMUTATIVE, OPERATIONS
@@ -115,6 +117,33 @@ class Graph:
             if turned is not None:
                 return self.apply("neg", self.apply("mul", turned, a[1 - k]))
         return None
+
+    def evaluated(self, nodes: Sequence[int], inputs: Mapping[str, Sequence[float]]) -> list[float]:
+        """Numbers that nodes are for given inputs; NaN where an operation is not defined."""
+        values: dict[int, float] = {}
+        for node in self.needed(nodes):
+            kind, *rest = self.nodes[node]
+            if kind == "constant":
+                values[node] = float(rest[0])
+            elif kind == "input":
+                values[node] = inputs[str(rest[0])][int(rest[1])]
+            else:
+                try:
+                    values[node] = float(OPERATIONS[str(kind)].evaluate(*(values[int(a)] for a in rest)))
+                except (ValueError, ZeroDivisionError, OverflowError):
+                    values[node] = math.nan
+        return [values[node] for node in nodes]
+
+    def needed(self, nodes: Sequence[int], known: Callable[[int], bool] = lambda node: False) -> list[int]:
+        """Nodes that others depend on, earlier ones first; what is known is not looked into."""
+        wanted, seen = list(nodes), set()
+        while wanted:
+            node = wanted.pop()
+            if node not in seen:
+                seen.add(node)
+                if not known(node):
+                    wanted.extend(self.arguments(node))
+        return sorted(seen)
 
     def gradient(self, output: int) -> dict[int, int]:
         """Derivative of a node by every input that it depends on: {input node: derivative node}, zeros left out.

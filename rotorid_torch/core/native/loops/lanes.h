@@ -56,20 +56,31 @@ static inline void SinCos(vd x, vd& s, vd& c) {
 #define LANE_BY_LANE(name) \
   static inline double F_##name(double x) { return std::name(x); } \
   static inline vd F_##name(vd x) { for (int i = 0; i < W; i++) x[i] = std::name(x[i]); return x; }
+#define LANE_BY_LANE2(name) \
+  static inline double F_##name(double x, double y) { return std::name(x, y); } \
+  static inline vd F_##name(vd x, vd y) { for (int i = 0; i < W; i++) x[i] = std::name(x[i], y[i]); return x; }
 #if defined(__x86_64__) && defined(__GLIBC__) && __GLIBC_MINOR__ >= 35
 #if defined(__AVX512F__)
 #define VECTOR_NAME(name) _ZGVeN8v_##name
+#define VECTOR_NAME2(name) _ZGVeN8vv_##name
 #elif defined(__AVX2__)
 #define VECTOR_NAME(name) _ZGVdN4v_##name
+#define VECTOR_NAME2(name) _ZGVdN4vv_##name
 #else
 #define VECTOR_NAME(name) _ZGVbN2v_##name
+#define VECTOR_NAME2(name) _ZGVbN2vv_##name
 #endif
 #define VECTOR(name) \
   extern "C" vd VECTOR_NAME(name)(vd); \
   static inline double F_##name(double x) { return std::name(x); } \
   static inline vd F_##name(vd x) { return VECTOR_NAME(name)(x); }
+#define VECTOR2(name) \
+  extern "C" vd VECTOR_NAME2(name)(vd, vd); \
+  static inline double F_##name(double x, double y) { return std::name(x, y); } \
+  static inline vd F_##name(vd x, vd y) { return VECTOR_NAME2(name)(x, y); }
 #else
 #define VECTOR(name) LANE_BY_LANE(name)
+#define VECTOR2(name) LANE_BY_LANE2(name)
 #endif
 LANE_BY_LANE(sqrt)
 VECTOR(exp)
@@ -79,9 +90,10 @@ VECTOR(tanh)
 VECTOR(asin)
 VECTOR(acos)
 VECTOR(atan)
+VECTOR2(atan2)
+VECTOR2(pow)
+template <class T> static inline T F_sigmoid(T x) { return 1.0 / (1.0 + F_exp(-x)); }
 static inline double F_abs(double a) { return std::fabs(a); }
 static inline vd F_abs(vd a) { return a < 0.0 ? -a : a; }
-static inline double F_atan2(double a, double b) { return std::atan2(a, b); }
-static inline vd F_atan2(vd a, vd b) { for (int i = 0; i < W; i++) a[i] = std::atan2(a[i], b[i]); return a; }
 template <class T> static inline T F_maximum(T a, T b) { return a > b ? a : b; }
 template <class T> static inline T F_minimum(T a, T b) { return a < b ? a : b; }
