@@ -1,31 +1,35 @@
-"""A graph's nodes as numbers, one after the other in Python: what traced and compiled code must give."""
+"""Traced functions as numbers: values and derivatives by every input."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.native.operations import OPERATIONS
+from rotorid_torch.core.native.derive import derivatives
 from rotorid_torch.core.native.symbols import Graph
 from rotorid_torch.core.native.trace import scalarise
-
-
-def evaluated(graph: Graph, nodes: Sequence[int], inputs: Mapping[str, Tensor]) -> Tensor:
-    """Values of nodes [n] at the inputs."""
-    values: list[float] = []
-    for kind, *rest in graph.nodes[: max(nodes, default=-1) + 1]:
-        if kind == "constant":
-            values.append(float(rest[0]))
-        elif kind == "input":
-            values.append(float(inputs[str(rest[0])].reshape(-1)[int(rest[1])]))
-        else:
-            values.append(float(OPERATIONS[str(kind)].evaluate(*(values[int(a)] for a in rest))))
-    return torch.tensor([values[n] for n in nodes], dtype=torch.float64)
 
 
 def traced_value(function: Callable[..., Tensor], traced_at: Mapping[str, Tensor], at: Mapping[str, Tensor]) -> Tensor:
     """A function traced at one place, evaluated at another [n]."""
     graph = Graph()
-    return evaluated(graph, scalarise(graph, function, traced_at), at)
+    nodes = scalarise(graph, function, traced_at)
+    return torch.tensor(graph.evaluated(nodes, listed(at)), dtype=torch.float64)
+
+
+def traced_jacobian(function: Callable[..., Tensor], at: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Derivatives of a function's results by each input [n, m]."""
+    graph = Graph()
+    nodes = scalarise(graph, function, at)
+    found = {name: torch.zeros(len(nodes), value.numel(), dtype=torch.float64) for name, value in at.items()}
+    for i, row in enumerate(derivatives(graph, nodes)):
+        for (name, place), slope in zip(row, graph.evaluated(list(row.values()), listed(at)), strict=True):
+            found[name][i, place] = slope
+    return found
+
+
+def listed(at: Mapping[str, Tensor]) -> dict[str, list[float]]:
+    """Inputs as `Graph.evaluated` wants them."""
+    return {name: value.reshape(-1).tolist() for name, value in at.items()}

@@ -23,7 +23,7 @@ typedef long long vl __attribute__((vector_size(8 * W)));
 
 static inline vd lanes(double x) { return vd{} + x; }
 
-// Sine and cosine together, for |x| < 1e5, error below 1 ulp: argument reduced by pi/2 in three parts (Cody and
+// Sine and cosine together, for |x| < 1e5, error below 2 ulp: argument reduced by pi/2 in three parts (Cody and
 // Waite 1980), kernels of fdlibm (Sun Microsystems 1993).
 static inline void SinCos(double x, double& s, double& c) { s = std::sin(x); c = std::cos(x); }
 static inline void SinCos(vd x, vd& s, vd& c) {
