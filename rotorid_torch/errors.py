@@ -1,4 +1,4 @@
-"""The one error that a user causes: bad input, told in one line (file, key, what is wrong, what was expected)."""
+"""Bad input, told in one line (file, key, what is wrong, what was expected), and what ends a run of several ranks."""
 
 from __future__ import annotations
 
@@ -20,3 +20,23 @@ class InputError(ValueError):
         self.file, self.key, self.wrong, self.expected = str(file), key, wrong, expected
         place = f"{self.file}: {key}" if key else self.file
         super().__init__(" ".join(f"{place}: {wrong}; expected {expected}".split()))
+
+
+class LostRank(RuntimeError):
+    """Another process of the run has ended or does not answer; exit code 1."""
+
+    def __init__(self) -> None:
+        super().__init__("a process of this run is lost; an earlier RUN is as it was")
+
+
+class Told(Exception):
+    """Another process of the run was the first to fail and tells why; this one ends without a word.
+
+    Parameters
+    ----------
+    error : what this process failed with.
+    """
+
+    def __init__(self, error: BaseException) -> None:
+        self.error = error
+        super().__init__(str(error))

@@ -8,6 +8,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.identification.likelihood import Likelihood
 from rotorid_torch.identification.segments import Records, Segments
 from rotorid_torch.identification.whitening import Noise
@@ -16,11 +17,16 @@ FEWEST = 8
 """Samples that an initial state is fitted to, at least."""
 
 
-def smallest_noise(records: Records) -> Tensor:
+def smallest_noise(records: Records, ranks: Ranks = ALONE) -> Tensor:
     """Where no sensor noise is declared: so little that only a noiseless output feels it (no infinite weights)."""
     flat = records.outputs.flatten(0, 1)
-    centred = flat - flat.nanmean(dim=0)
-    return 1e-7 * centred.square().nanmean(dim=0).sqrt().nan_to_num(0.0) + 1e-12
+    centred = flat - _mean(flat, ranks)
+    return 1e-7 * _mean(centred.square(), ranks).sqrt().nan_to_num(0.0) + 1e-12
+
+
+def _mean(values: Tensor, ranks: Ranks) -> Tensor:
+    """Mean [ny] of the values [N, ny] of all ranks; NaN = missing."""
+    return ranks.sum(values.nansum(dim=0)) / ranks.sum((~values.isnan()).sum(dim=0))
 
 
 def filled(x0: Tensor, records: Records, segments: Segments) -> Tensor:
@@ -36,7 +42,7 @@ def fitted_states(problem: Likelihood, theta: Tensor) -> Tensor:
     """
     ny = problem.records.outputs.shape[-1]
     samples = min(problem.segments.samples, max(FEWEST, problem.segments.samples // 4))
-    held = Noise("held", problem.noise.floor, torch.diag(roughness(problem.records) ** 2))
+    held = Noise("held", problem.noise.floor, torch.diag(roughness(problem.records, problem.ranks) ** 2))
     head = replace(problem, segments=problem.segments.head(samples), noise=held)
     head = replace(
         head, bias_sd=torch.zeros(ny, dtype=torch.float64), prior_sd=torch.full_like(problem.prior_sd, math.inf)
@@ -58,7 +64,8 @@ def fitted_states(problem: Likelihood, theta: Tensor) -> Tensor:
     return best.x0
 
 
-def roughness(records: Records) -> Tensor:
+def roughness(records: Records, ranks: Ranks = ALONE) -> Tensor:
     """[ny] standard deviation of the outputs' sample-to-sample noise, from second differences."""
     second = torch.diff(records.outputs, n=2, dim=1)
-    return (second.square().nanmean(dim=(0, 1)) / 6.0).sqrt().nan_to_num(1.0) + smallest_noise(records)
+    noise = (_mean(second.square().flatten(0, 1), ranks) / 6.0).sqrt().nan_to_num(1.0)
+    return noise + smallest_noise(records, ranks)

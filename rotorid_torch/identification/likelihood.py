@@ -1,31 +1,31 @@
 """The output-error likelihood of segments: residuals, linear model, initial states and biases eliminated.
 
-Flights are taken in parts that fit the memory; what belongs to all of them are sums in a fixed order.
+Flights are taken in parts that fit the memory, each rank its own; what belongs to all of them are sums in a fixed
+order (see `core.ranks`), so that every rank knows cost, noise and linear model of all flights.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.ranks import ALONE, BLOCKS, Ranks
 from rotorid_torch.identification.engine import Engine, Part, Unknowns
 from rotorid_torch.identification.gauss_newton import Linear
 from rotorid_torch.identification.segments import Records, Segments
 from rotorid_torch.identification.sensitivity import Run
 from rotorid_torch.identification.system import System
-from rotorid_torch.identification.whitening import Moments, Noise, Whitener
+from rotorid_torch.identification.whitening import Moments, Noise, Whitener, products
 
 PART_NUMBERS = 4_000_000
 """Numbers that a part of the segments may need at once."""
 KEPT_NUMBERS = 40_000_000
 """Numbers of runs and residuals that a place keeps; beyond, they are made again when asked for."""
-MOST_BLOCKS = 40
-"""Blocks of flights whose linear models are kept apart, for the jackknife."""
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,9 @@ class Locals:
         bias = _back(self.flight, own_bias, step.expand(len(self.flight), -1))
         return _back(self.segment, own, torch.cat([bias[flight], step.expand(len(flight), -1)], dim=1)), bias
 
-    def own(self) -> float:
-        """Decrease of the cost by initial states and biases alone."""
-        return 0.5 * float(self.segment[:, :, -1].square().sum() + self.flight[:, :, -1].square().sum())
+    def own(self) -> tuple[Tensor, Tensor]:
+        """Decrease of the cost by each segment's initial states alone [S], and by each flight's biases [F]."""
+        return 0.5 * self.segment[:, :, -1].square().sum(dim=1), 0.5 * self.flight[:, :, -1].square().sum(dim=1)
 
 
 def _back(triangles: Tensor, own: Tensor, known: Tensor) -> Tensor:
@@ -83,6 +83,7 @@ class Likelihood:
     x0 : [S, nx] where initial states start from; they are held there where `x0_sd` is None.
     x0_mean, x0_sd : [S, nx] prior of the initial states, infinite sd where there is none.
     bias_sd : [ny] prior about zero of a constant per flight and output: 0 for none, infinite for a free one.
+    ranks : among which the flights are spread; records and segments are those of this rank.
 
     Source: Morelli and Klein, Aircraft System Identification (2nd ed.), sec. 6.3; Jategaonkar, Flight Vehicle System
     Identification, sec. 4.
@@ -100,6 +101,7 @@ class Likelihood:
     prior_mean: Tensor
     prior_sd: Tensor
     bias_sd: Tensor
+    ranks: Ranks = ALONE
 
     @cached_property
     def biased(self) -> Tensor:
@@ -113,8 +115,40 @@ class Likelihood:
 
     @cached_property
     def samples(self) -> int:
-        """Measured values, all outputs together."""
-        return int((~self.segments.outputs.isnan()).sum())
+        """Measured values of all ranks, all outputs together."""
+        return self._count(int((~self.segments.outputs.isnan()).sum()))
+
+    @cached_property
+    def flights(self) -> int:
+        """Flights of all ranks."""
+        return self._count(len(self.records.lengths))
+
+    @cached_property
+    def pieces(self) -> int:
+        """Segments of all ranks."""
+        return self._count(len(self.segments))
+
+    @cached_property
+    def longest(self) -> int:
+        """Samples of the longest segment of all ranks."""
+        return int(self.ranks.largest(self.segments.samples))
+
+    def _count(self, own: int) -> int:
+        return int(self.ranks.sum(torch.tensor(own)))
+
+    @cached_property
+    def blocks(self) -> Tensor:
+        """Block of flights [F] that each flight is summed in."""
+        return self.ranks.blocks(self.flights)
+
+    def _sum(self, values: Iterable[tuple[Tensor, Tensor]]) -> Tensor:
+        """Sum of values (n, ...) over all ranks, each n of the flight [n] beside it; block by block."""
+        total: Tensor | None = None
+        for flights, value in values:
+            total = value.new_zeros(BLOCKS, *value.shape[1:]) if total is None else total
+            total.index_add_(0, self.blocks[flights], value)
+        assert total is not None
+        return self.ranks.sum(total).sum(dim=0)
 
     @cached_property
     def _groups(self) -> list[Tensor]:
@@ -175,28 +209,48 @@ class Likelihood:
         """The place with the noise that its residuals show, and its cost; infinite where a run has diverged."""
         place.parts = parts
         ny = self.segments.outputs.shape[-1]
-        residuals = (part.residual.detach().masked_fill(~part.valid, math.nan) for part in self.parts(place))
-        place.moments = Moments.of(residuals, ny)
-        known = sum(int(part.valid.sum()) for part in parts) if parts is not None else self.samples
-        finite = torch.isfinite(place.moments.products).all() and int(place.moments.count.diagonal().sum()) == known
-        if not bool(finite):
+        place.moments = self.moments(place, lambda part: part.residual.detach().masked_fill(~part.valid, math.nan))
+        finite = torch.isfinite(place.moments.products).all()
+        if not bool(finite) or int(place.moments.count.diagonal().sum()) != self.samples:
             place.covariance = torch.eye(ny, dtype=torch.float64)
             return place
         place.covariance = self.noise.covariance(place.moments)
-        cost = float(self.total(place).detach())
+        with torch.no_grad():
+            cost = float(self._sum(self._misfits(place)) + self._prior(place))
         place.cost = cost if math.isfinite(cost) else math.inf
         return place
 
+    def moments(self, place: Place, of: Callable[[Part], Tensor]) -> Moments:
+        """Sums over what is made of each part's residuals, [S, T, ny] with NaN = missing."""
+        found = self._sum((part.segments.flight, products(of(part))) for part in self.parts(place))
+        return Moments(found[0], found[1])
+
+    def mean_square_state(self, place: Place) -> Tensor:
+        """[nx] over all samples of the place's runs, where they are inside their segments."""
+        sums = (
+            (part.segments.flight, torch.where(part.segments.inside[..., None], part.run.states, 0.0).square().sum(1))
+            for part in self.parts(place)
+        )
+        return self._sum(sums) / self._count(int(self.segments.inside.sum()))
+
     def total(self, place: Place) -> Tensor:
-        """Minus log-likelihood and priors at a place; its gradient is right although the noise's covariance is held."""
-        prior = (self.prior_rows(place)[1], self.x0_rows(place).flatten(), self._bias_rows(place).flatten())
-        total = 0.5 * torch.cat(prior).square().sum()
+        """Minus log-likelihood and priors of one rank alone; its gradient is right although the covariance is held."""
+        return sum((misfits.sum() for _, misfits in self._misfits(place)), self._prior(place))
+
+    def _prior(self, place: Place) -> Tensor:
+        return 0.5 * self.prior_rows(place)[1].square().sum()
+
+    def _misfits(self, place: Place) -> Iterator[tuple[Tensor, Tensor]]:
+        """Minus log-likelihood of segments, and of what is beyond the parameters' prior, with the flight of each."""
+        if self.x0_sd is not None:
+            yield self.segments.flight, 0.5 * self.x0_rows(place).square().sum(dim=1)
+        yield torch.arange(len(place.bias)), 0.5 * self._bias_rows(place).square().sum(dim=1)
         for part in self.parts(place):
             whitener = Whitener.of(place.covariance, part.valid)
-            total = total + 0.5 * whitener.apply(part.residual.unsqueeze(-1)).square().sum()
+            misfit = 0.5 * whitener.apply(part.residual.unsqueeze(-1)).square().flatten(1).sum(dim=1)
             if self.noise.matrix is None:
-                total = total + 0.5 * whitener.log_determinant()
-        return total
+                misfit = misfit + 0.5 * whitener.log_determinants()
+            yield part.segments.flight, misfit
 
     def prior_rows(self, place: Place) -> tuple[Tensor, Tensor]:
         """Rows of the parameters' prior."""
@@ -233,10 +287,19 @@ class Likelihood:
                 biases.append(bias)
                 rests.append(rest)
         place.locals, place.passage = Locals(torch.cat(starts), torch.stack(biases)), torch.cat(passages)
-        blocks = [self._joined(rests[k::MOST_BLOCKS]) for k in range(min(MOST_BLOCKS, len(rests)))]
+        blocks = self._blocks(rests)
         place.blocks = [self._triangle(block) for block in blocks]
         prior = torch.cat([part if part.dim() == 2 else part[:, None] for part in self.prior_rows(place)], dim=1)
-        return Linear(*self._triangle(self.engine.joined(torch.stack(blocks), prior)), place.locals.own())
+        segment, flight = place.locals.own()
+        own = self._sum([(self.segments.flight, segment), (torch.arange(len(flight)), flight)])
+        return Linear(*self._triangle(self.engine.joined(blocks, prior)), float(own))
+
+    def _blocks(self, rests: list[Tensor]) -> Tensor:
+        """What is left of this rank's flights, as blocks of flights of all ranks [blocks, m, m]."""
+        blocks = rests[0].new_zeros(min(BLOCKS, self.flights), *rests[0].shape)
+        for block in torch.unique(self.blocks).tolist():
+            blocks[block] = self._joined([rests[f] for f in (self.blocks == block).nonzero()[:, 0].tolist()])
+        return self.ranks.sum(blocks)
 
     def _of_flight(self, place: Place, flight: int, rests: Tensor) -> tuple[Tensor, Tensor]:
         """Rows of the triangle of a flight's biases, and what is left of its segments for the parameters."""

@@ -34,6 +34,12 @@ class Records:
         """Samples of the longest flight."""
         return self.controls.shape[1]
 
+    def typical(self) -> Records:
+        """A flight of one sample: the first controls, and the mean of the states."""
+        mean = self.states.flatten(0, 1).nan_to_num(0.0).mean(dim=0)
+        first = self.controls[:1, :1].clone(), self.outputs[:1, :1].clone()
+        return Records(self.dt, torch.ones_like(self.lengths[:1]), self.start[:1].clone(), *first, mean[None, None])
+
 
 @dataclass(frozen=True)
 class Segments:

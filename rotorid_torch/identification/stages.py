@@ -10,6 +10,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.identification.engine import Engine, engine_for
 from rotorid_torch.identification.gauss_newton import Minimum, Options, minimise
 from rotorid_torch.identification.initial_states import filled, fitted_states, roughness, smallest_noise
@@ -18,7 +19,7 @@ from rotorid_torch.identification.quasi_newton import minimise_lbfgs
 from rotorid_torch.identification.segments import Records, cut
 from rotorid_torch.identification.system import System
 from rotorid_torch.identification.uncertainty import Uncertainty, uncertainty
-from rotorid_torch.identification.whitening import Moments, Noise
+from rotorid_torch.identification.whitening import Noise
 
 LENGTHS = (2.0, 5.0, 10.0, math.inf)
 """Segment lengths that the stages choose from where nobody says otherwise, s."""
@@ -63,6 +64,28 @@ class Settings:
 
 
 @dataclass(frozen=True)
+class Estimate:
+    """What a fit has found, without the flights.
+
+    minimum : of which the point knows parameters, noise and cost. stages : what each did.
+    noise : [ny, ny] covariance of the residuals, corrected for the numbers estimated.
+    model_error_ratio : [ny] the residuals' standard deviation over that of the sensors' noise: the declared floor, or
+        where none is declared the white part of the residual.
+    """
+
+    minimum: Minimum[Place]
+    uncertainty: Uncertainty
+    stages: tuple[str, ...]
+    noise: Tensor
+    model_error_ratio: Tensor
+
+    @property
+    def theta(self) -> Tensor:
+        """Parameters [P]."""
+        return self.minimum.point.theta
+
+
+@dataclass(frozen=True)
 class Fit:
     """The end of a fit: likelihood of its last segments, minimum, covariance, and the stages' account."""
 
@@ -76,6 +99,13 @@ class Fit:
     def theta(self) -> Tensor:
         """Parameters [P]."""
         return self.minimum.point.theta
+
+    def estimate(self) -> Estimate:
+        """The fit without its flights."""
+        place, none = self.minimum.point, torch.zeros(0, dtype=torch.float64)
+        lean = Place(place.theta, none, none, covariance=place.covariance, moments=place.moments, cost=place.cost)
+        minimum = replace(self.minimum, point=lean)
+        return Estimate(minimum, self.uncertainty, self.stages, self.noise, self.model_error_ratio)
 
     @property
     def noise(self) -> Tensor:
@@ -93,8 +123,8 @@ class Fit:
 
         The noise is the declared floor, or where none is declared the white part of the residual.
         """
-        steps = (torch.diff(part.residual, dim=1) for part in self.likelihood.parts(self.minimum.point))
-        white = (Moments.of(steps, len(self.noise)).mean_square / 2.0).sqrt()
+        steps = self.likelihood.moments(self.minimum.point, lambda part: torch.diff(part.residual, dim=1))
+        white = (steps.mean_square / 2.0).sqrt()
         moments = self.minimum.point.moments
         assert moments is not None
         size = moments.mean_square.sqrt()
@@ -107,6 +137,7 @@ def fit(
     theta: Tensor | None = None,
     settings: Settings | None = None,
     monitor: Monitor | None = None,
+    ranks: Ranks = ALONE,
 ) -> Fit:
     """Maximum-likelihood estimate of a system's free parameters from records, stage by stage.
 
@@ -117,9 +148,10 @@ def fit(
     ----------
     theta : [P] start, the system's own values by default.
     monitor : called after each accepted step of every stage with iteration (counted through), cost, theta.
+    ranks : among which the flights are spread; `records` are this rank's, the rest is the same at each.
     """
     settings = settings or Settings()
-    stages = _Stages(system, records, settings, monitor)
+    stages = _Stages(system, records, settings, monitor, ranks)
     theta, states = system.theta if theta is None else theta, records.states
     best, samples, rough = None, stages.first(theta), False
     theta = stages.flyable(theta, samples)
@@ -156,12 +188,8 @@ def _options(last: Options, rough: bool, tentative: bool) -> Options:
 
 def _loss(problem: Likelihood, minimum: Minimum[Place]) -> float:
     """Samples over samples minus numbers estimated from them."""
-    samples = problem.samples
-    flights = len(problem.records.lengths)
-    estimated = (
-        len(minimum.point.theta) + problem.locals_per_segment * len(problem.segments) + len(problem.biased) * flights
-    )
-    return samples / max(samples - estimated, 1)
+    local = problem.locals_per_segment * problem.pieces + len(problem.biased) * problem.flights
+    return problem.samples / max(problem.samples - len(minimum.point.theta) - local, 1)
 
 
 def _as_good(shorter: Minimum[Place], longer: Minimum[Place], chosen: bool) -> bool:
@@ -184,18 +212,20 @@ class _Stages:
     records: Records
     settings: Settings
     monitor: Monitor | None
+    ranks: Ranks
     iterations: int = 0
     account: list[str] = field(default_factory=list)
 
     @cached_property
     def engine(self) -> Engine:
         """What simulates and takes derivatives."""
-        return engine_for(self.system, self.records, self.settings.solver, self.settings.engine)
+        typical = self.ranks.from_first(self.records.typical())  # all ranks are to build the same
+        return engine_for(self.system, typical, self.settings.solver, self.settings.engine)
 
-    @property
+    @cached_property
     def whole(self) -> int:
-        """Samples of the longest flight."""
-        return int(self.records.lengths.max())
+        """Samples of the longest flight of all ranks."""
+        return int(self.ranks.largest(int(self.records.lengths.max())))
 
     def first(self, theta: Tensor) -> int:
         """Samples per segment of the first stage."""
@@ -253,10 +283,8 @@ class _Stages:
         problem, start = self.open(theta, self.records.states, self.whole)
         if not math.isfinite(start.cost):
             return False
-        noise = (
-            roughness(self.records).log().mean() if self.settings.floor is None else self.settings.floor.log().mean()
-        )
-        if _size(start) >= float(noise) + SAME_FIT:
+        noise = roughness(self.records, self.ranks) if self.settings.floor is None else self.settings.floor
+        if _size(start) >= float(noise.log().mean()) + SAME_FIT:
             return False
         problem.linearise(start)
         return _growth(problem, start, self.whole) < LAST_GROWTH
@@ -274,15 +302,16 @@ class _Stages:
             records=self.records,
             segments=segments,
             states=states,
-            noise=Noise(s.noise, smallest_noise(self.records) if s.floor is None else s.floor, s.matrix),
+            noise=Noise(s.noise, smallest_noise(self.records, self.ranks) if s.floor is None else s.floor, s.matrix),
             x0=filled(x0, self.records, segments),
             x0_mean=given.nan_to_num(0.0),
             x0_sd=None if fixed else sd,
             prior_mean=theta if s.prior_mean is None else s.prior_mean,
             prior_sd=torch.full((count,), math.inf, dtype=torch.float64) if s.prior_sd is None else s.prior_sd,
             bias_sd=torch.zeros(ny, dtype=torch.float64) if s.bias_sd is None else s.bias_sd,
+            ranks=self.ranks,
         )
-        if not fixed and bool(x0.isnan().any()):
+        if not fixed and self.ranks.largest(float(x0.isnan().any())) > 0.0:
             problem = replace(problem, x0=torch.where(x0.isnan(), fitted_states(problem, theta), x0))
         return problem, problem.evaluate(theta)
 
@@ -301,7 +330,7 @@ class _Stages:
         else:
             start = found.point
         found = self.solve(problem, start, self.settings.options)
-        self.tell(problem.segments.samples, found)
+        self.tell(problem.longest, found)
         return problem, found
 
     def solve(self, problem: Likelihood, start: Place, options: Options) -> Minimum[Place]:
@@ -320,13 +349,10 @@ class _Stages:
 def _growth(problem: Likelihood, place: Place, samples: int) -> float:
     """Largest growth of an error in the state over so many samples, states in units of their size."""
     assert place.passage is not None
-    total, count = 0.0, 0
-    for part in problem.parts(place):
-        total, count = total + part.run.states.square().sum(dim=(0, 1)), count + part.run.states[..., 0].numel()
-    size = torch.as_tensor(total / count).sqrt().clamp_min(1e-9)
+    size = problem.mean_square_state(place).sqrt().clamp_min(1e-9)
     product = place.passage
     product = product * size / size[:, None]
-    count, largest = max(1, round(samples / problem.segments.samples)), 0.0
+    count, largest = max(1, round(samples / problem.longest)), 0.0
     for f in range(len(problem.records.lengths)):
         pieces = product[problem.segments.flight == f]
         for k in range(max(1, len(pieces) - count + 1)):
@@ -334,7 +360,7 @@ def _growth(problem: Likelihood, place: Place, samples: int) -> float:
             for piece in pieces[k : k + count]:
                 window = piece @ window
             largest = max(largest, float(window.abs().amax().nan_to_num(math.inf)))
-    return largest
+    return problem.ranks.largest(largest)
 
 
 def gauss_newton(problem: Likelihood, start: Place, options: Options, monitor: Monitor | None = None) -> Minimum[Place]:

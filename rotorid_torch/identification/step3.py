@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.identification.gauss_newton import Options
 from rotorid_torch.identification.reconstruct import ReconstructedFlight, Reconstruction
 from rotorid_torch.identification.segments import Records, records_from
-from rotorid_torch.identification.stages import Fit, Settings, fit
+from rotorid_torch.identification.stages import Estimate, Settings, fit
 from rotorid_torch.identification.step2 import Step2, measured
 from rotorid_torch.identification.system import System
 from rotorid_torch.model.model import Model
@@ -28,9 +29,9 @@ LENGTHS = (2.0, 5.0)
 
 @dataclass(frozen=True)
 class Step3:
-    """The fit, and which parameters of the model it estimated (in the order of its theta)."""
+    """The estimate, and which parameters of the model it is of (in the order of its theta)."""
 
-    fit: Fit
+    fit: Estimate
     names: tuple[str, ...]
 
     @property
@@ -46,8 +47,12 @@ def estimate_model(
     reconstruction: Reconstruction,
     start: Step2,
     monitor: Callable[[int, float, Tensor], None] | None = None,
+    ranks: Ranks = ALONE,
 ) -> Step3:
-    """Maximum likelihood from step 2's values, which only start it; the model's theta is set to the estimate."""
+    """Maximum likelihood from step 2's values, which only start it; the model's theta is set to the estimate.
+
+    The identify flights are spread over the ranks; each comes to the same estimate.
+    """
     names = tuple(n for n in model.parameter_set.free if n not in start.held)
     with torch.no_grad():
         model.theta.copy_(start.theta)
@@ -60,10 +65,11 @@ def estimate_model(
         prior_sd=model.parameter_set.prior_sd[places],
         options=ENOUGH,
     )
-    found = fit(system, records(model, dataset, reconstruction), settings=settings, monitor=monitor)
+    flights = records(model, dataset, reconstruction, ranks)
+    found = fit(system, flights, settings=settings, monitor=monitor, ranks=ranks)
     with torch.no_grad():
         model.theta[places] = found.theta
-    return Step3(found, names)
+    return Step3(found.estimate(), names)
 
 
 def _noise(model: Model, dataset: Dataset) -> Tensor:
@@ -72,11 +78,12 @@ def _noise(model: Model, dataset: Dataset) -> Tensor:
     return torch.tensor([dataset.noise(c) for c in model.body.outputs], dtype=torch.float64) / math.sqrt(every)
 
 
-def records(model: Model, dataset: Dataset, reconstruction: Reconstruction) -> Records:
-    """The identify flights as one batch: measured outputs, and smoothed states to start segments from."""
+def records(model: Model, dataset: Dataset, reconstruction: Reconstruction, ranks: Ranks = ALONE) -> Records:
+    """The rank's identify flights as one batch: measured outputs, and smoothed states to start segments from."""
     batch: Records | None = None
-    lengths = [dataset.facts[name].samples // _every(dataset.facts[name].dt) for name in dataset.identify]
-    for i, name in enumerate(dataset.identify):
+    names = ranks.mine(dataset.identify)
+    lengths = [dataset.facts[name].samples // _every(dataset.facts[name].dt) for name in names]
+    for i, name in enumerate(names):
         own = _record(model, dataset, reconstruction, name)
         if batch is None:
             batch = _empty(own, len(lengths), max(lengths))
@@ -84,7 +91,7 @@ def records(model: Model, dataset: Dataset, reconstruction: Reconstruction) -> R
         batch.controls[i], batch.outputs[i, : own.samples] = own.controls[0, -1], own.outputs[0]
         batch.controls[i, : own.samples], batch.states[i, : own.samples] = own.controls[0], own.states[0]
     assert batch is not None
-    return batch
+    return replace(batch, dt=ranks.from_first(batch.dt))  # the first flight's, which is the first rank's
 
 
 def _every(dt: float) -> int:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.ranks import Ranks
 from rotorid_torch.identification.gauss_newton import Linear
 from rotorid_torch.identification.likelihood import Likelihood, Place
 
@@ -55,7 +56,7 @@ def uncertainty(likelihood: Likelihood, place: Place, linear: Linear, told: Tens
     plain[told[:, None] & told] = loss * (inverse @ inverse.mT).flatten()
     coloured = torch.zeros_like(plain)
     coloured[told[:, None] & told] = _coloured(likelihood, place, inverse, told).flatten()
-    variances = _jackknife(place.blocks, likelihood.prior_rows(place), told)
+    variances = _jackknife(place.blocks, likelihood.prior_rows(place), told, likelihood.ranks)
     limit = _chance(len(place.blocks) - 1)
     larger = variances > limit * coloured.diagonal()
     stretch = torch.where(larger, (variances / coloured.diagonal()).sqrt(), 1.0)
@@ -97,10 +98,11 @@ def _coloured(likelihood: Likelihood, place: Place, inverse: Tensor, told: Tenso
     each line is divided by the share left to it (one minus its leverage). The spectrum rests on few lines and scatters;
     the covariance is widened so that 1.96 standard errors hold 95 % as Student's t would.
     """
-    lines = 2 * likelihood.segments.samples
-    pieces = len(likelihood.segments)
+    lines, pieces = 2 * likelihood.longest, likelihood.pieces
     reach = max(LEAST_SMOOTHING, round(SMOOTHING / pieces))
-    spectrum = _spectrum(_flights(likelihood, place, told), inverse, lines, reach)
+    power, left = _powers(_flights(likelihood, place, told), inverse, lines)
+    power = torch.view_as_complex(likelihood.ranks.sum(torch.view_as_real(power)))
+    spectrum = _spectrum(power, likelihood.ranks.sum(left), lines, reach)
     weights = torch.full((lines // 2 + 1,), 2.0 / lines, dtype=torch.float64)
     weights[0] = weights[-1] = 1.0 / lines
     value, vector = torch.linalg.eigh(spectrum)
@@ -114,13 +116,14 @@ def _coloured(likelihood: Likelihood, place: Place, inverse: Tensor, told: Tenso
             flat = parts.flatten(0, 2)
             covariance += flat.mT @ flat
             share += parts.square().sum(dim=(1, 2))
+    covariance, share = likelihood.ranks.sum(covariance), likelihood.ranks.sum(share)
     freedom = pieces / _smoothed(share / share.sum(dim=0), reach).square().sum(dim=0)
     widened = 1.0 + STUDENT / freedom
     return covariance * widened * widened[:, None]
 
 
-def _spectrum(flights: Iterable[_Flight], inverse: Tensor, lines: int, reach: int) -> Tensor:
-    """Spectrum [lines, ny, ny] of the whitened noise: one where it is white."""
+def _powers(flights: Iterable[_Flight], inverse: Tensor, lines: int) -> tuple[Tensor, Tensor]:
+    """Products [lines, ny, ny] of the residuals' transforms, and the share left of each line and output [lines, ny]."""
     power, left = torch.zeros((), dtype=torch.complex128), torch.zeros((), dtype=torch.float64)
     for flight in flights:
         residual = torch.fft.rfft(flight.residual, n=lines, dim=1)
@@ -129,6 +132,11 @@ def _spectrum(flights: Iterable[_Flight], inverse: Tensor, lines: int, reach: in
         for piece in taken:
             left = left - torch.fft.rfft(piece, n=lines, dim=0).abs().square().sum(-1)
         left = left + flight.valid.sum(dim=(0, 1))
+    return power, left
+
+
+def _spectrum(power: Tensor, left: Tensor, lines: int, reach: int) -> Tensor:
+    """Spectrum [lines, ny, ny] of the whitened noise: one where it is white."""
     filters = _prewhitening(_per_line(_smoothed(power, LEAST_SMOOTHING), _smoothed(left, LEAST_SMOOTHING)), lines)
     flat = filters[:, :, None] * power * filters[:, None, :].conj()
     flat = _per_line(_smoothed(flat, reach), _smoothed(left, reach))
@@ -187,18 +195,21 @@ def _basis(columns: Tensor, prior_sd: Tensor) -> Tensor:
     return torch.linalg.qr(stack).Q[..., : columns.shape[-2], :]
 
 
-def _jackknife(flights: Sequence[tuple[Tensor, Tensor]], prior: tuple[Tensor, Tensor], told: Tensor) -> Tensor:
+def _jackknife(
+    flights: Sequence[tuple[Tensor, Tensor]], prior: tuple[Tensor, Tensor], told: Tensor, ranks: Ranks
+) -> Tensor:
     """Variances [P] by leaving out one flight in turn, one Gauss-Newton step each; NaN below three flights."""
     variances = torch.full(told.shape, torch.nan, dtype=torch.float64)
     count = len(flights)
     if count < 3:
         return variances
-    steps = []
-    for left_out in range(count):
+    steps = torch.zeros(count, int(told.sum()), dtype=torch.float64)
+    for left_out in ranks.mine(range(count)):
         kept = [flights[f] for f in range(count) if f != left_out] + [prior]
         A, b = torch.cat([a for a, _ in kept])[:, told], torch.cat([c for _, c in kept])
         norms = torch.linalg.vector_norm(A, dim=0).clamp_min(1e-12)
-        steps.append(torch.linalg.lstsq(A / norms, b.unsqueeze(-1), driver="gelsd").solution[:, 0] / norms)
-    moved = torch.stack(steps)
+        step = torch.linalg.lstsq(A / norms, b.unsqueeze(-1), driver="gelsd").solution[:, 0]
+        steps[left_out] = step / norms
+    moved = ranks.sum(steps)
     variances[told] = (count - 1) / count * (moved - moved.mean(0)).square().sum(0)
     return variances

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import torch
@@ -19,21 +18,17 @@ class Moments:
     products: Tensor
     count: Tensor
 
-    @classmethod
-    def of(cls, residuals: Iterable[Tensor], ny: int) -> Moments:
-        """From residuals [S, T, ny], NaN = missing."""
-        products, count = (torch.zeros(ny, ny, dtype=torch.float64) for _ in range(2))
-        for residual in residuals:
-            there = ~residual.isnan()
-            filled = torch.where(there, residual, 0.0).flatten(0, 1)
-            known = there.flatten(0, 1).to(filled)
-            products, count = products + filled.mT @ filled, count + known.mT @ known
-        return cls(products, count)
-
     @property
     def mean_square(self) -> Tensor:
         """[ny]; NaN where there is nothing."""
         return self.products.diagonal() / self.count.diagonal()
+
+
+def products(residual: Tensor) -> Tensor:
+    """Of each segment of a residual [S, T, ny], NaN = missing: products and numbers of samples, [S, 2, ny, ny]."""
+    there = ~residual.isnan()
+    filled, known = torch.where(there, residual, 0.0), there.to(residual)
+    return torch.stack([filled.mT @ filled, known.mT @ known], dim=1)
 
 
 @dataclass(frozen=True)
@@ -98,10 +93,10 @@ class Whitener:
             return values / self.covariance.diagonal().sqrt()[:, None]
         return self.table[self.pattern[:, part]] @ values
 
-    def log_determinant(self) -> float:
-        """Of the covariance, summed over the samples."""
+    def log_determinants(self) -> Tensor:
+        """Of the covariance, summed over the samples of each segment [S]."""
         if self.table is None or self.pattern is None:
-            return float((self.valid.sum(dim=(0, 1)) * self.covariance.diagonal().log()).sum())
+            return self.valid.sum(dim=1).to(self.covariance) @ self.covariance.diagonal().log()
         diagonals = self.table.diagonal(dim1=-2, dim2=-1)
         logs = -2.0 * torch.where(diagonals > 0, diagonals, 1.0).log().sum(-1)
-        return float(logs[self.pattern].sum())
+        return logs[self.pattern].sum(dim=1)

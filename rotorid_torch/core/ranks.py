@@ -1,0 +1,143 @@
+"""Processes that share a run (torchrun's ranks): which flights each takes, and sums that come out alike for any number.
+
+A sum over flights is made block by block: a flight's place in its list says its block, a block lies at one rank whole,
+and the blocks are added in their order at every rank. So one rank and several round in the same way.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import timedelta
+from typing import Any, TypeVar
+
+import torch
+import torch.distributed as distributed
+from torch import Tensor
+from torch.distributed.rendezvous import rendezvous
+
+from rotorid_torch.errors import InputError, LostRank, Told
+
+Item = TypeVar("Item")
+
+BLOCKS = 40
+"""Blocks of flights that sums are made of, at most."""
+PATIENCE_S = 600.0
+"""How long a rank waits for the others; they do the same work on about as many flights."""
+
+
+@dataclass(frozen=True)
+class Ranks:
+    """One process of the several of a run, alone by default; every rank calls the same methods in the same order.
+
+    Parameters
+    ----------
+    rank, size : this process' number from 0 on, and how many there are.
+    """
+
+    rank: int = 0
+    size: int = 1
+
+    @property
+    def first(self) -> bool:
+        """Whether this is the rank that writes and speaks."""
+        return self.rank == 0
+
+    def mine(self, items: Sequence[Item]) -> list[Item]:
+        """The items that are this rank's to work on."""
+        return [item for place, item in enumerate(items) if place % BLOCKS % self.size == self.rank]
+
+    def blocks(self, count: int) -> Tensor:
+        """Block of each of this rank's items of a list of so many."""
+        return torch.tensor(self.mine([place % BLOCKS for place in range(count)]), dtype=torch.int64)
+
+    def sum(self, tensor: Tensor) -> Tensor:
+        """Sum over the ranks in their order; the same shape [...] at each."""
+        if self.size == 1:
+            return tensor
+        parts = [torch.empty_like(tensor, memory_format=torch.contiguous_format) for _ in range(self.size)]
+        _joined(lambda: distributed.all_gather(parts, tensor.contiguous()))
+        return torch.stack(parts).sum(dim=0)
+
+    def largest(self, number: float) -> float:
+        """The largest of the ranks' numbers; NaN where one is."""
+        if self.size == 1:
+            return number
+        return float(self._all(torch.tensor([number], dtype=torch.float64)).amax())
+
+    def _all(self, tensor: Tensor) -> Tensor:
+        numbered = tensor.new_zeros(self.size, *tensor.shape)
+        numbered[self.rank] = tensor
+        return self.sum(numbered)
+
+    def gather(self, item: Item) -> list[Item]:
+        """Every rank's item, in the order of ranks, at each."""
+        if self.size == 1:
+            return [item]
+        found: list[Any] = [None] * self.size
+        _joined(lambda: distributed.all_gather_object(found, item))
+        return found
+
+    def from_first(self, item: Item) -> Item:
+        """The first rank's item, at each."""
+        if self.size == 1:
+            return item
+        held: list[Any] = [item if self.first else None]
+        _joined(lambda: distributed.broadcast_object_list(held, src=0))
+        return held[0]
+
+    def refuse_more_than(self, flights: int) -> None:
+        """Raise InputError where a rank would have no flight."""
+        most = min(flights, BLOCKS)
+        if self.size > most:
+            raise InputError("torchrun", "", f"started {self.size} processes", f"{most} at most for {flights} flights")
+
+
+ALONE = Ranks()
+"""One process and nobody else."""
+
+
+def _joined(exchange: Callable[[], object]) -> None:
+    """Exchange with the others; LostRank where one of them is gone or silent."""
+    try:
+        exchange()
+    except RuntimeError as error:
+        raise LostRank from error
+
+
+@contextmanager
+def ranks_of_torchrun(patience: float = PATIENCE_S) -> Iterator[Ranks]:
+    """The ranks that torchrun (or its environment variables RANK, WORLD_SIZE, MASTER_ADDR, MASTER_PORT) has started.
+
+    One process alone without them. Where the block fails at several ranks, all but the first to fail raise `Told`.
+
+    Parameters
+    ----------
+    patience : s until a rank that does not answer counts as lost.
+    """
+    if int(os.environ.get("WORLD_SIZE", "1")) == 1:
+        yield Ranks()
+        return
+    try:
+        store, rank, size = next(iter(rendezvous("env://", timeout=timedelta(seconds=patience))))
+        wait = timedelta(seconds=patience)
+        distributed.init_process_group("gloo", store=store, rank=rank, world_size=size, timeout=wait)
+    except RuntimeError as error:
+        raise LostRank from error
+    try:
+        yield Ranks(rank, size)
+    except BaseException as error:
+        if not _first_to_tell(store):
+            raise Told(error) from error
+        raise
+    finally:
+        distributed.destroy_process_group()
+
+
+def _first_to_tell(store: Any) -> bool:
+    try:
+        return store.add("rotorid/failed", 1) == 1
+    except RuntimeError:  # the store has gone with the rank that held it
+        return True
