@@ -71,6 +71,12 @@ class LocalNoise:
     seen: Array
     variance_scale: Array
 
+    def pick(self, which: Sequence[int]) -> LocalNoise:
+        """Some of the flights."""
+        i = list(which)
+        scale = self.variance_scale[:, i]
+        return LocalNoise(self.power[:, i], self.trim[i], self.spread[i], self.seen[i], scale)
+
 
 @dataclass(frozen=True)
 class _Record:

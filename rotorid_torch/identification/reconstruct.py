@@ -6,7 +6,7 @@ of the forces are those of `gauss_markov`, found on the identify flights and hel
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
@@ -36,6 +36,8 @@ UNSEEN_SD = dict.fromkeys((*RATES, *ATTITUDES), 0.3)
 """Standard deviation of a first state that no channel sees then, rad and rad/s; 10 m and m/s for the others."""
 WANDER_S = 1.0
 """Time in which a vibration line's amplitude may change by its own size."""
+ADAPTED = 160_000
+"""Samples whose forces' powers are adapted at once."""
 TOGETHER = 32_000
 """Samples that are filtered at once: what the filter writes of them takes two hundred megabytes."""
 
@@ -140,24 +142,25 @@ def reconstruct(dataset: Dataset, options: ReconstructOptions | None = None) -> 
     states = (*states, *(f"{c} {part}" for c in lines for part in ("cos", "sin")))
     made = OnDemand[ReconstructedFlight](dataset.flights, costly=True)
 
-    def reconstructed(names: Sequence[str]) -> list[ReconstructedFlight]:
-        local = adapted(dataset, names, noise, biases, hertz)
+    def reconstructed(names: Sequence[str], local: LocalNoise) -> list[ReconstructedFlight]:
         motion = _motion(dataset, names, states, outputs, noise, local, lines)
         with torch.no_grad():
             got = _filter(dataset, names, motion, local, biases, lines, wander)
         return [_flight(dataset, motion, got, local, i, name, biases[name]) for i, name in enumerate(names)]
 
-    for names in _groups(dataset):
-        for flight in reconstructed(names):
-            made.keep(flight.name, flight)
+    for many in _groups(dataset, dataset.flights, ADAPTED):
+        local = adapted(dataset, many, noise, biases, hertz)
+        for names in _groups(dataset, many, TOGETHER):
+            for flight in reconstructed(names, local.pick([many.index(name) for name in names])):
+                made.keep(flight.name, flight)
     return Reconstruction(made, _units(dataset), noise, hertz, _notes(dataset, noise, biases, lines))
 
 
-def _groups(dataset: Dataset) -> Iterator[list[str]]:
-    """Flights of about the same length, as many as are filtered at once."""
+def _groups(dataset: Dataset, names: Iterable[str], most: int) -> Iterator[list[str]]:
+    """Flights of about the same length, as many as have so many samples together."""
     group: list[str] = []
-    for name in sorted(dataset.flights, key=lambda name: dataset.facts[name].samples):
-        if group and (len(group) + 1) * dataset.facts[name].samples > TOGETHER:
+    for name in sorted(names, key=lambda name: dataset.facts[name].samples):
+        if group and (len(group) + 1) * dataset.facts[name].samples > most:
             yield group
             group = []
         group.append(name)
