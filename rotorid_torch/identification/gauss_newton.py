@@ -171,6 +171,8 @@ def _told(A: Tensor, norms: Tensor, span: Tensor, mask: Tensor) -> tuple[Tensor,
     size = torch.where(torch.isfinite(span), span, 1e9 / norms)
     while bool(mask.any()):
         place = mask.nonzero()[:, 0]
+        if _surely_told((A * size)[:, mask]):
+            break
         _, values, rows = torch.linalg.svd((A * size)[:, mask], full_matrices=True)
         if len(values) == len(place) and float(values[-1]) >= 1.0:
             break
@@ -178,6 +180,17 @@ def _told(A: Tensor, norms: Tensor, span: Tensor, mask: Tensor) -> tuple[Tensor,
         named[place[share > NAMED_SHARE]] = True
         mask[place[share.argmax()]] = False
     return mask, named
+
+
+def _surely_told(A: Tensor) -> bool:
+    """Whether no singular value is below 1, by a bound that needs no singular values: a third of their time."""
+    if A.shape[0] < A.shape[1]:
+        return False
+    triangle = torch.linalg.qr(A, mode="r").R
+    if bool((triangle.diagonal() == 0.0).any()):
+        return False
+    inverse = torch.linalg.solve_triangular(triangle, torch.eye(len(triangle)).to(triangle), upper=True)
+    return float(torch.linalg.matrix_norm(inverse)) <= 1.0
 
 
 def _bounded_step(problem: _Subproblem, damping: float) -> Tensor:
