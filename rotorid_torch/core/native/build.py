@@ -51,7 +51,7 @@ def _target(program: str) -> str:
         [program, *FLAGS, "-dM", "-E", "-x", "c++", os.devnull], capture_output=True, text=True, check=False
     )
     if asked.returncode:
-        raise Unsupported(f"{program} does not work: {asked.stderr.strip().splitlines()[-1:]}")
+        raise Unsupported(f"{program} does not work: {_first_error(asked.stderr)}")
     return asked.stdout
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch._decomp import core_aten_decompositions, decomposition_table
+from torch._decomp import decomposition_table
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves, tree_map
 
@@ -48,8 +48,7 @@ LONGEST_PRODUCT = 4
 def _decompositions() -> dict[Any, Any]:
     """Torch's own rules for operations that are not spelled out here."""
     ours = VIEWS | PRODUCTS | SPELLED_OUT | set(FILLS) | set(CONNECTIVES) | set(COMPOSITE) | set(OPERATIONS)
-    rules = {**decomposition_table, **core_aten_decompositions()}
-    return {op: rule for op, rule in rules.items() if getattr(op, "_opname", "") not in ours}
+    return {op: rule for op, rule in decomposition_table.items() if getattr(op, "_opname", "") not in ours}
 
 
 class Scalars(TorchDispatchMode):

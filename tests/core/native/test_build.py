@@ -1,0 +1,135 @@
+"""What becomes of C++: built once, kept whole, found again, and one sentence where that cannot be."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from rotorid_torch.core.native import build
+from rotorid_torch.core.native.build import library
+from rotorid_torch.core.native.fallback import Unsupported
+
+NUMBER = itertools.count(7)
+
+
+@pytest.fixture
+def source() -> str:
+    """Nobody has built it before in this process."""
+    return f'extern "C" int answer() {{ return {next(NUMBER)}; }}\n'
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("ROTORID_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache" / "native"
+
+
+def compiler_that(folder: Path, does: str) -> str:
+    """A compiler that tells its macros and then does something else; it writes a line in `calls` before."""
+    program = folder / "compiler"
+    program.write_text(f'#!/bin/sh\ncase "$*" in *-dM*) exec g++ "$@";; esac\necho called >> {folder}/calls\n{does}\n')
+    program.chmod(0o755)
+    return str(program)
+
+
+def elsewhere(source: str, env: dict[str, str]) -> subprocess.Popen[str]:
+    """Another process that builds, loads and answers."""
+    code = f"from rotorid_torch.core.native.build import library; print(library({source!r}).answer())"
+    return subprocess.Popen([sys.executable, "-c", code], env=env, stdout=subprocess.PIPE, text=True)
+
+
+def forget() -> None:
+    """As a new process would."""
+    library.cache_clear()
+
+
+def test_what_was_built_is_found_again_without_compiling(
+    source: str, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CXX", compiler_that(tmp_path, 'exec g++ "$@"'))
+    first = library(source).answer()
+    assert library(source).answer() == first
+    forget()
+    assert library(source).answer() == first
+    assert (tmp_path / "calls").read_text() == "called\n"
+    assert [p.suffix for p in cache.iterdir()] == [".so"]
+    library(source + "// another model\n")
+    assert len(list(cache.iterdir())) == 2
+
+
+def test_the_loops_and_the_machine_are_part_of_what_it_is_found_by(
+    source: str, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    library(source)
+    for name, changed in (("_loops", lambda: "other loops"), ("_target", lambda program: "other machine")):
+        forget()
+        monkeypatch.setattr(build, name, changed)
+        library(source)
+    assert len(list(cache.iterdir())) == 3
+    forget()
+
+
+def test_two_processes_that_build_at_once_leave_one_whole_library(source: str, cache: Path, tmp_path: Path) -> None:
+    env = {**os.environ, "CXX": compiler_that(tmp_path, 'sleep 1; exec g++ "$@"')}
+    both = [elsewhere(source, env) for _ in range(2)]
+    told = [process.communicate(timeout=120)[0].strip() for process in both]
+    assert told == [str(library(source).answer())] * 2
+    assert len(list(cache.iterdir())) == 1
+    assert (tmp_path / "calls").read_text().count("called") == 2
+
+
+def test_no_compiler(source: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CXX", "no-such-compiler")
+    with pytest.raises(Unsupported, match=r"no C\+\+ compiler was found \(g\+\+ on PATH, or CXX=\.\.\.\)"):
+        library(source)
+
+
+def test_a_compiler_that_does_not_work(source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = tmp_path / "broken"
+    program.write_text("#!/bin/sh\necho 'fatal error: no libraries' >&2\nexit 1\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("CXX", str(program))
+    with pytest.raises(Unsupported, match="broken does not work: fatal error: no libraries"):
+        library(source)
+
+
+def test_a_compiler_that_refuses_the_source(cache: Path) -> None:
+    with pytest.raises(Unsupported, match=r"refuses the model: .*error.*nonsense"):
+        library('extern "C" int answer() { return nonsense; }\n')
+    assert list(cache.iterdir()) == []
+
+
+def test_a_compiler_that_never_ends(source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CXX", compiler_that(tmp_path, "exec sleep 60"))
+    monkeypatch.setattr(build, "LIMIT_S", 0.2)
+    with pytest.raises(Unsupported, match=r"took longer than 0\.2 s"):
+        library(source)
+
+
+def test_a_cache_that_cannot_be_written(source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("ROTORID_CACHE", str(tmp_path / "file"))
+    with pytest.raises(Unsupported, match=r"cannot be kept in .*file/native: Not a directory"):
+        library(source)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_read_only_cache(source: str, cache: Path) -> None:
+    cache.mkdir(parents=True)
+    cache.chmod(0o555)
+    with pytest.raises(Unsupported, match=r"cannot be kept in .*: Permission denied"):
+        library(source)
+
+
+def test_a_library_cut_short_is_built_anew(source: str, cache: Path) -> None:
+    told = elsewhere(source, dict(os.environ)).communicate(timeout=120)[0].strip()
+    (file,) = cache.iterdir()
+    file.write_bytes(file.read_bytes()[:100])
+    with pytest.raises(Unsupported, match="cannot be loaded"):
+        library(source)
+    assert str(library(source).answer()) == told
