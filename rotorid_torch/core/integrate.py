@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
 import torch
 from torch import Tensor
 from torchdiffeq import odeint
@@ -85,7 +86,7 @@ def simulate(rates: Rates, x0: Tensor, controls: Tensor, dt: float, solver: str 
     [..., T, nx] states at the samples, the first one being x0.
     """
     samples = controls.shape[-2]
-    shape = torch.broadcast_shapes(x0.shape[:-1], controls.shape[:-2])
+    shape = np.broadcast_shapes(x0.shape[:-1], controls.shape[:-2])
     x0 = x0.expand(*shape, x0.shape[-1])
     if samples == 1:
         return x0.unsqueeze(-2)

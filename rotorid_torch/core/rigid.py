@@ -6,6 +6,7 @@ Simulation (3rd ed.), eq. 1.8-2 ff.
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -17,7 +18,8 @@ def vec(*parts: Tensor) -> Tensor:
 
 def join(*parts: Tensor) -> Tensor:
     """Concatenate parts [..., n] along the last dimension after broadcasting their leading ones against each other."""
-    shape = torch.broadcast_shapes(*(part.shape[:-1] for part in parts))
+    # numpy's, for torch's own loads a computer algebra system when it is first called, a second
+    shape = np.broadcast_shapes(*(part.shape[:-1] for part in parts))
     return torch.cat([part.expand(*shape, -1) for part in parts], dim=-1)
 
 

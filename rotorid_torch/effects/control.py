@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -40,7 +41,7 @@ class ControlDelay(Effect):
 
         def at(offset: int) -> Tensor:
             index = (first + offset).clamp(0, samples - 1)
-            shape = torch.broadcast_shapes(index.shape[:-2], controls.shape[:-2])
+            shape = np.broadcast_shapes(index.shape[:-2], controls.shape[:-2])
             return controls.expand(*shape, -1, -1).gather(-2, index.expand(*shape, samples, controls.shape[-1]))
 
         before, here, after, beyond = (at(k) for k in (-1, 0, 1, 2))

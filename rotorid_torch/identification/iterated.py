@@ -18,6 +18,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -94,7 +95,7 @@ def learns_constants(given: Problem) -> bool:
     draws = torch.randn(PROBES, given.x0.shape[-1], generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     away = draws @ root(given.P0).mT
     u = given.controls[..., torch.linspace(0, count - 1, PROBES).long(), :]
-    batch = torch.broadcast_shapes(given.x0.shape[:-1], away.shape[:-2], u.shape[:-2])
+    batch = np.broadcast_shapes(given.x0.shape[:-1], away.shape[:-2], u.shape[:-2])
     away, u = away.expand(*batch, *away.shape[-2:]), u.expand(*batch, *u.shape[-2:])
     x = given.x0.unsqueeze(-2).expand_as(away)
     rates = given.f(x + away, u)

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -131,7 +132,7 @@ def filter_and_smooth(
     InputError : sigma points with which a covariance could become indefinite.
     Unsupported : engine "native", and these functions cannot become native code, or not here.
     """
-    batch = torch.broadcast_shapes(prior[0].shape[:-1], prior[1].shape[:-2], controls.shape[:-2], outputs.shape[:-2])
+    batch = np.broadcast_shapes(prior[0].shape[:-1], prior[1].shape[:-2], controls.shape[:-2], outputs.shape[:-2])
     mean, cov, controls, outputs = (
         a.expand(*batch, *a.shape[-k:]) for a, k in ((prior[0], 1), (prior[1], 2), (controls, 2), (outputs, 2))
     )
