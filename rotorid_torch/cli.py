@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from rotorid_torch.errors import InputError
+from rotorid_torch.errors import InputError, LostRank, Told
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -58,22 +58,40 @@ class SizeLastEffect(argparse.Action):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; `--help` leaves by SystemExit(0), as argparse does."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # read by torch on import; many small steps are fastest on one thread
+    os.environ.setdefault("TORCH_CPP_LOG_LEVEL", "ERROR")  # what torch remarks on lost processes, our line says better
+    speaks = os.environ.get("RANK", "0") == "0"  # under torchrun all processes refuse the same usage
     try:
         with _interrupted_by(signal.SIGTERM, signal.SIGHUP), _libraries_keep_still():
             options = parser().parse_args(arguments)
             _refuse_missing_device(options.device)
+            speaks = True
             options.run(options)
             sys.stdout.flush()
-    except InputError as error:
-        return _tell(str(error), 2)
-    except KeyboardInterrupt:
-        return _tell("interrupted", 130)
+    except Told as told:
+        return _code(told.error)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the reader left; do not fail again at exit
         return 1
-    except Exception as error:
-        return _tell(f"unexpected {type(error).__name__}: {error}; the log is {_write_log()}", 1)
+    except (Exception, KeyboardInterrupt) as error:
+        if speaks:
+            print("rotorid:", " ".join(_sentence(error).split()), file=sys.stderr)
+        return _code(error)
     return 0
+
+
+def _code(error: BaseException) -> int:
+    """Exit code of what ended a command."""
+    return 2 if isinstance(error, InputError) else 130 if isinstance(error, KeyboardInterrupt) else 1
+
+
+def _sentence(error: BaseException) -> str:
+    """The line for people."""
+    if isinstance(error, InputError | LostRank):
+        return str(error)
+    if isinstance(error, KeyboardInterrupt):
+        several = int(os.environ.get("WORLD_SIZE", "1")) > 1
+        return "interrupted; torchrun does so when a process of the run is lost" if several else "interrupted"
+    return f"unexpected {type(error).__name__}: {error}; the log is {_write_log(error)}"
 
 
 def parser() -> Parser:
@@ -133,6 +151,7 @@ def _add_identify(commands) -> None:
     command.add_argument("dataset", metavar="DATASET", type=Path)
     command.add_argument("--out", metavar="RUN", type=Path, required=True, help="the run's folder")
     command.add_argument("--effect", metavar="ID", action="append", default=[], help="add this effect; repeatable")
+    command.add_argument("--resume", action="store_true", help="go on from an interrupted run's last finished step")
 
 
 def _add_simulate(commands) -> None:
@@ -186,17 +205,21 @@ def reconstruct(options: Options) -> None:
 
 
 def identify(options: Options) -> None:
-    """The three steps, validation and report."""
+    """The three steps, validation and report; under torchrun, by all processes together."""
+    from rotorid_torch.core.ranks import ranks_of_torchrun
     from rotorid_torch.data import load
     from rotorid_torch.run import pipeline
     from rotorid_torch.run.folder import refuse_unless_free
     from rotorid_torch.run.records import read_report
 
-    refuse_unless_free(options.out)
-    dataset = load(options.dataset)
-    given = {"effects": tuple(options.effect), "seed": options.seed, "device": options.device}
-    pipeline.identify(dataset, out=options.out, monitor=_monitor(options), **given)
-    _answer_report(options, options.out, read_report(options.out))
+    with ranks_of_torchrun() as ranks:
+        refuse_unless_free(options.out)
+        given = {"effects": tuple(options.effect), "seed": options.seed, "device": options.device}
+        told = _monitor(options) if ranks.first else None
+        dataset = load(options.dataset)
+        pipeline.identify(dataset, out=options.out, monitor=told, resume=options.resume, ranks=ranks, **given)
+        if ranks.first:
+            _answer_report(options, options.out, read_report(options.out))
 
 
 def simulate(options: Options) -> None:
@@ -310,14 +333,9 @@ def _libraries_keep_still() -> Iterator[None]:
         yield
 
 
-def _tell(text: str, code: int) -> int:
-    print("rotorid:", " ".join(text.split()), file=sys.stderr)
-    return code
-
-
-def _write_log() -> str:
+def _write_log(error: BaseException) -> str:
     with tempfile.NamedTemporaryFile("w", prefix="rotorid-", suffix=".log", delete=False) as file:
-        traceback.print_exc(file=file)
+        traceback.print_exception(error, file=file)
     return file.name
 
 

@@ -34,6 +34,12 @@ class Step3:
     fit: Estimate
     names: tuple[str, ...]
 
+    def theta_of(self, model: Model, start: Step2) -> Tensor:
+        """The model's whole parameter vector: the estimate, and step 2's values of what was held."""
+        theta = start.theta.clone()
+        theta[[model.parameter_set.index(name) for name in self.names]] = self.fit.theta
+        return theta
+
     @property
     def criterion(self) -> float:
         """Akaike's information criterion; the smaller, the better the structure, on the same records."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.step3 import Step3
@@ -78,28 +79,32 @@ def parameter_records(model: Model, step3: Step3) -> tuple[ParameterRecord, ...]
     return tuple(made)
 
 
-def judge(model: Model, dataset: Dataset) -> Judged:
+def judge(model: Model, dataset: Dataset, ranks: Ranks = ALONE) -> Judged:
     """Free runs over 8 s at every whole second of every flight, and their scores as the interface defines them.
 
-    Overlays are those of the first flights of each list, `SHOWN` of them.
+    Overlays are those of the first flights of each list, `SHOWN` of them. The flights are spread over the ranks; each
+    gets all records.
     """
-    records, overlays, J = {}, {}, defaultdict(list)
+    records, overlays = dict[str, FlightRecord](), dict[str, Overlay]()
     shown = {name for flights in (dataset.identify, dataset.validate, dataset.acid) for name in flights[:SHOWN]}
-    for name, piece, outputs in _all_windows(model, dataset):
-        records[name] = record = _flight(model, dataset, name, piece, outputs)
-        J[record.list].append(record.J if record.J is not None else torch.nan)
+    for name, piece, outputs in _all_windows(model, dataset, ranks.mine(tuple(dataset.flights))):
+        records[name] = _flight(model, dataset, name, piece, outputs)
         if name in shown:
             overlays[name] = _overlay(model, dataset, name, piece, outputs)
+    for others, pictures in ranks.gather((records, overlays)):
+        records, overlays = records | others, overlays | pictures
+    ordered, J = {name: records[name] for name in dataset.flights}, defaultdict(list)
+    for record in ordered.values():
+        J[record.list].append(record.J if record.J is not None else torch.nan)
     totals = {k: float(scores.list_score(torch.tensor(J[k], dtype=torch.float64))) if J[k] else None for k in LISTS}
-    ordered = {name: records[name] for name in dataset.flights}
     return Judged(ordered, ScoresRecord(**totals), tuple(overlays[name] for name in ordered if name in overlays))
 
 
-def _all_windows(model: Model, dataset: Dataset) -> Iterator[tuple[str, Windows, Tensor]]:
-    """All windows of every flight with their outputs, some flights at once; by sample interval."""
+def _all_windows(model: Model, dataset: Dataset, names: Sequence[str]) -> Iterator[tuple[str, Windows, Tensor]]:
+    """All windows of these flights with their outputs, some flights at once; by sample interval."""
     by_step = defaultdict(list)
-    for name, facts in dataset.facts.items():
-        by_step[facts.dt].append(name)
+    for name in names:
+        by_step[dataset.facts[name].dt].append(name)
     groups = [(dt, group) for dt, names in by_step.items() for group in _groups(dataset, names, dt)]
     run = Runs.of(model)
     for dt, names in groups:

@@ -35,14 +35,14 @@ def run_folder(out: str | Path) -> Iterator[Path]:
     place = Path(out).absolute()
     refuse_unless_free(place)
     partial = _partial_name(place)
-    with _locked(place.parent):  # making and cleaning exclude each other, so that no folder is seen before its lock
+    with locked(place.parent):  # making and cleaning exclude each other, so that no folder is seen before its lock
         _clean(place)
         partial.mkdir()
         lock = os.open(partial, os.O_RDONLY)
         fcntl.flock(lock, fcntl.LOCK_EX)
     try:
         yield partial
-        with _locked(place.parent):
+        with locked(place.parent):
             _put_in_place(partial, place)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
@@ -105,7 +105,8 @@ def _partial_name(place: Path) -> Path:
 
 
 @contextmanager
-def _locked(folder: Path) -> Iterator[None]:
+def locked(folder: Path) -> Iterator[None]:
+    """Keep other processes of ours out of the same folder until the block ends."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX)

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.effects.registry import registered
@@ -29,11 +30,12 @@ from rotorid_torch.model.nominal import build
 from rotorid_torch.model.save import load as load_model
 from rotorid_torch.model.save import save as save_model
 from rotorid_torch.run import remarks
+from rotorid_torch.run.checkpoint import Checkpoint, Steps, checkpoint
 from rotorid_torch.run.figures import draw
 from rotorid_torch.run.fit_record import fit_record, judge
 from rotorid_torch.run.folder import run_folder, whole_file
 from rotorid_torch.run.monitor import Monitor, peak_memory_mb
-from rotorid_torch.run.records import DatasetRecord, FitRecord, ParameterRecord, Report
+from rotorid_torch.run.records import DatasetRecord, FitRecord, ParameterRecord, Report, package_version
 from rotorid_torch.run.write import write_report
 from rotorid_torch.validate.free_run import free_run, windows
 
@@ -116,6 +118,8 @@ def identify(
     seed: int = 0,
     device: str = "cpu",
     monitor: Monitor | None = None,
+    resume: bool = False,
+    ranks: Ranks = ALONE,
 ) -> Run:
     """The three steps, free runs and scores; written as a RUN where `out` says so.
 
@@ -124,35 +128,47 @@ def identify(
     effects : ids of effects that join the model, such as "control.delay".
     out : folder of the run; an earlier RUN there is replaced when the new one is whole.
     device : "cpu"; the steps run in float64 on the processor.
+    resume : go on from the last finished step of an interrupted run to `out`, if there is one.
+    ranks : processes that share the work, each of which calls this; the first one alone writes.
 
     Raises
     ------
-    InputError : the data set lacks what the steps need, an effect does not exist, or `out` is not free.
+    InputError : the data set lacks what the steps need, an effect does not exist, `out` is not free, the interrupted
+        run was another one, or there are more ranks than identify flights.
+    LostRank : another rank has ended; an earlier RUN stays as it was.
     """
     monitor = monitor or Monitor()
     _refuse(effects, device)
     _refuse_unfit(dataset)
+    ranks.refuse_more_than(len(dataset.identify))
     torch.manual_seed(seed)
     with ExitStack() as stack:
-        folder = stack.enter_context(run_folder(out)) if out is not None else None
-        if folder is not None:
+        folder, kept = None, Checkpoint()
+        if out is not None and ranks.first:
+            key = _key(dataset, effects, seed)
+            kept = stack.enter_context(checkpoint(out, key, resume=resume, keep=resume or ranks.size > 1))
+            folder = stack.enter_context(run_folder(out))
             stack.enter_context(monitor.recording(folder))
-        run = _identify(dataset, effects, seed, monitor)
+        run = _identify(dataset, effects, seed, Steps(monitor, ranks, kept))
         if folder is not None:
             run.write(folder, monitor)
     return run
 
 
-def _identify(dataset: Dataset, effects: Sequence[str], seed: int, monitor: Monitor) -> Run:
-    seen = at_one_rate(dataset)
-    with monitor.step("reconstruct"):
-        reconstruction = step1.reconstruct(seen)
-    with monitor.step("structure"):
-        first = propose(seen, reconstruction, effects)
-    tried = [_estimate(spec, seen, reconstruction, monitor) for spec in (first, rival(first)) if spec is not None]
+def _key(dataset: Dataset, effects: Sequence[str], seed: int) -> dict[str, str]:
+    """What the steps' results depend on."""
+    chosen = ", ".join(effects) or "none"
+    return {"version": package_version(), "data set": dataset.sha256, "effects": chosen, "seed": str(seed)}
+
+
+def _identify(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps) -> Run:
+    seen, monitor = at_one_rate(dataset), steps.monitor
+    reconstruction = steps.reconstruct(tuple(seen.flights), lambda: step1.reconstruct(seen))
+    first = steps.do("structure", "structure", lambda: propose(seen, reconstruction, effects))
+    tried = [_estimate(spec, seen, reconstruction, steps) for spec in (first, rival(first)) if spec is not None]
     spec, model, regressions, estimate = min(tried, key=lambda t: t[3].criterion)
     with monitor.step("validate"):
-        judged = judge(model, dataset)
+        judged = judge(model, dataset, steps.ranks)
     fit = fit_record(model, spec, estimate, judged)
     told = [
         *reconstruction.notes,
@@ -165,21 +181,24 @@ def _identify(dataset: Dataset, effects: Sequence[str], seed: int, monitor: Moni
 
 
 def _estimate(
-    spec: ModelSpec, dataset: Dataset, reconstruction: Reconstruction, monitor: Monitor
+    spec: ModelSpec, dataset: Dataset, reconstruction: Reconstruction, steps: Steps
 ) -> tuple[ModelSpec, Model, Step2, Step3]:
     """Steps 2 and 3 of one structure."""
-    model = build(spec)
-    with monitor.step("ftr"):
-        regressions = regress_model(model, dataset, reconstruction)
-        monitor.scalars({f"ftr/R2/{row}": float(r.r2) for row, r in regressions.regressions.items()}, 0)
-        for line in remarks.regression_table(regressions):
-            monitor.log(line)
+    model, monitor = build(spec), steps.monitor
+    regressions = steps.do("ftr", f"ftr-{spec.flapping}", lambda: regress_model(model, dataset, reconstruction))
+    monitor.scalars({f"ftr/R2/{row}": float(r.r2) for row, r in regressions.regressions.items()}, 0)
+    for line in remarks.regression_table(regressions):
+        monitor.log(line)
 
     def watch(iteration: int, cost: float, theta: Tensor) -> None:
         monitor.scalars({"ml/cost": cost}, iteration)
 
-    with monitor.step("ml"):
-        estimate = estimate_model(model, dataset, reconstruction, regressions, watch)
+    def estimated() -> Step3:
+        return estimate_model(model, dataset, reconstruction, regressions, watch, steps.ranks)
+
+    estimate = steps.do("ml", f"ml-{spec.flapping}", estimated)
+    with torch.no_grad():
+        model.theta.copy_(estimate.theta_of(model, regressions))
     monitor.say(f"flapping {spec.flapping}: Akaike's criterion {estimate.criterion:.6g}")
     return spec, model, regressions, estimate
 
