@@ -13,6 +13,7 @@ from rotorid_torch.data import Dataset
 from rotorid_torch.effects.base import Frame, Values
 from rotorid_torch.effects.registry import EFFECTS
 from rotorid_torch.identification.reconstruct import reconstruct
+from rotorid_torch.identification.segments import Records
 from rotorid_torch.identification.step2 import Step2, measured, regress_model
 from rotorid_torch.identification.step3 import Step3, averaged, estimate_model, records
 from rotorid_torch.identification.structure import propose
@@ -164,3 +165,34 @@ def test_records_are_at_fifty_hertz_at_least():
         found = records(build(propose(data, step1)), data, step1)
         assert found.dt == pytest.approx(wanted)
         assert found.states.shape[-1] == 3
+
+
+def test_flights_that_leave_the_memory_change_nothing(rates: Dataset, monkeypatch: pytest.MonkeyPatch):
+    def regressed() -> tuple[Step2, Records]:
+        step1 = reconstruct(rates)
+        spec = propose(rates, step1)
+        model = build(spec)
+        return regress_model(model, rates, step1), records(model, rates, step1)
+
+    whole, batch = regressed()
+    monkeypatch.setattr("rotorid_torch.data.on_demand.BUDGET", 1)
+    again, pieces = regressed()
+    torch.testing.assert_close(again.theta, whole.theta, rtol=0.0, atol=0.0)
+    torch.testing.assert_close(pieces.states, batch.states, rtol=0.0, atol=0.0, equal_nan=True)
+    torch.testing.assert_close(pieces.outputs, batch.outputs, rtol=0.0, atol=0.0, equal_nan=True)
+    assert pieces.lengths.tolist() == batch.lengths.tolist()
+
+
+def test_flights_of_different_lengths_share_a_batch():
+    moves = manoeuvres(6.0, DT) | {"short": manoeuvres(3.0, DT)["f_lat"]}
+    data = flown(rate_vehicle(), moves, DT, noise=0.01)
+    step1 = reconstruct(data)
+    model = build(propose(data, step1))
+    batch = records(model, data, step1)
+    i = data.identify.index("short")
+    short = int(batch.lengths[i])
+    assert short < batch.samples == int(batch.lengths.max())
+    assert bool(batch.outputs[i, short:].isnan().all())
+    assert bool(batch.states[i, short:].isnan().all())
+    assert torch.equal(batch.controls[i, short:], batch.controls[i, short - 1].expand(batch.samples - short, -1))
+    assert bool(batch.outputs[i, :short].isfinite().all())
