@@ -14,6 +14,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.native.build import threads
 from rotorid_torch.core.native.dynamics import Dynamics, LinearProblem
 from rotorid_torch.core.native.fallback import say_once
 from rotorid_torch.core.native.trace import Unsupported
@@ -225,7 +226,7 @@ class NativeEngine:
         """See `Engine`; simulated anew, which is cheaper than any correction."""
         controls = controls_at(self.system, theta, records, segments)
         given = self._given(controls, segments)
-        states, outputs = self.traced.simulate(theta, x0, given, segments.dt, threads=torch.get_num_threads())
+        states, outputs = self.traced.simulate(theta, x0, given, segments.dt, threads=threads())
         return Run(theta, controls, states, outputs)
 
     def _given(self, controls: Tensor, segments: Segments) -> Tensor:
@@ -238,7 +239,7 @@ class NativeEngine:
     def eliminate(self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns) -> Elimination:
         """See `Engine`; normal equations."""
         dynamics, problem = self._problem(records, part, whitener, unknowns)
-        H, passage = dynamics.normal_equations(problem, torch.get_num_threads())
+        H, passage = dynamics.normal_equations(problem, threads())
         nx = 0 if unknowns.x0_sd is None else unknowns.x0_sd.shape[-1]
         if unknowns.x0_sd is not None:
             H[:, :nx, :nx] += torch.diag_embed(unknowns.x0_sd**-2.0)
@@ -249,7 +250,7 @@ class NativeEngine:
     def rows(self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns) -> Tensor:
         """See `Engine`."""
         dynamics, problem = self._problem(records, part, whitener, unknowns)
-        return dynamics.whitened_rows(problem, torch.get_num_threads())
+        return dynamics.whitened_rows(problem, threads())
 
     def joined(self, rests: Tensor, rows: Tensor) -> Tensor:
         """See `Engine`; products add up."""

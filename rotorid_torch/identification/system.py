@@ -116,7 +116,7 @@ class System:
     def tape_jacobian(self, theta: Tensor, controls: Tensor, dt: float) -> tuple[Tensor, Tensor]:
         """Parameters the control path depends on [n], and the derivatives of the record by them [..., T, nu, n]."""
         none = torch.zeros(0, dtype=torch.long), controls.new_zeros(*controls.shape, 0)
-        if not self.has_tape:
+        if not self.has_tape or self.tape(theta, controls, dt) is controls:  # nothing acts on the control path
             return none
         value, pull = _pullback(lambda th: self.tape(th, controls, dt), theta)
         weights = torch.randn(value.shape, generator=torch.Generator().manual_seed(0), dtype=value.dtype)

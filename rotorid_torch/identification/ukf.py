@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -20,6 +21,7 @@ from torch import Tensor
 
 from rotorid_torch.core.integrate import step
 from rotorid_torch.core.native import filtering
+from rotorid_torch.core.native.build import threads
 from rotorid_torch.core.native.fallback import say_once
 from rotorid_torch.core.native.filtering import Weights
 from rotorid_torch.core.native.trace import Unsupported
@@ -184,7 +186,7 @@ def _filter_natively(given: _Given, weights: Weights, smooth: bool) -> Filtered:
 
     with torch.no_grad():
         mean, controls = listed(given.mean, 1), listed(given.controls, 2)
-        compiled = filtering.CompiledFilter.of(given.f, given.h, mean, controls[:, 0], ny)
+        compiled = _compiled(given.f, given.h, mean, controls[:, 0], ny)
         problem = filtering.Problem(
             mean=mean,
             covariance=listed(given.cov, 2),
@@ -196,9 +198,39 @@ def _filter_natively(given: _Given, weights: Weights, smooth: bool) -> Filtered:
             values=values,
             dt=given.dt,
         )
-        got = compiled.run(problem, weights, smooth, threads=torch.get_num_threads())
+        got = compiled.run(problem, weights, smooth, threads=threads())
     shaped = {name: a if a is None else a.reshape((*batch, *a.shape[1:])) for name, a in vars(got).items()}
     return Filtered(**shaped)  # pyright: ignore[reportArgumentType]
+
+
+@dataclass(frozen=True, eq=False)
+class _Traced:
+    """Code of two functions, where they were tried [F, nx + nu], and what they gave there."""
+
+    functions: tuple[object, ...]
+    there: Tensor
+    gave: Tensor
+    code: filtering.CompiledFilter
+
+
+_TRACED: WeakKeyDictionary[object, _Traced] = WeakKeyDictionary()
+"""The last code by the object that f belongs to."""
+
+
+def _compiled(f: Dynamics, h: Dynamics, x: Tensor, u: Tensor, ny: int) -> filtering.CompiledFilter:
+    """The code of f and h, traced once; where they give something else than then, they are traced anew."""
+    owner = getattr(f, "__self__", f)
+    functions = tuple(getattr(g, "__func__", id(g)) for g in (f, h))
+    there = torch.cat([x, u], dim=-1)
+    known = _TRACED.get(owner)
+    if known is not None and known.functions == functions and known.there.shape == there.shape:
+        at = known.there[:, None].split([x.shape[-1], u.shape[-1]], dim=-1)
+        if torch.equal(torch.cat([f(*at), h(*at)], dim=-1), known.gave):
+            return known.code
+    made = filtering.CompiledFilter.of(f, h, x, u, ny)
+    gave = torch.cat([f(x[:, None], u[:, None]), h(x[:, None], u[:, None])], dim=-1)
+    _TRACED[owner] = _Traced(functions, there, gave, made)
+    return made
 
 
 def _filter_in_torch(given: _Given, weights: Weights, smooth: bool) -> Filtered:

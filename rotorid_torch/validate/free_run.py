@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.integrate import simulate
+from rotorid_torch.core.native.build import threads
 from rotorid_torch.core.native.dynamics import Dynamics
 from rotorid_torch.core.native.fallback import say_once
 from rotorid_torch.core.native.trace import Unsupported
@@ -109,7 +110,7 @@ class Runs:
         shape = x0.shape[:-1]
         flat = controls.expand(*shape, *controls.shape[-2:]).reshape(-1, *controls.shape[-2:])
         made = self.compiled.simulate(
-            self.model.theta.detach(), x0.reshape(-1, x0.shape[-1]), flat, dt, STRAYED, torch.get_num_threads()
+            self.model.theta.detach(), x0.reshape(-1, x0.shape[-1]), flat, dt, STRAYED, threads()
         )
         return made[0].unflatten(0, shape), made[1].unflatten(0, shape)
 

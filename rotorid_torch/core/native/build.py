@@ -35,6 +35,17 @@ def compiler() -> str:
     return found
 
 
+def threads() -> int:
+    """Threads of a native loop: OMP_NUM_THREADS where it is set, else the processors that this process may use.
+
+    Torch's own threads are another matter: its operations here are small, and wait for each other on shared cores.
+    """
+    wanted = os.environ.get("OMP_NUM_THREADS", "")
+    if wanted.isdigit() and int(wanted) > 0:
+        return int(wanted)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def cache_folder() -> Path:
     """Where libraries are kept: ROTORID_CACHE, or the user's cache folder."""
     chosen = os.environ.get("ROTORID_CACHE")
