@@ -29,7 +29,7 @@ class Symbols:
 VIEWS = set(
     "select slice stack cat unsqueeze squeeze expand view _unsafe_view reshape permute transpose t alias clone detach "
     "index index_select index_put slice_scatter select_scatter diagonal flip roll split split_with_sizes unbind "
-    "lift_fresh_copy _to_copy contiguous repeat gather diag_embed triu tril scatter".split()
+    "lift_fresh_copy _to_copy contiguous repeat gather diag diag_embed triu tril scatter".split()
 )
 IN_PLACE_VIEWS = {"squeeze_", "unsqueeze_", "t_"}  # torch's own matrix products use them on tensors of their own
 FILLS = {"full_like": None, "zeros_like": 0.0, "ones_like": 1.0}
