@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import shutil
+import os
 import tempfile
 import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import IO, Any, Generic, TypeVar
 
 import numpy as np
 import torch
@@ -24,8 +23,8 @@ BUDGET = 64 * 2**20
 class OnDemand(Mapping[str, Item], Generic[Item]):
     """Items by name, each made when first asked for; those used last stay in memory.
 
-    What leaves the memory is made again when it is wanted again, or, where that is costly, read from a temporary folder
-    that lives as long as this mapping. What fits into the budget is made once and stays.
+    What leaves the memory is made again when it is wanted again, or, where that is costly, read from a temporary file
+    that ends with this mapping, however the process dies. What fits into the budget is made once and stays.
 
     Parameters
     ----------
@@ -49,8 +48,8 @@ class OnDemand(Mapping[str, Item], Generic[Item]):
         self._budget = BUDGET if budget is None else budget
         self._memory: dict[str, tuple[Item, int]] = {}  # used last stands last
         self._bytes = 0
-        self._folder: Path | None = None
-        self._written: dict[str, tuple[type[Item], Any]] = {}  # what is on disk, and how it is to be put together
+        self._disk: IO[bytes] | None = None
+        self._written: dict[str, tuple[int, type[Item], Any]] = {}  # place on disk, and how to put it together
 
     def __getitem__(self, name: str) -> Item:
         if name in self._memory:
@@ -87,25 +86,28 @@ class OnDemand(Mapping[str, Item], Generic[Item]):
                 self._write(oldest, gone)
 
     def _write(self, name: str, item: Item) -> None:
-        if self._folder is None:
-            self._folder = Path(tempfile.mkdtemp(prefix="rotorid-"))
-            weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
         parts: list[Tensor] = []
-        self._written[name] = type(item), _taken_apart(vars(item), parts)
+        form = _taken_apart(vars(item), parts)
         try:
-            torch.cat(parts).numpy().tofile(self._file(name))
+            if self._disk is None:
+                self._disk = tempfile.TemporaryFile(prefix="rotorid-", buffering=0)
+                weakref.finalize(self, self._disk.close)
+            place = self._disk.seek(0, os.SEEK_END)
+            left = memoryview(torch.cat(parts).numpy().view(np.uint8).data)
+            while left:  # a call may write less than it was given
+                left = left[self._disk.write(left) :]
         except OSError as error:
             wanted = "space for what is kept of the flights; TMPDIR names another folder"
-            raise InputError(self._folder, "", f"cannot be written to ({error})", wanted) from None
+            raise InputError(tempfile.gettempdir(), "", f"cannot be written to ({error})", wanted) from None
+        self._written[name] = place, type(item), form
 
     def _read(self, name: str) -> Item:
-        kind, form = self._written[name]
-        numbers = torch.from_numpy(np.fromfile(self._file(name)))
-        return kind(**_put_together(form, iter(numbers.split(_sizes(form)))))
-
-    def _file(self, name: str) -> Path:
-        assert self._folder is not None
-        return self._folder / f"{self._places[name]}.bin"
+        assert self._disk is not None
+        place, kind, form = self._written[name]
+        sizes = _sizes(form)
+        self._disk.seek(place)
+        numbers = torch.from_numpy(np.fromfile(self._disk, count=sum(sizes)))
+        return kind(**_put_together(form, iter(numbers.split(sizes))))
 
 
 def _bytes(item: Any) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -73,20 +74,24 @@ def test_costly_items_are_written_once_and_read_back_as_they_were():
         assert torch.equal(items[name].values, record(name).values)
         assert torch.equal(items[name].parts["half"], record(name).parts["half"])
     assert made == list("abcd")
-    folder = items._folder
-    assert folder is not None
-    assert len(list(folder.iterdir())) == 4
+    disk = items._disk
+    assert disk is not None
+    assert disk.seek(0, 2) == 4 * 808
     del items
     gc.collect()
-    assert not folder.exists()
+    assert disk.closed
 
 
-def test_a_folder_that_cannot_be_written_to_is_told(tmp_path, monkeypatch):
+def test_a_disk_that_is_full_is_told():
+    full = Path("/dev/full")
+    if not full.exists():
+        pytest.skip("no device that is always full here")
     items, _ = counted(budget=900, costly=True)
-    assert items["a"] is not items["b"]
-    monkeypatch.setattr(items, "_folder", tmp_path / "gone")
-    with pytest.raises(InputError, match="TMPDIR"):
-        items["c"]
+    with full.open("r+b", buffering=0) as disk:
+        items._disk = disk
+        items["a"]
+        with pytest.raises(InputError, match="TMPDIR"):
+            items["b"]
 
 
 def test_flights_are_read_again_where_memory_does_not_suffice(tmp_path, monkeypatch):
