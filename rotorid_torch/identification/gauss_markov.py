@@ -9,12 +9,18 @@ filter, which then uses what is found here.
 
 from __future__ import annotations
 
+import ctypes
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
+from rotorid_torch.core.native.build import lanes, library, threads
+from rotorid_torch.core.native.fallback import Unsupported, say_once
+
 Array = np.ndarray
+Engine = Literal["native", "reference"]
 
 SEARCH_STEP_S = 0.02
 """Samples are averaged to about this interval while powers are searched."""
@@ -72,16 +78,72 @@ def block_means(value: Array, block: int) -> Array:
     return value[: count * block].reshape(count, block, *value.shape[1:]).mean(axis=1)
 
 
-def smooth_rows(rows: Rows, power: Array, tau: Array, trim: Array, spread: Array) -> Pass:
+def smooth_rows(rows: Rows, power: Array, tau: Array, trim: Array, spread: Array, engine: Engine | None = None) -> Pass:
     """Kalman filter and adjoint (Bryson-Frazier) smoother of every row.
 
     Parameters
     ----------
     power : [T, N] spectral density of w, unit of f squared per s.
     tau, trim, spread : [N] time constant (s), f0, and standard deviation of f about f0 at the first sample.
+    engine : compiled or in numpy; by default compiled where there is a compiler.
 
     Source: de Jong, Biometrika 75 (1988), on the score from the adjoint state; Bryson and Ho, Applied Optimal Control.
     """
+    if engine != "reference":
+        try:
+            return _smooth_natively(rows, power, tau, trim, spread)
+        except Unsupported as reason:
+            if engine == "native":
+                raise
+            say_once(f"the search for the forces' bandwidth runs uncompiled, ten times slower: {reason}")
+    return _smooth_in_numpy(rows, power, tau, trim, spread)
+
+
+class _Task(ctypes.Structure):
+    _fields_ = [
+        *((name, ctypes.c_int64) for name in ("samples", "count")),
+        ("dt", ctypes.c_double),
+        *((name, ctypes.c_void_p) for name in ("value", "power", "integral", "noise", "tau", "trim", "spread")),
+        *((name, ctypes.c_void_p) for name in ("likelihood", "realised", "expected", "level")),
+    ]
+
+
+def _smooth_natively(rows: Rows, power: Array, tau: Array, trim: Array, spread: Array) -> Pass:
+    """The recursion in native code, rows filled up to whole vectors with copies of the last."""
+    code = library('#include "gauss_markov.h"\n')
+    samples, count = rows.value.shape
+    more = -count % lanes()
+
+    def padded(values: Array) -> Array:
+        width = [(0, 0)] * (values.ndim - 1) + [(0, more)]
+        return np.ascontiguousarray(np.pad(np.asarray(values, dtype=float), width, mode="edge"))
+
+    given = {
+        name: padded(np.broadcast_to(values, (samples, count) if name in ("value", "power") else (count,)))
+        for name, values in (
+            ("value", rows.value),
+            ("power", power),
+            ("integral", rows.integral),
+            ("noise", rows.noise),
+            ("tau", tau),
+            ("trim", trim),
+            ("spread", spread),
+        )
+    }
+    total = count + more
+    found = {name: np.zeros(total) for name in ("likelihood", "level")}
+    found |= {name: np.zeros((samples, total)) for name in ("realised", "expected")}
+    places = {name: array.ctypes.data for name, array in (given | found).items()}
+    code.gauss_markov(ctypes.byref(_Task(samples=samples, count=total, dt=rows.dt, **places)), threads())
+    return Pass(
+        found["likelihood"][:count],
+        found["realised"][:, :count],
+        found["expected"][:, :count],
+        found["level"][:count],
+    )
+
+
+def _smooth_in_numpy(rows: Rows, power: Array, tau: Array, trim: Array, spread: Array) -> Pass:
     dt, h0 = rows.dt, rows.integral.astype(float)
     h1, e = 1.0 - h0, np.exp(-dt / tau)
     a = h0 * tau * (1.0 - e)

@@ -98,3 +98,18 @@ def test_controls_at_rest_make_no_activity() -> None:
     assert abs(int(step.argmax()) - 700) < 5
     assert step[:680].max() < 0.1 * step.max()
     assert activity[:, 1].max() < 0.1 * step.max()
+
+
+def test_compiled_and_numpy_agree() -> None:
+    rng = np.random.default_rng(3)
+    count = 11
+    value = rng.standard_normal((300, count)).cumsum(axis=0) * 0.05
+    value[rng.uniform(size=value.shape) < 0.1] = np.nan
+    value[:7, 3] = np.nan
+    integral = np.arange(count) % 2 == 0
+    many = gm.Rows(value, integral, rng.uniform(0.01, 0.1, count), DT)
+    power, tau = rng.uniform(0.1, 2.0, value.shape), rng.uniform(0.2, 3.0, count)
+    trim, spread = rng.standard_normal(count), rng.uniform(0.1, 1.0, count)
+    compiled, plain = (gm.smooth_rows(many, power, tau, trim, spread, engine) for engine in ("native", "reference"))
+    for name in ("log_likelihood", "realised", "expected", "trim"):
+        assert getattr(compiled, name) == pytest.approx(getattr(plain, name), rel=1e-9, abs=1e-12)
