@@ -7,7 +7,7 @@ and the blocks are added in their order at every rank. So one rank and several r
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
@@ -79,6 +79,20 @@ class Ranks:
         found: list[Any] = [None] * self.size
         _joined(lambda: distributed.all_gather_object(found, item))
         return found
+
+    def exchange(self, parts: Iterable[list[Item]]) -> Iterator[Item]:
+        """Items of all ranks at each, part by part as they are made."""
+        if self.size == 1:
+            for part in parts:
+                yield from part
+            return
+        own, nothing = iter(parts), list[Item]()
+        while True:
+            found = self.gather(next(own, nothing))
+            if not any(found):
+                return
+            for part in found:
+                yield from part
 
     def from_first(self, item: Item) -> Item:
         """The first rank's item, at each."""

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.names import ATTITUDES, RATES, unit
+from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.identification.force_noise import (
@@ -116,11 +117,11 @@ class Reconstruction:
         return {"time": flight.time.numpy(), **{key: value.numpy() for key, value in {**every, **spread}.items()}}
 
 
-def reconstruct(dataset: Dataset, options: ReconstructOptions | None = None) -> Reconstruction:
+def reconstruct(dataset: Dataset, options: ReconstructOptions | None = None, ranks: Ranks = ALONE) -> Reconstruction:
     """Forces, moments and smoothed channels of every flight, with their covariance.
 
     Missing samples and channels are skipped exactly. Constant errors of accelerometers without velocity and attitude to
-    tell them are part of the forces' trim.
+    tell them are part of the forces' trim. Flights are spread over the ranks; each gets all of them.
 
     Raises
     ------
@@ -148,11 +149,14 @@ def reconstruct(dataset: Dataset, options: ReconstructOptions | None = None) -> 
             got = _filter(dataset, names, motion, local, biases, lines, wander)
         return [_flight(dataset, motion, got, local, i, name, biases[name]) for i, name in enumerate(names)]
 
-    for many in _groups(dataset, dataset.flights, ADAPTED):
-        local = adapted(dataset, many, noise, biases, hertz)
-        for names in _groups(dataset, many, TOGETHER):
-            for flight in reconstructed(names, local.pick([many.index(name) for name in names])):
-                made.keep(flight.name, flight)
+    def in_groups(flights: Sequence[str]) -> Iterator[list[ReconstructedFlight]]:
+        for many in _groups(dataset, flights, ADAPTED):
+            local = adapted(dataset, many, noise, biases, hertz)
+            for names in _groups(dataset, many, TOGETHER):
+                yield reconstructed(names, local.pick([many.index(name) for name in names]))
+
+    for flight in ranks.exchange(in_groups(ranks.mine(tuple(dataset.flights)))):
+        made.keep(flight.name, flight)
     return Reconstruction(made, _units(dataset), noise, hertz, _notes(dataset, noise, biases, lines))
 
 

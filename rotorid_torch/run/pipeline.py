@@ -163,7 +163,7 @@ def _key(dataset: Dataset, effects: Sequence[str], seed: int) -> dict[str, str]:
 
 def _identify(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps) -> Run:
     seen, monitor = at_one_rate(dataset), steps.monitor
-    reconstruction = steps.reconstruct(tuple(seen.flights), lambda: step1.reconstruct(seen))
+    reconstruction = steps.reconstruct(tuple(seen.flights), lambda: step1.reconstruct(seen, ranks=steps.ranks))
     first = steps.do("structure", "structure", lambda: propose(seen, reconstruction, effects))
     tried = [_estimate(spec, seen, reconstruction, steps) for spec in (first, rival(first)) if spec is not None]
     spec, model, regressions, estimate = min(tried, key=lambda t: t[3].criterion)

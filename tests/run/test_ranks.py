@@ -1,0 +1,240 @@
+"""Several processes on one data set: the numbers of one, a lost one told, an interrupted run taken up again."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from rotorid_torch.core.ranks import Ranks
+from rotorid_torch.data import load
+from rotorid_torch.data.write import write_dataset
+from rotorid_torch.errors import InputError
+from rotorid_torch.run import pipeline
+from rotorid_torch.run.checkpoint import Checkpoint, checkpoint
+from rotorid_torch.run.records import Report, read_report
+from tests.known_models import flown, manoeuvres, rate_vehicle
+
+DT = 0.04
+LISTS = {"identify": ["f_lon", "f_lat", "f_col"], "validate": ["f_ped"]}
+PROGRAM = [sys.executable, "-m", "rotorid_torch"]
+STOPPED_AFTER_STEP_1 = """
+import os, signal, sys
+from rotorid_torch import cli
+from rotorid_torch.run import pipeline
+pipeline.propose = lambda *told: os.kill(os.getpid(), int(sys.argv[1]))
+sys.exit(cli.main(sys.argv[2:]))
+"""
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = flown(rate_vehicle(), manoeuvres(9.0, DT), DT, noise=0.02, lists=LISTS)
+    flights = {name: {c: v.numpy() for c, v in flight.channels.items()} for name, flight in made.flights.items()}
+    declared = {name: msgspec.to_builtins(spec) for name, spec in made.channel_specs.items()}
+    controls = {name: msgspec.to_builtins(spec) for name, spec in made.control_specs.items()}
+    place = tmp_path_factory.mktemp("sets") / "rates"
+    return write_dataset(place, flights, **LISTS, channels=declared, controls=controls)
+
+
+@pytest.fixture(scope="module")
+def straight(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Report:
+    out = tmp_path_factory.mktemp("straight") / "run"
+    pipeline.identify(load(data), out=out)
+    return read_report(out)
+
+
+def of_ranks(size: int, command: list[str]) -> list[subprocess.Popen[str]]:
+    """The command in so many processes, as torchrun would start them."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = str(free.getsockname()[1])
+    given = {"WORLD_SIZE": str(size), "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "OMP_NUM_THREADS": "1"}
+    return [
+        subprocess.Popen(
+            command,
+            env={**os.environ, **given, "RANK": str(rank)},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for rank in range(size)
+    ]
+
+
+def ended(processes: list[subprocess.Popen[str]]) -> tuple[list[int], list[str], list[str]]:
+    """Exit codes, outputs and errors by rank."""
+    told = [process.communicate(timeout=100) for process in processes]
+    return [process.returncode for process in processes], [out for out, _ in told], [err for _, err in told]
+
+
+def test_two_ranks_come_to_the_numbers_of_one(data: Path, straight: Report, tmp_path: Path):
+    codes, told, errors = ended(of_ranks(2, [*PROGRAM, "identify", str(data), "--out", str(tmp_path / "run")]))
+    assert codes == [0, 0], errors
+    assert errors == ["", ""]
+    assert "report:" in told[0]
+    assert told[1] == ""
+    got = read_report(tmp_path / "run")
+    assert got.before is not None
+    assert straight.before is not None
+    for one, other in zip(straight.before.parameters, got.before.parameters, strict=True):
+        assert other.value == pytest.approx(one.value, rel=1e-9, abs=1e-9 * (one.se or 0.0))
+        assert other.se == pytest.approx(one.se, rel=1e-9)
+        assert (other.status, other.at_bound) == (one.status, one.at_bound)
+    assert set(got.before.flights) == set(straight.before.flights)
+    for name, flight in straight.before.flights.items():
+        assert got.before.flights[name].J == pytest.approx(flight.J, rel=1e-9)
+    assert got.before.scores.validate == pytest.approx(straight.before.scores.validate, rel=1e-9)
+    assert got.warnings == straight.warnings
+    assert {p.stem for p in (tmp_path / "run" / "reconstruct").iterdir()} == {"f_lon", "f_lat", "f_col", "f_ped"}
+    assert [p.name for p in tmp_path.iterdir()] == ["run"]
+
+
+def test_more_ranks_than_flights_are_refused(data: Path):
+    with pytest.raises(InputError, match="started 4 processes; expected 3 at most for 3 flights"):
+        pipeline.identify(load(data), ranks=Ranks(0, 4))
+
+
+@pytest.mark.slow
+def test_what_all_ranks_refuse_is_told_once(tmp_path: Path):
+    codes, _, errors = ended(
+        of_ranks(2, [*PROGRAM, "identify", str(tmp_path / "none"), "--out", str(tmp_path / "run")])
+    )
+    assert codes == [2, 2]
+    assert "".join(errors).count("\n") == 1
+    assert "there is no such folder" in "".join(errors)
+    assert not list(tmp_path.iterdir())
+
+
+def test_usage_is_refused_once_for_all_ranks():
+    codes, _, errors = ended(of_ranks(2, [*PROGRAM, "identify"]))
+    assert codes == [2, 2]
+    assert errors[1] == ""
+    assert errors[0].count("\n") == 1
+
+
+@pytest.mark.parametrize("lost", [pytest.param(0, marks=pytest.mark.slow), 1])
+def test_a_lost_rank_ends_the_run_with_one_line(data: Path, tmp_path: Path, lost: int):
+    out = tmp_path / "run"
+    write_earlier(out)
+    before = (out / "report.json").read_bytes()
+    processes = of_ranks(2, [*PROGRAM, "identify", str(data), "--out", str(out), "--quiet"])
+    wait_for(tmp_path / ".run.checkpoint" / "reconstruct-f_lon.pt")
+    processes[lost].kill()
+    begin = time.monotonic()
+    codes, _, errors = ended(processes)
+    assert time.monotonic() - begin < 60.0
+    assert codes[1 - lost] == 1
+    assert errors[1 - lost].count("\n") == 1
+    assert "a process of this run is lost" in errors[1 - lost]
+    assert (out / "report.json").read_bytes() == before
+
+
+def write_earlier(out: Path) -> None:
+    out.mkdir()
+    (out / "report.json").write_text('{"format": 1, "rotorid": "0"}', encoding="utf-8")
+
+
+def wait_for(file: Path) -> None:
+    for _ in range(1000):
+        if file.exists():
+            return
+        time.sleep(0.05)
+    raise AssertionError(f"{file} does not come")
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
+def test_resume_gives_what_a_straight_run_gives(data: Path, straight: Report, tmp_path: Path, how: signal.Signals):
+    out = tmp_path / "run"
+    arguments = ["identify", str(data), "--out", str(out), "--quiet", "--resume"]
+    stopped = subprocess.run([sys.executable, "-c", STOPPED_AFTER_STEP_1, str(int(how)), *arguments], check=False)
+    assert stopped.returncode == (-9 if how == signal.SIGKILL else 130)
+    assert not out.exists()
+    assert (tmp_path / ".run.checkpoint" / "reconstruct.pt").exists()
+    subprocess.run([*PROGRAM, *arguments], check=True)
+    got, log = read_report(out), (out / "log.txt").read_text(encoding="utf-8")
+    assert got.before == straight.before
+    assert got.warnings == straight.warnings
+    assert "reconstruct: taken from the interrupted run" in log
+    assert "ml: taken" not in log
+    assert [p.name for p in tmp_path.iterdir()] == ["run"]
+
+
+def test_every_step_taken_up_gives_the_same(
+    data: Path, straight: Report, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    out = tmp_path / "run"
+    with monkeypatch.context() as patch:
+        patch.setattr(pipeline, "judge", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            pipeline.identify(load(data), out=out, resume=True)
+    run = pipeline.identify(load(data), out=out, resume=True)
+    log = (out / "log.txt").read_text(encoding="utf-8")
+    for step in ("reconstruct", "structure", "ftr", "ml"):
+        assert f"{step}: taken from the interrupted run" in log
+    assert read_report(out).before == straight.before
+    assert read_report(out).warnings == straight.warnings
+    assert run.reconstruction.flights["f_lat"].whiteness().keys() == {"p", "q", "r"}
+
+
+def stopped(*told: object) -> None:
+    raise KeyboardInterrupt
+
+
+def test_without_resume_an_interrupted_run_leaves_nothing(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(pipeline, "propose", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        pipeline.identify(load(data), out=tmp_path / "run")
+    assert not list(tmp_path.iterdir())
+
+
+def interrupted(out: Path, key: dict[str, str], **results: object) -> None:
+    """Leave the checkpoint of a run that did not end."""
+    with suppress(KeyboardInterrupt), checkpoint(out, key, resume=True, keep=True) as kept:
+        for name, result in results.items():
+            kept.write(name, result)
+        raise KeyboardInterrupt
+
+
+def test_another_run_is_not_taken_up(tmp_path: Path):
+    out = tmp_path / "run"
+    interrupted(out, {"data set": "one", "seed": "0"}, first=1.0)
+    with (
+        pytest.raises(InputError) as refusal,
+        checkpoint(out, {"data set": "two", "seed": "0"}, resume=True, keep=True),
+    ):
+        pass
+    assert refusal.value.key == "--resume"
+    assert "another data set (one)" in refusal.value.wrong
+    with checkpoint(out, {"data set": "one", "seed": "0"}, resume=True, keep=True) as kept:
+        assert kept.read("first") == 1.0
+        with (
+            pytest.raises(InputError, match="another run is writing"),
+            checkpoint(out, {"data set": "one", "seed": "0"}, resume=True, keep=True),
+        ):
+            pass
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_run_from_the_beginning_forgets_the_interrupted_one(tmp_path: Path):
+    interrupted(tmp_path / "run", {"seed": "0"}, first=1.0)
+    with checkpoint(tmp_path / "run", {"seed": "0"}, resume=False, keep=False) as kept:
+        assert kept.read("first") is None
+
+
+def test_a_file_cut_short_is_a_step_not_finished(tmp_path: Path):
+    kept = Checkpoint(tmp_path)
+    kept.write("step", {"values": np.arange(1000.0)})
+    np.testing.assert_array_equal(kept.read("step")["values"], np.arange(1000.0))
+    whole = (tmp_path / "step.pt").read_bytes()
+    (tmp_path / "step.pt").write_bytes(whole[: len(whole) // 2])
+    assert kept.read("step") is None
