@@ -31,8 +31,8 @@ from rotorid_torch.run.summary import SHOWN
 from rotorid_torch.validate import scores
 from rotorid_torch.validate.free_run import Runs, Windows, free_run, windows
 
-TOGETHER = 200_000
-"""Samples of windows that are run at once; what is known of them takes some hundred megabytes."""
+TOGETHER = 100_000
+"""Samples of windows that are run at once; what is known of them takes a hundred megabytes."""
 
 
 @dataclass(frozen=True)
@@ -116,8 +116,9 @@ def _all_windows(model: Model, dataset: Dataset, names: Sequence[str]) -> Iterat
         first = 0
         for name in names:
             own = range(first, first + len(starts[name]))
-            yield name, pieces.pick(own), outputs[first : own.stop]
+            yield name, pieces.pick(own), outputs[list(own)]
             first = own.stop
+        del pieces, outputs  # before the next group's
 
 
 def _groups(dataset: Dataset, names: Sequence[str], dt: float) -> Iterator[list[str]]:
