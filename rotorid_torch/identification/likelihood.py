@@ -24,7 +24,7 @@ from rotorid_torch.identification.whitening import Moments, Noise, Whitener, pro
 
 PART_NUMBERS = 4_000_000
 """Numbers that a part of the segments may need at once."""
-KEPT_NUMBERS = 40_000_000
+KEPT_NUMBERS = 4_000_000
 """Numbers of runs and residuals that a place keeps; beyond, they are made again when asked for."""
 
 
