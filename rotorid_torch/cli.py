@@ -57,6 +57,7 @@ class SizeLastEffect(argparse.Action):
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; `--help` leaves by SystemExit(0), as argparse does."""
+    os.environ.setdefault("ROTORID_THREADS", os.environ.get("OMP_NUM_THREADS", ""))  # native loops: all processors
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # read by torch on import; many small steps are fastest on one thread
     os.environ.setdefault("TORCH_CPP_LOG_LEVEL", "ERROR")  # what torch remarks on lost processes, our line says better
     speaks = os.environ.get("RANK", "0") == "0"  # under torchrun all processes refuse the same usage

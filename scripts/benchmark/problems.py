@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import math
+import os
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -98,12 +99,13 @@ def filtering(problems: Any, data: dict[str, Any], threads: int = 1, engine: Eng
 
 
 def _on(threads: int, program: Callable[[], Any]) -> Any:
-    before = torch.get_num_threads()
-    torch.set_num_threads(threads)
+    """With so many threads in native loops; torch keeps one."""
+    before = os.environ.get("ROTORID_THREADS", "")
+    os.environ["ROTORID_THREADS"] = str(threads)
     try:
         return program()
     finally:
-        torch.set_num_threads(before)
+        os.environ["ROTORID_THREADS"] = before
 
 
 def normal_equations(problems: Any, data: dict[str, Any], threads: int = 1, engine: Engine = "native") -> Program:

@@ -36,13 +36,14 @@ def compiler() -> str:
 
 
 def threads() -> int:
-    """Threads of a native loop: OMP_NUM_THREADS where it is set, else the processors that this process may use.
+    """Threads of a native loop: ROTORID_THREADS, else OMP_NUM_THREADS, else the processors that this process may use.
 
     Torch's own threads are another matter: its operations here are small, and wait for each other on shared cores.
     """
-    wanted = os.environ.get("OMP_NUM_THREADS", "")
-    if wanted.isdigit() and int(wanted) > 0:
-        return int(wanted)
+    for name in ("ROTORID_THREADS", "OMP_NUM_THREADS"):
+        wanted = os.environ.get(name, "")
+        if wanted.isdigit() and int(wanted) > 0:
+            return int(wanted)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
