@@ -45,7 +45,7 @@ def process(*arguments: str, **environment: str) -> tuple[float, str]:
     ------
     RuntimeError : it fails; with the last line that it said.
     """
-    env = {**os.environ, "OMP_NUM_THREADS": "1", **environment}
+    env = {name: value for name, value in os.environ.items() if name != "OMP_NUM_THREADS"} | environment
     begin = time.perf_counter()
     done = subprocess.run([sys.executable, "-P", *arguments], env=env, capture_output=True, text=True, check=False)
     spent = time.perf_counter() - begin

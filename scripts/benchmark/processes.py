@@ -7,6 +7,7 @@ import subprocess
 import sys
 from functools import partial
 from pathlib import Path
+from statistics import median
 
 import numpy as np
 
@@ -32,6 +33,21 @@ try:
     main(["--help"])
 finally:
     print("torch" in sys.modules, file=sys.stderr)
+"""
+
+SHARED = 24
+"""Flights that ranks share."""
+ROUNDS = """
+import sys, time
+sys.path.insert(0, sys.argv[1])
+import harness
+harness.malloc()
+program = harness.make(harness.PEERS["B"]["cpp"], harness.references("B", 10)[0])
+program()
+begin = time.perf_counter()
+for _ in range(60):
+    program()
+print(time.perf_counter() - begin)
 """
 
 
@@ -144,5 +160,32 @@ def repeated(dataset: Dataset, count: int, folder: Path) -> Path:
 
 
 def ranks(setting: Setting) -> Measured:
-    """Two ranks against one, held against what two independent processes gain."""
-    raise NotMeasured("rotorid does not run on several ranks yet")
+    """Step 3 of two ranks against that of one, held against what two independent C++ processes gain."""
+    if setting.anchors is None:
+        raise NotMeasured("no anchors (--anchors DIR)")
+    data = repeated(load(setting.dataset()), SHARED, setting.folder / "ranks")
+    launch = ("-m", "torch.distributed.run", "--nproc-per-node", "2")
+    alone, both = [], []
+    for k in range(1 + min(setting.repeats, 3)):  # the first builds
+        alone.append(_step_3(setting, data, (), f"one-{k}"))
+        both.append(_step_3(setting, data, launch, f"two-{k}"))
+    gain = median(alone[1:]) / median(both[1:])
+    pairs = [(_anchors(setting, 1), _anchors(setting, 2)) for _ in range(3)]
+    least = 2.0 * median(one for one, _ in pairs) / median(two for _, two in pairs)
+    return {"ranks": Figure(gain, "times", f"two C++ processes, {least:.3g} times", gain / least)}
+
+
+def _step_3(setting: Setting, data: Path, launch: tuple[str, ...], name: str) -> float:
+    """Seconds that step 3 took in a run of `identify`, one thread in each process."""
+    run = setting.folder / "runs" / name
+    run.parent.mkdir(exist_ok=True)
+    command = (*launch, "-m", "rotorid_torch", "identify", str(data), "--out", str(run), "--quiet")
+    process(*command, ROTORID_THREADS="1", ROTORID_CACHE=str(setting.folder / "cache"))
+    return float(json.loads((run / "report.json").read_text())["time_s"]["ml"])
+
+
+def _anchors(setting: Setting, count: int) -> float:
+    """Seconds that so many C++ processes side by side take for the same rounds of problem B."""
+    command = [sys.executable, "-c", ROUNDS, str(setting.anchors)]
+    running = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(count)]
+    return max(float(p.communicate()[0].split()[-1]) for p in running)
