@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 from weakref import WeakKeyDictionary
@@ -205,7 +206,7 @@ def _filter_natively(given: _Given, weights: Weights, smooth: bool) -> Filtered:
 
 @dataclass(frozen=True, eq=False)
 class _Traced:
-    """Code of two functions, where they were tried [F, nx + nu], and what they gave there."""
+    """Code of two functions, where they were tried [F, points, nx + nu], and what they gave there."""
 
     functions: tuple[object, ...]
     there: Tensor
@@ -215,22 +216,36 @@ class _Traced:
 
 _TRACED: WeakKeyDictionary[object, _Traced] = WeakKeyDictionary()
 """The last code by the object that f belongs to."""
+AWAY = (0.0, 1e-3, 0.3)
+"""How far from where they were traced functions are tried: at rest alone, another damping would not show."""
 
 
 def _compiled(f: Dynamics, h: Dynamics, x: Tensor, u: Tensor, ny: int) -> filtering.CompiledFilter:
     """The code of f and h, traced once; where they give something else than then, they are traced anew."""
     owner = getattr(f, "__self__", f)
     functions = tuple(getattr(g, "__func__", id(g)) for g in (f, h))
-    there = torch.cat([x, u], dim=-1)
-    known = _TRACED.get(owner)
+    there = _around(torch.cat([x, u], dim=-1))
+
+    def values(at: Tensor) -> Tensor:
+        given = at.split([x.shape[-1], u.shape[-1]], dim=-1)
+        return torch.cat([f(*given), h(*given)], dim=-1)
+
+    known = None
+    with suppress(TypeError):  # owners that cannot be keys: without a hash, or without weak references
+        known = _TRACED.get(owner)
     if known is not None and known.functions == functions and known.there.shape == there.shape:
-        at = known.there[:, None].split([x.shape[-1], u.shape[-1]], dim=-1)
-        if torch.equal(torch.cat([f(*at), h(*at)], dim=-1), known.gave):
+        if torch.equal(values(known.there), known.gave):
             return known.code
     made = filtering.CompiledFilter.of(f, h, x, u, ny)
-    gave = torch.cat([f(x[:, None], u[:, None]), h(x[:, None], u[:, None])], dim=-1)
-    _TRACED[owner] = _Traced(functions, there, gave, made)
+    with suppress(TypeError):
+        _TRACED[owner] = _Traced(functions, there, values(there), made)
     return made
+
+
+def _around(at: Tensor) -> Tensor:
+    """Points [F, n] and others beside them, differently in all entries: [F, points, n]."""
+    turn = torch.cos(torch.arange(1.0, at.shape[-1] + 1.0, dtype=at.dtype))
+    return torch.stack([at + share * (1.0 + at.abs()) * turn for share in AWAY], dim=-2)
 
 
 def _filter_in_torch(given: _Given, weights: Weights, smooth: bool) -> Filtered:

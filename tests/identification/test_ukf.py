@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 import torch
@@ -319,3 +321,37 @@ def test_wrong_input_is_told_in_one_line(change: dict[str, object], word: str) -
     }  # fmt: skip
     with pytest.raises(InputError, match=word):
         unscented_filter(**(arguments | change))
+
+
+@dataclass
+class Damped:
+    """Without a hash; its rate at rest says nothing of the damping."""
+
+    damping: float
+
+    def rates(self, x: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
+        return u - self.damping * x
+
+    def outputs(self, x: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
+        return x
+
+
+class Keyed(Damped):
+    """With a hash, so that its code may be kept."""
+
+    __hash__ = object.__hash__
+
+
+@pytest.mark.parametrize("kind", [Damped, Keyed])
+def test_a_model_that_changes_between_calls_is_seen(kind: type[Damped]) -> None:
+    one, u = np.eye(1), np.sin(0.1 * np.arange(50.0))[:, None]
+
+    def likelihood(model: Damped) -> float:
+        got = unscented_filter(model.rates, model.outputs, np.zeros(1), one, 1e-4 * one, 1e-2 * one, u, 0.1 * u, DT)
+        return float(got.log_likelihood)
+
+    model = kind(0.5)
+    first = likelihood(model)
+    model.damping = 5.0
+    assert likelihood(model) == likelihood(kind(5.0))
+    assert abs(likelihood(model) - first) > 1.0
