@@ -100,12 +100,14 @@ def filtering(problems: Any, data: dict[str, Any], threads: int = 1, engine: Eng
 
 def _on(threads: int, program: Callable[[], Any]) -> Any:
     """With so many threads in native loops; torch keeps one."""
-    before = os.environ.get("ROTORID_THREADS", "")
+    before = os.environ.get("ROTORID_THREADS")
     os.environ["ROTORID_THREADS"] = str(threads)
     try:
         return program()
     finally:
-        os.environ["ROTORID_THREADS"] = before
+        del os.environ["ROTORID_THREADS"]
+        if before is not None:
+            os.environ["ROTORID_THREADS"] = before
 
 
 def normal_equations(problems: Any, data: dict[str, Any], threads: int = 1, engine: Engine = "native") -> Program:

@@ -38,12 +38,13 @@ def compiler() -> str:
 def threads() -> int:
     """Threads of a native loop: ROTORID_THREADS, else OMP_NUM_THREADS, else the processors that this process may use.
 
+    An empty ROTORID_THREADS asks for all processors, whatever OMP_NUM_THREADS says.
+
     Torch's own threads are another matter: its operations here are small, and wait for each other on shared cores.
     """
-    for name in ("ROTORID_THREADS", "OMP_NUM_THREADS"):
-        wanted = os.environ.get(name, "")
-        if wanted.isdigit() and int(wanted) > 0:
-            return int(wanted)
+    wanted = os.environ.get("ROTORID_THREADS", os.environ.get("OMP_NUM_THREADS", ""))
+    if wanted.isdecimal() and int(wanted) > 0:
+        return int(wanted)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -59,9 +60,11 @@ def cache_folder() -> Path:
 @functools.lru_cache
 def _target(program: str) -> str:
     """All of the compiler's macros: its version and this machine's instruction set."""
-    asked = subprocess.run(
-        [program, *FLAGS, "-dM", "-E", "-x", "c++", os.devnull], capture_output=True, text=True, check=False
-    )
+    command = [program, *FLAGS, "-dM", "-E", "-x", "c++", os.devnull]
+    try:
+        asked = subprocess.run(command, capture_output=True, text=True, check=False)
+    except OSError as error:
+        raise Unsupported(f"{program} does not work: {error.strerror}") from error
     if asked.returncode:
         raise Unsupported(f"{program} does not work: {_first_error(asked.stderr)}")
     return asked.stdout

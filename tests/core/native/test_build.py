@@ -133,3 +133,40 @@ def test_a_library_cut_short_is_built_anew(source: str, cache: Path) -> None:
     with pytest.raises(Unsupported, match="cannot be loaded"):
         library(source)
     assert str(library(source).answer()) == told
+
+
+@pytest.mark.parametrize(
+    ("ours", "torchs", "wanted"), [("3", "1", 3), (None, "2", 2), ("", "1", None), (None, None, None)]
+)
+def test_threads(ours: str | None, torchs: str | None, wanted: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in (("ROTORID_THREADS", ours), ("OMP_NUM_THREADS", torchs)):
+        monkeypatch.delenv(name, raising=False)
+        if value is not None:
+            monkeypatch.setenv(name, value)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {0, 1, 2, 3, 4}, raising=False)
+    assert build.threads() == (wanted or 5)
+
+
+@pytest.mark.parametrize(("given", "wanted"), [({}, 5), ({"OMP_NUM_THREADS": "2"}, 2), ({"ROTORID_THREADS": "3"}, 3)])
+def test_commands_leave_the_processors_to_native_loops(given: dict[str, str], wanted: int) -> None:
+    code = """
+import contextlib, os
+from rotorid_torch import cli
+with contextlib.suppress(SystemExit):
+    cli.main(["--help"])
+from rotorid_torch.core.native import build
+os.sched_getaffinity = lambda process: range(5)
+print(build.threads())
+"""
+    env = {name: value for name, value in os.environ.items() if not name.endswith("_THREADS")} | given
+    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True)
+    assert done.stdout.split()[-1] == str(wanted)
+
+
+def test_a_compiler_that_cannot_be_started(source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = tmp_path / "no-program"
+    program.write_bytes(b"\0")
+    program.chmod(0o755)
+    monkeypatch.setenv("CXX", str(program))
+    with pytest.raises(Unsupported, match="no-program does not work: Exec format error"):
+        library(source)
