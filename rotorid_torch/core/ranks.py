@@ -125,7 +125,8 @@ def _joined(exchange: Callable[[], object]) -> None:
 def ranks_of_torchrun(patience: float = PATIENCE_S) -> Iterator[Ranks]:
     """The ranks that torchrun (or its environment variables RANK, WORLD_SIZE, MASTER_ADDR, MASTER_PORT) has started.
 
-    One process alone without them. Where the block fails at several ranks, all but the first to fail raise `Told`.
+    One process alone without them; InputError where only some are set. Where the block fails at several ranks, all but
+    the first to fail raise `Told`.
 
     Parameters
     ----------
@@ -140,6 +141,9 @@ def ranks_of_torchrun(patience: float = PATIENCE_S) -> Iterator[Ranks]:
         distributed.init_process_group("gloo", store=store, rank=rank, world_size=size, timeout=wait)
     except RuntimeError as error:
         raise LostRank from error
+    except ValueError as error:
+        wanted = "all four variables that torchrun sets, or none"
+        raise InputError("torchrun", "", f"cannot be joined: {error}", wanted) from error
     try:
         yield Ranks(rank, size)
     except BaseException as error:

@@ -100,3 +100,10 @@ def test_a_rank_without_flights_is_refused():
     Ranks(0, 3).refuse_more_than(3)
     with pytest.raises(InputError, match="started 4 processes; expected 3 at most"):
         Ranks(0, 4).refuse_more_than(3)
+
+
+def test_half_of_what_torchrun_sets_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    monkeypatch.delenv("RANK", raising=False)
+    with pytest.raises(InputError, match=r"torchrun: cannot be joined: .*RANK expected"), ranks_of_torchrun():
+        pass
