@@ -18,7 +18,6 @@ from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 ROOT = Path(__file__).resolve().parents[1]
-EARLIER = os.environ.get("PYTHONPATH", "")
 PLACES = [str(ROOT), str(ROOT / "scripts"), str(ROOT / "experiments")]
 sys.path[:0] = PLACES
 os.environ["PYTHONPATH"] = os.pathsep.join(PLACES + os.environ.get("PYTHONPATH", "").split(os.pathsep)).strip(
@@ -79,9 +78,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, print the table, write JSON; exit code 0, 1 where something failed or missed its bar, 2 for usage."""
     options = parser().parse_args(arguments)
     known = [row.name for row in ROWS]
-    strange = [name for name in options.only or () if name not in known]
-    if strange:
-        print(f"bench.py: there is no row '{strange[0]}'; expected {', '.join(known)}", file=sys.stderr)
+    wrong = _wrong(options, known)
+    if wrong:
+        print(f"bench.py: {wrong}", file=sys.stderr)
         return 2
     wanted = options.only or (QUICK if options.quick else known)
     torch.set_num_threads(1)
@@ -103,6 +102,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.json:
         options.json.write_text(json.dumps(plain(results), indent=1) + "\n")
     return int(any(r.met is False for r in results) or any(r.startswith("failed") for r in reasons.values()))
+
+
+def _wrong(options: argparse.Namespace, known: Sequence[str]) -> str | None:
+    """What is wrong with the options; better told before minutes of measuring than after."""
+    strange = [name for name in options.only or () if name not in known]
+    if strange:
+        return f"there is no row '{strange[0]}'; expected {', '.join(known)}"
+    if options.repeats < 1:
+        return f"--repeats is {options.repeats}; expected one round or more"
+    if options.json and (options.json.is_dir() or not options.json.absolute().parent.is_dir()):
+        return f"--json {options.json} cannot be written; expected a file in an existing folder"
+    return None
 
 
 def parser() -> argparse.ArgumentParser:

@@ -38,11 +38,13 @@ def test_help_is_told_to_import_no_torch() -> None:
     assert "0 times" in done.stdout
 
 
-def test_an_unknown_row_is_one_line(tmp_path: Path) -> None:
-    done = bench("--only", "C-1")
+@pytest.mark.parametrize("wrong", [("--only", "C-1"), ("--repeats", "0"), ("--json", "no-such-folder/rows.json")])
+def test_bad_usage_is_one_line_before_anything_is_measured(wrong: tuple[str, str]) -> None:
+    done = bench(*wrong)
     assert done.returncode == 2
+    assert done.stdout == ""
     assert len(done.stderr.splitlines()) == 1
-    assert "C-1" in done.stderr
+    assert wrong[1] in done.stderr
 
 
 @pytest.mark.slow
