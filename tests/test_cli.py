@@ -187,9 +187,11 @@ def test_exit_codes(monkeypatch, capsys, tmp_path: Path, error: BaseException, e
 
 
 SLOW_COMMAND = """
-import sys, time
+import signal, sys, time
 from rotorid_torch import cli
 from rotorid_torch.run.folder import run_folder
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background is born deaf to it
 
 def work(options):
     with run_folder(options.runs[0]) as folder:

@@ -24,7 +24,8 @@ def induced_velocity(thrust: Tensor, u: Tensor, v: Tensor, w: Tensor) -> Tensor:
     """Induced velocity by momentum theory, m/s.
 
     Solves vi sqrt(u^2 + v^2 + (vi - w)^2) = thrust, with thrust = T/(2 rho A) in m2/s2 (w is positive down, so the disc
-    sinks into its own wake). Newton's iteration, a fixed number of steps from the level-flight solution.
+    sinks into its own wake). Newton's iteration, a fixed number of steps from the level-flight solution: to 1e-6 where
+    the disc sinks nearly as fast as its wake, to rounding elsewhere.
 
     Source: Glauert (1926); Padfield, Helicopter Flight Dynamics, eq. 3.118 ff.
     """

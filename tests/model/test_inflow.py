@@ -30,7 +30,7 @@ def test_hover_is_the_square_root_of_the_disc_loading(thrust: float):
 @given(st.floats(20.0, 300.0), st.floats(-60.0, 80.0), st.floats(-15.0, 15.0), st.floats(-12.0, 4.0))
 def test_equation_is_solved_in_climb_and_slow_descent(thrust: float, u: float, v: float, w: float):
     vi = float(induced_velocity(*tensor(thrust, u, v, w)))
-    assert vi * math.sqrt(u * u + v * v + (vi - w) ** 2) == pytest.approx(thrust, rel=1e-8)
+    assert vi * math.sqrt(u * u + v * v + (vi - w) ** 2) == pytest.approx(thrust, rel=1e-6)
     assert vi > 0.0
 
 
