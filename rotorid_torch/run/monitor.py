@@ -5,7 +5,6 @@ A Monitor without a console and without a folder tells nothing; steps call it al
 
 from __future__ import annotations
 
-import io
 import resource
 import sys
 import time
@@ -92,11 +91,13 @@ class Monitor:
         self.log(f"{iteration}: " + ", ".join(f"{name} {value:.6g}" for name, value in values.items()))
 
     def picture(self, name: str, png: bytes, iteration: int = 0) -> None:
-        """Record a picture for TensorBoard."""
-        if self._board:
-            from matplotlib.image import imread
+        """Record a picture for TensorBoard, as it is."""
+        if self._board and self._board.file_writer:
+            from tensorboard.compat.proto.summary_pb2 import Summary  # pyright: ignore[reportAttributeAccessIssue]
 
-            self._board.add_image(name, imread(io.BytesIO(png))[..., :3], iteration, dataformats="HWC")
+            width, height = (int.from_bytes(png[k : k + 4], "big") for k in (16, 20))  # PNG's header
+            image = Summary.Image(width=width, height=height, colorspace=4, encoded_image_string=png)
+            self._board.file_writer.add_summary(Summary(value=[Summary.Value(tag=name, image=image)]), iteration)
 
     def time_record(self) -> TimeRecord:
         """Seconds per step so far, and in all since the monitor was made."""
