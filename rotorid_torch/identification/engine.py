@@ -217,7 +217,7 @@ class NativeEngine:
         )
         timed = traced.depends_on("u", nu)
         engine = cls(system, traced if timed else replace(traced, nu=nu), timed)
-        engine.traced.build()  # now, so that what cannot be compiled is told before anything depends on it
+        engine.traced.build(derivatives=True)  # now: what cannot be compiled is told before anything depends on it
         return engine
 
     def run(

@@ -34,7 +34,7 @@ from rotorid_torch.identification.ukf_input import check
 Dynamics = Callable[[Tensor, Tensor], Tensor]
 """f(x[..., nx], u[..., nu]) -> dx/dt [..., nx], or h(x, u) -> y [..., ny]"""
 Engine = Literal["native", "reference"]
-"""compiled code for these functions (CPU), or torch, eager and differentiable, on any device"""
+"""compiled code for these functions (CPU), or torch, eager and differentiable"""
 WORTH_COMPILING = 500
 """Samples that take torch about as long as a compiler needs for the model."""
 

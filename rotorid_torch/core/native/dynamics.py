@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -116,14 +117,16 @@ class Dynamics:
         text = f'{self._head}{size}{constants.prepare()}{f}{h}#include "sensitivity.h"\n'
         return text, constants.numbers()
 
-    def build(self) -> None:
-        """Compile the trajectories' code now.
+    def build(self, derivatives: bool = False) -> None:
+        """Compile the trajectories' code now, and that of the derivatives beside it.
 
         Raises
         ------
         Unsupported : there is no compiler, or it refuses the model.
         """
-        library(self.simulation[0])
+        sources = [self.simulation[0]] + ([self.sensitivity[0]] if derivatives else [])
+        with ThreadPoolExecutor() as side_by_side:
+            list(side_by_side.map(library, sources))
 
     def depends_on(self, name: str, place: int) -> bool:
         """Whether rates or outputs depend on an input, "x" or "u"."""
@@ -158,12 +161,12 @@ class Dynamics:
     def normal_equations(self, problem: LinearProblem, threads: int = 1) -> tuple[Tensor, Tensor]:
         """Products of the whitened rows' columns [S, n, n] (upper part), and the last states by the first [S, nx, nx].
 
-        Columns: initial states where they are unknowns, biases, parameters, residual.
+        Columns: initial states where they are unknowns (else the second is NaN), biases, parameters, residual.
         """
         order = self._order()
         count, n = len(problem.x0), len(order)
         H = torch.zeros(count, n, n, dtype=torch.float64)
-        passage = torch.empty(count, self.nx, self.nx, dtype=torch.float64)
+        passage = torch.full((count, self.nx, self.nx), math.nan, dtype=torch.float64)
         self._call("normal_equations", problem, order, (H, passage), threads)
         return H, passage
 
