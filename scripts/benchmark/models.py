@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from benchmark.clock import interleaved, process, profile
+from benchmark.problems import on_threads
 from benchmark.rows import Figure
 from benchmark.setting import Measured, Setting
 from rotorid_torch.data.dataset import Dataset, load
@@ -111,7 +112,7 @@ def gauss_newton(setting: Setting) -> Measured:
         theta = problem.system.theta
         base = problem.evaluate(theta)
         linear[engine] = problem.linearise(base)
-        programs[engine] = partial(iteration, problem, base, theta)
+        programs[engine] = partial(on_threads, 2, partial(iteration, problem, base, theta))
     seconds = interleaved(programs, min(setting.repeats, 3))
     if setting.profile:
         setting.tell(profile("Gauss-Newton iteration, native", programs["native"]))

@@ -92,13 +92,13 @@ def filtering(problems: Any, data: dict[str, Any], threads: int = 1, engine: Eng
     def program() -> dict[str, Any]:
         with torch.no_grad():
             given = (model, model.output, prior, noise, R, controls, y, problems.DT)
-            got = _on(threads, lambda: filter_and_smooth(*given, smooth=False, points=points, engine=engine))
+            got = on_threads(threads, lambda: filter_and_smooth(*given, smooth=False, points=points, engine=engine))
         return {"x": got.means.numpy(), "P": got.covariances.numpy(), "ll": got.log_likelihood.numpy()}
 
     return program
 
 
-def _on(threads: int, program: Callable[[], Any]) -> Any:
+def on_threads(threads: int, program: Callable[[], Any]) -> Any:
     """With so many threads in native loops; torch keeps one."""
     before = os.environ.get("ROTORID_THREADS")
     os.environ["ROTORID_THREADS"] = str(threads)
@@ -144,7 +144,7 @@ def normal_equations(problems: Any, data: dict[str, Any], threads: int = 1, engi
         A, b, _ = problem.linearise(place)
         return {"cost": place.cost, "g": (A.mT @ b).numpy(), "H": (A.mT @ A).numpy()}
 
-    return lambda: _on(threads, solve)
+    return lambda: on_threads(threads, solve)
 
 
 PRODUCT: dict[str, Callable[..., Program]] = {"A": filtering, "B": normal_equations}

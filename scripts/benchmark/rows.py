@@ -62,7 +62,7 @@ ROWS = (
     Row("B-10", "normal equations B, 10 flights, one thread", "ratio at most", 1.2, 0.7),
     Row("B-10-threads", "normal equations B, 10 flights, two threads", "ratio at most", 1.2, 0.9),
     Row("B-10-jax", "normal equations B, 10 flights", "ratio at most", 0.1),
-    Row("gauss-newton", "model of the data set, one Gauss-Newton iteration", "ratio at least", 50.0, 200.0),
+    Row("gauss-newton", "the data set's model, one Gauss-Newton iteration, two threads", "ratio at least", 50.0, 200.0),
     Row("engine-new", "engine of a structure never seen: trace, emit, compile, load", "value at most", 10.0, 3.0),
     Row("engine-cached", "the same from the cache, in a fresh process", "value at most", 0.5, 0.1),
     Row("reconstruct", "step 1 of the data set, whole", "told"),
