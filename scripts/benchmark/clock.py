@@ -11,11 +11,14 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from statistics import median
 from typing import Any
+from unittest.mock import patch
 
 from rotorid_torch.core.native import dynamics, filtering
+from rotorid_torch.core.native.build import library
+from rotorid_torch.identification import gauss_markov
 
 LINES = 12
 """Lines of a profile that are shown."""
@@ -79,14 +82,10 @@ class _Timed:
 def native_seconds() -> Iterator[Counter[str]]:
     """Seconds spent in each loop of native code while the block runs."""
     seconds: Counter[str] = Counter()
-    libraries = {module: module.library for module in (dynamics, filtering)}
-    for module, library in libraries.items():
-        module.library = lambda source, library=library: _Timed(library(source), seconds)  # pyright: ignore
-    try:
+    with ExitStack() as stack:
+        for module in (dynamics, filtering, gauss_markov):
+            stack.enter_context(patch.object(module, "library", lambda source: _Timed(library(source), seconds)))
         yield seconds
-    finally:
-        for module, library in libraries.items():
-            module.library = library
 
 
 def profile(title: str, program: Callable[[], Any], once: bool = False) -> str:

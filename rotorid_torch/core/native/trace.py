@@ -21,7 +21,7 @@ from rotorid_torch.core.native.symbols import Graph
 
 AGREE = 1e-8
 """Of the largest result: what tracing may change at another point, by rounding."""
-FAILURES = (RuntimeError, TypeError, ValueError, IndexError, KeyError, AttributeError, NotImplementedError)
+FAILURES = (RuntimeError, TypeError, ValueError, IndexError, KeyError, AttributeError)
 """What torch raises where a function leaves the path that can be watched, as tolist() and numpy() do."""
 
 
