@@ -15,7 +15,8 @@ class Parameter:
     """One named number of the model.
 
     `prior_sd` is the standard deviation (in the parameter's unit) by which the data may move it away from `value`
-    before the physics behind `value` objects; infinite where there is no such physics.
+    before the physics behind `value` objects; infinite where there is no such physics. `typical` is a size at which an
+    effect is usually met: where tracing starts.
     """
 
     name: str
@@ -25,6 +26,7 @@ class Parameter:
     prior_sd: float = math.inf
     free: bool = True
     doc: str = ""
+    typical: float = 0.0
 
     def __post_init__(self) -> None:
         low, high = self.bounds

@@ -10,11 +10,15 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class State:
-    """One state of the flat vector; `doc` says what it is."""
+    """One state of the flat vector; `doc` says what it is.
+
+    `channel`: the measured channel at whose value it starts (height, psi); None starts it at rest in equilibrium.
+    """
 
     name: str
     unit: str = ""
     doc: str = ""
+    channel: str | None = None
 
 
 @dataclass(frozen=True)

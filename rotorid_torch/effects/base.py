@@ -1,19 +1,22 @@
 """What a piece of physics is: an Effect with named parameters and states that acts at one stage of the model's chain.
 
 The chain runs CONTROL -> ENVIRONMENT -> ROTOR -> FORCES -> MASS -> SENSORS. Inside the time loop every effect takes a
-`Frame` and returns a new one; control-path effects run once over the control record before the loop (`tape`).
+`Frame` and returns a new one; control-path effects run once over the control record before the loop (`tape`), effects
+of the sensors act on the outputs: `forward` at a sample, `tape` over the record.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
 
 import torch
 from torch import Tensor, nn
 
+from rotorid_torch.core.names import VELOCITIES
 from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.core.rigid import vec
 from rotorid_torch.core.state import State
 from rotorid_torch.effects.spec import ModelSpec
 
@@ -48,12 +51,14 @@ class Frame:
 
     `signals` holds every channel-like quantity by name (u v w p q r phi theta, flapping, controls), each [...].
     `force` is the external specific force without gravity, m/s2; `moment` the angular acceleration that the external
-    moment about the centre of gravity gives (inertia^-1 M), rad/s2.
+    moment about the centre of gravity gives (inertia^-1 M), rad/s2. `rates` holds the rates of the effects' own states
+    published so far, by the states' names; a later effect may replace one.
     """
 
     signals: Mapping[str, Tensor]
     force: Tensor | None = None
     moment: Tensor | None = None
+    rates: Mapping[str, Tensor] = field(default_factory=dict)
 
     def stack(self, names: tuple[str, ...]) -> Tensor:
         """These signals as [..., len(names)]."""
@@ -62,6 +67,23 @@ class Frame:
     def with_signals(self, **signals: Tensor) -> Frame:
         """The same frame with signals added or replaced."""
         return replace(self, signals={**self.signals, **signals})
+
+    def with_rates(self, **rates: Tensor) -> Frame:
+        """The same frame with rates of the effects' own states added or replaced."""
+        return replace(self, rates={**self.rates, **rates})
+
+    def rate(self, name: str) -> Tensor:
+        """Rate of an earlier effect's state [...]; zero where none has been published."""
+        return self.rates[name] if name in self.rates else torch.zeros_like(self.signals[name])
+
+    def with_air(self, *velocity: Tensor) -> Frame:
+        """The same frame with u, v, w through the air, m/s; those over ground stay to be asked for."""
+        ground = {f"ground.{n}": self.signals.get(f"ground.{n}", self.signals[n]) for n in VELOCITIES}
+        return self.with_signals(**ground, **dict(zip(VELOCITIES, velocity, strict=True)))
+
+    def over_ground(self) -> Tensor:
+        """Velocity over ground in body axes [..., 3], m/s."""
+        return vec(*(self.signals.get(f"ground.{n}", self.signals[n]) for n in VELOCITIES))
 
     def add(self, force: Tensor | None = None, moment: Tensor | None = None) -> Frame:
         """The same frame with specific force [..., 3] and angular acceleration [..., 3] added."""
@@ -110,10 +132,18 @@ class Effect(nn.Module):
         """The effect for a vehicle; override where the vehicle's declaration or reference is needed."""
         return cls()
 
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Why this data set cannot test the effect, in plain words; None where it can."""
+        return None
+
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
-        """Frame after this effect, and the rates [..., n] of its own states x [..., n]; without states, x itself."""
+        """Frame after this effect, and the rates [..., n] of its own states x [..., n]; without states, x itself.
+
+        Effects of the sensors are called after all others, on a frame whose signals hold every output.
+        """
         return frame, x
 
-    def tape(self, controls: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
-        """The control record [..., T, nu] as it reaches the next stage; control-path effects only."""
-        return controls
+    def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
+        """The record [..., T, n] as it reaches the next stage: of controls, or, where sensors act, of outputs."""
+        return record

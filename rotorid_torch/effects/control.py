@@ -30,19 +30,19 @@ class ControlDelay(Effect):
     def __init__(self) -> None:
         super().__init__((Parameter("common", 0.0, "s", (0.0, LONGEST), doc="delay of every control"),))
 
-    def tape(self, controls: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
-        """Controls [..., T, nu] shifted by p["common"] s; the delay may carry leading dimensions of the record."""
+    def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
+        """Record [..., T, nu] shifted by p["common"] s; the delay may carry leading dimensions of the record."""
         shift = (p["common"] / dt)[..., None, None]
-        samples = controls.shape[-2]
-        place = torch.arange(samples, dtype=controls.dtype, device=controls.device)[:, None] - shift
+        samples = record.shape[-2]
+        place = torch.arange(samples, dtype=record.dtype, device=record.device)[:, None] - shift
         whole = torch.floor(place.detach())
         part = place - whole
         first = whole.to(torch.int64)
 
         def at(offset: int) -> Tensor:
             index = (first + offset).clamp(0, samples - 1)
-            shape = np.broadcast_shapes(index.shape[:-2], controls.shape[:-2])
-            return controls.expand(*shape, -1, -1).gather(-2, index.expand(*shape, samples, controls.shape[-1]))
+            shape = np.broadcast_shapes(index.shape[:-2], record.shape[:-2])
+            return record.expand(*shape, -1, -1).gather(-2, index.expand(*shape, samples, record.shape[-1]))
 
         before, here, after, beyond = (at(k) for k in (-1, 0, 1, 2))
         slope, curve = 0.5 * (after - before), before - 2.5 * here + 2.0 * after - 0.5 * beyond

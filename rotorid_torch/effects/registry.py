@@ -43,8 +43,11 @@ def registered() -> dict[str, type[Effect]]:
 
 
 def make(name: str, spec: ModelSpec) -> Effect:
-    """The effect of this id for a vehicle; InputError where there is none."""
+    """The effect of this id for a vehicle; InputError where there is none, or the vehicle's data cannot test it."""
     known = registered()
     if name not in known:
         raise InputError("--effect", name, "there is no such effect", f"one of {', '.join(sorted(known))}")
+    reason = known[name].untestable(spec)
+    if reason is not None:
+        raise InputError("--effect", name, f"this data set cannot test it: {reason}", "another effect, or other data")
     return known[name].from_spec(spec)

@@ -36,6 +36,7 @@ class ModelSpec(msgspec.Struct, frozen=True, kw_only=True):
     flapping_doubtful : the lag is so short that first order and algebraic must both be tried.
     inflow, cyclic_inflow : whether the induced velocity, and its first harmonics, are states.
     effects : ids of effects beyond the nominal model.
+    free, values : by full parameter name, whether it is estimated, and where it starts, other than the effect declares.
     ranges : smallest and largest value of every signal in the identify flights.
     """
 
@@ -59,6 +60,8 @@ class ModelSpec(msgspec.Struct, frozen=True, kw_only=True):
     imu: tuple[float, float, float] = (0.0, 0.0, 0.0)
     rotor: RotorSpec | None = None
     effects: tuple[str, ...] = ()
+    free: dict[str, bool] = {}
+    values: dict[str, float] = {}
 
     def plain(self) -> dict[str, Any]:
         """As builtins, for model.pt."""

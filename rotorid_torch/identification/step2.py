@@ -18,7 +18,7 @@ from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES, SPECIFIC_
 from rotorid_torch.core.rigid import cross, gravity_in_body, gyroscopic
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.on_demand import OnDemand
-from rotorid_torch.effects.base import Effect, Frame, Values
+from rotorid_torch.effects.base import Effect, Frame, Stage, Values
 from rotorid_torch.identification.equation import Equation, fit_equation
 from rotorid_torch.identification.ftr import Regression
 from rotorid_torch.identification.reconstruct import Reconstruction
@@ -126,14 +126,22 @@ def measured(model: Model, dataset: Dataset, reconstruction: Reconstruction, nam
     names = tuple(dict.fromkeys((*(s for s in model.layout.names), *FLAPPING, *model.body.controls)))
     present = [n for n in names if flight.has(n)]
     signals = dict(zip(present, flight.bridged(present).unbind(-1), strict=True))
+    with torch.no_grad():
+        controls = model.tape(flight.bridged(model.body.controls), flight.dt)
+    signals |= zip(model.body.controls, controls.unbind(-1), strict=True)
+    given = {s.name: s.channel for s in model.layout.states if s.channel is not None and flight.has(s.channel)}
+    signals |= {name: flight.bridged([channel])[:, 0] for name, channel in given.items()}
+    rates = {n: torch.gradient(signals[n], spacing=flight.dt)[0] for n in FLAPPING if n in present}
     specific = step1.specific.nan_to_num(0.0)
     theta = model.theta.detach()
-    frame = Frame(signals, force=specific[:, :3], moment=torch.zeros_like(specific[:, 3:]))
+    frame = Frame(signals, force=specific[:, :3], moment=torch.zeros_like(specific[:, 3:]), rates=rates)
     for k, effect in enumerate(model.chain):
-        if isinstance(effect, LinearForces | Flapping | AlgebraicFlapping):
+        if isinstance(effect, LinearForces | Flapping | AlgebraicFlapping) or effect.stage is Stage.SENSORS:
             continue
         values = model.values(theta, k)
         own = _followed(effect, frame, values, flight.dt)
+        for i, name in enumerate(model.state_names(k)):
+            own[:, i] = signals.get(name, own[:, i])
         frame = replace(
             frame, signals={**frame.signals, **dict(zip(model.state_names(k), own.unbind(-1), strict=True))}
         )

@@ -111,7 +111,7 @@ def _record(model: Model, dataset: Dataset, reconstruction: Reconstruction, name
     every = _every(flight.dt)
     signals = measured(model, dataset, reconstruction, name).signals
     unknown = torch.full_like(flight.time, math.nan)
-    states = [step1.channels.get(n, signals.get(n, unknown)) for n in model.layout.names]
+    states = [step1.channels.get(s.channel or s.name, signals.get(s.name, unknown)) for s in model.layout.states]
     return records_from(
         [
             {

@@ -67,6 +67,11 @@ class Model(nn.Module):
         """The effects in the order of their stages."""
         return [e for e in self.effects if isinstance(e, Effect)]
 
+    @property
+    def own_states(self) -> tuple[State, ...]:
+        """The effects' own states, in the order of the flat state behind the body's."""
+        return self.layout.states[len(self.body.states) :]
+
     def effect(self, name: str) -> Effect | None:
         """The effect of this id, or None."""
         return next((e for e in self.chain if e.id == name), None)
@@ -92,14 +97,15 @@ class Model(nn.Module):
         signals = dict(zip(self.body.states, x[..., :n].unbind(-1), strict=True))
         signals.update(zip(self.layout.names[n:], x[..., n:].unbind(-1), strict=True))
         signals.update(zip(self.body.controls, u.unbind(-1), strict=True))
-        frame, rates = Frame(signals), []
+        frame = Frame(signals)
         for k, effect in enumerate(self.chain):
-            if effect.stage is Stage.CONTROL:
+            if effect.stage in (Stage.CONTROL, Stage.SENSORS):
                 continue
             frame, own = effect(frame, x[..., self._slices[k][1]], self.values(theta, k))
             if effect.states:
-                rates.append(own)
-        return frame, join(*rates) if rates else x[..., :0]
+                frame = frame.with_rates(**dict(zip(self.state_names(k), own.unbind(-1), strict=True)))
+        names = self.layout.names[n:]
+        return frame, vec(*(frame.rates[name] for name in names)) if names else x[..., :0]
 
     def rates(self, theta: Tensor, x: Tensor, u: Tensor) -> Tensor:
         """dx/dt [..., nx] at parameters theta [..., P], states x [..., nx], controls u [..., nu]."""
@@ -134,7 +140,12 @@ class Model(nn.Module):
         if frame.force is not None:
             force = specific_force_at(self.imu, frame.force, rates, angular)
             signals.update(zip(SPECIFIC_FORCES, force.unbind(-1), strict=True))
-        return vec(*(signals[n] for n in self.body.outputs))
+        signals.update(zip(self.body.states, x.unbind(-1), strict=False))  # over ground, whatever the air does
+        frame = replace(frame, signals=signals)
+        for k, effect in enumerate(self.chain):
+            if effect.stage is Stage.SENSORS:
+                frame, _ = effect(frame, x[..., :0], self.values(theta, k))
+        return frame.stack(self.body.outputs)
 
     def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Tensor:
         """dx/dt [..., nx] with the model's own theta."""
@@ -146,10 +157,17 @@ class Model(nn.Module):
 
     def tape(self, controls: Tensor, dt: float) -> Tensor:
         """The control record [..., T, nu] as it reaches the rotor: control-path effects, once over the whole record."""
+        return self._taped(Stage.CONTROL, controls, self.body.controls, dt)
+
+    def recorded(self, outputs: Tensor, dt: float) -> Tensor:
+        """The record of outputs [..., T, ny] as sensors with memory pass it on."""
+        return self._taped(Stage.SENSORS, outputs, self.body.outputs, dt)
+
+    def _taped(self, stage: Stage, record: Tensor, names: tuple[str, ...], dt: float) -> Tensor:
         for k, effect in enumerate(self.chain):
-            if effect.stage is Stage.CONTROL:
-                controls = effect.tape(controls, self.body.controls, dt, self.values(self.theta, k))
-        return controls
+            if effect.stage is stage:
+                record = effect.tape(record, names, dt, self.values(self.theta, k))
+        return record
 
 
 def _state_name(effect: Effect, state: State) -> str:

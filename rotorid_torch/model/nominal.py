@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 
@@ -12,6 +13,7 @@ from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.effects.base import Effect
 from rotorid_torch.effects.registry import make
 from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.errors import InputError
 from rotorid_torch.model.flapping import AlgebraicFlapping, Flapping, reference_vector
 from rotorid_torch.model.forces import LinearForces, Tailplane, TailRotor, ThrustTilt
 from rotorid_torch.model.inflow import CYCLIC, INDUCED, CyclicInflow, Inflow
@@ -38,10 +40,29 @@ def rows(spec: ModelSpec) -> tuple[str, ...]:
 
 
 def build(spec: ModelSpec) -> Model:
-    """The model of a spec; InputError where an effect's id is unknown."""
+    """The model of a spec, its parameters free or held and started as the spec says.
+
+    A start moves theta, kept within its bounds; the parameter's declared value stays what its prior is about.
+
+    Raises
+    ------
+    InputError : an effect's id is unknown, or `free` or `values` name no parameter of the model.
+    """
     body = Body(spec.states, spec.controls, spec.outputs, spec.gravity, spec.inertia, spec.imu)
     effects = [*_rotor(spec), _forces(spec), *_physics(spec), *(make(name, spec) for name in spec.effects)]
-    return Model(body, effects, spec.reference)
+    for effect in effects:
+        free = {p.name: spec.free.get(f"{effect.id}.{p.name}", p.free) for p in effect.declared}
+        effect.declared = tuple(replace(p, free=free[p.name]) for p in effect.declared)
+    model = Model(body, effects, spec.reference)
+    for name in (*spec.free, *spec.values):
+        if name not in model.parameter_set:
+            known = ", ".join(model.parameter_set.names)
+            raise InputError("model", name, "there is no such parameter", f"one of {known}")
+    with torch.no_grad():
+        for name, value in spec.values.items():
+            model.theta[model.parameter_set.index(name)] = value
+        model.theta.copy_(model.parameter_set.clamp(model.theta))
+    return model
 
 
 def thrust(spec: ModelSpec) -> float:

@@ -14,12 +14,15 @@ from rotorid_torch.core.native.dynamics import Dynamics
 from rotorid_torch.core.native.fallback import say_once
 from rotorid_torch.core.native.trace import Unsupported
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.flight import Flight
 from rotorid_torch.model.model import Model
 
 FIRST = 1.0
 """s of measurement that the initial state of the body is fitted on."""
 ITERATIONS = 4
 """Gauss-Newton steps of that fit; the problem is nearly linear."""
+MOMENT = 8
+"""The first second's part whose mean starts that fit, and the states that have a channel."""
 PROBE = 1e-4
 """Perturbation of a body state for its derivative, in the state's unit."""
 STRAYED = 1e6
@@ -36,17 +39,19 @@ class Windows:
     controls: Tensor  # [W, T, nu], after the control path, held beyond the end
     measured: Tensor  # [W, T, ny]
     noise: Tensor  # [ny] of a sample
+    starts_at: Tensor  # [W, n] of the effects' own states, where a channel gives it; NaN = in equilibrium
 
     def pick(self, which: Sequence[int]) -> Windows:
         """Some of the pieces."""
         chosen = list(which)
         names, starts = tuple(self.names[i] for i in chosen), tuple(self.starts[i] for i in chosen)
-        return Windows(self.dt, names, starts, self.controls[chosen], self.measured[chosen], self.noise)
+        per_piece = self.controls[chosen], self.measured[chosen], self.noise, self.starts_at[chosen]
+        return Windows(self.dt, names, starts, *per_piece)
 
 
 def windows(model: Model, dataset: Dataset, places: Sequence[tuple[str, int]], samples: int) -> Windows:
     """Cut pieces of `samples` samples that begin at (flight, first sample); all flights have one sample interval."""
-    controls, outputs = [], []
+    controls, outputs, starts_at = [], [], []
     for name, start in places:
         flight = dataset.flights[name]
         index = torch.arange(start, start + samples)
@@ -56,10 +61,27 @@ def windows(model: Model, dataset: Dataset, places: Sequence[tuple[str, int]], s
         controls.append(tape[inside])
         measured = flight.stack(model.body.outputs)[inside]
         outputs.append(torch.where((index < flight.samples)[:, None], measured, torch.nan))
+        starts_at.append(_measured_starts(model, flight, start))
     dt = dataset.flights[places[0][0]].dt
     names, starts = zip(*places, strict=True)
     noise = torch.tensor([dataset.noise(c) for c in model.body.outputs], dtype=torch.float64)
-    return Windows(dt, names, starts, torch.stack(controls), torch.stack(outputs), noise)
+    return Windows(dt, names, starts, torch.stack(controls), torch.stack(outputs), noise, torch.stack(starts_at))
+
+
+def _measured_starts(model: Model, flight: Flight, start: int) -> Tensor:
+    """Values at which the effects' own states start by a channel, its first moments' mean [n]; NaN for the others."""
+    found = []
+    for state in model.own_states:
+        values = torch.full((1,), torch.nan, dtype=torch.float64)
+        if state.channel is not None and flight.has(state.channel):
+            values = flight.stack([state.channel])[start : start + max(1, _first(flight.dt) // MOMENT), 0]
+        found.append(values.nanmean())
+    return torch.stack(found) if found else torch.zeros(0, dtype=torch.float64)
+
+
+def _first(dt: float) -> int:
+    """Samples of the first second."""
+    return round(FIRST / dt) + 1
 
 
 @torch.no_grad()
@@ -67,11 +89,12 @@ def free_run(model: Model, pieces: Windows, run: Runs | None = None) -> tuple[Te
     """States [W, T, nx] and outputs [W, T, ny] of the free runs of all pieces.
 
     The body's initial state is fitted to the measured outputs of the first second by the same model; the effects'
-    own states are in equilibrium with it. `run` serves many calls; made where it is not given.
+    own states are in equilibrium with it, or start where their channel was measured. Outputs are as the sensors record
+    them. `run` serves many calls; made where it is not given.
     """
     run = run or Runs.of(model)
-    x0 = _initial(run, pieces)
-    return run(x0, pieces.controls, pieces.dt)
+    states, outputs = run(_initial(run, pieces), pieces.controls, pieces.dt)
+    return states, model.recorded(outputs, pieces.dt)
 
 
 @dataclass(frozen=True)
@@ -125,42 +148,47 @@ class Runs:
 def _initial(run: Runs, pieces: Windows) -> Tensor:
     """Initial states [W, nx] by Gauss-Newton on the first second, all perturbed bodies as further rows of one batch."""
     model = run.model
-    body, samples = model.body.states, max(2, min(round(FIRST / pieces.dt) + 1, pieces.controls.shape[1]))
+    body, samples = model.body.states, max(2, min(_first(pieces.dt), pieces.controls.shape[1]))
     controls, outputs = pieces.controls[:, :samples], [i for i, c in enumerate(model.body.outputs) if c in body]
     wanted = pieces.measured[:, :samples, outputs]
     known = ~wanted.isnan()
     weight = known / pieces.noise[outputs]
     columns = [body.index(model.body.outputs[i]) for i in outputs]
     x = torch.tensor([model.reference.get(n, 0.0) for n in body], dtype=torch.float64).repeat(len(wanted), 1)
-    first = wanted[:, : max(1, samples // 8)].nanmean(dim=1)
+    first = wanted[:, : max(1, samples // MOMENT)].nanmean(dim=1)
     x[:, columns] = torch.where(first.isnan(), x[:, columns], first)
     probes = PROBE * torch.eye(len(body), dtype=torch.float64)
     for _ in range(ITERATIONS):
         trials = torch.cat([x[None], x + probes[:, None]])
-        x0 = equilibrium(model, trials, controls[:, 0])
-        runs = run(x0, controls, pieces.dt)[0][..., columns]
+        x0 = equilibrium(model, trials, controls[:, 0], pieces.starts_at)
+        runs = model.recorded(run(x0, controls, pieces.dt)[1], pieces.dt)[..., outputs]
         jacobian = ((runs[1:] - runs[0]) / PROBE * weight).permute(1, 2, 3, 0).flatten(1, 2)
         residual = torch.where(known, (wanted - runs[0]) * weight, 0.0).flatten(1, 2)
         norms = jacobian.norm(dim=1, keepdim=True).clamp_min(1e-12)
         step = torch.linalg.lstsq(jacobian / norms, residual.unsqueeze(-1), rcond=1e-8, driver="gelsd").solution
         x = x + step.squeeze(-1) / norms[:, 0]
-    return equilibrium(model, x, controls[:, 0])
+    return equilibrium(model, x, controls[:, 0], pieces.starts_at)
 
 
 @torch.no_grad()
-def equilibrium(model: Model, body: Tensor, controls: Tensor) -> Tensor:
-    """Whole state [..., nx] with the effects' own states at rest under body states and controls; Newton's method."""
-    own = len(model.layout) - body.shape[-1]
-    if own == 0:
+def equilibrium(model: Model, body: Tensor, controls: Tensor, starts_at: Tensor | None = None) -> Tensor:
+    """Whole state [..., nx] with the effects' own states at rest under body states and controls; Newton's method.
+
+    States that have a channel start at `starts_at` [..., n] (of all own states), at the reference where that is NaN.
+    """
+    n, own = body.shape[-1], model.own_states
+    if not own:
         return body
-    n = body.shape[-1]
-    start = torch.tensor([model.reference.get(s, 0.0) for s in model.layout.names[n:]], dtype=torch.float64)
-    x = torch.cat([body, start.expand(*body.shape[:-1], own)], dim=-1)
-    steps = PROBE * torch.eye(len(model.layout), dtype=torch.float64)[n:]
-    for _ in range(4):
-        rows = torch.cat([x[None], x + steps.view(own, *(1,) * (x.dim() - 1), -1)])
-        rates = model.rates(model.theta, rows, controls)[..., n:]
+    start = torch.tensor([model.reference.get(s.channel or s.name, 0.0) for s in own], dtype=torch.float64)
+    start = start if starts_at is None else torch.where(starts_at.isnan(), start, starts_at)
+    x = torch.cat([body, start.expand(*body.shape[:-1], len(own))], dim=-1)
+    places = [n + k for k, s in enumerate(own) if s.channel is None]
+    steps = PROBE * torch.eye(len(model.layout), dtype=torch.float64)[places]
+    for _ in range(4 if places else 0):
+        rows = torch.cat([x[None], x + steps.view(len(places), *(1,) * (x.dim() - 1), -1)])
+        rates = model.rates(model.theta, rows, controls)[..., places]
         slopes = ((rates[1:] - rates[0]) / PROBE).movedim(0, -1)
         change = torch.linalg.lstsq(slopes, rates[0].unsqueeze(-1)).solution.squeeze(-1)
-        x = torch.cat([x[..., :n], x[..., n:] - change.nan_to_num(0.0)], dim=-1)
+        x = x.clone()
+        x[..., places] -= change.nan_to_num(0.0)
     return x

@@ -60,8 +60,8 @@ class OwnGain(Effect):
     def __init__(self) -> None:
         super().__init__((Parameter("k", 0.0, "1", (-0.5, 0.5), doc="relative error of the gearing"),))
 
-    def tape(self, controls: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
-        return controls * (1.0 + p["k"][..., None, None])
+    def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
+        return record * (1.0 + p["k"][..., None, None])
 
 
 OWN = (OwnDrag, OwnLag, OwnGain)

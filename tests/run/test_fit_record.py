@@ -38,7 +38,8 @@ def judgement(data: Dataset, monkeypatch: pytest.MonkeyPatch) -> fit_record.Judg
     monkeypatch.setattr(fit_record, "free_run", replayed)
     monkeypatch.setattr(fit_record.Runs, "of", lambda model: None)
     body = SimpleNamespace(outputs=OUTPUTS, controls=("lat",))
-    return fit_record.judge(SimpleNamespace(body=body, tape=lambda controls, dt: controls), data)
+    model = SimpleNamespace(body=body, own_states=(), tape=lambda controls, dt: controls)
+    return fit_record.judge(model, data)
 
 
 @pytest.fixture
