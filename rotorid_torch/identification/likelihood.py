@@ -14,6 +14,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from rotorid_torch.core import large
 from rotorid_torch.core.ranks import ALONE, BLOCKS, Ranks
 from rotorid_torch.identification.engine import Engine, Part, Unknowns
 from rotorid_torch.identification.gauss_newton import Linear
@@ -22,6 +23,8 @@ from rotorid_torch.identification.sensitivity import Run
 from rotorid_torch.identification.system import System
 from rotorid_torch.identification.whitening import Moments, Noise, Whitener, products
 
+SOLVED = 256
+"""Triangles that are solved at once."""
 PART_NUMBERS = 4_000_000
 """Numbers that a part of the segments may need at once."""
 KEPT_NUMBERS = 4_000_000
@@ -50,9 +53,11 @@ class Locals:
 
 
 def _back(triangles: Tensor, own: Tensor, known: Tensor) -> Tensor:
-    n = own.shape[1]
-    rest = own - (triangles[:, :, n:-1] @ known.unsqueeze(-1)).squeeze(-1)
-    return torch.linalg.solve_triangular(triangles[:, :, :n], rest.unsqueeze(-1), upper=True).squeeze(-1)
+    n, found = own.shape[1], []
+    for triangle, one, given in zip(triangles.split(SOLVED), own.split(SOLVED), known.split(SOLVED), strict=True):
+        rest = one.unsqueeze(-1) - triangle[:, :, n:-1] @ given.unsqueeze(-1)
+        found.append(torch.linalg.solve_triangular(triangle[:, :, :n], rest, upper=True).squeeze(-1))
+    return torch.cat(found)
 
 
 @dataclass
@@ -193,6 +198,7 @@ class Likelihood:
                 near, steps = base.parts[k].run.states, base.transitions[k]
             run = self.engine.run(place.theta, self.records, segments, place.x0[which], near, steps)
             yield self._part(place, which, segments, run)
+            large.let_go()
 
     def _part(self, place: Place, which: Tensor, segments: Segments, run: Run) -> Part:
         bias = place.bias
@@ -274,32 +280,31 @@ class Likelihood:
     @torch.no_grad()
     def linearise(self, place: Place) -> Linear:
         """Linear model of the whitened residual in the shared parameters; the place remembers the elimination."""
-        starts, passages, biases, rests = [], [], [], []
-        place.transitions = []
+        local, rest = self.locals_per_segment, len(place.theta) + 1
+        starts = large.empty(len(self.segments), local, local + len(self.biased) + rest)
+        passage = self.x0.new_empty(len(self.segments), self.x0.shape[-1], self.x0.shape[-1])
+        blocks = self.x0.new_zeros(min(BLOCKS, self.flights), rest, rest)
+        biases, seen, place.transitions = [], set[int](), []
         for part in self.parts(place):
             whitener = Whitener.of(place.covariance, part.valid)
             found = self.engine.eliminate(self.records, part, whitener, self.unknowns(place, part.which))
-            starts.append(found.starts)
-            passages.append(found.passage)
+            starts[part.which] = found.starts
+            passage[part.which] = found.passage
             place.transitions.append(found.transitions)
             for f in torch.unique(part.segments.flight).tolist():
-                bias, rest = self._of_flight(place, f, found.rest[part.segments.flight == f])
+                bias, own = self._of_flight(place, f, found.rest[part.segments.flight == f])
                 biases.append(bias)
-                rests.append(rest)
-        place.locals, place.passage = Locals(torch.cat(starts), torch.stack(biases)), torch.cat(passages)
-        blocks = self._blocks(rests)
+                block = int(self.blocks[f])
+                blocks[block] = self._joined(blocks[block], own) if block in seen else own
+                seen.add(block)
+        place.locals, place.passage = Locals(starts, torch.stack(biases)), passage
+        blocks = self.ranks.sum(blocks)
         place.blocks = [self._triangle(block) for block in blocks]
         prior = torch.cat([part if part.dim() == 2 else part[:, None] for part in self.prior_rows(place)], dim=1)
         segment, flight = place.locals.own()
         own = self._sum([(self.segments.flight, segment), (torch.arange(len(flight)), flight)])
+        large.let_go()
         return Linear(*self._triangle(self.engine.joined(blocks, prior)), float(own))
-
-    def _blocks(self, rests: list[Tensor]) -> Tensor:
-        """What is left of this rank's flights, as blocks of flights of all ranks [blocks, m, m]."""
-        blocks = rests[0].new_zeros(min(BLOCKS, self.flights), *rests[0].shape)
-        for block in torch.unique(self.blocks).tolist():
-            blocks[block] = self._joined([rests[f] for f in (self.blocks == block).nonzero()[:, 0].tolist()])
-        return self.ranks.sum(blocks)
 
     def _of_flight(self, place: Place, flight: int, rests: Tensor) -> tuple[Tensor, Tensor]:
         """Rows of the triangle of a flight's biases, and what is left of its segments for the parameters."""
@@ -309,9 +314,9 @@ class Likelihood:
         pull[:, -1] = self._bias_rows(place)[flight]
         return self.engine.split(self.engine.joined(rests, pull), nb)
 
-    def _joined(self, rests: list[Tensor]) -> Tensor:
-        """Several flights' as one."""
-        return self.engine.joined(torch.stack(rests), rests[0].new_zeros(0, rests[0].shape[-1]))
+    def _joined(self, rest: Tensor, other: Tensor) -> Tensor:
+        """Two flights' as one."""
+        return self.engine.joined(torch.stack([rest, other]), rest.new_zeros(0, rest.shape[-1]))
 
     def _triangle(self, rest: Tensor) -> tuple[Tensor, Tensor]:
         """Linear model A [P, P], b [P] of the parameters."""
@@ -335,7 +340,7 @@ class Likelihood:
 
     def states_at(self, place: Place, record: Tensor) -> Tensor:
         """A copy of a record of states [F, T, nx] with the place's trajectories written where they belong."""
-        record = record.clone()
+        record = large.copied(record)
         for part in self.parts(place):
             part.segments.write(part.run.states, record)
         return record

@@ -12,7 +12,11 @@ import torch
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
+from rotorid_torch.core import large
 from rotorid_torch.errors import InputError
+
+TOGETHER = 256
+"""Pieces that are cut at once."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +40,7 @@ class Records:
 
     def typical(self) -> Records:
         """A flight of one sample: the first controls, and the mean of the states."""
-        mean = self.states.flatten(0, 1).nan_to_num(0.0).mean(dim=0)
+        mean = torch.stack([states.nan_to_num(0.0).mean(dim=0) for states in self.states]).mean(dim=0)
         first = self.controls[:1, :1].clone(), self.outputs[:1, :1].clone()
         return Records(self.dt, torch.ones_like(self.lengths[:1]), self.start[:1].clone(), *first, mean[None, None])
 
@@ -62,6 +66,10 @@ class Segments:
     def take(self, record: Tensor) -> Tensor:
         """A record over the flights [F, T, ...] cut into the pieces [S, T, ...]."""
         return record[self.flight[:, None], self.place]
+
+    def first(self, record: Tensor) -> Tensor:
+        """A record over the flights [F, T, ...] at the pieces' first samples [S, ...]."""
+        return record[self.flight, self.place[:, 0]]
 
     def write(self, pieces: Tensor, record: Tensor) -> None:
         """Write the pieces [S, T, ...] into a record [F, T, ...] where they belong."""
@@ -181,8 +189,10 @@ def cut(records: Records, samples: int) -> Segments:
     offset = torch.arange(max(length))
     place = torch.tensor(first)[:, None] + torch.minimum(offset, torch.tensor(length)[:, None] - 1)
     which = torch.tensor(flight)
-    outputs = records.outputs[which[:, None], place].masked_fill(
-        (offset >= torch.tensor(length)[:, None])[..., None], math.nan
-    )
+    beyond = (offset >= torch.tensor(length)[:, None])[..., None]
+    outputs = large.empty(*place.shape, records.outputs.shape[-1])
+    for some in torch.arange(len(which)).split(TOGETHER):
+        outputs[some] = records.outputs[which[some, None], place[some]].masked_fill(beyond[some], math.nan)
+    large.let_go()
     start = records.start[which] + place[:, 0] * records.dt
     return Segments(records.dt, which, place, start, outputs)

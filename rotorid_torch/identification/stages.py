@@ -293,7 +293,7 @@ class _Stages:
         """The likelihood on segments of this length, and the place to start from."""
         s, segments = self.settings, cut(self.records, samples)
         ny, nx, count = self.records.outputs.shape[-1], self.records.states.shape[-1], len(theta)
-        x0, given = segments.take(states)[:, 0], segments.take(self.records.states)[:, 0]
+        x0, given = segments.first(states), segments.first(self.records.states)
         spread = torch.full((nx,), math.inf, dtype=torch.float64) if s.x0_sd is None else s.x0_sd
         sd = torch.where(given.isnan(), math.inf, spread)
         problem = Likelihood(

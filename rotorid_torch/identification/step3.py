@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from rotorid_torch.core import large
 from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.identification.gauss_newton import Options
@@ -65,7 +66,7 @@ def estimate_model(
     system = System(model, names)
     places = [model.parameter_set.index(n) for n in names]
     settings = Settings(
-        floor=_noise(model, dataset),
+        floor=sensor_noise(model, dataset),
         lengths=LENGTHS,
         prior_mean=model.parameter_set.values[places],
         prior_sd=model.parameter_set.prior_sd[places],
@@ -78,7 +79,7 @@ def estimate_model(
     return Step3(found.estimate(), names)
 
 
-def _noise(model: Model, dataset: Dataset) -> Tensor:
+def sensor_noise(model: Model, dataset: Dataset) -> Tensor:
     """Sensor noise of the outputs after averaging, [ny]."""
     every = _every(dataset.facts[dataset.identify[0]].dt)
     return torch.tensor([dataset.noise(c) for c in model.body.outputs], dtype=torch.float64) / math.sqrt(every)
@@ -96,6 +97,7 @@ def records(model: Model, dataset: Dataset, reconstruction: Reconstruction, rank
         batch.lengths[i], batch.start[i] = own.lengths[0], own.start[0]
         batch.controls[i], batch.outputs[i, : own.samples] = own.controls[0, -1], own.outputs[0]
         batch.controls[i, : own.samples], batch.states[i, : own.samples] = own.controls[0], own.states[0]
+    large.let_go()
     assert batch is not None
     return replace(batch, dt=ranks.from_first(batch.dt))  # the first flight's, which is the first rank's
 
@@ -128,7 +130,7 @@ def _empty(one: Records, flights: int, samples: int) -> Records:
     """Room for so many flights like this one."""
 
     def nothing(columns: int) -> Tensor:
-        return torch.full((flights, samples, columns), math.nan, dtype=torch.float64)
+        return large.empty(flights, samples, columns).fill_(math.nan)
 
     sizes = (part.shape[-1] for part in (one.controls, one.outputs, one.states))
     return Records(one.dt, one.lengths.repeat(flights), one.start.repeat(flights), *map(nothing, sizes))

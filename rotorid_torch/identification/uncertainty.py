@@ -84,7 +84,7 @@ def _inverse(linear: Linear, told: Tensor) -> Tensor:
 class _Flight:
     """Whitened rows of one flight's segments: derivatives freed of initial states and biases, their basis, residual."""
 
-    derivatives: Tensor  # [s, T, ny, n]
+    derivatives: Tensor  # [s, T, ny, n] in the directions asked for
     basis: Tensor  # [s, T, ny, local] orthonormal columns that initial states and biases take out
     residual: Tensor  # [s, T, ny]
     valid: Tensor  # [s, T, ny]
@@ -98,41 +98,73 @@ def _coloured(likelihood: Likelihood, place: Place, inverse: Tensor, told: Tenso
     each line is divided by the share left to it (one minus its leverage). The spectrum rests on few lines and scatters;
     the covariance is widened so that 1.96 standard errors hold 95 % as Student's t would.
     """
-    lines, pieces = 2 * likelihood.longest, likelihood.pieces
+    lines, pieces = _fast(2 * likelihood.longest), likelihood.pieces
     reach = max(LEAST_SMOOTHING, round(SMOOTHING / pieces))
-    power, left = _powers(_flights(likelihood, place, told), inverse, lines)
+    n, gain = int(told.sum()), inverse @ inverse.mT
+    directions = inverse.new_zeros(len(told), n)
+    power, left = _powers(_flights(likelihood, place, directions.masked_scatter(told[:, None], inverse)), lines)
     power = torch.view_as_complex(likelihood.ranks.sum(torch.view_as_real(power)))
     spectrum = _spectrum(power, likelihood.ranks.sum(left), lines, reach)
     weights = torch.full((lines // 2 + 1,), 2.0 / lines, dtype=torch.float64)
     weights[0] = weights[-1] = 1.0 / lines
     value, vector = torch.linalg.eigh(spectrum)
-    root = (vector * (value.clamp_min(0.0) * weights[:, None]).sqrt()[:, None, :]).mH
-    n, gain = int(told.sum()), inverse @ inverse.mT
-    covariance, share = torch.zeros(n, n, dtype=torch.float64), torch.zeros(lines // 2 + 1, n, dtype=torch.float64)
-    for flight in _flights(likelihood, place, told):  # once more, for all of them need not fit the memory
+    root = _real((vector * (value.clamp_min(0.0) * weights[:, None]).sqrt()[:, None, :]).mH)
+    covariance, squares = gain.new_zeros(n, n), gain.new_zeros(len(root), root.shape[-1], n)
+    parts, moves = torch.empty_like(squares), torch.empty_like(squares)
+    directions.masked_scatter_(told[:, None], gain)
+    for flight in _flights(likelihood, place, directions):  # once more, for all of them need not fit the memory
         for piece in flight.derivatives:
-            moves = root @ torch.fft.rfft(piece @ gain, n=lines, dim=0)  # [lines, ny, n], in units of the noise
-            parts = torch.view_as_real(moves).movedim(-1, 2)  # real matrix products cost half of complex ones
-            flat = parts.flatten(0, 2)
-            covariance += flat.mT @ flat
-            share += parts.square().sum(dim=(1, 2))
-    covariance, share = likelihood.ranks.sum(covariance), likelihood.ranks.sum(share)
+            transform = torch.fft.rfft(piece, n=lines, dim=0)
+            torch.cat([transform.real, transform.imag], dim=1, out=parts)
+            torch.bmm(root, parts, out=moves)  # in units of the noise
+            squares.addcmul_(moves, moves)
+            flat = moves.flatten(0, 1)
+            covariance.addmm_(flat.mT, flat)
+    covariance, share = likelihood.ranks.sum(covariance), likelihood.ranks.sum(squares.sum(dim=1))
     freedom = pieces / _smoothed(share / share.sum(dim=0), reach).square().sum(dim=0)
     widened = 1.0 + STUDENT / freedom
     return covariance * widened * widened[:, None]
 
 
-def _powers(flights: Iterable[_Flight], inverse: Tensor, lines: int) -> tuple[Tensor, Tensor]:
-    """Products [lines, ny, ny] of the residuals' transforms, and the share left of each line and output [lines, ny]."""
-    power, left = torch.zeros((), dtype=torch.complex128), torch.zeros((), dtype=torch.float64)
+def _fast(samples: int) -> int:
+    """The next even number that a Fourier transform takes quickly: one without prime factors above five."""
+    rest = even = samples + samples % 2
+    for factor in (2, 3, 5):
+        while rest % factor == 0:
+            rest //= factor
+    return even if rest == 1 else _fast(even + 2)
+
+
+def _real(matrices: Tensor) -> Tensor:
+    """Complex matrices [..., m, n] as real ones [..., 2 m, 2 n], real above imaginary parts: products cost half."""
+    real, imag = matrices.real, matrices.imag
+    return torch.cat([torch.cat([real, -imag], dim=-1), torch.cat([imag, real], dim=-1)], dim=-2)
+
+
+def _powers(flights: Iterable[_Flight], lines: int) -> tuple[Tensor, Tensor]:
+    """Products [lines, ny, ny] of the residuals' transforms, and the share left of each line and output [lines, ny].
+
+    The flights' derivatives are in directions of unit variance; with the basis they span what the fit has taken.
+    """
+    power, valid = torch.zeros((), dtype=torch.complex128), torch.zeros((), dtype=torch.float64)
+    taken: Tensor | None = None  # [ny, T, T] products of samples, over all that was taken
     for flight in flights:
         residual = torch.fft.rfft(flight.residual, n=lines, dim=1)
         power = power + torch.einsum("slc,sld->lcd", residual, residual.conj())
-        taken = torch.cat([flight.basis, flight.derivatives @ inverse], dim=-1)
-        for piece in taken:
-            left = left - torch.fft.rfft(piece, n=lines, dim=0).abs().square().sum(-1)
-        left = left + flight.valid.sum(dim=(0, 1))
-    return power, left
+        valid = valid + flight.valid.sum(dim=(0, 1))
+        for part in (*flight.basis, *flight.derivatives):
+            rows = part.transpose(0, 1)
+            if taken is None:
+                taken = rows.new_zeros(len(rows), rows.shape[1], rows.shape[1])
+            taken.baddbmm_(rows, rows.mT)
+    assert taken is not None
+    return power, valid - _powers_of(taken, lines)
+
+
+def _powers_of(products: Tensor, lines: int) -> Tensor:
+    """Sum [lines, ny] of the squared transforms of records of which the products of samples [ny, T, T] are known."""
+    lags = torch.stack([products.diagonal(k, -2, -1).sum(-1) for k in range(products.shape[-1])])
+    return 2.0 * torch.fft.rfft(lags, n=lines, dim=0).real - lags[0]
 
 
 def _spectrum(power: Tensor, left: Tensor, lines: int, reach: int) -> Tensor:
@@ -170,22 +202,27 @@ def _smoothed(lines: Tensor, m: int) -> Tensor:
     return torch.stack([wide[k : k + n] for k in range(2 * m + 1)]).mean(dim=0)
 
 
-def _flights(likelihood: Likelihood, place: Place, told: Tensor) -> Iterator[_Flight]:
+def _flights(likelihood: Likelihood, place: Place, directions: Tensor) -> Iterator[_Flight]:
+    """Each flight with its derivatives in some directions [P, n] of the parameters."""
     nx, nb = likelihood.locals_per_segment, len(likelihood.biased)
     for part, whitener, rows in likelihood.by_flight(place):
         sd = rows.new_zeros(len(part.which), 0) if likelihood.x0_sd is None else likelihood.x0_sd[part.which]
         first = _basis(rows[..., :nx], sd)
-        rows = rows[..., nx:] - first @ (first.mT @ rows[..., nx:])
-        second = _basis(rows[..., :nb].flatten(0, 1), likelihood.bias_sd[likelihood.biased]).unflatten(
-            0, rows.shape[:2]
-        )
-        freed = rows[..., nb:-1][..., told]
-        freed = freed - second @ torch.einsum("srb,srn->bn", second, freed)
+        biases = _without(rows[..., nx : nx + nb], first)
+        second = _basis(biases.flatten(0, 1), likelihood.bias_sd[likelihood.biased]).unflatten(0, rows.shape[:2])
+        freed = _without(rows[..., nx + nb : -1] @ directions, first)
+        if nb:
+            freed = freed - second @ torch.einsum("srb,srn->bn", second, freed)
         shape = part.residual.shape
         white = whitener.apply(part.residual.unsqueeze(-1)).squeeze(-1)
         yield _Flight(
             freed.unflatten(1, shape[1:]), torch.cat([first, second], -1).unflatten(1, shape[1:]), white, part.valid
         )
+
+
+def _without(rows: Tensor, basis: Tensor) -> Tensor:
+    """Rows [s, m, n] less their part in a basis [s, m, local]."""
+    return torch.baddbmm(rows, basis, basis.mT @ rows, alpha=-1.0)
 
 
 def _basis(columns: Tensor, prior_sd: Tensor) -> Tensor:

@@ -20,6 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.large import give_back
 from rotorid_torch.core.ranks import Ranks
 from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.effects.spec import ModelSpec
@@ -159,6 +160,7 @@ class Steps:
         if found is None:
             with self.monitor.step(step):
                 found = make()
+            give_back()
             self.kept.write(name, found)
         return found
 
@@ -172,6 +174,7 @@ class Steps:
             return Reconstruction(**{**found, "flights": flights})
         with self.monitor.step("reconstruct"):
             made = make()
+            give_back()
             for name in names if self.kept.folder is not None else ():
                 self.kept.write(f"reconstruct-{name}", made.flights[name])
             self.kept.write("reconstruct", {**vars(made), "flights": {}})  # last: it says that all flights are there

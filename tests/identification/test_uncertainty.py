@@ -3,12 +3,16 @@
 import math
 
 import numpy as np
+import pytest
 import torch
 
+from rotorid_torch.core import large
+from rotorid_torch.identification import likelihood
 from rotorid_torch.identification.ml import OutputError, output_error
 from rotorid_torch.identification.segments import cut, records_from
 from rotorid_torch.identification.sensitivity import sensitivities, simulated
 from rotorid_torch.identification.system import System
+from rotorid_torch.identification.uncertainty import _fast, _powers_of
 from tests.identification.output_error_cases import ROLL, Roll, roll_flight
 
 SD = np.array([0.01, 0.02])
@@ -55,6 +59,35 @@ def test_errors_under_known_colour() -> None:
                 torch.testing.assert_close(found.uncertainty.cramer_rao.diagonal().sqrt(), truth, rtol=0.15, atol=0)
         mean = torch.stack(ratios).mean(0)
         assert float((mean - 1.0).abs().max()) < tolerance, (colour, mean)
+
+
+def test_powers_of_products_are_those_of_the_records() -> None:
+    records = torch.randn(7, 11, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1))  # columns, T, ny
+    products = torch.einsum("ksc,ktc->cst", records, records)
+    for lines in (22, 30):
+        expected = torch.fft.rfft(records, n=lines, dim=1).abs().square().sum(dim=0)
+        torch.testing.assert_close(_powers_of(products, lines), expected, rtol=1e-12, atol=1e-12)
+
+
+def test_transforms_have_lengths_that_are_quick() -> None:
+    assert [_fast(n) for n in (2, 5, 12, 514, 1026)] == [2, 6, 12, 540, 1080]
+
+
+def test_many_flights_in_parts_and_on_disk_give_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(3)
+    flights = [roll_flight(rng, shift=0.1 * k) for k in range(6)]
+    whole = fitted(flights)
+    monkeypatch.setattr(large, "LARGE", 0)
+    monkeypatch.setattr(likelihood, "PART_NUMBERS", 1)
+    monkeypatch.setattr(likelihood, "KEPT_NUMBERS", 0)
+    monkeypatch.setattr(likelihood, "SOLVED", 4)
+    parts = fitted(flights)
+    torch.testing.assert_close(
+        torch.tensor([(p.value, p.se) for p in parts.parameters]),
+        torch.tensor([(p.value, p.se) for p in whole.parameters]),
+        rtol=1e-10,
+        atol=1e-12,
+    )
 
 
 def test_the_jackknife_counts_where_flights_disagree() -> None:
