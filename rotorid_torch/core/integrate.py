@@ -11,7 +11,6 @@ from collections.abc import Callable
 import numpy as np
 import torch
 from torch import Tensor
-from torchdiffeq import odeint
 
 Rates = Callable[[Tensor, Tensor, Tensor], Tensor]
 """rates(t, x[..., nx], u[..., nu]) -> dx/dt [..., nx]"""
@@ -97,6 +96,8 @@ def simulate(rates: Rates, x0: Tensor, controls: Tensor, dt: float, solver: str 
         place = float(t) / dt
         k = min(max(int(place + 1e-9), 0), samples - 2)
         return rates(t, x, rows[k] + (place - k) * slopes[k])
+
+    from torchdiffeq import odeint  # here: it brings SciPy, half a second that compiled models do without
 
     times = torch.arange(samples, dtype=x0.dtype, device=x0.device) * dt
     states = odeint(right_hand_side, x0, times, method=solver)

@@ -27,6 +27,7 @@ LIST_COLOURS = {"identify": "#7f8c8d", "validate": "#1f4e9c", "acid": "#8e2f8f"}
 ROTOR = (*names.FLAPPING, "omega")
 SHOWN_FLIGHTS = 4
 WIDTH = 4.8  # inches: on a phone the letters stay readable
+LETTER = 0.075  # inches, of size 9
 LAGS = 50
 
 
@@ -87,7 +88,7 @@ def side_by_side(overlays: Sequence[Overlay], channels: Sequence[str]) -> Figure
     """Measured (red) and model (blue) over time: one row per channel, one column per flight."""
     rows = [name for name in channels if any(name in overlay.common(channels) for overlay in overlays)]
     width = WIDTH if len(overlays) == 1 else 2.8 * len(overlays)
-    figure, grid = _grid(rows, len(overlays), width)
+    figure, grid = _grid(rows, len(overlays), width, below=0.85)
     for column, overlay in enumerate(overlays):
         grid[0][column].set_title(f"{overlay.flight} ({overlay.list})", fontsize=10)
         grid[-1][column].set_xlabel("time, s")
@@ -122,9 +123,11 @@ def residuals(overlays: Sequence[Overlay]) -> Figure:
 def scores(fit: FitRecord) -> Figure:
     """J of every flight shown on the scale from the sensor noise alone to holding trim; logarithmic."""
     flights = list(shown_flights(fit).items())
-    figure = Figure(figsize=(WIDTH, 1.3 + 0.25 * len(flights)), layout="constrained")
+    labels = [f"{name} ({flight.list})" for name, flight in flights]
+    figure = Figure(figsize=(WIDTH, 1.0 + 0.25 * len(flights)))
     FigureCanvasAgg(figure)
     axes = figure.subplots()
+    _leave(figure, left=min(0.2 + LETTER * max(map(len, labels)), 0.6 * WIDTH), below=0.75, above=0.1)
     for row, (_, flight) in enumerate(flights):
         if flight.J_noise and flight.J_trim:
             axes.plot([flight.J_noise, flight.J_trim], [row, row], color=QUIET, linewidth=5, solid_capstyle="butt")
@@ -135,17 +138,21 @@ def scores(fit: FitRecord) -> Figure:
     axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_ylim(-0.6, len(flights) - 0.4)
-    axes.set_yticks(range(len(flights)), [f"{name} ({flight.list})" for name, flight in flights], fontsize=9)
+    axes.set_yticks(range(len(flights)), labels, fontsize=9)
     axes.invert_yaxis()
-    axes.set_xlabel("J over 8 s. Dot: the model. Bar: noise alone to holding trim", fontsize=9)
+    figure.supxlabel("J over 8 s. Dot: the model.\nBar: noise alone to holding trim", fontsize=9, y=0.01)
     axes.grid(axis="x", alpha=0.3)
     return figure
 
 
-def _grid(rows: Sequence[str], columns: int, width: float, height: float = 1.3) -> tuple[Figure, list[list[Axes]]]:
-    figure = Figure(figsize=(width, 0.8 + height * len(rows)), layout="constrained")
+def _grid(
+    rows: Sequence[str], columns: int, width: float, height: float = 1.3, below: float = 0.5
+) -> tuple[Figure, list[list[Axes]]]:
+    figure = Figure(figsize=(width, 0.3 + below + height * len(rows)))
     FigureCanvasAgg(figure)
     grid = figure.subplots(len(rows), columns, sharex="col", sharey="row", squeeze=False).tolist()
+    _leave(figure, left=0.85, below=below, above=0.3)
+    figure.align_ylabels()
     for axes, name in zip((row[0] for row in grid), rows, strict=True):
         unit = names.unit(name)
         axes.set_ylabel(f"{name}, {unit}" if unit else name)
@@ -156,6 +163,13 @@ def _grid(rows: Sequence[str], columns: int, width: float, height: float = 1.3) 
     return figure, grid
 
 
+def _leave(figure: Figure, left: float, below: float, above: float) -> None:
+    """Margins in inches; matplotlib's own layout measures every letter twice, half of the time of a picture."""
+    width, height = figure.get_size_inches()
+    edges = {"left": left / width, "right": 1.0 - 0.15 / width, "bottom": below / height, "top": 1.0 - above / height}
+    figure.subplots_adjust(**edges, wspace=0.1, hspace=0.25)
+
+
 def _pair(axes: Axes, overlay: Overlay, name: str) -> None:
     axes.plot(overlay.time, overlay.measured[name], color=MEASURED, linewidth=1.0)
     axes.plot(overlay.time, overlay.model[name], color=MODEL, linewidth=1.2)
@@ -163,7 +177,7 @@ def _pair(axes: Axes, overlay: Overlay, name: str) -> None:
 
 def _legend(figure: Figure) -> None:
     handles = [Line2D([], [], color=MEASURED), Line2D([], [], color=MODEL)]
-    figure.legend(handles, ["measured", "model"], loc="outside lower center", ncols=2, frameon=False, fontsize=9)
+    figure.legend(handles, ["measured", "model"], loc="lower center", ncols=2, frameon=False, fontsize=9)
 
 
 def _white_share(error: Tensor) -> float:

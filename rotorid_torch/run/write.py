@@ -39,10 +39,6 @@ def write_report(
 
 def png(figure: Figure) -> bytes:
     """Return the figure's picture, without a date in it."""
-    layout = figure.get_layout_engine()
-    if layout is not None:  # placed once; asked to save, matplotlib would draw all of it a second time for that
-        layout.execute(figure)
-        figure.set_layout_engine("none")
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
     return buffer.getvalue()
