@@ -45,6 +45,21 @@ class Role(Enum):
     LEARNT = "learnt"
 
 
+class Showing(Enum):
+    """Where an effect shows in ordinary flights: small manoeuvres about one reference.
+
+    `trajectories`: in the motion, beyond what free derivatives, trims and initial states can imitate; `absorbed`: those
+    imitate it; `other flights`: they do too, unless the flights differ in heading, height or speed; `kinematics`: in
+    the sensors against each other; `innovations`: in the spectrum of what no control explains.
+    """
+
+    TRAJECTORIES = "trajectories"
+    ABSORBED = "absorbed"
+    OTHER_FLIGHTS = "other flights"
+    KINEMATICS = "kinematics"
+    INNOVATIONS = "innovations"
+
+
 @dataclass(frozen=True)
 class Frame:
     """What the stages hand on: all tensors [..., n], about the body, SI.
@@ -52,13 +67,15 @@ class Frame:
     `signals` holds every channel-like quantity by name (u v w p q r phi theta, flapping, controls), each [...].
     `force` is the external specific force without gravity, m/s2; `moment` the angular acceleration that the external
     moment about the centre of gravity gives (inertia^-1 M), rad/s2. `rates` holds the rates of the effects' own states
-    published so far, by the states' names; a later effect may replace one.
+    published so far, by the states' names; a later effect may replace one. `centre` is where the centre of gravity
+    really is, m from where it is declared; None: there.
     """
 
     signals: Mapping[str, Tensor]
     force: Tensor | None = None
     moment: Tensor | None = None
     rates: Mapping[str, Tensor] = field(default_factory=dict)
+    centre: Tensor | None = None
 
     def stack(self, names: tuple[str, ...]) -> Tensor:
         """These signals as [..., len(names)]."""
@@ -115,12 +132,15 @@ class Effect(nn.Module):
     """One piece of physics.
 
     A subclass sets `id`, `stage`, `role`, declares parameters and states, and writes `forward` or `tape`. Parameter
-    names are local ("drag.x"); the model prefixes them with the id.
+    names are local ("drag.x"); the model prefixes them with the id. `predicts` names channels beyond the body's that
+    the effect publishes as signals: outputs where the flights have them.
     """
 
     id: str = ""
     stage: Stage = Stage.FORCES
     role: Role = Role.UNDECLARED
+    showing: Showing = Showing.TRAJECTORIES
+    predicts: tuple[str, ...] = ()
 
     def __init__(self, declared: tuple[Parameter, ...] = (), states: tuple[State, ...] = ()) -> None:
         super().__init__()

@@ -1,50 +1,150 @@
-"""Effects of the control path: what lies between the recorded control and the swashplate."""
+"""Effects of the control path: what lies between the recorded control and the swashplate.
+
+Each acts on all controls alike through one parameter, and on each alone through one of its own that adds to it; those
+are held at zero unless they are freed.
+"""
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.effects.base import Effect, Role, Stage, Values
+from rotorid_torch.effects.record import lagged, rate_limited, shifted, with_play
 from rotorid_torch.effects.registry import register
+from rotorid_torch.effects.spec import ModelSpec
 
 LONGEST = 0.25
+"""s: no control path is slower."""
+EXCURSION = 0.02
+"""rad: rms of a control about trim in flight tests, where the flights do not tell."""
+
+
+def per_control(p: Values, common: str, names: tuple[str, ...]) -> Tensor:
+    """The parameter of all controls plus each control's own [..., nu]."""
+    return torch.stack([p[common] + p[n] if n in p.names else p[common] for n in names], dim=-1)
+
+
+def excursion(spec: ModelSpec) -> float:
+    """Mean of the controls' rms excursions, in the controls' unit."""
+    return sum(spec.sizes.get(c, EXCURSION) for c in spec.controls) / len(spec.controls)
+
+
+def _each(common: Parameter, controls: tuple[str, ...]) -> tuple[Parameter, ...]:
+    own = (
+        Parameter(
+            c, 0.0, common.unit, common.bounds, free=False, doc=f"{common.doc}: {c}, added", typical=common.typical
+        )
+        for c in controls
+    )
+    return (common, *own)
 
 
 @register
 class ControlDelay(Effect):
-    """Pure delay of all recorded controls, common to them.
+    """Pure delay of the controls: what is recorded reaches the rotor later.
 
-    The record is shifted by a fractional number of samples with cubic (Catmull-Rom) interpolation: exact at zero,
-    smooth in the delay between samples and continuous with its first derivative across them; before its beginning the
-    record is held.
+    u_rotor(t) = u(t - delay), by cubic interpolation of the record; before its beginning the record is held.
 
-    Source: Catmull and Rom (1974); Tischler and Remple, Aircraft and Rotorcraft System Identification, sec. 11.2
-    (equivalent time delay).
+    Source: Tischler and Remple, Aircraft and Rotorcraft System Identification, sec. 11.2 (equivalent time delay).
     """
 
     id, stage, role = "control.delay", Stage.CONTROL, Role.UNDECLARED
 
-    def __init__(self) -> None:
-        super().__init__((Parameter("common", 0.0, "s", (0.0, LONGEST), doc="delay of every control"),))
+    def __init__(self, controls: tuple[str, ...] = ()) -> None:
+        common = Parameter("common", 0.0, "s", (0.0, LONGEST), doc="delay of every control", typical=0.06)
+        super().__init__(_each(common, controls))
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> ControlDelay:
+        """With the controls of the vehicle."""
+        return cls(spec.controls)
 
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
-        """Record [..., T, nu] shifted by p["common"] s; the delay may carry leading dimensions of the record."""
-        shift = (p["common"] / dt)[..., None, None]
-        samples = record.shape[-2]
-        place = torch.arange(samples, dtype=record.dtype, device=record.device)[:, None] - shift
-        whole = torch.floor(place.detach())
-        part = place - whole
-        first = whole.to(torch.int64)
+        """Controls [..., T, nu], each later by its delay."""
+        return shifted(record, per_control(p, "common", names), dt)
 
-        def at(offset: int) -> Tensor:
-            index = (first + offset).clamp(0, samples - 1)
-            shape = np.broadcast_shapes(index.shape[:-2], record.shape[:-2])
-            return record.expand(*shape, -1, -1).gather(-2, index.expand(*shape, samples, record.shape[-1]))
 
-        before, here, after, beyond = (at(k) for k in (-1, 0, 1, 2))
-        slope, curve = 0.5 * (after - before), before - 2.5 * here + 2.0 * after - 0.5 * beyond
-        twist = 1.5 * (here - after) + 0.5 * (beyond - before)
-        return here + part * (slope + part * (curve + part * twist))
+@register
+class ControlLag(Effect):
+    """First-order lag of the controls: an actuator that is not in the model.
+
+    tau du_rotor/dt = u - u_rotor, exact for controls linear between samples; tau = 0 is no lag.
+
+    Source: Padfield, Helicopter Flight Dynamics, sec. 3.2.4 (actuation).
+    """
+
+    id, stage, role = "control.lag", Stage.CONTROL, Role.UNDECLARED
+
+    def __init__(self, controls: tuple[str, ...] = ()) -> None:
+        common = Parameter("common", 0.0, "s", (0.0, 2 * LONGEST), doc="time constant of every control", typical=0.06)
+        super().__init__(_each(common, controls))
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> ControlLag:
+        """With the controls of the vehicle."""
+        return cls(spec.controls)
+
+    def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
+        """Controls [..., T, nu], each behind its lag."""
+        return lagged(record, per_control(p, "common", names), dt)
+
+
+@register
+class RateLimit(Effect):
+    """Actuators that move no faster than a limit; the parameter is one over it, zero for no limit.
+
+    |du_rotor/dt| <= 1/inverse, smoothly: at the limit the rate is cut to 0.92 of it.
+
+    Source: Klyde and Mitchell (2004), J. Guidance 27, Investigating the role of rate limiting.
+    """
+
+    id, stage, role = "control.rate_limit", Stage.CONTROL, Role.UNDECLARED
+
+    def __init__(self, controls: tuple[str, ...] = (), size: float = EXCURSION, unit: str = "rad") -> None:
+        per = {"rad": "s/rad", "m": "s/m"}.get(unit, "s")
+        common = Parameter(
+            "inverse",
+            0.0,
+            per,
+            (0.0, 2.0 / size),
+            doc="one over the greatest rate of every control",
+            typical=0.1 / size,
+        )
+        super().__init__(_each(common, controls))
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> RateLimit:
+        """With the controls of the vehicle; scaled by their excursions."""
+        return cls(spec.controls, excursion(spec), spec.control_units.get(spec.controls[0], "rad"))
+
+    def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
+        """Controls [..., T, nu], each followed no faster than its limit."""
+        return rate_limited(record, per_control(p, "inverse", names), dt)
+
+
+@register
+class Backlash(Effect):
+    """Play in the control linkages: a control that turns round must first cross it.
+
+    u_rotor stays within width/2 of u, and moves only when pushed; it starts in the middle.
+
+    Source: Nordin and Gutman (2002), Automatica 38, Controlling mechanical systems with backlash.
+    """
+
+    id, stage, role = "control.backlash", Stage.CONTROL, Role.UNDECLARED
+
+    def __init__(self, controls: tuple[str, ...] = (), size: float = EXCURSION, unit: str = "rad") -> None:
+        own = unit if unit in ("rad", "m") else "1"
+        common = Parameter("width", 0.0, own, (0.0, 2.0 * size), doc="play of every control", typical=0.4 * size)
+        super().__init__(_each(common, controls))
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> Backlash:
+        """With the controls of the vehicle; scaled by their excursions."""
+        return cls(spec.controls, excursion(spec), spec.control_units.get(spec.controls[0], "rad"))
+
+    def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
+        """Controls [..., T, nu], each through its play."""
+        return with_play(record, per_control(p, "width", names))

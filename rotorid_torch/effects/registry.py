@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from importlib import import_module
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, TypeVar
 
@@ -11,6 +13,7 @@ from rotorid_torch.errors import InputError
 if TYPE_CHECKING:
     from rotorid_torch.effects.spec import ModelSpec
 
+LIBRARY = ("control", "rotor", "forces", "environment", "mass", "sensors", "propulsion", "neural")
 ENTRY_POINTS = "rotorid_torch.effects"
 EFFECTS: dict[str, type[Effect]] = {}
 
@@ -35,11 +38,17 @@ def register(effect: E) -> E:
 
 def registered() -> dict[str, type[Effect]]:
     """All effects by id, those of other packages included."""
-    import rotorid_torch.effects.control  # noqa: F401  (registers itself)
-
+    for name in LIBRARY:
+        import_module(f"rotorid_torch.effects.{name}")  # registers its effects
     for point in entry_points(group=ENTRY_POINTS):
         point.load()
     return EFFECTS
+
+
+def predicted_by(names: Iterable[str]) -> tuple[str, ...]:
+    """Channels beyond the body's that these effects predict."""
+    known = registered()
+    return tuple(dict.fromkeys(c for name in names if name in known for c in known[name].predicts))
 
 
 def make(name: str, spec: ModelSpec) -> Effect:

@@ -36,6 +36,8 @@ class ModelSpec(msgspec.Struct, frozen=True, kw_only=True):
     flapping_doubtful : the lag is so short that first order and algebraic must both be tried.
     inflow, cyclic_inflow : whether the induced velocity, and its first harmonics, are states.
     effects : ids of effects beyond the nominal model.
+    mass_excludes : what flies along but is not in mass and inertia.
+    spins : of a multirotor's rotors, +1 for counter-clockwise seen from above.
     free, values : by full parameter name, whether it is estimated, and where it starts, other than the effect declares.
     ranges : smallest and largest value of every signal in the identify flights.
     """
@@ -58,7 +60,9 @@ class ModelSpec(msgspec.Struct, frozen=True, kw_only=True):
     inertia: tuple[tuple[float, ...], ...] | None = None
     hub: tuple[float, float, float] | None = None
     imu: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mass_excludes: tuple[str, ...] = ()
     rotor: RotorSpec | None = None
+    spins: tuple[float, ...] = ()
     effects: tuple[str, ...] = ()
     free: dict[str, bool] = {}
     values: dict[str, float] = {}

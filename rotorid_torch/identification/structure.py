@@ -14,6 +14,7 @@ from torch.nn.utils.rnn import pad_sequence
 from rotorid_torch.core.names import ATTITUDES, FLAPPING, FORCES, MOMENTS, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
+from rotorid_torch.effects.registry import predicted_by
 from rotorid_torch.effects.spec import FlappingKind, ModelSpec, RotorSpec
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.reconstruct import Reconstruction
@@ -60,7 +61,10 @@ def propose(dataset: Dataset, reconstruction: Reconstruction, effects: Sequence[
     spec = ModelSpec(
         states=tuple(states),
         controls=dataset.controls,
-        outputs=tuple(c for c in OUTPUTS if _predicted(c, states, flapping, dataset)),
+        outputs=(
+            *(c for c in OUTPUTS if _predicted(c, states, flapping, dataset)),
+            *(c for c in predicted_by(effects) if have(dataset, (c,))),
+        ),
         reference={k: v for k, v in dataset.reference().items() if math.isfinite(v)},
         sizes=_sizes(dataset, reconstruction),
         ranges=_ranges(dataset),
@@ -76,7 +80,9 @@ def propose(dataset: Dataset, reconstruction: Reconstruction, effects: Sequence[
         inertia=None if vehicle.inertia is None else tuple(tuple(map(float, row)) for row in vehicle.inertia),
         hub=None if vehicle.hub is None else _triple(vehicle.hub),
         imu=(0.0, 0.0, 0.0) if vehicle.imu is None else _triple(vehicle.imu),
+        mass_excludes=vehicle.mass_excludes,
         rotor=rotor,
+        spins=tuple(1.0 if motor.spin == "ccw" else -1.0 for motor in vehicle.motors or ()),
         effects=tuple(effects),
     )
     return _with_patterns(spec, drivers)

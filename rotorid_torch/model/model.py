@@ -138,7 +138,8 @@ class Model(nn.Module):
         angular = self._angular(frame, rates)
         signals.update(zip(ANGULAR_ACCELERATIONS, angular.unbind(-1), strict=True))
         if frame.force is not None:
-            force = specific_force_at(self.imu, frame.force, rates, angular)
+            imu = self.imu if frame.centre is None else self.imu - frame.centre
+            force = specific_force_at(imu, frame.force, rates, angular)
             signals.update(zip(SPECIFIC_FORCES, force.unbind(-1), strict=True))
         signals.update(zip(self.body.states, x.unbind(-1), strict=False))  # over ground, whatever the air does
         frame = replace(frame, signals=signals)

@@ -3,34 +3,69 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import msgspec
 from rich.table import Table
 
+from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.effects.base import Effect
+from rotorid_torch.effects.examples import example
+
+SHOWN = 8
+"""Parameters of an effect that the table for people names."""
 
 
-class EffectRow(msgspec.Struct, frozen=True):
-    """One effect: id, role, stage of the chain, and its docstring's first line."""
+class ParameterRow(msgspec.Struct, frozen=True):
+    """One parameter as an effect declares it for an example vehicle; `value` is where it changes nothing or starts."""
+
+    name: str
+    unit: str
+    value: float
+    bounds: tuple[float, float]
+    typical: float
+    free: bool
+    what: str
+
+
+class EffectRow(msgspec.Struct, frozen=True, rename={"showing": "class"}):
+    """One effect: id, role, stage of the chain, where it shows, its docstring's first line, and its parameters."""
 
     id: str
     role: str
     stage: str
+    showing: str
     what: str
+    parameters: tuple[ParameterRow, ...]
 
 
 def effect_rows(effects: Iterable[type[Effect]]) -> list[EffectRow]:
     """One row per effect class, in the order given."""
-    return [EffectRow(e.id, e.role.value, e.stage.name.lower(), _first_line(e)) for e in effects]
+    return [
+        EffectRow(e.id, e.role.value, e.stage.name.lower(), e.showing.value, _first_line(e), _parameters(e))
+        for e in effects
+    ]
 
 
 def effects_table(rows: Iterable[EffectRow]) -> Table:
     """The rows for people."""
-    table = Table("id", "role", "stage", "what")
+    table = Table("id", "role, stage", "shows in", "what", "parameters", show_lines=True)
     for row in rows:
-        table.add_row(row.id, row.role, row.stage, row.what)
+        told = _told(row.parameters)
+        table.add_row(row.id, f"{row.role}, {row.stage}", row.showing, row.what.partition(": ")[0], told)
     return table
+
+
+def _parameters(effect: type[Effect]) -> tuple[ParameterRow, ...]:
+    declared: Sequence[Parameter] = effect.from_spec(example(effect)).declared
+    return tuple(ParameterRow(p.name, p.unit, p.value, p.bounds, p.typical, p.free, p.doc) for p in declared)
+
+
+def _told(parameters: Sequence[ParameterRow]) -> str:
+    """Names and units, the free ones first."""
+    ordered = sorted(parameters, key=lambda p: not p.free)
+    shown = ", ".join(f"{p.name} ({p.unit})" for p in ordered[:SHOWN])
+    return shown if len(ordered) <= SHOWN else f"{shown} and {len(ordered) - SHOWN} more"
 
 
 def _first_line(effect: type[Effect]) -> str:

@@ -16,7 +16,7 @@ DT = 0.02
 
 def delayed(controls: Tensor, delay: float | Tensor) -> Tensor:
     vector = torch.as_tensor(delay, dtype=torch.float64).unsqueeze(-1)
-    return ControlDelay().tape(controls, ("lon", "lat"), DT, Values(vector, ("common",)))
+    return ControlDelay().tape(controls, ("lon", "lat")[: controls.shape[-1]], DT, Values(vector, ("common",)))
 
 
 def noise(*shape: int) -> Tensor:

@@ -1,0 +1,206 @@
+"""Effects of where and when the vehicle flies: ground, wind, gusts, vibration."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.names import RATES, SPECIFIC_FORCES, VELOCITIES
+from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.core.rigid import vec
+from rotorid_torch.core.state import State
+from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Values
+from rotorid_torch.effects.registry import register
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.effects.testable import first, no_channel, no_forces, no_rates, no_rotor, no_velocities
+
+LOWEST = 0.3
+"""Rotor radii: no rotor is nearer to the ground; below it the effect is held."""
+
+
+@register
+class Ground(Effect):
+    """Ground effect: near the ground a rotor of the same power carries more.
+
+    T = T_out (1 + strength (G(h) - G(h_ref))), G = g/(1 - g), g = (R/(4 z))^2/(1 + (V/vi)^2), z the hub's height above
+    the ground; strength is one in theory. The height is a state that starts at its channel.
+
+    Source: Cheeseman and Bennett, ARC R&M 3021 (1955).
+    """
+
+    id, stage, role = "environment.ground", Stage.FORCES, Role.UNDECLARED
+    showing = Showing.OTHER_FLIGHTS
+
+    def __init__(self, radius: float, hub: float, induced: float, reference: float, speed: float) -> None:
+        super().__init__(
+            (
+                Parameter("strength", 0.0, "1", (0.0, 4.0), doc="share of the theory's thrust gain", typical=1.0),
+                Parameter(
+                    "ground", 0.0, "m", (-1e4, 1e4), free=False, doc="height of the ground in the channel's datum"
+                ),
+            ),
+            (State("height", "m", "height of the reference point", "height"),),
+        )
+        self.radius, self.hub, self.induced = radius, hub, induced
+        self.at = reference, speed * speed
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> Ground:
+        """From the declared rotor and hub; induced velocity by momentum theory in hover where it is known."""
+        assert spec.rotor is not None
+        hub = 0.0 if spec.hub is None else -spec.hub[2]
+        at = spec.reference
+        induced = at.get("vi", 0.045 * spec.rotor.speed * spec.rotor.radius)
+        speed = (at.get("u", 0.0) ** 2 + at.get("v", 0.0) ** 2) ** 0.5
+        return cls(spec.rotor.radius, hub, induced, at["height"], speed)
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Without height, rotor or velocities."""
+        return first(no_channel(spec, "height"), no_rotor(spec), no_velocities(spec), no_forces(spec))
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Adds the thrust gained; the rate of climb."""
+        assert frame.force is not None
+
+        def gain(height: Tensor | float, square: Tensor | float) -> Tensor:
+            z = (height + self.hub - p["ground"]).clamp(min=LOWEST * self.radius)
+            g = (0.25 * self.radius / z).square() / (1.0 + square / self.induced**2)
+            return g / (1.0 - g)
+
+        u, v = frame.signals["u"], frame.signals["v"]
+        more = p["strength"] * (gain(x[..., 0], u * u + v * v) - gain(*self.at))
+        lift = more * frame.force[..., 2]
+        zero = torch.zeros_like(lift)
+        return frame.add(force=vec(zero, zero, lift)), _climb(frame).unsqueeze(-1)
+
+
+def _climb(frame: Frame) -> Tensor:
+    """Rate of climb, m/s [...]."""
+    u, v, w = frame.over_ground().unbind(-1)
+    phi, theta = frame.signals["phi"], frame.signals["theta"]
+    return u * torch.sin(theta) - (v * torch.sin(phi) + w * torch.cos(phi)) * torch.cos(theta)
+
+
+@register
+class Wind(Effect):
+    """Steady wind: the air moves, so velocities through it change with the heading.
+
+    (u, v, w)_air = (u, v, w) - W(psi, theta, phi) + W_ref with W the wind in body axes; W_ref, at the reference's
+    attitude and mean heading, belongs to the trims. `north` and `east` say where the air goes. The heading is a state
+    that starts at its channel.
+
+    Source: Etkin, Dynamics of Atmospheric Flight, sec. 5.4 (moving atmosphere).
+    """
+
+    id, stage, role = "environment.wind", Stage.ENVIRONMENT, Role.UNDECLARED
+    showing = Showing.OTHER_FLIGHTS
+
+    def __init__(self, attitude: tuple[float, float, float]) -> None:
+        super().__init__(
+            tuple(
+                Parameter(n, 0.0, "m/s", (-30.0, 30.0), doc=f"speed of the air to the {n}", typical=t)
+                for n, t in (("north", 5.0), ("east", 3.0))
+            ),
+            (State("psi", "rad", "heading", "psi"),),
+        )
+        self.attitude = attitude
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> Wind:
+        """About the reference's attitude and heading."""
+        at = spec.reference
+        return cls((at.get("phi", 0.0), at.get("theta", 0.0), at["psi"]))
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Without heading or velocities."""
+        return first(no_channel(spec, "psi"), no_velocities(spec))
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Velocities through the air; the rate of the heading."""
+        phi, theta, psi = frame.signals["phi"], frame.signals["theta"], x[..., 0]
+        here = self._in_body(p, phi, theta, psi)
+        there = self._in_body(p, *(torch.as_tensor(a, dtype=x.dtype) for a in self.attitude))
+        air = frame.stack(VELOCITIES) - (here - there)
+        turn = (frame.signals["q"] * torch.sin(phi) + frame.signals["r"] * torch.cos(phi)) / torch.cos(theta)
+        return frame.with_air(*air.unbind(-1)), turn.unsqueeze(-1)
+
+    @staticmethod
+    def _in_body(p: Values, phi: Tensor, theta: Tensor, psi: Tensor) -> Tensor:
+        """The wind in body axes [..., 3]."""
+        ahead = p["north"] * torch.cos(psi) + p["east"] * torch.sin(psi)
+        side = p["east"] * torch.cos(psi) - p["north"] * torch.sin(psi)
+        down = ahead * torch.sin(theta)
+        return vec(
+            ahead * torch.cos(theta),
+            down * torch.sin(phi) + side * torch.cos(phi),
+            down * torch.cos(phi) - side * torch.sin(phi),
+        )
+
+
+class _Stochastic(Effect):
+    """Changes nothing in the mean: its parameters are sizes, found in the innovations, never by trajectories."""
+
+    stage, role, showing = Stage.ENVIRONMENT, Role.UNDECLARED, Showing.INNOVATIONS
+
+
+@register
+class Turbulence(_Stochastic):
+    """Turbulence: gusts of this intensity shake the vehicle; nothing changes in the mean.
+
+    A deterministic run cannot know the gusts, so the model's rates stay as they are; intensity and length describe the
+    spectrum S(w) = 2 sigma^2 L/(V (1 + (L w/V)^2)) that the innovations of a filter show.
+
+    Source: MIL-HDBK-1797, Dryden form; Tischler and Remple, sec. 11 (process noise and filter error).
+    """
+
+    id = "environment.turbulence"
+
+    def __init__(self) -> None:
+        super().__init__(
+            (
+                Parameter("intensity", 0.0, "m/s", (0.0, 20.0), free=False, doc="rms of the gusts", typical=1.0),
+                Parameter("length", 50.0, "m", (1.0, 1000.0), free=False, doc="scale of the gusts", typical=50.0),
+            )
+        )
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Without rates."""
+        return no_rates(spec)
+
+
+@register
+class Vibration(_Stochastic):
+    """Vibration: lines at multiples of the rotor speed in the sensors; nothing changes in the mean.
+
+    A free run cannot know their phase, so the outputs stay as they are; the rms of the lines per group of channels
+    describes what the innovations' spectrum shows at 1/rev and at N/rev.
+
+    Source: Johnson, Helicopter Theory, sec. 8-4 (vibratory hub loads); Padfield, Helicopter Flight Dynamics, sec. 8.
+    """
+
+    id = "environment.vibration"
+
+    def __init__(self, channels: tuple[str, ...], speed: float, blades: int) -> None:
+        groups = (("rates", RATES, "rad/s", 1.0, 0.01), ("accelerations", SPECIFIC_FORCES, "m/s2", 20.0, 0.5))
+        super().__init__(
+            tuple(
+                Parameter(n, 0.0, unit, (0.0, most), free=False, doc=f"rms of the lines in the {n}", typical=t)
+                for n, members, unit, most, t in groups
+                if set(members) & set(channels)
+            )
+        )
+        self.lines = (speed, blades * speed)
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> Vibration:
+        """Lines of the declared rotor, rad/s."""
+        assert spec.rotor is not None
+        return cls(spec.outputs, spec.rotor.speed, spec.rotor.blades)
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Without a declared rotor speed."""
+        return first(no_rotor(spec), no_rates(spec))

@@ -1,0 +1,198 @@
+"""Forces and moments of the airframe beyond its derivatives: drag, damping, lift by speed, the wake on the tail."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.names import RATES, VELOCITIES
+from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.core.rigid import vec
+from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Values
+from rotorid_torch.effects.registry import register
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.effects.testable import first, no_forces, no_rates, no_velocities
+
+DRAG_AREA = 0.01
+"""Drag area of a fuselage over the rotor's disc; usual for helicopters."""
+USUAL_DRAG = 2e-4
+"""1/m: air density times drag area over twice the mass, where rotor and mass are not declared."""
+TAIL = 1.1
+"""Distance of the tail behind the centre of gravity in rotor radii; usual, where none is declared."""
+STILL = 1e-6
+"""m2/s2 that keep a speed's derivative finite at rest."""
+
+
+def reference_of(spec: ModelSpec, names: tuple[str, ...]) -> Tensor:
+    """Reference values of these signals [n]."""
+    return torch.tensor([spec.reference.get(n, 0.0) for n in names], dtype=torch.float64)
+
+
+@register
+class Drag(Effect):
+    """Quadratic drag of the fuselage, along each body axis: -k V |V| with V the velocity through the air.
+
+    What it is at the reference belongs to the trims and is taken away. k = air density x drag area/(2 mass).
+
+    Source: Padfield, Helicopter Flight Dynamics, sec. 3.2.2 (fuselage); Hoerner, Fluid-Dynamic Drag.
+    """
+
+    id, stage, role, showing = "forces.drag", Stage.FORCES, Role.UNDECLARED, Showing.OTHER_FLIGHTS
+    reference: Tensor
+
+    def __init__(self, base: float, reference: Tensor) -> None:
+        super().__init__(
+            tuple(
+                Parameter(a, 0.0, "1/m", (0.0, 100.0 * base), doc=f"drag along {a}", typical=share * base)
+                for a, share in (("x", 1.5), ("y", 5.0), ("z", 5.0))
+            )
+        )
+        self.register_buffer("reference", reference)
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> Drag:
+        """Scaled by the declared rotor's disc and the mass."""
+        base = USUAL_DRAG
+        if spec.rotor is not None and spec.mass is not None:
+            base = 0.5 * spec.air_density * DRAG_AREA * math.pi * spec.rotor.radius**2 / spec.mass
+        return cls(base, reference_of(spec, VELOCITIES))
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Without velocities."""
+        return first(no_velocities(spec), no_forces(spec))
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Adds the drag beyond that of the reference."""
+
+        def square(v: Tensor) -> Tensor:
+            return v * torch.sqrt((v * v).sum(-1, keepdim=True) + STILL)
+
+        beyond = square(frame.stack(VELOCITIES)) - square(self.reference)
+        return frame.add(force=-p.stack("x", "y", "z") * beyond), x
+
+
+@register
+class QuadraticDamping(Effect):
+    """Moments that oppose a body rate by its square: L -= k p |p|, M -= k q |q|, N -= k r |r|.
+
+    Source: Tischler and Remple, Aircraft and Rotorcraft System Identification, ch. 15 (nonlinear damping terms).
+    """
+
+    id, stage, role = "forces.quadratic_damping", Stage.FORCES, Role.UNDECLARED
+
+    def __init__(self) -> None:
+        super().__init__(
+            tuple(
+                Parameter(row, 0.0, "1/rad", (0.0, 30.0), doc=f"damping by {rate} squared", typical=size)
+                for row, rate, size in zip("LMN", RATES, (2.0, 1.0, 1.0), strict=True)
+            )
+        )
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Without rates."""
+        return no_rates(spec)
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Adds the damping."""
+        rates = frame.stack(RATES)
+        return frame.add(moment=-p.stack("L", "M", "N") * rates * rates.abs()), x
+
+
+@register
+class TranslationalLift(Effect):
+    """Translational lift: speed carries the rotor's wake away, the induced velocity falls, thrust rises.
+
+    vi(V) = vh sqrt(sqrt(1 + s^2) - s), s = V^2/(2 vh^2), V in the disc, d = vi(V0) - vi(V); Z -= Z d, N += N d.
+
+    Source: Glauert (1926); Padfield, Helicopter Flight Dynamics, eq. 3.118 ff.
+    """
+
+    id, stage, role = "forces.translational_lift", Stage.FORCES, Role.STRUCTURE
+    showing = Showing.OTHER_FLIGHTS
+
+    def __init__(self, speed: float) -> None:
+        super().__init__(
+            (
+                Parameter("Z", 0.0, "1/s", (0.0, 3.0), doc="thrust by induced velocity", typical=0.4),
+                Parameter("N", 0.0, "rad/(s m)", (-0.5, 0.5), doc="yaw by induced velocity", typical=0.01),
+                Parameter("hover", 10.0, "m/s", (2.0, 20.0), 3.0, doc="induced velocity in hover", typical=10.0),
+            )
+        )
+        self.square = speed * speed
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> TranslationalLift:
+        """About the reference's speed in the disc."""
+        return cls(math.hypot(spec.reference.get("u", 0.0), spec.reference.get("v", 0.0)))
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Where the nominal model has momentum theory already, or velocities are missing."""
+        return "it is part of the nominal model already" if spec.inflow else first(no_velocities(spec), no_forces(spec))
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Adds thrust and torque by the change of the induced velocity."""
+        u, v, hover = frame.signals["u"], frame.signals["v"], p["hover"]
+
+        def induced(square: Tensor | float) -> Tensor:
+            s = 0.5 * square / (hover * hover)
+            return hover * torch.sqrt(torch.sqrt(1.0 + s * s) - s)
+
+        fallen = induced(self.square) - induced(u * u + v * v)
+        zero = torch.zeros_like(p["Z"] * fallen)
+        return frame.add(vec(zero, zero, -p["Z"] * fallen), vec(zero, zero, p["N"] * fallen)), x
+
+
+@register
+class TailInterference(Effect):
+    """Main rotor's wake on the tail: it sweeps over tailplane and fin as the speed grows, and with sideslip.
+
+    b = exp(-((u - speed)/width)^2 - (vt/width)^2), vt = v - arm r at the tail; M += M b, N += N b vt/width, without
+    their values at the reference.
+
+    Source: Padfield, Helicopter Flight Dynamics, sec. 3.2.2 (empennage in the rotor wake).
+    """
+
+    id, stage, role = "forces.tail_interference", Stage.FORCES, Role.UNDECLARED
+    showing = Showing.OTHER_FLIGHTS
+
+    def __init__(self, arm: float, reference: Tensor) -> None:
+        super().__init__(
+            (
+                Parameter("M", 0.0, "rad/s2", (-3.0, 3.0), doc="pitch in the middle of the wake", typical=0.1),
+                Parameter("N", 0.0, "rad/s2", (-3.0, 3.0), doc="yaw in the middle of the wake", typical=0.1),
+                Parameter("speed", 10.0, "m/s", (0.0, 40.0), 5.0, doc="at which the wake meets the tail", typical=10.0),
+                Parameter("width", 6.0, "m/s", (2.0, 20.0), 3.0, doc="of the wake", typical=6.0),
+            )
+        )
+        self.arm = arm
+        self.at = reference.tolist()
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> TailInterference:
+        """With the usual distance of the tail for the declared rotor."""
+        arm = 0.0 if spec.rotor is None else TAIL * spec.rotor.radius
+        return cls(arm, reference_of(spec, ("u", "v", "r")))
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Without velocities, or a tail."""
+        tail = "the vehicle has no pedal and so no tail rotor" if "ped" not in spec.controls else None
+        return first(no_velocities(spec), tail)
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Adds pitch and yaw."""
+
+        def met(u: Tensor | float, side: Tensor | float) -> tuple[Tensor, Tensor]:
+            along, across = (u - p["speed"]) / p["width"], side / p["width"]
+            bump = torch.exp(-along * along - across * across)
+            return bump, bump * across
+
+        now = met(frame.signals["u"], frame.signals["v"] - self.arm * frame.signals["r"])
+        then = met(self.at[0], self.at[1] - self.arm * self.at[2])
+        pitch, yaw = p["M"] * (now[0] - then[0]), p["N"] * (now[1] - then[1])
+        return frame.add(moment=vec(torch.zeros_like(pitch), pitch, yaw)), x

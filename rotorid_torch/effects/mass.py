@@ -1,0 +1,248 @@
+"""Mass, centre of gravity and inertia other than declared, and a load on a cable."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.core.rigid import cross, vec
+from rotorid_torch.core.state import State
+from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Values
+from rotorid_torch.effects.registry import register
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.effects.testable import excluded, first, no_forces, no_inertia, no_mass, no_velocities
+
+PRODUCTS = {"Ixx": ((0, 0),), "Iyy": ((1, 1),), "Izz": ((2, 2),), "Ixz": ((0, 2), (2, 0))}
+
+
+def inertia_of(spec: ModelSpec) -> Tensor:
+    """Declared inertia [3, 3]."""
+    assert spec.inertia is not None
+    return torch.tensor(spec.inertia, dtype=torch.float64)
+
+
+def trim_force(spec: ModelSpec) -> Tensor:
+    """Specific force at the reference [3], which carries the weight."""
+    phi, theta = spec.reference.get("phi", 0.0), spec.reference.get("theta", 0.0)
+    down = (-math.sin(theta), math.cos(theta) * math.sin(phi), math.cos(theta) * math.cos(phi))
+    return torch.tensor([-spec.gravity * d for d in down], dtype=torch.float64)
+
+
+def times(matrix: Tensor, vector: Tensor) -> Tensor:
+    """Matrices [..., 3, 3] times vectors [..., 3]."""
+    return (matrix * vector.unsqueeze(-2)).sum(-1)
+
+
+@register
+class Payload(Effect):
+    """Mass other than declared: forces beyond trim move a heavier vehicle less.
+
+    f = f_trim + (f - f_trim)/(1 + extra/mass), specific forces; at trim the weight is carried whatever it is.
+
+    Source: Etkin and Reid, Dynamics of Flight (3rd ed.), sec. 4.6 (mass in the equations of motion).
+    """
+
+    id, stage, role, showing = "mass.payload", Stage.MASS, Role.UNDECLARED, Showing.ABSORBED
+    trim: Tensor
+
+    def __init__(self, mass: float, trim: Tensor) -> None:
+        bounds = (-0.3 * mass, 0.6 * mass)
+        super().__init__((Parameter("extra", 0.0, "kg", bounds, doc="mass beyond the declared", typical=0.1 * mass),))
+        self.mass = mass
+        self.register_buffer("trim", trim)
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> Payload:
+        """From the declared mass."""
+        assert spec.mass is not None
+        return cls(spec.mass, trim_force(spec))
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Without declared mass or forces, or where something flies along outside it."""
+        return first(no_mass(spec), excluded(spec), no_forces(spec))
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Takes from the force beyond trim what the extra mass swallows."""
+        assert frame.force is not None
+        share = p["extra"] / (self.mass + p["extra"])
+        return frame.add(force=-share.unsqueeze(-1) * (frame.force - self.trim)), x
+
+
+@register
+class CentreOfGravity(Effect):
+    """Centre of gravity elsewhere than declared: forces get another lever, the IMU another place.
+
+    moment -= inertia^-1 (mass c x (f - f_trim)), c from the declared to the true centre of gravity; the constant part
+    belongs to the trims. The accelerometers' arm becomes imu - c.
+
+    Source: Etkin and Reid, Dynamics of Flight (3rd ed.), sec. 4.2; Jategaonkar, eq. 10.9 ff.
+    """
+
+    id, stage, role, showing = "mass.cg", Stage.MASS, Role.UNDECLARED, Showing.ABSORBED
+    inverse: Tensor
+    trim: Tensor
+
+    def __init__(self, mass: float, inertia: Tensor, trim: Tensor) -> None:
+        gyration = math.sqrt(0.5 * float(inertia.diagonal().sum()) / mass)
+        super().__init__(
+            tuple(
+                Parameter(a, 0.0, "m", (-0.25 * gyration, 0.25 * gyration), doc=f"along {a}", typical=share * gyration)
+                for a, share in (("x", 0.04), ("y", 0.01), ("z", 0.04))
+            )
+        )
+        self.register_buffer("inverse", mass * torch.linalg.inv(inertia))
+        self.register_buffer("trim", trim)
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> CentreOfGravity:
+        """From the declared mass and inertia."""
+        assert spec.mass is not None
+        return cls(spec.mass, inertia_of(spec), trim_force(spec))
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Without declared mass and inertia or forces, or where something flies along outside them."""
+        return first(no_inertia(spec), excluded(spec), no_forces(spec))
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Adds the moment of the other lever; says where the centre of gravity is."""
+        assert frame.force is not None
+        centre = p.stack("x", "y", "z")
+        moment = -times(self.inverse, cross(centre, frame.force - self.trim))
+        return replace(frame, centre=centre).add(moment=moment), x
+
+
+@register
+class Inertia(Effect):
+    """Inertia other than declared: moments turn the body otherwise, and gyroscopic moments change.
+
+    I' = I with relative errors of Ixx, Iyy, Izz, Ixz; moment' = I'^-1 I moment, gyroscopic part by I'.
+
+    Source: Etkin and Reid, Dynamics of Flight (3rd ed.), eq. 4.5,9 (Euler's equations).
+    """
+
+    id, stage, role, showing = "mass.inertia", Stage.MASS, Role.UNDECLARED, Showing.ABSORBED
+    inertia: Tensor
+    entries: Tensor
+
+    def __init__(self, inertia: Tensor) -> None:
+        super().__init__(
+            tuple(Parameter(n, 0.0, "1", (-0.4, 1.0), doc=f"relative error of {n}", typical=0.15) for n in PRODUCTS)
+        )
+        entries = torch.zeros(len(PRODUCTS), 3, 3, dtype=torch.float64)
+        for k, places in enumerate(PRODUCTS.values()):
+            for i, j in places:
+                entries[k, i, j] = inertia[i, j]
+        self.register_buffer("inertia", inertia)
+        self.register_buffer("entries", entries)
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> Inertia:
+        """From the declared inertia."""
+        return cls(inertia_of(spec))
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Without declared inertia, or where something flies along outside it."""
+        return first(no_inertia(spec), excluded(spec))
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Adds what the other inertia does to moments and gyroscopic moments; the model adds those of the declared."""
+        assert frame.moment is not None
+        rates = frame.stack(("p", "q", "r"))
+        more = (p.vector[..., None, None] * self.entries).sum(-3)
+        inverse = torch.linalg.inv(self.inertia + more)
+        declared = times(torch.linalg.inv(self.inertia), cross(rates, times(self.inertia, rates)))
+        moment = times(more, frame.moment - declared) + cross(rates, times(more, rates))
+        return frame.add(moment=-times(inverse, moment)), x
+
+
+@register
+class SlungLoad(Effect):
+    """Load on a cable: a pendulum below the hook that pulls the vehicle about.
+
+    Small angles (x, y) of the cable in level axes that turn with the heading: l x'' = -g x - a_x - 2 damping sqrt(g l)
+    x' and the frame's turning, likewise y, a the vehicle's acceleration. The tension ratio x mass x g along the cable
+    acts at the hook; ratio is load over declared mass. What it is at trim belongs to the trims.
+
+    Source: Fusato, Guglieri and Celi (2001), J. American Helicopter Society 46; Cicolani and Kanning, NASA TP-3280.
+    """
+
+    id, stage, role = "mass.slung_load", Stage.MASS, Role.UNDECLARED
+    hang: Tensor
+    inverse: Tensor | None
+
+    def __init__(self, gravity: float, trim: Tensor, inverse: Tensor | None) -> None:
+        hook = (
+            ()
+            if inverse is None
+            else (
+                Parameter(
+                    "hook", 1.0, "m", (0.0, 4.0), 0.5, doc="of the hook below the centre of gravity", typical=1.0
+                ),
+            )
+        )
+        super().__init__(
+            (
+                Parameter("ratio", 0.0, "1", (0.0, 0.8), doc="mass of the load over the vehicle's", typical=0.12),
+                Parameter("length", 8.0, "m", (1.0, 60.0), 5.0, doc="of the cable", typical=8.0),
+                Parameter("damping", 0.08, "1", (0.0, 0.7), 0.08, doc="of the pendulum, of critical", typical=0.08),
+                *hook,
+            ),
+            (
+                State("x", "rad", "cable forward of the vertical"),
+                State("y", "rad", "cable to the right of the vertical"),
+                State("x_rate", "rad/s", "rate of x"),
+                State("y_rate", "rad/s", "rate of y"),
+            ),
+        )
+        self.gravity = gravity
+        self.register_buffer("hang", -trim)
+        self.register_buffer("inverse", inverse)
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> SlungLoad:
+        """The hook's moment where mass and inertia are declared."""
+        inverse = None
+        if spec.mass is not None and spec.inertia is not None:
+            inverse = spec.mass * torch.linalg.inv(inertia_of(spec))
+        return cls(spec.gravity, trim_force(spec), inverse)
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Without velocities and attitude."""
+        return first(no_velocities(spec), no_forces(spec))
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Adds the tension at the hook; the pendulum's rates."""
+        assert frame.force is not None
+        signals, g = frame.signals, self.gravity
+        phi, theta = signals["phi"], signals["theta"]
+        sp, cp, st, ct = torch.sin(phi), torch.cos(phi), torch.sin(theta), torch.cos(theta)
+        along, side, along_rate, side_rate = x.unbind(-1)
+        pull = (
+            vec(along * ct - st, along * sp * st + side * cp + sp * ct, along * cp * st - side * sp + cp * ct) * g
+        )  # the cable's direction in body axes, times g
+        force = p["ratio"].unsqueeze(-1) * (pull - self.hang)
+        moment = None
+        if self.inverse is not None:
+            zero = torch.zeros_like(p["hook"])
+            moment = times(self.inverse, cross(vec(zero, zero, p["hook"]), force))
+        frame = frame.add(force, moment)
+        assert frame.force is not None
+        fx, fy, fz = frame.force.unbind(-1)
+        level = fx * ct + (fy * sp + fz * cp) * st, fy * cp - fz * sp
+        turn = (signals["q"] * sp + signals["r"] * cp) / ct
+        calm = 2.0 * p["damping"] * torch.sqrt(g / p["length"])
+        rates = (
+            along_rate,
+            side_rate,
+            -(g * along + level[0]) / p["length"] - calm * along_rate + turn * (2.0 * side_rate + turn * along),
+            -(g * side + level[1]) / p["length"] - calm * side_rate + turn * (turn * side - 2.0 * along_rate),
+        )
+        return frame, vec(*rates)

@@ -1,0 +1,81 @@
+"""A small bounded network on forces and moments: what no named effect explains."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.names import FORCES, MOMENTS, RATES, VELOCITIES
+from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Values
+from rotorid_torch.effects.registry import register
+from rotorid_torch.effects.spec import ModelSpec
+
+HIDDEN = 6
+SHARE = 0.5
+"""Of a row's rms: no output of the network is larger."""
+INPUT_SD, OUTPUT_SD = 1.0, 0.3
+"""Prior standard deviations of the weights; what physics explains stays with physics."""
+
+
+@register
+class NeuralForces(Effect):
+    """Small network on forces and moments, bounded: what no named effect explains.
+
+    (X Y Z L M N) += bound tanh(W2 tanh(W1 z + b1)), z signals from the reference in units of their size; six hidden
+    units. Zero at the start (W2 = 0), bounded by half the rms of each row, shrunk by the prior of its weights; the
+    first weights are drawn by a fixed seed.
+
+    Source: Rackauckas et al., arXiv:2001.04385 (universal differential equations).
+    """
+
+    id, stage, role, showing = "neural.forces", Stage.FORCES, Role.LEARNT, Showing.TRAJECTORIES
+    reference: Tensor
+    size: Tensor
+    bound: Tensor
+
+    def __init__(self, inputs: tuple[str, ...], rows: tuple[str, ...], spec: ModelSpec) -> None:
+        drawn = torch.randn(HIDDEN, len(inputs) + 1, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+        drawn = drawn.clamp(-2.0, 2.0) / len(inputs) ** 0.5
+        first = [
+            Parameter(
+                f"h{k}.{n}",
+                float(drawn[k, i]),
+                "1",
+                (-10.0, 10.0),
+                INPUT_SD,
+                doc="weight of the hidden layer",
+                typical=float(drawn[k, i]),
+            )
+            for k in range(HIDDEN)
+            for i, n in enumerate((*inputs, "one"))
+        ]
+        second = [
+            Parameter(f"{row}.h{k}", 0.0, "1", (-10.0, 10.0), OUTPUT_SD, doc="weight of the output", typical=0.2)
+            for row in rows
+            for k in range(HIDDEN)
+        ]
+        super().__init__((*first, *second))
+        self.inputs, self.rows = inputs, rows
+        column = lambda numbers: torch.tensor(numbers, dtype=torch.float64)  # noqa: E731
+        self.register_buffer("reference", column([spec.reference.get(n, 0.0) for n in inputs]))
+        self.register_buffer("size", column([max(spec.sizes.get(n, 1.0), 1e-9) for n in inputs]))
+        self.register_buffer("bound", column([SHARE * spec.sizes.get(f"row.{r}", 1.0) for r in rows]))
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> NeuralForces:
+        """Of velocities, rates and controls where they are; into the rows that the model has."""
+        inputs = tuple(n for n in (*VELOCITIES, *RATES) if n in spec.states)
+        rows = tuple(r for r in (*FORCES, *MOMENTS) if r in spec.patterns)
+        return cls((*inputs, *spec.controls), rows, spec)
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Adds the network's forces and moments."""
+        n, m = len(self.inputs) + 1, len(self.rows)
+        first = p.vector[..., : HIDDEN * n].unflatten(-1, (HIDDEN, n))
+        second = p.vector[..., HIDDEN * n :].unflatten(-1, (m, HIDDEN))
+        z = (frame.stack(self.inputs) - self.reference) / self.size
+        hidden = torch.tanh((first[..., :-1] * z.unsqueeze(-2)).sum(-1) + first[..., -1])
+        out = self.bound * torch.tanh((second * hidden.unsqueeze(-2)).sum(-1))
+        forces = sum(r in FORCES for r in self.rows)
+        return frame.add(out[..., :forces] if forces else None, out[..., forces:] if forces < m else None), x

@@ -1,0 +1,106 @@
+"""What happens to a record on its way: shifted, lagged, limited in rate, caught in a play; all columns at once.
+
+Records are [..., T, n]; parameters [..., n], one per column, may carry leading dimensions of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from torch import Tensor
+
+SHARPNESS = 8
+"""Power of the smooth switches: a rate at its limit is cut to 0.92 of it, one at half the limit by 0.05 %."""
+NOTHING = 1e-80
+"""Keeps roots of sums of eighth powers away from zero; their size is 1e-10 of the unit."""
+
+
+def shifted(record: Tensor, delay: Tensor, dt: float) -> Tensor:
+    """The record later by a fractional number of samples (delay in s; earlier where negative).
+
+    Cubic (Catmull-Rom) interpolation: exact at whole samples, smooth in the delay between them and continuous with its
+    first derivative across them; beyond its ends the record is held.
+
+    Source: Catmull and Rom (1974), Computer Aided Geometric Design.
+    """
+    samples = record.shape[-2]
+    shift = (delay / dt).unsqueeze(-2)
+    place = torch.arange(samples, dtype=record.dtype, device=record.device)[:, None] - shift
+    whole = torch.floor(place.detach())
+    part = place - whole
+    start = whole.to(torch.int64)
+    shape = (*np.broadcast_shapes(start.shape[:-2], record.shape[:-2]), samples, record.shape[-1])
+
+    def at(offset: int) -> Tensor:
+        index = (start + offset).clamp(0, samples - 1)
+        return record.expand(shape).gather(-2, index.expand(shape))
+
+    before, here, after, beyond = (at(k) for k in (-1, 0, 1, 2))
+    slope, curve = 0.5 * (after - before), before - 2.5 * here + 2.0 * after - 0.5 * beyond
+    twist = 1.5 * (here - after) + 0.5 * (beyond - before)
+    return here + part * (slope + part * (curve + part * twist))
+
+
+def lagged(record: Tensor, tau: Tensor, dt: float) -> Tensor:
+    """First-order response tau y' = u - y to the record, linear between samples; exact, and the record itself at tau 0.
+
+    The recursion y[k] = a y[k-1] + f[k] is summed by doubling: a logarithmic number of passes over the whole record.
+
+    Source: Astrom and Wittenmark, Computer-Controlled Systems, sec. 2 (first-order hold); Hillis and Steele (1986).
+    """
+    tau = tau.unsqueeze(-2)
+    a = torch.exp(-dt / tau.clamp(min=dt / 700.0))
+    share = tau / dt * (1.0 - a)
+    before, here = record[..., :-1, :], record[..., 1:, :]
+    driven = (share - a) * before + (1.0 - share) * here
+    y = torch.cat([record[..., :1, :].expand(*driven.shape[:-2], 1, driven.shape[-1]), driven], dim=-2)
+    reach, factor = 1, a
+    while reach < y.shape[-2]:
+        y = torch.cat([y[..., :reach, :], y[..., reach:, :] + factor * y[..., :-reach, :]], dim=-2)
+        reach, factor = 2 * reach, factor * factor
+    return y
+
+
+def rate_limited(record: Tensor, inverse: Tensor, dt: float) -> Tensor:
+    """The record followed no faster than 1/inverse per s; the switch at the limit is smoothed, inverse 0 is no limit.
+
+    y[k] = u[k] - d (1 - g), d = u[k] - y[k-1], g = (1 + (inverse d/dt)^8)^(-1/8).
+
+    Source: Klyde and Mitchell (2004), J. Guidance 27 (rate-limiting elements); the smoothing is ours.
+    """
+
+    def follow(y: Tensor, u: Tensor) -> Tensor:
+        d = u - y
+        speed = (inverse * d / dt).square()
+        return u - d * (1.0 - (1.0 + speed.square().square()) ** (-1.0 / SHARPNESS))
+
+    return _followed(record, inverse, follow)
+
+
+def with_play(record: Tensor, width: Tensor) -> Tensor:
+    """The record passed through a linkage with a play of this width, from the middle of it; edges are smoothed.
+
+    y[k] = u[k] - d h/(h^8 + d^8)^(1/8), d = u[k] - y[k-1], h half the width.
+
+    Source: Nordin and Gutman (2002), Automatica 38 (backlash as a hysteresis); the smoothing is ours.
+    """
+    half = 0.5 * width
+    power = half.square().square().square()
+
+    def follow(y: Tensor, u: Tensor) -> Tensor:
+        d = u - y
+        return u - d * half / (power + d.square().square().square() + NOTHING) ** (1.0 / SHARPNESS)
+
+    return _followed(record, width, follow)
+
+
+def _followed(record: Tensor, parameter: Tensor, follow: Callable[[Tensor, Tensor], Tensor]) -> Tensor:
+    """y[k] = follow(y[k-1], u[k]) from y[0] = u[0]."""
+    y = record[..., 0, :] + 0.0 * parameter
+    rows = [y]
+    for u in record.unbind(-2)[1:]:
+        y = follow(y, u)
+        rows.append(y)
+    return torch.stack(rows, dim=-2)

@@ -1,0 +1,415 @@
+"""Effects of the main rotor beyond first-order flapping: inflow, lead-lag, wake, rotor speed, stall.
+
+Flapping is beta(psi) = a0 - a1 cos(psi) - b1 sin(psi), psi = 0 aft and along the rotation.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+from torch.nn.functional import softplus
+
+from rotorid_torch.core.names import FLAPPING
+from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.core.rigid import vec
+from rotorid_torch.core.state import State
+from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
+from rotorid_torch.effects.registry import register
+from rotorid_torch.effects.spec import ModelSpec, RotorSpec
+from rotorid_torch.effects.testable import first, no_forces, no_mass, no_rates, no_rotor, no_velocities
+
+USUAL_LOCK = 8.0
+"""Lock number of a rotor that does not declare it."""
+USUAL_LAG = 0.3
+"""Lag frequency over rotor speed where no hinge offset is declared."""
+FASTEST = 60.0
+"""rad/s: states are integrated at 50 Hz; faster modes would be numbers of the integration."""
+
+
+def inside(value: float, bounds: tuple[float, float]) -> float:
+    """A start kept within its bounds."""
+    return min(max(value, bounds[0]), bounds[1])
+
+
+def lift(spec: ModelSpec) -> float:
+    """Specific force upwards at the reference, m/s2."""
+    return spec.gravity * math.cos(spec.reference.get("phi", 0.0)) * math.cos(spec.reference.get("theta", 0.0))
+
+
+def damping_of(rotor: RotorSpec) -> float:
+    """Aerodynamic damping of flapping over its inertia, Lock number times speed over 8, 1/s."""
+    return (rotor.lock_number or USUAL_LOCK) * rotor.speed / 8.0
+
+
+@register
+class DynamicInflow(Effect):
+    """Dynamic inflow, three states, for a model whose nominal has none: thrust builds it up, and it takes thrust away.
+
+    tau dn/dt = dT - n with dT the thrust beyond trim (m/s2); Z += Z n, N += N n, da0/dt -= a0 n. Where flapping is a
+    state, the first harmonics follow the disc: tau_c d(wa, wb)/dt = (a1, b1) - (wa, wb); da1/dt += along wa + across
+    wb, db1/dt += along wb - across wa.
+
+    Source: Pitt and Peters, Vertica 5 (1981); Padfield, Helicopter Flight Dynamics, sec. 3.2 (dynamic inflow).
+    """
+
+    id, stage, role = "rotor.inflow", Stage.FORCES, Role.STRUCTURE
+
+    def __init__(self, thrust: float, flapping: tuple[float, float] | None) -> None:
+        times = (0.02, 0.6)
+        declared = [
+            Parameter("tau", 0.1, "s", times, 0.1, doc="time constant of the uniform inflow", typical=0.1),
+            Parameter("Z", 0.0, "1", (0.0, 0.95), doc="share of the thrust that the inflow takes back", typical=0.4),
+            Parameter("N", 0.0, "rad/m", (-1.0, 1.0), doc="yaw by the torque of the inflow", typical=0.02),
+        ]
+        states = [State("uniform", "m/s2", "uniform inflow, as the thrust that keeps it up")]
+        if flapping is not None:
+            declared += [
+                Parameter("tau_cyclic", 0.15, "s", times, 0.15, doc="time constant of the harmonics", typical=0.15),
+                Parameter(
+                    "a0", 0.0, "rad s/m", (-5.0, 5.0), doc="coning rate that the inflow takes back", typical=0.05
+                ),
+                Parameter("along", 0.0, "1/s", (-30.0, 30.0), doc="flapping by its own harmonic", typical=2.0),
+                Parameter("across", 0.0, "1/s", (-30.0, 30.0), doc="flapping by the other harmonic", typical=2.0),
+            ]
+            states += [State(n, "rad", "first harmonic of the inflow, as flapping") for n in ("wa", "wb")]
+        super().__init__(tuple(declared), tuple(states))
+        self.thrust, self.flapping = thrust, flapping
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> DynamicInflow:
+        """With the harmonics where flapping is a state."""
+        tilts = (spec.reference.get("a1", 0.0), spec.reference.get("b1", 0.0))
+        return cls(lift(spec), tilts if spec.flapping == "first order" else None)
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Where the nominal model has inflow already, or there is no thrust."""
+        return "it is part of the nominal model already" if spec.inflow else first(no_forces(spec), _multirotor(spec))
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Adds what the inflow takes; the rates of the states."""
+        assert frame.force is not None
+        thrust, n = -frame.force[..., 2] - self.thrust, x[..., 0]
+        zero = torch.zeros_like(p["Z"] * n)
+        frame = frame.add(vec(zero, zero, p["Z"] * n), vec(zero, zero, p["N"] * n))
+        rate = (thrust - n) / p["tau"]
+        if self.flapping is None:
+            return frame, rate.unsqueeze(-1)
+        wa, wb = x[..., 1] - self.flapping[0], x[..., 2] - self.flapping[1]
+        frame = frame.with_rates(
+            a0=frame.rate("a0") - p["a0"] * n,
+            a1=frame.rate("a1") + p["along"] * wa + p["across"] * wb,
+            b1=frame.rate("b1") + p["along"] * wb - p["across"] * wa,
+        )
+        a1, b1 = frame.signals["a1"], frame.signals["b1"]
+        return frame, vec(rate, (a1 - x[..., 1]) / p["tau_cyclic"], (b1 - x[..., 2]) / p["tau_cyclic"])
+
+
+def _multirotor(spec: ModelSpec) -> str | None:
+    return "the vehicle is a multirotor" if any(c.startswith("motor") for c in spec.controls) else None
+
+
+def _no_flapping(spec: ModelSpec) -> str | None:
+    return None if spec.flapping == "first order" else "flapping is not measured, or follows its drivers without lag"
+
+
+@register
+class FlapSecondOrder(Effect):
+    """Flapping of second order: its rates are states, with the regressive and the advancing mode.
+
+    With F the rates of first-order flapping, v the flapping rates: d(flapping)/dt = (1 - k) F + k v;
+    dv0/dt = (F0 - v0)/tau; d(va, vb)/dt = C (F - v), C = [[1/tau, c], [-c, 1/tau]]. tau = 8/(Lock number x speed), half
+    the time constant of the flapping modes, c = 2 speed; slow motion keeps first-order flapping exactly. k is one in
+    the physics and zero in the nominal model.
+
+    Source: Chen, NASA TM-81169 (1980), eq. 1; Padfield, Helicopter Flight Dynamics, eq. 3.63 ff.
+    """
+
+    id, stage, role = "rotor.flap_second_order", Stage.ROTOR, Role.STRUCTURE
+
+    def __init__(self, rotor: RotorSpec) -> None:
+        times, couplings = (0.02, 0.2), (0.0, FASTEST)
+        tau, coupling = inside(1.0 / damping_of(rotor), times), inside(2.0 * rotor.speed, couplings)
+        super().__init__(
+            (
+                Parameter("share", 0.0, "1", (0.0, 1.0), doc="share of second-order flapping", typical=1.0),
+                Parameter("tau", tau, "s", times, 0.5 * tau, doc="damping of the flapping rates", typical=tau),
+                Parameter(
+                    "coupling",
+                    coupling,
+                    "rad/s",
+                    couplings,
+                    0.3 * coupling,
+                    doc="gyroscopic coupling",
+                    typical=coupling,
+                ),
+            ),
+            tuple(State(f"{n}_rate", "rad/s", f"rate of {n}") for n in FLAPPING),
+        )
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> FlapSecondOrder:
+        """From the declared rotor's speed and Lock number."""
+        assert spec.rotor is not None
+        return cls(spec.rotor)
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Without flapping states or a declared rotor."""
+        return first(_no_flapping(spec), no_rotor(spec))
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Replaces the rates of flapping; the flapping accelerations."""
+        F = torch.stack(torch.broadcast_tensors(*(frame.rate(n) for n in FLAPPING)), dim=-1)
+        share = p["share"].unsqueeze(-1)
+        mixed = (1.0 - share) * F + share * x
+        behind, damping = F - x, 1.0 / p["tau"]
+        cone, a, b = behind.unbind(-1)
+        rates = vec(damping * cone, damping * a + p["coupling"] * b, damping * b - p["coupling"] * a)
+        return frame.with_rates(**dict(zip(FLAPPING, mixed.unbind(-1), strict=True))), rates
+
+
+@register
+class LeadLag(Effect):
+    """Lead-lag: the regressing lag mode in the fixed frame, driven by flapping, shakes the body after each step.
+
+    s = x + i y, ds/dt = (-damping + i frequency) s + e^(i phase) (da1/dt + i db1/dt), the Coriolis moments of flapping;
+    X += X x, M += M x, Y += Y y, L += L y. Without flapping states the cyclic controls drive it. The frequency starts
+    at speed - lag frequency, lag frequency = speed sqrt(1.5 e/(R - e)) for hinges at e.
+
+    Source: Johnson, Helicopter Theory, sec. 12-1 (lag dynamics in multiblade coordinates); Bramwell, ch. 9.
+    """
+
+    id, stage, role = "rotor.lead_lag", Stage.FORCES, Role.STRUCTURE
+
+    def __init__(self, rotor: RotorSpec, drivers: tuple[str, str], zero: tuple[float, float], of_rates: bool) -> None:
+        e = rotor.hinge_offset
+        lag = USUAL_LAG if not e else math.sqrt(1.5 * e / (rotor.radius - e))
+        frequency = inside(rotor.speed * abs(1.0 - lag), (1.0, FASTEST))
+        bounds = (0.4 * frequency, min(1.6 * frequency, FASTEST))
+        per = ("m/(s2 rad)", "1/s2") if of_rates else ("m/(s3 rad)", "1/s3")
+        super().__init__(
+            (
+                Parameter(
+                    "frequency",
+                    frequency,
+                    "rad/s",
+                    bounds,
+                    0.2 * frequency,
+                    doc="of the regressing mode",
+                    typical=frequency,
+                ),
+                Parameter("damping", 2.3, "1/s", (0.2, 12.0), 1.5, doc="of the regressing mode", typical=2.3),
+                Parameter("phase", 0.0, "rad", (-math.pi, math.pi), 1.0, doc="turn of the drive", typical=0.3),
+                *(
+                    Parameter(n, 0.0, per[n in "LM"], (-500.0, 500.0), doc=f"{n} by the lag motion", typical=size)
+                    for n, size in (("X", 5.0), ("Y", 5.0), ("L", 8.0), ("M", 1.0))
+                ),
+            ),
+            (State("x", "rad", "lag motion, longitudinal"), State("y", "rad", "lag motion, lateral")),
+        )
+        self.drivers, self.zero, self.of_rates = drivers, zero, of_rates
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> LeadLag:
+        """From the declared rotor; driven by flapping rates where flapping is a state."""
+        assert spec.rotor is not None
+        of_rates = spec.flapping == "first order"
+        drivers = ("a1", "b1") if of_rates else ("lon", "lat")
+        zero = (0.0, 0.0) if of_rates else (spec.reference.get("lon", 0.0), spec.reference.get("lat", 0.0))
+        return cls(spec.rotor, drivers, zero, of_rates)
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Without a declared rotor, forces, or anything that drives it."""
+        driven = spec.flapping == "first order" or {"lon", "lat"} <= set(spec.controls)
+        return first(no_rotor(spec), no_forces(spec), None if driven else "neither flapping nor cyclic is recorded")
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Adds the shaking; the lag motion's rates."""
+        a, b = (
+            frame.rate(n) if self.of_rates else frame.signals[n] - z
+            for n, z in zip(self.drivers, self.zero, strict=True)
+        )
+        cos, sin = torch.cos(p["phase"]), torch.sin(p["phase"])
+        along, side = x.unbind(-1)
+        rates = vec(
+            cos * a - sin * b - p["damping"] * along - p["frequency"] * side,
+            sin * a + cos * b - p["damping"] * side + p["frequency"] * along,
+        )
+        zero = torch.zeros_like(p["X"] * along)
+        force, moment = vec(p["X"] * along, p["Y"] * side, zero), vec(p["L"] * side, p["M"] * along, zero)
+        return frame.add(force, moment), rates
+
+
+@register
+class WakeDistortion(Effect):
+    """Wake distortion: a disc that pitches and rolls curves its wake, and the inflow gradient turns its tilt.
+
+    The gradients K_R (q + da1/dt)/speed and K_R (p + db1/dt)/speed follow late by tau; in first-order flapping they act
+    as d(a1, b1)/dt += g speed/(g^2 + 4 speed^2) [[g, -2 speed], [2 speed, g]] (gradients), g = Lock number x speed/8.
+    Without flapping states: L += L late q, M -= M late p.
+
+    Source: Keller, J. American Helicopter Society 41 (1996); Zhao, Prasad and Peters (2004), wake curvature lag
+    32/(15 pi lambda0 speed).
+    """
+
+    id, stage, role = "rotor.wake_distortion", Stage.ROTOR, Role.UNDECLARED
+
+    def __init__(self, tau: float, rotor: RotorSpec | None) -> None:
+        times = (0.05, 1.5)
+        start = inside(tau, times)
+        late = Parameter("tau", start, "s", times, 0.5 * start, doc="time in which the wake curves", typical=start)
+        own = (
+            (Parameter("K_R", 0.0, "1", (0.0, 3.0), doc="curvature of the wake", typical=1.5),)
+            if rotor is not None
+            else (
+                Parameter("L", 0.0, "1/s", (-10.0, 10.0), doc="roll acceleration by the late pitch rate", typical=1.0),
+                Parameter(
+                    "M", 0.0, "1/s", (-10.0, 10.0), doc="less pitch acceleration by the late roll rate", typical=0.3
+                ),
+            )
+        )
+        states = (State("q", "rad/s", "pitch rate that the wake knows"), State("p", "rad/s", "roll rate likewise"))
+        super().__init__((*own, late), states)
+        self.rotor = rotor
+        if rotor is not None:
+            g, twice = damping_of(rotor), 2.0 * rotor.speed
+            scale = g / (g * g + twice * twice)
+            self.own, self.cross, self.spin = g * scale, twice * scale, rotor.spin
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> WakeDistortion:
+        """Time constant from the induced velocity where the nominal model has one; K_R where flapping is a state."""
+        vi = spec.reference.get("vi")
+        tau = 0.45 if vi is None or spec.rotor is None else 32.0 * spec.rotor.radius / (15.0 * math.pi * vi)
+        return cls(tau, spec.rotor if spec.flapping == "first order" else None)
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Without rates, of a multirotor, or with flapping but no declared rotor."""
+        flaps = no_rotor(spec) if spec.flapping == "first order" else None
+        return first(no_rates(spec), _multirotor(spec), flaps)
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Turns the flapping rates, or adds L and M; the wake's own rates."""
+        late_q, late_p = x.unbind(-1)
+        q, roll = frame.signals["q"], frame.signals["p"]
+        if self.rotor is None:
+            zero = torch.zeros_like(p["L"] * late_q)
+            return frame.add(moment=vec(p["L"] * late_q, -p["M"] * late_p, zero)), (vec(q, roll) - x) / p["tau"][
+                ..., None
+            ]
+        a1, b1 = frame.rate("a1"), frame.rate("b1")
+        disc = vec(q + a1, roll + self.spin * b1)
+        c, s = p["K_R"] * late_q, p["K_R"] * self.spin * late_p
+        frame = frame.with_rates(a1=a1 + self.own * c - self.cross * s, b1=b1 + self.cross * c + self.own * s)
+        return frame, (disc - x) / p["tau"].unsqueeze(-1)
+
+
+@register
+class RotorSpeed(Effect):
+    """Rotor speed and its governor: collective slows the rotor, the engine brings it back; thrust and torque change.
+
+    ds/dt = e - dcol; de/dt = -(e + governor s)/tau; load s is the speed beyond trim (rad/s), load e the engine's
+    acceleration of it. Z += Z load s, N += N load e. Z starts at -2 g/speed, thrust as the speed squared.
+
+    Source: Hilbert, NASA TM-85890 (1984), table 3; Padfield, Helicopter Flight Dynamics, sec. 3.2.5 (governor).
+    """
+
+    id, stage, role, predicts = "rotor.speed", Stage.FORCES, Role.STRUCTURE, ("omega",)
+
+    def __init__(self, speed: float, gravity: float, col: float, unit: str, omega: float) -> None:
+        thrust = -2.0 * gravity / speed
+        per, load = {"rad": ("1/s2", 30.0), "m": ("rad/(s2 m)", 30.0)}.get(unit, ("rad/s2", 10.0))
+        super().__init__(
+            (
+                Parameter("load", 0.0, per, (0.0, 40.0 * load), doc="deceleration by collective", typical=load),
+                Parameter("governor", 3.0, "1/s", (0.2, 30.0), 3.0, doc="engine's answer to the speed", typical=3.0),
+                Parameter("tau", 1.25, "s", (0.1, 5.0), 1.0, doc="lag of the engine", typical=1.25),
+                Parameter(
+                    "Z", thrust, "m/(s rad)", (4.0 * thrust, 0.0), -thrust, doc="thrust by speed", typical=thrust
+                ),
+                Parameter("N", 0.0, "1", (-1.0, 1.0), doc="reaction to the engine's torque", typical=0.1),
+            ),
+            (
+                State("speed", "rad s", "speed beyond trim by load"),
+                State("engine", "rad", "engine beyond trim by load"),
+            ),
+        )
+        self.col, self.omega = col, omega
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> RotorSpeed:
+        """From the declared rotor's speed, and the measured one's mean where it is a channel."""
+        assert spec.rotor is not None
+        speed = spec.rotor.speed
+        at = spec.reference.get
+        return cls(speed, spec.gravity, at("col", 0.0), spec.control_units.get("col", "rad"), at("omega", speed))
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Without a declared rotor, forces or collective."""
+        col = None if "col" in spec.controls else "the collective is not recorded"
+        return first(no_rotor(spec), no_forces(spec), col)
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Adds thrust and torque; publishes the speed."""
+        rates = vec(x[..., 1] - (frame.signals["col"] - self.col), -(x[..., 1] + p["governor"] * x[..., 0]) / p["tau"])
+        speed, engine = p["load"] * x[..., 0], p["load"] * x[..., 1]
+        zero = torch.zeros_like(speed)
+        frame = frame.add(vec(zero, zero, p["Z"] * speed), vec(zero, zero, p["N"] * engine))
+        return frame.with_signals(omega=self.omega + speed), rates
+
+
+@register
+class Stall(Effect):
+    """Retreating-blade stall: lift above a blade loading is lost, smoothly; the limit falls with speed and with rates.
+
+    Z += loss c softplus((T/c + 16 a/(6 Lock number) |p, q|/speed - limit (1 - mu/2))/width) width, with c the thrust at
+    blade loading one, rho A_blades (speed R)^2/m, lift slope a = 5.7, advance ratio mu, width 0.005.
+
+    Source: Padfield, Helicopter Flight Dynamics, fig. 3.3 ff.; McHugh (1978), What are the lift and propulsive force
+    limits at high speed for the conventional rotor?
+    """
+
+    id, stage, role = "rotor.stall", Stage.FORCES, Role.UNDECLARED
+    WIDTH, SLOPE = 0.005, 5.7
+
+    def __init__(self, rotor: RotorSpec, air_density: float, mass: float) -> None:
+        super().__init__(
+            (
+                Parameter(
+                    "loss", 0.0, "1", (0.0, 3.0), doc="share of the lift above the limit that is lost", typical=0.8
+                ),
+                Parameter("limit", 0.12, "1", (0.04, 0.25), 0.02, doc="blade loading at which it begins", typical=0.12),
+            )
+        )
+        tip = rotor.speed * rotor.radius
+        self.tip, self.full = tip, air_density * rotor.blades * rotor.chord * rotor.radius * tip**2 / mass
+        self.by_rate = 16.0 * self.SLOPE / (6.0 * (rotor.lock_number or USUAL_LOCK) * rotor.speed)
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> Stall:
+        """From the declared rotor, mass and air density."""
+        assert spec.rotor is not None
+        assert spec.mass is not None
+        return cls(spec.rotor, spec.air_density, spec.mass)
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Without declared rotor and mass: no blade loading."""
+        return first(no_rotor(spec), no_mass(spec), no_forces(spec), no_velocities(spec), no_rates(spec))
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Takes the lost lift away."""
+        assert frame.force is not None
+        u, v, roll, pitch = (frame.signals[n] for n in ("u", "v", "p", "q"))
+        mu = torch.sqrt(u * u + v * v + 1e-6) / self.tip
+        rate = torch.sqrt(roll * roll + pitch * pitch + 1e-12)
+        above = -frame.force[..., 2] / self.full + self.by_rate * rate - p["limit"] * (1.0 - 0.5 * mu)
+        lost = p["loss"] * self.full * self.WIDTH * softplus(above / self.WIDTH)
+        zero = torch.zeros_like(lost)
+        return frame.add(vec(zero, zero, lost)), x
