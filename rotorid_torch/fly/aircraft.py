@@ -6,14 +6,17 @@ turns counter-clockwise; `flight_test` mirrors an aircraft whose rotor turns the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
 from rotorid_torch.fly.airframe import Fuselage, Surface, downwash, fuselage_loads, surface_force
-from rotorid_torch.fly.inflow import inflow_rates
+from rotorid_torch.fly.atmosphere import Turbulence
+from rotorid_torch.fly.control_path import ControlPath, follow
+from rotorid_torch.fly.inflow import PLAIN, Wake, curvature_rates, ground_factor, inflow_rates
 from rotorid_torch.fly.rotor import (
+    BladeMotion,
     RootLoads,
     Rotor,
     air_loads,
@@ -23,8 +26,11 @@ from rotorid_torch.fly.rotor import (
     dot,
     root_loads,
     skew,
+    tilting,
 )
 from rotorid_torch.fly.section import Array
+from rotorid_torch.fly.sensor_errors import SensorErrors
+from rotorid_torch.fly.slung_load import Pull, SlungLoad, cable_pull, swing_rates, to_earth, turned
 from rotorid_torch.fly.tail import TailRotor, tail_rotor
 
 BODY, RATES, EULER, PLACE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
@@ -32,7 +38,9 @@ CONTROLS, INFLOW, TAIL_INFLOW = slice(12, 16), slice(16, 19), 19
 AZIMUTH, SPEED, TORQUE, SPEED_ERROR, BLADES = 20, 21, 22, 23, 24
 """Rows of the state: u v w | p q r | phi theta psi | north east height | lon lat col ped at the blades | lambda0
 lambda_c lambda_s | tail inflow | rotor azimuth, speed | engine torque, integrated speed error | flap, flap rate, lag,
-lag rate of each blade."""
+lag rate of each blade; then, where the aircraft has them: curvature of the wake (aft, right), the cable's direction
+(north, east) and its rates, the pieces of the control path. lon lat col ped are "at the blades" unless there is such a
+path: then they are what is recorded, before it."""
 
 CONTROL_NAMES = ("lon", "lat", "col", "ped")
 
@@ -55,12 +63,20 @@ class Governor:
     inertia: float
 
 
+Three = tuple[float, float, float]
+
+
 @dataclass(frozen=True)
 class Aircraft:
     """Everything that flies, frozen: an effect is a changed copy.
 
     `mass` and `inertia` are those of the body without blades, about its own centre of gravity; `limits` (4 pairs, rad)
     and `actuator_lag` (s) belong to lon, lat, col, ped. `clockwise`: the rotor turns clockwise seen from above.
+
+    What only an altered aircraft has: `path` between recorded controls and blades, `load` on a cable, `wind` (m/s
+    towards north, east, down), `turbulence`, `reference` (the declared centre of gravity from the true one, m),
+    `quadratic_damping` (N m per (rad/s)^2 about x, y, z), `swirl` (sideways wash at fin and tail rotor, as a part of
+    the downwash there), and errors of the `sensors`.
     """
 
     name: str
@@ -78,11 +94,47 @@ class Aircraft:
     limits: tuple[tuple[float, float], ...]
     actuator_lag: float
     clockwise: bool
+    wake: Wake = PLAIN
+    path: ControlPath | None = None
+    load: SlungLoad | None = None
+    wind: Three | None = None
+    turbulence: Turbulence | None = None
+    reference: Three = (0.0, 0.0, 0.0)
+    quadratic_damping: Three | None = None
+    swirl: float = 0.0
+    sensors: SensorErrors = field(default_factory=SensorErrors)
 
-    @property
+    @cached_property
+    def blade_rows(self) -> slice:
+        """Rows of flap, flap rate, lag, lag rate of the blades."""
+        return slice(BLADES, BLADES + 4 * self.rotor.blades)
+
+    @cached_property
+    def curvature_rows(self) -> slice:
+        """Rows of the wake's curvature; none for a straight wake."""
+        start = self.blade_rows.stop
+        return slice(start, start + (2 if self.wake.distortion else 0))
+
+    @cached_property
+    def swing_rows(self) -> slice:
+        """Rows of the slung load; none without one."""
+        start = self.curvature_rows.stop
+        return slice(start, start + (4 if self.load else 0))
+
+    @cached_property
+    def settled_rows(self) -> int:
+        """Number of rows that trim settles or is given; those of the control path come after them, zero in trim."""
+        return self.swing_rows.stop
+
+    @cached_property
     def states(self) -> int:
         """Number of rows of the state."""
-        return BLADES + 4 * self.rotor.blades
+        return self.settled_rows + (self.path.states if self.path else 0)
+
+    @property
+    def knows_directions(self) -> bool:
+        """Whether trim is another one on another heading, or has rows that turn with it."""
+        return self.wind is not None or self.load is not None
 
     @cached_property
     def own_matrix(self) -> Array:
@@ -122,6 +174,12 @@ class Aircraft:
         return (self.rotor.to_shaft @ (points - np.asarray(self.rotor.hub)).T)[:, :, None]
 
     @cached_property
+    def tail_place(self) -> Array:
+        """[3, 1, 1]: tail rotor from the hub, (aft, right, up)."""
+        from_hub = np.asarray(self.tail.position) - np.asarray(self.rotor.hub)
+        return (self.rotor.to_shaft @ from_hub)[:, None, None]
+
+    @cached_property
     def limit_rows(self) -> tuple[Array, Array]:
         """Lower and upper limits of the controls, (4, 1)."""
         pairs = np.asarray(self.limits)
@@ -145,56 +203,152 @@ class Motion:
     speed_rate: Array
 
 
-def rates(aircraft: Aircraft, x: Array, command: Array) -> tuple[Array, Motion]:
+@dataclass(frozen=True)
+class Outside:
+    """What comes to the aircraft from outside its states at one instant, or from its past.
+
+    `gust`: velocity of the air beyond the steady wind, body axes, m/s, [3, flight]; `delayed`: recorded controls and
+    their rates, [4, flight] each, as they leave the control path's delay.
+    """
+
+    gust: Array | None = None
+    delayed: tuple[Array, Array] | None = None
+
+
+STILL = Outside()
+
+
+def rates(aircraft: Aircraft, x: Array, command: Array, outside: Outside = STILL) -> tuple[Array, Motion]:
     """Rates of all states, and the motion that goes with them.
 
     Parameters
     ----------
     x : [states, flight].
     command : [4, flight] commanded lon, lat, col, ped, rad; the actuators follow.
+    outside : gusts and delayed controls; without it the air carries no gusts and no control is late.
     """
     rotor, density, flights = aircraft.rotor, aircraft.air_density, x.shape[1]
     omega, speed = x[RATES], x[SPEED]
-    local = x[BODY] - (aircraft.levers @ omega).reshape(5, 3, flights)
-    at_hub = rotor.to_shaft @ local[0]
-    blades = x[BLADES:].reshape(4, rotor.blades, flights)
-    motion = blade_motion(rotor, blades, rotor.to_shaft @ omega, x[AZIMUTH], speed)
-    air = air_loads(rotor, motion, at_hub, x[INFLOW], x[CONTROLS], speed, density)
-    over_tip = at_hub / (speed * rotor.radius)
     dx = np.zeros_like(x)
-    dx[INFLOW], sweep = inflow_rates(x[INFLOW], air.loading, over_tip[:2], over_tip[2], speed)
-    force, moment, dx[TAIL_INFLOW] = _airframe_loads(aircraft, x, local, sweep)
-    centripetal = cross(omega, local[0] - x[BODY])
-    root = root_loads(rotor, motion, air, rotor.to_shaft @ centripetal, speed)
-    balance = _solve(aircraft, x, root, force, moment)
-    _kinematics(aircraft, x, balance, dx)
     low, high = aircraft.limit_rows
     dx[CONTROLS] = (np.clip(command, low, high) - x[CONTROLS]) / aircraft.actuator_lag
+    angles, dx[aircraft.settled_rows :] = blade_angles(aircraft, x, dx, outside)
+    local = x[BODY] - (aircraft.levers @ omega).reshape(5, 3, flights)
+    centripetal = cross(omega, local[0] - x[BODY])
+    air_motion = moving_air(aircraft, x, outside)
+    if air_motion is not None:
+        local = local - air_motion
+    at_hub = rotor.to_shaft @ local[0]
+    blades = x[aircraft.blade_rows].reshape(4, rotor.blades, flights)
+    motion = blade_motion(rotor, blades, rotor.to_shaft @ omega, x[AZIMUTH], speed)
+    air = air_loads(rotor, motion, at_hub, _felt_inflow(aircraft, x), angles, speed, density)
+    over_tip = at_hub / (speed * rotor.radius)
+    dx[INFLOW], sweep = _inflow(aircraft, x, air.loading, over_tip, motion, dx)
+    force, moment, dx[TAIL_INFLOW] = _airframe_loads(aircraft, x, local, sweep, angles[3])
+    root = root_loads(rotor, motion, air, rotor.to_shaft @ centripetal, speed)
+    pull = _pull(aircraft, x, air_motion)
+    balance = _solve(aircraft, x, root, force, moment, pull)
+    _kinematics(aircraft, x, balance, dx)
     _drive(aircraft, x, balance, dx)
+    if aircraft.load is not None and pull is not None:
+        earth = to_earth(x[EULER])
+        dx[aircraft.swing_rows] = swing_rates(aircraft.load, pull, balance.specific_force, balance.angular, earth)
     linear = rotor.to_shaft @ (balance.specific_force - aircraft.levers[:3] @ balance.angular)
     angular = rotor.to_shaft @ balance.angular
     angular[2] += balance.speed_rate
-    dx[BLADES:] = blade_rates(rotor, motion, air, root, linear, angular, speed).reshape(-1, flights)
+    turning = blade_rates(rotor, motion, air, root, linear, angular, speed)
+    dx[aircraft.blade_rows] = turning.reshape(-1, flights)
     return dx, balance
 
 
-def _airframe_loads(aircraft: Aircraft, x: Array, local: Array, sweep: Array) -> tuple[Array, Array, Array]:
+def blade_angles(aircraft: Aircraft, x: Array, dx: Array, outside: Outside = STILL) -> tuple[Array, Array]:
+    """Angles lon lat col ped at the blades, rad, [4, flight], and the rates of the control path's states.
+
+    `dx`: rates of the states, of which those of the controls count.
+    """
+    if aircraft.path is None:
+        return x[CONTROLS], x[aircraft.settled_rows :]
+    value, rate = outside.delayed or (x[CONTROLS], dx[CONTROLS])
+    return follow(aircraft.path, x[aircraft.settled_rows :], value, rate)
+
+
+def moving_air(aircraft: Aircraft, x: Array, outside: Outside = STILL) -> Array | None:
+    """Velocity of the air over ground, body axes, m/s, [3, flight]; None where it is at rest."""
+    if aircraft.wind is None:
+        return outside.gust
+    wind = turned(to_earth(x[EULER]).swapaxes(0, 1), np.asarray(aircraft.wind)[:, None])
+    return wind if outside.gust is None else wind + outside.gust
+
+
+def ground_part(aircraft: Aircraft, x: Array) -> Array:
+    """Part of the induced velocity that the ground takes away, [flight]."""
+    rotor = aircraft.rotor
+    ahead, induced = np.hypot(x[0], x[1]), x[INFLOW.start] * x[SPEED] * rotor.radius
+    return ground_factor(aircraft.wake.ground, rotor.radius, x[PLACE][2] - rotor.hub[2], ahead, induced)
+
+
+def _felt_inflow(aircraft: Aircraft, x: Array) -> Array:
+    """Inflow as the blades meet it, (3, flight): near the ground less than the wake far from it would bring."""
+    if not aircraft.wake.ground:
+        return x[INFLOW]
+    felt = x[INFLOW].copy()
+    felt[0] *= 1.0 - ground_part(aircraft, x)
+    return felt
+
+
+def _inflow(
+    aircraft: Aircraft, x: Array, loading: Array, over_tip: Array, motion: BladeMotion, dx: Array
+) -> tuple[Array, Array]:
+    """Rates of the inflow and the wake's sweep; the rates of its curvature, where it has one, go into `dx`."""
+    wake, speed, inflow = aircraft.wake, x[SPEED], x[INFLOW]
+    advance, climb = over_tip[:2] * wake.translation, over_tip[2]
+    if not wake.distortion:
+        return inflow_rates(inflow, loading, advance, climb, speed, wake)
+    curvature, shaft = x[aircraft.curvature_rows], aircraft.rotor.to_shaft @ x[RATES]
+    tilt = tilting(motion, shaft, speed)
+    dx[aircraft.curvature_rows] = curvature_rates(curvature, tilt, inflow[0], advance, climb, speed)
+    return inflow_rates(inflow, loading, advance, climb, speed, wake, curvature)
+
+
+def _pull(aircraft: Aircraft, x: Array, air_motion: Array | None) -> Pull | None:
+    """The cable's pull, where a load hangs on one."""
+    if aircraft.load is None:
+        return None
+    through = x[BODY] if air_motion is None else x[BODY] - air_motion
+    density, gravity = aircraft.air_density, aircraft.gravity
+    return cable_pull(aircraft.load, x[aircraft.swing_rows], through, x[RATES], to_earth(x[EULER]), density, gravity)
+
+
+def _airframe_loads(
+    aircraft: Aircraft, x: Array, local: Array, sweep: Array, pedal: Array
+) -> tuple[Array, Array, Array]:
     """Force and moment of all but the main rotor about the centre of gravity, and the rate of the tail rotor's inflow.
 
-    `local`: [5, 3, flight] velocities at hub, tail rotor, fuselage, fin, tailplane.
+    `local`: [5, 3, flight] velocities at hub, tail rotor, fuselage, fin, tailplane; `pedal`: tail rotor's collective.
     """
     density, radius = aircraft.air_density, aircraft.rotor.radius
     mean = x[INFLOW][0] * x[SPEED] * radius
     wash = downwash(radius, aircraft.washed_places, sweep, mean)
-    tail, rate = tail_rotor(aircraft.tail, local[1], x[TAIL_INFLOW], x[CONTROLS][3], x[SPEED], density)
+    if aircraft.tail.wake_factor or aircraft.swirl:
+        local = local.copy()
+        at_tail = downwash(radius, aircraft.tail_place, sweep, mean)[0]
+        local[1, 2] -= aircraft.tail.wake_factor * at_tail
+        local[1, 1] -= aircraft.swirl * at_tail
+        local[3, 1] -= aircraft.swirl * wash[1]
+    tail, rate = tail_rotor(aircraft.tail, local[1], x[TAIL_INFLOW], pedal, x[SPEED], density)
     body, turning = fuselage_loads(aircraft.fuselage, local[2], wash[0], density)
     fin = surface_force(aircraft.fin, local[3], wash[1], density)
     plane = surface_force(aircraft.tailplane, local[4], wash[2], density)
     moment = aircraft.loads_to_moment @ np.concatenate([tail, body, fin, plane])
+    if aircraft.quadratic_damping is not None:
+        omega = x[RATES]
+        turning = turning - np.asarray(aircraft.quadratic_damping)[:, None] * omega * np.abs(omega)
     return tail + body + fin + plane, moment + turning, rate
 
 
-def _solve(aircraft: Aircraft, x: Array, root: RootLoads, force: Array, moment: Array) -> Motion:
+def _solve(
+    aircraft: Aircraft, x: Array, root: RootLoads, force: Array, moment: Array, pull: Pull | None = None
+) -> Motion:
     """Newton and Euler for the body with all blades hanging on it, and the shaft: six unknowns, seven if it is free."""
     omega, up, flights = x[RATES], aircraft.rotor.to_shaft[2][:, None], x.shape[1]
     arm = root.arm + np.asarray(aircraft.rotor.hub)[:, None, None]
@@ -205,6 +359,12 @@ def _solve(aircraft: Aircraft, x: Array, root: RootLoads, force: Array, moment: 
     known[6] = ((cross(root.arm, root.force) + root.moment).sum(1) * up).sum(0)
     columns = _jacobian(arm, root, up)
     reaction = columns.swapaxes(1, 2) @ columns
+    if aircraft.load is not None and pull is not None:
+        hook = np.asarray(aircraft.load.hook)[:, None]
+        known[:3] += pull.force
+        known[3:6] += cross(hook, pull.force)
+        row = np.concatenate([pull.direction, pull.turning, np.zeros((1, flights))]).T
+        reaction = reaction + aircraft.load.mass * row[:, :, None] * row[:, None, :]
     total = aircraft.own_matrix + reaction
     size = 6 if aircraft.governor.held else 7
     driven = known.copy()

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,23 +15,22 @@ from rotorid_torch.data.write import refuse_unless_free, write_dataset
 from rotorid_torch.errors import InputError
 from rotorid_torch.fly.aircraft import CONTROL_NAMES, Aircraft
 from rotorid_torch.fly.augmentation import Augmentation, design
-from rotorid_torch.fly.flight import Progress, fly_batch, with_heading
+from rotorid_torch.fly.effects import EFFECTS, HIDDEN, differences
+from rotorid_torch.fly.flight import Progress, fly_batch, with_heading, with_height
 from rotorid_torch.fly.linear import linearise
-from rotorid_torch.fly.manoeuvres import LISTS, chosen
+from rotorid_torch.fly.manoeuvres import Condition, chosen, conditioned, lists
 from rotorid_torch.fly.rotor import LOCK_SLOPE
 from rotorid_torch.fly.sensors import MEASURED, NOISE, Channels, measured_channels, true_channels
 from rotorid_torch.fly.trim import Trim, find_trim
 from rotorid_torch.fly.vehicle import load_aircraft
-
-EFFECTS: dict[str, Callable[[Aircraft, float], Aircraft]] = {}
-"""Undeclared physics that can be switched on: id -> a changed copy of the aircraft."""
 
 
 @dataclass(frozen=True)
 class FlightTest:
     """A flown data set: `declaration` is its dataset.toml; `flights` are measured, `truth` is without noise.
 
-    `aircraft`, `trim` and `augmentation` are what flew.
+    `aircraft`, `trim` and `augmentation` are what flew (the latter two in the data set's own condition); `hidden` are
+    the effects with their sizes and what they changed, as truth/effects.json has them.
     """
 
     name: str
@@ -40,6 +40,7 @@ class FlightTest:
     aircraft: Aircraft
     trim: Trim
     augmentation: Augmentation
+    hidden: tuple[dict[str, Any], ...] = ()
 
     def dataset(self) -> Dataset:
         """Return the measured flights as a data set in memory."""
@@ -58,7 +59,7 @@ def fly(
     vehicle: Path | None = None,
     flights: Sequence[str] | None = None,
     seed: int = 0,
-    effects: Sequence[tuple[str, float]] = (),
+    effects: Sequence[tuple[str, float | None]] = (),
     progress: Progress | None = None,
     seconds: float = 15.0,
 ) -> FlightTest:
@@ -69,9 +70,9 @@ def fly(
     out : folder to write, or None to keep the result in memory only.
     speed, heading, height : of the trimmed flight: m/s, rad, m.
     vehicle : a vehicle file (see `vehicle`); without one the UH-60.
-    flights : names of manoeuvres (see `manoeuvres.FLIGHTS`); without them all thirteen.
-    seed : of the sensor noise.
-    effects : pairs of id and size.
+    flights : names of flights (see `manoeuvres`); without them all thirteen, and those that an effect needs to show.
+    seed : of sensor noise and gusts.
+    effects : pairs of id and factor of the typical size (None: one); see `effects`.
     progress : called with samples done and in all.
     seconds : length of each flight.
 
@@ -82,30 +83,60 @@ def fly(
     out = None if out is None else Path(out)
     if out is not None:
         refuse_unless_free(out.absolute())
-    names = chosen(flights)
     _check_numbers(speed, heading, height, seconds)
-    aircraft = load_aircraft(None if vehicle is None else Path(vehicle))
-    for effect, size in effects:
-        aircraft = _changed(aircraft, effect, size)
-    trim = find_trim(aircraft, speed, height)
-    augmentation = design(linearise(aircraft, trim))
-    sense = -1.0 if aircraft.clockwise else 1.0
-    record = fly_batch(aircraft, with_heading(trim, sense * heading), augmentation, names, seconds, progress)
+    clean = load_aircraft(None if vehicle is None else Path(vehicle))
+    aircraft, hidden = _altered(clean, effects)
+    names = chosen(flights if flights is not None else ["all", *(HIDDEN[one["id"]].flights or "all" for one in hidden)])
+    usual = Condition(heading, height, speed)
+    conditions = {name: conditioned(name, usual)[1] for name in names}
+    trims, augmentations = _trims(aircraft, {*conditions.values(), usual})
+    each = [trims[one] for one in conditions.values()]
+    gains = [augmentations[one.speed] for one in conditions.values()]
+    common = gains[0] if all(one is gains[0] for one in gains) else gains
+    record = fly_batch(aircraft, each, common, names, seconds, progress, seed=seed)
     truth = {name: true_channels(aircraft, record, k) for k, name in enumerate(names)}
-    channels = MEASURED if aircraft.governor.held else (*MEASURED, "omega")
-    measured = {name: measured_channels(truth[name], channels, name, seed) for name in names}
+    measured = {name: measured_channels(truth[name], MEASURED, name, seed) for name in names}
     label = out.name if out is not None else f"{aircraft.name}-{speed:g}"
-    declaration = declare(aircraft, label, names, channels, speed, height)
+    declaration = declare(clean, label, names, MEASURED, speed, height)
     if out is not None:
-        _write(out, declaration, measured, truth)
-    return FlightTest(label, declaration, measured, truth, aircraft, trim, augmentation)
+        _write(out, declaration, measured, truth, hidden)
+    return FlightTest(label, declaration, measured, truth, aircraft, trims[usual], augmentations[speed], hidden)
 
 
-def _write(out: Path, declaration: dict[str, Any], measured: Mapping[str, Any], truth: Mapping[str, Any]) -> None:
-    """The flown set as a data set with its truth; an earlier data set there is replaced."""
+def _trims(aircraft: Aircraft, conditions: set[Condition]) -> tuple[dict[Condition, Trim], dict[float, Augmentation]]:
+    """Trim of each condition, and the augmentation that is designed for each speed.
+
+    Another heading or height needs another trim only where wind, load or ground make a difference.
+    """
+    sense = -1.0 if aircraft.clockwise else 1.0
+    trims: dict[Condition, Trim] = {}
+    found: dict[tuple[float, float, float], Trim] = {}
+    gains: dict[float, Augmentation] = {}
+    for one in sorted(conditions, key=lambda one: (one.speed, one.height, one.heading)):
+        heading = sense * one.heading if aircraft.knows_directions else 0.0
+        key = (one.speed, one.height if aircraft.wake.ground else 0.0, heading)
+        if key not in found:
+            found[key] = find_trim(aircraft, one.speed, one.height, heading)
+        trim = found[key] if aircraft.knows_directions else with_heading(found[key], sense * one.heading)
+        trims[one] = with_height(trim, one.height)
+        if one.speed not in gains:
+            gains[one.speed] = design(linearise(aircraft, found[key]))
+    return trims, gains
+
+
+def _write(
+    out: Path,
+    declaration: dict[str, Any],
+    measured: Mapping[str, Any],
+    truth: Mapping[str, Any],
+    hidden: Sequence[dict[str, Any]],
+) -> None:
+    """The flown set as a data set with its truth and effects; an earlier data set there is replaced."""
     keys = ("name", "kind", "description", "vehicle", "controls", "channels", "model")
     tables: dict[str, Any] = {key: declaration.get(key) for key in keys}
     write_dataset(out, measured, **declaration["flights"], **tables, truth=truth)
+    told = json.dumps({"effects": list(hidden)}, indent=1)
+    (out / "truth" / "effects.json").write_text(told + "\n", encoding="utf-8")
 
 
 def _check_numbers(speed: float, heading: float, height: float, seconds: float) -> None:
@@ -120,14 +151,30 @@ def _check_numbers(speed: float, heading: float, height: float, seconds: float) 
         raise InputError("usage", "seconds", f"is {seconds}", "a positive time in s")
 
 
-def _changed(aircraft: Aircraft, effect: str, size: float) -> Aircraft:
-    """The aircraft with an effect switched on."""
+def _altered(
+    aircraft: Aircraft, effects: Sequence[tuple[str, float | None]]
+) -> tuple[Aircraft, tuple[dict[str, Any], ...]]:
+    """The aircraft with all effects switched on, and a list of what each one changed."""
+    told = []
+    for effect, given in effects:
+        size = 1.0 if given is None else given
+        _check_effect(effect, size)
+        if effect in (one["id"] for one in told):
+            raise InputError("usage", "effect", f"'{effect}' is there twice", "each effect once")
+        changed = EFFECTS[effect](aircraft, size)
+        told.append({"id": effect, "size": size, "changes": differences(aircraft, changed)})
+        aircraft = changed
+    return aircraft, tuple(told)
+
+
+def _check_effect(effect: str, size: float) -> None:
+    """Refuse an effect that a helicopter cannot have, and a size that none has."""
     if effect not in EFFECTS:
-        available = ", ".join(EFFECTS) or "none (this aircraft flies without undeclared effects)"
-        raise InputError(
-            "usage", "effect", f"the flight-test aircraft has no effect '{effect}'", f"one of: {available}"
-        )
-    return EFFECTS[effect](aircraft, size)
+        why = "it is a helicopter" if effect.startswith("propulsion.") else "there is none of that name"
+        wrong = f"the flight-test aircraft has no effect '{effect}': {why}"
+        raise InputError("usage", "effect", wrong, f"one of: {', '.join(EFFECTS)}")
+    if not (np.isfinite(size) and 0.0 <= size <= 10.0):
+        raise InputError("usage", "size", f"is {size} for {effect}", "a factor of its typical size, 0 to 10")
 
 
 def declare(
@@ -145,7 +192,7 @@ def declare(
         "name": name,
         "kind": "helicopter",
         "description": f"Built-in flight-test aircraft ({aircraft.name}), {state} at {height:g} m, rate and attitude "
-        "augmentation active. Nothing undeclared.",
+        "augmentation active.",
         "vehicle": {
             "mass": aircraft.mass,
             "inertia": (aircraft.inertia_matrix * np.outer(mirror, mirror)).tolist(),
@@ -169,6 +216,6 @@ def declare(
             for control, limits in zip(CONTROL_NAMES, aircraft.limits, strict=True)
         },
         "channels": {c: {"noise": NOISE[c]} for c in channels if c != "time" and c not in CONTROL_NAMES},
-        "flights": {key: [flight for flight in names if flight in flights] for key, names in LISTS.items()},
+        "flights": lists(flights),
         "model": {"reference": f"{speed:g} m/s" if speed else "hover"},
     }

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,9 +24,51 @@ LISTS = {
 }
 FLIGHTS = tuple(name for names in LISTS.values() for name in names)
 
+GROUPS = {
+    "headings": (
+        *("f321_lon-90deg", "dbl_lat_p-90deg", "f321_lat-180deg"),
+        *("dbl_lon_p-180deg", "f321_lon-270deg", "dbl_lat_p-270deg"),
+        *("dbl_lon_n-90deg", "dbl_lat_n-180deg", "dbl_lon_n-270deg"),
+    ),
+    "heights": (
+        *("f321_col-5m", "dbl_col_p-5m", "dbl_lon_p-5m", "f321_col-9m", "dbl_col_p-9m", "dbl_lat_p-9m"),
+        *("dbl_lon_n-5m", "dbl_col_n-9m", "dbl_col_n-15m"),
+    ),
+    "speeds": (
+        *("dbl_lon_p-10mps", "dbl_lat_p-10mps", "dbl_col_p-10mps"),
+        *("dbl_lon_p-20mps", "dbl_lat_p-20mps", "dbl_col_p-20mps"),
+        *("dbl_lon_n-10mps", "dbl_col_n-20mps"),
+    ),
+}
+"""Further flights by what they vary: heading, height above ground, speed."""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Where a flight begins: heading (rad), height (m), speed (m/s)."""
+
+    heading: float
+    height: float
+    speed: float
+
+
+UNITS = {"deg": ("heading", np.pi / 180.0), "m": ("height", 1.0), "mps": ("speed", 1.0)}
+
+
+def conditioned(name: str, usual: Condition) -> tuple[str, Condition]:
+    """The manoeuvre of a flight, and its condition: `dbl_lon_p-90deg-5m` changes what it names, all else is usual."""
+    changes = {UNITS[unit][0]: UNITS[unit][1] * int(value) for value, unit in CHANGE.findall(name)}
+    return name.split("-")[0], replace(usual, **changes)
+
+
+CHANGE = re.compile(r"-([0-9]{1,3})(deg|mps|m)(?=-|$)")
+FORM = re.compile(rf"(?:{'|'.join(FLIGHTS)})(?:{CHANGE.pattern})*")
+
 
 def chosen(flights: Sequence[str] | None) -> tuple[str, ...]:
-    """Names of the flights to fly, in the order of the lists.
+    """Names of the flights to fly: those of the lists in their order, then the others in theirs.
+
+    `flights` may name groups: "all" (the lists), and those of `GROUPS`.
 
     Raises
     ------
@@ -32,12 +76,30 @@ def chosen(flights: Sequence[str] | None) -> tuple[str, ...]:
     """
     if flights is None:
         return FLIGHTS
-    for name in flights:
-        if name not in FLIGHTS:
-            raise InputError("usage", "flights", f"there is no flight '{name}'", "some of " + ", ".join(FLIGHTS))
+    expanded = [one for name in flights for one in {"all": FLIGHTS, **GROUPS}.get(name, (name,))]
+    for name in expanded:
+        if not _exists(name):
+            expected = f"some of {', '.join(FLIGHTS)}, with a condition as in dbl_lon_p-90deg, dbl_col_p-5m or "
+            expected += f"dbl_lon_p-20mps, or of all, {', '.join(GROUPS)}"
+            raise InputError("usage", "flights", f"there is no flight '{name}'", expected)
     if not flights:
         raise InputError("usage", "flights", "the list is empty", "some of " + ", ".join(FLIGHTS))
-    return tuple(name for name in FLIGHTS if name in flights)
+    usual = tuple(name for name in FLIGHTS if name in expanded)
+    return usual + tuple(dict.fromkeys(name for name in expanded if name not in FLIGHTS))
+
+
+def _exists(name: str) -> bool:
+    """Whether a name has the form of a flight: a manoeuvre, each kind of condition once at most, no height of zero."""
+    changes = CHANGE.findall(name)
+    units = [unit for _, unit in changes]
+    ground = any(unit == "m" and not int(value) for value, unit in changes)
+    return FORM.fullmatch(name) is not None and len(set(units)) == len(units) and not ground
+
+
+def lists(flights: Sequence[str]) -> dict[str, list[str]]:
+    """The flights by list, which their manoeuvres decide."""
+    places = {name: key for key, names in LISTS.items() for name in names}
+    return {key: [name for name in flights if places[name.split("-")[0]] == key] for key in LISTS}
 
 
 def stick(name: str, time: Array) -> tuple[int, Array]:
@@ -48,6 +110,7 @@ def stick(name: str, time: Array) -> tuple[int, Array]:
     Source: Hamel and Kaletka, Progress in Aerospace Sciences 33 (1997) (3-2-1-1); Tischler and Remple, Aircraft and
     Rotorcraft System Identification, chapter 5 (doublets, sweeps with an exponential rise of frequency).
     """
+    name = name.split("-")[0]
     kind, control = name.split("_")[:2]
     place = CONTROL_NAMES.index(control)
     since = time - QUIET

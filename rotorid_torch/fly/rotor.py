@@ -169,6 +169,20 @@ def blade_motion(rotor: Rotor, blades: Array, rates: Array, azimuth: Array, spee
     return BladeMotion(cosine, sine, d, n, t, flap, lag, flap_rate, lag_rate, spin, along, normal_rate, lagging_rate)
 
 
+def tilting(motion: BladeMotion, rates: Array, speed: Array) -> Array:
+    """How fast the tip-path plane's edge goes down at (aft, right) in space, rad/s, [2, flight].
+
+    Parameters
+    ----------
+    rates : [3, flight] angular velocity of the body, shaft frame; `speed` [flight] of the rotor, rad/s.
+
+    Source: Johnson, Helicopter Theory, section 8.2 (rates of multi-blade coordinates).
+    """
+    tilt_aft = -2.0 * (motion.flap_rate * motion.cosine).mean(0) + 2.0 * speed * (motion.flap * motion.sine).mean(0)
+    tilt_right = -2.0 * (motion.flap_rate * motion.sine).mean(0) - 2.0 * speed * (motion.flap * motion.cosine).mean(0)
+    return np.stack([rates[1] + tilt_aft, tilt_right - rates[0]])
+
+
 @dataclass(frozen=True)
 class AirLoads:
     """Loads of the air on the blades along n and t, [blade, flight]: force, N, and its moment about the hinge, N m."""

@@ -6,9 +6,11 @@ import zlib
 
 import numpy as np
 
-from rotorid_torch.fly.aircraft import BLADES, CONTROLS, SPEED, Aircraft
+from rotorid_torch.fly.aircraft import AZIMUTH, BLADES, CONTROL_NAMES, CONTROLS, SPEED, Aircraft
 from rotorid_torch.fly.flight import Record
 from rotorid_torch.fly.section import Array
+from rotorid_torch.fly.sensor_errors import readings
+from rotorid_torch.fly.slung_load import to_earth
 
 Channels = dict[str, Array]
 
@@ -26,13 +28,19 @@ MEASURED = (
     *("time", "lon", "lat", "col", "ped", "u", "v", "w", "p", "q", "r", "phi", "theta", "psi", "height"),
     *("ax", "ay", "az", "a0", "a1", "b1"),
 )
-"""Channels of a flight, in the order of the files; a free rotor adds omega."""
+"""Channels of a flight, in the order of the files."""
 
-MIRRORED = ("v", "p", "r", "phi", "psi", "east", "ay", "Y", "L", "N", "pdot", "rdot")
+MIRRORED = (
+    *("v", "p", "r", "phi", "psi", "east", "ay", "Y", "L", "N", "pdot", "rdot"),
+    *("effect_wind_v", "effect_swing_y", "effect_curvature_s"),
+)
 
 
 def true_channels(aircraft: Aircraft, record: Record, flight: int) -> Channels:
     """All channels of one flight without noise, with the loads X Y Z (N) and L M N (N m); time in s from zero.
+
+    Velocity and place are those of the declared centre of gravity; the loads are about the true one. What the sensors
+    of an altered aircraft read instead of the truth is there as `effect_NAME`, as is what else only that aircraft has.
 
     Flapping is in multi-blade coordinates, beta(psi) = a0 - a1 cos(psi) - b1 sin(psi), psi = 0 aft.
     """
@@ -48,9 +56,23 @@ def true_channels(aircraft: Aircraft, record: Record, flight: int) -> Channels:
     out |= dict(zip(("pdot", "qdot", "rdot"), record.angular[:, :, flight].T, strict=True))
     out |= dict(zip("XYZ", record.force[:, :, flight].T, strict=True))
     out |= dict(zip("LMN", record.moment[:, :, flight].T, strict=True))
+    out |= {name: signal[:, flight] for name, signal in record.hidden.items()}
+    if any(aircraft.reference):
+        _move_reference(aircraft, out)
     if aircraft.clockwise:
-        out |= {name: -out[name] for name in MIRRORED}
+        out |= {name: -out[name] for name in MIRRORED if name in out}
+    read = readings(aircraft.sensors, out, x[:, AZIMUTH])
+    out |= {f"effect_{name}": values for name, values in read.items()}
     return {name: np.ascontiguousarray(values) for name, values in out.items()}
+
+
+def _move_reference(aircraft: Aircraft, out: Channels) -> None:
+    """Velocity and place of the declared centre of gravity instead of the true one."""
+    arm, omega = np.asarray(aircraft.reference), np.stack([out[c] for c in "pqr"], axis=1)
+    for name, extra in zip("uvw", np.cross(omega, arm).T, strict=True):
+        out[name] = out[name] + extra
+    north, east, down = np.einsum("ijt,j->it", to_earth(np.stack([out[c] for c in ("phi", "theta", "psi")])), arm)
+    out["north"], out["east"], out["height"] = out["north"] + north, out["east"] + east, out["height"] - down
 
 
 def flapping(aircraft: Aircraft, x: Array) -> tuple[Array, Array, Array]:
@@ -62,7 +84,7 @@ def flapping(aircraft: Aircraft, x: Array) -> tuple[Array, Array, Array]:
     """
     count = aircraft.rotor.blades
     flap, rate = x[:, BLADES : BLADES + 2 * count].reshape(-1, 2, count).swapaxes(0, 1)
-    azimuth = x[:, [20]] + aircraft.rotor.spacing.T
+    azimuth = x[:, [AZIMUTH]] + aircraft.rotor.spacing.T
     cosine, sine = np.cos(azimuth), np.sin(azimuth)
     mean = flap.mean(1)
     if count > 2:
@@ -79,9 +101,10 @@ def _at_imu(aircraft: Aircraft, record: Record, flight: int) -> Array:
 
 
 def measured_channels(truth: Channels, names: tuple[str, ...], flight: str, seed: int) -> Channels:
-    """Channels as the sensors read them: truth and white noise, float32 (time exact, float64).
+    """Channels as the sensors read them: truth, or where there is an `effect_NAME` of the sensor that, and white noise.
 
-    Every channel of every flight has a stream of its own: neither a subset of flights nor another length changes it.
+    float32, but time exact in float64. Every channel of every flight has a stream of its own: neither a subset of
+    flights nor another length changes it.
     """
     out: Channels = {}
     for name in names:
@@ -89,6 +112,7 @@ def measured_channels(truth: Channels, names: tuple[str, ...], flight: str, seed
             out[name] = truth[name]
             continue
         stream = np.random.default_rng([seed, zlib.crc32(f"{flight}/{name}".encode())])
-        noisy = truth[name] + NOISE[name] * stream.standard_normal(len(truth[name]))
+        read = truth[name] if name in CONTROL_NAMES else truth.get(f"effect_{name}", truth[name])
+        noisy = read + NOISE[name] * stream.standard_normal(len(truth[name]))
         out[name] = noisy.astype(np.float32)  # pyright: ignore[reportArgumentType]
     return out

@@ -12,7 +12,10 @@ from rotorid_torch.fly.section import Array
 
 @dataclass(frozen=True)
 class TailRotor:
-    """Tail rotor, all in SI. `cant` tilts its thrust (to the right) upwards; `gear` is its speed over the rotor's."""
+    """Tail rotor, all in SI. `cant` tilts its thrust (to the right) upwards; `gear` is its speed over the rotor's.
+
+    `wake_factor`: how much of the main rotor's downwash at its place blows through it.
+    """
 
     position: tuple[float, float, float]
     blades: int
@@ -26,6 +29,7 @@ class TailRotor:
     lock_number: float
     tip_loss: float
     fin_blockage: float
+    wake_factor: float = 0.0
 
     @property
     def axis(self) -> Array:

@@ -17,6 +17,7 @@ from rotorid_torch.fly.aircraft import (
     AZIMUTH,
     BLADES,
     CONTROLS,
+    EULER,
     INFLOW,
     SPEED,
     SPEED_ERROR,
@@ -67,7 +68,8 @@ def passage(aircraft: Aircraft, x: Array) -> Array:
         x = runge_kutta(slope, x, slope(x, controls), (controls, controls, controls), duration / steps)
     x = x.copy()
     x[AZIMUTH] -= 2.0 * np.pi / blades
-    x[BLADES:] = np.roll(x[BLADES:].reshape(4, blades, -1), 1, axis=1).reshape(4 * blades, -1)
+    rows = aircraft.blade_rows
+    x[rows] = np.roll(x[rows].reshape(4, blades, -1), 1, axis=1).reshape(4 * blades, -1)
     return x
 
 
@@ -77,12 +79,12 @@ def with_held_speed(aircraft: Aircraft) -> Aircraft:
 
 
 def unknown_rows(aircraft: Aircraft) -> list[int]:
-    """Rows of the state that trim looks for: velocity, rates, bank, pitch, inflows, blades (not controls)."""
-    return [*range(8), *range(INFLOW.start, INFLOW.stop), TAIL_INFLOW, *range(BLADES, aircraft.states)]
+    """Rows of the state that trim looks for: velocity, rates, bank, pitch, inflows, blades, wake, load."""
+    return [*range(8), *range(INFLOW.start, INFLOW.stop), TAIL_INFLOW, *range(BLADES, aircraft.settled_rows)]
 
 
-def find_trim(aircraft: Aircraft, speed: float, height: float = 27.4) -> Trim:
-    """Level flight at a speed over ground, without sideslip.
+def find_trim(aircraft: Aircraft, speed: float, height: float = 27.4, heading: float = 0.0) -> Trim:
+    """Level flight along a heading (rad) at a speed over ground, without drift.
 
     Raises
     ------
@@ -91,6 +93,7 @@ def find_trim(aircraft: Aircraft, speed: float, height: float = 27.4) -> Trim:
     free = not aircraft.governor.held
     aircraft = with_held_speed(aircraft)
     reached, x, step = 0.0, _guess(aircraft, height), 10.0
+    x[EULER.stop - 1] = heading
     x, residual = _newton(aircraft, x, 0.0)
     while residual < LOOSE and reached < speed:
         nearer = min(reached + step, speed)
@@ -126,7 +129,8 @@ def _moved(x: Array, gain: float) -> Array:
 def _guess(aircraft: Aircraft, height: float) -> Array:
     """Momentum-theory guess of the hover."""
     rotor, tail = aircraft.rotor, aircraft.tail
-    weight = (aircraft.mass + rotor.blades * rotor.blade_mass) * aircraft.gravity
+    below = aircraft.load.mass if aircraft.load else 0.0
+    weight = (aircraft.mass + rotor.blades * rotor.blade_mass + below) * aircraft.gravity
     tip_speed = rotor.speed * rotor.radius
     thrust = weight / (aircraft.air_density * rotor.disc * tip_speed**2)
     solidity, mean = rotor.blades * rotor.chord / (np.pi * rotor.radius), np.sqrt(thrust / 2.0)
@@ -151,7 +155,9 @@ def _residual(aircraft: Aircraft, before: Array, after: Array, speed: float) -> 
     """What is left to trim, per second of the passage, [unknowns, flight]."""
     duration, rows = passage_time(aircraft), unknown_rows(aircraft)
     ground = after[8:12] - before[8:12]
-    ground[1] -= speed * duration
+    heading = before[EULER.stop - 1]
+    ground[1] -= speed * np.cos(heading) * duration
+    ground[2] -= speed * np.sin(heading) * duration
     return np.concatenate([after[rows] - before[rows], ground]) / duration
 
 

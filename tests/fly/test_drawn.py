@@ -1,0 +1,145 @@
+"""Drawn clean aircraft: repeatable, as noisy as the data set, near its motion, and refused where they make no sense."""
+
+import numpy as np
+import pytest
+
+from rotorid_torch.data import Dataset, load
+from rotorid_torch.errors import InputError
+from rotorid_torch.fly import fly
+from rotorid_torch.fly.drawn import clean_flights, undrawable
+from rotorid_torch.fly.resemblance import look
+from rotorid_torch.fly.sensors import MIRRORED
+from tests.helpers import shared, small_arrays
+
+FLIGHTS = ("f321_lon", "f321_lat", "f321_col", "f321_ped")
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """The UH-60's four 3-2-1-1 flights, 8 s each."""
+    return fly(None, flights=FLIGHTS, seconds=8.0).dataset()
+
+
+@pytest.fixture(scope="module")
+def drawn(flown):
+    """Two drawn aircraft."""
+    return list(clean_flights(flown, 1, [0, 1]))
+
+
+def mirrored(dataset: Dataset) -> Dataset:
+    """The same flights of the mirrored aircraft, whose rotor turns clockwise."""
+    flights = {
+        name: {c: (-v if c in MIRRORED else v).numpy() for c, v in flight.channels.items()}
+        for name, flight in dataset.flights.items()
+    }
+    vehicle = {"mass": dataset.vehicle.mass, "mass_excludes": ["blades"], "hub": dataset.vehicle.hub}
+    rotor = dataset.vehicle.rotor
+    assert rotor is not None
+    declared = {key: getattr(rotor, key) for key in rotor.__struct_fields__} | {"direction": "cw"}
+    vehicle |= {"inertia": dataset.vehicle.inertia, "rotor": declared, "air_density": dataset.vehicle.air_density}
+    return Dataset.from_arrays(
+        flights,
+        identify=dataset.identify,
+        vehicle=vehicle | {"imu": dataset.vehicle.imu, "gravity": dataset.vehicle.gravity},
+        controls=dict(dataset.control_specs),
+        channels=dict(dataset.channel_specs),
+    )
+
+
+def test_draws_resemble_the_data_set(flown, drawn):
+    """They are told to, and the derivatives of their own noisy flights do: most within twice what counts as alike."""
+    evidence = look(flown)
+    for draw in drawn:
+        assert draw.alike
+        assert 1 <= draw.tried <= 6
+        off = np.abs(look(draw.dataset).table - evidence.table) / evidence.tolerance
+        asked = np.isfinite(evidence.tolerance)
+        assert np.mean(off[asked] < 2.0) > 0.85
+        for angle in ("phi", "theta"):
+            assert draw.dataset.reference()[angle] == pytest.approx(flown.reference()[angle], abs=0.05)
+        for control in flown.controls:
+            assert draw.dataset.reference()[control] == pytest.approx(flown.reference()[control], abs=2e-3)
+
+
+def test_draws_stay_near_the_measured_motion(flown, drawn):
+    """Rms of the difference below a third of the channel's own, and yet more than noise: it is another aircraft."""
+    for draw in drawn:
+        for channel in ("u", "v", "w", "p", "q", "r", "phi", "theta", "lon", "lat", "col", "ped"):
+            off = [
+                (draw.dataset.flights[name].channels[channel] - flown.flights[name].channels[channel]).numpy()
+                for name in flown.flights
+            ]
+            moved = np.concatenate([part - part[:77].mean() for part in off])
+            assert np.sqrt(np.mean(moved**2)) < 0.4 * flown.scales()[channel]
+        assert any(np.std(part) > 3.0 * flown.noise("r") for part in off)
+
+
+def test_form_and_noise_are_the_data_sets(flown, drawn):
+    """The same lists, channels, samples, declaration; white noise of the declared size."""
+    for draw in drawn:
+        other = draw.dataset
+        assert (other.identify, other.validate, other.acid) == (flown.identify, flown.validate, flown.acid)
+        assert other.vehicle == flown.vehicle
+        for name, flight in flown.flights.items():
+            assert set(other.flights[name].channels) == set(flight.channels)
+            assert other.flights[name].samples == flight.samples
+        for channel in ("u", "p", "phi", "ax", "a1", "height"):
+            quiet = np.concatenate([np.diff(flight.channels[channel][:100]) for flight in other.flights.values()])
+            assert np.std(quiet) / np.sqrt(2.0) == pytest.approx(flown.noise(channel), rel=0.15)
+
+
+def test_a_draw_depends_on_its_number_and_seed_alone(flown, drawn):
+    """The second draw alone is the second of two; another seed is another aircraft."""
+    alone = next(iter(clean_flights(flown, 1, [1])))
+    for name, flight in drawn[1].dataset.flights.items():
+        for channel, values in flight.channels.items():
+            np.testing.assert_allclose(alone.dataset.flights[name].channels[channel], values, rtol=1e-4, atol=1e-4)
+    assert drawn[0].numbers["mass"] != drawn[1].numbers["mass"]
+    assert next(iter(clean_flights(flown, 2, [1]))).numbers["mass"] != drawn[1].numbers["mass"]
+
+
+def test_a_clockwise_rotor_is_drawn_in_the_mirror(flown, drawn):
+    """From the mirrored flights come the mirrored draws (the noise goes into the fit: not to the last digit)."""
+    other = next(iter(clean_flights(mirrored(flown), 1, [0])))
+    for name, flight in drawn[0].dataset.flights.items():
+        for channel in ("p", "v", "q", "r", "lat"):
+            sign = -1.0 if channel in MIRRORED else 1.0
+            scale = flown.scales()[channel]
+            off = sign * other.dataset.flights[name].channels[channel] - flight.channels[channel]
+            level = off - off[:77].mean()
+            assert float((level**2).mean().sqrt()) < 0.2 * scale, (name, channel)
+
+
+def test_gaps_stay_gaps(flown):
+    """Missing samples are missing in the draws."""
+    flights = {name: {c: v.numpy().copy() for c, v in f.channels.items()} for name, f in flown.flights.items()}
+    flights["f321_lon"]["q"][200:240] = np.nan
+    tables = {"controls": dict(flown.control_specs), "channels": dict(flown.channel_specs)}
+    gappy = Dataset.from_arrays(flights, identify=flown.identify, vehicle=flown.vehicle, **tables)
+    draw = next(iter(clean_flights(gappy, 1, [0])))
+    missing = draw.dataset.flights["f321_lon"].channels["q"].isnan()
+    assert missing.sum() == 40
+    assert missing[200:240].all()
+
+
+def test_what_cannot_be_drawn_is_refused_in_words():
+    """A rotor without radius, a vehicle without mass, missing controls."""
+    dataset = Dataset.from_arrays(small_arrays(), identify=["one", "two", "three"])
+    assert undrawable(dataset) == "the radius of the main rotor is not declared"
+    with pytest.raises(InputError, match="radius of the main rotor"):
+        next(iter(clean_flights(dataset, 0, [0])))
+    whole = {"mass": 1000.0, "inertia": np.diag([500.0, 2000.0, 1800.0]).tolist(), "rotor": {"radius": 5.0}}
+    lacking = Dataset.from_arrays(small_arrays(), identify=["one", "two", "three"], vehicle=whole)
+    assert undrawable(lacking) == "the controls lack col, ped"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["uh60-hover", "uh60-60kt", "ah1-hover", "uh60b-hover"])
+def test_other_peoples_helicopters_are_drawn(name):
+    """Aircraft of four other simulators: alike in trim and derivatives, near their motion."""
+    dataset = load(shared("flightdata", name))
+    for draw in clean_flights(dataset, 0, range(3)):
+        assert draw.misfit < 1.6
+        for channel in ("u", "v", "w", "p", "q", "r", "phi", "theta"):
+            ratio = draw.dataset.scales()[channel] / dataset.scales()[channel]
+            assert 0.7 < ratio < 1.4, channel
