@@ -62,7 +62,7 @@ def test_draws_resemble_the_data_set(flown, drawn):
 
 
 def test_draws_stay_near_the_measured_motion(flown, drawn):
-    """Rms of the difference below a third of the channel's own, and yet more than noise: it is another aircraft."""
+    """Rms of the difference below 0.4 of the channel's own, and yet more than noise: it is another aircraft."""
     for draw in drawn:
         for channel in ("u", "v", "w", "p", "q", "r", "phi", "theta", "lon", "lat", "col", "ped"):
             off = [
@@ -71,7 +71,8 @@ def test_draws_stay_near_the_measured_motion(flown, drawn):
             ]
             moved = np.concatenate([part - part[:77].mean() for part in off])
             assert np.sqrt(np.mean(moved**2)) < 0.4 * flown.scales()[channel]
-        assert any(np.std(part) > 3.0 * flown.noise("r") for part in off)
+            if channel == "r":
+                assert np.std(moved) > 3.0 * flown.noise("r")
 
 
 def test_form_and_noise_are_the_data_sets(flown, drawn):

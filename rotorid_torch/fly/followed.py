@@ -1,0 +1,166 @@
+"""Flies a batch of drawn helicopters after measured flights: recorded controls, and feedback of the deviation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_continuous_are
+from scipy.ndimage import gaussian_filter1d
+
+from rotorid_torch.fly.aircraft import CONTROL_NAMES
+from rotorid_torch.fly.drawn_aircraft import Aircraft, Prior
+from rotorid_torch.fly.reduced import BODY, EULER, FLAP, PLACE, SPEED, TORQUE, respond
+from rotorid_torch.fly.reduced_trim import linearise
+from rotorid_torch.fly.resemblance import Recorded
+from rotorid_torch.fly.section import Array
+
+FED = ("u", "v", "w", "p", "q", "r", "phi", "theta")
+CONTROL_BLUR, MOTION_BLUR = 0.01, 0.1  # s: standard deviations of the kernels that take noise out of the records
+TURN = 0.25  # rad of the rotor in one step of the integration, at most
+EFFORT = 1.0  # price of an rms of the controls in terms of an rms of the deviation
+
+
+@dataclass(frozen=True)
+class Tapes:
+    """What the flights prescribe, padded to one length, as deviations from the data set's trim.
+
+    `controls` [T, 4, flight] in recorded units and `motion` [T, 8, flight] (`FED`), both without most of their noise;
+    `dt` and `samples` [flight]; `start` [4, flight]: psi, north, east, height; `sizes` [12]: rms of motion, controls.
+    """
+
+    controls: Array
+    motion: Array
+    dt: Array
+    samples: Array
+    start: Array
+    sizes: Array
+    trim: Mapping[str, float]
+
+
+def tapes(flights: Sequence[Recorded], trim: Mapping[str, float]) -> Tapes:
+    """The flights' controls and motion about trim."""
+    longest = max(flight.samples for flight in flights)
+
+    def prepared(flight: Recorded, names: Sequence[str], blur: float) -> Array:
+        rows = np.stack([flight.get(name, trim.get(name, 0.0)) - trim.get(name, 0.0) for name in names], axis=1)
+        smooth = gaussian_filter1d(rows, blur / flight.dt, axis=0, mode="nearest")
+        return np.pad(smooth, ((0, longest - flight.samples), (0, 0)), mode="edge")
+
+    controls = np.stack([prepared(flight, CONTROL_NAMES, CONTROL_BLUR) for flight in flights], axis=-1)
+    motion = np.stack([prepared(flight, FED, MOTION_BLUR) for flight in flights], axis=-1)
+    start = np.array([[flight.get(name, 0.0)[:20].mean() for flight in flights] for name in ("psi", *_PLACES)])
+    size = np.concatenate([np.sqrt((part**2).mean((0, 2))) for part in (motion, controls)])
+    dt, samples = np.array([f.dt for f in flights]), np.array([f.samples for f in flights])
+    return Tapes(controls, motion, dt, samples, start, size, trim)
+
+
+_PLACES = ("north", "east", "height")
+
+
+_ROWS = 27
+
+
+@dataclass(frozen=True)
+class Followed:
+    """What happened.
+
+    `record` [T, 27, aircraft, flight]: body states (12), specific force, angular acceleration, flapping, rotor speed,
+    torque, blade angles; `neutral` [4, aircraft, 1] and `gearing` [aircraft, 4] turn these into recorded units, about
+    `level` [4]; `imu` [3, aircraft]; `samples` [flight].
+    """
+
+    record: NDArray[np.float32]
+    neutral: Array
+    gearing: Array
+    level: Array
+    imu: Array
+    samples: Array
+
+    def channels(self, aircraft: int, flight: int) -> dict[str, Array]:
+        """All channels without noise, [T], in the frame of a rotor that turns counter-clockwise."""
+        rows = self.record[: int(self.samples[flight]), :, aircraft, flight].astype(np.float64)
+        names = ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi", "north", "east", "height")
+        out = dict(zip(names, rows.T, strict=False))
+        velocity, omega, angular, arm = rows[:, :3], rows[:, 3:6], rows[:, 15:18], self.imu[:, aircraft]
+        felt = rows[:, 12:15] + np.cross(angular, arm) + np.cross(omega, np.cross(omega, arm))
+        out |= dict(zip(("ax", "ay", "az"), felt.T, strict=True))
+        out |= dict(zip(("pdot", "qdot", "rdot", "a0", "a1", "b1", "omega", "torque"), rows[:, 15:23].T, strict=True))
+        moved = (rows[:, 23:] - self.neutral[:, aircraft, 0]) / self.gearing[aircraft]
+        out |= dict(zip(CONTROL_NAMES, (moved + self.level).T, strict=True))
+        fast = np.sqrt((velocity**2).sum(1))
+        out |= {"airspeed": fast, "alpha": np.arctan2(velocity[:, 2], velocity[:, 0])}
+        return out | {"beta": np.arcsin(velocity[:, 1] / np.maximum(fast, 1e-9))}
+
+
+def gains(kept: Aircraft, prior: Prior, tape: Tapes) -> Array:
+    """Feedback of `FED` to lon lat col ped, rad, [aircraft, 4, 8]: linear-quadratic, weighed by the flights' rms.
+
+    Source: Anderson and Moore, Optimal Control: Linear Quadratic Methods, chapter 3.
+    """
+    table = linearise(kept.craft, kept.trims).derivatives()
+    out = np.zeros((len(table), 4, 8))
+    weight = np.diag(1.0 / np.maximum(tape.sizes[:8], 1e-3) ** 2)
+    for k, derivatives in enumerate(table):
+        a, b = body_system(derivatives, kept.trims.state[:, k, 0], prior.vehicle.gravity)
+        price = EFFORT * np.diag(1.0 / np.maximum(np.abs(kept.gearing[k]) * tape.sizes[8:], 1e-6) ** 2)
+        answer = solve_continuous_are(a, b, weight, price)
+        out[k] = -np.linalg.solve(price, b.T @ answer)
+    return out
+
+
+def body_system(derivatives: Array, x: Array, gravity: float) -> tuple[Array, Array]:
+    """Eight-state linear model (`FED`) and its inputs, [8, 8] and [8, 4], of derivatives [6, 10] about trim."""
+    (u, v, w), (phi, theta) = x[BODY], x[EULER][:2]
+    a, b = np.zeros((8, 8)), np.zeros((8, 4))
+    a[:6, :6], b[:6] = derivatives[:, :6], derivatives[:, 6:]
+    a[:3, 3:6] += np.array([[0.0, -w, v], [w, 0.0, -u], [-v, u, 0.0]])
+    cp, sp, ct, st = np.cos(phi), np.sin(phi), np.cos(theta), np.sin(theta)
+    a[:3, 6] = gravity * np.array([0.0, ct * cp, -ct * sp])
+    a[:3, 7] = -gravity * np.array([ct, st * sp, st * cp])
+    a[6, 3:6] = 1.0, sp * st / ct, cp * st / ct
+    a[7, 4:6] = cp, -sp
+    return a, b
+
+
+def follow(kept: Aircraft, tape: Tapes, prior: Prior) -> Followed:
+    """Fly every aircraft through every flight.
+
+    Its blade angles are trim + gearing x recorded + gains x (own motion - measured motion), all from trim. What its
+    record shows of them is in the data set's units and about the data set's trim: rigging is not its business.
+    """
+    craft, trims, flights = kept.craft, kept.trims, len(tape.dt)
+    feed = gains(kept, prior, tape)
+    fed = [*range(8)]
+    neutral = trims.state[fed]
+    x = np.repeat(trims.state, flights, axis=2)
+    x[fed] += tape.motion[0][:, None]
+    x[8], x[PLACE] = tape.start[0], tape.start[1:, None]
+    hands = kept.gearing.T[:, :, None] * tape.controls[:, :, None]
+    hands -= np.einsum("dij,tjf->tidf", feed, tape.motion)
+    hands += trims.controls
+    level = np.array([tape.trim.get(name, 0.0) for name in CONTROL_NAMES])
+    substeps = int(np.ceil(float((tape.dt.max() * craft.speed).max()) / TURN))
+
+    def commanded(state: Array, hand: Array) -> Array:
+        return hand + (feed @ (state[fed] - neutral).swapaxes(0, 1)).swapaxes(0, 1)
+
+    def slope(state: Array, hand: Array) -> Array:
+        return respond(craft, trims.setting, state, commanded(state, hand))[0]
+
+    last = len(hands) - 1
+    record = np.empty((last + 1, _ROWS, craft.count, flights), dtype=np.float32)
+    for t in range(last + 1):
+        u = commanded(x, hands[t])
+        first, response = respond(craft, trims.setting, x, u)
+        rows = record[t]
+        rows[:12], rows[12:15], rows[15:18], rows[18:21] = x[:12], response.specific_force, response.angular, x[FLAP]
+        rows[21], rows[22], rows[23:] = x[SPEED], response.shaft if craft.held else x[TORQUE], u
+        step = np.where(t < tape.samples - 1, tape.dt, 0.0) / substeps
+        for k in range(substeps if t < last else 0):
+            first = slope(x, hands[t] + k / substeps * (hands[t + 1] - hands[t])) if k else first
+            middle = hands[t] + (k + 0.5) / substeps * (hands[t + 1] - hands[t])
+            x = x + step * slope(x + 0.5 * step * first, middle)
+    return Followed(record, trims.controls, kept.gearing, level, craft.imu[..., 0], tape.samples)
