@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from rotorid_torch.identification.reconstruct import reconstruct as reconstruct
     from rotorid_torch.identification.ukf import unscented_filter as unscented_filter
     from rotorid_torch.model.model import Model as Model
+    from rotorid_torch.run.closing import Loop as Loop
+    from rotorid_torch.run.closing import close_loop as close_loop
     from rotorid_torch.run.pipeline import Run as Run
     from rotorid_torch.run.pipeline import identify as identify
 
@@ -32,6 +34,8 @@ _PUBLIC = {
     "reconstruct": "identification.reconstruct",
     "unscented_filter": "identification.ukf",
     "Model": "model.model",
+    "Loop": "run.closing",
+    "close_loop": "run.closing",
     "Run": "run.pipeline",
     "identify": "run.pipeline",
 }

@@ -103,6 +103,7 @@ def parser() -> Parser:
     _add_check(commands)
     _add_reconstruct(commands)
     _add_identify(commands)
+    _add_close_loop(commands)
     _add_simulate(commands)
     _add_command(commands, "effects", effects, "the table of effects that a model can hold")
     show_parser = _add_command(commands, "show", show, "the scorecard of one run or of several")
@@ -126,13 +127,16 @@ def _add_command(commands, name: str, run: Callable[[Options], None], about: str
 def _add_fly(commands) -> None:
     command = _add_command(commands, "fly", fly, "fly the built-in flight-test aircraft; writes a data set")
     command.add_argument("--out", metavar="DATASET", type=Path, required=True, help="folder to write")
-    command.add_argument("--effect", metavar="ID", action=AddEffect, help="fly with this undeclared effect; repeatable")
-    command.add_argument("--size", metavar="F", type=_number, action=SizeLastEffect, help="size of that effect")
+    command.add_argument("--effect", metavar="ID", action=AddEffect, help="hide this effect; repeatable")
+    size_help = "size of the effect before it, as a factor of its typical size (1)"
+    command.add_argument("--size", metavar="F", type=_number, action=SizeLastEffect, help=size_help)
     command.add_argument("--speed", metavar="V", type=_number, help="trimmed speed, m/s (hover)")
     command.add_argument("--heading", metavar="PSI", type=_number, help="heading of the trim, rad (0)")
     command.add_argument("--height", metavar="H", type=_number, help="height of the trim, m (27.4)")
     command.add_argument("--vehicle", metavar="FILE", type=Path, help="another vehicle, declared in a TOML file")
-    command.add_argument("--flights", metavar="LIST", type=_names, help="names of flights, with commas (all)")
+    flights_help = "names with commas, also under a condition: dbl_lon_p, dbl_lon_p-90deg, dbl_col_p-5m, dbl_lon_p-20mps; "
+    flights_help += "or all, headings, heights, speeds (all, and what the effects need)"
+    command.add_argument("--flights", metavar="LIST", type=_names, help=flights_help)
 
 
 def _add_check(commands) -> None:
@@ -153,6 +157,13 @@ def _add_identify(commands) -> None:
     command.add_argument("--out", metavar="RUN", type=Path, required=True, help="the run's folder")
     command.add_argument("--effect", metavar="ID", action="append", default=[], help="add this effect; repeatable")
     command.add_argument("--resume", action="store_true", help="go on from an interrupted run's last finished step")
+
+
+def _add_close_loop(commands) -> None:
+    command = _add_command(commands, "close-loop", close_loop, "identify, trace what is missing, identify again")
+    command.add_argument("dataset", metavar="DATASET", type=Path)
+    command.add_argument("--out", metavar="RUN", type=Path, required=True, help="the run's folder")
+    command.add_argument("--hybrid", action="store_true", help="a small network learns what no effect explains")
 
 
 def _add_simulate(commands) -> None:
@@ -221,6 +232,19 @@ def identify(options: Options) -> None:
         pipeline.identify(dataset, out=options.out, monitor=told, resume=options.resume, ranks=ranks, **given)
         if ranks.first:
             _answer_report(options, options.out, read_report(options.out))
+
+
+def close_loop(options: Options) -> None:
+    """Find what the model lacks, name it, add it, identify again."""
+    from rotorid_torch.data import load
+    from rotorid_torch.run.closing import close_loop as close
+    from rotorid_torch.run.folder import refuse_unless_free
+    from rotorid_torch.run.records import read_report
+
+    refuse_unless_free(options.out)
+    given = {"hybrid": options.hybrid, "seed": options.seed, "device": options.device, "monitor": _monitor(options)}
+    close(load(options.dataset), out=options.out, **given)
+    _answer_report(options, options.out, read_report(options.out))
 
 
 def simulate(options: Options) -> None:

@@ -291,7 +291,7 @@ def _bytes(file: Path) -> bytes:
 
 def _plain(table: Any) -> Any:
     return (
-        msgspec.to_builtins(table, str_keys=True)
+        msgspec.to_builtins(dict(table) if isinstance(table, Mapping) else table, str_keys=True)
         if isinstance(table, msgspec.Struct | Mapping | list | tuple)
         else table
     )

@@ -127,7 +127,7 @@ def identify(
     ----------
     effects : ids of effects that join the model, such as "control.delay".
     out : folder of the run; an earlier RUN there is replaced when the new one is whole.
-    device : "cpu"; the steps run in float64 on the processor.
+    device : "cpu" or "cuda", where filter, smoother and step 3 run; in float64 on both.
     resume : go on from the last finished step of an interrupted run to `out`, if there is one.
     ranks : processes that share the work, each of which calls this; the first one alone writes.
 
@@ -138,8 +138,7 @@ def identify(
     LostRank : another rank has ended; an earlier RUN stays as it was.
     """
     monitor = monitor or Monitor()
-    _refuse(effects, device)
-    _refuse_unfit(dataset)
+    refuse(dataset, effects, device)
     ranks.refuse_more_than(len(dataset.identify))
     torch.manual_seed(seed)
     with ExitStack() as stack:
@@ -149,7 +148,7 @@ def identify(
             kept = stack.enter_context(checkpoint(out, key, resume=resume, keep=resume or ranks.size > 1))
             folder = stack.enter_context(run_folder(out))
             stack.enter_context(monitor.recording(folder))
-        run = _identify(dataset, effects, seed, Steps(monitor, ranks, kept))
+        run = identified(dataset, effects, seed, Steps(monitor, ranks, kept, device))
         if folder is not None:
             run.write(folder, monitor)
     return run
@@ -161,11 +160,12 @@ def _key(dataset: Dataset, effects: Sequence[str], seed: int) -> dict[str, str]:
     return {"version": package_version(), "data set": dataset.sha256, "effects": chosen, "seed": str(seed)}
 
 
-def _identify(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps) -> Run:
+def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps) -> Run:
+    """The three steps, free runs and scores."""
     seen, monitor = at_one_rate(dataset), steps.monitor
-    reconstruction = steps.reconstruct(tuple(seen.flights), lambda: step1.reconstruct(seen, ranks=steps.ranks))
+    reconstruction = steps.reconstruct(tuple(seen.flights), lambda: step1.reconstruct(seen, None, steps.ranks, steps.device))
     first = steps.do("structure", "structure", lambda: propose(seen, reconstruction, effects))
-    tried = [_estimate(spec, seen, reconstruction, steps) for spec in (first, rival(first)) if spec is not None]
+    tried = [estimated(spec, seen, reconstruction, steps) for spec in (first, rival(first)) if spec is not None]
     spec, model, regressions, estimate = min(tried, key=lambda t: t[3].criterion)
     with monitor.step("validate"):
         judged = judge(model, dataset, steps.ranks)
@@ -180,7 +180,7 @@ def _identify(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps)
     return Run(model, spec, fit, report, reconstruction, regressions, estimate, judged.overlays)
 
 
-def _estimate(
+def estimated(
     spec: ModelSpec, dataset: Dataset, reconstruction: Reconstruction, steps: Steps
 ) -> tuple[ModelSpec, Model, Step2, Step3]:
     """Steps 2 and 3 of one structure."""
@@ -193,10 +193,10 @@ def _estimate(
     def watch(iteration: int, cost: float, theta: Tensor) -> None:
         monitor.scalars({"ml/cost": cost}, iteration)
 
-    def estimated() -> Step3:
-        return estimate_model(model, dataset, reconstruction, regressions, watch, steps.ranks)
+    def third() -> Step3:
+        return estimate_model(model, dataset, reconstruction, regressions, watch, steps.ranks, steps.device)
 
-    estimate = steps.do("ml", f"ml-{spec.flapping}", estimated)
+    estimate = steps.do("ml", f"ml-{spec.flapping}", third)
     with torch.no_grad():
         model.theta.copy_(estimate.theta_of(model, regressions))
     monitor.say(f"flapping {spec.flapping}: Akaike's criterion {estimate.criterion:.6g}")
@@ -262,14 +262,18 @@ def _warn_outside(found: dict[str, np.ndarray], spec: ModelSpec) -> None:
         python_warnings.warn(f"{said}; do not trust it there", stacklevel=3)
 
 
-def _refuse(effects: Sequence[str], device: str) -> None:
+def refuse(dataset: Dataset, effects: Sequence[str], device: str) -> None:
+    """Refuse what identify cannot do: effects that are not there, a device, data that no step can make a model of."""
     for name in effects:
         if name not in registered():
             raise InputError("--effect", name, "there is no such effect", f"one of {', '.join(sorted(registered()))}")
         if list(effects).count(name) > 1:
             raise InputError("--effect", name, "is named twice", "each effect once")
-    if device != "cpu":
-        raise InputError("--device", device, "is not offered by identify yet", "cpu")
+    if device not in ("cpu", "cuda"):
+        raise InputError("--device", device, "there is no such device", "cpu or cuda")
+    if device == "cuda" and not torch.cuda.is_available():
+        raise InputError("--device", device, "no CUDA device is available here", "cpu")
+    _refuse_unfit(dataset)
 
 
 def _refuse_unfit(dataset: Dataset) -> None:

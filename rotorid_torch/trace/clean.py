@@ -1,0 +1,202 @@
+"""Gains of candidates on clean drawn aircraft: flown, identified and screened as the data set was; cached one by one.
+
+Draws are spread over processes of their own. What was found stays on disk by vehicle, manoeuvres and model structure,
+so that the same vehicle's next data set finds its floors there.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import torch
+
+from rotorid_torch.core.native.build import cache_folder, threads
+from rotorid_torch.data.dataset import Dataset, load
+from rotorid_torch.data.one_rate import at_one_rate
+from rotorid_torch.data.write import write_dataset
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.identification.reconstruct import reconstruct
+from rotorid_torch.identification.step2 import regress_model
+from rotorid_torch.identification.structure import propose
+from rotorid_torch.model.nominal import build
+from rotorid_torch.trace.fits import Flights, refit
+from rotorid_torch.trace.floor import Floors
+from rotorid_torch.trace.screen import screen
+
+DRAWS = 40
+"""Clean aircraft that are drawn: two of them may pass a floor that 5 % may pass."""
+FEWEST = 20
+"""Draws below which no quantile of 5 % is told."""
+STAGES = (2.0, 5.0)
+"""Lengths of the segments that a drawn aircraft is fitted on, s."""
+FORMAT = 1
+"""Of what is cached."""
+SAME = ("flapping", "flapping_doubtful", "patterns", "inflow", "cyclic_inflow", "effects")
+"""Structure that a drawn aircraft's model shares with the data's."""
+
+
+def gains_on(clean: Dataset, spec: ModelSpec, effects: Sequence[str]) -> dict[str, float]:
+    """Gain of each effect on a clean aircraft's flights, its model having the structure of the spec."""
+    seen = at_one_rate(clean)
+    found = reconstruct(seen)
+    own = propose(seen, found, ())
+    own = msgspec.structs.replace(own, **{name: getattr(spec, name) for name in SAME})
+    model = build(own)
+    start = regress_model(model, seen, found)
+    values = dict(zip(model.parameter_set.names, start.theta.tolist(), strict=True))
+    fitted = refit(own, Flights(seen, found), values, start.held, lengths=STAGES)
+    screened = screen(fitted, effects, shuffles=0)
+    return {e: screened.gain([e]) for e in effects}
+
+
+def clean_floors(
+    dataset: Dataset,
+    spec: ModelSpec,
+    effects: Sequence[str],
+    seed: int = 0,
+    say: Callable[[str], None] = lambda line: None,
+    draws: int = DRAWS,
+) -> Floors:
+    """Gains of effects on clean aircraft drawn in the likeness of a data set, for models of the structure of a spec.
+
+    Where none can be drawn the note says why, and the data's own shuffled residual is all that floors are made of.
+    """
+    from rotorid_torch.fly.drawn import undrawable
+
+    why = undrawable(dataset)
+    if why is not None:
+        return Floors({}, f"floors come from shuffled residuals alone: no clean aircraft can be drawn, {why}")
+    folder = cache_folder() / "floors" / _fingerprint(dataset, spec, effects, seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    missing = [n for n in range(draws) if not _file(folder, n).exists()]
+    if missing:
+        say(f"floors: {len(missing)} of {draws} clean aircraft to be flown and identified; they are kept for next time")
+        _fly(dataset, spec, effects, seed, missing, folder)
+    found = [json.loads(_file(folder, n).read_text()) for n in range(draws) if _file(folder, n).exists()]
+    told = [f["gains"] for f in found if f["alike"] and set(f["gains"]) >= set(effects)]
+    if len(told) < FEWEST:
+        kept = f"only {len(told)} of {draws} drawn aircraft resemble the data"
+        return Floors({}, f"floors come from shuffled residuals alone: {kept}")
+    gains = {e: torch.tensor([g[e] for g in told], dtype=torch.float64) for e in effects}
+    return Floors(gains, f"floors come from {len(told)} clean aircraft drawn in the likeness of this one")
+
+
+def _file(folder: Path, number: int) -> Path:
+    return folder / f"{number}.json"
+
+
+def _fingerprint(dataset: Dataset, spec: ModelSpec, effects: Sequence[str], seed: int) -> str:
+    """What the draws depend on: vehicle, manoeuvres (in coarse steps of their size), model structure, the code."""
+    facts = {name: dataset.facts[name] for name in dataset.flights}
+    scales = dataset.scales()
+    told = {
+        "format": FORMAT,
+        "seed": seed,
+        "kind": dataset.kind,
+        "vehicle": msgspec.to_builtins(dataset.vehicle),
+        "lists": [dataset.identify, dataset.validate, dataset.acid],
+        "flights": {name: [f.samples, round(f.dt, 6)] for name, f in facts.items()},
+        "noise": {c: f"{dataset.noise(c):.1g}" for c in spec.outputs},
+        "controls": {c: round(math.log2(max(scales[c], 1e-9))) for c in dataset.controls},
+        "reference": {c: round(0.5 * spec.reference.get(c, 0.0)) for c in ("u", "v", "w")},
+        "structure": {name: msgspec.to_builtins(getattr(spec, name)) for name in SAME},
+        "effects": list(effects),
+        "code": _code(),
+    }
+    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:24]
+
+
+def _code() -> str:
+    """Digest of the chapters that make a gain."""
+    root, digest = Path(__file__).parents[1], hashlib.sha256()
+    for chapter in ("core", "effects", "model", "fly", "identification"):
+        for file in sorted((root / chapter).rglob("*")):
+            if file.suffix in (".py", ".h", ".toml"):
+                digest.update(file.read_bytes())
+    for name in ("fits.py", "screen.py", "clean.py"):
+        digest.update((Path(__file__).parent / name).read_bytes())
+    return digest.hexdigest()
+
+
+def _fly(
+    dataset: Dataset, spec: ModelSpec, effects: Sequence[str], seed: int, numbers: Sequence[int], folder: Path
+) -> None:
+    """The draws in as many processes as there are processors for this one."""
+    count = min(threads(), len(numbers))
+    with tempfile.TemporaryDirectory() as place:
+        likeness = Path(place) / "likeness"
+        _written(dataset, likeness)
+        workers = []
+        for k in range(count):
+            request = {
+                "dataset": str(likeness),
+                "spec": spec.plain(),
+                "effects": list(effects),
+                "seed": seed,
+                "numbers": list(numbers[k::count]),
+                "folder": str(folder),
+            }
+            file = Path(place) / f"request-{k}.json"
+            file.write_text(json.dumps(request))
+            alone = {**os.environ, "OMP_NUM_THREADS": "1", "ROTORID_THREADS": "1"}
+            workers.append(subprocess.Popen([sys.executable, "-m", "rotorid_torch.trace.clean", str(file)], env=alone))
+        try:
+            for worker in workers:
+                worker.wait()
+        finally:
+            for worker in workers:
+                worker.kill()
+
+
+def _written(dataset: Dataset, place: Path) -> None:
+    flights = {
+        name: {"time": f.time.numpy(), **{c: v.numpy() for c, v in f.channels.items() if c != "time"}}
+        for name, f in dataset.flights.items()
+    }
+    write_dataset(
+        place,
+        flights,
+        identify=dataset.identify,
+        validate=dataset.validate,
+        acid=dataset.acid,
+        name=dataset.name,
+        kind=dataset.kind,
+        description=dataset.description,
+        vehicle=dataset.vehicle,
+        controls=dataset.control_specs,
+        channels=dataset.channel_specs,
+        model=dataset.settings,
+    )
+
+
+def _work(request: Mapping[str, object]) -> None:
+    """Draws of one process: one file for each, whole or absent."""
+    from rotorid_torch.fly.drawn import clean_flights
+
+    dataset, folder = load(str(request["dataset"])), Path(str(request["folder"]))
+    spec, effects = ModelSpec.from_plain(request["spec"]), msgspec.convert(request["effects"], list[str])
+    numbers = msgspec.convert(request["numbers"], list[int])
+    for drawn in clean_flights(dataset, msgspec.convert(request["seed"], int), numbers):
+        try:
+            gains = gains_on(drawn.dataset, spec, effects)
+        except (ValueError, np.linalg.LinAlgError, torch.linalg.LinAlgError):  # an aircraft that no fit converges for
+            gains = {}
+        found = {"gains": gains, "alike": drawn.alike, "misfit": drawn.misfit, "rotor": drawn.rotor}
+        beside = folder / f".{drawn.number}.{os.getpid()}"
+        beside.write_text(json.dumps(found))
+        beside.replace(_file(folder, drawn.number))
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    _work(json.loads(Path(sys.argv[1]).read_text()))

@@ -1,0 +1,111 @@
+"""From numbers to verdicts: pure functions of fits, screens and floors, and their reasons in plain words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from torch import Tensor
+
+from rotorid_torch.effects.registry import registered
+from rotorid_torch.trace.finding import Finding
+from rotorid_torch.trace.fits import Fitted
+from rotorid_torch.trace.screen import Screen
+
+SURE = 3.0
+"""Standard errors from its null beyond which a parameter is believed."""
+STEADY = 2.0
+"""Jackknife standard errors over flights that a size must reach to be the same in all flights."""
+
+
+def unseen_gain(null: Fitted, candidate: Fitted) -> Tensor:
+    """Mean over the channels of log(rms without / rms with) on each flight that no fit has seen [F]."""
+    return (null.unseen.size().log() - candidate.unseen.size().log()).nanmean(dim=1)
+
+
+def gain(null: Fitted, candidate: Fitted) -> float:
+    """Fall of minus log-likelihood per sample of the identify flights; minus infinity where the fit failed."""
+    found = (null.cost - candidate.cost) / null.per_sample
+    return found if math.isfinite(found) else -math.inf
+
+
+def objection(null: Fitted, candidate: Fitted, effect: str, floor: float, screened: Screen) -> str | None:
+    """Why a fitted candidate is not a finding; None where nothing speaks against it."""
+    if gain(null, candidate) <= floor:
+        return "fitted in full, it explains no more than clean aircraft let any candidate explain"
+    own = [s for s in screened.signatures if s.effect == effect]
+    values = candidate.values
+    edge = [s.parameter for s in own if _at_edge(candidate, s.parameter)]
+    if edge:
+        return f"{edge[0]} = {values[edge[0]]:.3g} lies at the edge of its range"
+    away = {s.parameter: abs(values[s.parameter] - s.null) / max(candidate.error(s.parameter), 1e-300) for s in own}
+    if max(away.values()) < SURE:
+        name = max(away, key=lambda n: away[n])
+        return f"{name} = {values[name]:.3g} lies within {SURE:g} of its standard errors from nothing"
+    spread = screened.scatter(effect)
+    steady = [
+        abs(values[s.parameter] - s.null) > STEADY * spread[s.parameter] for s in own if away[s.parameter] >= SURE
+    ]
+    if not any(steady):
+        return "its size differs from flight to flight"
+    better = unseen_gain(null, candidate)
+    if not helps(better):
+        return f"it does not help on flights that no fit has seen ({int((better > 0).sum())} of {len(better)} better)"
+    return None
+
+
+def helps(better: Tensor) -> bool:
+    """Whether unseen flights [F] gain: in the mean by more than its standard error, and at least half of them."""
+    count = len(better)
+    error = float(better.std() / math.sqrt(count)) if count > 1 else 0.0
+    return float(better.mean()) > error and int((better > 0).sum()) * 2 >= count
+
+
+def _at_edge(candidate: Fitted, name: str) -> bool:
+    """On a bound that is not its null."""
+    known = candidate.model.parameter_set
+    i = known.index(name)
+    value, null = candidate.values[name], float(known.values[i])
+    bounds = (float(known.lower[i]), float(known.upper[i]))
+    return any(math.isclose(value, b, rel_tol=1e-9, abs_tol=0.0) and b != null for b in bounds)
+
+
+def rivals(
+    null: Fitted, fitted: Mapping[str, Fitted], floors: Mapping[str, float], sane: Sequence[str]
+) -> tuple[str, list[str]]:
+    """The sane candidate that explains most, and those whose gain the floor does not tell from it."""
+    gains = {e: gain(null, fitted[e]) for e in sane}
+    best = max(gains, key=lambda e: gains[e])
+    near = [e for e in sane if e != best and gains[best] - gains[e] < max(floors[best], floors[e])]
+    return best, near
+
+
+def smallest_visible(screened: Screen, effect: str, floor: float) -> tuple[float, str] | None:
+    """Size at which the effect would reach its floor, in the unit of its first parameter."""
+    own = [s for s in screened.signatures if s.effect == effect]
+    shown = screened.shown(effect)
+    if not own or shown <= 0.0:
+        return None
+    return abs(own[0].step) * math.sqrt(floor / shown), own[0].unit
+
+
+def left_over(screened: Screen, effect: str, floor: float, explained_by: Sequence[str], hot: bool) -> Finding:
+    """Finding of a candidate that did not join."""
+    role = registered()[effect].role.value
+    found, visible = screened.gain([effect]), smallest_visible(screened, effect, floor)
+    keep = {"gain": found, "floor": floor, "smallest_visible": visible}
+    if hot and explained_by and found <= floor:
+        better = " and ".join(explained_by)
+        return Finding(effect, role, "rejected", f"what it would explain, {better} explains better", **keep)
+    if screened.shown(effect) < floor:
+        absorbed = screened.imitators(effect)
+        said = "at its usual size these flights would not show it: "
+        said += f"{', '.join(absorbed)} take its place" if absorbed else "it hardly moves what was measured"
+        return Finding(effect, role, "indistinguishable", said, **keep, group=absorbed)
+    return Finding(effect, role, "below floor", "it explains no more than it would on a clean aircraft", **keep)
+
+
+def errors(candidate: Fitted, effect: str) -> dict[str, tuple[float, float]]:
+    """Parameters of an effect with their standard errors."""
+    prefix = f"{effect}."
+    return {n: (v, candidate.error(n)) for n, v in candidate.values.items() if n.startswith(prefix)}

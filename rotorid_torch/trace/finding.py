@@ -1,0 +1,39 @@
+"""What tracing says: one finding per effect, the verdict, and what is missing without a name. Plain data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+Verdict = Literal["accepted", "rejected", "below floor", "indistinguishable", "not testable"]
+Kind = Literal["nothing undeclared", "undeclared", "group", "unknown", "structure"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One effect: verdict with its reason in words, gain and floor per sample, smallest size these flights show.
+
+    values : parameters by full name with their standard errors, where it was fitted.
+    """
+
+    id: str
+    role: str
+    verdict: Verdict
+    reason: str
+    gain: float | None = None
+    floor: float | None = None
+    smallest_visible: tuple[float, str] | None = None
+    group: tuple[str, ...] = ()
+    values: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """Something is missing and has no name: equation, band in Hz, what it goes with, since when."""
+
+    where: str
+    band_hz: tuple[float, float]
+    goes_with: str | None
+    since_s: float | None
+    sentence: str

@@ -1,0 +1,190 @@
+"""Fits that are compared with each other: the same flights, the same segments, the same care, one effect more or less.
+
+Every model is fitted on the identify flights from the parameters of a model before it. What decides is the misfit on
+validate flights: their segments from initial states of their own, parameters held, residuals in units that are the same
+for all models.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.identification import stages
+from rotorid_torch.identification.gauss_newton import Options
+from rotorid_torch.identification.initial_states import filled, fitted_states
+from rotorid_torch.identification.likelihood import Likelihood, Place
+from rotorid_torch.identification.reconstruct import Reconstruction
+from rotorid_torch.identification.segments import Records, cut
+from rotorid_torch.identification.step3 import records, sensor_noise
+from rotorid_torch.identification.system import System
+from rotorid_torch.identification.whitening import Noise
+from rotorid_torch.model.model import Model
+from rotorid_torch.model.nominal import build
+
+SEGMENT_S = 5.0
+"""Length of the segments that all models are compared on, s."""
+CAREFUL = Options(max_iterations=25, tolerance=1e-6, absolute=0.5)
+"""Of every fit that is compared: differences that matter are hundreds of times larger."""
+SETTLING = 3
+"""Gauss-Newton steps for the initial states of flights that no fit has seen."""
+
+
+@dataclass(frozen=True)
+class Flights:
+    """What all fits of a data set share."""
+
+    dataset: Dataset
+    reconstruction: Reconstruction
+
+    def records(self, model: Model, listed: Sequence[str]) -> Records:
+        """These flights as the fits see them."""
+        return records(model, replace(self.dataset, identify=tuple(listed)), self.reconstruction)
+
+    @property
+    def unseen(self) -> tuple[str, ...]:
+        """Flights that decide: the validate list, or where there is none, the identify list itself."""
+        return self.dataset.validate or self.dataset.identify
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A model fitted on the identify flights.
+
+    values : every parameter by its full name. fit : the estimate with its segments.
+    names : free parameters, in the order of the fit's theta.
+    """
+
+    spec: ModelSpec
+    model: Model
+    names: tuple[str, ...]
+    fit: stages.Fit
+    flights: Flights
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Every parameter by its full name."""
+        return dict(zip(self.model.parameter_set.names, self.model.theta.detach().tolist(), strict=True))
+
+    @property
+    def cost(self) -> float:
+        """Minus log-likelihood of the identify flights, priors included."""
+        return self.fit.minimum.point.cost
+
+    @property
+    def sigma(self) -> Tensor:
+        """Standard deviation of the residuals [ny]."""
+        return self.fit.minimum.point.covariance.diagonal().sqrt()
+
+    @property
+    def per_sample(self) -> float:
+        """Measured values of the identify flights."""
+        return float(self.fit.likelihood.samples)
+
+    def error(self, name: str) -> float:
+        """Standard error of a parameter, infinite where it was not estimated."""
+        if name not in self.names:
+            return math.inf
+        return float(self.fit.uncertainty.standard_errors[self.names.index(name)])
+
+    @cached_property
+    def unseen(self) -> Unseen:
+        """The flights that decide, under this model."""
+        return _unseen(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Unseen:
+    """Flights that no fit has seen: residuals [S, T, ny] of their segments (NaN = missing), the flight of each."""
+
+    names: tuple[str, ...]
+    flight: Tensor
+    residual: Tensor
+
+    def size(self) -> Tensor:
+        """Root mean square of each flight's residuals by channel [F, ny]."""
+        found = [self.residual[self.flight == f].square().nanmean(dim=(0, 1)).sqrt() for f in range(len(self.names))]
+        return torch.stack(found)
+
+
+def refit(
+    spec: ModelSpec,
+    flights: Flights,
+    start: Mapping[str, float],
+    held: Sequence[str] = (),
+    lengths: tuple[float, ...] = (SEGMENT_S,),
+    options: Options = CAREFUL,
+) -> Fitted:
+    """The model of a spec fitted from a start; parameters that the start does not know begin at their declared values.
+
+    held : parameters that keep their start.
+    """
+    model = build(spec)
+    known = model.parameter_set
+    values = known.values
+    for i, name in enumerate(known.names):
+        values[i] = start.get(name, float(values[i]))
+    with torch.no_grad():
+        model.theta.copy_(known.clamp(values))
+    names = tuple(n for n in known.free if n not in held)
+    places = [known.index(n) for n in names]
+    settings = stages.Settings(
+        floor=sensor_noise(model, flights.dataset),
+        lengths=lengths,
+        prior_mean=known.values[places],
+        prior_sd=known.prior_sd[places],
+        options=options,
+    )
+    found = stages.fit(System(model, names), flights.records(model, flights.dataset.identify), settings=settings)
+    with torch.no_grad():
+        model.theta[places] = found.theta
+    return Fitted(spec, model, names, found, flights)
+
+
+def _unseen(fitted: Fitted) -> Unseen:
+    names = fitted.flights.unseen
+    own = fitted.fit.likelihood
+    theta = fitted.fit.theta
+    known = fitted.flights.records(fitted.model, names)
+    segments = cut(known, round(SEGMENT_S / known.dt))
+    guess = segments.first(known.states)
+    problem = Likelihood(
+        system=own.system,
+        engine=own.engine,
+        records=known,
+        segments=segments,
+        states=known.states,
+        noise=Noise("held", own.noise.floor, fitted.fit.minimum.point.covariance),
+        x0=filled(guess, known, segments),
+        x0_mean=guess.nan_to_num(0.0),
+        x0_sd=torch.full_like(guess, math.inf),
+        prior_mean=theta,
+        prior_sd=torch.full_like(theta, math.inf),
+        bias_sd=torch.zeros(known.outputs.shape[-1], dtype=torch.float64),
+    )
+    if bool(guess.isnan().any()):
+        problem = replace(problem, x0=torch.where(guess.isnan(), fitted_states(problem, theta), problem.x0))
+    place = _settled(problem, theta)
+    residual = torch.cat([part.residual for part in problem.parts(place)])
+    return Unseen(tuple(names), segments.flight, residual)
+
+
+def _settled(problem: Likelihood, theta: Tensor) -> Place:
+    """The place with the best initial states, parameters held."""
+    place = problem.evaluate(theta)
+    for _ in range(SETTLING):
+        if not math.isfinite(place.cost):
+            break
+        problem.linearise(place)
+        better = problem.evaluate(theta, place)
+        if not better.cost < place.cost:
+            break
+        place = better
+    return place

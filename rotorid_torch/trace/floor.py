@@ -1,0 +1,54 @@
+"""Floors: the gain above which a candidate counts, measured on clean aircraft and on shuffled residuals.
+
+No number in here decides: floors are quantiles of gains that candidates reach where they are not the cause.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.trace.screen import Screen
+
+FALSE_ALARMS = 0.05
+"""Family-wise: share of clean vehicles on which any candidate at all may pass its floor."""
+
+
+@dataclass(frozen=True, eq=False)
+class Floors:
+    """Gains of every candidate on clean drawn aircraft [D], by effect; empty where none could be drawn.
+
+    note : how many were drawn, or why none.
+    """
+
+    gains: Mapping[str, Tensor]
+    note: str
+
+    def of(self, screened: Screen, effects: Sequence[str]) -> dict[str, float]:
+        """Floor of each effect: the higher of that of clean aircraft and that of the data's own shuffled residual."""
+        clean, chance = family_wise(self.gains), self.chance(screened, effects)
+        return {e: max(clean.get(e, 0.0), chance[e]) for e in effects}
+
+    @staticmethod
+    def chance(screened: Screen, effects: Sequence[str]) -> dict[str, float]:
+        """Floors by the data's own shuffled residual alone."""
+        return family_wise({e: screened.by_chance([e]) for e in effects})
+
+
+def family_wise(gains: Mapping[str, Tensor]) -> dict[str, float]:
+    """Levels that the gains [D] of all effects together stay below in 95 % of the draws.
+
+    Each effect's gain is taken in units of its own mean, so that a candidate which rarely gains anything is not
+    measured by one that often does.
+    """
+    if not gains:
+        return {}
+    names = list(gains)
+    table = torch.stack([gains[e] for e in names])
+    usual = table.mean(dim=1).clamp_min(1e-300)
+    largest = (table / usual[:, None]).amax(dim=0)
+    factor = float(torch.quantile(largest, 1.0 - FALSE_ALARMS, interpolation="higher"))
+    return {e: factor * float(m) for e, m in zip(names, usual, strict=True)}

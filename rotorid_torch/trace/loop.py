@@ -1,0 +1,246 @@
+"""Closing the loop: structure first, then undeclared effects by forward selection, each tested again beside the others.
+
+Every candidate is screened in one batch; the few that pass their floors are fitted in full; flights that no fit has
+seen decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import msgspec
+
+from rotorid_torch.effects.base import Role, Stage
+from rotorid_torch.effects.registry import registered
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.trace.decide import errors, gain, helps, left_over, objection, rivals, smallest_visible, unseen_gain
+from rotorid_torch.trace.finding import Finding
+from rotorid_torch.trace.fits import Fitted, Flights, refit
+from rotorid_torch.trace.floor import Floors
+from rotorid_torch.trace.screen import Screen, screen
+
+FEW = 4
+"""Candidates that are fitted in full in one round, those that explain most."""
+PAIR = 2
+"""The same for structural effects."""
+ROUNDS = 4
+"""Undeclared effects that may join, at most."""
+STRUCTURAL_ROUNDS = 3
+"""Structural effects that may join, at most."""
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Tracing:
+    """What was traced.
+
+    null : the best model without undeclared effects. final : with those accepted. structure, accepted : their ids.
+    groups : for an accepted effect the others that explain as much. findings : one of each effect that was tested.
+    """
+
+    null: Fitted
+    final: Fitted
+    structure: tuple[str, ...]
+    accepted: tuple[str, ...]
+    groups: Mapping[str, tuple[str, ...]]
+    findings: tuple[Finding, ...]
+    notes: tuple[str, ...] = ()
+
+
+@dataclass
+class _Search:
+    """The state of the search: the model so far, and what was found on the way."""
+
+    flights: Flights
+    held: tuple[str, ...]
+    floors: Floors
+    say: Say
+    rejected: dict[str, tuple[str, float, Mapping[str, tuple[float, float]]]] = field(default_factory=dict)
+    hot: set[str] = field(default_factory=set)
+    groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def with_effect(self, null: Fitted, effect: str, screened: Screen) -> Fitted:
+        """The null with one more effect, fitted from the size that the screen saw."""
+        spec = msgspec.structs.replace(null.spec, effects=(*null.spec.effects, effect))
+        return refit(spec, self.flights, {**null.values, **screened.sizes([effect])}, self.held)
+
+    def improved(self, null: Fitted, fitted: Mapping[str, Fitted]) -> Fitted:
+        """The null fitted again from where the best candidate ended: what it gains so is not the candidate's."""
+        if not fitted:
+            return null
+        best = max(fitted.values(), key=lambda f: gain(null, f))
+        again = refit(null.spec, self.flights, best.values, self.held)
+        if gain(null, again) <= 0.0:
+            return null
+        self.say(f"the model without candidates gains {gain(null, again):.3g} per sample from a better start")
+        return again
+
+    def structure(self, null: Fitted, candidates: Sequence[str]) -> Fitted:
+        """The null with the structural effects that help on flights no fit has seen."""
+        rest = list(candidates)
+        for _ in range(STRUCTURAL_ROUNDS):
+            if not rest:
+                break
+            screened = screen(null, rest)
+            floors = self.floors.chance(screened, rest)
+            promising = sorted((e for e in rest if screened.gain([e]) > floors[e]), key=lambda e: -screened.gain([e]))
+            fitted = {e: self.with_effect(null, e, screened) for e in promising[:PAIR]}
+            null = self.improved(null, fitted)
+            better = {e: f for e, f in fitted.items() if gain(null, f) > floors[e] and helps(unseen_gain(null, f))}
+            rest = [e for e in rest if e not in fitted]
+            if not better:
+                break
+            best = max(better, key=lambda e: gain(null, better[e]))
+            self.say(f"structure: {best} joins, gain {gain(null, better[best]):.3g} per sample")
+            null = better[best]
+            rest += [e for e in better if e != best]
+        return null
+
+    def undeclared(self, null: Fitted, candidates: Sequence[str]) -> tuple[Fitted, list[str]]:
+        """The null with the undeclared effects that pass, and their ids in the order in which they joined."""
+        accepted: list[str] = []
+        for _ in range(ROUNDS):
+            rest = [e for e in candidates if e not in accepted]
+            screened = screen(null, rest)
+            floors = self.floors.of(screened, rest)
+            promising = sorted((e for e in rest if screened.gain([e]) > floors[e]), key=lambda e: -screened.gain([e]))
+            self.hot.update(promising)
+            fitted = {e: self.with_effect(null, e, screened) for e in promising[:FEW]}
+            better = self.improved(null, fitted)
+            joined = self._joining(better, fitted, floors, screened)
+            if joined is None and gain(null, better) <= min(floors.values(), default=0.0):
+                return better, accepted
+            null = better
+            if joined is not None:
+                null = fitted[joined]
+                accepted.append(joined)
+        return null, accepted
+
+    def _joining(
+        self, null: Fitted, fitted: Mapping[str, Fitted], floors: Mapping[str, float], screened: Screen
+    ) -> str | None:
+        """The effect that joins in this round, and in its group those that explain as much."""
+        why = {e: objection(null, f, e, floors[e], screened) for e, f in fitted.items()}
+        for e, reason in why.items():
+            self.say(f"{e}: gain {gain(null, fitted[e]):.3g}, floor {floors[e]:.3g}: {reason or 'stands'}")
+            if reason is not None:
+                self.rejected[e] = (reason, gain(null, fitted[e]), errors(fitted[e], e))
+        sane = [e for e, reason in why.items() if reason is None]
+        if not sane:
+            return None
+        best, near = rivals(null, fitted, floors, sane)
+        beside = screen(fitted[best], near) if near else None
+        same = tuple(e for e in near if beside is not None and beside.gain([e]) <= floors[e])
+        if same:
+            self.groups[best] = same
+        self.say(f"{best} joins" + (f", in a group with {', '.join(same)}" if same else ""))
+        return best
+
+    def confirmed(self, final: Fitted, accepted: list[str], floors: Mapping[str, float]) -> tuple[Fitted, list[str]]:
+        """Each accepted effect tested again beside the others; those that explain nothing more are taken out."""
+        for effect in list(accepted) if len(accepted) > 1 else []:
+            others = tuple(e for e in final.spec.effects if e != effect)
+            spec = msgspec.structs.replace(final.spec, effects=others)
+            without = refit(spec, self.flights, final.values, self.held)
+            if gain(without, final) <= floors.get(effect, 0.0):
+                self.rejected[effect] = ("beside the others it explains nothing more", gain(without, final), {})
+                accepted.remove(effect)
+                final = without
+        return final, accepted
+
+
+def trace(
+    spec: ModelSpec,
+    start: Mapping[str, float],
+    held: Sequence[str],
+    flights: Flights,
+    floors: Callable[[ModelSpec, Sequence[str]], Floors],
+    say: Say = lambda line: None,
+) -> Tracing:
+    """Which effects the model of a spec lacks.
+
+    Parameters
+    ----------
+    start : its parameters as identified. held : those that keep their values.
+    floors : gains of these effects on clean aircraft, for the model with its structural effects.
+    say : told what happens, a line at a time.
+    """
+    testable, findings = candidates(spec)
+    search = _Search(flights, tuple(held), Floors({}, ""), say)
+    null = refit(spec, flights, start, held)
+    null = search.structure(null, [e for e in testable if registered()[e].role is Role.STRUCTURE])
+    structure = tuple(e for e in null.spec.effects if e not in spec.effects)
+    undeclared = [e for e in testable if registered()[e].role is Role.UNDECLARED]
+    search.floors = floors(null.spec, undeclared)
+    first = screen(null, undeclared)
+    usual = search.floors.of(first, undeclared)
+    final, accepted = search.undeclared(null, undeclared)
+    final, accepted = search.confirmed(final, accepted, usual)
+    findings += _told(search, null, final, structure, accepted, undeclared, first, usual)
+    return Tracing(null, final, structure, tuple(accepted), search.groups, tuple(findings), (search.floors.note,))
+
+
+def candidates(spec: ModelSpec) -> tuple[list[str], list[Finding]]:
+    """Effects that can act inside the time loop of this model, and findings for those that cannot be tested."""
+    testable, untestable = [], []
+    for name, effect in sorted(registered().items()):
+        if name in spec.effects or effect.role is Role.LEARNT or effect.stage is Stage.SENSORS:
+            continue
+        reason = effect.untestable(spec)
+        if reason is None:
+            testable.append(name)
+        else:
+            untestable.append(Finding(name, effect.role.value, "not testable", reason))
+    return testable, untestable
+
+
+def _told(
+    search: _Search,
+    null: Fitted,
+    final: Fitted,
+    structure: Sequence[str],
+    accepted: Sequence[str],
+    undeclared: Sequence[str],
+    first: Screen,
+    floors: Mapping[str, float],
+) -> list[Finding]:
+    """One finding for each effect that was tested."""
+    found = [
+        Finding(e, "structure", "accepted", "ordinary physics that flights not fitted ask for", values=errors(final, e))
+        for e in structure
+    ]
+    last = screen(final, [e for e in undeclared if e not in accepted])
+    grouped = {e: best for best, others in search.groups.items() if best in accepted for e in others}
+    for effect in undeclared:
+        visible = smallest_visible(first, effect, floors[effect])
+        keep = {"gain": first.gain([effect]), "floor": floors[effect], "smallest_visible": visible}
+        if effect in accepted and effect in search.groups:
+            names = ", ".join(search.groups[effect])
+            said = f"something of this kind acts, but these flights cannot tell it from {names}"
+            found.append(
+                Finding(
+                    effect,
+                    "undeclared",
+                    "indistinguishable",
+                    said,
+                    **keep,
+                    group=search.groups[effect],
+                    values=errors(final, effect),
+                )
+            )
+        elif effect in accepted:
+            said = "no other effect explains it, and flights that no fit has seen are better described"
+            found.append(Finding(effect, "undeclared", "accepted", said, **keep, values=errors(final, effect)))
+        elif effect in grouped:
+            best = grouped[effect]
+            group = (best, *(e for e in search.groups[best] if e != effect))
+            said = f"these flights cannot tell it from {best}"
+            found.append(Finding(effect, "undeclared", "indistinguishable", said, **keep, group=group))
+        elif effect in search.rejected and last.gain([effect]) > floors[effect]:
+            reason, got, values = search.rejected[effect]
+            found.append(Finding(effect, "undeclared", "rejected", reason, **{**keep, "gain": got}, values=values))
+        else:
+            found.append(left_over(last, effect, floors[effect], accepted, effect in search.hot))
+    return found

@@ -1,0 +1,310 @@
+"""All candidates at once: what each would do to the residual, and how much of that the fitted model can do itself.
+
+Every candidate is simulated at its typical size around the fitted model; the change of the outputs is its signature.
+What initial states, trims and derivatives can imitate is projected out of signature and residual. What is left tells
+the gain that the candidate would bring, its size, and the smallest size that the flights would show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import msgspec
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.integrate import simulate
+from rotorid_torch.core.native.build import threads
+from rotorid_torch.core.native.dynamics import Dynamics
+from rotorid_torch.core.native.fallback import say_once
+from rotorid_torch.core.native.trace import Unsupported
+from rotorid_torch.identification.segments import Records, Segments
+from rotorid_torch.identification.sensitivity import controls_at
+from rotorid_torch.identification.system import System
+from rotorid_torch.identification.whitening import Whitener
+from rotorid_torch.model.model import Model
+from rotorid_torch.model.nominal import build
+from rotorid_torch.trace.fits import Fitted
+
+STRAYED = 1e6
+"""A simulation that leaves this range is held there."""
+PROBE = 1e-4
+"""Perturbation of a state for its derivative, in the state's unit."""
+IMITATORS = 3
+"""Parameters named as those that take an effect's place."""
+SHUFFLES = 60
+"""Shuffled residuals: the least gain that structured residuals bring by chance."""
+DEPENDENT = 1e-10
+"""Share of a signature's square that is nothing but rounding once the null has been projected out."""
+
+
+@dataclass(frozen=True)
+class Signature:
+    """One direction of one candidate: its parameter's full name, null, the size it was simulated at, and its bounds."""
+
+    effect: str
+    parameter: str
+    null: float
+    typical: float
+    bounds: tuple[float, float]
+    unit: str
+
+    @property
+    def step(self) -> float:
+        """From null to typical size."""
+        return self.typical - self.null
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """Bounds in units of the step."""
+        low, high = sorted((b - self.null) / self.step for b in self.bounds)
+        return low, high
+
+
+@dataclass(frozen=True, eq=False)
+class Screen:
+    """Normal equations of all signatures and the residual, the fitted model projected out, flight by flight.
+
+    products : [F, K + 1 + R, K + 1 + R] of K signatures, the residual, and R residuals whose time has been shuffled.
+    raw : [K] squares of the signatures before anything was projected out.
+    samples : measured values.
+    absorbed : for each signature the parameters of the fitted model that imitate most of it.
+    """
+
+    signatures: tuple[Signature, ...]
+    products: Tensor
+    raw: Tensor
+    samples: float
+    absorbed: tuple[tuple[str, ...], ...]
+
+    def places(self, effects: Sequence[str]) -> list[int]:
+        """Signatures of these effects."""
+        return [i for i, s in enumerate(self.signatures) if s.effect in effects]
+
+    @cached_property
+    def total(self) -> Tensor:
+        """Over all flights."""
+        return self.products.sum(0)
+
+    def gain(self, effects: Sequence[str], given: Sequence[str] = ()) -> float:
+        """Fall of minus log-likelihood per sample if the effects join, beyond what those given explain."""
+        both, known = (self._explained(self.places(e)) for e in ((*given, *effects), given))
+        return (both - known) / self.samples
+
+    def by_chance(self, effects: Sequence[str]) -> Tensor:
+        """The same gain against residuals of the same colour that cannot know of the controls [R]."""
+        which, first = self.places(effects), len(self.signatures) + 1
+        found = [self._explained(which, column) for column in range(first, self.total.shape[-1])]
+        return torch.tensor(found, dtype=torch.float64) / self.samples
+
+    def sizes(self, effects: Sequence[str]) -> dict[str, float]:
+        """Best value of each parameter of these effects, by the straight line through null and typical size."""
+        which = self.places(effects)
+        found = self._solved(self.total, which, len(self.signatures))
+        chosen = (self.signatures[i] for i in which)
+        return {s.parameter: s.null + float(a) * s.step for s, a in zip(chosen, found, strict=True)}
+
+    def shown(self, effect: str) -> float:
+        """Gain per sample that the effect at its typical size would bring, in its least visible direction."""
+        return 0.5 * float(self.total.diagonal()[self.places([effect])].min()) / self.samples
+
+    def left(self, effect: str) -> float:
+        """Share of the signature that initial states, trims and derivatives cannot imitate."""
+        which = self.places([effect])
+        return float((self.total.diagonal()[which] / self.raw[which].clamp_min(1e-300)).clamp(0.0, 1.0).sqrt().max())
+
+    def imitators(self, effect: str) -> tuple[str, ...]:
+        """Parameters of the fitted model that take the effect's place."""
+        return tuple(dict.fromkeys(n for i in self.places([effect]) for n in self.absorbed[i]))
+
+    def _explained(self, which: list[int], column: int | None = None) -> float:
+        if not which:
+            return 0.0
+        column = len(self.signatures) if column is None else column
+        a = self._solved(self.total, which, column)
+        return float(a @ self.total[which, column] - 0.5 * a @ self.total[which][:, which] @ a)
+
+    def _solved(self, total: Tensor, which: list[int], column: int) -> Tensor:
+        """Sizes in units of the signatures' steps, inside their bounds; a copy of other signatures gets nothing."""
+        G, d = total[which][:, which], total[which, column]
+        low, high = torch.tensor([self.signatures[i].reach for i in which], dtype=torch.float64).mT
+        found = torch.zeros_like(d)
+        free = torch.ones_like(d, dtype=torch.bool)
+        while bool(free.any()):
+            wanted = self._least_squares(G[free][:, free], d[free] - G[free][:, ~free] @ found[~free])
+            inside = wanted.clamp(low[free], high[free])
+            found[free] = inside
+            held = free.clone()
+            held[free] = inside != wanted
+            if not bool(held.any()):
+                break
+            free = free & ~held
+        return found
+
+    def _least_squares(self, G: Tensor, d: Tensor) -> Tensor:
+        scale = G.diagonal().clamp_min(1e-300).sqrt()
+        values, vectors = torch.linalg.eigh(G / scale / scale[:, None])
+        inverse = torch.where(values > DEPENDENT, 1.0 / values.clamp_min(DEPENDENT), 0.0)
+        return (vectors @ (inverse * (vectors.mT @ (d / scale)))) / scale
+
+    def scatter(self, effect: str) -> dict[str, float]:
+        """Jackknife over flights: standard error of each parameter of the effect."""
+        which, count = self.places([effect]), len(self.products)
+        chosen = [self.signatures[i] for i in which]
+        if count < 2:
+            return {s.parameter: 0.0 for s in chosen}
+        column = len(self.signatures)
+        without = torch.stack([self._solved(self.total - one, which, column) for one in self.products])
+        spread = ((count - 1) / count * (without - without.mean(0)).square().sum(0)).sqrt()
+        return {s.parameter: abs(s.step) * float(e) for s, e in zip(chosen, spread, strict=True)}
+
+
+def signatures(model: Model, effects: Sequence[str]) -> tuple[Signature, ...]:
+    """Free parameters of these effects that have a size to be met with."""
+    return tuple(
+        Signature(effect, p.name, p.value, p.typical, p.bounds, p.unit)
+        for p in model.parameter_set.parameters
+        for effect in effects
+        if p.name.startswith(f"{effect}.") and p.free and p.typical not in (0.0, p.value)
+    )
+
+
+@torch.no_grad()
+def screen(null: Fitted, effects: Sequence[str], shuffles: int = SHUFFLES, seed: int = 0) -> Screen:
+    """Signatures of effects that the null does not have, against its residual.
+
+    shuffles : residuals made by turning each flight's residual in time by a random stretch, with a random sign.
+    """
+    richer = msgspec.structs.replace(null.spec, effects=(*null.spec.effects, *effects))
+    model = build(richer)
+    values = null.values
+    for i, name in enumerate(model.parameter_set.names):
+        model.theta[i] = values.get(name, float(model.theta[i]))
+    chosen = signatures(model, effects)
+    outputs = _Simulation.of(model)
+    problem, place = null.fit.likelihood, null.fit.minimum.point
+    keep = ~(null.fit.minimum.at_bound | null.fit.minimum.not_identifiable)
+    chance = torch.Generator().manual_seed(seed)
+    found, raw = [], torch.zeros(len(chosen), dtype=torch.float64)
+    known = null.flights.records(model, null.flights.dataset.identify)
+    for part, whitener, rows in problem.by_flight(place):
+        start = _starts(model, null, known, part.segments, part.run.states[:, 0])
+        base = outputs(model.theta, problem.records, part.segments, start)
+        change = []
+        for one in chosen:
+            theta = model.theta.clone()
+            theta[model.parameter_set.index(one.parameter)] = one.typical
+            change.append(outputs(theta, problem.records, part.segments, start) - base)
+        signature = _rows(whitener, torch.stack(change, dim=-1)) if change else rows[..., :0]
+        raw += signature.square().sum((0, 1))
+        nx = problem.locals_per_segment
+        first = nx + len(problem.biased)
+        residual = rows[..., -1:]
+        turned = _shuffled(residual[..., 0], part.residual.shape[-1], shuffles, chance)
+        matrix = torch.cat([rows[..., first:-1][..., keep], signature, residual, turned], dim=-1)
+        basis = torch.linalg.qr(rows[..., :first]).Q
+        matrix = matrix - basis @ (basis.mT @ matrix)
+        found.append((matrix.mT @ matrix).sum(0))
+    prior_rows, prior_rest = problem.prior_rows(place)
+    none = prior_rest.new_zeros(len(prior_rest), len(chosen))
+    prior = torch.cat([prior_rows[:, keep], none, prior_rest[:, None], prior_rest.new_zeros(len(none), shuffles)], 1)
+    products = torch.stack(found)
+    names = [n for n, kept in zip(null.names, keep.tolist(), strict=True) if kept]
+    left, shares = _eliminated(products, prior.mT @ prior, len(names))
+    absorbed = tuple(_largest(names, shares[:, k]) for k in range(len(chosen)))
+    return Screen(chosen, left, raw, null.per_sample, absorbed)
+
+
+def _largest(names: Sequence[str], shares: Tensor) -> tuple[str, ...]:
+    """Names of the largest contributions to an imitation, of trims and rotor too."""
+    order = shares.abs().argsort(descending=True)[:IMITATORS].tolist()
+    return tuple(names[i] for i in order if float(shares[i].abs()) > 0.0)
+
+
+def _rows(whitener: Whitener, values: Tensor) -> Tensor:
+    """Whitened values [S, T, ny, n] as rows [S, T ny, n]."""
+    return whitener.apply(values.nan_to_num(0.0)).flatten(1, 2)
+
+
+def _shuffled(residual: Tensor, channels: int, count: int, chance: torch.Generator) -> Tensor:
+    """Residual rows [S, T ny] of a flight turned in time as one record, all channels alike: [S, T ny, count]."""
+    record = residual.unflatten(-1, (-1, channels)).flatten(0, 1)
+    turns = torch.randint(1, max(2, len(record)), (count,), generator=chance)
+    signs = 2.0 * torch.randint(0, 2, (count,), generator=chance) - 1.0
+    made = [float(sign) * record.roll(int(n), dims=0) for n, sign in zip(turns, signs, strict=True)]
+    if not made:
+        return residual.new_zeros(*residual.shape, 0)
+    return torch.stack(made, dim=-1).unflatten(0, (len(residual), -1)).flatten(1, 2)
+
+
+def _eliminated(products: Tensor, prior: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """Products of each flight [F, n, n] with the first columns projected out by the least squares over all flights.
+
+    Beside it the size of each first column's part in the imitation of the others [count, n - count].
+    """
+    total = products.sum(0) + prior
+    scale = total.diagonal()[:count].clamp_min(1e-300).sqrt()
+    values, vectors = torch.linalg.eigh(total[:count, :count] / scale / scale[:, None])
+    inverse = torch.where(values > 1e-13, 1.0 / values.clamp_min(1e-13), 0.0)
+    scaled = (vectors * inverse) @ vectors.mT @ (total[:count, count:] / scale[:, None])
+    passed = torch.cat([-scaled / scale[:, None], torch.eye(products.shape[-1] - count, dtype=torch.float64)])
+    return passed.mT @ products @ passed + passed.mT @ prior @ passed / len(products), scaled
+
+
+@dataclass(frozen=True, eq=False)
+class _Simulation:
+    """The richer model's outputs on segments, for any of its parameters."""
+
+    system: System
+    model: Model
+    compiled: Dynamics | None
+
+    @classmethod
+    def of(cls, model: Model) -> _Simulation:
+        system = System(model, model.parameter_set.names)
+        x, u = (
+            torch.tensor([model.reference.get(n, 0.0) for n in names], dtype=torch.float64)
+            for names in (model.layout.names, model.body.controls)
+        )
+        try:
+            dynamics = Dynamics.of(
+                lambda x, u, theta: model.rates(theta, x, u),
+                lambda x, u, theta: model.outputs_at(theta, x, u),
+                x,
+                u,
+                model.theta.detach(),
+            )
+            dynamics.build()
+        except Unsupported as error:
+            say_once(f"candidates are simulated in torch, many times slower than compiled: {error}")
+            return cls(system, model, None)
+        return cls(system, model, dynamics)
+
+    def __call__(self, theta: Tensor, records: Records, segments: Segments, start: Tensor) -> Tensor:
+        """Outputs [S, T, ny] from initial states [S, nx]."""
+        controls = controls_at(self.system, theta, records, segments)
+        if self.compiled is None:
+            states = simulate(
+                lambda t, x, u: self.model.rates(theta, x.clamp(-STRAYED, STRAYED), u), start, controls, segments.dt
+            )
+            return self.model.outputs_at(theta, states, controls)
+        return self.compiled.simulate(theta, start, controls, segments.dt, STRAYED, threads())[1]
+
+
+def _starts(model: Model, null: Fitted, known: Records, segments: Segments, states: Tensor) -> Tensor:
+    """Initial states [S, nx] of the richer model: the null's own, measured ones, and the rest in equilibrium."""
+    names, theirs = model.layout.names, null.model.layout.names
+    x = segments.first(known.states)
+    rest = [i for i, n in enumerate(names) if n not in theirs and bool(x[:, i].isnan().any())]
+    x = torch.where(x.isnan(), torch.tensor([model.reference.get(n, 0.0) for n in names], dtype=torch.float64), x)
+    x[:, [names.index(n) for n in theirs]] = states
+    controls = segments.first(known.controls)
+    probes = PROBE * torch.eye(len(names), dtype=torch.float64)[rest]
+    for _ in range(2 if rest else 0):  # linear in these states, or nearly
+        rates = model.rates(model.theta, torch.cat([x[None], x + probes[:, None]]), controls)[..., rest]
+        slopes = ((rates[1:] - rates[0]) / PROBE).movedim(0, -1)
+        change = torch.linalg.lstsq(slopes, rates[0].unsqueeze(-1), driver="gelsd").solution.squeeze(-1)
+        x[:, rest] = x[:, rest] - change.nan_to_num(0.0)
+    return x

@@ -1,0 +1,56 @@
+"""The one statement of a run about undeclared effects, from all findings: pure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rotorid_torch.trace.finding import Finding, Kind, Unknown
+
+
+@dataclass(frozen=True)
+class Statement:
+    """Kind, the effects it names, one sentence of plain words."""
+
+    kind: Kind
+    effects: tuple[str, ...]
+    sentence: str
+
+
+def statement(findings: Sequence[Finding], unknown: Unknown | None) -> Statement:
+    """What the findings come to.
+
+    An effect is named where it is accepted; a group where only its members fit and the data cannot tell which.
+    """
+    named = [f for f in findings if f.role == "undeclared" and f.verdict == "accepted"]
+    grouped = [f for f in findings if f.role == "undeclared" and f.verdict == "indistinguishable" and f.values]
+    structure = [f for f in findings if f.role == "structure" and f.verdict == "accepted"]
+    members = tuple(dict.fromkeys(n for f in grouped for n in (f.id, *f.group)))
+    if grouped:
+        either = " or ".join(members)
+        sure = f"; {_listed(named)} besides" if named else ""
+        said = f"Something undeclared acts on this vehicle, {either}: these flights cannot tell which{sure}."
+        return Statement("group", (*(f.id for f in named), *members), said)
+    if named:
+        more = f" Something more is missing: {unknown.sentence}" if unknown else ""
+        return Statement("undeclared", tuple(f.id for f in named), f"Undeclared: {_listed(named)}.{more}")
+    if unknown:
+        return Statement("unknown", (), unknown.sentence)
+    if structure:
+        said = f"Nothing undeclared was found; ordinary physics joins the model: {_listed(structure)}."
+        return Statement("structure", tuple(f.id for f in structure), said)
+    visible = [f for f in findings if f.smallest_visible is not None]
+    rest = f" ({len(visible)} effects were tested; the table tells how small each could have been seen)"
+    return Statement("nothing undeclared", (), f"Nothing undeclared was found{rest if visible else ''}.")
+
+
+def _listed(findings: Sequence[Finding]) -> str:
+    return " and ".join(f"{f.id}{_sizes(f)}" for f in findings)
+
+
+def _sizes(finding: Finding) -> str:
+    """Largest parameters with their errors, where they were fitted."""
+    told = [(n, v, e) for n, (v, e) in finding.values.items() if e > 0.0 and abs(v) > 2.0 * e]
+    if not told:
+        return ""
+    return " (" + ", ".join(f"{n.removeprefix(finding.id + '.')} {v:.3g} ± {e:.1g}" for n, v, e in told[:3]) + ")"
