@@ -1,0 +1,158 @@
+"""Exact kinematics of a rigid body, rate by rate, and the errors by which sensors depart from them.
+
+Only inertial motion over ground enters: wind and gusts act on the aircraft, but on none of these equations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from rotorid_torch.core.names import ATTITUDES, POSITIONS, RATES, SPECIFIC_FORCES, VELOCITIES
+
+Array = np.ndarray
+
+UNITS: dict[str, tuple[str, ...]] = {
+    "velocities": VELOCITIES,
+    "attitude": ATTITUDES,
+    "rates": RATES,
+    "accelerations": SPECIFIC_FORCES,
+}
+"""Channels that share a clock and a filter; flapping has no kinematics."""
+
+_TURN = ("p", "q", "r", "phi", "theta")
+_MOVE = ("u", "v", "w", *_TURN)
+EQUATIONS: dict[str, tuple[str, ...]] = {
+    "phi": _TURN,
+    "theta": _TURN,
+    "psi": (*_TURN, "psi"),
+    "u": (*_MOVE, "ax"),
+    "v": (*_MOVE, "ay"),
+    "w": (*_MOVE, "az"),
+    "north": ("u", "v", "w", "phi", "theta", "psi", "north"),
+    "east": ("u", "v", "w", "phi", "theta", "psi", "east"),
+    "height": ("u", "v", "w", "phi", "theta", "height"),
+    "p": ("p", "pdot"),
+    "q": ("q", "qdot"),
+    "r": ("r", "rdot"),
+}
+"""Channel whose rate is compared, and the channels that this takes."""
+
+
+def usable(channels: Collection[str]) -> tuple[str, ...]:
+    """Equations for which every channel is there."""
+    return tuple(name for name, needs in EQUATIONS.items() if set(needs) <= set(channels))
+
+
+def sides(x: Mapping[str, Array], equations: Collection[str], gravity: float, arm: Array) -> tuple[Array, Array]:
+    """Both sides of d(left)/dt = right, (E, ...) each, for channels (...) without error.
+
+    The velocity that is differentiated is that of the IMU, at `arm` (3) m from the centre of gravity: its rate needs
+    no angular acceleration.
+
+    Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 3.20, 3.24, 3.35, 10.11.
+    """
+    left, right = dict(x), {rate: x[f"{rate}dot"] for rate in RATES if f"{rate}dot" in x}
+    wanted = set(equations)
+    if wanted - set(RATES):
+        tilt = _Tilt(np.sin(x["phi"]), np.cos(x["phi"]), np.sin(x["theta"]), np.cos(x["theta"]))
+        if wanted & set(ATTITUDES):
+            right |= _turning(x, tilt)
+        if wanted & set(VELOCITIES):
+            moved, pushed = _moving(x, tilt, wanted, gravity, arm)
+            left |= moved
+            right |= pushed
+        if wanted & set(POSITIONS):
+            right |= _travelling(x, tilt)
+    order = [name for name in EQUATIONS if name in wanted]
+    return np.stack([left[name] for name in order]), np.stack([right[name] for name in order])
+
+
+class _Tilt(NamedTuple):
+    sin_phi: Array
+    cos_phi: Array
+    sin_theta: Array
+    cos_theta: Array
+
+
+def _turning(x: Mapping[str, Array], tilt: _Tilt) -> dict[str, Array]:
+    """Rates of the Euler angles."""
+    about_z = x["q"] * tilt.sin_phi + x["r"] * tilt.cos_phi
+    return {
+        "phi": x["p"] + tilt.sin_theta / tilt.cos_theta * about_z,
+        "theta": x["q"] * tilt.cos_phi - x["r"] * tilt.sin_phi,
+        "psi": about_z / tilt.cos_theta,
+    }
+
+
+def _moving(
+    x: Mapping[str, Array], tilt: _Tilt, wanted: Collection[str], gravity: float, arm: Array
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Velocity of the IMU over ground, and its rate."""
+    p, q, r = x["p"], x["q"], x["r"]
+    u = x["u"] + q * arm[2] - r * arm[1]
+    v = x["v"] + r * arm[0] - p * arm[2]
+    w = x["w"] + p * arm[1] - q * arm[0]
+    fall = (-tilt.sin_theta, tilt.cos_theta * tilt.sin_phi, tilt.cos_theta * tilt.cos_phi)
+    turned = (r * v - q * w, p * w - r * u, q * u - p * v)
+    felt = [i for i, name in enumerate(VELOCITIES) if name in wanted]
+    pushed = {VELOCITIES[i]: x[SPECIFIC_FORCES[i]] + gravity * fall[i] + turned[i] for i in felt}
+    return {"u": u, "v": v, "w": w}, pushed
+
+
+def _travelling(x: Mapping[str, Array], tilt: _Tilt) -> dict[str, Array]:
+    """Rates of the position; height is positive up."""
+    across = x["v"] * tilt.sin_phi + x["w"] * tilt.cos_phi
+    rates = {"height": x["u"] * tilt.sin_theta - across * tilt.cos_theta}
+    if "psi" in x:
+        level = x["u"] * tilt.cos_theta + across * tilt.sin_theta
+        side = x["v"] * tilt.cos_phi - x["w"] * tilt.sin_phi
+        sin_psi, cos_psi = np.sin(x["psi"]), np.cos(x["psi"])
+        rates |= {"north": level * cos_psi - side * sin_psi, "east": level * sin_psi + side * cos_psi}
+    return rates
+
+
+def without_static_errors(readings: Mapping[str, Array], errors: Mapping[str, float]) -> dict[str, Array]:
+    """Channels (...) less bias, scale and the IMU's misalignment; errors by name ("scale.q", "misalignment.x", ...).
+
+    What a sensor reads is (1 + scale) times the truth plus the bias; an IMU turned by a small rotation vector e reads
+    R(e)' times the truth, to first order truth - e x truth.
+    """
+    x = dict(readings)
+    for name, value in errors.items():
+        kind, _, channel = name.partition(".")
+        if kind == "bias" and channel in x:
+            x[channel] = x[channel] - value
+    for name, value in errors.items():
+        kind, _, channel = name.partition(".")
+        if kind == "scale" and channel in x:
+            x[channel] = x[channel] / (1.0 + value)
+    turn = np.array([errors.get(f"misalignment.{axis}", 0.0) for axis in "xyz"])
+    if turn.any():
+        matrix = rotation(turn)
+        for triad in (RATES, SPECIFIC_FORCES, tuple(f"{rate}dot" for rate in RATES)):
+            there = [name for name in triad if name in x]
+            if there:
+                missing = np.zeros_like(x[there[0]])
+                read = [x.get(name, missing) for name in triad]
+                turned = np.tensordot(matrix, np.stack(read), axes=1)
+                x |= {name: turned[triad.index(name)] for name in there}
+    return x
+
+
+def rotation(vector: Array) -> Array:
+    """Matrix (3, 3) of the rotation by a vector (3), rad.
+
+    Source: Rodrigues' formula; Stevens and Lewis, Aircraft Control and Simulation, 3rd ed., eq. 1.2-12.
+    """
+    x, y, z = vector
+    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    angle = float(np.linalg.norm(vector))
+    return np.eye(3) + np.sinc(angle / np.pi) * skew + 0.5 * np.sinc(0.5 * angle / np.pi) ** 2 * skew @ skew
+
+
+def unit_of(channel: str) -> str:
+    """Unit (velocities, attitude, ...) that a channel belongs to; an empty string for none."""
+    return next((unit for unit, members in UNITS.items() if channel in members), "")

@@ -1,0 +1,217 @@
+"""Normal equations of all pieces together: fits of chosen sensor errors, gains of the others, levels of misfit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rotorid_torch.trace.kinematic_fit import BANDS_HZ, Errors, Levels, Rows, Setting, constant_columns, rows
+from rotorid_torch.trace.kinematic_records import Piece
+
+Array = np.ndarray
+
+ITERATIONS = 8
+"""Gauss-Newton steps of a fit, at most."""
+SETTLED = 0.05
+"""A fit has converged when every step is below this share of its standard error, or gains less than this."""
+SUSPECT = 3.0
+"""Standard deviations by which a band's level must exceed the noise before it replaces it."""
+
+
+@dataclass(frozen=True)
+class Normal:
+    """One piece's part of the normal equations: N (P, P), gradient (P,), sum of squares, its constants eliminated.
+
+    constants : of each drifting channel, value and standard error, the other errors held.
+    """
+
+    flight: str
+    matrix: Array
+    gradient: Array
+    cost: float
+    constants: Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Point:
+    """The normal equations at these errors, piece by piece and summed; columns in the order of `names`."""
+
+    errors: dict[str, float]
+    names: tuple[str, ...]
+    parts: tuple[Normal, ...]
+    matrix: Array
+    gradient: Array
+    cost: float
+
+    def solve(self, free: Sequence[str]) -> tuple[Array, Array]:
+        """Step to the least sum of squares in the errors named, and their covariance."""
+        i = [self.names.index(name) for name in free]
+        inverse = _inverse(self.matrix[np.ix_(i, i)])
+        return -inverse @ self.gradient[i], inverse
+
+    def joining(self, name: str, held: Sequence[str], part: Normal | None = None) -> tuple[float, float]:
+        """Step and information of one more error when those held are refitted with it; of one piece where given."""
+        matrix, gradient = (self.matrix, self.gradient) if part is None else (part.matrix, part.gradient)
+        j, i = self.names.index(name), [self.names.index(n) for n in held if n != name]
+        # the held ones are known from all pieces
+        along = _inverse(self.matrix[np.ix_(i, i)]) @ self.matrix[i, j]
+        if part is None:
+            information, slope = matrix[j, j] - matrix[j, i] @ along, gradient[j] - gradient[i] @ along
+        else:
+            whole = np.zeros(len(self.names))
+            whole[j], whole[i] = 1.0, -along
+            information, slope = whole @ matrix @ whole, whole @ gradient
+        if information <= 1e-9 * max(matrix[j, j], 1e-300):
+            return 0.0, 0.0
+        return float(-slope / information), float(information)
+
+
+@dataclass
+class Search:
+    """The pieces of a data set with the level of what is left in each equation and band.
+
+    The columns of the pieces' constants hardly depend on the errors: they are renewed when the levels are.
+    """
+
+    pieces: Sequence[Piece]
+    setting: Setting
+    levels: dict[str, Array] = field(default_factory=dict)
+    constants: list[tuple[tuple[str, ...], Array]] = field(default_factory=list)
+
+    def at(self, errors: Errors, names: Sequence[str]) -> Point:
+        """Normal equations at these errors in the errors named."""
+        return _sum(errors, names, self._rows(errors, names))
+
+    def measure(self, errors: Errors, names: Sequence[str]) -> Point:
+        """The same with levels taken from what all of the named errors together cannot explain."""
+        self.constants = [constant_columns(piece, self.setting, errors) for piece in self.pieces]
+        made = self._rows(errors, names)
+        point = _sum(errors, names, made)
+        step = point.solve(names)[0]
+        found = _levels(made, step, self.levels)
+        if all(np.array_equal(found[name], self.levels.get(name, np.ones_like(found[name]))) for name in found):
+            return point
+        self.levels = found
+        return self.at(errors, names)
+
+    def fit(self, errors: Errors, free: Sequence[str]) -> Point:
+        """Gauss-Newton over the errors named, the others held where they are."""
+        point = self.at(errors, free)
+        for _ in range(ITERATIONS):
+            step, covariance = point.solve(free)
+            if not np.all(np.isfinite(step)) or np.all(np.abs(step) < SETTLED * np.sqrt(np.diag(covariance))):
+                break
+            trial = self.at(_stepped(point.errors, free, step), free)
+            halvings = 0
+            while trial.cost > point.cost + 1.0 and halvings < 4:
+                step, halvings = 0.5 * step, halvings + 1
+                trial = self.at(_stepped(point.errors, free, step), free)
+            if trial.cost > point.cost + 1.0:
+                break
+            point, gained = trial, point.cost - trial.cost
+            if abs(gained) < SETTLED:
+                break
+        return point
+
+    def _rows(self, errors: Errors, names: Sequence[str]) -> list[Rows]:
+        if not self.constants:
+            self.constants = [constant_columns(piece, self.setting, errors) for piece in self.pieces]
+        return [
+            rows(piece, self.setting, errors, names, self.levels, held)
+            for piece, held in zip(self.pieces, self.constants, strict=True)
+        ]
+
+
+def _sum(errors: Errors, names: Sequence[str], made: Sequence[Rows]) -> Point:
+    parts = tuple(_eliminated(piece) for piece in made)
+    matrix, gradient = np.sum([p.matrix for p in parts], axis=0), np.sum([p.gradient for p in parts], axis=0)
+    return Point(dict(errors), tuple(names), parts, matrix, gradient, sum(p.cost for p in parts))
+
+
+def _stepped(errors: Errors, free: Sequence[str], step: Array) -> dict[str, float]:
+    return {**errors, **{name: bounded(name, errors.get(name, 0.0) + by) for name, by in zip(free, step, strict=True)}}
+
+
+LIMITS = {
+    "delay": (-0.3, 0.3),
+    "filter": (0.0, 0.6),
+    "scale": (-0.6, 1.5),
+    "misalignment": (-0.5, 0.5),
+    "lever_arm": (-20.0, 20.0),
+    "bias": (-np.inf, np.inf),
+}
+"""What a sensor can have: s, s, 1, rad, m."""
+
+
+def bounded(name: str, value: float) -> float:
+    """The value inside what a sensor can have."""
+    low, high = LIMITS[name.partition(".")[0]]
+    return float(min(max(value, low), high))
+
+
+def _inverse(matrix: Array) -> Array:
+    """Inverse of a normal matrix on unit columns; directions without information get none."""
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return np.linalg.pinv(matrix / np.outer(scale, scale), rcond=1e-10, hermitian=True) / np.outer(scale, scale)
+
+
+def _eliminated(piece: Rows) -> Normal:
+    """Normal equations of a piece; its constants are solved for and leave."""
+    b = len(piece.biases)
+    normal, slope = piece.matrix.T @ piece.matrix, piece.matrix.T @ piece.residual - piece.towards
+    inverse = _inverse(normal[:b, :b])
+    across = normal[b:, :b] @ inverse
+    constants = {
+        name.removeprefix("bias."): (-float(inverse[i] @ slope[:b]), float(np.sqrt(inverse[i, i])))
+        for i, name in enumerate(piece.biases)
+        if name.startswith("bias.")
+    }
+    cost = float(piece.residual @ piece.residual - slope[:b] @ inverse @ slope[:b])
+    return Normal(
+        piece.flight, normal[b:, b:] - across @ normal[:b, b:], slope[b:] - across @ slope[:b], cost, constants
+    )
+
+
+def _levels(made: Sequence[Rows], step: Array, old: Levels) -> dict[str, Array]:
+    """Power of what is left over that of the noise, per equation and band, where it is beyond chance; else 1."""
+    bands = len(BANDS_HZ) - 1
+    power: dict[str, Array] = {}
+    for piece in made:
+        b = len(piece.biases)
+        rest = piece.residual + piece.matrix[:, b:] @ step
+        rest = rest + piece.matrix[:, :b] @ np.linalg.lstsq(piece.matrix[:, :b], -rest, rcond=1e-10)[0]
+        band = np.digitize(piece.frequencies, BANDS_HZ) - 1
+        seen = np.einsum("kij,kj->ki", piece.factor, _as_spectrum(rest, piece))
+        share = np.einsum("kij,kj->ki", np.abs(piece.factor) ** 2, _as_power(piece.freedom, piece))
+        whole = (np.abs(piece.factor) ** 2).sum(-1)
+        count = np.where(piece.frequencies > 0.0, 2.0, 1.0)[:, None]
+        seen, data = count * np.abs(seen) ** 2 / whole, count * share / whole
+        for i, name in enumerate(piece.equations):
+            into = power.setdefault(name, np.zeros((2, bands)))
+            into += [np.bincount(band, column[:, i], bands) for column in (seen, data)]
+    return {name: _beyond_chance(*both, old.get(name, np.ones(bands))) for name, both in power.items()}
+
+
+def _beyond_chance(seen: Array, data: Array, old: Array) -> Array:
+    ratio = np.ones_like(seen)
+    for band in range(len(seen) - 1, -1, -1):
+        if data[band] >= 8.0:
+            ratio[band] = old[band] * seen[band] / data[band]
+        elif band + 1 < len(seen):
+            ratio[band] = ratio[band + 1]
+    beyond = ratio > 1.0 + SUSPECT * np.sqrt(2.0 / np.maximum(data, 8.0))
+    return np.where(beyond, ratio, 1.0)
+
+
+def _as_spectrum(values: Array, piece: Rows) -> Array:
+    """White rows back to (harmonics, equations) complex of unit power."""
+    equations, rest = len(piece.equations), len(piece.frequencies) - 1
+    real, imaginary = values[equations:].reshape(2, rest, equations)
+    return np.concatenate([values[:equations][None] + 0j, (real + 1j * imaginary) / np.sqrt(2.0)])
+
+
+def _as_power(values: Array, piece: Rows) -> Array:
+    equations, rest = len(piece.equations), len(piece.frequencies) - 1
+    return np.concatenate([values[:equations][None], values[equations:].reshape(2, rest, equations).mean(0)])

@@ -1,0 +1,205 @@
+"""Which sensor errors the data need: forward by what each explains, backward by what holds, rivals in their place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.trace import kinematic_words as words
+from rotorid_torch.trace.kinematic_search import Point, Search
+
+MOST = 10
+"""Errors that are accepted, at most."""
+TRIED = 5
+"""Candidates that are fitted in full at each step, best first."""
+NEAR = 0.2
+"""Share of the best candidate's linear gain from which on another one is fitted in full too."""
+STEADY = 3.0
+"""Standard errors, spread between pieces included, by which a value must differ from zero."""
+GRAVITY_RANGE = 0.0053
+"""Gravity at the poles over that at the equator, less 1."""
+RESOLUTION = {"scale": GRAVITY_RANGE, "misalignment": 0.002, "lever_arm": 0.03}
+"""What local gravity, mounting and the rounding of a declaration leave open: 1, rad, m."""
+VECTORS = ("misalignment", "lever_arm")
+"""Errors with a direction: a vector is seldom along an axis, so the other axes come along."""
+
+
+@dataclass
+class Case:
+    """What is being decided: the candidates, those accepted, and what was learnt about each on the way.
+
+    floor : gain that chance alone does not give. refused : reasons by name. gains : of the accepted ones beside the
+    others. rivals : for an accepted one, the values of others that explain as much in its place.
+    """
+
+    dataset: Dataset
+    search: Search
+    candidates: tuple[str, ...]
+    floor: float
+    accepted: list[str] = field(default_factory=list)
+    refused: dict[str, str] = field(default_factory=dict)
+    gains: dict[str, float] = field(default_factory=dict)
+    rivals: dict[str, dict[str, float]] = field(default_factory=dict)
+
+
+def kind_of(name: str) -> str:
+    """Kind of an error by name: "delay" of "delay.attitude"."""
+    return name.partition(".")[0]
+
+
+def select(case: Case) -> Point:
+    """Decide which candidates are accepted; the normal equations in all candidates at their common fit."""
+    point = _forward(case)
+    point = _keep_what_holds(case, point)
+    point = _weigh_rivals(case, point)
+    return case.search.at(point.errors, case.candidates)
+
+
+def _forward(case: Case) -> Point:
+    """The error that explains most joins, the others are weighed again beside it."""
+    point = case.search.measure({}, case.candidates)
+    while True:
+        base = case.search.fit(point.errors, case.accepted)
+        at_base = point if base.errors == point.errors else case.search.at(base.errors, case.candidates)
+        best = _best(case, base, at_base) if len(case.accepted) < MOST else None
+        if best is None:
+            return base
+        name, fit = best
+        companions = [n for n in case.candidates if kind_of(n) == kind_of(name) in VECTORS and n != name]
+        case.accepted += [name, *(n for n in companions if n not in case.accepted)]
+        errors = case.search.fit(fit.errors, case.accepted).errors if companions else fit.errors
+        point = case.search.measure(errors, case.candidates)
+
+
+def _ranked(case: Case, point: Point, held: Sequence[str]) -> list[tuple[float, str]]:
+    """Candidates that can have this sign, by what each would gain beside those held."""
+    found = []
+    for name in case.candidates:
+        if name not in held:
+            step, information = point.joining(name, held)
+            if kind_of(name) != "filter" or step > 0.0:
+                found.append((step * step * information, name))
+    return sorted(found, reverse=True)
+
+
+def _best(case: Case, base: Point, at_base: Point) -> tuple[str, Point] | None:
+    """The candidate whose full fit explains most beyond the floor."""
+    ranked = _ranked(case, at_base, case.accepted)
+    near = [name for gain, name in ranked if gain > max(case.floor, NEAR * ranked[0][0])][:TRIED]
+    fits = [(name, case.search.fit(base.errors, (*case.accepted, name))) for name in near]
+    gains = [(base.cost - fit.cost, name, fit) for name, fit in fits if possible(case, name, fit.errors[name])]
+    if not gains:
+        return None
+    gain, name, fit = max(gains, key=lambda g: g[0])
+    return (name, fit) if gain > case.floor else None
+
+
+def possible(case: Case, name: str, value: float) -> bool:
+    """Whether a value is inside its range and larger than what sampling and declarations leave open."""
+    low, high = words.RANGES[kind_of(name)]
+    return low < value < high and abs(value) > least(case.dataset, kind_of(name))
+
+
+def least(dataset: Dataset, kind: str) -> float:
+    """Smallest size that means something: one sample interval for clocks and filters, else `RESOLUTION`."""
+    if kind in ("delay", "filter"):
+        return max(dataset.facts[name].dt for name in dataset.identify)
+    return RESOLUTION.get(kind, 0.0)
+
+
+def _without(case: Case, name: str) -> list[str]:
+    """The accepted errors less this one; less its whole vector where it led one."""
+    return [
+        n for n in case.accepted if n != name and not (kind_of(n) == kind_of(name) in VECTORS and _leads(case, name))
+    ]
+
+
+def _leads(case: Case, name: str) -> bool:
+    """Whether an accepted error stands for itself: an axis of a vector came along with the vector's first one."""
+    return kind_of(name) not in VECTORS or name == next(n for n in case.accepted if kind_of(n) == kind_of(name))
+
+
+def _refit(case: Case, point: Point, names: Sequence[str]) -> Point:
+    """Fit of these accepted errors alone, from where they are."""
+    return case.search.fit({n: v for n, v in point.errors.items() if n in names}, names)
+
+
+def _keep_what_holds(case: Case, point: Point) -> Point:
+    """What the others explain, what changes from piece to piece or is too small leaves again, weakest first."""
+    while case.accepted:
+        doubts = []
+        for name in filter(lambda n: _leads(case, n), case.accepted):
+            case.gains[name] = _refit(case, point, _without(case, name)).cost - point.cost
+            why = _doubt(case, point, name)
+            doubts += [(case.gains[name], name, why)] if why else []
+        if not doubts:
+            break
+        _, name, why = min(doubts)
+        case.refused[name] = why
+        case.accepted = _without(case, name)
+        point = _refit(case, point, case.accepted)
+    return point
+
+
+def _doubt(case: Case, point: Point, name: str) -> str:
+    """Why an accepted error is not one; empty where it holds."""
+    value, smallest = point.errors[name], least(case.dataset, kind_of(name))
+    if case.gains[name] < case.floor:
+        return "the other accepted errors explain it"
+    if not possible(case, name, value):
+        return words.too_small(kind_of(name), smallest)
+    at_fit = case.search.at(point.errors, case.accepted)
+    error = spread(at_fit, name, case.accepted)
+    if abs(value) < STEADY * error or abs(value) - 2.0 * error < smallest:
+        return "its value differs from flight to flight by more than its size allows"
+    return ""
+
+
+def spread(point: Point, name: str, held: Sequence[str]) -> float:
+    """Standard error of an error beside those held, the spread of its value between pieces included.
+
+    Source: DerSimonian and Laird, Controlled Clinical Trials 7 (1986), 177, for the spread.
+    """
+    joint = point.joining(name, held)[1]
+    parts = [p for p in (point.joining(name, held, part) for part in point.parts) if p[1] > 0.0]
+    if not parts or not joint:
+        return float("inf")
+    values, weights = np.array(parts).T
+    total = weights.sum()
+    scatter = weights @ (values - weights @ values / total) ** 2 - (len(values) - 1)
+    spare = total - (weights**2).sum() / total
+    between = max(0.0, scatter / spare) if spare > 1e-9 * total else 0.0
+    return float(np.sqrt(max(1.0 / (1.0 / (1.0 / weights + between)).sum(), 1.0 / joint)))
+
+
+def _weigh_rivals(case: Case, point: Point) -> Point:
+    """For each accepted error, single others that explain as much in its place; the likelier sensor is taken."""
+    for name in [n for n in case.accepted if _leads(case, n)]:
+        held = _without(case, name)
+        base = _refit(case, point, held)
+        ranked = _ranked(case, case.search.at(base.errors, case.candidates), held)
+        gone = {n for n in case.accepted if n not in held}
+        near = [n for gain, n in ranked if n not in gone and gain > NEAR * ranked[0][0]][:TRIED]
+        fits = {n: case.search.fit(base.errors, (*held, n)) for n in near}
+        equal = {
+            n: fit for n, fit in fits.items() if fit.cost - point.cost < case.floor and possible(case, n, fit.errors[n])
+        }
+        case.rivals[name] = {n: fit.errors[n] for n, fit in equal.items()}
+        better = [n for n in equal if kind_of(n) == kind_of(name) and _unlikely(n, equal[n]) < _unlikely(name, point)]
+        if better:
+            case.accepted = [better[0] if n == name else n for n in case.accepted]
+            case.rivals[better[0]] = {name: point.errors[name], **case.rivals.pop(name)}
+            case.rivals[better[0]].pop(better[0])
+            case.gains[better[0]] = case.gains[name]
+            point = equal[better[0]]
+    return point
+
+
+def _unlikely(name: str, point: Point) -> int:
+    """Sensors are late rather than early, and gyros and accelerometers err before what is aligned with their help."""
+    kind, _, member = name.partition(".")
+    return int(point.errors[name] < 0.0 if kind == "delay" else member not in (*RATES, *SPECIFIC_FORCES))

@@ -1,0 +1,145 @@
+"""Sensors against each other: which of them are late, slow, off scale, turned, displaced or biased.
+
+Needs no aerodynamics: exact kinematics of inertial motion over ground, in which wind and gusts do not enter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rotorid_torch.core.names import RATES
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.trace import kinematic_words as words
+from rotorid_torch.trace.kinematic_constants import Constant, constants
+from rotorid_torch.trace.kinematic_equations import UNITS, unit_of
+from rotorid_torch.trace.kinematic_findings import KinematicFinding, KinematicFindings, SensorParameter
+from rotorid_torch.trace.kinematic_fit import DRIFTING, Setting
+from rotorid_torch.trace.kinematic_records import HIGHEST_HZ, Piece, pieces
+from rotorid_torch.trace.kinematic_search import Point, Search
+from rotorid_torch.trace.kinematic_selection import GRAVITY_RANGE, Case, kind_of, least, select, spread
+from rotorid_torch.trace.significance import normal_quantile
+
+FALSE_ALARMS = 0.005
+"""Share of data sets without sensor errors in which chance alone may name one, over all candidates together."""
+MOVING = 10.0
+"""Least ratio of a channel's power to its noise in the band at which its clock, filter and scale can show."""
+KINDS = ("bias", "scale", "misalignment", "lever_arm", "delay", "filter")
+EARTH = 7.3e-5
+"""Earth's rotation, rad/s: gyros read it, and the equations leave it out."""
+
+
+def kinematic_findings(dataset: Dataset) -> KinematicFindings:
+    """Sensor errors that are common to all identify flights, each with its evidence, or why it is not one.
+
+    Bias, scale, misalignment and lever arm of the IMU, delay and filter are estimated jointly from the exact kinematics
+    of the channels that there are. An error is accepted where the data gain more than chance gives any of them, where
+    it is the same from piece to piece of the flights, larger than a sample interval or than what declarations leave
+    open, and where it is still needed beside the others. Constants of gyros and accelerometers are free in every
+    flight; they count only where all flights share one. A delay is that of one unit against the others: what all
+    share cannot be seen.
+    """
+    cut = pieces(dataset)
+    candidates = _candidates(dataset, cut)
+    search = Search(cut, Setting(dataset.vehicle.gravity, np.array(dataset.vehicle.imu or (0.0, 0.0, 0.0))))
+    tests = len(candidates) + sum(any(c in piece.channels for piece in cut) for c in DRIFTING)
+    floor = normal_quantile(FALSE_ALARMS / 2.0 / max(tests, 1)) ** 2
+    if not candidates:
+        return KinematicFindings(tuple(_untested(dataset, kind, floor) for kind in KINDS), {})
+    case = Case(dataset, search, candidates, floor)
+    point = select(case)
+    biases = constants(dataset, point, floor, _least_constants(dataset))
+    found = tuple(_finding(case, kind, point, biases) for kind in KINDS)
+    return KinematicFindings(found, {name: float(values.max()) for name, values in search.levels.items()})
+
+
+def _candidates(dataset: Dataset, cut: Sequence[Piece]) -> tuple[str, ...]:
+    """Errors that these channels can show; constants of what drifts are weighed apart."""
+    there = dict.fromkeys(channel for piece in cut for channel in piece.channels)
+    equations = {name for piece in cut for name in piece.equations}
+    moving = {channel for channel in there if _moves(cut, channel)}
+    found = [f"{kind}.{unit}" for kind in ("delay", "filter") for unit in UNITS if moving & set(UNITS[unit])]
+    found += [f"scale.{c}" for c in there if c in moving and (unit_of(c) or c.endswith("dot"))]
+    level: list[str] = ["psi"] if {"north", "east"} <= equations else []
+    if moving & set(RATES) and equations & {"phi", "u", "v", "w"}:
+        found += [f"misalignment.{axis}" for axis in "xyz"]
+        level += ["phi", "theta"]
+        if equations & {"u", "v", "w"}:
+            found += [f"lever_arm.{axis}" for axis in "xyz"]
+            level += ["u", "v", "w"]
+    return (*found, *(f"bias.{c}" for c in level if c in there and dataset.bias(c) == "none"))
+
+
+def _moves(cut: Sequence[Piece], channel: str) -> bool:
+    """Whether a channel does more in the band than its noise."""
+    power = noise = 0.0
+    for piece in cut:
+        if channel in piece.channels:
+            row = piece.channels.index(channel)
+            values = piece.readings[row, piece.margin : -piece.margin]
+            ramp = np.linspace(values[0], values[-1], len(values))
+            spectrum = np.abs(np.fft.rfft(values - ramp)[1 : int(HIGHEST_HZ * len(values) * piece.dt)]) ** 2
+            power, noise = power + spectrum.sum() / len(values), noise + len(spectrum) * piece.noise[row] ** 2
+    return power > MOVING * noise
+
+
+def _least_constants(dataset: Dataset) -> dict[str, float]:
+    """By unit, constants that the rotating Earth and local gravity give to sensors without error."""
+    spreads = [dataset.facts[name].spreads for name in dataset.identify]
+    speeds = [abs(edge) for s in spreads for c in ("u", "v", "w") if c in s for edge in (s[c].low, s[c].high)]
+    coriolis = 2.0 * EARTH * max(speeds, default=0.0)
+    return {"rad/s": EARTH, "m/s²": coriolis + 0.5 * GRAVITY_RANGE * dataset.vehicle.gravity}
+
+
+def _untested(dataset: Dataset, kind: str, floor: float) -> KinematicFinding:
+    return KinematicFinding(
+        f"sensors.{kind}", "not testable", words.untestable(dataset, kind), 0.0, floor, (), None, ()
+    )
+
+
+def _finding(case: Case, kind: str, point: Point, biases: Sequence[Constant]) -> KinematicFinding:
+    parameters = [_parameter(case, name, point) for name in case.candidates if kind_of(name) == kind]
+    if kind == "bias":
+        parameters += [constant.parameter() for constant in biases]
+    if not parameters:
+        return _untested(case.dataset, kind, case.floor)
+    best = max([p for p in parameters if p.accepted] or parameters, key=lambda p: p.gain)
+    group = _group(case, kind)
+    verdict, reason = words.verdict(kind, parameters, group, case.floor, case.refused)
+    reason += _alternatives(case, kind)
+    visible = min(p.smallest_visible for p in parameters if p.unit == best.unit), best.unit
+    return KinematicFinding(
+        f"sensors.{kind}", verdict, reason, best.gain, case.floor, tuple(parameters), visible, group
+    )
+
+
+def _group(case: Case, kind: str) -> tuple[str, ...]:
+    """Effects that can stand in the place of this one, or this one in theirs, without the data objecting."""
+    pairs = [(kind_of(name), kind_of(rival)) for name, rivals in case.rivals.items() for rival in rivals]
+    others = {b for a, b in pairs if a == kind} | {a for a, b in pairs if b == kind}
+    return tuple(f"sensors.{other}" for other in KINDS if other in others - {kind})
+
+
+def _alternatives(case: Case, kind: str) -> str:
+    """Other sensors of the same effect that could be the cause."""
+    others = [(n, v) for name, rivals in case.rivals.items() for n, v in rivals.items() if kind_of(name) == kind_of(n)]
+    told = [
+        f"{n.partition('.')[2]} by {v:+.3g} {words.unit(kind, n.partition('.')[2])}"
+        for n, v in others
+        if kind_of(n) == kind
+    ]
+    return f"; it could also be {' or '.join(told)}" if told else ""
+
+
+def _parameter(case: Case, name: str, point: Point) -> SensorParameter:
+    kind, _, member = name.partition(".")
+    step, accepted, error = (
+        point.joining(name, case.accepted)[0],
+        name in case.accepted,
+        spread(point, name, case.accepted),
+    )
+    value = point.errors[name] if accepted else step
+    gain = case.gains[name] if accepted and name in case.gains else (value / error) ** 2
+    visible = max(np.sqrt(case.floor) * error, least(case.dataset, kind) + 2.0 * error)
+    return SensorParameter(f"sensors.{name}", value, error, words.unit(kind, member), accepted, gain, float(visible))
