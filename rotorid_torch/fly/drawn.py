@@ -26,7 +26,8 @@ from rotorid_torch.fly.section import Array
 from rotorid_torch.fly.sensors import MIRRORED, Channels
 
 TRIES = 6  # aircraft drawn for one number, at most
-COLUMNS = 520  # aircraft x flights that fly side by side
+TOGETHER = 1_300_000  # samples of all flights that fly side by side
+AWAY = 1.0  # rms of the difference from the measured motion over its own, from which on an aircraft has flown away
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,8 @@ def undrawable(dataset: Dataset) -> str | None:
 def clean_flights(dataset: Dataset, seed: int, draws: Sequence[int], resembles: Table | None = None) -> Iterator[Drawn]:
     """Clean aircraft of the data set's kind, flown through its manoeuvres, one data set in memory per draw number.
 
-    Every number has random streams of its own: neither the other numbers nor their order change what it gives.
+    Every number has random streams of its own: neither the other numbers nor their order change what it gives. One
+    whose aircraft does not stay near the measured motion is left out.
     Controls are the recorded ones about the drawn aircraft's trim, with a feedback of its deviation from the measured
     motion; what controller and pilot did is in the recorded controls, so they go with the motion as they did in flight.
 
@@ -92,12 +94,15 @@ def _flown(dataset: Dataset, seed: int, draws: Sequence[int], prior: Prior, evid
     """The draws in batches."""
     flights = [recorded(dataset, name) for name in dataset.flights]
     tape = tapes(flights, trim_of(dataset))
-    size = max(1, COLUMNS // len(flights))
+    size = max(1, TOGETHER // int(tape.samples.max() * len(flights)))
     for first in range(0, len(draws), size):
         some = draws[first : first + size]
         kept, tried = _aircraft(dataset, seed, some, prior, evidence)
         record = follow(kept, tape, prior)
+        away = record.away(tape)
         for k, number in enumerate(some):
+            if away[k] > AWAY:
+                continue
             measured = _measured(dataset, record, k, [seed, number])
             yield Drawn(
                 number,

@@ -19,11 +19,12 @@ from rotorid_torch.fly.aircraft import CONTROL_NAMES
 from rotorid_torch.fly.reduced import Craft
 from rotorid_torch.fly.reduced_numbers import Kind, Number, build, numbers, reference
 from rotorid_torch.fly.reduced_trim import Trims, find_trims, linearise
-from rotorid_torch.fly.resemblance import Evidence, mirrored
+from rotorid_torch.fly.resemblance import Evidence, mirrored, rotor_moves
 from rotorid_torch.fly.resemblance import reference as trim_of
 from rotorid_torch.fly.section import Array
 
-ROUNDS = 4  # Gauss-Newton steps
+ROUNDS, WORTH = 6, 0.95  # Gauss-Newton steps, while each of them takes the cost below this share
+LOST = 1e3  # what every entry is off, in tolerances, where there is no trim
 ROUGH = 1e-5  # m/s^2, rad/s^2: residual of a trim that only a difference is made of
 BUMP, LEAP = 0.05, 1.5  # of a number's spread: difference for its derivative; largest step
 ALIKE = 1.2  # rms of trim and derivatives over their tolerances, up to which an aircraft is kept
@@ -64,9 +65,8 @@ def prior(dataset: Dataset, evidence: Evidence) -> Prior:
     made = numbers(vehicle, float(np.hypot(velocity[0], velocity[1])))
     for k, name in enumerate(CONTROL_NAMES):
         made[f"gearing_{name}"] = _gearing(dataset, name, k, float(evidence.table[ON_AXIS[name]]))
-    moves = "omega" in dataset.scales() and dataset.scales()["omega"] > 3.0 * dataset.noise("omega")
     first = dataset.flights[dataset.identify[0]]
-    return Prior(vehicle, made, velocity, not moves, first.dt)
+    return Prior(vehicle, made, velocity, not rotor_moves(dataset), first.dt)
 
 
 def _gearing(dataset: Dataset, name: str, place: int, on_axis: float) -> Number:
@@ -128,19 +128,21 @@ def draw(prior: Prior, evidence: Evidence, kind: Kind, streams: list[np.random.G
     size = len(prior.numbers)
     start = np.stack([stream.standard_normal(size) for stream in streams])
     noise = np.stack([stream.standard_normal(evidence.table.size + evidence.trim.size) for stream in streams])
-    normal, trims = start.copy(), None
-    best = np.full(len(streams), np.inf)
-    kept = normal
-    for step in range(ROUNDS + 1):
-        craft = prior.craft(normal, kind)
-        trims = find_trims(craft, prior.velocity, trims)
-        found = _compare(prior, evidence, craft, trims, prior.gearing(normal))
-        left = np.where(trims.found[:, None], found + noise * np.isfinite(_tolerances(evidence)), 1e3)
+    asked = np.isfinite(_tolerances(evidence))
+    normal, kept, trims = start.copy(), start.copy(), None
+    best, going = np.full(len(streams), np.inf), np.ones(len(streams), dtype=bool)
+    for _ in range(ROUNDS + 1):
+        trims = find_trims(prior.craft(normal, kind), prior.velocity, trims)
+        found = _compare(prior, evidence, prior.craft(normal, kind), trims, prior.gearing(normal))
+        left = np.where(trims.found[:, None], found + noise * asked, LOST)
         cost = (left * left).sum(1) + ((normal - start) ** 2).sum(1)
         kept = np.where((cost < best)[:, None], normal, kept)
+        going &= cost < WORTH * best
         best = np.minimum(cost, best)
-        if step < ROUNDS:
-            normal = normal + _step(prior, evidence, normal, kind, trims, found, left, start)
+        for k in np.flatnonzero(going):
+            one = slice(k, k + 1)
+            step = _step(prior, evidence, normal[k], kind.pick(one), trims.pick(one), found[k], left[k], start[k])
+            normal[k] += step if trims.found[k] else -0.5 * normal[k]
     return finish(prior, evidence, kept, kind)
 
 
@@ -179,18 +181,13 @@ def _compare(prior: Prior, evidence: Evidence, craft: Craft, trims: Trims, geari
 def _step(
     prior: Prior, evidence: Evidence, normal: Array, kind: Kind, trims: Trims, found: Array, left: Array, start: Array
 ) -> Array:
-    """One Gauss-Newton step of every aircraft's deviates."""
-    count, size = normal.shape
-    out = np.zeros_like(normal)
-    for k in range(count):
-        bumped = np.repeat(normal[k : k + 1], size, axis=0) + BUMP * np.eye(size)
-        kinds = kind.pick(slice(k, k + 1)).repeat(size)
-        craft = prior.craft(bumped, kinds)
-        base = trims.pick(np.full(size, k))
-        moved = find_trims(craft, prior.velocity, base, ROUGH)
-        seen = _compare(prior, evidence, craft, moved, prior.gearing(bumped))
-        slope = np.where(moved.found[:, None], (seen - found[k]) / BUMP, 0.0)
-        matrix = np.eye(size) + slope @ slope.T
-        step = -np.linalg.solve(matrix, slope @ left[k] + normal[k] - start[k])
-        out[k] = step * min(1.0, LEAP / max(float(np.abs(step).max()), 1e-12))
-    return np.where(trims.found[:, None], out, -0.5 * normal)
+    """One Gauss-Newton step of one aircraft's deviates, [number]."""
+    size = len(normal)
+    bumped = normal + BUMP * np.eye(size)
+    craft = prior.craft(bumped, kind.repeat(size))
+    moved = find_trims(craft, prior.velocity, trims.pick(np.zeros(size, dtype=np.intp)), ROUGH)
+    seen = _compare(prior, evidence, craft, moved, prior.gearing(bumped))
+    slope = np.where(moved.found[:, None], (seen - found) / BUMP, 0.0)
+    step = -np.linalg.solve(np.eye(size) + slope @ slope.T, slope @ left + normal - start)
+    length = float(np.abs(step).max())
+    return np.asarray(step * (LEAP / max(length, LEAP)), dtype=np.float64)

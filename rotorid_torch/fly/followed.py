@@ -17,18 +17,23 @@ from rotorid_torch.fly.reduced_trim import linearise
 from rotorid_torch.fly.resemblance import Recorded
 from rotorid_torch.fly.section import Array
 
-FED = ("u", "v", "w", "p", "q", "r", "phi", "theta")
+FED = ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi")
+ANGULAR = slice(3, 9)  # of these, what a rate and attitude controller feeds back
 CONTROL_BLUR, MOTION_BLUR = 0.01, 0.1  # s: standard deviations of the kernels that take noise out of the records
+CONTROL_SMOOTH = 0.06  # s: the same where controls are compared with the motion
 TURN = 0.25  # rad of the rotor in one step of the integration, at most
-EFFORT = 1.0  # price of an rms of the controls in terms of an rms of the deviation
+LEAST = 1e-3  # rad: rms of a blade angle that hardly moves
+EFFORT = 10.0  # price of an rms of the controls in terms of an rms of the deviation
+EXPLAINED = 0.5  # share of a control's rms that a controller may leave over and still be one
 
 
 @dataclass(frozen=True)
 class Tapes:
     """What the flights prescribe, padded to one length, as deviations from the data set's trim.
 
-    `controls` [T, 4, flight] in recorded units and `motion` [T, 8, flight] (`FED`), both without most of their noise;
-    `dt` and `samples` [flight]; `start` [4, flight]: psi, north, east, height; `sizes` [12]: rms of motion, controls.
+    `controls` [T, 4, flight] in recorded units and `motion` [T, 9, flight] (`FED`), both without most of their noise;
+    `dt` and `samples` [flight]; `start` [4, flight]: psi, north, east, height; `sizes` [13]: rms of motion, controls;
+    `controller` [4, 9]: how the recorded controls go with the motion where the pilot leaves them alone.
     """
 
     controls: Array
@@ -37,6 +42,7 @@ class Tapes:
     samples: Array
     start: Array
     sizes: Array
+    controller: Array
     trim: Mapping[str, float]
 
 
@@ -45,19 +51,48 @@ def tapes(flights: Sequence[Recorded], trim: Mapping[str, float]) -> Tapes:
     longest = max(flight.samples for flight in flights)
 
     def prepared(flight: Recorded, names: Sequence[str], blur: float) -> Array:
-        rows = np.stack([flight.get(name, trim.get(name, 0.0)) - trim.get(name, 0.0) for name in names], axis=1)
+        rows = np.stack([flight.get(name, trim.get(name, 0.0)) - _level(flight, name, trim) for name in names], axis=1)
         smooth = gaussian_filter1d(rows, blur / flight.dt, axis=0, mode="nearest")
         return np.pad(smooth, ((0, longest - flight.samples), (0, 0)), mode="edge")
 
     controls = np.stack([prepared(flight, CONTROL_NAMES, CONTROL_BLUR) for flight in flights], axis=-1)
     motion = np.stack([prepared(flight, FED, MOTION_BLUR) for flight in flights], axis=-1)
-    start = np.array([[flight.get(name, 0.0)[:20].mean() for flight in flights] for name in ("psi", *_PLACES)])
+    start = np.array([[_level(flight, name, {}) for flight in flights] for name in ("psi", *_PLACES)])
     size = np.concatenate([np.sqrt((part**2).mean((0, 2))) for part in (motion, controls)])
     dt, samples = np.array([f.dt for f in flights]), np.array([f.samples for f in flights])
-    return Tapes(controls, motion, dt, samples, start, size, trim)
+    return Tapes(controls, motion, dt, samples, start, size, _controller(flights, trim), trim)
 
 
 _PLACES = ("north", "east", "height")
+
+
+def _level(flight: Recorded, name: str, trim: Mapping[str, float]) -> float:
+    """Where a channel starts from: trim, or for place and heading the flight's own first samples."""
+    return trim.get(name, 0.0) if name in trim and name != "psi" else float(flight.get(name, 0.0)[:20].mean())
+
+
+def _controller(flights: Sequence[Recorded], trim: Mapping[str, float]) -> Array:
+    """Gains of the controls by the angular motion, [4, 9], by least squares; zero where they are not a controller's.
+
+    Every control is looked at in the half of the flights that move it least: there the pilot leaves it alone.
+    """
+    out = np.zeros((len(CONTROL_NAMES), len(FED)))
+    for k, name in enumerate(CONTROL_NAMES):
+        pairs: list[tuple[Array, Array]] = []
+        for flight in flights:
+            channels = (name, *FED[ANGULAR])
+            rows = np.stack([flight.get(c, trim.get(c, 0.0)) - _level(flight, c, trim) for c in channels], axis=1)
+            smooth = gaussian_filter1d(rows, CONTROL_SMOOTH / flight.dt, axis=0, mode="nearest")
+            smooth = smooth[:: max(1, round(CONTROL_SMOOTH / flight.dt))]
+            pairs.append((smooth[:, 0] - smooth[:, 0].mean(), smooth[:, 1:] - smooth[:, 1:].mean(0)))
+        pairs.sort(key=lambda pair: float(np.std(pair[0])))
+        half = pairs[: (len(pairs) + 1) // 2]
+        control, motion = np.concatenate([pair[0] for pair in half]), np.concatenate([pair[1] for pair in half])
+        size = np.linalg.norm(motion, axis=0) + 1e-12
+        found = np.linalg.lstsq(motion / size, control, rcond=1e-3)[0] / size
+        if np.std(control - motion @ found) < EXPLAINED * np.std(control):
+            out[k, ANGULAR] = found
+    return out
 
 
 _ROWS = 27
@@ -94,27 +129,40 @@ class Followed:
         out |= {"airspeed": fast, "alpha": np.arctan2(velocity[:, 2], velocity[:, 0])}
         return out | {"beta": np.arcsin(velocity[:, 1] / np.maximum(fast, 1e-9))}
 
+    def away(self, tape: Tapes) -> Array:
+        """Rms of the difference from the measured motion over the motion's own, the worst of `FED`, [aircraft]."""
+        there = np.arange(len(self.record))[:, None] < self.samples
+        own = self.record[:, : len(FED)].astype(np.float64)
+        with np.errstate(all="ignore"):
+            off = own - own[:1] - (tape.motion - tape.motion[:1])[:, :, None]
+            square = np.where(there[:, None, None], off * off, 0.0).sum((0, 3)) / there.sum()
+            worst = (np.sqrt(square) / np.maximum(tape.sizes[: len(FED), None], LEAST)).max(0)
+        return np.where(np.isfinite(worst), worst, np.inf)
+
 
 def gains(kept: Aircraft, prior: Prior, tape: Tapes) -> Array:
-    """Feedback of `FED` to lon lat col ped, rad, [aircraft, 4, 8]: linear-quadratic, weighed by the flights' rms.
+    """Feedback of `FED` to lon lat col ped, rad, [aircraft, 4, 9].
+
+    The controller of the recorded flights, and around it as little as keeps the aircraft near them: linear-quadratic,
+    weighed by the flights' rms. So controls go with the motion as they did in flight, and no better conditioned.
 
     Source: Anderson and Moore, Optimal Control: Linear Quadratic Methods, chapter 3.
     """
     table = linearise(kept.craft, kept.trims).derivatives()
-    out = np.zeros((len(table), 4, 8))
-    weight = np.diag(1.0 / np.maximum(tape.sizes[:8], 1e-3) ** 2)
+    out = kept.gearing[:, :, None] * tape.controller
+    weight = np.diag(1.0 / np.maximum(tape.sizes[:9], 1e-3) ** 2)
     for k, derivatives in enumerate(table):
         a, b = body_system(derivatives, kept.trims.state[:, k, 0], prior.vehicle.gravity)
-        price = EFFORT * np.diag(1.0 / np.maximum(np.abs(kept.gearing[k]) * tape.sizes[8:], 1e-6) ** 2)
-        answer = solve_continuous_are(a, b, weight, price)
-        out[k] = -np.linalg.solve(price, b.T @ answer)
+        price = EFFORT * np.diag(1.0 / np.maximum(np.abs(kept.gearing[k]) * tape.sizes[9:], LEAST) ** 2)
+        answer = solve_continuous_are(a + b @ out[k], b, weight, price)
+        out[k] -= np.linalg.solve(price, b.T @ answer)
     return out
 
 
 def body_system(derivatives: Array, x: Array, gravity: float) -> tuple[Array, Array]:
-    """Eight-state linear model (`FED`) and its inputs, [8, 8] and [8, 4], of derivatives [6, 10] about trim."""
+    """Linear model of the nine states `FED` and its inputs, [9, 9] and [9, 4], of derivatives [6, 10] about trim."""
     (u, v, w), (phi, theta) = x[BODY], x[EULER][:2]
-    a, b = np.zeros((8, 8)), np.zeros((8, 4))
+    a, b = np.zeros((9, 9)), np.zeros((9, 4))
     a[:6, :6], b[:6] = derivatives[:, :6], derivatives[:, 6:]
     a[:3, 3:6] += np.array([[0.0, -w, v], [w, 0.0, -u], [-v, u, 0.0]])
     cp, sp, ct, st = np.cos(phi), np.sin(phi), np.cos(theta), np.sin(theta)
@@ -122,6 +170,7 @@ def body_system(derivatives: Array, x: Array, gravity: float) -> tuple[Array, Ar
     a[:3, 7] = -gravity * np.array([ct, st * sp, st * cp])
     a[6, 3:6] = 1.0, sp * st / ct, cp * st / ct
     a[7, 4:6] = cp, -sp
+    a[8, 4:6] = sp / ct, cp / ct
     return a, b
 
 
@@ -133,11 +182,11 @@ def follow(kept: Aircraft, tape: Tapes, prior: Prior) -> Followed:
     """
     craft, trims, flights = kept.craft, kept.trims, len(tape.dt)
     feed = gains(kept, prior, tape)
-    fed = [*range(8)]
-    neutral = trims.state[fed]
+    fed = slice(0, len(FED))
     x = np.repeat(trims.state, flights, axis=2)
-    x[fed] += tape.motion[0][:, None]
     x[8], x[PLACE] = tape.start[0], tape.start[1:, None]
+    neutral = x[fed].copy()
+    x[fed] += tape.motion[0][:, None]
     hands = kept.gearing.T[:, :, None] * tape.controls[:, :, None]
     hands -= np.einsum("dij,tjf->tidf", feed, tape.motion)
     hands += trims.controls
@@ -151,7 +200,7 @@ def follow(kept: Aircraft, tape: Tapes, prior: Prior) -> Followed:
         return respond(craft, trims.setting, state, commanded(state, hand))[0]
 
     last = len(hands) - 1
-    record = np.empty((last + 1, _ROWS, craft.count, flights), dtype=np.float32)
+    record = np.full((last + 1, _ROWS, craft.count, flights), np.nan, dtype=np.float32)
     for t in range(last + 1):
         u = commanded(x, hands[t])
         first, response = respond(craft, trims.setting, x, u)

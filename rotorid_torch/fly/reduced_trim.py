@@ -187,6 +187,7 @@ def find_trims(craft: Craft, velocity: Array, guess: Trims | None = None, close:
     """
     x, controls = (guess.state.copy(), guess.controls.copy()) if guess is not None else _guess(craft)
     x[SPEED] = craft.speed
+    free, craft = craft, replace(craft, held=True)
     shift, size = 1e-6, len(ROWS) + 4
     found = np.zeros(craft.count, dtype=bool)
     setting = settle(craft, _placed(x, velocity), controls)
@@ -210,9 +211,10 @@ def find_trims(craft: Craft, velocity: Array, guess: Trims | None = None, close:
         x[ROWS] += change[:, : len(ROWS)].transpose(1, 0, 2)
         controls += change[:, len(ROWS) :].transpose(1, 0, 2)
     x = _placed(x, velocity)
-    if not craft.held:
+    if not free.held:
         x[TORQUE] = respond(craft, setting, x, controls)[1].shaft
         x[SPEED_ERROR] = x[TORQUE] / craft.governor_integral
+        setting = settle(free, x, controls)
     return Trims(x, controls, setting, found)
 
 

