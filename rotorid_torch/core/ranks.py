@@ -57,9 +57,10 @@ class Ranks:
         """Sum over the ranks in their order; the same shape [...] at each."""
         if self.size == 1:
             return tensor
-        parts = [torch.empty_like(tensor, memory_format=torch.contiguous_format) for _ in range(self.size)]
-        _joined(lambda: distributed.all_gather(parts, tensor.contiguous()))
-        return torch.stack(parts).sum(dim=0)
+        own = tensor.cpu().contiguous()  # what ranks exchange is small, and the processor's on every machine
+        parts = [torch.empty_like(own) for _ in range(self.size)]
+        _joined(lambda: distributed.all_gather(parts, own))
+        return torch.stack(parts).sum(dim=0).to(tensor.device)
 
     def largest(self, number: float) -> float:
         """The largest of the ranks' numbers; NaN where one is."""

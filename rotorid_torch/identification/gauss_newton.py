@@ -204,8 +204,7 @@ def _bounded_step(problem: _Subproblem, damping: float) -> Tensor:
     step = torch.zeros_like(problem.lower)
     while bool(move.any()):
         rest = b - A[:, ~move] @ step[~move]
-        solution = torch.linalg.lstsq(scaled[:, move], rest.unsqueeze(-1), driver="gelsd").solution[:, 0]
-        step[move] = solution / problem.scale[move]
+        step[move] = least_squares(scaled[:, move], rest) / problem.scale[move]
         inside = torch.clamp(step, problem.lower, problem.upper)
         crossed = move & (inside != step)
         if not bool(crossed.any()):
@@ -213,6 +212,11 @@ def _bounded_step(problem: _Subproblem, damping: float) -> Tensor:
         step = torch.where(crossed, inside, step)
         move = move & ~crossed
     return step
+
+
+def least_squares(A: Tensor, b: Tensor) -> Tensor:
+    """The shortest x [n] with the least |A x - b|; by singular values, which torch has on the processor only."""
+    return torch.linalg.lstsq(A.cpu(), b.cpu().unsqueeze(-1), driver="gelsd").solution[:, 0].to(A.device)
 
 
 def _moved(theta: Tensor, step: Tensor, problem: _Subproblem) -> Tensor:

@@ -56,7 +56,8 @@ def fitted_states(problem: Likelihood, theta: Tensor) -> Tensor:
         nx = best.x0.shape[-1]
         triangle, rest = best.locals.segment[:, :, :nx], best.locals.segment[:, :, -1:]
         norms = torch.linalg.vector_norm(triangle, dim=1, keepdim=True).clamp_min(1e-12)
-        step = torch.linalg.lstsq(triangle / norms, rest, rcond=1e-3, driver="gelsd").solution / norms.mT
+        scaled, rest = (triangle / norms).cpu(), rest.cpu()  # singular values: torch has this on the processor only
+        step = torch.linalg.lstsq(scaled, rest, rcond=1e-3, driver="gelsd").solution.to(norms.device) / norms.mT
         trial = replace(head, x0=best.x0 + step.squeeze(-1)).evaluate(theta)
         if not trial.cost < best.cost:
             break

@@ -92,8 +92,9 @@ def learns_constants(given: Problem) -> bool:
     a rate of zero too; it is none, for over the record it may wander further than the prior doubts.
     """
     count = given.outputs.shape[-2]
-    draws = torch.randn(PROBES, given.x0.shape[-1], generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    away = draws @ root(given.P0).mT
+    generator = torch.Generator("cpu").manual_seed(0)
+    draws = torch.randn(PROBES, given.x0.shape[-1], generator=generator, dtype=torch.float64, device="cpu")
+    away = draws.to(given.P0.device) @ root(given.P0).mT
     u = given.controls[..., torch.linspace(0, count - 1, PROBES).long(), :]
     batch = np.broadcast_shapes(given.x0.shape[:-1], away.shape[:-2], u.shape[:-2])
     away, u = away.expand(*batch, *away.shape[-2:]), u.expand(*batch, *u.shape[-2:])
@@ -237,11 +238,11 @@ def _smooth(
 ) -> tuple[Tensor, Tensor]:
     """Smoothed means and covariances: the filter's, and rows W x = w + white noise that say what the rest brings."""
     v, H, sensor = _sensed(sense, R, outputs)
-    n, eye = H.shape[-1], torch.eye(H.shape[-1], dtype=H.dtype).expand(*H.shape[1:-2], -1, -1)
+    n, eye = H.shape[-1], torch.eye(H.shape[-1], dtype=H.dtype, device=H.device).expand(*H.shape[1:-2], -1, -1)
     rows = torch.linalg.solve_triangular(sensor, torch.cat([H, v], dim=-1), upper=False)
     drift = (move.value - about[1:]).unsqueeze(-1)
     above = torch.cat([eye, torch.zeros_like(eye), torch.zeros_like(eye[..., :1])], dim=-1)
-    later = torch.zeros(*about.shape, n + 1, dtype=H.dtype)
+    later = torch.zeros(*about.shape, n + 1, dtype=H.dtype, device=H.device)
     for k in range(len(outputs) - 2, -1, -1):
         W, w = torch.cat([later[k + 1], rows[k + 1]], dim=-2).split([n, 1], dim=-1)
         said = torch.cat([W @ noise[k], W @ move.slope[k], w - W @ drift[k]], dim=-1)

@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.device import moved, working_on
 from rotorid_torch.core.names import ATTITUDES, RATES, unit
 from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
@@ -117,11 +118,14 @@ class Reconstruction:
         return {"time": flight.time.numpy(), **{key: value.numpy() for key, value in {**every, **spread}.items()}}
 
 
-def reconstruct(dataset: Dataset, options: ReconstructOptions | None = None, ranks: Ranks = ALONE) -> Reconstruction:
+def reconstruct(
+    dataset: Dataset, options: ReconstructOptions | None = None, ranks: Ranks = ALONE, device: str = "cpu"
+) -> Reconstruction:
     """Forces, moments and smoothed channels of every flight, with their covariance.
 
     Missing samples and channels are skipped exactly. Constant errors of accelerometers without velocity and attitude to
-    tell them are part of the forces' trim. Flights are spread over the ranks; each gets all of them.
+    tell them are part of the forces' trim. Flights are spread over the ranks; each gets all of them. Filter and
+    smoother run on the device.
 
     Raises
     ------
@@ -146,7 +150,7 @@ def reconstruct(dataset: Dataset, options: ReconstructOptions | None = None, ran
     def reconstructed(names: Sequence[str], local: LocalNoise) -> list[ReconstructedFlight]:
         motion = _motion(dataset, names, states, outputs, noise, local, lines)
         with torch.no_grad():
-            got = _filter(dataset, names, motion, local, biases, lines, wander)
+            got = _filter(dataset, names, motion, local, biases, lines, wander, device)
         return [_flight(dataset, motion, got, local, i, name, biases[name]) for i, name in enumerate(names)]
 
     def in_groups(flights: Sequence[str]) -> Iterator[list[ReconstructedFlight]]:
@@ -203,6 +207,7 @@ def _filter(
     biases: Biases,
     lines: Mapping[str, tuple[float, float]],
     wander: Mapping[str, float],
+    device: str,
 ) -> Filtered:
     """Some flights as one batch; shorter ones end in missing samples."""
     inputs = motion.inputs(torch.tensor([dataset.facts[name].samples for name in names]))
@@ -217,16 +222,11 @@ def _filter(
     power = torch.as_tensor(noise.power)[: inputs.shape[1] - 1]
     entries = torch.einsum("tfi,fin->ftn", power, shape[..., rows, columns]) + constant[:, None, rows, columns]
     lasting = inputs[:, :-1, -1:] > 0.0
-    return filter_and_smooth(
-        motion.rates,
-        motion.measure,
-        (mean, cov),
-        ProcessNoise(len(motion.states), rows, columns, entries * lasting),
-        torch.diag(sensor.square()),
-        inputs,
-        outputs,
-        1.0,
-    )
+    process = ProcessNoise(len(motion.states), rows, columns, entries * lasting)
+    given = (mean, cov), process, torch.diag(sensor.square()), inputs, outputs
+    motion, given = moved((motion, given), device)
+    with working_on(device):
+        return moved(filter_and_smooth(motion.rates, motion.measure, *given, 1.0), "cpu")
 
 
 def _prior(

@@ -87,9 +87,9 @@ def mean_of(points: Tensor, weights: Weights) -> Tensor:
     return centre.squeeze(-2) + weights.other * (points - centre).sum(dim=-2)
 
 
-def root_weights(nx: int, weights: Weights) -> Tensor:
-    """Square roots of the weights in covariances [2 nx + 1, 1]."""
-    weight = torch.full((2 * nx + 1, 1), weights.other, dtype=torch.float64)
+def root_weights(mean: Tensor, weights: Weights) -> Tensor:
+    """Square roots of the weights in covariances [2 nx + 1, 1], on the device of the mean [..., nx]."""
+    weight = torch.full((2 * mean.shape[-1] + 1, 1), weights.other, dtype=torch.float64, device=mean.device)
     weight[0] = weights.centre
     return weight.sqrt()
 

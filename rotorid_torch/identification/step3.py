@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core import large
+from rotorid_torch.core.device import moved, working_on
 from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.identification.gauss_newton import Options
@@ -55,28 +56,38 @@ def estimate_model(
     start: Step2,
     monitor: Callable[[int, float, Tensor], None] | None = None,
     ranks: Ranks = ALONE,
+    device: str = "cpu",
 ) -> Step3:
     """Maximum likelihood from step 2's values, which only start it; the model's theta is set to the estimate.
 
-    The identify flights are spread over the ranks; each comes to the same estimate.
+    The identify flights are spread over the ranks; each comes to the same estimate. On another device than the
+    processor, torch does the work.
     """
     names = tuple(n for n in model.parameter_set.free if n not in start.held)
     with torch.no_grad():
         model.theta.copy_(start.theta)
-    system = System(model, names)
     places = [model.parameter_set.index(n) for n in names]
     settings = Settings(
         floor=sensor_noise(model, dataset),
         lengths=LENGTHS,
         prior_mean=model.parameter_set.values[places],
         prior_sd=model.parameter_set.prior_sd[places],
+        x0_sd=initial_spread(model),
         options=ENOUGH,
+        engine=None if device == "cpu" else "reference",
     )
-    flights = records(model, dataset, reconstruction, ranks)
-    found = fit(system, flights, settings=settings, monitor=monitor, ranks=ranks)
+    flights, settings = moved((records(model, dataset, reconstruction, ranks), settings), device)
+    with working_on(device):
+        found = fit(System(model, names), flights, settings=settings, monitor=monitor, ranks=ranks).estimate()
+    found = moved(found, "cpu")
     with torch.no_grad():
         model.theta[places] = found.theta
-    return Step3(found.estimate(), names)
+    return Step3(found, names)
+
+
+def initial_spread(model: Model) -> Tensor:
+    """Prior of the initial states about those that are followed [nx], infinite where there is none."""
+    return torch.tensor([s.spread for s in model.layout.states], dtype=torch.float64)
 
 
 def sensor_noise(model: Model, dataset: Dataset) -> Tensor:

@@ -64,7 +64,7 @@ class System:
         free: Sequence[str] | None = None,
         bounds: Mapping[str, tuple[float, float]] | None = None,
     ) -> None:
-        self.model = copy.deepcopy(model).double()
+        self.model = copy.deepcopy(model).double().to(torch.get_default_device())
         self._surface = _Surface(self.model)
         self.entries = _entries(self.model, free, bounds or {})
         if not self.entries:
@@ -119,7 +119,7 @@ class System:
         if not self.has_tape or self.tape(theta, controls, dt) is controls:  # nothing acts on the control path
             return none
         value, pull = _pullback(lambda th: self.tape(th, controls, dt), theta)
-        weights = torch.randn(value.shape, generator=torch.Generator().manual_seed(0), dtype=value.dtype)
+        weights = _random(value.shape, 0).to(value)
         which = pull(weights)[0].nonzero()[:, 0]
         if len(which) == 0:
             return none
@@ -155,6 +155,12 @@ def _pullback(
 ) -> tuple[Tensor, Callable[[Tensor], tuple[Tensor, ...]]]:
     value, pull, *_ = vjp(function, *inputs)
     return value, pull
+
+
+def _random(shape: Sequence[int], seed: int) -> Tensor:
+    """Normal numbers, the same on every device."""
+    generator = torch.Generator("cpu").manual_seed(seed)
+    return torch.randn(*shape, generator=generator, dtype=torch.float64, device="cpu")
 
 
 class _Structure:
@@ -209,7 +215,7 @@ class _Structure:
         return result
 
     def _agrees(self, result: Tensor, function: Callable[..., Tensor], theta: Tensor, *points: Tensor) -> bool:
-        noise = torch.randn(len(theta), generator=torch.Generator().manual_seed(1), dtype=theta.dtype)
+        noise = _random(theta.shape, 1).to(theta)
         direction = noise * (1.0 + theta.abs())
         truth = _passes(function, theta, direction[None], *points)[0]
         size = torch.where(truth.isfinite(), truth.abs(), 0.0).amax(dim=0)

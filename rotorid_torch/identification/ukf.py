@@ -250,7 +250,7 @@ def _around(at: Tensor) -> Tensor:
 
 def _filter_in_torch(given: _Given, weights: Weights, smooth: bool) -> Filtered:
     mean, cov, f, h, R, dt = given.mean, given.cov, given.f, given.h, given.R, given.dt
-    tape = _Tape(mean.shape[:-1], given.outputs.shape[-2], mean.shape[-1], given.outputs.shape[-1], smooth)
+    tape = _Tape(mean, given.outputs.shape[-2], given.outputs.shape[-1], smooth)
     points = 2 * mean.shape[-1] + 1
     u = given.controls.movedim(-2, 0).unsqueeze(-2).expand(-1, *mean.shape[:-1], points, -1)
     y = given.outputs.movedim(-2, 0)
@@ -269,13 +269,15 @@ def _filter_in_torch(given: _Given, weights: Weights, smooth: bool) -> Filtered:
 class _Tape:
     """What filter and smoother write down, time first; the smoother overwrites `leak` and reads `gain`."""
 
-    def __init__(self, batch: torch.Size, samples: int, nx: int, ny: int, smooth: bool) -> None:
+    def __init__(self, mean: Tensor, samples: int, ny: int, smooth: bool) -> None:
+        batch, nx = mean.shape[:-1], mean.shape[-1]
+
         def empty(rows: int, *shape: int) -> Tensor:
-            return torch.empty(rows, *batch, *shape, dtype=torch.float64)
+            return torch.empty(rows, *batch, *shape, dtype=torch.float64, device=mean.device)
 
         self.mean, self.cov = empty(samples, nx), empty(samples, nx, nx)
         self.innovation, self.spread = empty(samples, ny), empty(samples, ny, ny)
-        self.log_likelihood = torch.zeros(batch, dtype=torch.float64)
+        self.log_likelihood = torch.zeros(batch, dtype=torch.float64, device=mean.device)
         kept = samples if smooth else 0
         self.predicted, self.gain, self.leak = empty(kept, nx), empty(kept, nx, nx), empty(kept, nx, nx)
         self.smoothed = empty(kept, nx)
@@ -306,7 +308,7 @@ def _predict(
     weights: Weights,
 ) -> tuple[Tensor, Tensor]:
     """Process transform from sample k to k + 1; the smoother's gain and the covariance it cannot remove."""
-    offsets, root_weight = sigma_points.offsets(root(cov), weights), sigma_points.root_weights(mean.shape[-1], weights)
+    offsets, root_weight = sigma_points.offsets(root(cov), weights), sigma_points.root_weights(mean, weights)
     points = step(lambda t, x, u: f(x, u), torch.zeros(()), mean.unsqueeze(-2) + offsets, u0, u1, dt)
     ahead = sigma_points.mean_of(points, weights)
     spread = root_weight * (points - ahead.unsqueeze(-2))
@@ -333,7 +335,7 @@ def _update(
     weights: Weights,
 ) -> tuple[Tensor, Tensor]:
     """Measurement transform on redrawn sigma points; rows that are missing get no cross covariance, so no gain."""
-    offsets, root_weight = sigma_points.offsets(root(cov), weights), sigma_points.root_weights(mean.shape[-1], weights)
+    offsets, root_weight = sigma_points.offsets(root(cov), weights), sigma_points.root_weights(mean, weights)
     points = h(mean.unsqueeze(-2) + offsets, u)
     expected = sigma_points.mean_of(points, weights)
     start, spread = root_weight * offsets, root_weight * (points - expected.unsqueeze(-2))

@@ -153,6 +153,7 @@ class Steps:
     monitor: Monitor
     ranks: Ranks
     kept: Checkpoint
+    device: str = "cpu"
 
     def do(self, step: str, name: str, make: Callable[[], Result]) -> Result:
         """The result kept under `name`, or made now, timed as `step`, and kept."""

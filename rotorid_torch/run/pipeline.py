@@ -163,7 +163,9 @@ def _key(dataset: Dataset, effects: Sequence[str], seed: int) -> dict[str, str]:
 def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps) -> Run:
     """The three steps, free runs and scores."""
     seen, monitor = at_one_rate(dataset), steps.monitor
-    reconstruction = steps.reconstruct(tuple(seen.flights), lambda: step1.reconstruct(seen, None, steps.ranks, steps.device))
+    reconstruction = steps.reconstruct(
+        tuple(seen.flights), lambda: step1.reconstruct(seen, None, steps.ranks, steps.device)
+    )
     first = steps.do("structure", "structure", lambda: propose(seen, reconstruction, effects))
     tried = [estimated(spec, seen, reconstruction, steps) for spec in (first, rival(first)) if spec is not None]
     spec, model, regressions, estimate = min(tried, key=lambda t: t[3].criterion)
