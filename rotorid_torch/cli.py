@@ -134,8 +134,8 @@ def _add_fly(commands) -> None:
     command.add_argument("--heading", metavar="PSI", type=_number, help="heading of the trim, rad (0)")
     command.add_argument("--height", metavar="H", type=_number, help="height of the trim, m (27.4)")
     command.add_argument("--vehicle", metavar="FILE", type=Path, help="another vehicle, declared in a TOML file")
-    flights_help = "names with commas, also under a condition: dbl_lon_p, dbl_lon_p-90deg, dbl_col_p-5m, dbl_lon_p-20mps; "
-    flights_help += "or all, headings, heights, speeds (all, and what the effects need)"
+    flights_help = "names with commas, also under a condition: dbl_lon_p, dbl_lon_p-90deg, dbl_col_p-5m, "
+    flights_help += "dbl_lon_p-20mps; or all, headings, heights, speeds (all, and what the effects need)"
     command.add_argument("--flights", metavar="LIST", type=_names, help=flights_help)
 
 

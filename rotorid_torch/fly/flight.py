@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rotorid_torch.fly.aircraft import CONTROLS, EULER, PLACE, Aircraft, Motion, Outside, rates
+from rotorid_torch.fly.aircraft import CONTROLS, EULER, PLACE, Aircraft
 from rotorid_torch.fly.atmosphere import gusts
 from rotorid_torch.fly.augmentation import FEEDBACK, Augmentation
 from rotorid_torch.fly.control_path import History
 from rotorid_torch.fly.hidden import hidden_signals
 from rotorid_torch.fly.manoeuvres import SAMPLE_RATE, pilot
+from rotorid_torch.fly.motion import Motion, Outside, rates
 from rotorid_torch.fly.section import Array
 from rotorid_torch.fly.stepping import runge_kutta
 from rotorid_torch.fly.trim import STEP_ANGLE, Trim

@@ -86,9 +86,12 @@ def fly(
     _check_numbers(speed, heading, height, seconds)
     clean = load_aircraft(None if vehicle is None else Path(vehicle))
     aircraft, hidden = _altered(clean, effects)
-    names = chosen(flights if flights is not None else ["all", *(HIDDEN[one["id"]].flights or "all" for one in hidden)])
+    wanted = flights if flights is not None else ["all", *(HIDDEN[one["id"]].flights or "all" for one in hidden)]
+    names = chosen(wanted, speed)
     usual = Condition(heading, height, speed)
     conditions = {name: conditioned(name, usual)[1] for name in names}
+    for one in conditions.values():
+        _check_numbers(one.speed, one.heading, one.height, seconds)
     trims, augmentations = _trims(aircraft, {*conditions.values(), usual})
     each = [trims[one] for one in conditions.values()]
     gains = [augmentations[one.speed] for one in conditions.values()]

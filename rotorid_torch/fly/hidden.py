@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorid_torch.fly.aircraft import CONTROL_NAMES, EULER, Aircraft, Outside, blade_angles, ground_part, moving_air
+from rotorid_torch.fly.aircraft import CONTROL_NAMES, EULER, Aircraft
+from rotorid_torch.fly.motion import Outside, blade_angles, ground_part, moving_air
 from rotorid_torch.fly.section import Array
 
 

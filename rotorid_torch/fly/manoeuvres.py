@@ -34,13 +34,17 @@ GROUPS = {
         *("f321_col-5m", "dbl_col_p-5m", "dbl_lon_p-5m", "f321_col-9m", "dbl_col_p-9m", "dbl_lat_p-9m"),
         *("dbl_lon_n-5m", "dbl_col_n-9m", "dbl_col_n-15m"),
     ),
-    "speeds": (
-        *("dbl_lon_p-10mps", "dbl_lat_p-10mps", "dbl_col_p-10mps"),
-        *("dbl_lon_p-20mps", "dbl_lat_p-20mps", "dbl_col_p-20mps"),
-        *("dbl_lon_n-10mps", "dbl_col_n-20mps"),
-    ),
 }
-"""Further flights by what they vary: heading, height above ground, speed."""
+"""Further flights that vary heading (rad clockwise from north, in degrees) or height above ground (m)."""
+
+
+def groups(speed: float) -> dict[str, tuple[str, ...]]:
+    """Names that stand for several flights; those of "speeds" are at two speeds beside the data set's own, m/s."""
+    first = round(speed) + 10 if speed < 25.0 else round(speed) - 10
+    second = round(speed) + (20 if speed < 25.0 else 10)
+    near = (f"dbl_{motion}-{first}mps" for motion in ("lon_p", "lat_p", "col_p", "lon_n"))
+    far = (f"dbl_{motion}-{second}mps" for motion in ("lon_p", "lat_p", "col_p", "col_n"))
+    return {"all": FLIGHTS, **GROUPS, "speeds": (*near, *far)}
 
 
 @dataclass(frozen=True)
@@ -65,10 +69,10 @@ CHANGE = re.compile(r"-([0-9]{1,3})(deg|mps|m)(?=-|$)")
 FORM = re.compile(rf"(?:{'|'.join(FLIGHTS)})(?:{CHANGE.pattern})*")
 
 
-def chosen(flights: Sequence[str] | None) -> tuple[str, ...]:
+def chosen(flights: Sequence[str] | None, speed: float = 0.0) -> tuple[str, ...]:
     """Names of the flights to fly: those of the lists in their order, then the others in theirs.
 
-    `flights` may name groups: "all" (the lists), and those of `GROUPS`.
+    `flights` may name `groups`, and `speed` (m/s) is the data set's own.
 
     Raises
     ------
@@ -76,11 +80,12 @@ def chosen(flights: Sequence[str] | None) -> tuple[str, ...]:
     """
     if flights is None:
         return FLIGHTS
-    expanded = [one for name in flights for one in {"all": FLIGHTS, **GROUPS}.get(name, (name,))]
+    known = groups(speed)
+    expanded = [one for name in flights for one in known.get(name, (name,))]
     for name in expanded:
         if not _exists(name):
             expected = f"some of {', '.join(FLIGHTS)}, with a condition as in dbl_lon_p-90deg, dbl_col_p-5m or "
-            expected += f"dbl_lon_p-20mps, or of all, {', '.join(GROUPS)}"
+            expected += f"dbl_lon_p-20mps, or of {', '.join(known)}"
             raise InputError("usage", "flights", f"there is no flight '{name}'", expected)
     if not flights:
         raise InputError("usage", "flights", "the list is empty", "some of " + ", ".join(FLIGHTS))

@@ -24,8 +24,8 @@ from rotorid_torch.fly.aircraft import (
     TAIL_INFLOW,
     TORQUE,
     Aircraft,
-    rates,
 )
+from rotorid_torch.fly.motion import rates
 from rotorid_torch.fly.section import Array
 from rotorid_torch.fly.stepping import runge_kutta
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from rotorid_torch.fly.aircraft import AZIMUTH, BLADES, SPEED, Aircraft, rates
+from rotorid_torch.fly.aircraft import AZIMUTH, BLADES, SPEED, Aircraft
+from rotorid_torch.fly.motion import rates
 from rotorid_torch.fly.rotor import blade_motion, turn_back
 from rotorid_torch.fly.stepping import runge_kutta
 from rotorid_torch.fly.vehicle import load_aircraft

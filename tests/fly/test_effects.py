@@ -9,11 +9,11 @@ import pytest
 from rotorid_torch.data import load
 from rotorid_torch.errors import InputError
 from rotorid_torch.fly import EFFECT_CLASSES, EFFECTS, fly
-from rotorid_torch.fly.aircraft import rates
 from rotorid_torch.fly.augmentation import design
 from rotorid_torch.fly.effects import all_mass, differences
 from rotorid_torch.fly.flight import fly_batch
 from rotorid_torch.fly.linear import linearise
+from rotorid_torch.fly.motion import rates
 from rotorid_torch.fly.sensors import MEASURED, NOISE, true_channels
 from rotorid_torch.fly.trim import find_trim, passage
 from rotorid_torch.fly.vehicle import load_aircraft
@@ -181,6 +181,30 @@ def test_turbulence_is_there_before_the_record_begins(hover):
     assert 0.3 < np.abs(gust).max() < 4.0
     assert np.abs(gust[:, 0] - gust[:, 1]).max() > 0.1
     assert np.abs(record.states[0, :3] - hover.trim.state[:3, None]).max() > 0.05
+
+
+def test_wind_is_the_same_for_a_rotor_of_the_other_sense(tmp_path):
+    """From ahead on the right, in the data set's axes."""
+    file = tmp_path / "cw.toml"
+    file.write_text('name = "cw"\n[vehicle]\nmass = 6000.0\n[vehicle.rotor]\nradius = 8.0\ndirection = "cw"\n')
+    truth = flown("environment.wind", "mass.slung_load", seconds=0.05, vehicle=file, heading=1.0).truth["dbl_lat_p"]
+    assert truth["psi"][0] == pytest.approx(1.0)
+    level = np.deg2rad(220.0) - 1.0
+    assert truth["effect_wind_u"][0] == pytest.approx(6.0 * np.cos(level), abs=0.2)
+    assert truth["effect_wind_v"][0] == pytest.approx(6.0 * np.sin(level), abs=0.5)
+    assert abs(truth["v"][0]) < 0.01
+
+
+def test_effects_combine():
+    """Delay, lag, play, load, wind, payload and a moved centre of gravity at once: trimmed, and each one there."""
+    effects = ("control.delay", "control.lag", "control.backlash", "mass.slung_load", "mass.cg", "mass.payload")
+    many = flown(*effects, "environment.wind", "sensors.delay", seconds=0.1)
+    assert [one["id"] for one in many.hidden] == [*effects, "environment.wind", "sensors.delay"]
+    assert many.trim.residual < 1e-8
+    assert {"effect_lat", "effect_swing_x", "effect_wind_u", "effect_p"} <= set(many.truth["dbl_lat_p"])
+    load_there = many.aircraft.load
+    assert load_there is not None
+    np.testing.assert_allclose(load_there.hook, np.add(many.aircraft.reference, (0.0, 0.0, 0.15 * 8.178)))
 
 
 def test_names_of_data_sets_do_not_tell(tmp_path, clean):

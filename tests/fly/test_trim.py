@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from rotorid_torch.errors import InputError
-from rotorid_torch.fly.aircraft import BLADES, TORQUE, rates
+from rotorid_torch.fly.aircraft import BLADES, TORQUE
+from rotorid_torch.fly.motion import rates
 from rotorid_torch.fly.sensors import flapping
 from rotorid_torch.fly.trim import find_trim, passage
 
