@@ -21,6 +21,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.large import give_back
+from rotorid_torch.core.native.fallback import say_once
 from rotorid_torch.core.ranks import Ranks
 from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.effects.spec import ModelSpec
@@ -66,12 +67,21 @@ class Checkpoint:
         except Exception:  # a file cut short may fail anywhere in pickle or torch; the step is then done once more
             return None
 
-    def write(self, name: str, result: object) -> None:
-        """Keep the result of a step; the file is whole or absent."""
-        if self.folder is not None:
-            partial = self.folder / f"{name}.partial"
+    def write(self, name: str, result: object) -> bool:
+        """Keep the result of a step; the file is whole or absent. Where it cannot be written, one line says so."""
+        if self.folder is None:
+            return False
+        partial = self.folder / f"{name}.partial"
+        try:
             torch.save(_plain(result), partial)
             partial.replace(self.folder / f"{name}.pt")
+        except (OSError, RuntimeError) as error:  # torch tells a full disk as the latter
+            with suppress(OSError):
+                partial.unlink(missing_ok=True)
+            reason = " ".join(str(error).split())[:120]
+            say_once(f"{self.folder} cannot be written to ({reason}); a later --resume will repeat what is not kept")
+            return False
+        return True
 
 
 @contextmanager
@@ -176,9 +186,10 @@ class Steps:
         with self.monitor.step("reconstruct"):
             made = make()
             give_back()
-            for name in names if self.kept.folder is not None else ():
-                self.kept.write(f"reconstruct-{name}", made.flights[name])
-            self.kept.write("reconstruct", {**vars(made), "flights": {}})  # last: it says that all flights are there
+            if self.kept.folder is not None and all(
+                self.kept.write(f"reconstruct-{name}", made.flights[name]) for name in names
+            ):
+                self.kept.write("reconstruct", {**vars(made), "flights": {}})  # it says that all flights are there
         return made
 
     def _known(self, step: str, name: str) -> Any:

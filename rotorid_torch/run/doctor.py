@@ -5,12 +5,15 @@ from __future__ import annotations
 import importlib.util
 import os
 import platform
+import shlex
 from importlib.metadata import PackageNotFoundError, version
 
 import msgspec
 import torch
 from rich.table import Table
 
+from rotorid_torch.core.native.build import NO_COMPILER, compiler
+from rotorid_torch.core.native.fallback import Unsupported
 from rotorid_torch.run.records import package_version
 
 NEEDED = ("torch", "torchdiffeq", "numpy", "matplotlib", "tensorboard", "msgspec", "rich", "jinja2")
@@ -25,6 +28,7 @@ class Installation(msgspec.Struct, frozen=True, kw_only=True):
     system: str
     cores: int
     threads: int
+    compiler: str | None
     cuda: str | None
     packages: dict[str, str | None]
     extras: dict[str, bool]
@@ -38,6 +42,7 @@ def findings() -> Installation:
         system=f"{platform.system()} {platform.machine()}",
         cores=os.cpu_count() or 1,
         threads=torch.get_num_threads(),
+        compiler=_compiler(),
         cuda=torch.cuda.get_device_name() if torch.cuda.is_available() else None,
         packages={name: _version(name) for name in NEEDED},
         extras={name: all(map(importlib.util.find_spec, modules)) for name, modules in OPTIONAL.items()},
@@ -50,12 +55,20 @@ def table(found: Installation) -> Table:
     rows.add_row("rotorid", found.rotorid)
     rows.add_row("Python", f"{found.python}, {found.system}")
     rows.add_row("cores, threads used", f"{found.cores}, {found.threads} (set OMP_NUM_THREADS to change)")
+    rows.add_row("C++ compiler", found.compiler or f"{NO_COMPILER}: torch does its work, 30 to 200 times slower")
     rows.add_row("CUDA device", found.cuda or "none")
     for name, installed in found.packages.items():
         rows.add_row(name, installed or f"missing: pip install {name}")
     for name, there in found.extras.items():
         rows.add_row(f"extra {name}", "installed" if there else f"not installed: pip install 'rotorid-torch[{name}]'")
     return rows
+
+
+def _compiler() -> str | None:
+    try:
+        return shlex.join(compiler())
+    except Unsupported:
+        return None
 
 
 def _version(package: str) -> str | None:

@@ -20,7 +20,8 @@ from rotorid_torch.data import load
 from rotorid_torch.data.write import write_dataset
 from rotorid_torch.errors import InputError
 from rotorid_torch.run import pipeline
-from rotorid_torch.run.checkpoint import Checkpoint, checkpoint
+from rotorid_torch.run.checkpoint import Checkpoint, Steps, checkpoint
+from rotorid_torch.run.monitor import Monitor
 from rotorid_torch.run.records import Report, read_report
 from tests.known_models import flown, manoeuvres, rate_vehicle
 
@@ -238,3 +239,14 @@ def test_a_file_cut_short_is_a_step_not_finished(tmp_path: Path):
     whole = (tmp_path / "step.pt").read_bytes()
     (tmp_path / "step.pt").write_bytes(whole[: len(whole) // 2])
     assert kept.read("step") is None
+
+
+def test_a_full_disk_ends_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture):
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("torch.save", full)
+    steps = Steps(Monitor(), Ranks(), Checkpoint(tmp_path))
+    assert steps.do("structure", "structure", lambda: "made") == "made"
+    assert "No space left on device" in caplog.text
+    assert Checkpoint(tmp_path).read("structure") is None

@@ -7,32 +7,38 @@ import functools
 import hashlib
 import os
 import platform
+import shlex
 import shutil
+import signal
 import subprocess
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 
-from rotorid_torch.core.native.fallback import Unsupported
+from rotorid_torch.core.native.fallback import Unsupported, say_once
 
 LOOPS = Path(__file__).parent / "loops"
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-std=c++17", "-fPIC", "-shared", "-pthread", "-Wno-psabi")
 LIMIT_S = 300.0
 """s: a compiler that takes longer than this is given up."""
+_refused: dict[str, str] = {}
+"""What could not be compiled in this process, by key, and why: not tried twice."""
 NO_COMPILER = "no C++ compiler was found (g++ on PATH, or CXX=...)"
 
 
-def compiler() -> str:
-    """Path of the C++ compiler.
+def compiler() -> tuple[str, ...]:
+    """The command that compiles C++: path of its program, and what stands behind it in CXX ("ccache g++").
 
     Raises
     ------
     Unsupported : there is none.
     """
     wanted = os.environ.get("CXX", "g++")
-    found = shutil.which(wanted)
+    program, *options = [wanted] if shutil.which(wanted) else shlex.split(wanted) or [wanted]
+    found = shutil.which(program)
     if found is None:
         raise Unsupported(NO_COMPILER)
-    return found
+    return (found, *options)
 
 
 def threads() -> int:
@@ -45,6 +51,8 @@ def threads() -> int:
     wanted = os.environ.get("ROTORID_THREADS", os.environ.get("OMP_NUM_THREADS", ""))
     if wanted.isdecimal() and int(wanted) > 0:
         return int(wanted)
+    if wanted:
+        say_once(f"threads: '{wanted}' is no whole number above zero; all processors are used")
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -58,15 +66,15 @@ def cache_folder() -> Path:
 
 
 @functools.lru_cache
-def _target(program: str) -> str:
+def _target(program: tuple[str, ...]) -> str:
     """All of the compiler's macros: its version and this machine's instruction set."""
-    command = [program, *FLAGS, "-dM", "-E", "-x", "c++", os.devnull]
+    command = [*program, *FLAGS, "-dM", "-E", "-x", "c++", os.devnull]
     try:
         asked = subprocess.run(command, capture_output=True, text=True, check=False)
     except OSError as error:
-        raise Unsupported(f"{program} does not work: {error.strerror}") from error
+        raise Unsupported(f"{shlex.join(program)} does not work: {error.strerror}") from error
     if asked.returncode:
-        raise Unsupported(f"{program} does not work: {_first_error(asked.stderr)}")
+        raise Unsupported(f"{shlex.join(program)} does not work: {_first_error(asked.stderr)}")
     return asked.stdout
 
 
@@ -92,6 +100,8 @@ def library(source: str) -> ctypes.CDLL:
     program = compiler()
     key = hashlib.sha256("\n".join([source, _loops(), _target(program), *FLAGS]).encode()).hexdigest()[:24]
     file = cache_folder() / f"{key}.so"
+    if key in _refused:
+        raise Unsupported(_refused[key])
     if not file.exists():
         _compile(program, source, file)
     try:
@@ -101,7 +111,7 @@ def library(source: str) -> ctypes.CDLL:
         raise Unsupported(f"the compiled model cannot be loaded: {error}") from error
 
 
-def _compile(program: str, source: str, file: Path) -> None:
+def _compile(program: tuple[str, ...], source: str, file: Path) -> None:
     """Build beside the place and rename: nobody ever sees half a library."""
     vector_functions = ["-lmvec"] if platform.machine() == "x86_64" and platform.libc_ver()[0] == "glibc" else []
     try:
@@ -109,15 +119,33 @@ def _compile(program: str, source: str, file: Path) -> None:
         with tempfile.TemporaryDirectory(dir=file.parent) as folder:
             text, made = Path(folder) / "model.cpp", Path(folder) / "model.so"
             text.write_text(source)
-            command = [program, *FLAGS, f"-I{LOOPS}", str(text), "-o", str(made), *vector_functions, "-lm"]
-            done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=LIMIT_S)
-            if done.returncode:
-                raise Unsupported(f"{program} refuses the model: {_first_error(done.stderr)}")
+            command = [*program, *FLAGS, f"-I{LOOPS}", str(text), "-o", str(made), *vector_functions, "-lm"]
+            code, said = _run(command)
+            if code:
+                raise _remembered(file.stem, f"{shlex.join(program)} refuses the model: {_first_error(said)}")
             made.replace(file)
     except OSError as error:
         raise Unsupported(f"the compiled model cannot be kept in {file.parent}: {error.strerror}") from error
     except subprocess.TimeoutExpired as error:
-        raise Unsupported(f"{program} took longer than {LIMIT_S:g} s") from error
+        raise _remembered(file.stem, f"{shlex.join(program)} took longer than {LIMIT_S:g} s") from error
+
+
+def _remembered(key: str, why: str) -> Unsupported:
+    _refused[key] = why
+    return Unsupported(why)
+
+
+def _run(command: list[str]) -> tuple[int, str]:
+    """Exit code and error stream; whoever is late or interrupted ends with all that it has started."""
+    quiet, told = subprocess.DEVNULL, subprocess.PIPE
+    with subprocess.Popen(command, stdout=quiet, stderr=told, text=True, start_new_session=True) as running:
+        try:
+            said = running.communicate(timeout=LIMIT_S)[1]
+        except BaseException:
+            with suppress(ProcessLookupError):
+                os.killpg(running.pid, signal.SIGKILL)
+            raise
+    return running.returncode, said
 
 
 def _first_error(output: str) -> str:

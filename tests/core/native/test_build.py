@@ -111,6 +111,39 @@ def test_a_compiler_that_never_ends(source: str, tmp_path: Path, monkeypatch: py
         library(source)
 
 
+def test_a_refusal_is_not_asked_for_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = tmp_path / "asked"
+    monkeypatch.setenv("CXX", compiler_that(tmp_path, f'echo >> {asked}; exec g++ "$@"'))
+    for _ in range(2):
+        with pytest.raises(Unsupported, match="refuses the model"):
+            library('extern "C" int answer() { return no_such_name; }\n')
+    assert (tmp_path / "calls").read_text().splitlines() == ["called"]
+
+
+def test_a_late_compiler_ends_with_what_it_started(
+    source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    child = tmp_path / "child"
+    monkeypatch.setenv("CXX", compiler_that(tmp_path, f"sleep 60 & echo $! > {child}; wait"))
+    monkeypatch.setattr(build, "LIMIT_S", 2.0)
+    with pytest.raises(Unsupported, match="took longer"):
+        library(source + "// late\n")
+    state = Path(f"/proc/{int(child.read_text())}/stat")
+    assert not state.exists() or state.read_text().split()[2] == "Z"
+
+
+def test_a_compiler_behind_another_program(source: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CXX", "env g++")
+    assert build.compiler()[1:] == ("g++",)
+    library(source)
+
+
+def test_a_wrong_number_of_threads_is_told(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    monkeypatch.setenv("ROTORID_THREADS", "two")
+    assert build.threads() >= 1
+    assert "'two' is no whole number above zero" in caplog.text
+
+
 def test_a_cache_that_cannot_be_written(source: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("ROTORID_CACHE", str(tmp_path / "file"))
