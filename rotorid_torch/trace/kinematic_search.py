@@ -7,12 +7,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from rotorid_torch.core.names import RATES, VELOCITIES
+from rotorid_torch.effects.base import Effect
+from rotorid_torch.effects.sensors import LeverArm, Misalignment, SensorDelay, SensorFilter, SensorScale
 from rotorid_torch.trace.kinematic_fit import BANDS_HZ, Errors, Levels, Rows, Setting, constant_columns, rows
 from rotorid_torch.trace.kinematic_records import Piece
 
 Array = np.ndarray
 
-ITERATIONS = 8
+ITERATIONS = 6
 """Gauss-Newton steps of a fit, at most."""
 SETTLED = 0.05
 """A fit has converged when every step is below this share of its standard error, or gains less than this."""
@@ -98,7 +101,7 @@ class Search:
 
     def fit(self, errors: Errors, free: Sequence[str]) -> Point:
         """Gauss-Newton over the errors named, the others held where they are."""
-        point = self.at(errors, free)
+        point = self.at({**dict.fromkeys(free, 0.0), **errors}, free)
         for _ in range(ITERATIONS):
             step, covariance = point.solve(free)
             if not np.all(np.isfinite(step)) or np.all(np.abs(step) < SETTLED * np.sqrt(np.diag(covariance))):
@@ -134,15 +137,19 @@ def _stepped(errors: Errors, free: Sequence[str], step: Array) -> dict[str, floa
     return {**errors, **{name: bounded(name, errors.get(name, 0.0) + by) for name, by in zip(free, step, strict=True)}}
 
 
+def _bounds(effect: Effect) -> tuple[float, float]:
+    return effect.declared[0].bounds
+
+
 LIMITS = {
-    "delay": (-0.3, 0.3),
-    "filter": (0.0, 0.6),
-    "scale": (-0.6, 1.5),
-    "misalignment": (-0.5, 0.5),
-    "lever_arm": (-20.0, 20.0),
+    "delay": _bounds(SensorDelay(VELOCITIES)),
+    "filter": _bounds(SensorFilter(VELOCITIES)),
+    "scale": _bounds(SensorScale(VELOCITIES)),
+    "misalignment": _bounds(Misalignment(RATES)),
+    "lever_arm": _bounds(LeverArm()),
     "bias": (-np.inf, np.inf),
 }
-"""What a sensor can have: s, s, 1, rad, m."""
+"""What a sensor can have, as the effects declare it; a constant has no limit here, its unit differs by channel."""
 
 
 def bounded(name: str, value: float) -> float:
@@ -189,9 +196,9 @@ def _levels(made: Sequence[Rows], step: Array, old: Levels) -> dict[str, Array]:
         count = np.where(piece.frequencies > 0.0, 2.0, 1.0)[:, None]
         seen, data = count * np.abs(seen) ** 2 / whole, count * share / whole
         for i, name in enumerate(piece.equations):
-            into = power.setdefault(name, np.zeros((2, bands)))
-            into += [np.bincount(band, column[:, i], bands) for column in (seen, data)]
-    return {name: _beyond_chance(*both, old.get(name, np.ones(bands))) for name, both in power.items()}
+            sums = np.stack([np.bincount(band, column[:, i], bands) for column in (seen, data)])
+            power[name] = power.get(name, 0.0) + sums
+    return {name: _beyond_chance(both[0], both[1], old.get(name, np.ones(bands))) for name, both in power.items()}
 
 
 def _beyond_chance(seen: Array, data: Array, old: Array) -> Array:

@@ -10,11 +10,12 @@ import numpy as np
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.trace import kinematic_words as words
-from rotorid_torch.trace.kinematic_search import Point, Search
+from rotorid_torch.trace.kinematic_findings import Verdict
+from rotorid_torch.trace.kinematic_search import LIMITS, Point, Search
 
-MOST = 10
+MOST = 6
 """Errors that are accepted, at most."""
-TRIED = 5
+TRIED = 4
 """Candidates that are fitted in full at each step, best first."""
 NEAR = 0.2
 """Share of the best candidate's linear gain from which on another one is fitted in full too."""
@@ -32,18 +33,25 @@ VECTORS = ("misalignment", "lever_arm")
 class Case:
     """What is being decided: the candidates, those accepted, and what was learnt about each on the way.
 
-    floor : gain that chance alone does not give. refused : reasons by name. gains : of the accepted ones beside the
-    others. rivals : for an accepted one, the values of others that explain as much in its place.
+    floor : gain that chance alone does not give. fitted : errors that the data need, `named` those among them that are
+    sensor errors; the rest, too small or not the same in all flights, only stands aside so that nothing else takes its
+    place. refused : reasons by name. gains : of the fitted ones beside the others. rivals : for a named one, the values
+    of others that explain as much in its place.
     """
 
     dataset: Dataset
     search: Search
     candidates: tuple[str, ...]
     floor: float
-    accepted: list[str] = field(default_factory=list)
-    refused: dict[str, str] = field(default_factory=dict)
+    fitted: list[str] = field(default_factory=list)
+    refused: dict[str, tuple[Verdict, str]] = field(default_factory=dict)
     gains: dict[str, float] = field(default_factory=dict)
     rivals: dict[str, dict[str, float]] = field(default_factory=dict)
+
+    @property
+    def named(self) -> list[str]:
+        """Those fitted that are not refused."""
+        return [name for name in self.fitted if name not in self.refused]
 
 
 def kind_of(name: str) -> str:
@@ -63,15 +71,15 @@ def _forward(case: Case) -> Point:
     """The error that explains most joins, the others are weighed again beside it."""
     point = case.search.measure({}, case.candidates)
     while True:
-        base = case.search.fit(point.errors, case.accepted)
+        base = case.search.fit(point.errors, case.fitted)
         at_base = point if base.errors == point.errors else case.search.at(base.errors, case.candidates)
-        best = _best(case, base, at_base) if len(case.accepted) < MOST else None
+        best = _best(case, base, at_base) if len(case.fitted) < MOST else None
         if best is None:
             return base
         name, fit = best
         companions = [n for n in case.candidates if kind_of(n) == kind_of(name) in VECTORS and n != name]
-        case.accepted += [name, *(n for n in companions if n not in case.accepted)]
-        errors = case.search.fit(fit.errors, case.accepted).errors if companions else fit.errors
+        case.fitted += [name, *(n for n in companions if n not in case.fitted)]
+        errors = case.search.fit(fit.errors, case.fitted).errors if companions else fit.errors
         point = case.search.measure(errors, case.candidates)
 
 
@@ -87,21 +95,27 @@ def _ranked(case: Case, point: Point, held: Sequence[str]) -> list[tuple[float, 
 
 
 def _best(case: Case, base: Point, at_base: Point) -> tuple[str, Point] | None:
-    """The candidate whose full fit explains most beyond the floor."""
-    ranked = _ranked(case, at_base, case.accepted)
+    """The candidate whose full fit explains most beyond the floor; one too small to be named only if it must be."""
+    ranked = _ranked(case, at_base, case.fitted)
     near = [name for gain, name in ranked if gain > max(case.floor, NEAR * ranked[0][0])][:TRIED]
-    fits = [(name, case.search.fit(base.errors, (*case.accepted, name))) for name in near]
-    gains = [(base.cost - fit.cost, name, fit) for name, fit in fits if possible(case, name, fit.errors[name])]
-    if not gains:
+    fits = [(name, case.search.fit(base.errors, (*case.fitted, name))) for name in near]
+    inside = [(base.cost - fit.cost, name, fit) for name, fit in fits if _inside(name, fit.errors[name])]
+    most = max((gain for gain, _, _ in inside), default=0.0)
+    if most < case.floor:
         return None
-    gain, name, fit = max(gains, key=lambda g: g[0])
-    return (name, fit) if gain > case.floor else None
+    equal = [g for g in inside if g[0] > most - case.floor]
+    large = [g for g in equal if _large(case, g[1], g[2].errors[g[1]])]
+    _, name, fit = max(large or equal, key=lambda g: g[0])
+    return name, fit
 
 
-def possible(case: Case, name: str, value: float) -> bool:
-    """Whether a value is inside its range and larger than what sampling and declarations leave open."""
-    low, high = words.RANGES[kind_of(name)]
-    return low < value < high and abs(value) > least(case.dataset, kind_of(name))
+def _inside(name: str, value: float) -> bool:
+    low, high = LIMITS[kind_of(name)]
+    return low < value < high
+
+
+def _large(case: Case, name: str, value: float) -> bool:
+    return abs(value) > least(case.dataset, kind_of(name))
 
 
 def least(dataset: Dataset, kind: str) -> float:
@@ -113,14 +127,12 @@ def least(dataset: Dataset, kind: str) -> float:
 
 def _without(case: Case, name: str) -> list[str]:
     """The accepted errors less this one; less its whole vector where it led one."""
-    return [
-        n for n in case.accepted if n != name and not (kind_of(n) == kind_of(name) in VECTORS and _leads(case, name))
-    ]
+    return [n for n in case.fitted if n != name and not (kind_of(n) == kind_of(name) in VECTORS and _leads(case, name))]
 
 
 def _leads(case: Case, name: str) -> bool:
     """Whether an accepted error stands for itself: an axis of a vector came along with the vector's first one."""
-    return kind_of(name) not in VECTORS or name == next(n for n in case.accepted if kind_of(n) == kind_of(name))
+    return kind_of(name) not in VECTORS or name == next(n for n in case.fitted if kind_of(n) == kind_of(name))
 
 
 def _refit(case: Case, point: Point, names: Sequence[str]) -> Point:
@@ -129,34 +141,36 @@ def _refit(case: Case, point: Point, names: Sequence[str]) -> Point:
 
 
 def _keep_what_holds(case: Case, point: Point) -> Point:
-    """What the others explain, what changes from piece to piece or is too small leaves again, weakest first."""
-    while case.accepted:
-        doubts = []
-        for name in filter(lambda n: _leads(case, n), case.accepted):
+    """What the others explain leaves again, weakest first; what is too small or not steady loses its name."""
+    while case.named:
+        doubts: list[tuple[float, str, tuple[Verdict, str]]] = []
+        for name in filter(lambda n: _leads(case, n), case.named):
             case.gains[name] = _refit(case, point, _without(case, name)).cost - point.cost
             why = _doubt(case, point, name)
             doubts += [(case.gains[name], name, why)] if why else []
         if not doubts:
             break
         _, name, why = min(doubts)
-        case.refused[name] = why
-        case.accepted = _without(case, name)
-        point = _refit(case, point, case.accepted)
+        vector = [n for n in case.fitted if n not in _without(case, name)]
+        case.refused |= dict.fromkeys(vector, why)
+        if case.gains[name] < case.floor:
+            case.fitted = _without(case, name)
+            point = _refit(case, point, case.fitted)
     return point
 
 
-def _doubt(case: Case, point: Point, name: str) -> str:
-    """Why an accepted error is not one; empty where it holds."""
+def _doubt(case: Case, point: Point, name: str) -> tuple[Verdict, str] | None:
+    """Why a fitted error is not named; None where it holds."""
     value, smallest = point.errors[name], least(case.dataset, kind_of(name))
     if case.gains[name] < case.floor:
-        return "the other accepted errors explain it"
-    if not possible(case, name, value):
-        return words.too_small(kind_of(name), smallest)
-    at_fit = case.search.at(point.errors, case.accepted)
-    error = spread(at_fit, name, case.accepted)
+        return "rejected", "the other errors explain it"
+    if not _large(case, name, value):
+        return "below floor", words.too_small(kind_of(name), smallest)
+    at_fit = case.search.at(point.errors, case.fitted)
+    error = spread(at_fit, name, case.fitted)
     if abs(value) < STEADY * error or abs(value) - 2.0 * error < smallest:
-        return "its value differs from flight to flight by more than its size allows"
-    return ""
+        return "rejected", "its value differs from flight to flight by more than its size allows"
+    return None
 
 
 def spread(point: Point, name: str, held: Sequence[str]) -> float:
@@ -178,20 +192,22 @@ def spread(point: Point, name: str, held: Sequence[str]) -> float:
 
 def _weigh_rivals(case: Case, point: Point) -> Point:
     """For each accepted error, single others that explain as much in its place; the likelier sensor is taken."""
-    for name in [n for n in case.accepted if _leads(case, n)]:
+    for name in [n for n in case.named if _leads(case, n)]:
         held = _without(case, name)
         base = _refit(case, point, held)
         ranked = _ranked(case, case.search.at(base.errors, case.candidates), held)
-        gone = {n for n in case.accepted if n not in held}
+        gone = {n for n in case.fitted if n not in held}
         near = [n for gain, n in ranked if n not in gone and gain > NEAR * ranked[0][0]][:TRIED]
         fits = {n: case.search.fit(base.errors, (*held, n)) for n in near}
         equal = {
-            n: fit for n, fit in fits.items() if fit.cost - point.cost < case.floor and possible(case, n, fit.errors[n])
+            n: fit
+            for n, fit in fits.items()
+            if fit.cost - point.cost < case.floor and _inside(n, fit.errors[n]) and _large(case, n, fit.errors[n])
         }
         case.rivals[name] = {n: fit.errors[n] for n, fit in equal.items()}
         better = [n for n in equal if kind_of(n) == kind_of(name) and _unlikely(n, equal[n]) < _unlikely(name, point)]
         if better:
-            case.accepted = [better[0] if n == name else n for n in case.accepted]
+            case.fitted = [better[0] if n == name else n for n in case.fitted]
             case.rivals[better[0]] = {name: point.errors[name], **case.rivals.pop(name)}
             case.rivals[better[0]].pop(better[0])
             case.gains[better[0]] = case.gains[name]

@@ -11,16 +11,6 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.trace.kinematic_equations import usable
 from rotorid_torch.trace.kinematic_findings import SensorParameter, Verdict
 
-RANGES = {
-    "delay": (-0.29, 0.29),
-    "filter": (0.0, 0.5),
-    "scale": (-0.5, 1.0),
-    "misalignment": (-0.4, 0.4),
-    "lever_arm": (-15.0, 15.0),
-    "bias": (-np.inf, np.inf),
-}
-"""What a sensor that works can have: s, s, 1, rad, m."""
-
 
 def unit(kind: str, member: str) -> str:
     """Unit of a sensor error."""
@@ -50,26 +40,32 @@ def too_small(kind: str, least: float) -> str:
 
 
 def verdict(
-    kind: str, parameters: Sequence[SensorParameter], group: Sequence[str], floor: float, refused: Mapping[str, str]
+    kind: str,
+    parameters: Sequence[SensorParameter],
+    group: Sequence[str],
+    floor: float,
+    refused: Mapping[str, tuple[Verdict, str]],
 ) -> tuple[Verdict, str]:
     """Verdict on an effect and its reason, from its parameters, its rivals, and what was refused after a trial."""
-    accepted = [p for p in parameters if p.accepted]
-    if accepted:
-        found = "; ".join(told(p) for p in sorted(accepted, key=lambda p: -p.gain))
+    found = [p for p in parameters if p.accepted]
+    if found:
+        listed = "; ".join(told(p) for p in sorted(found, key=lambda p: -p.gain))
         if group:
-            return "indistinguishable", f"{found}; the data cannot tell it from {' or '.join(group)}"
-        return "accepted", f"{found}: the channels contradict each other without it"
+            return "indistinguishable", f"{listed}; the data cannot tell it from {' or '.join(group)}"
+        return "accepted", f"{listed}: the channels contradict each other without it"
     if group:
         return "indistinguishable", f"explains the data as well as {' or '.join(group)}, which was taken"
+    tried = {p.name.removeprefix("sensors."): p for p in parameters if p.name.removeprefix("sensors.") in refused}
+    if tried:
+        name, best = max(tried.items(), key=lambda item: item[1].gain)
+        return refused[name][0], f"{told(best)}: {refused[name][1]}"
     best = max(parameters, key=lambda p: p.gain)
-    why = [f"{name}: {reason}" for name, reason in refused.items() if name.startswith(f"{kind}.")]
-    if why:
-        return "rejected", "; ".join(why)
-    if best.gain > floor and abs(best.value) < best.smallest_visible:
-        return "below floor", f"{told(best)} is no more than sampling, declarations or drift leave open"
     if best.gain > floor:
-        return "rejected", f"{told(best)}: its sign, range or drift does not fit a constant error"
-    return "below floor", f"the channels agree; {told(best)} is chance"
+        return "rejected", f"{told(best)}: its sign, range or size is not that of a constant error"
+    return (
+        "below floor",
+        f"the channels agree; {told(best)} is chance" if best.value > 0 or kind != "filter" else "the channels agree",
+    )
 
 
 def untestable(dataset: Dataset, kind: str) -> str:

@@ -134,12 +134,9 @@ def _alternatives(case: Case, kind: str) -> str:
 
 def _parameter(case: Case, name: str, point: Point) -> SensorParameter:
     kind, _, member = name.partition(".")
-    step, accepted, error = (
-        point.joining(name, case.accepted)[0],
-        name in case.accepted,
-        spread(point, name, case.accepted),
-    )
-    value = point.errors[name] if accepted else step
-    gain = case.gains[name] if accepted and name in case.gains else (value / error) ** 2
-    visible = max(np.sqrt(case.floor) * error, least(case.dataset, kind) + 2.0 * error)
-    return SensorParameter(f"sensors.{name}", value, error, words.unit(kind, member), accepted, gain, float(visible))
+    error, smallest = spread(point, name, case.fitted), least(case.dataset, kind)
+    value = point.errors[name] if name in case.fitted else point.joining(name, case.fitted)[0]
+    gain = case.gains.get(name, (value / error) ** 2) if name in case.fitted else (value / error) ** 2
+    visible = float(max(np.sqrt(case.floor) * error, smallest + 2.0 * error))
+    unit, named = words.unit(kind, member), name in case.named
+    return SensorParameter(f"sensors.{name}", value, error, unit, named, gain, visible)

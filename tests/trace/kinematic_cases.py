@@ -149,7 +149,7 @@ def data(
         made[f"f{k}"] = read(MOTIONS[key][k], errors, 7919 * seed + k, dt, noise)
         if keep is not None:
             made[f"f{k}"] = {c: made[f"f{k}"][c] for c in ("time", *keep)}
-        made[f"f{k}"]["lat"] = made[f"f{k}"]["p"] * 0.1
+        made[f"f{k}"]["lat"] = 0.1 * np.sin(made[f"f{k}"]["time"])
     specs = {c: {"noise": s * max(noise, 1e-6)} for c, s in NOISE.items() if keep is None or c in keep}
     for channel, spec in (channels or {}).items():
         specs[channel] = {**specs.get(channel, {}), **spec}
