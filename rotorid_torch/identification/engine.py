@@ -7,6 +7,7 @@ cheaper and lose half of the digits of a condition number that the scaling of co
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Protocol
@@ -240,12 +241,21 @@ class NativeEngine:
         """See `Engine`; normal equations."""
         dynamics, problem = self._problem(records, part, whitener, unknowns)
         H, passage = dynamics.normal_equations(problem, threads())
+        if not math.isfinite(float(H.sum())) and bool(part.run.outputs.isfinite().all()):
+            raise ArithmeticError(self._infinite(H))
         nx = 0 if unknowns.x0_sd is None else unknowns.x0_sd.shape[-1]
         if unknowns.x0_sd is not None:
             H[:, :nx, :nx] += torch.diag_embed(unknowns.x0_sd**-2.0)
             H[:, :nx, -1] += unknowns.x0_rows / unknowns.x0_sd
         starts, rest = dynamics.triangles(H, nx, WEAK)
         return Elimination(starts, rest, passage)
+
+    def _infinite(self, H: Tensor) -> str:
+        """What to tell of products of columns that are not finite although the trajectories are."""
+        names = self.system.names
+        lost = (~H.diagonal(dim1=-2, dim2=-1).isfinite()).any(dim=0)[-1 - len(names) : -1].tolist()
+        told = ", ".join(name for name, bad in zip(names, lost, strict=True) if bad) or "the initial states"
+        return f"the trajectories are finite, but not their derivatives by {told}: a root or a quotient at zero?"
 
     def rows(self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns) -> Tensor:
         """See `Engine`."""

@@ -35,7 +35,7 @@ finally:
     print("torch" in sys.modules, file=sys.stderr)
 """
 
-SHARED = 24
+SHARED = 16
 """Flights that ranks share."""
 ROUNDS = """
 import sys, time
@@ -166,7 +166,7 @@ def ranks(setting: Setting) -> Measured:
     data = repeated(load(setting.dataset()), SHARED, setting.folder / "ranks")
     launch = ("-m", "torch.distributed.run", "--nproc-per-node", "2")
     alone, both = [], []
-    for k in range(1 + min(setting.repeats, 3)):  # the first builds
+    for k in range(1 + min(setting.repeats, 2)):  # the first builds
         alone.append(_step_3(setting, data, (), f"one-{k}"))
         both.append(_step_3(setting, data, launch, f"two-{k}"))
     gain = median(alone[1:]) / median(both[1:])

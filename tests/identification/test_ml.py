@@ -265,3 +265,25 @@ def test_bad_flights_are_named(change: dict[str, object], key: str) -> None:
 def test_bad_arguments_are_named(more: dict[str, object]) -> None:
     with pytest.raises(InputError):
         output_error(Roll(), [roll_flight(np.random.default_rng(0))], **more)
+
+
+class _Corner(nn.Module):
+    """At rest its output is zero, the root of a square, which has no derivative there."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.lag = nn.Parameter(torch.tensor(0.5, dtype=torch.float64))
+
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Tensor:
+        return (u - x) / self.lag
+
+    def output(self, x: Tensor, u: Tensor) -> Tensor:
+        return torch.sqrt(x * x)
+
+
+def test_derivatives_that_are_not_finite_are_told() -> None:
+    time = 0.1 * np.arange(20)
+    flight = {"time": time, "controls": np.zeros((20, 1)), "outputs": np.full((20, 1), 0.1), "x0": np.zeros(1)}
+    settings = Settings(engine="native", lengths=(math.inf,))
+    with pytest.raises(ArithmeticError, match="not their derivatives by"):
+        fit(System(_Corner()), records_from([flight]), settings=settings)
