@@ -37,6 +37,10 @@ def times(matrix: Tensor, vector: Tensor) -> Tensor:
     return (matrix * vector.unsqueeze(-2)).sum(-1)
 
 
+SWAY = 0.02
+"""rad, rad/s: a free swing of the load at the start of every segment would imitate any slow drift."""
+
+
 @register
 class Payload(Effect):
     """Mass other than declared: forces beyond trim move a heavier vehicle less.
@@ -195,10 +199,10 @@ class SlungLoad(Effect):
                 *hook,
             ),
             (
-                State("x", "rad", "cable forward of the vertical"),
-                State("y", "rad", "cable to the right of the vertical"),
-                State("x_rate", "rad/s", "rate of x"),
-                State("y_rate", "rad/s", "rate of y"),
+                State("x", "rad", "cable forward of the vertical", spread=SWAY),
+                State("y", "rad", "cable to the right of the vertical", spread=SWAY),
+                State("x_rate", "rad/s", "rate of x", spread=SWAY),
+                State("y_rate", "rad/s", "rate of y", spread=SWAY),
             ),
         )
         self.gravity = gravity

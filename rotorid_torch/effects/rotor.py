@@ -173,11 +173,12 @@ class FlapSecondOrder(Effect):
 
 @register
 class LeadLag(Effect):
-    """Lead-lag: the regressing lag mode in the fixed frame, driven by flapping, shakes the body after each step.
+    """Lead-lag: the regressing and the advancing lag mode in the fixed frame shake the body after each step.
 
-    s = x + i y, ds/dt = (-damping + i frequency) s + e^(i phase) (da1/dt + i db1/dt), the Coriolis moments of flapping;
-    X += X x, M += M x, Y += Y y, L += L y. Without flapping states the cyclic controls drive it. The frequency starts
-    at speed - lag frequency, lag frequency = speed sqrt(1.5 e/(R - e)) for hinges at e.
+    Complex lag s = x + i y: s'' = (l1 + l2) s' - l1 l2 s + speed (da1/dt + i db1/dt), the Coriolis moments of flapping,
+    with l = -damping + i frequency of each mode. The hub is pulled by c = e^(i phase) s': X += X re c, M += M re c,
+    Y += Y im c, L += L im c. Without flapping states the cyclic controls drive it. The frequencies start at speed -+
+    lag frequency, which is speed sqrt(1.5 e/(R - e)) for hinges at e.
 
     Source: Johnson, Helicopter Theory, sec. 12-1 (lag dynamics in multiblade coordinates); Bramwell, ch. 9.
     """
@@ -187,30 +188,26 @@ class LeadLag(Effect):
     def __init__(self, rotor: RotorSpec, drivers: tuple[str, str], zero: tuple[float, float], of_rates: bool) -> None:
         e = rotor.hinge_offset
         lag = USUAL_LAG if not e else math.sqrt(1.5 * e / (rotor.radius - e))
-        frequency = inside(rotor.speed * abs(1.0 - lag), (1.0, FASTEST))
-        bounds = (0.4 * frequency, min(1.6 * frequency, FASTEST))
-        per = ("m/(s2 rad)", "1/s2") if of_rates else ("m/(s3 rad)", "1/s3")
+        slow, fast = (inside(rotor.speed * abs(1.0 + side * lag), (1.0, FASTEST / 1.4)) for side in (-1, 1))
+        per = ("m/(s rad)", "1/s") if of_rates else ("m/(s2 rad)", "1/s2")
         super().__init__(
             (
-                Parameter(
-                    "frequency",
-                    frequency,
-                    "rad/s",
-                    bounds,
-                    0.2 * frequency,
-                    doc="of the regressing mode",
-                    typical=frequency,
-                ),
-                Parameter("damping", 2.3, "1/s", (0.2, 12.0), 1.5, doc="of the regressing mode", typical=2.3),
-                Parameter("phase", 0.0, "rad", (-math.pi, math.pi), 1.0, doc="turn of the drive", typical=0.3),
+                _frequency("regressing", slow),
+                _frequency("advancing", fast),
+                Parameter("damping", 3.0, "1/s", (0.2, 12.0), 1.5, doc="of both modes", typical=3.0),
+                Parameter("phase", 0.0, "rad", (-math.pi, math.pi), doc="turn of the pull", typical=0.3),
                 *(
-                    Parameter(n, 0.0, per[n in "LM"], (-500.0, 500.0), doc=f"{n} by the lag motion", typical=size)
-                    for n, size in (("X", 5.0), ("Y", 5.0), ("L", 8.0), ("M", 1.0))
+                    Parameter(n, 0.0, per[n in "LM"], (-100.0, 100.0), doc=f"{n} by the lag motion", typical=size)
+                    for n, size in (("X", 0.3), ("Y", 0.3), ("L", 0.6), ("M", 0.1))
                 ),
             ),
-            (State("x", "rad", "lag motion, longitudinal"), State("y", "rad", "lag motion, lateral")),
+            tuple(
+                State(n, unit, f"{what}, {axis}")
+                for what, unit, names in (("lag", "rad", ("x", "y")), ("rate of lag", "rad/s", ("x_rate", "y_rate")))
+                for n, axis in zip(names, ("longitudinal", "lateral"), strict=True)
+            ),
         )
-        self.drivers, self.zero, self.of_rates = drivers, zero, of_rates
+        self.speed, self.drivers, self.zero, self.of_rates = rotor.speed, drivers, zero, of_rates
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> LeadLag:
@@ -228,20 +225,34 @@ class LeadLag(Effect):
         return first(no_rotor(spec), no_forces(spec), None if driven else "neither flapping nor cyclic is recorded")
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
-        """Adds the shaking; the lag motion's rates."""
+        """Adds the pull at the hub; the lag motion's rates."""
         a, b = (
             frame.rate(n) if self.of_rates else frame.signals[n] - z
             for n, z in zip(self.drivers, self.zero, strict=True)
         )
-        cos, sin = torch.cos(p["phase"]), torch.sin(p["phase"])
-        along, side = x.unbind(-1)
+        along, side, along_rate, side_rate = x.unbind(-1)
+        total, twice = p["regressing"] + p["advancing"], 2.0 * p["damping"]
+        spring, turned = p["damping"].square() - p["regressing"] * p["advancing"], p["damping"] * total
         rates = vec(
-            cos * a - sin * b - p["damping"] * along - p["frequency"] * side,
-            sin * a + cos * b - p["damping"] * side + p["frequency"] * along,
+            along_rate,
+            side_rate,
+            self.speed * a - twice * along_rate - total * side_rate - spring * along - turned * side,
+            self.speed * b - twice * side_rate + total * along_rate - spring * side + turned * along,
         )
-        zero = torch.zeros_like(p["X"] * along)
-        force, moment = vec(p["X"] * along, p["Y"] * side, zero), vec(p["L"] * side, p["M"] * along, zero)
+        cos, sin = torch.cos(p["phase"]), torch.sin(p["phase"])
+        fore, right = cos * along_rate - sin * side_rate, sin * along_rate + cos * side_rate
+        zero = torch.zeros_like(p["X"] * fore)
+        force, moment = vec(p["X"] * fore, p["Y"] * right, zero), vec(p["L"] * right, p["M"] * fore, zero)
         return frame.add(force, moment), rates
+
+
+def _frequency(name: str, start: float) -> Parameter:
+    bounds = (0.6 * start, min(1.4 * start, FASTEST))
+    return Parameter(name, start, "rad/s", bounds, 0.1 * start, doc=f"frequency of the {name} mode", typical=start)
+
+
+REMEMBERED = 0.01
+"""rad/s: what a wake remembers where a segment begins is known from the motion before to this."""
 
 
 @register
@@ -272,7 +283,10 @@ class WakeDistortion(Effect):
                 ),
             )
         )
-        states = (State("q", "rad/s", "pitch rate that the wake knows"), State("p", "rad/s", "roll rate likewise"))
+        states = (
+            State("q", "rad/s", "pitch rate that the wake knows", spread=REMEMBERED),
+            State("p", "rad/s", "roll rate likewise", spread=REMEMBERED),
+        )
         super().__init__((*own, late), states)
         self.rotor = rotor
         if rotor is not None:
@@ -302,11 +316,11 @@ class WakeDistortion(Effect):
             return frame.add(moment=vec(p["L"] * late_q, -p["M"] * late_p, zero)), (vec(q, roll) - x) / p["tau"][
                 ..., None
             ]
-        a1, b1 = frame.rate("a1"), frame.rate("b1")
-        disc = vec(q + a1, roll + self.spin * b1)
         c, s = p["K_R"] * late_q, p["K_R"] * self.spin * late_p
-        frame = frame.with_rates(a1=a1 + self.own * c - self.cross * s, b1=b1 + self.cross * c + self.own * s)
-        return frame, (disc - x) / p["tau"].unsqueeze(-1)
+        a1 = frame.rate("a1") + self.own * c - self.cross * s
+        b1 = frame.rate("b1") + self.cross * c + self.own * s
+        disc = vec(q + a1, roll + self.spin * b1)
+        return frame.with_rates(a1=a1, b1=b1), (disc - x) / p["tau"].unsqueeze(-1)
 
 
 @register
@@ -314,14 +328,15 @@ class RotorSpeed(Effect):
     """Rotor speed and its governor: collective slows the rotor, the engine brings it back; thrust and torque change.
 
     ds/dt = e - dcol; de/dt = -(e + governor s)/tau; load s is the speed beyond trim (rad/s), load e the engine's
-    acceleration of it. Z += Z load s, N += N load e. Z starts at -2 g/speed, thrust as the speed squared.
+    acceleration of it. Z += Z load s, N += N load e. Z is -2 g/speed, thrust as the speed squared; free where the
+    speed is measured, for otherwise load and Z tell the same story.
 
     Source: Hilbert, NASA TM-85890 (1984), table 3; Padfield, Helicopter Flight Dynamics, sec. 3.2.5 (governor).
     """
 
     id, stage, role, predicts = "rotor.speed", Stage.FORCES, Role.STRUCTURE, ("omega",)
 
-    def __init__(self, speed: float, gravity: float, col: float, unit: str, omega: float) -> None:
+    def __init__(self, speed: float, gravity: float, col: float, unit: str, omega: float, measured: bool) -> None:
         thrust = -2.0 * gravity / speed
         per, load = {"rad": ("1/s2", 30.0), "m": ("rad/(s2 m)", 30.0)}.get(unit, ("rad/s2", 10.0))
         super().__init__(
@@ -329,9 +344,7 @@ class RotorSpeed(Effect):
                 Parameter("load", 0.0, per, (0.0, 40.0 * load), doc="deceleration by collective", typical=load),
                 Parameter("governor", 3.0, "1/s", (0.2, 30.0), 3.0, doc="engine's answer to the speed", typical=3.0),
                 Parameter("tau", 1.25, "s", (0.1, 5.0), 1.0, doc="lag of the engine", typical=1.25),
-                Parameter(
-                    "Z", thrust, "m/(s rad)", (4.0 * thrust, 0.0), -thrust, doc="thrust by speed", typical=thrust
-                ),
+                Parameter("Z", thrust, "m/(s rad)", (4.0 * thrust, 0.0), -thrust, measured, "thrust by speed", thrust),
                 Parameter("N", 0.0, "1", (-1.0, 1.0), doc="reaction to the engine's torque", typical=0.1),
             ),
             (
@@ -347,7 +360,14 @@ class RotorSpeed(Effect):
         assert spec.rotor is not None
         speed = spec.rotor.speed
         at = spec.reference.get
-        return cls(speed, spec.gravity, at("col", 0.0), spec.control_units.get("col", "rad"), at("omega", speed))
+        return cls(
+            speed,
+            spec.gravity,
+            at("col", 0.0),
+            spec.control_units.get("col", "rad"),
+            at("omega", speed),
+            "omega" in spec.outputs,
+        )
 
     @classmethod
     def untestable(cls, spec: ModelSpec) -> str | None:

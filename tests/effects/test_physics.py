@@ -1,0 +1,294 @@
+"""Effects against solutions worked out by hand."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from rotorid_torch.core.integrate import simulate
+from rotorid_torch.core.rigid import gyroscopic
+from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR
+from rotorid_torch.effects.registry import make
+from rotorid_torch.effects.rotor import Stall
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.errors import InputError
+from rotorid_torch.model.model import Model
+from rotorid_torch.model.nominal import build
+from tests.known_models import points, with_values
+
+G = 9.80665
+RIGID = msgspec.structs.replace(
+    HELICOPTER, flapping="none", outputs=HELICOPTER.outputs[:-3], hub=None,
+    patterns=dict.fromkeys(("X", "Y", "Z", "L", "M", "N"), ("u",)),
+)  # fmt: skip
+"""Nothing but trims: what an effect adds is all there is."""
+
+
+def made(effect: str, spec: ModelSpec = RIGID, **values: float) -> Model:
+    return with_values(
+        build(msgspec.structs.replace(spec, effects=(effect,))), {f"{effect}.{k}": v for k, v in values.items()}
+    )
+
+
+def rates(model: Model, own: tuple[float, ...] = (), /, **signals: float) -> dict[str, float]:
+    """Rates by name at the reference but for these signals."""
+    at = {**model.reference, **signals, **dict(zip((s.name for s in model.own_states), own, strict=False))}
+    vector = lambda names: torch.tensor([at.get(n, 0.0) for n in names], dtype=torch.float64)  # noqa: E731
+    found = model(torch.tensor(0.0), vector(model.layout.names), vector(model.body.controls)).detach()
+    return dict(zip(model.layout.names, found.tolist(), strict=True))
+
+
+def outputs(model: Model, **signals: float) -> dict[str, float]:
+    at = {**model.reference, **signals}
+    vector = lambda names: torch.tensor([at.get(n, 0.0) for n in names], dtype=torch.float64)  # noqa: E731
+    found = model.output(vector(model.layout.names), vector(model.body.controls)).detach()
+    return dict(zip(model.body.outputs, found.tolist(), strict=True))
+
+
+def test_drag_is_along_the_velocity_and_square():
+    model = made("forces.drag", x=0.002, y=0.002, z=0.002)
+    found = rates(model, u=30.0, v=-40.0)
+    assert found["u"] == pytest.approx(-0.002 * 30.0 * 50.0, rel=1e-6)
+    assert found["v"] == pytest.approx(0.002 * 40.0 * 50.0, rel=1e-6)
+    assert rates(model)["u"] == 0.0
+
+
+def test_quadratic_damping_opposes_either_sign():
+    model = made("forces.quadratic_damping", spec=msgspec.structs.replace(RIGID, inertia=None, mass=None), L=2.0, N=1.0)
+    assert rates(model, p=0.5)["p"] == pytest.approx(-0.5)
+    assert rates(model, p=-0.5, r=2.0)["p"] == pytest.approx(0.5)
+    assert rates(model, r=2.0)["r"] == pytest.approx(-4.0)
+
+
+def test_induced_velocity_falls_as_momentum_theory_says():
+    model = made("forces.translational_lift", Z=0.5, hover=10.0)
+    v = 15.0
+    vi = 10.0 * math.sqrt(math.sqrt(1 + (v * v / 200) ** 2) - v * v / 200)
+    assert vi**2 * (v**2 + vi**2) == pytest.approx(10.0**4)
+    assert rates(model, u=v)["w"] == pytest.approx(-0.5 * (10.0 - vi))
+
+
+@pytest.mark.parametrize(("z_by_radius", "gain"), [(0.5, 4 / 3), (0.75, 1.125), (1.0, 16 / 15), (2.0, 64 / 63)])
+def test_ground_effect_is_cheeseman_and_bennett_s(z_by_radius: float, gain: float):
+    spec = msgspec.structs.replace(RIGID, hub=(0.0, 0.0, -1.7), reference={**RIGID.reference, "height": 1e5})
+    model = made("environment.ground", spec, strength=1.0)
+    height = z_by_radius * 8.18 - 1.7
+    assert rates(model, (height,))["w"] == pytest.approx(-G * (gain - 1.0), rel=1e-6)
+    assert rates(model, (height,), w=-2.0)["environment.ground.height"] == pytest.approx(2.0)
+
+
+def test_wind_blows_in_body_axes_and_leaves_the_ground_alone():
+    model = made("environment.wind", north=7.0, east=-3.0)
+    frame_of = lambda own, **at: model.frame(  # noqa: E731
+        model.theta,
+        torch.tensor(
+            [{**model.reference, "environment.wind.psi": own, **at}.get(n, 0.0) for n in model.layout.names]
+        ).double(),
+        torch.zeros(4, dtype=torch.float64),
+    )[0]
+    frame = frame_of(1.2, u=5.0, phi=0.3, theta=-0.2)
+    turn = Rotation.from_euler("ZYX", [1.2, -0.2, 0.3])
+    wind = np.array([7.0, -3.0, 0.0])
+    air = np.array([5.0, 0.0, 0.0]) - turn.inv().apply(wind) + wind  # the reference is level and heads north
+    np.testing.assert_allclose(frame.stack(("u", "v", "w")).detach().numpy(), air, atol=1e-7)
+    np.testing.assert_allclose(frame.over_ground().detach().numpy(), [5.0, 0.0, 0.0])
+    assert outputs(model, u=5.0)["u"] == 5.0
+
+
+def test_a_pendulum_swings_at_its_frequency():
+    model = made("mass.slung_load", ratio=0.2, length=6.0, damping=0.0, hook=0.0)
+    x0 = torch.zeros(len(model.layout), dtype=torch.float64)
+    x0[model.layout.names.index("mass.slung_load.x")] = 0.01
+    controls = torch.zeros(601, 4, dtype=torch.float64)
+    swing = simulate(model, x0, controls, 0.01)[:, model.layout.names.index("mass.slung_load.x")].detach()
+    turns = ((swing[:-1] > 0) & (swing[1:] <= 0)).nonzero()[:, 0]
+    assert 0.01 * float(turns[1] - turns[0]) == pytest.approx(2 * math.pi / math.sqrt(G * 1.2 / 6.0), rel=0.01)
+
+
+def test_the_load_and_the_vehicle_keep_their_common_centre():
+    model = made("mass.slung_load", ratio=0.2, length=6.0, damping=0.0, hook=0.0)
+    names = model.layout.names
+    x0 = torch.zeros(len(names), dtype=torch.float64)
+    x0[names.index("mass.slung_load.x")] = 0.05
+    states = simulate(model, x0, torch.zeros(301, 4, dtype=torch.float64), 0.01).detach()
+    load = states[:, 0] + 6.0 * states[:, names.index("mass.slung_load.x_rate")]
+    assert float((states[:, 0] + 0.2 * load).abs().max()) < 2e-4 * float(load.abs().max())
+
+
+def test_a_shifted_centre_of_gravity_turns_the_body_by_force_times_arm():
+    d = msgspec.structs.replace(RIGID, patterns={**RIGID.patterns, "Z": ("col",)})
+    model = with_values(made("mass.cg", d, x=0.2), {"forces.Z.col": -80.0})
+    lift = 80.0 * 0.02
+    found = rates(model, col=0.02)
+    assert found["q"] == pytest.approx(-0.2 * 7440.0 * lift / 54200.0)
+    plain = outputs(with_values(build(d), {"forces.Z.col": -80.0}), col=0.02, q=0.5)
+    seen = outputs(model, col=0.02, q=0.5)
+    assert seen["ax"] - plain["ax"] == pytest.approx(0.2 * 0.25 + found["q"] * 0.0, abs=1e-9 + 0.5 * abs(found["q"]))
+
+
+def test_other_inertia_turns_as_a_body_of_that_inertia():
+    spec = msgspec.structs.replace(RIGID, patterns={**RIGID.patterns, "L": ("lat",)})
+    model = with_values(made("mass.inertia", spec, Ixx=0.2, Ixz=-0.1), {"forces.L.lat": 40.0})
+    found = rates(model, p=0.4, q=-0.3, r=0.2, lat=0.01)
+    declared = torch.tensor(HELICOPTER.inertia, dtype=torch.float64)
+    true = declared.clone()
+    true[0, 0] *= 1.2
+    true[0, 2] = true[2, 0] = 0.9 * declared[0, 2]
+    moment = declared @ torch.tensor([0.4, 0.0, 0.0], dtype=torch.float64)
+    wanted = torch.linalg.solve(true, moment) + gyroscopic(torch.tensor([0.4, -0.3, 0.2], dtype=torch.float64), true)
+    torch.testing.assert_close(torch.tensor([found[n] for n in "pqr"], dtype=torch.float64), wanted)
+
+
+def test_stall_takes_the_lift_above_the_limit():
+    spec = msgspec.structs.replace(RIGID, patterns={**RIGID.patterns, "Z": ("col",)})
+    model = with_values(made("rotor.stall", spec, loss=0.5, limit=0.10), {"forces.Z.col": -100.0})
+    full = next(e.full for e in model.chain if isinstance(e, Stall))
+    assert G / full == pytest.approx(0.0715, rel=0.05)  # blade loading of hover
+    high = 100.0 * 0.06
+    above = (G + high) / full - 0.10
+    assert rates(model, col=0.06)["w"] == pytest.approx(-high + 0.5 * full * above, rel=0.02)
+    assert rates(model, col=0.0)["w"] == pytest.approx(0.0, abs=0.02)
+
+
+def flapping_matrix(model: Model) -> Tensor:
+    names = [n for n in model.layout.names if n in ("a0", "a1", "b1") or n.startswith("rotor.")]
+    places = model.layout.places(names)
+    x, u = points(model, 1, spread=0.0)
+    return torch.func.jacfwd(lambda a: model.rates(model.theta.detach(), a, u[0]))(x[0])[places][:, places]
+
+
+def test_second_order_flapping_has_the_rotor_s_modes():
+    """In hover, hinges in the shaft, no coupling with the body: modes of the flap equation in fixed axes."""
+    speed, g = 27.0, 8.2 * 27.0 / 8.0
+    damping = torch.tensor([[g, 2 * speed], [-2 * speed, g]], dtype=torch.float64)
+    stiffness = torch.tensor([[0.0, g * speed], [-g * speed, 0.0]], dtype=torch.float64)
+    slow = -torch.linalg.solve(damping, stiffness)
+    columns = ("a1", "b1")
+    values = {f"rotor.{r}.{c}": float(slow[i, j]) for i, r in enumerate(columns) for j, c in enumerate(columns)}
+    values |= {"rotor.a0.a0": -20.0}
+    free = msgspec.structs.replace(HELICOPTER, effects=("rotor.flap_second_order",))
+    own = {"share": 1.0, "tau": 1.0 / g, "coupling": 2.0 * speed}
+    model = with_values(build(free), values | {f"rotor.flap_second_order.{n}": v for n, v in own.items()})
+    found = torch.linalg.eigvals(flapping_matrix(model))
+    rotating = complex(-g / 2, math.sqrt(speed**2 - g**2 / 4))
+    for wanted in (rotating - 1j * speed, rotating + 1j * speed):
+        assert min(abs(complex(v) - wanted) for v in found) < 1e-6 * speed
+
+
+def test_slow_flapping_stays_first_order():
+    spec = msgspec.structs.replace(HELICOPTER, effects=("rotor.flap_second_order",))
+    values = {"rotor.a0.a0": -8.0, "rotor.a1.a1": -8.0, "rotor.b1.b1": -8.0, "rotor.a1.lon": 5.0}
+    model = with_values(build(spec), {**values, "rotor.flap_second_order.share": 1.0})
+    own = tuple(0.0 for _ in model.own_states)
+    found = rates(model, own, lon=0.01)
+    assert found["rotor.flap_second_order.a1_rate"] == pytest.approx(0.05 / float(model.theta.detach()[
+        model.parameter_set.index("rotor.flap_second_order.tau")]))  # fmt: skip
+
+
+def test_lag_motion_rings_at_its_frequencies():
+    model = with_values(
+        build(msgspec.structs.replace(HELICOPTER, effects=("rotor.lead_lag",))), {"rotor.lead_lag.damping": 1.0}
+    )
+    lag = math.sqrt(1.5 * 0.381 / (8.18 - 0.381))
+    found = torch.linalg.eigvals(flapping_matrix(model))
+    for wanted in (27.0 * (1.0 - lag), 27.0 * (1.0 + lag)):
+        assert min(abs(complex(v) - complex(-1.0, wanted)) for v in found) < 1e-6
+
+
+def test_a_curved_wake_turns_the_tilt_against_the_off_axis_response():
+    """In steady pitching the tilt is b1 = K_R q/speed, and none across; a rotor without hinge offset."""
+    speed, g = 27.0, 8.2 * 27.0 / 8.0
+    damping = torch.tensor([[g, 2 * speed], [-2 * speed, g]], dtype=torch.float64)
+    slow = -torch.linalg.solve(damping, torch.tensor([[0.0, g * speed], [-g * speed, 0.0]], dtype=torch.float64))
+    values = {
+        f"rotor.{r}.{c}": float(slow[i, j]) for i, r in enumerate(("a1", "b1")) for j, c in enumerate(("a1", "b1"))
+    }
+    spec = msgspec.structs.replace(HELICOPTER, effects=("rotor.wake_distortion",))
+    model = with_values(build(spec), {**values, "rotor.wake_distortion.K_R": 1.2})
+    at = {s.name: 0.0 for s in model.own_states}
+    at |= {"b1": 1.2 * 0.3 / speed, "rotor.wake_distortion.q": 0.3}
+    found = rates(model, (), q=0.3, **at)
+    assert found["a1"] == pytest.approx(0.0, abs=1e-9)
+    assert found["b1"] == pytest.approx(0.0, abs=1e-9)
+    assert found["rotor.wake_distortion.q"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_collective_slows_the_rotor_and_the_governor_brings_it_back():
+    spec = msgspec.structs.replace(RIGID, outputs=(*RIGID.outputs, "omega"))
+    model = made("rotor.speed", spec, load=30.0, governor=3.0, tau=1.25)
+    u = torch.zeros(1500, 4, dtype=torch.float64)
+    u[100:, 2] = 0.02
+    x0 = torch.zeros(len(model.layout), dtype=torch.float64)
+    states = simulate(model, x0, u, 0.02)
+    omega = model.output(states, u)[:, model.body.outputs.index("omega")].detach()
+    assert float(omega[0]) == 27.0
+    assert float(omega.min()) < 27.0 - 30.0 * 0.02 / 3.0  # overshoot
+    assert float(omega[-1]) == pytest.approx(27.0 - 30.0 * 0.02 / 3.0, abs=0.01)
+
+
+def test_battery_scales_every_command():
+    spec = msgspec.structs.replace(MULTIROTOR, patterns={**MULTIROTOR.patterns, "Z": ("motor1",)})
+    model = with_values(made("propulsion.voltage", spec, exponent=2.0), {"forces.Z.motor1": -10.0})
+    found = rates(model, (0.9 * 3.9,))
+    assert found["w"] == pytest.approx(10.0 * 0.6 * (1.0 - 0.81))
+
+
+def test_rotors_that_speed_up_turn_the_body():
+    model = made("propulsion.rotor_inertia", MULTIROTOR, N=0.5, tau=0.1)
+    found = rates(model, (0.0,), motor1=0.7, motor2=0.6, motor3=0.7, motor4=0.6)
+    assert found["r"] == pytest.approx(0.5 * 0.2 / 0.1)
+
+
+def test_sensors_err_as_they_say_and_the_motion_does_not():
+    true = {"p": 0.3, "q": -0.2, "r": 0.1}
+    plain = outputs(build(RIGID), **true)
+    model = made("sensors.bias", p=0.02)
+    assert outputs(model, **true)["p"] == pytest.approx(0.32)
+    assert rates(model, **true) == rates(build(RIGID), **true)
+    assert outputs(made("sensors.scale", az=0.1), **true)["az"] == pytest.approx(1.1 * plain["az"])
+    turned = outputs(made("sensors.misalignment", z=0.01), **true)
+    seen = Rotation.from_rotvec([0, 0, 0.01]).inv().apply([0.3, -0.2, 0.1])
+    np.testing.assert_allclose([turned[n] for n in "pqr"], seen, atol=3e-5)
+    moved = outputs(made("sensors.lever_arm", x=0.5), **true)
+    elsewhere = msgspec.structs.replace(RIGID, imu=(RIGID.imu[0] + 0.5, *RIGID.imu[1:]))
+    wanted = outputs(build(elsewhere), **true)
+    for axis in ("ax", "ay", "az"):
+        assert moved[axis] == pytest.approx(wanted[axis], abs=1e-12)
+
+
+def test_what_data_cannot_test_is_refused_in_words():
+    lacking = msgspec.structs.replace(RIGID, rotor=None, reference={k: 0.0 for k in ("lon", "lat", "col", "ped")})
+    for effect, words in (
+        ("environment.ground", "height is missing"),
+        ("environment.wind", "psi is missing"),
+        ("rotor.stall", "not declared"),
+        ("propulsion.voltage", "no motor commands"),
+    ):
+        with pytest.raises(InputError, match=words):
+            build(msgspec.structs.replace(lacking, effects=(effect,)))
+    with pytest.raises(InputError, match="already"):
+        make("rotor.inflow", msgspec.structs.replace(RIGID, inflow=True))
+    with pytest.raises(InputError, match="blades fly along"):
+        build(msgspec.structs.replace(RIGID, mass_excludes=("blades",), effects=("mass.inertia",)))
+
+
+def test_a_spec_frees_and_starts_single_parameters():
+    spec = msgspec.structs.replace(
+        RIGID, effects=("control.delay",), free={"control.delay.common": False, "control.delay.lon": True},
+        values={"control.delay.lon": 0.04, "control.delay.lat": 9.0},
+    )  # fmt: skip
+    model = build(spec)
+    free = {n for n in model.parameter_set.free if n.startswith("control.")}
+    assert free == {"control.delay.lon"}
+    at = {
+        n: float(model.theta.detach()[model.parameter_set.index(f"control.delay.{n}")]) for n in ("lon", "lat", "col")
+    }
+    assert at == {"lon": 0.04, "lat": 0.25, "col": 0.0}
+    with pytest.raises(InputError, match="no such parameter"):
+        build(msgspec.structs.replace(RIGID, values={"control.delay.common": 0.0}))

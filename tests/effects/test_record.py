@@ -1,0 +1,87 @@
+"""What happens to a record: exact where it can be, smooth where it must be, and nothing at the null."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.signal import lsim
+from torch import Tensor
+
+from rotorid_torch.effects.record import lagged, rate_limited, shifted, with_play
+
+DT = 0.02
+TIME = DT * torch.arange(200, dtype=torch.float64)
+
+
+def noise(*shape: int) -> Tensor:
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+
+
+def one(value: float) -> Tensor:
+    return torch.tensor([value], dtype=torch.float64)
+
+
+@pytest.mark.parametrize("tau", [0.003, 0.02, 0.1, 1.5])
+def test_lag_is_the_exact_response_to_a_record_linear_between_samples(tau: float):
+    record = noise(200, 1)
+    wanted = lsim(([1.0], [tau, 1.0]), (record[:, 0] - record[0, 0]).numpy(), TIME.numpy())[1] + float(record[0, 0])
+    np.testing.assert_allclose(lagged(record, one(tau), DT)[:, 0].numpy(), wanted, atol=1e-10)
+
+
+def test_no_lag_is_the_record_and_its_derivative_the_slope():
+    record = noise(50, 1)
+    assert torch.equal(lagged(record, one(0.0), DT), record)
+    found = torch.func.jacfwd(lambda tau: lagged(record, tau, DT))(one(0.0))[1:, 0, 0]
+    torch.testing.assert_close(found, -record[:, 0].diff() / DT)
+
+
+def test_lag_of_one_sample_and_of_a_batch():
+    assert torch.equal(lagged(noise(1, 2), torch.tensor([0.1, 0.2], dtype=torch.float64), DT), noise(1, 2))
+    taus = torch.tensor([[0.0, 0.1], [0.2, 0.05]], dtype=torch.float64)
+    batch = lagged(noise(30, 2), taus, DT)
+    for k in range(2):
+        torch.testing.assert_close(batch[k], lagged(noise(30, 2), taus[k], DT), rtol=1e-13, atol=1e-13)
+
+
+def test_early_is_late_backwards():
+    record = noise(60, 1)
+    early, late = shifted(record, one(-0.06), DT), shifted(record.flip(0), one(0.06), DT).flip(0)
+    torch.testing.assert_close(early, late, rtol=1e-12, atol=1e-12)
+
+
+def test_each_column_has_its_own_shift():
+    record = noise(60, 2)
+    found = shifted(record, torch.tensor([0.0, 0.04], dtype=torch.float64), DT)
+    assert torch.equal(found[:, 0], record[:, 0])
+    torch.testing.assert_close(found[2:, 1], record[:-2, 1], rtol=1e-12, atol=1e-12)
+
+
+def test_a_step_is_followed_at_the_limit_and_reached():
+    record = 0.1 * (TIME > 0.5).double()[:, None]
+    found = rate_limited(record, one(1.0 / 0.2), DT)[:, 0]
+    rate = found.diff() / DT
+    assert float(rate.max()) == pytest.approx(0.2, rel=0.01)
+    assert float(rate.max()) <= 0.2
+    assert float(found[-1]) == pytest.approx(0.1, abs=1e-12)
+    half = int((found > 0.05).nonzero()[0])
+    assert DT * half == pytest.approx(0.5 + 0.05 / 0.2, abs=0.03)
+
+
+def test_slow_motion_knows_no_limit():
+    record = (0.1 * torch.sin(TIME))[:, None]  # at most 0.1 per s
+    assert torch.equal(rate_limited(record, one(0.0), DT), record)
+    torch.testing.assert_close(rate_limited(record, one(1.0 / 0.5), DT), record, atol=1e-6, rtol=0)
+
+
+def test_play_swallows_a_turn_and_then_drags():
+    record = (0.1 * torch.sin(math.pi * TIME))[:, None]
+    found = with_play(record, one(0.04))[:, 0]
+    hard, y = [], 0.0
+    for u in record[:, 0].tolist():
+        y = min(max(y, u - 0.02), u + 0.02)
+        hard.append(y)
+    assert float((found - torch.tensor(hard, dtype=torch.float64)).abs().max()) < 0.12 * 0.02
+    assert torch.equal(with_play(record, one(0.0)), record)
