@@ -121,7 +121,8 @@ def main(args: Args) -> None:
         "true": {"my.fin.k": 0.3, "my.fin.stall": STALL},
     }
     if args.close_loop:
-        result["verdict"] = rotorid.close_loop(data).verdict.sentence
+        verdict = rotorid.close_loop(data).verdict
+        result["verdict"] = verdict.sentence if verdict is not None else ""
     print(json.dumps(result))
 
 
