@@ -227,7 +227,7 @@ HIDDEN: dict[str, Hidden] = {
     "rotor.inflow": Hidden(_wake("apparent_mass", 1.0), "identifiable"),
     "rotor.flap_second_order": Hidden(_flap, "identifiable"),
     "rotor.lead_lag": Hidden(_lead_lag, "identifiable"),
-    "rotor.wake_distortion": Hidden(_wake("distortion", 1.5), "identifiable"),
+    "rotor.wake_distortion": Hidden(_wake("distortion", 1.5), "absorbed"),
     "rotor.speed": Hidden(_speed, "identifiable"),
     "rotor.stall": Hidden(_stall, "absorbed", "speeds"),
     "forces.drag": Hidden(_drag, "absorbed", "speeds"),
