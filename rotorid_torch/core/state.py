@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,12 +14,15 @@ class State:
     """One state of the flat vector; `doc` says what it is.
 
     `channel`: the measured channel at whose value it starts (height, psi); None starts it at rest in equilibrium.
+    `spread`: standard deviation of its value where a segment begins, about what it follows from the motion before;
+    infinite where the segment alone tells.
     """
 
     name: str
     unit: str = ""
     doc: str = ""
     channel: str | None = None
+    spread: float = math.inf
 
 
 @dataclass(frozen=True)

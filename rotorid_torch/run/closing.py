@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
+import torch
 
 from rotorid_torch.core.ranks import ALONE
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.one_rate import at_one_rate
+from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model
+from rotorid_torch.model.nominal import build
 from rotorid_torch.run.checkpoint import Checkpoint, Steps
 from rotorid_torch.run.fit_record import fit_record, judge
 from rotorid_torch.run.folder import run_folder
@@ -22,14 +26,19 @@ from rotorid_torch.run.records import (
     FitRecord,
     ParameterRecord,
     Report,
+    Role,
     UnknownRecord,
     VerdictRecord,
     VisibleRecord,
 )
 from rotorid_torch.trace.clean import clean_floors
 from rotorid_torch.trace.finding import Finding, Unknown
-from rotorid_torch.trace.fits import Fitted, Flights
+from rotorid_torch.trace.fits import Flights
+from rotorid_torch.trace.kinematic_findings import KinematicFinding
+from rotorid_torch.trace.kinematics import kinematic_findings
 from rotorid_torch.trace.loop import Tracing, trace
+from rotorid_torch.trace.sensor_correction import without_errors
+from rotorid_torch.trace.stochastic import stochastic_findings
 from rotorid_torch.trace.verdict import Statement, statement
 
 
@@ -95,49 +104,110 @@ def close_loop(
 
 
 def _closed(dataset: Dataset, seed: int, monitor: Monitor) -> Loop:
+    """Sensors against each other first, then what acts on the vehicle, on records without the sensors' errors."""
     steps = Steps(monitor, ALONE, Checkpoint())
     first = identified(dataset, (), seed, steps)
-    flights = Flights(at_one_rate(dataset), first.reconstruction)
+    with monitor.step("trace"):
+        sensors = kinematic_findings(at_one_rate(dataset))
+    right = sensors.corrected(at_one_rate(dataset))
+    for name, value in sensors.values.items():
+        monitor.say(f"sensors: {name} = {value:.4g}")
+    base = identified(right, (), seed, steps) if sensors.effects else first
+    flights = Flights(right, base.reconstruction)
+    start = dict(zip(base.model.parameter_set.names, base.model.theta.detach().tolist(), strict=True))
     with monitor.step("trace"):
         tracing = trace(
-            first.spec,
-            dict(zip(first.model.parameter_set.names, first.model.theta.detach().tolist(), strict=True)),
-            first.regressions.held,
+            base.spec,
+            start,
+            base.regressions.held,
             flights,
-            lambda spec, effects: clean_floors(flights.dataset, spec, effects, seed, monitor.say),
+            lambda spec, effects: clean_floors(right, spec, effects, seed, monitor.say),
             monitor.say,
         )
-    told = statement(tracing.findings, None)
-    added = (*tracing.structure, *tracing.accepted)
-    if not added:
-        return _loop(first, first.fit, None, tracing, told, None, monitor)
-    before = first if not (tracing.structure and tracing.accepted) else _again(first, tracing.null, dataset, steps)
-    after = _again(first, tracing.final, dataset, steps)
-    return _loop(after, before.fit, after.fit, tracing, told, None, monitor)
+        shaken = stochastic_findings(right, base.spec, start)
+    findings = (*map(_of_sensors, sensors.findings), *_replaced(tracing.findings, shaken))
+    told = statement(findings, None)
+    before, after = first, None
+    undeclared = bool(tracing.accepted or sensors.effects)
+    if tracing.structure and undeclared:
+        before = _again(first, tracing.null.spec, tracing.null.values, dataset, steps, {})
+    if tracing.structure or undeclared:
+        after = _again(base, tracing.final.spec, tracing.final.values, dataset, steps, sensors.values)
+    return _loop(after or before, before.fit, after, findings, told, None, monitor, tracing)
 
 
-def _again(first: Run, fitted: Fitted, dataset: Dataset, steps: Steps) -> Run:
-    """The steps again for a traced model, from its traced parameters."""
-    traced = {n: v for n, v in fitted.values.items() if any(n.startswith(f"{e}.") for e in fitted.spec.effects)}
-    spec = msgspec.structs.replace(fitted.spec, values=traced)
+def _of_sensors(found: KinematicFinding) -> Finding:
+    """A kinematic finding as one of the loop; its gain is in squares of the noise."""
+    values = {p.name: (p.value, p.se) for p in found.parameters if p.accepted}
+    return Finding(
+        found.id,
+        "undeclared",
+        found.verdict,
+        found.reason,
+        found.gain,
+        found.floor,
+        found.smallest_visible,
+        found.group,
+        values,
+    )
+
+
+def _replaced(findings: Sequence[Finding], others: Sequence[Finding]) -> list[Finding]:
+    """Findings with those of the same ids replaced."""
+    ids = {f.id for f in others}
+    return [*(f for f in findings if f.id not in ids), *others]
+
+
+def _again(
+    base: Run,
+    spec: ModelSpec,
+    values: Mapping[str, float],
+    dataset: Dataset,
+    steps: Steps,
+    sensors: Mapping[str, float],
+) -> Run:
+    """The steps again for a traced model, from its traced parameters; sensor errors act on the output that is judged.
+
+    sensors : errors that kinematics found, and that the records the steps run on are free of.
+    """
+    traced = {n: v for n, v in values.items() if any(n.startswith(f"{e}.") for e in spec.effects)}
     seen = at_one_rate(dataset)
-    spec, model, regressions, found = estimated(spec, seen, first.reconstruction, steps)
+    if sensors:
+        seen = without_errors(seen, {n.removeprefix("sensors."): v for n, v in sensors.items()})
+    spec, model, regressions, found = estimated(
+        msgspec.structs.replace(spec, values=traced), seen, base.reconstruction, steps
+    )
+    if sensors:
+        spec, model = _with_sensors(spec, model, sensors)
     with steps.monitor.step("validate"):
         judged = judge(model, dataset)
     fit = fit_record(model, spec, found, judged)
     return replace(
-        first, model=model, spec=spec, fit=fit, regressions=regressions, estimate=found, overlays=judged.overlays
+        base, model=model, spec=spec, fit=fit, regressions=regressions, estimate=found, overlays=judged.overlays
     )
+
+
+def _with_sensors(spec: ModelSpec, model: Model, sensors: Mapping[str, float]) -> tuple[ModelSpec, Model]:
+    """The model with the sensors' errors on its outputs."""
+    effects = dict.fromkeys(".".join(n.split(".")[:2]) for n in sensors)
+    richer = msgspec.structs.replace(spec, effects=(*spec.effects, *effects), values={**spec.values, **sensors})
+    sensing = build(richer)
+    own = dict(zip(model.parameter_set.names, model.theta.detach().tolist(), strict=True))
+    with torch.no_grad():
+        for i, name in enumerate(sensing.parameter_set.names):
+            sensing.theta[i] = own.get(name, float(sensing.theta[i]))
+    return richer, sensing
 
 
 def _loop(
     run: Run,
     before: FitRecord,
-    after: FitRecord | None,
-    tracing: Tracing,
+    after: Run | None,
+    findings: Sequence[Finding],
     told: Statement,
     unknown: Unknown | None,
     monitor: Monitor,
+    tracing: Tracing,
 ) -> Loop:
     record = Report(
         command="close-loop",
@@ -146,9 +216,9 @@ def _loop(
         time_s=monitor.time_record(),
         peak_memory_mb=peak_memory_mb(),
         before=before,
-        after=after,
+        after=None if after is None else after.fit,
         verdict=VerdictRecord(kind=told.kind, effects=told.effects, sentence=told.sentence),
-        effects=tuple(effect_record(f, run.model, after) for f in tracing.findings),
+        effects=tuple(effect_record(f, run.model, after) for f in findings),
         unknown=None if unknown is None else UnknownRecord(**vars(unknown)),
         warnings=(*run.record.warnings, *tracing.notes),
     )
@@ -156,9 +226,10 @@ def _loop(
     return Loop(**{**fields, "record": record}, tracing=tracing)
 
 
-def effect_record(finding: Finding, model: Model, after: FitRecord | None) -> EffectRecord:
-    """A finding for the report; parameters are those of the fit after, where the effect is in it."""
-    fitted = [p for p in after.parameters if p.name.startswith(f"{finding.id}.")] if after else []
+def effect_record(finding: Finding, model: Model, after: Run | None) -> EffectRecord:
+    """A finding for the report; parameters are those of the fit after, where that estimated them."""
+    own = f"{finding.id}."
+    fitted = [p for p in after.fit.parameters if p.name.startswith(own) and p.se] if after else []
     traced = [
         ParameterRecord(name=n, value=v, se=e, unit=_unit(model, n), status="free" if e > 0.0 else "frozen")
         for n, (v, e) in finding.values.items()
@@ -166,7 +237,7 @@ def effect_record(finding: Finding, model: Model, after: FitRecord | None) -> Ef
     visible = finding.smallest_visible
     return EffectRecord(
         id=finding.id,
-        role=finding.role,
+        role=msgspec.convert(finding.role, Role),  # pyright: ignore[reportArgumentType]
         verdict=finding.verdict,
         reason=finding.reason,
         gain=finding.gain,

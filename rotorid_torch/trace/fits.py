@@ -23,7 +23,7 @@ from rotorid_torch.identification.initial_states import filled, fitted_states
 from rotorid_torch.identification.likelihood import Likelihood, Place
 from rotorid_torch.identification.reconstruct import Reconstruction
 from rotorid_torch.identification.segments import Records, cut
-from rotorid_torch.identification.step3 import records, sensor_noise
+from rotorid_torch.identification.step3 import initial_spread, records, sensor_noise
 from rotorid_torch.identification.system import System
 from rotorid_torch.identification.whitening import Noise
 from rotorid_torch.model.model import Model
@@ -140,6 +140,7 @@ def refit(
         lengths=lengths,
         prior_mean=known.values[places],
         prior_sd=known.prior_sd[places],
+        x0_sd=initial_spread(model),
         options=options,
     )
     found = stages.fit(System(model, names), flights.records(model, flights.dataset.identify), settings=settings)
@@ -164,7 +165,7 @@ def _unseen(fitted: Fitted) -> Unseen:
         noise=Noise("held", own.noise.floor, fitted.fit.minimum.point.covariance),
         x0=filled(guess, known, segments),
         x0_mean=guess.nan_to_num(0.0),
-        x0_sd=torch.full_like(guess, math.inf),
+        x0_sd=torch.where(guess.isnan(), math.inf, initial_spread(fitted.model)),
         prior_mean=theta,
         prior_sd=torch.full_like(theta, math.inf),
         bias_sd=torch.zeros(known.outputs.shape[-1], dtype=torch.float64),

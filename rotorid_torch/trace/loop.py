@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import msgspec
 
-from rotorid_torch.effects.base import Role, Stage
+from rotorid_torch.effects.base import Role, Showing
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.decide import errors, gain, helps, left_over, objection, rivals, smallest_visible, unseen_gain
@@ -28,6 +28,8 @@ ROUNDS = 4
 """Undeclared effects that may join, at most."""
 STRUCTURAL_ROUNDS = 3
 """Structural effects that may join, at most."""
+ELSEWHERE = (Showing.KINEMATICS, Showing.INNOVATIONS)
+"""What trajectories do not show is found elsewhere: sensors against each other, and spectra."""
 
 Say = Callable[[str], None]
 
@@ -186,7 +188,7 @@ def candidates(spec: ModelSpec) -> tuple[list[str], list[Finding]]:
     """Effects that can act inside the time loop of this model, and findings for those that cannot be tested."""
     testable, untestable = [], []
     for name, effect in sorted(registered().items()):
-        if name in spec.effects or effect.role is Role.LEARNT or effect.stage is Stage.SENSORS:
+        if name in spec.effects or effect.role is Role.LEARNT or effect.showing in ELSEWHERE:
             continue
         reason = effect.untestable(spec)
         if reason is None:

@@ -213,11 +213,11 @@ def screen(null: Fitted, effects: Sequence[str], shuffles: int = SHUFFLES, seed:
     products = torch.stack(found)
     names = [n for n, kept in zip(null.names, keep.tolist(), strict=True) if kept]
     left, shares = _eliminated(products, prior.mT @ prior, len(names))
-    absorbed = tuple(_largest(names, shares[:, k]) for k in range(len(chosen)))
+    absorbed = tuple([_largest(tuple(names), shares[:, k]) for k in range(len(chosen))])
     return Screen(chosen, left, raw, null.per_sample, absorbed)
 
 
-def _largest(names: Sequence[str], shares: Tensor) -> tuple[str, ...]:
+def _largest(names: tuple[str, ...], shares: Tensor) -> tuple[str, ...]:
     """Names of the largest contributions to an imitation, of trims and rotor too."""
     order = shares.abs().argsort(descending=True)[:IMITATORS].tolist()
     return tuple(names[i] for i in order if float(shares[i].abs()) > 0.0)

@@ -1,0 +1,166 @@
+"""Effects that no trajectory can show, because their phase is unknown: turbulence and vibration.
+
+Turbulence: before the pilot acts all flights are alike, so what differs between them beyond sensor noise is the air.
+Vibration: lines in accelerations and rates at multiples of the rotor speed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.vibration import lines, spectrum
+from rotorid_torch.effects.registry import registered
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.trace.finding import Finding
+from rotorid_torch.trace.significance import normal_quantile
+
+TURBULENCE, VIBRATION = "environment.turbulence", "environment.vibration"
+FALSE_ALARMS = 1e-3
+"""Share of flights in calm air in which chance alone may show turbulence."""
+BLOCK_S = 0.1
+"""Quiet records are averaged over this: gusts are slower, sensor noise averages out."""
+LEAST_FLIGHTS, LEAST_BLOCKS = 4, 5
+STILL = 0.2
+"""Share of a control's later motion that a controller may use up in answering gusts before the pilot acts."""
+NEAR = 0.03
+"""A line belongs to a multiple of the rotor speed within this share of the rotor speed."""
+
+
+def stochastic_findings(dataset: Dataset, spec: ModelSpec, values: Mapping[str, float]) -> list[Finding]:
+    """Findings of turbulence and vibration.
+
+    Parameters
+    ----------
+    values : the model's parameters; derivatives by velocity turn accelerations into gusts.
+    """
+    return [_turbulence(dataset, spec, values), _vibration(dataset, spec)]
+
+
+def _turbulence(dataset: Dataset, spec: ModelSpec, values: Mapping[str, float]) -> Finding:
+    why = registered()[TURBULENCE].untestable(spec)
+    names = [n for n in (*dataset.identify, *dataset.validate)]
+    channels = [c for c in (*SPECIFIC_FORCES, *RATES) if all(dataset.facts[n].has(c) for n in names)]
+    blocks = [_quiet_blocks(dataset, n, channels) for n in names]
+    count = min((len(b) for b in blocks), default=0)
+    if why is None and (len(names) < LEAST_FLIGHTS or count < LEAST_BLOCKS or not channels):
+        why = f"needs {LEAST_FLIGHTS} flights that begin with {LEAST_BLOCKS * BLOCK_S:g} s before the pilot acts"
+    if why is None and _pilot_acts(dataset, names):
+        why = "pilot or controller move the controls from the first sample on"
+    if why is not None:
+        return Finding(TURBULENCE, "undeclared", "not testable", why)
+    means = np.stack([b[:count] for b in blocks])  # flight, block, channel
+    each = round(BLOCK_S / dataset.facts[names[0]].dt)
+    noise = np.array([dataset.noise(c) for c in channels]) / math.sqrt(each)
+    found, beyond = _between(means, noise)
+    seen, _ = _between(means[len(dataset.identify) :], noise)
+    floor = _floor(means.shape, FALSE_ALARMS)
+    keep = {"gain": found, "floor": floor, "smallest_visible": _visible(values, noise, channels, floor)}
+    if found <= floor:
+        return Finding(TURBULENCE, "undeclared", "below floor", "before the pilot acts all flights are alike", **keep)
+    if len(dataset.validate) > 1 and seen <= _floor(means[len(dataset.identify) :].shape, 0.05):
+        return Finding(TURBULENCE, "undeclared", "rejected", "the validate flights do not show it", **keep)
+    where = channels[int(np.argmax(beyond / noise))]
+    said = f"before the pilot acts the flights differ by more than their sensors' noise, in {where} most"
+    size = _gust(values, dict(zip(channels, beyond, strict=True)))
+    return Finding(TURBULENCE, "undeclared", "accepted", said, **keep, values=size)
+
+
+def _quiet_blocks(dataset: Dataset, name: str, channels: Sequence[str]) -> np.ndarray:
+    """Means over blocks of the quiet part of a flight, [block, channel]."""
+    flight = dataset.flights[name]
+    each = max(1, round(BLOCK_S / flight.dt))
+    record = flight.bridged(channels).numpy()[: dataset.quiet(name) // each * each]
+    return record.reshape(-1, each, len(channels)).mean(axis=1)
+
+
+def _pilot_acts(dataset: Dataset, names: Sequence[str]) -> bool:
+    """Whether a control moves in the quiet parts by more than a little of what it moves later."""
+    for control in dataset.controls:
+        moved = [_quiet_blocks(dataset, n, [control]).std() for n in names]
+        if max(moved) > STILL * max(dataset.scales()[control], 1e-300):
+            return True
+    return False
+
+
+def _between(means: np.ndarray, noise: np.ndarray) -> tuple[float, np.ndarray]:
+    """Mean square of what is neither a flight's own constant nor common to all flights, over that of the noise.
+
+    Beside it, by channel, the standard deviation beyond the noise.
+    """
+    flights, blocks, _ = means.shape
+    own = means - means.mean(axis=1, keepdims=True) - means.mean(axis=0) + means.mean(axis=(0, 1))
+    square = (own**2).sum(axis=(0, 1)) / max((flights - 1) * (blocks - 1), 1)
+    return float((square / noise**2).mean()), np.sqrt(np.maximum(square - noise**2, 0.0))
+
+
+def _floor(shape: tuple[int, ...], alarms: float) -> float:
+    """Ratio that noise alone exceeds with this probability: chi-square over its degrees of freedom.
+
+    Source: Wilson and Hilferty, PNAS 17 (1931), 684.
+    """
+    freedom = 2.0 / (9.0 * max((shape[0] - 1) * (shape[1] - 1) * shape[2], 1))
+    return (1.0 - freedom + normal_quantile(alarms) * math.sqrt(freedom)) ** 3
+
+
+def _visible(
+    values: Mapping[str, float], noise: np.ndarray, channels: Sequence[str], floor: float
+) -> tuple[float, str] | None:
+    """Gusts that would show, as far as the derivatives by velocity tell."""
+    least = {c: n * math.sqrt(max(floor - 1.0, 0.0) * len(channels)) for c, n in zip(channels, noise, strict=True)}
+    sizes = [value for value, _ in _gust(values, least).values()]
+    return (min(sizes), "m/s") if sizes else None
+
+
+def _gust(values: Mapping[str, float], beyond: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+    """Intensity that shakes the accelerometers so much, by the strongest derivative."""
+    pairs = (("ax", "X", "u"), ("ay", "Y", "v"), ("az", "Z", "w"))
+    found = {
+        force: (abs(values.get(f"forces.{row}.{force}", 0.0)), beyond.get(channel, 0.0))
+        for channel, row, force in pairs
+    }
+    strongest = max(found.values(), key=lambda pair: pair[0])
+    return {f"{TURBULENCE}.intensity": (strongest[1] / strongest[0], 0.0)} if strongest[0] > 0.0 else {}
+
+
+def _vibration(dataset: Dataset, spec: ModelSpec) -> Finding:
+    why = registered()[VIBRATION].untestable(spec)
+    if why is not None or spec.rotor is None:
+        return Finding(VIBRATION, "undeclared", "not testable", why or "the rotor speed is not declared")
+    found: dict[str, tuple[float, float]] = {}
+    ratios, where = [0.0], ""
+    for channel in (*SPECIFIC_FORCES, *RATES):
+        strength, hertz = _lines(dataset, channel, spec.rotor.speed / (2.0 * math.pi), 2 * spec.rotor.blades)
+        ratio = strength / dataset.noise(channel) if dataset.noise(channel) > 0.0 else 0.0
+        if ratio > max(ratios):
+            where = f"{channel} at {hertz:.3g} Hz"
+        ratios.append(ratio)
+        if ratio > 1.0:
+            group = "rates" if channel in RATES else "accelerations"
+            name = f"{VIBRATION}.{group}"
+            found[name] = (max(strength, found.get(name, (0.0, 0.0))[0]), 0.0)
+    keep = {"gain": max(ratios), "floor": 1.0, "smallest_visible": (dataset.noise(SPECIFIC_FORCES[2]), "m/s2")}
+    if not found:
+        said = "no line at a multiple of the rotor speed is stronger than a sensor's noise"
+        return Finding(VIBRATION, "undeclared", "below floor", said, **keep)
+    said = f"lines at multiples of the rotor speed stand above the sensors' noise, {where} most"
+    return Finding(VIBRATION, "undeclared", "accepted", said, **keep, values=found)
+
+
+def _lines(dataset: Dataset, channel: str, turn: float, most: int) -> tuple[float, float]:
+    """Strongest line of a channel at a multiple of the rotor's speed: rms and frequency; zeros without one."""
+    if not all(dataset.facts[n].has(channel) for n in dataset.identify):
+        return 0.0, 0.0
+    records = [dataset.flights[n].bridged([channel])[:, 0].numpy() for n in dataset.some(100)]
+    hertz, power = spectrum(records, dataset.facts[dataset.identify[0]].dt)
+    own = [
+        line
+        for line in lines(hertz, power)
+        if 1 <= round(line.hertz / turn) <= most and abs(line.hertz / turn - round(line.hertz / turn)) < NEAR
+    ]
+    strongest = max(own, key=lambda line: line.rms, default=None)
+    return (0.0, 0.0) if strongest is None else (strongest.rms, strongest.hertz)

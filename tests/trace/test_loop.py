@@ -1,0 +1,81 @@
+"""The loop on known models: what is hidden is named, with its size; where nothing is hidden nothing is named."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from rotorid_torch.data import Dataset
+from rotorid_torch.identification.reconstruct import reconstruct
+from rotorid_torch.identification.step2 import regress_model
+from rotorid_torch.identification.structure import propose
+from rotorid_torch.model.nominal import build
+from rotorid_torch.trace.fits import Fitted, Flights, refit
+from rotorid_torch.trace.floor import Floors
+from rotorid_torch.trace.loop import Tracing, trace
+from rotorid_torch.trace.screen import screen
+from tests.known_models import flown, manoeuvres, rate_vehicle, with_values
+
+DT = 0.02
+SUSPECTS = ("control.delay", "control.lag", "forces.quadratic_damping")
+
+
+def flights(*effects: str, seed: int = 3, **values: float) -> Dataset:
+    names = {f"{e.replace('__', '.')}": v for e, v in values.items()}
+    truth = with_values(rate_vehicle(effects=effects), names)
+    moves = manoeuvres(8.0, DT)
+    both = {**moves, **{f"{name}_again": -0.8 * move for name, move in moves.items()}}
+    lists = {"identify": list(moves), "validate": [f"{name}_again" for name in moves]}
+    return flown(truth, both, DT, noise=0.02, seed=seed, lists=lists)
+
+
+def started(data: Dataset) -> tuple[Flights, Fitted]:
+    found = reconstruct(data)
+    spec = propose(data, found)
+    model = build(spec)
+    start = regress_model(model, data, found)
+    known = Flights(data, found)
+    values = dict(zip(model.parameter_set.names, start.theta.tolist(), strict=True))
+    return known, refit(spec, known, values, start.held)
+
+
+def traced(data: Dataset) -> Tracing:
+    known, null = started(data)
+    return trace(null.spec, null.values, (), known, lambda spec, effects: Floors({}, "none drawn"))
+
+
+def test_the_screen_sees_the_size_of_a_delay():
+    _, null = started(flights("control.delay", control__delay__common=0.06))
+    seen = screen(null, SUSPECTS)
+    assert seen.sizes(["control.delay"])["control.delay.common"] == pytest.approx(0.06, abs=0.02)
+    assert seen.gain(["control.delay"]) > 10.0 * float(seen.by_chance(["control.delay"]).max())
+
+
+def test_a_hidden_delay_is_named_with_its_size():
+    found = traced(flights("control.delay", control__delay__common=0.06))
+    assert found.accepted == ("control.delay",)
+    value, error = next(f for f in found.findings if f.id == "control.delay").values["control.delay.common"]
+    assert abs(value - 0.06) < 3.0 * error
+    assert error < 0.01
+
+
+def test_a_hidden_lag_is_told_from_a_delay():
+    found = traced(flights("control.lag", control__lag__common=0.08))
+    assert found.accepted == ("control.lag",)
+    assert next(f for f in found.findings if f.id == "control.delay").verdict == "rejected"
+
+
+def test_where_nothing_is_hidden_nothing_is_named():
+    found = traced(flights())
+    assert found.accepted == ()
+    assert found.structure == ()
+    assert {f.verdict for f in found.findings} <= {"below floor", "indistinguishable", "not testable", "rejected"}
+    delay = next(f for f in found.findings if f.id == "control.delay")
+    assert delay.smallest_visible is not None
+    assert delay.smallest_visible[0] < 0.06
+
+
+def test_screens_repeat_exactly():
+    _, null = started(flights())
+    one, two = (screen(null, SUSPECTS, seed=5) for _ in range(2))
+    assert torch.equal(one.products, two.products)
