@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import msgspec
@@ -17,10 +17,11 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.run.checkpoint import Checkpoint, Steps
+from rotorid_torch.run.figures import Overlay
 from rotorid_torch.run.fit_record import fit_record, judge
 from rotorid_torch.run.folder import run_folder
 from rotorid_torch.run.monitor import Monitor, peak_memory_mb
-from rotorid_torch.run.pipeline import Run, estimated, identified, refuse
+from rotorid_torch.run.pipeline import Run, estimated, identified, refuse, write_model
 from rotorid_torch.run.records import (
     EffectRecord,
     FitRecord,
@@ -31,6 +32,7 @@ from rotorid_torch.run.records import (
     VerdictRecord,
     VisibleRecord,
 )
+from rotorid_torch.run.write import write_report
 from rotorid_torch.trace.clean import clean_floors
 from rotorid_torch.trace.finding import Finding, Unknown
 from rotorid_torch.trace.fits import Flights
@@ -47,6 +49,12 @@ class Loop(Run):
     """A run whose loop was closed: model and fit are those after, or where nothing was added, those before."""
 
     tracing: Tracing | None = None
+    earlier: tuple[Overlay, ...] = field(default=(), repr=False)
+
+    def write(self, folder: Path, monitor: Monitor | None = None) -> None:
+        """Write everything but log and TensorBoard records into an open run folder."""
+        write_model(self, folder)
+        write_report(folder, self.record, self.overlays, monitor, self.earlier)
 
     @property
     def before(self) -> FitRecord | None:
@@ -133,7 +141,7 @@ def _closed(dataset: Dataset, seed: int, monitor: Monitor) -> Loop:
         before = _again(first, tracing.null.spec, tracing.null.values, dataset, steps, {})
     if tracing.structure or undeclared:
         after = _again(base, tracing.final.spec, tracing.final.values, dataset, steps, sensors.values)
-    return _loop(after or before, before.fit, after, findings, told, None, monitor, tracing)
+    return _loop(after or before, before, after, findings, told, None, monitor, tracing)
 
 
 def _of_sensors(found: KinematicFinding) -> Finding:
@@ -201,7 +209,7 @@ def _with_sensors(spec: ModelSpec, model: Model, sensors: Mapping[str, float]) -
 
 def _loop(
     run: Run,
-    before: FitRecord,
+    before: Run,
     after: Run | None,
     findings: Sequence[Finding],
     told: Statement,
@@ -215,7 +223,7 @@ def _loop(
         seed=run.record.seed,
         time_s=monitor.time_record(),
         peak_memory_mb=peak_memory_mb(),
-        before=before,
+        before=before.fit,
         after=None if after is None else after.fit,
         verdict=VerdictRecord(kind=told.kind, effects=told.effects, sentence=told.sentence),
         effects=tuple(effect_record(f, run.model, after) for f in findings),
@@ -223,7 +231,7 @@ def _loop(
         warnings=(*run.record.warnings, *tracing.notes),
     )
     fields = {name: getattr(run, name) for name in Run.__dataclass_fields__}
-    return Loop(**{**fields, "record": record}, tracing=tracing)
+    return Loop(**{**fields, "record": record}, tracing=tracing, earlier=before.overlays if after else ())
 
 
 def effect_record(finding: Finding, model: Model, after: Run | None) -> EffectRecord:

@@ -88,7 +88,7 @@ def side_by_side(overlays: Sequence[Overlay], channels: Sequence[str]) -> Figure
     """Measured (red) and model (blue) over time: one row per channel, one column per flight."""
     rows = [name for name in channels if any(name in overlay.common(channels) for overlay in overlays)]
     width = WIDTH if len(overlays) == 1 else 2.8 * len(overlays)
-    figure, grid = _grid(rows, len(overlays), width, below=0.85)
+    figure, grid = grid_of(rows, len(overlays), width, below=0.85)
     for column, overlay in enumerate(overlays):
         grid[0][column].set_title(f"{overlay.flight} ({overlay.list})", fontsize=10)
         grid[-1][column].set_xlabel("time, s")
@@ -105,7 +105,7 @@ def residuals(overlays: Sequence[Overlay]) -> Figure:
     Above each axis: the share of the first 50 lags at which the error's autocorrelation lies in white noise's band.
     """
     rows = [name for name in names.BODY if any(overlay.common([name]) for overlay in overlays)]
-    figure, grid = _grid(rows, 1, WIDTH, height=1.1)
+    figure, grid = grid_of(rows, 1, WIDTH, height=1.1)
     for axes, name in zip((row[0] for row in grid), rows, strict=True):
         white = []
         for overlay in overlays:
@@ -127,7 +127,7 @@ def scores(fit: FitRecord) -> Figure:
     figure = Figure(figsize=(WIDTH, 1.0 + 0.25 * len(flights)))
     FigureCanvasAgg(figure)
     axes = figure.subplots()
-    _leave(figure, left=min(0.2 + LETTER * max(map(len, labels)), 0.6 * WIDTH), below=0.75, above=0.1)
+    leave(figure, left=min(0.2 + LETTER * max(map(len, labels)), 0.6 * WIDTH), below=0.75, above=0.1)
     for row, (_, flight) in enumerate(flights):
         if flight.J_noise and flight.J_trim:
             axes.plot([flight.J_noise, flight.J_trim], [row, row], color=QUIET, linewidth=5, solid_capstyle="butt")
@@ -145,13 +145,14 @@ def scores(fit: FitRecord) -> Figure:
     return figure
 
 
-def _grid(
+def grid_of(
     rows: Sequence[str], columns: int, width: float, height: float = 1.3, below: float = 0.5
 ) -> tuple[Figure, list[list[Axes]]]:
+    """A figure with one row of axes for each channel."""
     figure = Figure(figsize=(width, 0.3 + below + height * len(rows)))
     FigureCanvasAgg(figure)
     grid = figure.subplots(len(rows), columns, sharex="col", sharey="row", squeeze=False).tolist()
-    _leave(figure, left=0.85, below=below, above=0.3)
+    leave(figure, left=0.85, below=below, above=0.3)
     figure.align_ylabels()
     for axes, name in zip((row[0] for row in grid), rows, strict=True):
         unit = names.unit(name)
@@ -163,7 +164,7 @@ def _grid(
     return figure, grid
 
 
-def _leave(figure: Figure, left: float, below: float, above: float) -> None:
+def leave(figure: Figure, left: float, below: float, above: float) -> None:
     """Margins in inches; matplotlib's own layout measures every letter twice, half of the time of a picture."""
     width, height = figure.get_size_inches()
     edges = {"left": left / width, "right": 1.0 - 0.15 / width, "bottom": below / height, "top": 1.0 - above / height}

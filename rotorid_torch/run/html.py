@@ -12,6 +12,9 @@ from rotorid_torch.run.records import FitRecord, ModeRecord, ParameterRecord, Re
 from rotorid_torch.run.summary import headline, list_summaries, next_steps, shown_flights
 
 CAPTIONS = {
+    "evidence": "What each candidate would explain, over its floor: right of the line it explains more than it does on"
+    " clean aircraft. Blue is accepted, red rejected, purple cannot be told apart.",
+    "residual_spectrum": "What the free runs leave over on flights not used to fit, before and after.",
     "scores": "Every flight between its two yardsticks.",
     "figure5_flapping": "Flapping on flights that were not used to fit the model.",
     "figure7_velocities": "Velocities.",

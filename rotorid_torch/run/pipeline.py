@@ -94,8 +94,7 @@ class Run:
 
     def write(self, folder: Path, monitor: Monitor | None = None) -> None:
         """Write everything but log and TensorBoard records into an open run folder."""
-        _write_reconstruction(self.reconstruction, folder)
-        save_model(self.model, self.spec, folder / "model.pt")
+        write_model(self, folder)
         write_report(folder, self.record, self.overlays, monitor)
 
 
@@ -303,6 +302,12 @@ def _report(
         before=fit,
         warnings=(*remarks.of_reading(dataset), *told),
     )
+
+
+def write_model(run: Run, folder: Path) -> None:
+    """Reconstruction and model.pt of a run."""
+    _write_reconstruction(run.reconstruction, folder)
+    save_model(run.model, run.spec, folder / "model.pt")
 
 
 def _write_reconstruction(found: Reconstruction, folder: Path) -> None:

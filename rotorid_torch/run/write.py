@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from rotorid_torch.run.figures import Overlay, draw
 from rotorid_torch.run.html import render
+from rotorid_torch.run.loop_figures import draw_loop
 from rotorid_torch.run.monitor import Monitor
 from rotorid_torch.run.records import Report, encode_report
 
@@ -17,7 +18,11 @@ DPI = 130
 
 
 def write_report(
-    folder: Path, report: Report, overlays: Sequence[Overlay] = (), monitor: Monitor | None = None
+    folder: Path,
+    report: Report,
+    overlays: Sequence[Overlay] = (),
+    monitor: Monitor | None = None,
+    before: Sequence[Overlay] = (),
 ) -> None:
     """Write figures/NAME.png, report.html and report.json into a run's folder; the figures also for TensorBoard.
 
@@ -25,9 +30,11 @@ def write_report(
     ----------
     folder : the folder that `run_folder` gave.
     overlays : free runs of the flights that are to be shown, any lists.
+    before : the same of the model before the loop was closed.
     monitor : where TensorBoard records; None records nothing.
     """
-    pictures = {name: png(figure) for name, figure in draw(overlays, report.fit).items()}
+    drawn = {**draw_loop(report.effects, before, overlays), **draw(overlays, report.fit)}
+    pictures = {name: png(figure) for name, figure in drawn.items()}
     (folder / "figures").mkdir(exist_ok=True)
     for name, content in pictures.items():
         (folder / "figures" / f"{name}.png").write_bytes(content)

@@ -33,11 +33,11 @@ def objection(null: Fitted, candidate: Fitted, effect: str, floor: float, screen
     """Why a fitted candidate is not a finding; None where nothing speaks against it."""
     if gain(null, candidate) <= floor:
         return "fitted in full, it explains no more than clean aircraft let any candidate explain"
+    edge = at_edge(candidate, effect)
+    if edge is not None:
+        return edge
     own = [s for s in screened.signatures if s.effect == effect]
     values = candidate.values
-    edge = [s.parameter for s in own if _at_edge(candidate, s.parameter)]
-    if edge:
-        return f"{edge[0]} = {values[edge[0]]:.3g} lies at the edge of its range"
     away = {s.parameter: abs(values[s.parameter] - s.null) / max(candidate.error(s.parameter), 1e-300) for s in own}
     if max(away.values()) < SURE:
         name = max(away, key=lambda n: away[n])
@@ -61,13 +61,14 @@ def helps(better: Tensor) -> bool:
     return float(better.mean()) > error and int((better > 0).sum()) * 2 >= count
 
 
-def _at_edge(candidate: Fitted, name: str) -> bool:
-    """On a bound that is not its null."""
+def at_edge(candidate: Fitted, effect: str) -> str | None:
+    """Why a fit is no physics: a parameter of the effect on a bound that is not its null; None where none is."""
     known = candidate.model.parameter_set
-    i = known.index(name)
-    value, null = candidate.values[name], float(known.values[i])
-    bounds = (float(known.lower[i]), float(known.upper[i]))
-    return any(math.isclose(value, b, rel_tol=1e-9, abs_tol=0.0) and b != null for b in bounds)
+    for parameter, value in zip(known.parameters, candidate.values.values(), strict=True):
+        on = [b for b in parameter.bounds if math.isclose(value, b, rel_tol=1e-9) and b != parameter.value]
+        if parameter.name.startswith(f"{effect}.") and parameter.free and on:
+            return f"{parameter.name} = {value:.3g} lies at the edge of its range"
+    return None
 
 
 def rivals(

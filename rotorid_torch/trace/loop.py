@@ -14,7 +14,17 @@ import msgspec
 from rotorid_torch.effects.base import Role, Showing
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.trace.decide import errors, gain, helps, left_over, objection, rivals, smallest_visible, unseen_gain
+from rotorid_torch.trace.decide import (
+    at_edge,
+    errors,
+    gain,
+    helps,
+    left_over,
+    objection,
+    rivals,
+    smallest_visible,
+    unseen_gain,
+)
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.fits import Fitted, Flights, refit
 from rotorid_torch.trace.floor import Floors
@@ -90,7 +100,7 @@ class _Search:
             promising = sorted((e for e in rest if screened.gain([e]) > floors[e]), key=lambda e: -screened.gain([e]))
             fitted = {e: self.with_effect(null, e, screened) for e in promising[:PAIR]}
             null = self.improved(null, fitted)
-            better = {e: f for e, f in fitted.items() if gain(null, f) > floors[e] and helps(unseen_gain(null, f))}
+            better = {e: f for e, f in fitted.items() if gain(null, f) > floors[e] and _ordinary(null, f, e)}
             rest = [e for e in rest if e not in fitted]
             if not better:
                 break
@@ -196,6 +206,11 @@ def candidates(spec: ModelSpec) -> tuple[list[str], list[Finding]]:
         else:
             untestable.append(Finding(name, effect.role.value, "not testable", reason))
     return testable, untestable
+
+
+def _ordinary(null: Fitted, candidate: Fitted, effect: str) -> bool:
+    """Whether a structural effect helps flights that no fit has seen, with numbers inside their ranges."""
+    return at_edge(candidate, effect) is None and helps(unseen_gain(null, candidate))
 
 
 def _told(
