@@ -19,7 +19,7 @@ from rotorid_torch import cli
 from rotorid_torch.errors import InputError
 from rotorid_torch.run import records
 
-COMMANDS = ("fly", "check", "reconstruct", "identify", "simulate", "effects", "show", "doctor")
+COMMANDS = ("fly", "check", "reconstruct", "identify", "close-loop", "simulate", "effects", "show", "doctor")
 PROGRAM = [sys.executable, "-m", "rotorid_torch"]
 
 

@@ -105,15 +105,15 @@ def close_loop(
         if out is not None:
             folder = stack.enter_context(run_folder(out))
             stack.enter_context(monitor.recording(folder))
-        run = _closed(dataset, seed, monitor)
+        run = _closed(dataset, seed, device, monitor)
         if folder is not None:
             run.write(folder, monitor)
     return run
 
 
-def _closed(dataset: Dataset, seed: int, monitor: Monitor) -> Loop:
+def _closed(dataset: Dataset, seed: int, device: str, monitor: Monitor) -> Loop:
     """Sensors against each other first, then what acts on the vehicle, on records without the sensors' errors."""
-    steps = Steps(monitor, ALONE, Checkpoint())
+    steps = Steps(monitor, ALONE, Checkpoint(), device)
     first = identified(dataset, (), seed, steps)
     with monitor.step("trace"):
         sensors = kinematic_findings(at_one_rate(dataset))
