@@ -145,7 +145,7 @@ def _aircraft(
         normal[places], misfit[places] = other.normal[nearer], other.misfit[nearer]
         kind = kind.replaced(places, other.kind.pick(nearer))
     if not np.isfinite(misfit).all():
-        what = "no drawn helicopter can be trimmed where the data set flies"
+        what = "no drawn helicopter can be trimmed, with a rotor speed that settles, where the data set flies"
         raise InputError(dataset.path or "arrays", "vehicle", what, "mass, rotor and speed of one helicopter")
     return finish(prior, evidence, normal, kind), tried
 

@@ -25,6 +25,7 @@ from rotorid_torch.fly.section import Array
 
 ROUNDS, WORTH = 6, 0.95  # Gauss-Newton steps, while each of them takes the cost below this share
 LOST = 1e3  # what every entry is off, in tolerances, where there is no trim
+SETTLING = -0.15  # 1/s: the slowest that rotor, inflow and governor may settle; some governors would swing for ever
 ROUGH = 1e-5  # m/s^2, rad/s^2: residual of a trim that only a difference is made of
 BUMP, LEAP = 0.05, 1.5  # of a number's spread: difference for its derivative; largest step
 ALIKE = 1.2  # rms of trim and derivatives over their tolerances, up to which an aircraft is kept
@@ -154,7 +155,8 @@ def finish(prior: Prior, evidence: Evidence, normal: Array, kind: Kind) -> Aircr
     left = _compare(prior, evidence, craft, trims, gearing)
     asked = np.isfinite(_tolerances(evidence))
     misfit = np.sqrt((left[:, asked] ** 2).mean(1)) if asked.any() else np.zeros(len(normal))
-    return Aircraft(normal, kind, craft, trims, table, np.where(trims.found, misfit, np.inf), gearing)
+    steady = np.linalg.eigvals(linearise(craft, trims).inner).real.max(1) < SETTLING
+    return Aircraft(normal, kind, craft, trims, table, np.where(trims.found & steady, misfit, np.inf), gearing)
 
 
 def _tolerances(evidence: Evidence) -> Array:

@@ -174,11 +174,13 @@ def body_system(derivatives: Array, x: Array, gravity: float) -> tuple[Array, Ar
     return a, b
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def follow(kept: Aircraft, tape: Tapes, prior: Prior) -> Followed:
     """Fly every aircraft through every flight.
 
     Its blade angles are trim + gearing x recorded + gains x (own motion - measured motion), all from trim. What its
     record shows of them is in the data set's units and about the data set's trim: rigging is not its business.
+    One that flies away ends in numbers that are not finite.
     """
     craft, trims, flights = kept.craft, kept.trims, len(tape.dt)
     feed = gains(kept, prior, tape)
