@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+import torch
 from torch import Tensor
 
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.trace.finding import Finding
-from rotorid_torch.trace.fits import Fitted
+from rotorid_torch.trace.fits import Fitted, Residual
 from rotorid_torch.trace.screen import Screen
 
 SURE = 3.0
@@ -20,7 +21,7 @@ STEADY = 2.0
 
 def unseen_gain(null: Fitted, candidate: Fitted) -> Tensor:
     """Mean over the channels of log(rms without / rms with) on each flight that no fit has seen [F]."""
-    return (null.unseen.size().log() - candidate.unseen.size().log()).nanmean(dim=1)
+    return _gains(null.unseen, candidate.unseen)
 
 
 def gain(null: Fitted, candidate: Fitted) -> float:
@@ -74,11 +75,29 @@ def at_edge(candidate: Fitted, effect: str) -> str | None:
 def rivals(
     null: Fitted, fitted: Mapping[str, Fitted], floors: Mapping[str, float], sane: Sequence[str]
 ) -> tuple[str, list[str]]:
-    """The sane candidate that explains most, and those whose gain the floor does not tell from it."""
+    """The sane candidate that explains most, and those that cannot be told from it.
+
+    That is where the difference of their gains lies below a floor, or is not the same in all flights.
+    """
     gains = {e: gain(null, fitted[e]) for e in sane}
     best = max(gains, key=lambda e: gains[e])
-    near = [e for e in sane if e != best and gains[best] - gains[e] < max(floors[best], floors[e])]
+    near = [
+        e
+        for e in sane
+        if e != best and (gains[best] - gains[e] < max(floors[best], floors[e]) or not _told(fitted[best], fitted[e]))
+    ]
     return best, near
+
+
+def _told(best: Fitted, other: Fitted) -> bool:
+    """Whether flight by flight, fitted or not, the best is better by more than chance."""
+    better = torch.cat([_gains(other.seen, best.seen), _gains(other.unseen, best.unseen)])
+    return float(better.mean()) > SURE * float(better.std()) / math.sqrt(len(better))
+
+
+def _gains(before: Residual, after: Residual) -> Tensor:
+    """Mean over the channels of log(rms before / rms after) of each flight [F]."""
+    return (before.size().log() - after.size().log()).nanmean(dim=1)
 
 
 def smallest_visible(screened: Screen, effect: str, floor: float) -> tuple[float, str] | None:

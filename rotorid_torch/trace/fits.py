@@ -95,14 +95,21 @@ class Fitted:
         return float(self.fit.uncertainty.standard_errors[self.names.index(name)])
 
     @cached_property
-    def unseen(self) -> Unseen:
+    def unseen(self) -> Residual:
         """The flights that decide, under this model."""
         return _unseen(self)
 
+    @cached_property
+    def seen(self) -> Residual:
+        """The identify flights, under this model."""
+        problem, place = self.fit.likelihood, self.fit.minimum.point
+        residual = torch.cat([part.residual for part in problem.parts(place)])
+        return Residual(self.flights.dataset.identify, problem.segments.flight, residual)
+
 
 @dataclass(frozen=True, eq=False)
-class Unseen:
-    """Flights that no fit has seen: residuals [S, T, ny] of their segments (NaN = missing), the flight of each."""
+class Residual:
+    """Residuals [S, T, ny] of flights' segments (NaN = missing), and the flight of each."""
 
     names: tuple[str, ...]
     flight: Tensor
@@ -149,7 +156,7 @@ def refit(
     return Fitted(spec, model, names, found, flights)
 
 
-def _unseen(fitted: Fitted) -> Unseen:
+def _unseen(fitted: Fitted) -> Residual:
     names = fitted.flights.unseen
     own = fitted.fit.likelihood
     theta = fitted.fit.theta
@@ -174,7 +181,7 @@ def _unseen(fitted: Fitted) -> Unseen:
         problem = replace(problem, x0=torch.where(guess.isnan(), fitted_states(problem, theta), problem.x0))
     place = _settled(problem, theta)
     residual = torch.cat([part.residual for part in problem.parts(place)])
-    return Unseen(tuple(names), segments.flight, residual)
+    return Residual(tuple(names), segments.flight, residual)
 
 
 def _settled(problem: Likelihood, theta: Tensor) -> Place:

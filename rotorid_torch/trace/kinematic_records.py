@@ -19,11 +19,11 @@ PER_CYCLE = 12
 """Samples kept per period of the highest frequency."""
 REACH_S = 0.3
 """Largest delay either way."""
-LONGEST_S, SHORTEST_S = 20.0, 4.0
+LONGEST_S, SHORTEST_S = 15.1, 4.0
 """Length of a piece: sensors' constants hold at least so long; below, a constant and a trend eat what there is."""
 BRIDGED_S = 0.05
 """Gaps up to this are bridged by straight lines."""
-PIECES = 20
+PIECES = 16
 """Pieces that are looked at, at most: sensor errors are the same in all, and these make them certain."""
 STILL = 1e-3
 """Least noise, as a share of a channel's rms deviation: what is integrated and stored in steps is no more exact."""

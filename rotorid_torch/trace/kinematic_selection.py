@@ -25,6 +25,10 @@ GRAVITY_RANGE = 0.0053
 """Gravity at the poles over that at the equator, less 1."""
 RESOLUTION = {"scale": GRAVITY_RANGE, "misalignment": 0.002, "lever_arm": 0.03}
 """What local gravity, mounting and the rounding of a declaration leave open: 1, rad, m."""
+GROSS = 10.0
+"""Level of misfit, in powers of the noise, above which channels disagree in ways that no sensor error here makes."""
+SHARE = 0.1
+"""Part of such a misfit that an error must explain, or it is made up from what the equations lack."""
 VECTORS = ("misalignment", "lever_arm")
 """Errors with a direction: a vector is seldom along an axis, so the other axes come along."""
 
@@ -166,6 +170,9 @@ def _doubt(case: Case, point: Point, name: str) -> tuple[Verdict, str] | None:
         return "rejected", "the other errors explain it"
     if not _large(case, name, value):
         return "below floor", words.too_small(kind_of(name), smallest)
+    gross = max((float(level.max()) for level in case.search.levels.values()), default=1.0) > GROSS
+    if gross and case.gains[name] < SHARE * point.cost:
+        return "rejected", "the channels disagree far beyond noise, and it explains less than a tenth of that"
     at_fit = case.search.at(point.errors, case.fitted)
     error = spread(at_fit, name, case.fitted)
     if abs(value) < STEADY * error or abs(value) - 2.0 * error < smallest:

@@ -32,12 +32,10 @@ from rotorid_torch.trace.screen import Screen, screen
 
 FEW = 4
 """Candidates that are fitted in full in one round, those that explain most."""
-PAIR = 2
-"""The same for structural effects."""
 ROUNDS = 4
 """Undeclared effects that may join, at most."""
-STRUCTURAL_ROUNDS = 3
-"""Structural effects that may join, at most."""
+ROTOR = ("rotor.flap_second_order", "rotor.lead_lag")
+"""Structure that every rotor has where it can be tested: in the null of all candidates from the start."""
 ELSEWHERE = (Showing.KINEMATICS, Showing.INNOVATIONS)
 """What trajectories do not show is found elsewhere: sensors against each other, and spectra."""
 
@@ -90,24 +88,28 @@ class _Search:
         return again
 
     def structure(self, null: Fitted, candidates: Sequence[str]) -> Fitted:
-        """The null with the structural effects that help on flights no fit has seen."""
-        rest = list(candidates)
-        for _ in range(STRUCTURAL_ROUNDS):
-            if not rest:
-                break
+        """The null with the rotor's ordinary physics, and what other structure helps flights that no fit has seen."""
+        rotor = [e for e in ROTOR if e in candidates]
+        if rotor:
+            spec = msgspec.structs.replace(null.spec, effects=(*null.spec.effects, *rotor))
+            sizes = screen(null, rotor, shuffles=0).sizes(rotor)
+            richer = refit(spec, self.flights, {**null.values, **sizes}, self.held)
+            if gain(null, richer) > 0.0:
+                self.say(f"structure: {' and '.join(rotor)} join, gain {gain(null, richer):.3g} per sample")
+                null = richer
+        rest = [e for e in candidates if e not in rotor]
+        while rest:
             screened = screen(null, rest)
             floors = self.floors.chance(screened, rest)
-            promising = sorted((e for e in rest if screened.gain([e]) > floors[e]), key=lambda e: -screened.gain([e]))
-            fitted = {e: self.with_effect(null, e, screened) for e in promising[:PAIR]}
-            null = self.improved(null, fitted)
-            better = {e: f for e, f in fitted.items() if gain(null, f) > floors[e] and _ordinary(null, f, e)}
-            rest = [e for e in rest if e not in fitted]
-            if not better:
+            best = max(rest, key=lambda e: screened.gain([e]))
+            if screened.gain([best]) <= floors[best]:
                 break
-            best = max(better, key=lambda e: gain(null, better[e]))
-            self.say(f"structure: {best} joins, gain {gain(null, better[best]):.3g} per sample")
-            null = better[best]
-            rest += [e for e in better if e != best]
+            fitted = self.with_effect(null, best, screened)
+            null = self.improved(null, {best: fitted})
+            rest.remove(best)
+            if gain(null, fitted) > floors[best] and _ordinary(null, fitted, best):
+                self.say(f"structure: {best} joins, gain {gain(null, fitted):.3g} per sample")
+                null = fitted
         return null
 
     def undeclared(self, null: Fitted, candidates: Sequence[str]) -> tuple[Fitted, list[str]]:

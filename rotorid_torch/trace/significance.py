@@ -14,7 +14,8 @@ def normal_quantile(upper_tail: float) -> float:
 def student_quantile(normal: float, freedom: float) -> float:
     """Student's t with so many degrees of freedom that is as improbable as this normal deviate, sign kept.
 
-    Source: Wallace, Annals of Mathematical Statistics 30 (1959), 1124, solved for t; too large, on the safe side, below four degrees.
+    Source: Wallace, Annals of Mathematical Statistics 30 (1959), 1124, solved for t; too large, on the safe side, below
+    four degrees.
     """
     scale = (8.0 * freedom + 1.0) / (8.0 * freedom + 3.0)
     exponent = min((normal / scale) ** 2 / freedom, 700.0)
