@@ -134,14 +134,14 @@ def _closed(dataset: Dataset, seed: int, device: str, monitor: Monitor) -> Loop:
         )
         shaken = stochastic_findings(right, base.spec, start)
     findings = (*map(_of_sensors, sensors.findings), *_replaced(tracing.findings, shaken))
-    told = statement(findings, None)
+    told = statement(findings, tracing.unknown)
     before, after = first, None
     undeclared = bool(tracing.accepted or sensors.effects)
     if tracing.structure and undeclared:
         before = _again(first, tracing.null.spec, tracing.null.values, dataset, steps, {})
     if tracing.structure or undeclared:
         after = _again(base, tracing.final.spec, tracing.final.values, dataset, steps, sensors.values)
-    return _loop(after or before, before, after, findings, told, None, monitor, tracing)
+    return _loop(after or before, before, after, findings, told, tracing.unknown, monitor, tracing)
 
 
 def _of_sensors(found: KinematicFinding) -> Finding:

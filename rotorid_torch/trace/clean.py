@@ -30,6 +30,7 @@ from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.fits import Flights, refit
 from rotorid_torch.trace.floor import Floors
+from rotorid_torch.trace.residual import left_over, scan
 from rotorid_torch.trace.screen import screen
 
 DRAWS = 40
@@ -44,8 +45,11 @@ SAME = ("flapping", "flapping_doubtful", "patterns", "inflow", "cyclic_inflow", 
 """Structure that a drawn aircraft's model shares with the data's."""
 
 
-def gains_on(clean: Dataset, spec: ModelSpec, effects: Sequence[str]) -> dict[str, float]:
-    """Gain of each effect on a clean aircraft's flights, its model having the structure of the spec."""
+def gains_on(clean: Dataset, spec: ModelSpec, effects: Sequence[str]) -> tuple[dict[str, float], dict[str, float]]:
+    """Gain of each effect on a clean aircraft's flights, its model having the structure of the spec.
+
+    Beside it the share of each equation's residual that the best trace of something unknown explains.
+    """
     seen = at_one_rate(clean)
     found = reconstruct(seen)
     own = propose(seen, found, ())
@@ -55,7 +59,8 @@ def gains_on(clean: Dataset, spec: ModelSpec, effects: Sequence[str]) -> dict[st
     values = dict(zip(model.parameter_set.names, start.theta.tolist(), strict=True))
     fitted = refit(own, Flights(seen, found), values, start.held, lengths=STAGES)
     screened = screen(fitted, effects, shuffles=0)
-    return {e: screened.gain([e]) for e in effects}
+    traces = scan(left_over(fitted.model, seen, found, seen.identify))
+    return {e: screened.gain([e]) for e in effects}, {row: t.share for row, t in traces.items()}
 
 
 def clean_floors(
@@ -82,12 +87,13 @@ def clean_floors(
         say(f"floors: {len(missing)} of {draws} clean aircraft to be flown and identified; they are kept for next time")
         _fly(dataset, spec, effects, seed, missing, folder)
     found = [json.loads(_file(folder, n).read_text()) for n in range(draws) if _file(folder, n).exists()]
-    told = [f["gains"] for f in found if f["alike"] and set(f["gains"]) >= set(effects)]
+    told = [f for f in found if f["alike"] and set(f["gains"]) >= set(effects)]
     if len(told) < FEWEST:
         kept = f"only {len(told)} of {draws} drawn aircraft resemble the data"
         return Floors({}, f"floors come from shuffled residuals alone: {kept}")
-    gains = {e: torch.tensor([g[e] for g in told], dtype=torch.float64) for e in effects}
-    return Floors(gains, f"floors come from {len(told)} clean aircraft drawn in the likeness of this one")
+    gains = {e: torch.tensor([f["gains"][e] for f in told], dtype=torch.float64) for e in effects}
+    traces = {r: torch.tensor([f["traces"][r] for f in told], dtype=torch.float64) for r in told[0]["traces"]}
+    return Floors(gains, f"floors come from {len(told)} clean aircraft drawn in the likeness of this one", traces)
 
 
 def _file(folder: Path, number: int) -> Path:
@@ -122,7 +128,7 @@ def _code() -> str:
         for file in sorted((root / chapter).rglob("*")):
             if file.suffix in (".py", ".h", ".toml"):
                 digest.update(file.read_bytes())
-    for name in ("fits.py", "screen.py", "clean.py"):
+    for name in ("fits.py", "screen.py", "residual.py", "clean.py"):
         digest.update((Path(__file__).parent / name).read_bytes())
     return digest.hexdigest()
 
@@ -187,10 +193,10 @@ def _work(request: Mapping[str, object]) -> None:
     numbers = msgspec.convert(request["numbers"], list[int])
     for drawn in clean_flights(dataset, msgspec.convert(request["seed"], int), numbers):
         try:
-            gains = gains_on(drawn.dataset, spec, effects)
+            gains, traces = gains_on(drawn.dataset, spec, effects)
         except (ValueError, RuntimeError):  # an aircraft that no fit converges for
-            gains = {}
-        found = {"gains": gains, "alike": drawn.alike, "misfit": drawn.misfit, "rotor": drawn.rotor}
+            gains, traces = {}, {}
+        found = {"gains": gains, "traces": traces, "alike": drawn.alike, "misfit": drawn.misfit, "rotor": drawn.rotor}
         beside = folder / f".{drawn.number}.{os.getpid()}"
         beside.write_text(json.dumps(found))
         beside.replace(_file(folder, drawn.number))

@@ -6,7 +6,7 @@ No number in here decides: floors are quantiles of gains that candidates reach w
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
@@ -21,11 +21,16 @@ FALSE_ALARMS = 0.05
 class Floors:
     """Gains of every candidate on clean drawn aircraft [D], by effect; empty where none could be drawn.
 
-    note : how many were drawn, or why none.
+    note : how many were drawn, or why none. traces : shares of the equations' residuals that anything explains [D].
     """
 
     gains: Mapping[str, Tensor]
     note: str
+    traces: Mapping[str, Tensor] = field(default_factory=dict)
+
+    def of_traces(self) -> dict[str, float]:
+        """Floor of each equation; empty where no aircraft was drawn, for then nothing tells how much is ordinary."""
+        return family_wise(self.traces)
 
     def of(self, screened: Screen, effects: Sequence[str]) -> dict[str, float]:
         """Floor of each effect: the higher of that of clean aircraft and that of the data's own shuffled residual."""

@@ -25,9 +25,11 @@ from rotorid_torch.trace.decide import (
     smallest_visible,
     unseen_gain,
 )
-from rotorid_torch.trace.finding import Finding
+from rotorid_torch.trace.finding import Finding, Unknown
 from rotorid_torch.trace.fits import Fitted, Flights, refit
 from rotorid_torch.trace.floor import Floors
+from rotorid_torch.trace.residual import left_over as left_over_of
+from rotorid_torch.trace.residual import scan, unknown
 from rotorid_torch.trace.screen import Screen, screen
 
 FEW = 4
@@ -48,6 +50,7 @@ class Tracing:
 
     null : the best model without undeclared effects. final : with those accepted. structure, accepted : their ids.
     groups : for an accepted effect the others that explain as much. findings : one of each effect that was tested.
+    unknown : what is left over without a name.
     """
 
     null: Fitted
@@ -57,6 +60,7 @@ class Tracing:
     groups: Mapping[str, tuple[str, ...]]
     findings: tuple[Finding, ...]
     notes: tuple[str, ...] = ()
+    unknown: Unknown | None = None
 
 
 @dataclass
@@ -192,8 +196,12 @@ def trace(
     usual = search.floors.of(first, undeclared)
     final, accepted = search.undeclared(null, undeclared)
     final, accepted = search.confirmed(final, accepted, usual)
+    over = left_over_of(final.model, flights.dataset, flights.reconstruction, flights.dataset.identify)
+    missing = unknown(scan(over), search.floors.of_traces(), over)
     findings += _told(search, null, final, structure, accepted, undeclared, first, usual)
-    return Tracing(null, final, structure, tuple(accepted), search.groups, tuple(findings), (search.floors.note,))
+    return Tracing(
+        null, final, structure, tuple(accepted), search.groups, tuple(findings), (search.floors.note,), missing
+    )
 
 
 def candidates(spec: ModelSpec) -> tuple[list[str], list[Finding]]:

@@ -1,0 +1,162 @@
+"""What no named effect explains: in which equation, with what it goes, since when, in which band. Never a name.
+
+Forces and moments that step 1 found, less those of the model on the measured motion. What linear terms could still take
+up is projected out of both sides; what is left is compared with products of the motion and controls, and with
+everything linear that begins at some time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.names import FORCES, MOMENTS
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.identification.reconstruct import Reconstruction
+from rotorid_torch.identification.step2 import measured
+from rotorid_torch.identification.step3 import averaged
+from rotorid_torch.model.model import Model
+from rotorid_torch.trace.finding import Unknown
+
+RATE = 20.0
+"""Hz: records are averaged down to this; the body moves below a fifth of it."""
+ONSET_S = 0.5
+"""Steps in which the beginning of something new is looked for, s."""
+EDGE_S = 2.0
+"""Something that begins within this of a flight's ends is not told from a manoeuvre, s."""
+SMOOTH_S = 0.25
+"""Moments are averaged over this: rates differentiated are noise above."""
+
+
+@dataclass(frozen=True)
+class Trace:
+    """The best description of what an equation leaves over: share of its square, what it goes with, since when."""
+
+    share: float
+    goes_with: str
+    since_s: float | None
+    size: float
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOver:
+    """Equations' residuals [N, rows] of all flights in one column, and what may go with them [N, k]."""
+
+    rows: tuple[str, ...]
+    residual: Tensor
+    names: tuple[str, ...]
+    signals: Tensor
+    time: Tensor
+    linear: Tensor
+
+
+def left_over(model: Model, dataset: Dataset, reconstruction: Reconstruction, flights: Sequence[str]) -> LeftOver:
+    """Residuals of a model's forces and moments on flights, and the signals they may go with."""
+    residuals, columns, times, constants = [], [], [], []
+    rows = tuple(FORCES + MOMENTS)
+    names: tuple[str, ...] = ()
+    for k, name in enumerate(flights):
+        seen = measured(model, dataset, reconstruction, name)
+        dt = dataset.facts[name].dt
+        every = max(1, round(1.0 / (dt * RATE)))
+        forces = _modelled(model, seen.signals)
+        names = tuple(n for n in (*model.body.states, *model.body.controls) if n in seen.signals)
+        signals = torch.stack([seen.signals[n] - model.reference.get(n, 0.0) for n in names], dim=-1)
+        time = dt * torch.arange(len(signals), dtype=torch.float64)
+        residual = averaged(seen.specific - forces, every)
+        residuals.append(_smooth(residual.nan_to_num(0.0), max(1, round(SMOOTH_S * RATE))))
+        columns.append(averaged(signals, every))
+        times.append(averaged(time[:, None], every)[:, 0])
+        own = torch.zeros(len(columns[-1]), len(flights), dtype=torch.float64)
+        own[:, k] = 1.0
+        constants.append(own)
+    signals = torch.cat(columns)
+    linear = torch.cat([signals, torch.cat(constants)], dim=1)
+    return LeftOver(rows, torch.cat(residuals), names, signals, torch.cat(times), linear)
+
+
+def _modelled(model: Model, signals: Mapping[str, Tensor]) -> Tensor:
+    """Specific forces and angular accelerations by the external moment [T, 6] on measured signals."""
+    x = torch.stack([signals.get(n, torch.zeros_like(signals["p"])) for n in model.layout.names], dim=-1)
+    u = torch.stack([signals[n] for n in model.body.controls], dim=-1)
+    with torch.no_grad():
+        frame, _ = model.frame(model.theta, x, u)
+    none = torch.zeros(len(x), 3, dtype=torch.float64)
+    force = none if frame.force is None else frame.force
+    return torch.cat([force, none if frame.moment is None else frame.moment], dim=-1)
+
+
+def _smooth(records: Tensor, width: int) -> Tensor:
+    """Running mean over a few samples [T, n]."""
+    kernel = torch.ones(1, 1, width, dtype=torch.float64) / width
+    padded = torch.nn.functional.pad(records.mT[:, None], (width // 2, width - 1 - width // 2), mode="replicate")
+    return torch.nn.functional.conv1d(padded, kernel)[:, 0].mT
+
+
+def scan(left: LeftOver) -> dict[str, Trace]:
+    """The best trace of each equation."""
+    basis = torch.linalg.qr(left.linear).Q
+
+    def beyond(values: Tensor) -> Tensor:
+        return values - basis @ (basis.mT @ values)
+
+    names, columns = [], []
+    for i, j in combinations_with_replacement(range(len(left.names)), 2):
+        a, b = left.signals[:, i], left.signals[:, j]
+        names.append((f"{left.names[i]} {left.names[j]}", None))
+        columns.append(a * b)
+        if i == j:
+            names.append((f"{left.names[i]} |{left.names[i]}|", None))
+            columns.append(a * a.abs())
+    end = float(left.time.max())
+    for onset in torch.arange(EDGE_S, end - EDGE_S, ONSET_S, dtype=torch.float64).tolist():
+        after = (left.time >= onset).to(torch.float64)
+        for i, name in enumerate(left.names):
+            names.append((name, onset))
+            columns.append(left.signals[:, i] * after)
+        names.append(("time", onset))
+        columns.append(after)
+    tried = beyond(torch.stack(columns, dim=-1))
+    residual = beyond(left.residual)
+    scale = tried.norm(dim=0).clamp_min(1e-300)
+    total = residual.norm(dim=0).clamp_min(1e-300)
+    overlap = (tried / scale).mT @ (residual / total)
+    found = {}
+    for k, row in enumerate(left.rows):
+        best = int(overlap[:, k].abs().argmax())
+        goes_with, since = names[best]
+        size = float(overlap[best, k].abs() * total[k]) / len(residual) ** 0.5
+        found[row] = Trace(float(overlap[best, k] ** 2), goes_with, since, size)
+    return found
+
+
+def unknown(traces: Mapping[str, Trace], floors: Mapping[str, float], left: LeftOver) -> Unknown | None:
+    """The equation whose trace stands highest above what clean aircraft leave; None where none does."""
+    above = {row: t.share / floors[row] for row, t in traces.items() if floors.get(row, 0.0) > 0.0}
+    if not above:
+        return None
+    where = max(above, key=lambda row: above[row])
+    if above[where] <= 1.0:
+        return None
+    found, unit = traces[where], "m/s2" if where in FORCES else "rad/s2"
+    band = _band(left, where)
+    began = "" if found.since_s is None else f", since {found.since_s:.1f} s into the flights"
+    said = (
+        f"Something is missing in {where}: {found.size:.2g} {unit} rms at {band[0]:.2g} to {band[1]:.2g} Hz go with"
+        f" {found.goes_with}{began}; no effect of the library explains it."
+    )
+    return Unknown(where, band, found.goes_with, found.since_s, said)
+
+
+def _band(left: LeftOver, row: str) -> tuple[float, float]:
+    """Frequencies between which the middle 80 % of a residual's power lie, Hz."""
+    values = left.residual[:, left.rows.index(row)]
+    power = torch.fft.rfft(values - values.mean()).abs().square()
+    share = power.cumsum(0) / power.sum().clamp_min(1e-300)
+    hertz = torch.fft.rfftfreq(len(values), 1.0 / RATE, dtype=torch.float64)
+    low, high = (float(hertz[int((share >= s).nonzero()[0, 0])]) for s in (0.1, 0.9))
+    return low, high
