@@ -26,7 +26,7 @@ BLOCK_S = 0.1
 """Quiet records are averaged over this: gusts are slower, sensor noise averages out."""
 LEAST_FLIGHTS, LEAST_BLOCKS = 4, 5
 STILL = 0.2
-"""Share of a control's later motion that a controller may use up in answering gusts before the pilot acts."""
+"""Share of its later motion that a control or a rate may make in gusts before the pilot acts."""
 NEAR = 0.03
 """A line belongs to a multiple of the rotor speed within this share of the rotor speed."""
 
@@ -50,22 +50,23 @@ def _turbulence(dataset: Dataset, spec: ModelSpec, values: Mapping[str, float]) 
     if why is None and (len(names) < LEAST_FLIGHTS or count < LEAST_BLOCKS or not channels):
         why = f"needs {LEAST_FLIGHTS} flights that begin with {LEAST_BLOCKS * BLOCK_S:g} s before the pilot acts"
     if why is None and _pilot_acts(dataset, names):
-        why = "pilot or controller move the controls from the first sample on"
+        why = "the flights do not begin in trim: controls or rates move from the first sample on"
     if why is not None:
         return Finding(TURBULENCE, "undeclared", "not testable", why)
     means = np.stack([b[:count] for b in blocks])  # flight, block, channel
     each = round(BLOCK_S / dataset.facts[names[0]].dt)
     noise = np.array([dataset.noise(c) for c in channels]) / math.sqrt(each)
-    found, beyond = _between(means, noise)
-    seen, _ = _between(means[len(dataset.identify) :], noise)
-    floor = _floor(means.shape, FALSE_ALARMS)
+    ratio = _between(means) / noise**2
+    worst = int(np.argmax(ratio))
+    found, floor = float(ratio[worst]), _floor(means.shape, FALSE_ALARMS / len(channels))
     keep = {"gain": found, "floor": floor, "smallest_visible": _visible(values, noise, channels, floor)}
     if found <= floor:
         return Finding(TURBULENCE, "undeclared", "below floor", "before the pilot acts all flights are alike", **keep)
-    if len(dataset.validate) > 1 and seen <= _floor(means[len(dataset.identify) :].shape, 0.05):
-        return Finding(TURBULENCE, "undeclared", "rejected", "the validate flights do not show it", **keep)
-    where = channels[int(np.argmax(beyond / noise))]
-    said = f"before the pilot acts the flights differ by more than their sensors' noise, in {where} most"
+    without = [(_between(np.delete(means, k, axis=0)) / noise**2)[worst] for k in range(len(means))]
+    if min(without) <= floor:
+        return Finding(TURBULENCE, "undeclared", "rejected", "a single flight shows it", **keep)
+    beyond = np.sqrt(np.maximum(_between(means) - noise**2, 0.0))
+    said = f"before the pilot acts the flights differ by more than their sensors' noise, in {channels[worst]} most"
     size = _gust(values, dict(zip(channels, beyond, strict=True)))
     return Finding(TURBULENCE, "undeclared", "accepted", said, **keep, values=size)
 
@@ -79,23 +80,19 @@ def _quiet_blocks(dataset: Dataset, name: str, channels: Sequence[str]) -> np.nd
 
 
 def _pilot_acts(dataset: Dataset, names: Sequence[str]) -> bool:
-    """Whether a control moves in the quiet parts by more than a little of what it moves later."""
-    for control in dataset.controls:
-        moved = [_quiet_blocks(dataset, n, [control]).std() for n in names]
-        if max(moved) > STILL * max(dataset.scales()[control], 1e-300):
+    """Whether a control or a rate moves in the quiet parts by more than a little of what it moves later."""
+    for channel in (*dataset.controls, *(r for r in RATES if all(dataset.facts[n].has(r) for n in names))):
+        moved = [_quiet_blocks(dataset, n, [channel]).std() for n in names]
+        if max(moved) > STILL * max(dataset.scales()[channel], 1e-300):
             return True
     return False
 
 
-def _between(means: np.ndarray, noise: np.ndarray) -> tuple[float, np.ndarray]:
-    """Mean square of what is neither a flight's own constant nor common to all flights, over that of the noise.
-
-    Beside it, by channel, the standard deviation beyond the noise.
-    """
+def _between(means: np.ndarray) -> np.ndarray:
+    """Mean square by channel of what is neither a flight's own constant nor common to all flights."""
     flights, blocks, _ = means.shape
     own = means - means.mean(axis=1, keepdims=True) - means.mean(axis=0) + means.mean(axis=(0, 1))
-    square = (own**2).sum(axis=(0, 1)) / max((flights - 1) * (blocks - 1), 1)
-    return float((square / noise**2).mean()), np.sqrt(np.maximum(square - noise**2, 0.0))
+    return (own**2).sum(axis=(0, 1)) / max((flights - 1) * (blocks - 1), 1)
 
 
 def _floor(shape: tuple[int, ...], alarms: float) -> float:
@@ -103,7 +100,7 @@ def _floor(shape: tuple[int, ...], alarms: float) -> float:
 
     Source: Wilson and Hilferty, PNAS 17 (1931), 684.
     """
-    freedom = 2.0 / (9.0 * max((shape[0] - 1) * (shape[1] - 1) * shape[2], 1))
+    freedom = 2.0 / (9.0 * max((shape[0] - 1) * (shape[1] - 1), 1))
     return (1.0 - freedom + normal_quantile(alarms) * math.sqrt(freedom)) ** 3
 
 
@@ -111,7 +108,7 @@ def _visible(
     values: Mapping[str, float], noise: np.ndarray, channels: Sequence[str], floor: float
 ) -> tuple[float, str] | None:
     """Gusts that would show, as far as the derivatives by velocity tell."""
-    least = {c: n * math.sqrt(max(floor - 1.0, 0.0) * len(channels)) for c, n in zip(channels, noise, strict=True)}
+    least = {c: n * math.sqrt(max(floor - 1.0, 0.0)) for c, n in zip(channels, noise, strict=True)}
     sizes = [value for value, _ in _gust(values, least).values()]
     return (min(sizes), "m/s") if sizes else None
 
