@@ -14,15 +14,12 @@ of the aircraft that hide nothing; absorbed effects silent, named, or in a group
 from __future__ import annotations
 
 import json
-import os
 import random
 import tempfile
 import time
 import zlib
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -30,10 +27,10 @@ import torch
 import tyro
 from drawn_aircraft import Drawn, Flown, draw, fly_drawn, groups_of
 from hidden_truth import true_parameters
-from loop_lines import append_line, failure, loop_line, read_lines, told_line
+from loop_lines import failure, loop_line, read_lines, told_line
+from loop_runs import keep, lines_of
 from loop_tables import undeclared_tables, write_between
 from outside_causes import CAUSES
-from rich.console import Console
 from torch.utils.tensorboard import SummaryWriter
 
 import rotorid_torch as rotorid
@@ -124,7 +121,7 @@ def _case(hidden: tuple[str, ...], args: Args, aircraft: int, repeat: int) -> Ca
     return Case(hidden, args.size if hidden else 0.0, aircraft, groups_of(hidden) if hidden else args.flights, seed)
 
 
-def run_case(case: Case, drawn: Drawn, place: Path, told: bool, seed: int) -> dict:
+def run_case(case: Case, drawn: Drawn, told: bool, seed: int) -> dict:
     """Fly, close the loop blind, and say what came of it."""
     torch.set_num_threads(1)
     began = time.perf_counter()
@@ -171,35 +168,17 @@ def to_run(args: Args, file: Path) -> list[list[Case]]:
     return [first, [case for case in left if case not in first]]
 
 
-def lines_of(batch: Sequence[Case], drawn: dict[int, Drawn], args: Args) -> Iterator[dict]:
-    """Lines of a batch as they come."""
-    given = [(case, drawn[case.aircraft], args.out, args.told, args.seed) for case in batch]
-    if args.processes == 1:
-        yield from (run_case(*each) for each in given)
-        return
-    share = max(1, len(os.sched_getaffinity(0)) // args.processes)
-    os.environ |= {"OMP_NUM_THREADS": "1", "ROTORID_THREADS": str(share)}
-    with ProcessPoolExecutor(args.processes, mp_context=get_context("spawn")) as pool:
-        for done in as_completed([pool.submit(run_case, *each) for each in given]):
-            yield done.result()
-
-
 def study(args: Args, file: Path) -> dict:
     """Run what has no line yet."""
-    console, writer = Console(stderr=True), SummaryWriter(str(args.out / "tensorboard"))
+    writer = SummaryWriter(str(args.out / "tensorboard"))
     writer.add_text("settings", json.dumps(asdict(args), default=str))
-    batches = to_run(args, file)
+    batches, done = to_run(args, file), 0
     drawn = {n: draw(n, args.seed, args.out) for n in sorted({c.aircraft for b in batches for c in b})}
-    total, done = sum(map(len, batches)), 0
     for batch in batches:
-        for line in lines_of(batch, drawn, args):
-            append_line(file, line)
-            for when, scores in line.get("J", {}).items():
-                writer.add_scalars(f"J/{when}", {k: v for k, v in scores.items() if v is not None}, done)
-            done += 1
-            console.print(f"{done}/{total} {line['case']}: {line.get('sentence') or line.get('failed')}")
+        given = [(case, drawn[case.aircraft], args.told, args.seed) for case in batch]
+        done += keep(lines_of(run_case, given, args.processes), file, len(batch), writer)
     writer.close()
-    return {"runs": done, "lines": len(read_lines(file))}
+    return {"runs": done}
 
 
 def main(args: Args) -> None:

@@ -18,12 +18,17 @@ pytest.importorskip("tyro", reason="experiments need the extra 'experiments'")
 pytest.importorskip("torch.utils.tensorboard")
 
 
-@pytest.fixture(autouse=True)
-def _beside_the_experiments(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def beside_the_experiments(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Their modules are imported by bare names, and forgotten again."""
     monkeypatch.syspath_prepend(str(ROOT / "experiments"))
     yield
     for name in [n for n, m in sys.modules.items() if _is_experiment(m)]:
         del sys.modules[name]
+
+
+@pytest.fixture(autouse=True)
+def _beside(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    yield from beside_the_experiments(monkeypatch)
 
 
 def _is_experiment(module: object) -> bool:
@@ -150,7 +155,7 @@ def test_a_study_continues_where_it_stopped_and_tries_failures_again(
 ) -> None:
     module, calls = study(), []
 
-    def run(case, drawn, place, told, seed) -> dict:
+    def run(case, drawn, told, seed) -> dict:
         calls.append(case.key)
         if case.hidden == ("control.lag",) and calls.count(case.key) == 1:
             return {"case": case.key, "hidden": ["control.lag"], "failed": "no fit"}

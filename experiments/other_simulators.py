@@ -1,0 +1,133 @@
+"""Does the closed loop hold on aircraft that it was not made with? Errors before and after on other people's simulators.
+
+Data sets of helicopters flown by J-GenHel, JSBSim and helisim: some hide nothing, one has its controls recorded early,
+some do not tell. One JSON line per set; sets that have a line are not run again. `--report` writes the table into
+docs/closed-loop.md.
+
+Expected: nothing undeclared on uh60-hover, uh60-60kt, ah1-hover, uh60b-hover; on uh60-delay control.delay, alone or in
+a group with control.lag, 60 ms within three of its standard errors.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import torch
+import tyro
+from loop_lines import failure, loop_line, read_lines
+from loop_runs import keep, lines_of
+from loop_tables import markdown, write_between
+from torch.utils.tensorboard import SummaryWriter
+
+import rotorid_torch as rotorid
+
+ROOT = Path(__file__).parents[1]
+HIDES: dict[str, tuple[str, ...] | None] = {
+    "uh60-hover": (),
+    "uh60-60kt": (),
+    "uh60-delay": ("control.delay",),
+    "ah1-hover": (),
+    "uh60b-hover": (),
+    "uh60-x1": None,
+    "uh60-x2": None,
+    "uh60-x3": None,
+    "ah1-x1": None,
+}
+"""What the sets are known to hide; None: not told."""
+TRUE = {"uh60-delay": {"control.delay.common": 0.06}}
+
+
+@dataclass
+class Args:
+    """Which sets, and where they lie."""
+
+    data: Path = Path(os.environ.get("ROTORID_SHARED", str(ROOT.parent / "shared"))) / "flightdata"
+    """Folder of the data sets."""
+    sets: tuple[str, ...] = tuple(HIDES)
+    """Names of the sets; those that are not there are skipped."""
+    quick: bool = False
+    """The first of the sets that is there."""
+    report: bool = False
+    """Run nothing; turn the lines into the table."""
+    page: Path = ROOT / "docs" / "closed-loop.md"
+    """Page that holds the table, between its markers."""
+    processes: int = 1
+    """Sets at the same time."""
+    seed: int = 0
+    out: Path = Path("runs/other_simulators")
+    """Lines (runs.jsonl), one RUN per set, and TensorBoard records."""
+
+
+def run_set(place: Path, out: Path, seed: int) -> dict:
+    """Close the loop on one set; its RUN stays, with the report."""
+    torch.set_num_threads(1)
+    name, began = place.name, time.perf_counter()
+    hides = HIDES.get(name)
+    line = {"case": name, "hidden": hides}
+    try:
+        loop = rotorid.close_loop(rotorid.load(place), out=out / name, seed=seed)
+        line |= loop_line(loop, hides or (), TRUE.get(name))
+    except (ValueError, RuntimeError) as error:
+        line |= failure(error)
+    return line | {"seconds": round(time.perf_counter() - began, 1)}
+
+
+def table(lines: Sequence[dict]) -> str:
+    """Verdict, and J on unseen flights before and after, beside that of the noise."""
+    order = list(HIDES)
+    rows = []
+    for line in sorted(lines, key=lambda one: order.index(one["case"]) if one["case"] in order else len(order)):
+        hides = "not told" if line["hidden"] is None else ", ".join(line["hidden"]) or "nothing"
+        if "failed" in line:
+            rows.append((line["case"], hides, line["failed"], *[""] * 7))
+            continue
+        j = line["J"]
+        scores = [
+            _number(j[when][flights]) for flights in ("validate", "acid") for when in ("before", "after", "noise")
+        ]
+        rows.append((line["case"], hides, line["sentence"], *scores, f"{line['seconds']:.0f}"))
+    head = ("validate before", "after", "noise", "acid before", "after", "noise", "s")
+    return markdown(("set", "hides", "what the loop says", *head), rows)
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.3f}"
+
+
+def study(args: Args, file: Path) -> dict:
+    """Run the sets that are there and have no line yet; those that are not are named with the reason."""
+    skipped = {n: f"no data set in {args.data}" for n in args.sets if not (args.data / n / "dataset.toml").exists()}
+    done = {line["case"] for line in read_lines(file) if "failed" not in line}
+    there = [n for n in args.sets if n not in skipped]
+    left = [n for n in (there[:1] if args.quick else there) if n not in done]
+    writer = SummaryWriter(str(args.out / "tensorboard"))
+    writer.add_text("settings", json.dumps(asdict(args), default=str))
+    given = [(args.data / name, args.out / "runs", args.seed) for name in left]
+    runs = keep(lines_of(run_set, given, args.processes), file, len(left), writer)
+    writer.close()
+    return {"runs": runs, "skipped": skipped}
+
+
+def main(args: Args) -> None:
+    """Run the sets or write the table, and end with one JSON line."""
+    random.seed(args.seed)
+    torch.manual_seed(args.seed)
+    torch.set_num_threads(1)
+    args.out.mkdir(parents=True, exist_ok=True)
+    file = args.out / "runs.jsonl"
+    result = {} if args.report else study(args, file)
+    lines = read_lines(file)
+    if args.report:
+        write_between(args.page, "other simulators", table(lines) if lines else "No runs yet.")
+    verdicts = {one["case"]: one.get("verdict", "failed") for one in lines}
+    print(json.dumps(result | {"verdicts": verdicts}))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))

@@ -1,0 +1,71 @@
+"""The table of other people's simulators: what is missing is skipped with a reason, what has a line is not run again."""
+
+import dataclasses
+import json
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+from tests.experiments.test_experiments import quick
+from tests.experiments.test_undeclared_effects import beside_the_experiments
+from tests.helpers import shared
+
+pytest.importorskip("tyro", reason="experiments need the extra 'experiments'")
+pytest.importorskip("torch.utils.tensorboard")
+
+
+@pytest.fixture(autouse=True)
+def _beside(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    yield from beside_the_experiments(monkeypatch)
+
+
+def line(name: str, **said: object) -> dict:
+    scores = {"validate": 0.25, "acid": None}
+    told = {"J": dict.fromkeys(("before", "after", "noise"), scores), "verdict": "structure", "sentence": "Inflow."}
+    return {"case": name, "hidden": None, "seconds": 61.2} | told | said
+
+
+def test_missing_sets_are_skipped_and_finished_ones_not_repeated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    module, calls = import_module("other_simulators"), []
+
+    def run(place: Path, out: Path, seed: int) -> dict:
+        calls.append(place.name)
+        return line(place.name) if len(calls) > 1 else {"case": place.name, "hidden": None, "failed": "no fit"}
+
+    monkeypatch.setattr(module, "run_set", run)
+    for name in ("uh60-hover", "ah1-hover"):
+        (tmp_path / "data" / name).mkdir(parents=True)
+        (tmp_path / "data" / name / "dataset.toml").touch()
+    args = module.Args(data=tmp_path / "data", sets=("uh60-hover", "ah1-hover", "uh60-x9"), out=tmp_path / "out")
+    for _ in range(2):
+        module.main(dataclasses.replace(args))
+    first, second = map(json.loads, capsys.readouterr().out.splitlines())
+    assert list(first["skipped"]) == ["uh60-x9"]
+    assert (first["runs"], second["runs"]) == (2, 1)
+    assert calls == ["uh60-hover", "ah1-hover", "uh60-hover"]
+    assert second["verdicts"] == {"uh60-hover": "structure", "ah1-hover": "structure"}
+
+
+def test_table_has_a_row_for_each_set_in_their_order(tmp_path: Path) -> None:
+    module = import_module("other_simulators")
+    text = module.table(
+        [line("uh60-x1"), line("uh60-hover", hidden=[]), {"case": "x", "hidden": None, "failed": "why"}]
+    )
+    rows = text.splitlines()[2:]
+    assert rows[0] == "| uh60-hover | nothing | Inflow. | 0.250 | 0.250 | 0.250 |  |  |  | 61 |"
+    assert rows[1].startswith("| uh60-x1 | not told |")
+    assert rows[2].startswith("| x | not told | why |")
+    assert len({row.count("|") for row in text.splitlines()}) == 1
+
+
+@pytest.mark.slow
+def test_the_first_set_is_closed(tmp_path: Path) -> None:
+    data = shared("flightdata")
+    result = quick("other_simulators", tmp_path, "--data", str(data), "--out", str(tmp_path / "study"))
+    assert result["runs"] == 1
+    assert result["verdicts"]["uh60-hover"] in ("nothing undeclared", "structure")
+    assert (tmp_path / "study" / "runs" / "uh60-hover" / "report.json").exists()
