@@ -1,4 +1,4 @@
-"""Does the closed loop hold on aircraft that it was not made with? Errors before and after on other people's simulators.
+"""Does the closed loop hold on aircraft that it was not made with? Errors before and after on others' simulators.
 
 Data sets of helicopters flown by J-GenHel, JSBSim and helisim: some hide nothing, one has its controls recorded early,
 some do not tell. One JSON line per set; sets that have a line are not run again. `--report` writes the table into

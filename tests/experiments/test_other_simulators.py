@@ -1,4 +1,4 @@
-"""The table of other people's simulators: what is missing is skipped with a reason, what has a line is not run again."""
+"""Other people's simulators: what is missing is skipped with a reason, what has a line is not run again; the table."""
 
 import dataclasses
 import json
