@@ -34,7 +34,8 @@ Angles = Callable[[float, Array, Array], Array]
 class Cause:
     """What it does to an aircraft of a number at a size, and what a right localisation says of it.
 
-    `where` : equations in which it shows, by the aircraft's number. `goes_with` : states or controls.
+    `where` : equations in which it shows, by the aircraft's number. `goes_with` : states, controls, factors of their
+    products, "time" for a step. `since_s` : its onset in each flight, s.
     """
 
     at_blades: Callable[[int, Aircraft, float], Angles]
@@ -77,7 +78,7 @@ def _product(number: int, aircraft: Aircraft, size: float) -> Angles:
 
 CAUSES = {
     "outside.slipped_control": Cause(
-        _slipped, lambda number: EQUATIONS[_slipping(number)], lambda number: (_slipping(number),), ONSET
+        _slipped, lambda number: EQUATIONS[_slipping(number)], lambda number: (_slipping(number), "time"), ONSET
     ),
     "outside.product": Cause(_product, lambda number: ("N", "Y"), lambda number: ("col", "p"), None),
 }

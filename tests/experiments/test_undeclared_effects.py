@@ -120,6 +120,8 @@ def test_localised_means_the_right_equation_signal_and_onset() -> None:
     assert not tables.localised(line(("outside.slipped_control",), unknown=found | {"where": "M"}))
     assert not tables.localised(line(("outside.slipped_control",)))
     assert tables.localised(line(("outside.product",), unknown={"where": "N", "goes_with": "p", "since_s": None}))
+    assert tables.localised(line(("outside.product",), unknown={"where": "N", "goes_with": "p col", "since_s": None}))
+    assert not tables.localised(line(("outside.product",), unknown={"where": "N", "goes_with": "p q", "since_s": None}))
 
 
 def test_wilson_interval_against_scipy() -> None:
