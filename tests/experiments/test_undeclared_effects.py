@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import os
 import sys
 from collections.abc import Iterator
 from importlib import import_module
@@ -175,6 +176,15 @@ def test_a_study_continues_where_it_stopped_and_tries_failures_again(
     again = json.loads(capsys.readouterr().out)
     assert (again["runs"], again["whole"], again["failed"]) == (1, 3, 0)
     assert len(calls) == 4
+
+
+def test_runs_at_the_same_time_share_the_processors(monkeypatch: pytest.MonkeyPatch) -> None:
+    runs = import_module("loop_runs")
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.setenv("ROTORID_THREADS", "7")
+    asked = [("OMP_NUM_THREADS",), ("ROTORID_THREADS",)]
+    assert sorted(runs.lines_of(os.getenv, asked, 1)) == ["7", "7"]
+    assert sorted(runs.lines_of(os.getenv, asked, 1000)) == ["1", "1"]
 
 
 def test_flying_with_the_recorded_angles_is_flying(tmp_path: Path) -> None:
