@@ -33,8 +33,8 @@ from rotorid_torch.trace.floor import Floors
 from rotorid_torch.trace.residual import left_over, scan
 from rotorid_torch.trace.screen import screen
 
-DRAWS = 40
-"""Clean aircraft that are drawn: two of them may pass a floor that 5 % may pass."""
+DRAWS = 24
+"""Clean aircraft that are drawn: one of them may pass a floor that 5 % may pass."""
 FEWEST = 20
 """Draws below which no quantile of 5 % is told."""
 STAGES = (2.0, 5.0)

@@ -20,8 +20,8 @@ from rotorid_torch.core.native.build import threads
 from rotorid_torch.core.native.dynamics import Dynamics
 from rotorid_torch.core.native.fallback import say_once
 from rotorid_torch.core.native.trace import Unsupported
-from rotorid_torch.identification.segments import Records, Segments
-from rotorid_torch.identification.sensitivity import controls_at
+from rotorid_torch.effects.base import Stage
+from rotorid_torch.identification.segments import Segments
 from rotorid_torch.identification.system import System
 from rotorid_torch.identification.whitening import Whitener
 from rotorid_torch.model.model import Model
@@ -183,20 +183,21 @@ def screen(null: Fitted, effects: Sequence[str], shuffles: int = SHUFFLES, seed:
     for i, name in enumerate(model.parameter_set.names):
         model.theta[i] = values.get(name, float(model.theta[i]))
     chosen = signatures(model, effects)
-    outputs = _Simulation.of(model)
+    outputs = _Simulation.of(model, null.fit.likelihood.records.dt)
     problem, place = null.fit.likelihood, null.fit.minimum.point
     keep = ~(null.fit.minimum.at_bound | null.fit.minimum.not_identifiable)
     chance = torch.Generator().manual_seed(seed)
     found, raw = [], torch.zeros(len(chosen), dtype=torch.float64)
-    known = null.flights.records(model, null.flights.dataset.identify)
+    tape = outputs.tape(model.theta, problem.records.controls)
+    paths = [e.id for e in model.chain if e.stage is Stage.CONTROL]
+    tapes = {s.effect: outputs.tape(_at(model, s), problem.records.controls) for s in chosen if s.effect in paths}
     for part, whitener, rows in problem.by_flight(place):
-        start = _starts(model, null, known, part.segments, part.run.states[:, 0])
-        base = outputs(model.theta, problem.records, part.segments, start)
+        start = _starts(model, null, part.segments, part.run.states[:, 0])
+        base = outputs(model.theta, part.segments.take(tape), start)
         change = []
         for one in chosen:
-            theta = model.theta.clone()
-            theta[model.parameter_set.index(one.parameter)] = one.typical
-            change.append(outputs(theta, problem.records, part.segments, start) - base)
+            own = part.segments.take(tapes.get(one.effect, tape))
+            change.append(outputs(_at(model, one), own, start) - base)
         signature = _rows(whitener, torch.stack(change, dim=-1)) if change else rows[..., :0]
         raw += signature.square().sum((0, 1))
         nx = problem.locals_per_segment
@@ -215,6 +216,13 @@ def screen(null: Fitted, effects: Sequence[str], shuffles: int = SHUFFLES, seed:
     left, shares = _eliminated(products, prior.mT @ prior, len(names))
     absorbed = tuple([_largest(tuple(names), shares[:, k]) for k in range(len(chosen))])
     return Screen(chosen, left, raw, null.per_sample, absorbed)
+
+
+def _at(model: Model, one: Signature) -> Tensor:
+    """The model's parameters with one signature's at its typical size."""
+    theta = model.theta.clone()
+    theta[model.parameter_set.index(one.parameter)] = one.typical
+    return theta
 
 
 def _largest(names: tuple[str, ...], shares: Tensor) -> tuple[str, ...]:
@@ -259,10 +267,11 @@ class _Simulation:
 
     system: System
     model: Model
+    dt: float
     compiled: Dynamics | None
 
     @classmethod
-    def of(cls, model: Model) -> _Simulation:
+    def of(cls, model: Model, dt: float) -> _Simulation:
         system = System(model, model.parameter_set.names)
         x, u = (
             torch.tensor([model.reference.get(n, 0.0) for n in names], dtype=torch.float64)
@@ -279,28 +288,37 @@ class _Simulation:
             dynamics.build()
         except Unsupported as error:
             say_once(f"candidates are simulated in torch, many times slower than compiled: {error}")
-            return cls(system, model, None)
-        return cls(system, model, dynamics)
+            return cls(system, model, dt, None)
+        return cls(system, model, dt, dynamics)
 
-    def __call__(self, theta: Tensor, records: Records, segments: Segments, start: Tensor) -> Tensor:
-        """Outputs [S, T, ny] from initial states [S, nx]."""
-        controls = controls_at(self.system, theta, records, segments)
+    def tape(self, theta: Tensor, controls: Tensor) -> Tensor:
+        """The control records [F, T, nu] behind the control path; once for all segments, for some paths are slow."""
+        return self.system.tape(theta, controls, self.dt)
+
+    def __call__(self, theta: Tensor, controls: Tensor, start: Tensor) -> Tensor:
+        """Outputs [S, T, ny] under controls [S, T, nu] from initial states [S, nx]."""
         if self.compiled is None:
             states = simulate(
-                lambda t, x, u: self.model.rates(theta, x.clamp(-STRAYED, STRAYED), u), start, controls, segments.dt
+                lambda t, x, u: self.model.rates(theta, x.clamp(-STRAYED, STRAYED), u), start, controls, self.dt
             )
             return self.model.outputs_at(theta, states, controls)
-        return self.compiled.simulate(theta, start, controls, segments.dt, STRAYED, threads())[1]
+        return self.compiled.simulate(theta, start, controls, self.dt, STRAYED, threads())[1]
 
 
-def _starts(model: Model, null: Fitted, known: Records, segments: Segments, states: Tensor) -> Tensor:
+def _starts(model: Model, null: Fitted, segments: Segments, states: Tensor) -> Tensor:
     """Initial states [S, nx] of the richer model: the null's own, measured ones, and the rest in equilibrium."""
     names, theirs = model.layout.names, null.model.layout.names
-    x = segments.first(known.states)
-    rest = [i for i, n in enumerate(names) if n not in theirs and bool(x[:, i].isnan().any())]
-    x = torch.where(x.isnan(), torch.tensor([model.reference.get(n, 0.0) for n in names], dtype=torch.float64), x)
+    x = torch.tensor([model.reference.get(n, 0.0) for n in names], dtype=torch.float64).repeat(len(segments), 1)
     x[:, [names.index(n) for n in theirs]] = states
-    controls = segments.first(known.controls)
+    rest = []
+    for i, state in enumerate(model.layout.states):
+        if state.name in theirs:
+            continue
+        if state.channel is None:
+            rest.append(i)
+        else:
+            x[:, i] = _measured(null, segments, state.channel)
+    controls = segments.first(null.fit.likelihood.records.controls)
     probes = PROBE * torch.eye(len(names), dtype=torch.float64)[rest]
     for _ in range(2 if rest else 0):  # linear in these states, or nearly
         rates = model.rates(model.theta, torch.cat([x[None], x + probes[:, None]]), controls)[..., rest]
@@ -308,3 +326,14 @@ def _starts(model: Model, null: Fitted, known: Records, segments: Segments, stat
         change = torch.linalg.lstsq(slopes, rates[0].unsqueeze(-1), driver="gelsd").solution.squeeze(-1)
         x[:, rest] = x[:, rest] - change.nan_to_num(0.0)
     return x
+
+
+def _measured(null: Fitted, segments: Segments, channel: str) -> Tensor:
+    """A channel where each segment begins [S]."""
+    dataset, dt = null.flights.dataset, null.fit.likelihood.records.dt
+    found = []
+    for flight, place in zip(segments.flight.tolist(), segments.place[:, 0].tolist(), strict=True):
+        record = dataset.flights[dataset.identify[flight]]
+        first, every = round(place * dt / record.dt), max(1, round(dt / record.dt))
+        found.append(record.bridged([channel])[first : first + every, 0].mean())
+    return torch.stack(found)
