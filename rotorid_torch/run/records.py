@@ -33,7 +33,7 @@ def package_version() -> str:
 
 def _finite(value: object) -> object:
     if isinstance(value, float):
-        return value if math.isfinite(value) else None
+        return float(value) if math.isfinite(value) else None  # a plain number, whatever library it comes from
     if isinstance(value, tuple):
         return tuple(_finite(item) for item in value)
     return value

@@ -1,0 +1,30 @@
+"""Floors hold the share of false alarms over all candidates together, whatever their own scales are."""
+
+from __future__ import annotations
+
+import torch
+
+from rotorid_torch.trace.floor import family_wise
+
+
+def test_five_per_cent_of_clean_vehicles_pass_any_floor():
+    chance = torch.Generator().manual_seed(0)
+    scales = torch.tensor([1e-6, 1e-3, 1.0, 1e3], dtype=torch.float64)
+    drawn, fresh = (
+        torch.randn(4, n, generator=chance, dtype=torch.float64) ** 2 * scales[:, None] for n in (400, 4000)
+    )
+    names = ("a", "b", "c", "d")
+    floors = family_wise(dict(zip(names, drawn, strict=True)))
+    passed = torch.stack([fresh[i] > floors[e] for i, e in enumerate(names)]).any(dim=0)
+    assert 0.02 < float(passed.to(torch.float64).mean()) < 0.09
+
+
+def test_a_candidate_that_never_gains_has_no_floor_of_its_own():
+    none, some = torch.zeros(30, dtype=torch.float64), torch.rand(30, dtype=torch.float64) + 0.1
+    floors = family_wise({"never": none, "often": some})
+    assert floors["never"] < 1e-200
+    assert floors["often"] > float(some.mean())
+
+
+def test_nothing_drawn_gives_no_floor():
+    assert family_wise({}) == {}

@@ -1,0 +1,61 @@
+"""What is left over is localised: with what it goes, since when, and in which equation."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from rotorid_torch.trace.residual import LeftOver, scan, unknown
+
+ROWS = ("X", "Y", "Z", "L", "M", "N")
+NAMES = ("u", "p", "q", "col")
+FLIGHTS, SAMPLES, STEP = 4, 240, 0.05
+
+
+def left(row: str, extra: Tensor | None, noise: float = 0.05) -> LeftOver:
+    chance = torch.Generator().manual_seed(1)
+    made = torch.randn(FLIGHTS * SAMPLES, len(NAMES), generator=chance, dtype=torch.float64).cumsum(0)
+    signals = made - made.view(FLIGHTS, SAMPLES, -1).mean(1).repeat_interleave(SAMPLES, 0)
+    signals = signals / signals.std(0)
+    residual = noise * torch.randn(len(signals), 6, generator=chance, dtype=torch.float64)
+    if extra is not None:
+        residual[:, ROWS.index(row)] += extra
+    time = STEP * torch.arange(SAMPLES, dtype=torch.float64).repeat(FLIGHTS)
+    own = torch.eye(FLIGHTS, dtype=torch.float64).repeat_interleave(SAMPLES, 0)
+    return LeftOver(ROWS, residual, NAMES, signals, time, torch.cat([signals, own], dim=1))
+
+
+@pytest.fixture
+def signals() -> Tensor:
+    return left("L", None).signals
+
+
+def test_a_product_is_found_in_its_equation(signals: Tensor):
+    found = scan(left("L", signals[:, 1] * signals[:, 3]))
+    assert found["L"].goes_with == "p col"
+    assert found["L"].since_s is None
+    assert found["L"].share > 0.8
+    assert max(found[row].share for row in ROWS if row != "L") < 0.2
+
+
+def test_what_begins_late_is_dated(signals: Tensor):
+    time = STEP * torch.arange(SAMPLES, dtype=torch.float64).repeat(FLIGHTS)
+    found = scan(left("M", signals[:, 2] * (time >= 6.0)))
+    assert found["M"].goes_with == "q"
+    assert found["M"].since_s == pytest.approx(6.0, abs=0.5)
+
+
+def test_what_linear_terms_can_take_up_is_not_left_over(signals: Tensor):
+    assert scan(left("N", 3.0 * signals[:, 0]))["N"].share < 0.2
+
+
+def test_below_the_floors_nothing_is_told_and_above_them_no_name(signals: Tensor):
+    over = left("L", signals[:, 1] * signals[:, 3])
+    found = scan(over)
+    assert unknown(found, dict.fromkeys(ROWS, 1.0), over) is None
+    assert unknown(found, {}, over) is None
+    told = unknown(found, dict.fromkeys(ROWS, 0.3), over)
+    assert told is not None
+    assert (told.where, told.goes_with) == ("L", "p col")
+    assert told.band_hz[0] < told.band_hz[1]

@@ -1,0 +1,57 @@
+"""Turbulence shows before the pilot acts, vibration as lines at multiples of the rotor speed; calm air shows neither."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from rotorid_torch.data import Dataset
+from rotorid_torch.effects.examples import HELICOPTER
+from rotorid_torch.trace.finding import Finding
+from rotorid_torch.trace.stochastic import stochastic_findings
+
+DT, SECONDS, QUIET_S = 0.01, 8.0, 1.5
+NOISE = {"p": 0.002, "q": 0.002, "r": 0.002, "ax": 0.05, "ay": 0.05, "az": 0.05}
+SPEED = HELICOPTER.rotor.speed if HELICOPTER.rotor is not None else 27.0
+
+
+def flights(gust: float = 0.0, line: float = 0.0, seed: int = 0) -> Dataset:
+    rng, time = np.random.default_rng(seed), DT * np.arange(round(SECONDS / DT))
+    made = {}
+    for k in range(8):
+        stick = np.where(time > QUIET_S, 0.05 * np.sin(2.0 * (time - QUIET_S) * (1 + 0.2 * k)), 0.0)
+        shake = lfilter([1.0], [1.0, -0.98], rng.standard_normal(len(time))) * 0.2
+        phase = rng.uniform(0.0, 2.0 * np.pi)
+        values = {"p": 8.0 * stick, "q": 3.0 * stick, "r": stick, "ax": 5.0 * stick, "ay": stick, "az": -9.8 + stick}
+        values["p"] = values["p"] + gust * shake
+        values["az"] = values["az"] + line * np.sin(4.0 * SPEED * time + phase)
+        measured = {c: v + NOISE[c] * rng.standard_normal(len(time)) for c, v in values.items()}
+        made[f"f{k}"] = {"time": time, "lat": stick + 1e-5 * rng.standard_normal(len(time)), **measured}
+    names = list(made)
+    channels = {c: {"noise": n} for c, n in NOISE.items()}
+    lists = {"identify": names[:5], "validate": names[5:]}
+    return Dataset.from_arrays(made, channels=channels, controls={"lat": {"unit": "rad", "noise": 1e-5}}, **lists)
+
+
+def found(data: Dataset) -> dict[str, Finding]:
+    return {f.id: f for f in stochastic_findings(data, HELICOPTER, {"forces.Z.w": -0.5})}
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_calm_air_shows_neither(seed: int):
+    told = found(flights(seed=seed))
+    assert told["environment.turbulence"].verdict == "below floor"
+    assert told["environment.vibration"].verdict == "below floor"
+
+
+def test_turbulence_is_seen_before_the_pilot_acts():
+    told = found(flights(gust=0.01))["environment.turbulence"]
+    assert told.verdict == "accepted"
+    assert " p " in told.reason
+
+
+def test_a_line_at_blade_passage_is_vibration():
+    told = found(flights(line=0.4))["environment.vibration"]
+    assert told.verdict == "accepted"
+    assert told.values["environment.vibration.accelerations"][0] == pytest.approx(0.4 / np.sqrt(2.0), rel=0.15)

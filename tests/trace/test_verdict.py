@@ -1,0 +1,44 @@
+"""One statement from all findings: what is named, what is a group, what stays without a name."""
+
+from __future__ import annotations
+
+from rotorid_torch.trace.finding import Finding, Unknown
+from rotorid_torch.trace.verdict import statement
+
+DELAY = Finding("control.delay", "undeclared", "accepted", "", values={"control.delay.common": (0.06, 0.004)})
+GROUP = Finding(
+    "control.delay", "undeclared", "indistinguishable", "", group=("control.lag",), values={"x": (0.1, 0.01)}
+)
+MEMBER = Finding("control.lag", "undeclared", "indistinguishable", "", group=("control.delay",))
+LAG_MODE = Finding("rotor.lead_lag", "structure", "accepted", "")
+QUIET = Finding("forces.drag", "undeclared", "below floor", "", smallest_visible=(0.01, "1/m"))
+MISSING = Unknown("L", (0.2, 2.0), "p", 6.0, "Something is missing in L.")
+
+
+def test_an_accepted_effect_is_named_with_its_size():
+    told = statement([DELAY, QUIET, LAG_MODE], None)
+    assert (told.kind, told.effects) == ("undeclared", ("control.delay",))
+    assert "0.06 ± 0.004" in told.sentence
+
+
+def test_members_of_a_group_are_all_named_and_none_alone():
+    told = statement([GROUP, MEMBER, QUIET], None)
+    assert told.kind == "group"
+    assert set(told.effects) == {"control.delay", "control.lag"}
+
+
+def test_what_is_missing_gets_no_name():
+    told = statement([QUIET, LAG_MODE], MISSING)
+    assert (told.kind, told.effects) == ("unknown", ())
+    assert told.sentence == MISSING.sentence
+
+
+def test_structure_alone_is_nothing_undeclared():
+    assert statement([LAG_MODE, QUIET], None).kind == "structure"
+
+
+def test_nothing_points_at_the_list_of_what_could_have_been_seen():
+    told = statement([QUIET], None)
+    assert told.kind == "nothing undeclared"
+    assert told.effects == ()
+    assert "1 effects were tested" in told.sentence or "1 effect" in told.sentence
