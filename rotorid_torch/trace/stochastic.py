@@ -28,7 +28,7 @@ LEAST_FLIGHTS, LEAST_BLOCKS = 4, 5
 STILL = 0.2
 """Share of its later motion that a control or a rate may make in gusts before the pilot acts."""
 NEAR = 0.1
-"""A line belongs to a multiple of the rotor speed within this share of the rotor speed: about a line of a 3-s spectrum."""
+"""A line belongs to a multiple of the rotor speed within this share of it: about one line of a 3-s spectrum."""
 
 
 def stochastic_findings(dataset: Dataset, spec: ModelSpec, values: Mapping[str, float]) -> list[Finding]:

@@ -1,4 +1,4 @@
-"""Turbulence shows before the pilot acts, vibration as lines at multiples of the rotor speed; calm air shows neither."""
+"""Turbulence shows before the pilot acts, vibration at multiples of the rotor speed; calm air shows neither."""
 
 from __future__ import annotations
 
