@@ -16,7 +16,8 @@ class Parameter:
 
     `prior_sd` is the standard deviation (in the parameter's unit) by which the data may move it away from `value`
     before the physics behind `value` objects; infinite where there is no such physics. `typical` is a size at which an
-    effect is usually met: where tracing starts.
+    effect is usually met: where tracing starts. `tried`: values that it starts from, where one start does not lead to
+    another (the length of a pendulum).
     """
 
     name: str
@@ -27,6 +28,7 @@ class Parameter:
     free: bool = True
     doc: str = ""
     typical: float = 0.0
+    tried: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         low, high = self.bounds

@@ -37,6 +37,8 @@ def times(matrix: Tensor, vector: Tensor) -> Tensor:
     return (matrix * vector.unsqueeze(-2)).sum(-1)
 
 
+CABLES = (3.0, 6.0, 12.0, 24.0)
+"""m: pendulums of these lengths are far enough apart to be missed from each other, and near enough to be reached."""
 SWAY = 0.02
 """rad, rad/s: a free swing of the load at the start of every segment would imitate any slow drift."""
 
@@ -194,7 +196,7 @@ class SlungLoad(Effect):
         super().__init__(
             (
                 Parameter("ratio", 0.0, "1", (0.0, 0.8), doc="mass of the load over the vehicle's", typical=0.12),
-                Parameter("length", 8.0, "m", (1.0, 60.0), 5.0, doc="of the cable", typical=8.0),
+                Parameter("length", 8.0, "m", (1.0, 60.0), 5.0, doc="of the cable", typical=8.0, tried=CABLES),
                 Parameter("damping", 0.08, "1", (0.0, 0.7), 0.08, doc="of the pendulum, of critical", typical=0.08),
                 *hook,
             ),

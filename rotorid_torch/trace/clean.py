@@ -35,6 +35,8 @@ from rotorid_torch.trace.screen import screen
 
 DRAWS = 24
 """Clean aircraft that are drawn: one of them may pass a floor that 5 % may pass."""
+CHANCES = 4
+"""Shuffled residuals of each: a candidate of which clean aircraft show nothing has the floor that chance gives."""
 FEWEST = 20
 """Draws below which no quantile of 5 % is told."""
 STAGES = (2.0, 5.0)
@@ -58,9 +60,10 @@ def gains_on(clean: Dataset, spec: ModelSpec, effects: Sequence[str]) -> tuple[d
     start = regress_model(model, seen, found)
     values = dict(zip(model.parameter_set.names, start.theta.tolist(), strict=True))
     fitted = refit(own, Flights(seen, found), values, start.held, lengths=STAGES)
-    screened = screen(fitted, effects, shuffles=0)
+    screened = screen(fitted, effects, shuffles=CHANCES)
     traces = scan(left_over(fitted.model, seen, found, seen.identify))
-    return {e: screened.gain([e]) for e in effects}, {row: t.share for row, t in traces.items()}
+    gains = {e: max(screened.gain([e]), float(screened.by_chance(e).max())) for e in effects}
+    return gains, {row: t.share for row, t in traces.items()}
 
 
 def clean_floors(

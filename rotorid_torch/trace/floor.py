@@ -21,6 +21,8 @@ FALSE_ALARMS = 0.05
 class Floors:
     """Gains of every candidate on clean drawn aircraft [D], by effect; empty where none could be drawn.
 
+    The gain of a clean aircraft is at least what chance gives: that of its residual once its time has been shuffled.
+
     note : how many were drawn, or why none. traces : shares of the equations' residuals that anything explains [D].
     """
 
@@ -33,14 +35,13 @@ class Floors:
         return family_wise(self.traces)
 
     def of(self, screened: Screen, effects: Sequence[str]) -> dict[str, float]:
-        """Floor of each effect: the higher of that of clean aircraft and that of the data's own shuffled residual."""
-        clean, chance = family_wise(self.gains), self.chance(screened, effects)
-        return {e: max(clean.get(e, 0.0), chance[e]) for e in effects}
+        """Floor of each effect: that of clean aircraft; without any, that of the data's own shuffled residual."""
+        return family_wise(self.gains) if self.gains else self.chance(screened, effects)
 
     @staticmethod
     def chance(screened: Screen, effects: Sequence[str]) -> dict[str, float]:
         """Floors by the data's own shuffled residual alone."""
-        return family_wise({e: screened.by_chance([e]) for e in effects})
+        return family_wise({e: screened.by_chance(e) for e in effects})
 
 
 def family_wise(gains: Mapping[str, Tensor]) -> dict[str, float]:

@@ -8,8 +8,9 @@ the gain that the candidate would bring, its size, and the smallest size that th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import product
 
 import msgspec
 import torch
@@ -42,7 +43,10 @@ DEPENDENT = 1e-10
 
 @dataclass(frozen=True)
 class Signature:
-    """One direction of one candidate: its parameter's full name, null, the size it was simulated at, and its bounds."""
+    """One direction of one candidate: its parameter's full name, null, the size it was simulated at, and its bounds.
+
+    beside : other parameters of the effect, and where they were.
+    """
 
     effect: str
     parameter: str
@@ -50,6 +54,7 @@ class Signature:
     typical: float
     bounds: tuple[float, float]
     unit: str
+    beside: tuple[tuple[str, float], ...] = ()
 
     @property
     def step(self) -> float:
@@ -78,10 +83,22 @@ class Screen:
     raw: Tensor
     samples: float
     absorbed: tuple[tuple[str, ...], ...]
+    _chosen: dict[str, list[int]] = field(default_factory=dict, repr=False)
 
     def places(self, effects: Sequence[str]) -> list[int]:
-        """Signatures of these effects."""
-        return [i for i, s in enumerate(self.signatures) if s.effect in effects]
+        """Signatures of these effects, each with its other parameters where they explain most."""
+        return [i for e in dict.fromkeys(effects) for i in self._best(e)]
+
+    def _variants(self, effect: str) -> list[list[int]]:
+        """Signatures of an effect that go together."""
+        own = [i for i, s in enumerate(self.signatures) if s.effect == effect]
+        kinds = dict.fromkeys(self.signatures[i].beside for i in own)
+        return [[i for i in own if self.signatures[i].beside == kind] for kind in kinds]
+
+    def _best(self, effect: str) -> list[int]:
+        if effect not in self._chosen:
+            self._chosen[effect] = max(self._variants(effect), key=self._explained, default=[])
+        return self._chosen[effect]
 
     @cached_property
     def total(self) -> Tensor:
@@ -93,10 +110,10 @@ class Screen:
         both, known = (self._explained(self.places(e)) for e in ((*given, *effects), given))
         return (both - known) / self.samples
 
-    def by_chance(self, effects: Sequence[str]) -> Tensor:
+    def by_chance(self, effect: str) -> Tensor:
         """The same gain against residuals of the same colour that cannot know of the controls [R]."""
-        which, first = self.places(effects), len(self.signatures) + 1
-        found = [self._explained(which, column) for column in range(first, self.total.shape[-1])]
+        columns = range(len(self.signatures) + 1, self.total.shape[-1])
+        found = [max(self._explained(which, c) for which in self._variants(effect)) for c in columns]
         return torch.tensor(found, dtype=torch.float64) / self.samples
 
     def sizes(self, effects: Sequence[str]) -> dict[str, float]:
@@ -104,7 +121,8 @@ class Screen:
         which = self.places(effects)
         found = self._solved(self.total, which, len(self.signatures))
         chosen = (self.signatures[i] for i in which)
-        return {s.parameter: s.null + float(a) * s.step for s, a in zip(chosen, found, strict=True)}
+        sizes = {s.parameter: s.null + float(a) * s.step for s, a in zip(chosen, found, strict=True)}
+        return {name: value for i in which for name, value in self.signatures[i].beside} | sizes
 
     def shown(self, effect: str) -> float:
         """Gain per sample that the effect at its typical size would bring, in its least visible direction."""
@@ -162,13 +180,21 @@ class Screen:
 
 
 def signatures(model: Model, effects: Sequence[str]) -> tuple[Signature, ...]:
-    """Free parameters of these effects that have a size to be met with."""
-    return tuple(
-        Signature(effect, p.name, p.value, p.typical, p.bounds, p.unit)
-        for p in model.parameter_set.parameters
-        for effect in effects
-        if p.name.startswith(f"{effect}.") and p.free and p.typical not in (0.0, p.value)
-    )
+    """Free parameters of these effects that have a size to be met with, at each start of the others."""
+    found = []
+    for effect in effects:
+        own = [p for p in model.parameter_set.parameters if p.name.startswith(f"{effect}.") and p.free]
+        starts = [
+            tuple((p.name, value) for p, value in zip([p for p in own if p.tried], values, strict=True))
+            for values in product(*(p.tried for p in own if p.tried))
+        ]
+        found += [
+            Signature(effect, p.name, p.value, p.typical, p.bounds, p.unit, beside)
+            for beside in starts
+            for p in own
+            if p.typical not in (0.0, p.value) and not p.tried
+        ]
+    return tuple(found)
 
 
 @torch.no_grad()
@@ -190,13 +216,13 @@ def screen(null: Fitted, effects: Sequence[str], shuffles: int = SHUFFLES, seed:
     found, raw = [], torch.zeros(len(chosen), dtype=torch.float64)
     tape = outputs.tape(model.theta, problem.records.controls)
     paths = [e.id for e in model.chain if e.stage is Stage.CONTROL]
-    tapes = {s.effect: outputs.tape(_at(model, s), problem.records.controls) for s in chosen if s.effect in paths}
+    tapes = {s: outputs.tape(_at(model, s), problem.records.controls) for s in chosen if s.effect in paths}
     for part, whitener, rows in problem.by_flight(place):
         start = _starts(model, null, part.segments, part.run.states[:, 0])
         base = outputs(model.theta, part.segments.take(tape), start)
         change = []
         for one in chosen:
-            own = part.segments.take(tapes.get(one.effect, tape))
+            own = part.segments.take(tapes.get(one, tape))
             change.append(outputs(_at(model, one), own, start) - base)
         signature = _rows(whitener, torch.stack(change, dim=-1)) if change else rows[..., :0]
         raw += signature.square().sum((0, 1))
@@ -221,7 +247,8 @@ def screen(null: Fitted, effects: Sequence[str], shuffles: int = SHUFFLES, seed:
 def _at(model: Model, one: Signature) -> Tensor:
     """The model's parameters with one signature's at its typical size."""
     theta = model.theta.clone()
-    theta[model.parameter_set.index(one.parameter)] = one.typical
+    for name, value in (*one.beside, (one.parameter, one.typical)):
+        theta[model.parameter_set.index(name)] = value
     return theta
 
 

@@ -48,7 +48,7 @@ def test_the_screen_sees_the_size_of_a_delay():
     _, null = started(flights("control.delay", control__delay__common=0.06))
     seen = screen(null, SUSPECTS)
     assert seen.sizes(["control.delay"])["control.delay.common"] == pytest.approx(0.06, abs=0.02)
-    assert seen.gain(["control.delay"]) > 10.0 * float(seen.by_chance(["control.delay"]).max())
+    assert seen.gain(["control.delay"]) > 10.0 * float(seen.by_chance("control.delay").max())
 
 
 def test_a_hidden_delay_is_named_with_its_size():
