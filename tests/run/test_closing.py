@@ -1,0 +1,68 @@
+"""The closed loop from Python and as a RUN: what is hidden is named, before and after are told, all in one folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rotorid_torch as rotorid
+from rotorid_torch.data import Dataset
+from rotorid_torch.model.save import load
+from rotorid_torch.run.records import read_report
+from tests.known_models import flown, manoeuvres, rate_vehicle, with_values
+
+DT = 0.02
+
+
+def late(delay: float) -> Dataset:
+    truth = with_values(rate_vehicle(effects=("control.delay",)), {"control.delay.common": delay})
+    moves = manoeuvres(8.0, DT)
+    both = {**moves, **{f"{name}_again": -0.8 * move for name, move in moves.items()}}
+    lists = {"identify": list(moves), "validate": [f"{name}_again" for name in moves]}
+    return flown(truth, both, DT, noise=0.02, seed=3, lists=lists)
+
+
+@pytest.fixture(scope="module")
+def closed(tmp_path_factory: pytest.TempPathFactory) -> tuple[rotorid.Loop, Path]:
+    place = tmp_path_factory.mktemp("closed") / "RUN"
+    return rotorid.close_loop(late(0.06), out=place), place
+
+
+def test_the_report_names_the_delay_with_its_error(closed: tuple[rotorid.Loop, Path]):
+    loop, place = closed
+    report = read_report(place)
+    assert report.command == "close-loop"
+    assert report.verdict is not None
+    assert (report.verdict.kind, report.verdict.effects) == ("undeclared", ("control.delay",))
+    delay = next(e for e in report.effects if e.id == "control.delay")
+    value = next(p for p in delay.parameters if p.name == "control.delay.common")
+    assert value.value == pytest.approx(0.06, abs=3.0 * (value.se or 0.0))
+    assert {e.verdict for e in report.effects} >= {"accepted", "not testable"}
+    assert report.time_s.trace is not None
+    assert loop.verdict == report.verdict
+
+
+def test_unseen_flights_are_better_after_than_before(closed: tuple[rotorid.Loop, Path]):
+    loop, _ = closed
+    assert loop.before is not None
+    assert loop.after is not None
+    before, after = loop.before.scores.validate, loop.after.scores.validate
+    assert before is not None
+    assert after is not None
+    assert after < 0.5 * before
+
+
+def test_the_run_holds_model_pictures_and_page(closed: tuple[rotorid.Loop, Path]):
+    _, place = closed
+    model, spec = load(place / "model.pt")
+    assert "control.delay" in spec.effects
+    assert np.isfinite(model.theta.detach().numpy()).all()
+    assert {"evidence.png", "residual_spectrum.png"} <= {f.name for f in (place / "figures").iterdir()}
+    assert "control.delay" in (place / "report.html").read_text(encoding="utf-8")
+
+
+def test_where_no_aircraft_can_be_drawn_the_report_says_so(closed: tuple[rotorid.Loop, Path]):
+    loop, _ = closed
+    assert any("shuffled residuals" in w for w in loop.record.warnings)
