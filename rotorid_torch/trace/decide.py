@@ -63,10 +63,13 @@ def helps(better: Tensor) -> bool:
 
 
 def at_edge(candidate: Fitted, effect: str) -> str | None:
-    """Why a fit is no physics: a parameter of the effect on a bound that is not its null; None where none is."""
+    """Why a fit is no physics: a parameter of the effect on a bound that is not its null; None where none is.
+
+    Zero is a limit of physics, not of a range: a pendulum may have no damping.
+    """
     known = candidate.model.parameter_set
     for parameter, value in zip(known.parameters, candidate.values.values(), strict=True):
-        on = [b for b in parameter.bounds if math.isclose(value, b, rel_tol=1e-9) and b != parameter.value]
+        on = [b for b in parameter.bounds if math.isclose(value, b, rel_tol=1e-9) and b not in (0.0, parameter.value)]
         if parameter.name.startswith(f"{effect}.") and parameter.free and on:
             return f"{parameter.name} = {value:.3g} lies at the edge of its range"
     return None
