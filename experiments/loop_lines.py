@@ -47,11 +47,13 @@ def loop_line(loop: Loop, hidden: Sequence[str] = (), truth: Mapping[str, float]
     }
 
 
-def told_line(run: Run | None, why: str) -> dict:
-    """Error of the fit that was told what is hidden, or why there is none."""
+def told_line(run: Run | None, why: str, hidden: Sequence[str]) -> dict:
+    """Errors and parameters of the fit that was told what is hidden, or why there is none."""
     if run is None:
         return {"told": {"none": why}}
-    return {"told": {"J": _scores(run.fit), "noise_removed": _removed(run.fit)}}
+    own = tuple(f"{e}." for e in hidden)
+    found = {p.name: {"value": p.value, "se": p.se} for p in run.parameters if p.name.startswith(own)}
+    return {"told": {"J": _scores(run.fit), "noise_removed": _removed(run.fit), "parameters": found}}
 
 
 def failure(error: Exception) -> dict:

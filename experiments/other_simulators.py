@@ -70,6 +70,7 @@ def run_set(place: Path, out: Path, seed: int) -> dict:
     name, began = place.name, time.perf_counter()
     hides = HIDES.get(name)
     line = {"case": name, "hidden": hides}
+    out.mkdir(parents=True, exist_ok=True)
     try:
         loop = rotorid.close_loop(rotorid.load(place), out=out / name, seed=seed)
         line |= loop_line(loop, hides or (), TRUE.get(name))

@@ -22,7 +22,7 @@ from rotorid_torch.fly.stepping import runge_kutta
 from rotorid_torch.fly.trim import STEP_ANGLE, Trim
 
 ONSET = 6.0  # s
-LEFT, SLIP = 0.5, 0.03  # part of a slipped control's deviation that arrives; shift as a part of its range
+LEFT, SLIP = 0.5, 0.015  # part of a slipped control's deviation that arrives; shift as a part of its range
 PICKED_UP = 15.0  # rad of tail rotor collective per rad of collective and rad/s of roll
 COL, PED = 2, 3
 

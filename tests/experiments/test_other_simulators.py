@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from rotorid_torch.run.folder import run_folder
 from tests.experiments.test_experiments import quick
 from tests.experiments.test_undeclared_effects import beside_the_experiments
 from tests.helpers import shared
@@ -48,6 +49,21 @@ def test_missing_sets_are_skipped_and_finished_ones_not_repeated(
     assert (first["runs"], second["runs"]) == (2, 1)
     assert calls == ["uh60-hover", "ah1-hover", "uh60-hover"]
     assert second["verdicts"] == {"uh60-hover": "structure", "ah1-hover": "structure"}
+
+
+def test_a_set_is_closed_into_a_run_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    module = import_module("other_simulators")
+
+    def close_loop(data: object, out: Path, seed: int) -> None:
+        with run_folder(out) as folder:
+            (folder / "report.json").touch()
+        raise ValueError(f"{data} {seed}")
+
+    monkeypatch.setattr(module.rotorid, "close_loop", close_loop)
+    monkeypatch.setattr(module.rotorid, "load", lambda place: place.name)
+    found = module.run_set(tmp_path / "uh60-x1", tmp_path / "out" / "runs", 5)
+    assert found["failed"] == "ValueError: uh60-x1 5"
+    assert (tmp_path / "out" / "runs" / "uh60-x1" / "report.json").exists()
 
 
 def test_table_has_a_row_for_each_set_in_their_order(tmp_path: Path) -> None:

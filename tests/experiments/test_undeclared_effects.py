@@ -213,7 +213,7 @@ def test_outside_causes_change_only_what_they_say() -> None:
     slipped = causes.CAUSES["outside.slipped_control"].at_blades(0, aircraft, 1.0)
     np.testing.assert_array_equal(slipped(5.9, x, trimmed), x[CONTROLS])
     low, high = aircraft.limits[1]
-    np.testing.assert_allclose(slipped(6.1, x, trimmed)[1], 0.11 + 0.03 * (high - low))
+    np.testing.assert_allclose(slipped(6.1, x, trimmed)[1], 0.11 + causes.SLIP * (high - low))
     np.testing.assert_array_equal(slipped(6.1, x, trimmed)[[0, 2, 3]], x[CONTROLS][[0, 2, 3]])
     product = causes.CAUSES["outside.product"].at_blades(0, aircraft, 1.0)
     np.testing.assert_allclose(product(1.0, x, trimmed)[3], 0.12 + causes.PICKED_UP * 0.02 * 0.2)
