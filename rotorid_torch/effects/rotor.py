@@ -142,6 +142,7 @@ class FlapSecondOrder(Effect):
                     "rad/s",
                     couplings,
                     0.3 * coupling,
+                    free=False,  # the rotor's speed is declared, and a coupling that may drift takes up a delay
                     doc="gyroscopic coupling",
                     typical=coupling,
                 ),

@@ -141,6 +141,7 @@ def _closed(dataset: Dataset, seed: int, device: str, monitor: Monitor) -> Loop:
         before = _again(first, tracing.null.spec, tracing.null.values, dataset, steps, {})
     if tracing.structure or undeclared:
         after = _again(base, tracing.final.spec, tracing.final.values, dataset, steps, sensors.values)
+        after = replace(after, fit=_with_spread(after.fit, tracing.spread))
     return _loop(after or before, before, after, findings, told, tracing.unknown, monitor, tracing)
 
 
@@ -193,6 +194,15 @@ def _again(
     return replace(
         base, model=model, spec=spec, fit=fit, regressions=regressions, estimate=found, overlays=judged.overlays
     )
+
+
+def _with_spread(fit: FitRecord, spread: Mapping[str, float]) -> FitRecord:
+    """The fit with standard errors no smaller than the scatter of a parameter from flight to flight."""
+    parameters = tuple(
+        msgspec.structs.replace(p, se=max(p.se or 0.0, spread[p.name])) if p.name in spread else p
+        for p in fit.parameters
+    )
+    return msgspec.structs.replace(fit, parameters=parameters)
 
 
 def _with_sensors(spec: ModelSpec, model: Model, sensors: Mapping[str, float]) -> tuple[ModelSpec, Model]:

@@ -50,7 +50,7 @@ class Tracing:
 
     null : the best model without undeclared effects. final : with those accepted. structure, accepted : their ids.
     groups : for an accepted effect the others that explain as much. findings : one of each effect that was tested.
-    unknown : what is left over without a name.
+    unknown : what is left over without a name. spread : jackknife over flights of the accepted effects' parameters.
     """
 
     null: Fitted
@@ -61,6 +61,7 @@ class Tracing:
     findings: tuple[Finding, ...]
     notes: tuple[str, ...] = ()
     unknown: Unknown | None = None
+    spread: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass
@@ -74,6 +75,7 @@ class _Search:
     rejected: dict[str, tuple[str, float, Mapping[str, tuple[float, float]]]] = field(default_factory=dict)
     hot: set[str] = field(default_factory=set)
     groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    spread: dict[str, float] = field(default_factory=dict)
 
     def with_effect(self, null: Fitted, effect: str, screened: Screen) -> Fitted:
         """The null with one more effect, fitted from the size that the screen saw."""
@@ -153,6 +155,7 @@ class _Search:
         same = tuple(e for e in near if beside is not None and beside.gain([e]) <= floors[e])
         if same:
             self.groups[best] = same
+        self.spread.update(screened.scatter(best))
         self.say(f"{best} joins" + (f", in a group with {', '.join(same)}" if same else ""))
         return best
 
@@ -200,7 +203,15 @@ def trace(
     missing = unknown(scan(over), search.floors.of_traces(), over)
     findings += _told(search, null, final, structure, accepted, undeclared, first, usual)
     return Tracing(
-        null, final, structure, tuple(accepted), search.groups, tuple(findings), (search.floors.note,), missing
+        null,
+        final,
+        structure,
+        tuple(accepted),
+        search.groups,
+        tuple(findings),
+        (search.floors.note,),
+        missing,
+        search.spread,
     )
 
 
