@@ -14,6 +14,7 @@ from rotorid_torch.core.ranks import ALONE
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.errors import InputError
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.run.checkpoint import Checkpoint, Steps
@@ -91,7 +92,7 @@ def close_loop(
     Parameters
     ----------
     out : folder of the run; an earlier RUN there is replaced when the new one is whole.
-    hybrid : let a small network learn what no named effect explains.
+    hybrid : let a small network learn what no named effect explains; refused for now.
     seed : of the drawn clean aircraft and the shuffled residuals.
 
     Raises
@@ -99,6 +100,10 @@ def close_loop(
     InputError : as `identify`.
     """
     monitor = monitor or Monitor()
+    if hybrid:
+        raise InputError(
+            "--hybrid", "", "no network is trained yet", "close-loop without it, which names what is missing"
+        )
     refuse(dataset, (), device)
     with ExitStack() as stack:
         folder = None

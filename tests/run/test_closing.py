@@ -63,6 +63,11 @@ def test_the_run_holds_model_pictures_and_page(closed: tuple[rotorid.Loop, Path]
     assert "control.delay" in (place / "report.html").read_text(encoding="utf-8")
 
 
+def test_a_network_is_refused_in_words():
+    with pytest.raises(rotorid.InputError, match="hybrid"):
+        rotorid.close_loop(late(0.06), hybrid=True)
+
+
 def test_where_no_aircraft_can_be_drawn_the_report_says_so(closed: tuple[rotorid.Loop, Path]):
     loop, _ = closed
     assert any("shuffled residuals" in w for w in loop.record.warnings)
