@@ -60,7 +60,6 @@ def test_help_lists_exactly_the_commands_that_exist(capsys: pytest.CaptureFixtur
     listed = [line.split()[0] for line in capsys.readouterr().out.splitlines() if line.startswith("    ")]
     assert leaving.value.code == 0
     assert sorted(set(listed) & set(COMMANDS)) == sorted(COMMANDS)
-    assert "close-loop" not in listed
 
 
 def test_help_is_quick_because_it_imports_no_torch():
