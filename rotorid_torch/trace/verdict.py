@@ -32,7 +32,7 @@ def statement(findings: Sequence[Finding], unknown: Unknown | None) -> Statement
         said = f"Something undeclared acts on this vehicle, {either}: these flights cannot tell which{sure}."
         return Statement("group", (*(f.id for f in named), *members), said)
     if named:
-        more = f" Something more is missing: {unknown.sentence}" if unknown else ""
+        more = f" {unknown.sentence.replace('Something is', 'Something more is')}" if unknown else ""
         return Statement("undeclared", tuple(f.id for f in named), f"Undeclared: {_listed(named)}.{more}")
     if unknown:
         return Statement("unknown", (), unknown.sentence)
