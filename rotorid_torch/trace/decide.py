@@ -128,7 +128,7 @@ def left_over(screened: Screen, effect: str, floor: float, explained_by: Sequenc
     return Finding(effect, role, "below floor", "it explains no more than it would on a clean aircraft", **keep)
 
 
-def errors(candidate: Fitted, effect: str) -> dict[str, tuple[float, float]]:
-    """Parameters of an effect with their standard errors."""
-    prefix = f"{effect}."
-    return {n: (v, candidate.error(n)) for n, v in candidate.values.items() if n.startswith(prefix)}
+def errors(candidate: Fitted, effect: str, spread: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+    """Parameters of an effect with their standard errors, no smaller than their scatter from flight to flight."""
+    own = {n: v for n, v in candidate.values.items() if n.startswith(f"{effect}.")}
+    return {n: (v, max(candidate.error(n), spread.get(n, 0.0))) for n, v in own.items()}

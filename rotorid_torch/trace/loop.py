@@ -146,7 +146,7 @@ class _Search:
         for e, reason in why.items():
             self.say(f"{e}: gain {gain(null, fitted[e]):.3g}, floor {floors[e]:.3g}: {reason or 'stands'}")
             if reason is not None:
-                self.rejected[e] = (reason, gain(null, fitted[e]), errors(fitted[e], e))
+                self.rejected[e] = (reason, gain(null, fitted[e]), errors(fitted[e], e, screened.scatter(e)))
         sane = [e for e, reason in why.items() if reason is None]
         if not sane:
             return None
@@ -246,7 +246,9 @@ def _told(
 ) -> list[Finding]:
     """One finding for each effect that was tested."""
     found = [
-        Finding(e, "structure", "accepted", "ordinary physics that flights not fitted ask for", values=errors(final, e))
+        Finding(
+            e, "structure", "accepted", "ordinary physics that flights not fitted ask for", values=errors(final, e, {})
+        )
         for e in structure
     ]
     last = screen(final, [e for e in undeclared if e not in accepted])
@@ -265,12 +267,14 @@ def _told(
                     said,
                     **keep,
                     group=search.groups[effect],
-                    values=errors(final, effect),
+                    values=errors(final, effect, search.spread),
                 )
             )
         elif effect in accepted:
             said = "no other effect explains it, and flights that no fit has seen are better described"
-            found.append(Finding(effect, "undeclared", "accepted", said, **keep, values=errors(final, effect)))
+            found.append(
+                Finding(effect, "undeclared", "accepted", said, **keep, values=errors(final, effect, search.spread))
+            )
         elif effect in grouped:
             best = grouped[effect]
             group = (best, *(e for e in search.groups[best] if e != effect))
