@@ -72,6 +72,19 @@ class Model(nn.Module):
         """The effects' own states, in the order of the flat state behind the body's."""
         return self.layout.states[len(self.body.states) :]
 
+    @property
+    def named_values(self) -> dict[str, float]:
+        """Every parameter's value by its full name."""
+        return dict(zip(self.parameter_set.names, self.theta.detach().tolist(), strict=True))
+
+    @torch.no_grad()
+    def start_from(self, values: Mapping[str, float]) -> None:
+        """Set the parameters among these that the model has, inside their bounds; the others stay."""
+        for name, value in values.items():
+            if name in self.parameter_set:
+                self.theta[self.parameter_set.index(name)] = value
+        self.theta.copy_(self.parameter_set.clamp(self.theta))
+
     def effect(self, name: str) -> Effect | None:
         """The effect of this id, or None."""
         return next((e for e in self.chain if e.id == name), None)

@@ -58,10 +58,7 @@ def build(spec: ModelSpec) -> Model:
         if name not in model.parameter_set:
             known = ", ".join(model.parameter_set.names)
             raise InputError("model", name, "there is no such parameter", f"one of {known}")
-    with torch.no_grad():
-        for name, value in spec.values.items():
-            model.theta[model.parameter_set.index(name)] = value
-        model.theta.copy_(model.parameter_set.clamp(model.theta))
+    model.start_from(spec.values)
     return model
 
 

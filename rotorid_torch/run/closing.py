@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import msgspec
-import torch
 
 from rotorid_torch.core.ranks import ALONE
 from rotorid_torch.data.dataset import Dataset
@@ -40,7 +39,6 @@ from rotorid_torch.trace.fits import Flights
 from rotorid_torch.trace.kinematic_findings import KinematicFinding
 from rotorid_torch.trace.kinematics import kinematic_findings
 from rotorid_torch.trace.loop import Tracing, trace
-from rotorid_torch.trace.sensor_correction import without_errors
 from rotorid_torch.trace.stochastic import stochastic_findings
 from rotorid_torch.trace.verdict import Statement, statement
 
@@ -127,7 +125,7 @@ def _closed(dataset: Dataset, seed: int, device: str, monitor: Monitor) -> Loop:
         monitor.say(f"sensors: {name} = {value:.4g}")
     base = identified(right, (), seed, steps) if sensors.effects else first
     flights = Flights(right, base.reconstruction)
-    start = dict(zip(base.model.parameter_set.names, base.model.theta.detach().tolist(), strict=True))
+    start = base.model.named_values
     with monitor.step("trace"):
         tracing = trace(
             base.spec,
@@ -143,9 +141,9 @@ def _closed(dataset: Dataset, seed: int, device: str, monitor: Monitor) -> Loop:
     before, after = first, None
     undeclared = bool(tracing.accepted or sensors.effects)
     if tracing.structure and undeclared:
-        before = _again(first, tracing.null.spec, tracing.null.values, dataset, steps, {})
+        before = _again(first, tracing.null.spec, tracing.null.values, dataset, at_one_rate(dataset), steps, {})
     if tracing.structure or undeclared:
-        after = _again(base, tracing.final.spec, tracing.final.values, dataset, steps, sensors.values)
+        after = _again(base, tracing.final.spec, tracing.final.values, dataset, right, steps, sensors.values)
         after = replace(after, fit=_with_spread(after.fit, tracing.spread))
     return _loop(after or before, before, after, findings, told, tracing.unknown, monitor, tracing)
 
@@ -177,17 +175,15 @@ def _again(
     spec: ModelSpec,
     values: Mapping[str, float],
     dataset: Dataset,
+    seen: Dataset,
     steps: Steps,
     sensors: Mapping[str, float],
 ) -> Run:
     """The steps again for a traced model, from its traced parameters; sensor errors act on the output that is judged.
 
-    sensors : errors that kinematics found, and that the records the steps run on are free of.
+    dataset : judged, as recorded. seen : what the steps run on, free of the errors `sensors` that kinematics found.
     """
     traced = {n: v for n, v in values.items() if any(n.startswith(f"{e}.") for e in spec.effects)}
-    seen = at_one_rate(dataset)
-    if sensors:
-        seen = without_errors(seen, {n.removeprefix("sensors."): v for n, v in sensors.items()})
     spec, model, regressions, found = estimated(
         msgspec.structs.replace(spec, values=traced), seen, base.reconstruction, steps
     )
@@ -215,10 +211,7 @@ def _with_sensors(spec: ModelSpec, model: Model, sensors: Mapping[str, float]) -
     effects = dict.fromkeys(".".join(n.split(".")[:2]) for n in sensors)
     richer = msgspec.structs.replace(spec, effects=(*spec.effects, *effects), values={**spec.values, **sensors})
     sensing = build(richer)
-    own = dict(zip(model.parameter_set.names, model.theta.detach().tolist(), strict=True))
-    with torch.no_grad():
-        for i, name in enumerate(sensing.parameter_set.names):
-            sensing.theta[i] = own.get(name, float(sensing.theta[i]))
+    sensing.start_from(model.named_values)
     return richer, sensing
 
 

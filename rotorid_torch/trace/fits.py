@@ -71,7 +71,7 @@ class Fitted:
     @property
     def values(self) -> dict[str, float]:
         """Every parameter by its full name."""
-        return dict(zip(self.model.parameter_set.names, self.model.theta.detach().tolist(), strict=True))
+        return self.model.named_values
 
     @property
     def cost(self) -> float:
@@ -134,12 +134,8 @@ def refit(
     held : parameters that keep their start.
     """
     model = build(spec)
+    model.start_from(start)
     known = model.parameter_set
-    values = known.values
-    for i, name in enumerate(known.names):
-        values[i] = start.get(name, float(values[i]))
-    with torch.no_grad():
-        model.theta.copy_(known.clamp(values))
     names = tuple(n for n in known.free if n not in held)
     places = [known.index(n) for n in names]
     settings = stages.Settings(

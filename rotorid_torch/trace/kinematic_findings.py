@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
 
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.trace.finding import Verdict
 from rotorid_torch.trace.sensor_correction import without_errors
-
-Verdict = Literal["accepted", "rejected", "below floor", "indistinguishable", "not testable"]
 
 
 @dataclass(frozen=True)

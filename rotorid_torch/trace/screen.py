@@ -7,7 +7,8 @@ the gain that the candidate would bring, its size, and the smallest size that th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
@@ -16,21 +17,14 @@ import msgspec
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.integrate import simulate
-from rotorid_torch.core.native.build import threads
-from rotorid_torch.core.native.dynamics import Dynamics
-from rotorid_torch.core.native.fallback import say_once
-from rotorid_torch.core.native.trace import Unsupported
 from rotorid_torch.effects.base import Stage
-from rotorid_torch.identification.segments import Segments
-from rotorid_torch.identification.system import System
+from rotorid_torch.identification.segments import Records, Segments
 from rotorid_torch.identification.whitening import Whitener
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.fits import Fitted
+from rotorid_torch.validate.free_run import Runs
 
-STRAYED = 1e6
-"""A simulation that leaves this range is held there."""
 PROBE = 1e-4
 """Perturbation of a state for its derivative, in the state's unit."""
 IMITATORS = 3
@@ -205,25 +199,22 @@ def screen(null: Fitted, effects: Sequence[str], shuffles: int = SHUFFLES, seed:
     """
     richer = msgspec.structs.replace(null.spec, effects=(*null.spec.effects, *effects))
     model = build(richer)
-    values = null.values
-    for i, name in enumerate(model.parameter_set.names):
-        model.theta[i] = values.get(name, float(model.theta[i]))
+    model.start_from(null.values)
     chosen = signatures(model, effects)
-    outputs = _Simulation.of(model, null.fit.likelihood.records.dt)
+    run = Runs.of(model)
     problem, place = null.fit.likelihood, null.fit.minimum.point
     keep = ~(null.fit.minimum.at_bound | null.fit.minimum.not_identifiable)
     chance = torch.Generator().manual_seed(seed)
     found, raw = [], torch.zeros(len(chosen), dtype=torch.float64)
-    tape = outputs.tape(model.theta, problem.records.controls)
-    paths = [e.id for e in model.chain if e.stage is Stage.CONTROL]
-    tapes = {s: outputs.tape(_at(model, s), problem.records.controls) for s in chosen if s.effect in paths}
+    tape, tapes = _tapes(model, problem.records, chosen)
     for part, whitener, rows in problem.by_flight(place):
         start = _starts(model, null, part.segments, part.run.states[:, 0])
-        base = outputs(model.theta, part.segments.take(tape), start)
+        base = run(start, part.segments.take(tape), part.segments.dt)[1]
         change = []
         for one in chosen:
-            own = part.segments.take(tapes.get(one, tape))
-            change.append(outputs(_at(model, one), own, start) - base)
+            with _sized(model, one):
+                own = part.segments.take(tapes.get(one, tape))
+                change.append(run(start, own, part.segments.dt)[1] - base)
         signature = _rows(whitener, torch.stack(change, dim=-1)) if change else rows[..., :0]
         raw += signature.square().sum((0, 1))
         nx = problem.locals_per_segment
@@ -244,12 +235,26 @@ def screen(null: Fitted, effects: Sequence[str], shuffles: int = SHUFFLES, seed:
     return Screen(chosen, left, raw, null.per_sample, absorbed)
 
 
-def _at(model: Model, one: Signature) -> Tensor:
-    """The model's parameters with one signature's at its typical size."""
-    theta = model.theta.clone()
-    for name, value in (*one.beside, (one.parameter, one.typical)):
-        theta[model.parameter_set.index(name)] = value
-    return theta
+@contextmanager
+def _sized(model: Model, one: Signature) -> Iterator[None]:
+    """The model with one signature at its typical size, and back again."""
+    before = model.theta.clone()
+    model.start_from(dict((*one.beside, (one.parameter, one.typical))))
+    yield
+    model.theta.copy_(before)
+
+
+def _tapes(model: Model, records: Records, chosen: Sequence[Signature]) -> tuple[Tensor, dict[Signature, Tensor]]:
+    """Control records [F, T, nu] behind the control path, and behind that of each signature which acts there.
+
+    Once for all segments: rate limits and plays go through a record sample by sample.
+    """
+    paths, tapes = [e.id for e in model.chain if e.stage is Stage.CONTROL], {}
+    for one in chosen:
+        if one.effect in paths:
+            with _sized(model, one):
+                tapes[one] = model.tape(records.controls, records.dt)
+    return model.tape(records.controls, records.dt), tapes
 
 
 def _largest(names: tuple[str, ...], shares: Tensor) -> tuple[str, ...]:
@@ -286,50 +291,6 @@ def _eliminated(products: Tensor, prior: Tensor, count: int) -> tuple[Tensor, Te
     scaled = (vectors * inverse) @ vectors.mT @ (total[:count, count:] / scale[:, None])
     passed = torch.cat([-scaled / scale[:, None], torch.eye(products.shape[-1] - count, dtype=torch.float64)])
     return passed.mT @ products @ passed + passed.mT @ prior @ passed / len(products), scaled
-
-
-@dataclass(frozen=True, eq=False)
-class _Simulation:
-    """The richer model's outputs on segments, for any of its parameters."""
-
-    system: System
-    model: Model
-    dt: float
-    compiled: Dynamics | None
-
-    @classmethod
-    def of(cls, model: Model, dt: float) -> _Simulation:
-        system = System(model, model.parameter_set.names)
-        x, u = (
-            torch.tensor([model.reference.get(n, 0.0) for n in names], dtype=torch.float64)
-            for names in (model.layout.names, model.body.controls)
-        )
-        try:
-            dynamics = Dynamics.of(
-                lambda x, u, theta: model.rates(theta, x, u),
-                lambda x, u, theta: model.outputs_at(theta, x, u),
-                x,
-                u,
-                model.theta.detach(),
-            )
-            dynamics.build()
-        except Unsupported as error:
-            say_once(f"candidates are simulated in torch, many times slower than compiled: {error}")
-            return cls(system, model, dt, None)
-        return cls(system, model, dt, dynamics)
-
-    def tape(self, theta: Tensor, controls: Tensor) -> Tensor:
-        """The control records [F, T, nu] behind the control path; once for all segments, for some paths are slow."""
-        return self.system.tape(theta, controls, self.dt)
-
-    def __call__(self, theta: Tensor, controls: Tensor, start: Tensor) -> Tensor:
-        """Outputs [S, T, ny] under controls [S, T, nu] from initial states [S, nx]."""
-        if self.compiled is None:
-            states = simulate(
-                lambda t, x, u: self.model.rates(theta, x.clamp(-STRAYED, STRAYED), u), start, controls, self.dt
-            )
-            return self.model.outputs_at(theta, states, controls)
-        return self.compiled.simulate(theta, start, controls, self.dt, STRAYED, threads())[1]
 
 
 def _starts(model: Model, null: Fitted, segments: Segments, states: Tensor) -> Tensor:
