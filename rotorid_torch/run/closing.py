@@ -134,6 +134,7 @@ def _closed(dataset: Dataset, seed: int, device: str, monitor: Monitor) -> Loop:
             flights,
             lambda spec, effects: clean_floors(right, spec, effects, seed, monitor.say),
             monitor.say,
+            seed,
         )
         shaken = stochastic_findings(right, base.spec, start)
     findings = (*map(_of_sensors, sensors.findings), *_replaced(tracing.findings, shaken))

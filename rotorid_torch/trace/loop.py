@@ -66,21 +66,36 @@ class Tracing:
 
 @dataclass
 class _Search:
-    """The state of the search: the model so far, and what was found on the way."""
+    """The state of the search: the model so far, and what was found on the way.
+
+    seed : of the shuffled residuals. asked_for : whether flights not fitted gain by the rotor's ordinary physics.
+    """
 
     flights: Flights
     held: tuple[str, ...]
     floors: Floors
     say: Say
+    seed: int
+    asked_for: bool = False
     rejected: dict[str, tuple[str, float, Mapping[str, tuple[float, float]]]] = field(default_factory=dict)
     hot: set[str] = field(default_factory=set)
     groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
     spread: dict[str, float] = field(default_factory=dict)
 
+    def screened(self, null: Fitted, effects: Sequence[str]) -> Screen:
+        """These effects against what a model leaves over."""
+        return screen(null, effects, seed=self.seed)
+
     def with_effect(self, null: Fitted, effect: str, screened: Screen) -> Fitted:
         """The null with one more effect, fitted from the size that the screen saw."""
         spec = msgspec.structs.replace(null.spec, effects=(*null.spec.effects, effect))
         return refit(spec, self.flights, {**null.values, **screened.sizes([effect])}, self.held)
+
+    def why(self, structural: str) -> str:
+        """Why a structural effect is in the model."""
+        if structural in ROTOR and not self.asked_for:
+            return "ordinary physics of every rotor; flights not fitted do not gain by it"
+        return "ordinary physics that flights not fitted ask for"
 
     def improved(self, null: Fitted, fitted: Mapping[str, Fitted]) -> Fitted:
         """The null fitted again from where the best candidate ended: what it gains so is not the candidate's."""
@@ -100,12 +115,13 @@ class _Search:
             spec = msgspec.structs.replace(null.spec, effects=(*null.spec.effects, *rotor))
             sizes = screen(null, rotor, shuffles=0).sizes(rotor)
             richer = refit(spec, self.flights, {**null.values, **sizes}, self.held)
+            self.asked_for = helps(unseen_gain(null, richer))
             if gain(null, richer) > 0.0:
                 self.say(f"structure: {' and '.join(rotor)} join, gain {gain(null, richer):.3g} per sample")
                 null = richer
         rest = [e for e in candidates if e not in rotor]
         while rest:
-            screened = screen(null, rest)
+            screened = self.screened(null, rest)
             floors = self.floors.chance(screened, rest)
             best = max(rest, key=lambda e: screened.gain([e]))
             if screened.gain([best]) <= floors[best]:
@@ -123,7 +139,7 @@ class _Search:
         accepted: list[str] = []
         for _ in range(ROUNDS):
             rest = [e for e in candidates if e not in accepted]
-            screened = screen(null, rest)
+            screened = self.screened(null, rest)
             floors = self.floors.of(screened, rest)
             promising = sorted((e for e in rest if screened.gain([e]) > floors[e]), key=lambda e: -screened.gain([e]))
             self.hot.update(promising)
@@ -151,7 +167,7 @@ class _Search:
         if not sane:
             return None
         best, near = rivals(null, fitted, floors, sane)
-        beside = screen(fitted[best], near) if near else None
+        beside = self.screened(fitted[best], near) if near else None
         same = tuple(e for e in near if beside is not None and beside.gain([e]) <= floors[e])
         if same:
             self.groups[best] = same
@@ -179,6 +195,7 @@ def trace(
     flights: Flights,
     floors: Callable[[ModelSpec, Sequence[str]], Floors],
     say: Say = lambda line: None,
+    seed: int = 0,
 ) -> Tracing:
     """Which effects the model of a spec lacks.
 
@@ -186,16 +203,16 @@ def trace(
     ----------
     start : its parameters as identified. held : those that keep their values.
     floors : gains of these effects on clean aircraft, for the model with its structural effects.
-    say : told what happens, a line at a time.
+    say : told what happens, a line at a time. seed : of the shuffled residuals.
     """
     testable, findings = candidates(spec)
-    search = _Search(flights, tuple(held), Floors({}, ""), say)
+    search = _Search(flights, tuple(held), Floors({}, ""), say, seed)
     null = refit(spec, flights, start, held)
     null = search.structure(null, [e for e in testable if registered()[e].role is Role.STRUCTURE])
     structure = tuple(e for e in null.spec.effects if e not in spec.effects)
     undeclared = [e for e in testable if registered()[e].role is Role.UNDECLARED]
     search.floors = floors(null.spec, undeclared)
-    first = screen(null, undeclared)
+    first = search.screened(null, undeclared)
     usual = search.floors.of(first, undeclared)
     final, accepted = search.undeclared(null, undeclared)
     final, accepted = search.confirmed(final, accepted, usual)
@@ -245,13 +262,8 @@ def _told(
     floors: Mapping[str, float],
 ) -> list[Finding]:
     """One finding for each effect that was tested."""
-    found = [
-        Finding(
-            e, "structure", "accepted", "ordinary physics that flights not fitted ask for", values=errors(final, e, {})
-        )
-        for e in structure
-    ]
-    last = screen(final, [e for e in undeclared if e not in accepted])
+    found = [Finding(e, "structure", "accepted", search.why(e), values=errors(final, e, {})) for e in structure]
+    last = search.screened(final, [e for e in undeclared if e not in accepted])
     grouped = {e: best for best, others in search.groups.items() if best in accepted for e in others}
     for effect in undeclared:
         visible = smallest_visible(first, effect, floors[effect])
