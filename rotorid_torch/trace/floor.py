@@ -23,7 +23,7 @@ class Floors:
 
     The gain of a clean aircraft is at least what chance gives: that of its residual once its time has been shuffled.
 
-    note : how many were drawn, or why none. traces : shares of the equations' residuals that anything explains [D].
+    note : how many were drawn, or why none. traces : sizes in the equations of what looks like something unknown [D].
     """
 
     gains: Mapping[str, Tensor]

@@ -1,13 +1,13 @@
 """What no named effect explains: in which equation, with what it goes, since when, in which band. Never a name.
 
 Forces and moments that step 1 found, less those of the model on the measured motion. What linear terms could still take
-up is projected out of both sides; what is left is compared with products of the motion and controls, and with
-everything linear that begins at some time.
+up is projected out of both sides; what is left is compared with products of the motion and controls, with what grows
+faster than its channel or levels off, and with everything linear that begins at some time.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 
@@ -34,10 +34,10 @@ SMOOTH_S = 0.25
 
 @dataclass(frozen=True)
 class Trace:
-    """The best description of what an equation leaves over: share of its square, what it goes with, since when."""
+    """The best description of what an equation leaves over: what it goes with and how, since when, its rms size."""
 
-    share: float
     goes_with: str
+    shape: str
     since_s: float | None
     size: float
 
@@ -104,39 +104,46 @@ def scan(left: LeftOver) -> dict[str, Trace]:
     def beyond(values: Tensor) -> Tensor:
         return values - basis @ (basis.mT @ values)
 
-    names, columns = [], []
+    names, columns = zip(*_shapes(left), *_onsets(left), strict=True)
+    tried = beyond(torch.stack(columns, dim=-1))
+    sizes = (tried / tried.norm(dim=0).clamp_min(1e-300)).mT @ beyond(left.residual) / len(left.residual) ** 0.5
+    best = sizes.abs().argmax(dim=0).tolist()
+    return {
+        row: Trace(*names[i], size=float(sizes[i, k].abs()))
+        for k, (row, i) in enumerate(zip(left.rows, best, strict=True))
+    }
+
+
+Named = tuple[tuple[str, str, float | None], Tensor]
+"""What something goes with, how, since when; and its column [N]."""
+
+
+def _shapes(left: LeftOver) -> Iterator[Named]:
+    """What the motion and the controls make beyond linear terms."""
+    usual = left.signals.square().mean(dim=0).sqrt().clamp_min(1e-300)
     for i, j in combinations_with_replacement(range(len(left.names)), 2):
         a, b = left.signals[:, i], left.signals[:, j]
-        names.append((f"{left.names[i]} {left.names[j]}", None))
-        columns.append(a * b)
         if i == j:
-            names.append((f"{left.names[i]} |{left.names[i]}|", None))
-            columns.append(a * a.abs())
+            yield (left.names[i], "by its square", None), a * a
+            yield (left.names[i], "growing faster than it", None), a * a.abs()
+            yield (left.names[i], "levelling off", None), torch.tanh(a / usual[i])
+        else:
+            yield (f"{left.names[i]} {left.names[j]}", "by their product", None), a * b
+
+
+def _onsets(left: LeftOver) -> Iterator[Named]:
+    """What begins at some time and goes on linearly."""
     end = float(left.time.max())
     for onset in torch.arange(EDGE_S, end - EDGE_S, ONSET_S, dtype=torch.float64).tolist():
         after = (left.time >= onset).to(torch.float64)
         for i, name in enumerate(left.names):
-            names.append((name, onset))
-            columns.append(left.signals[:, i] * after)
-        names.append(("time", onset))
-        columns.append(after)
-    tried = beyond(torch.stack(columns, dim=-1))
-    residual = beyond(left.residual)
-    scale = tried.norm(dim=0).clamp_min(1e-300)
-    total = residual.norm(dim=0).clamp_min(1e-300)
-    overlap = (tried / scale).mT @ (residual / total)
-    found = {}
-    for k, row in enumerate(left.rows):
-        best = int(overlap[:, k].abs().argmax())
-        goes_with, since = names[best]
-        size = float(overlap[best, k].abs() * total[k]) / len(residual) ** 0.5
-        found[row] = Trace(float(overlap[best, k] ** 2), goes_with, since, size)
-    return found
+            yield (name, "", onset), left.signals[:, i] * after
+        yield ("time", "", onset), after
 
 
 def unknown(traces: Mapping[str, Trace], floors: Mapping[str, float], left: LeftOver) -> Unknown | None:
     """The equation whose trace stands highest above what clean aircraft leave; None where none does."""
-    above = {row: t.share / floors[row] for row, t in traces.items() if floors.get(row, 0.0) > 0.0}
+    above = {row: t.size / floors[row] for row, t in traces.items() if floors.get(row, 0.0) > 0.0}
     if not above:
         return None
     where = max(above, key=lambda row: above[row])
@@ -144,10 +151,11 @@ def unknown(traces: Mapping[str, Trace], floors: Mapping[str, float], left: Left
         return None
     found, unit = traces[where], "m/s2" if where in FORCES else "rad/s2"
     band = _band(left, where)
+    how = f" ({found.shape})" if found.shape else ""
     began = "" if found.since_s is None else f", since {found.since_s:.1f} s into the flights"
     said = (
         f"Something is missing in {where}: {found.size:.2g} {unit} rms at {band[0]:.2g} to {band[1]:.2g} Hz go with"
-        f" {found.goes_with}{began}; no effect of the library explains it."
+        f" {found.goes_with}{how}{began}; no effect of the library explains it."
     )
     return Unknown(where, band, found.goes_with, found.since_s, said)
 

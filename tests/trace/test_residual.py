@@ -35,8 +35,25 @@ def test_a_product_is_found_in_its_equation(signals: Tensor):
     found = scan(left("L", signals[:, 1] * signals[:, 3]))
     assert found["L"].goes_with == "p col"
     assert found["L"].since_s is None
-    assert found["L"].share > 0.8
-    assert max(found[row].share for row in ROWS if row != "L") < 0.2
+    assert found["L"].size > 0.5
+    assert max(found[row].size for row in ROWS if row != "L") < 0.05
+
+
+@pytest.mark.parametrize(
+    ("shape", "said"),
+    [
+        (lambda x: torch.tanh(3.0 * x), "levelling off"),
+        (lambda x: x * x.abs(), "growing faster than it"),
+        (torch.square, "by its square"),
+    ],
+)
+def test_a_curve_over_one_channel_is_told_by_the_channel_and_its_shape(signals: Tensor, shape, said: str):
+    over = left("M", shape(signals[:, 2]))
+    found = scan(over)
+    assert (found["M"].goes_with, found["M"].shape, found["M"].since_s) == ("q", said, None)
+    told = unknown(found, dict.fromkeys(ROWS, 0.05), over)
+    assert told is not None
+    assert f"go with q ({said})" in told.sentence
 
 
 def test_what_begins_late_is_dated(signals: Tensor):
@@ -47,7 +64,7 @@ def test_what_begins_late_is_dated(signals: Tensor):
 
 
 def test_what_linear_terms_can_take_up_is_not_left_over(signals: Tensor):
-    assert scan(left("N", 3.0 * signals[:, 0]))["N"].share < 0.2
+    assert scan(left("N", 3.0 * signals[:, 0]))["N"].size < 0.02
 
 
 def test_below_the_floors_nothing_is_told_and_above_them_no_name(signals: Tensor):
