@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -27,19 +28,21 @@ def reading(dataset: Dataset) -> Iterator[Finding]:
 
 
 def condensed(warnings: Sequence[str]) -> list[tuple[str, str]]:
-    """Flight and sentence of a data set's warnings; those of several flights become one, with the first flight's."""
-    general, by_flight = [], dict[str, list[str]]()
+    """Flight and sentence of a data set's warnings; of those that differ in numbers only, the first flight's."""
+    found, others = dict[str, tuple[str, str]](), dict[str, list[str]]()
     for sentence in warnings:
         name, _, rest = sentence.partition(": ")
-        if name.startswith("flight ") and rest:
-            by_flight.setdefault(name.removeprefix("flight "), []).append(rest)
-        else:
-            general.append(("", sentence))
-    if not by_flight:
-        return general
-    first, *others = by_flight
-    more = f" (likewise in {', '.join(others)})" if others else ""
-    return [*general, (first, f"{'; '.join(by_flight[first])}{more}")]
+        flight, told = (name.removeprefix("flight "), rest) if name.startswith("flight ") and rest else ("", sentence)
+        kind = f"{bool(flight)} {re.sub(r'[-+]?[0-9][-+.e0-9]*', '#', told.removesuffix('s'))}"
+        if kind in found and flight not in (found[kind][0], *others[kind]):
+            others[kind].append(flight)
+        elif kind not in found:
+            found[kind], others[kind] = (flight, told), []
+    return [(flight, told + _likewise(others[kind])) for kind, (flight, told) in found.items()]
+
+
+def _likewise(flights: Sequence[str]) -> str:
+    return f" (likewise in {', '.join(flights)})" if flights else ""
 
 
 def gaps(dataset: Dataset) -> Iterator[Finding]:

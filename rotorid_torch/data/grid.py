@@ -11,6 +11,7 @@ import torch
 from rotorid_torch.core import names
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.read import Arrays
+from rotorid_torch.data.spikes import without_spikes
 from rotorid_torch.errors import InputError
 
 UNIFORM = 0.01
@@ -28,6 +29,8 @@ def make_flight(name: str, arrays: Arrays, file: str | Path) -> tuple[Flight, li
     """Flight from raw arrays, and sentences on what had to be changed. `file` is named in errors. Raises InputError."""
     checked = _check_shapes(arrays, file)
     _check_time(checked["time"], file)
+    _check_finite(checked, file)
+    checked, spiky = without_spikes(checked)
     for channel, values in checked.items():
         _check_values(channel, values, file)
     for angle in ("phi", "psi"):
@@ -35,7 +38,8 @@ def make_flight(name: str, arrays: Arrays, file: str | Path) -> tuple[Flight, li
             checked[angle] = unwrap(checked[angle])
     dt, resampled, warnings = resample(checked)
     tensors = {channel: torch.from_numpy(np.ascontiguousarray(values)) for channel, values in resampled.items()}
-    return Flight(name, dt, MappingProxyType(tensors)), [f"flight {name}: {sentence}" for sentence in warnings]
+    told = [f"flight {name}: {sentence}" for sentence in (*spiky, *warnings)]
+    return Flight(name, dt, MappingProxyType(tensors)), told
 
 
 def _check_shapes(arrays: Arrays, file: str | Path) -> Arrays:
@@ -77,15 +81,15 @@ def _check_time(time: np.ndarray, file: str | Path) -> None:
         )
 
 
+def _check_finite(arrays: Arrays, file: str | Path) -> None:
+    for channel, values in arrays.items():
+        infinite = np.isinf(values)
+        if infinite.any():
+            told = f"is infinite at sample {int(infinite.argmax())}"
+            raise InputError(file, channel, told, "finite numbers, or NaN for a missing sample")
+
+
 def _check_values(channel: str, values: np.ndarray, file: str | Path) -> None:
-    infinite = np.isinf(values)
-    if infinite.any():
-        raise InputError(
-            file,
-            channel,
-            f"is infinite at sample {int(infinite.argmax())}",
-            "finite numbers, or NaN for a missing sample",
-        )
     known = names.channel(channel)
     if known is None:
         return
