@@ -139,11 +139,11 @@ FLIGHTS = {
     "no samples": ({name: values[:0] for name, values in small_flight().items()}, ["time: has 0 samples"]),
     "no controls": (without("lat", "lon"), ["lon: is missing", "control"]),
     "a control all nan": (with_channel("lat", NAN), ["lat: is all NaN"]),
-    "theta in degrees": (with_value("theta", 50, 2.8), ["theta: reaches 2.8", "degrees"]),
+    "theta in degrees": (with_value("theta", slice(50, 90), 2.8), ["theta: reaches 2.8", "degrees"]),
     "attitude in small degrees": (scaled(57.3 / 8, "phi") | {"p": small_flight()["p"] / 8}, ["phi: moves", "degrees"]),
     "rates in degrees": (scaled(57.3, "p"), ["p: is", "degrees"]),
     "roll in degrees": (scaled(57.3, "phi"), ["phi: ", "degrees"]),
-    "blade angle in degrees": (with_value("lat", 60, 8.0), ["lat: reaches 8", "degrees"]),
+    "blade angle in degrees": (with_value("lat", slice(60, 90), 8.0), ["lat: reaches 8", "degrees"]),
 }
 
 
