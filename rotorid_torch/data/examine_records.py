@@ -28,12 +28,13 @@ def reading(dataset: Dataset) -> Iterator[Finding]:
 
 
 def condensed(warnings: Sequence[str]) -> list[tuple[str, str]]:
-    """Flight and sentence of a data set's warnings; of those that differ in numbers only, the first flight's."""
+    """Flight and sentence of a data set's warnings; of those that begin alike, the first flight's and who else has it."""
     found, others = dict[str, tuple[str, str]](), dict[str, list[str]]()
     for sentence in warnings:
         name, _, rest = sentence.partition(": ")
         flight, told = (name.removeprefix("flight "), rest) if name.startswith("flight ") and rest else ("", sentence)
-        kind = f"{bool(flight)} {re.sub(r'[-+]?[0-9][-+.e0-9]*', '#', told.removesuffix('s'))}"
+        words = " ".join(told.split()[:2]).removesuffix("s") if flight else told
+        kind = re.sub("[0-9]+ ", "# ", words)
         if kind in found and flight not in (found[kind][0], *others[kind]):
             others[kind].append(flight)
         elif kind not in found:
