@@ -15,7 +15,6 @@ from rotorid_torch.effects.base import Role, Showing
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.decide import (
-    at_edge,
     errors,
     gain,
     helps,
@@ -129,8 +128,9 @@ class _Search:
             fitted = self.with_effect(null, best, screened)
             null = self.improved(null, {best: fitted})
             rest.remove(best)
-            if gain(null, fitted) > floors[best] and _ordinary(null, fitted, best):
-                self.say(f"structure: {best} joins, gain {gain(null, fitted):.3g} per sample")
+            against = objection(null, fitted, best, floors[best], screened)
+            self.say(f"structure: {best}, gain {gain(null, fitted):.3g} per sample: {against or 'joins'}")
+            if against is None:
                 null = fitted
         return null
 
@@ -244,11 +244,6 @@ def candidates(spec: ModelSpec) -> tuple[list[str], list[Finding]]:
         else:
             untestable.append(Finding(name, effect.role.value, "not testable", reason))
     return testable, untestable
-
-
-def _ordinary(null: Fitted, candidate: Fitted, effect: str) -> bool:
-    """Whether a structural effect helps flights that no fit has seen, with numbers inside their ranges."""
-    return at_edge(candidate, effect) is None and helps(unseen_gain(null, candidate))
 
 
 def _told(
