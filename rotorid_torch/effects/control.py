@@ -9,6 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.names import is_control
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.effects.base import Effect, Role, Stage, Values
 from rotorid_torch.effects.record import lagged, rate_limited, shifted, with_play
@@ -22,8 +23,10 @@ EXCURSION = 0.02
 
 
 def per_control(p: Values, common: str, names: tuple[str, ...]) -> Tensor:
-    """The parameter of all controls plus each control's own [..., nu]."""
-    return torch.stack([p[common] + p[n] if n in p.names else p[common] for n in names], dim=-1)
+    """The parameter of all controls plus each control's own [..., nu]; zero for other inputs, which are measured."""
+    none = torch.zeros_like(p[common])
+    shared = (p[common] if is_control(n) else none for n in names)
+    return torch.stack([s + p[n] if n in p.names else s for s, n in zip(shared, names, strict=True)], dim=-1)
 
 
 def excursion(spec: ModelSpec) -> float:

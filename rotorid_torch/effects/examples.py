@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES, SPECIFIC_FORCES, STICKS, VELOCITIES
 from rotorid_torch.effects.base import Effect
-from rotorid_torch.effects.spec import ModelSpec, RotorSpec
+from rotorid_torch.effects.spec import ModelSpec, MotorSpec, RotorSpec
 
 BODY = (*VELOCITIES, *RATES, "phi", "theta")
 MOTORS = tuple(f"motor{k}" for k in range(1, 5))
+ARM = 0.028
+"""m: of the quadrotor's motors, forward and to the side."""
 CHANNELS = (*SPECIFIC_FORCES, "pdot", "qdot", "rdot")
 SIZES = {"u": 1.5, "v": 1.5, "w": 0.7, "p": 0.1, "q": 0.07, "r": 0.07, "phi": 0.1, "theta": 0.08}
 ROWS = {f"row.{row}": size for row, size in zip((*FORCES, *MOMENTS), (0.5, 0.5, 1.0, 0.5, 0.3, 0.2), strict=True)}
@@ -35,13 +37,17 @@ MULTIROTOR = ModelSpec(
     states=BODY,
     controls=MOTORS,
     outputs=(*BODY, *CHANNELS),
+    inputs=("voltage",),
     reference=dict.fromkeys((*BODY, "psi"), 0.0) | dict.fromkeys(MOTORS, 0.6) | TRIM | {"height": 1.0, "voltage": 3.9},
     sizes=SIZES | ROWS | dict.fromkeys(MOTORS, 0.05),
     ranges={},
-    patterns=dict.fromkeys((*FORCES, *MOMENTS), (*VELOCITIES, *RATES, *MOTORS)),
+    patterns=dict.fromkeys((*FORCES, *MOMENTS), ()),
     control_units=dict.fromkeys(MOTORS, "norm"),
     mass=0.03,
     inertia=((1.66e-5, 0.0, 0.0), (0.0, 1.67e-5, 0.0), (0.0, 0.0, 2.93e-5)),
+    motors=tuple(
+        MotorSpec(position=(x * ARM, y * ARM, 0.0), spin=x * y) for x, y in ((1, 1), (-1, 1), (-1, -1), (1, -1))
+    ),
     spins=(1.0, -1.0, 1.0, -1.0),
 )
 """A small quadrotor in hover."""

@@ -7,13 +7,16 @@ from torch import Tensor
 
 from rotorid_torch.core.names import VELOCITIES, is_motor
 from rotorid_torch.core.parameters import Parameter
-from rotorid_torch.core.rigid import vec
-from rotorid_torch.core.state import State
-from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Values
+from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
 from rotorid_torch.effects.record import lagged
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.effects.testable import first, no_channel, no_forces, no_motors, no_velocities
+from rotorid_torch.effects.testable import first, no_forces, no_motors, no_velocities
+
+LARGE_SPEED = 1e3
+"""rad/s: speeds of small rotors are thousands, where commands are one."""
+LEAST_VOLTAGE = 0.05
+"""Share of the reference below which a voltage is a fault of its sensor."""
 
 
 def motors_of(spec: ModelSpec) -> tuple[str, ...]:
@@ -52,23 +55,18 @@ class MotorLag(Effect):
 
 @register
 class Voltage(Effect):
-    """Battery voltage in the thrust: commands count times (V/V_ref)^exponent; the voltage falls with the commands.
+    """Battery voltage at the motors: commands, or the speeds that follow from them, count times (V/V_ref)^exponent.
 
-    dV/dt = -sag (mean command); the voltage is a state that starts at its channel.
+    The voltage is the measured one, so that its sag under load is in it.
 
     Source: Foerster, System Identification of the Crazyflie 2.0 (ETH, 2015), sec. 3.2 (thrust and battery).
     """
 
-    id, stage, role, showing = "propulsion.voltage", Stage.ENVIRONMENT, Role.UNDECLARED, Showing.OTHER_FLIGHTS
-    predicts = ("voltage",)
+    id, stage, role = "propulsion.voltage", Stage.CONTROL, Role.UNDECLARED
 
     def __init__(self, motors: tuple[str, ...], voltage: float) -> None:
         super().__init__(
-            (
-                Parameter("exponent", 0.0, "1", (0.0, 4.0), doc="power of the voltage in the thrust", typical=1.5),
-                Parameter("sag", 0.0, "V/s", (0.0, 1.0), doc="fall of the voltage at full command", typical=0.01),
-            ),
-            (State("voltage", "V", "battery voltage", "voltage"),),
+            (Parameter("exponent", 0.0, "1", (0.0, 4.0), doc="power of the voltage in command or speed", typical=1.0),)
         )
         self.motors, self.voltage = motors, voltage
 
@@ -80,42 +78,50 @@ class Voltage(Effect):
     @classmethod
     def untestable(cls, spec: ModelSpec) -> str | None:
         """Without motors or voltage."""
-        return first(no_motors(spec), no_channel(spec, "voltage"))
+        unmeasured = None if "voltage" in spec.inputs else "the channel voltage is missing"
+        return first(no_motors(spec), unmeasured)
 
-    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
-        """Commands as the voltage lets them count; the voltage's rate."""
-        factor = torch.exp(p["exponent"] * torch.log((x[..., 0] / self.voltage).clamp(min=0.05)))
-        commands = frame.stack(self.motors)
-        counted = (commands * factor.unsqueeze(-1)).unbind(-1)
-        frame = frame.with_signals(voltage=x[..., 0], **dict(zip(self.motors, counted, strict=True)))
-        return frame, (-p["sag"] * commands.mean(-1)).unsqueeze(-1)
+    def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
+        """Controls [..., T, nu], motor commands as the voltage lets them count."""
+        share = record[..., names.index("voltage"), None].clamp(min=LEAST_VOLTAGE * self.voltage) / self.voltage
+        factor = torch.exp(p["exponent"][..., None, None] * torch.log(share))
+        counted = torch.tensor([n in self.motors for n in names], device=record.device)
+        return torch.where(counted, record * factor, record)
 
 
 @register
 class RotorInertia(Effect):
-    """Reaction to rotors that speed up: N += k d(sum of spin x command)/dt, the rate through a lag of tau.
+    """Rotors that speed up turn the body: body and rotors keep their angular momentum about the yaw axis.
+
+    What the torques integrate is r - N (sum of spin times command or speed, less that at the reference): the state r of
+    the model. The rate itself is a signal and an output; its reaction to a sudden command is exact.
 
     Source: Mahony, Kumar and Corke, IEEE Robotics and Automation Magazine 19 (2012), eq. 6 (rotor acceleration).
     """
 
-    id, stage, role = "propulsion.rotor_inertia", Stage.FORCES, Role.UNDECLARED
+    id, stage, role = "propulsion.rotor_inertia", Stage.ENVIRONMENT, Role.UNDECLARED
 
-    def __init__(self, motors: tuple[str, ...], spins: tuple[float, ...], reference: dict[str, float]) -> None:
+    def __init__(self, driven: tuple[str, ...], spins: tuple[float, ...], reference: dict[str, float]) -> None:
+        size = 1.0 if driven[0] in reference and is_motor(driven[0]) else LARGE_SPEED
         super().__init__(
             (
                 Parameter(
-                    "N", 0.0, "rad/s", (0.0, 20.0), doc="yaw by the rate of the commands' difference", typical=0.5
+                    "N",
+                    0.0,
+                    "rad/s" if size == 1.0 else "1",
+                    (0.0, 20.0 / size),
+                    doc="yaw rate by the sum of spin times command or speed",
+                    typical=2.0 / size,
                 ),
-                Parameter("tau", 0.05, "s", (0.02, 0.3), 0.03, doc="in which the rotors follow", typical=0.05),
-            ),
-            (State("difference", "1", "sum of spin times command that the rotors have reached"),),
+            )
         )
-        self.motors, self.spins = motors, spins
+        self.driven, self.spins = driven, spins
+        self.at = sum(s * reference.get(n, 0.0) for s, n in zip(spins, driven, strict=True))
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> RotorInertia:
         """With the declared spins."""
-        return cls(motors_of(spec), spec.spins, spec.reference)
+        return cls(spec.driven, spec.spins, spec.reference)
 
     @classmethod
     def untestable(cls, spec: ModelSpec) -> str | None:
@@ -124,46 +130,42 @@ class RotorInertia(Effect):
         return first(no_motors(spec), spins)
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
-        """Adds the reaction; the rate of what the rotors have reached."""
-        wanted = sum((s * frame.signals[m] for s, m in zip(self.spins, self.motors, strict=True)), 0.0 * x[..., 0])
-        rate = (wanted - x[..., 0]) / p["tau"]
-        yaw = p["N"] * rate
-        zero = torch.zeros_like(yaw)
-        return frame.add(moment=vec(zero, zero, yaw)), rate.unsqueeze(-1)
+        """The rate of the body behind what the rotors have taken of the momentum."""
+        total = sum((s * frame.signals[n] for s, n in zip(self.spins, self.driven, strict=True)), -self.at)
+        return frame.with_signals(r=frame.signals["r"] + p["N"] * total), x
 
 
 @register
 class RotorDrag(Effect):
-    """Drag of the rotors in their own plane and along it, linear in speed, growing with the commands.
+    """Drag of the rotors in their own plane and inflow along their axes, linear in speed, growing with the rotors'.
 
-    X -= xy s u, Y -= xy s v, Z -= z s w with s the sum of the commands over its reference.
+    X -= xy s u, Y -= xy s v, Z -= z s w with s the sum of the commands or speeds over that at the reference.
 
     Source: Faessler, Franchi and Scaramuzza, IEEE Robotics and Automation Letters 3 (2018); Foerster (2015), sec. 3.4.
     """
 
-    id, stage, role, showing = "propulsion.rotor_drag", Stage.FORCES, Role.UNDECLARED, Showing.ABSORBED
+    id, stage, role = "propulsion.rotor_drag", Stage.FORCES, Role.UNDECLARED
 
-    def __init__(self, motors: tuple[str, ...], total: float) -> None:
+    def __init__(self, driven: tuple[str, ...], total: float) -> None:
         super().__init__(
             (
                 Parameter("xy", 0.0, "1/s", (0.0, 5.0), doc="drag in the rotors' plane", typical=0.3),
-                Parameter("z", 0.0, "1/s", (0.0, 5.0), doc="drag along the rotors' axes", typical=0.3),
+                Parameter("z", 0.0, "1/s", (0.0, 5.0), doc="axial inflow: thrust lost by climbing", typical=0.3),
             )
         )
-        self.motors, self.total = motors, total
+        self.driven, self.total = driven, total
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> RotorDrag:
-        """About the reference's commands."""
-        motors = motors_of(spec)
-        return cls(motors, sum(spec.reference.get(m, 0.0) for m in motors) or 1.0)
+        """About the reference's commands or speeds."""
+        return cls(spec.driven, sum(spec.reference.get(n, 0.0) for n in spec.driven) or 1.0)
 
     @classmethod
     def untestable(cls, spec: ModelSpec) -> str | None:
-        """Without motors or velocities."""
+        """Without motors, velocities or forces."""
         return first(no_motors(spec), no_velocities(spec), no_forces(spec))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds the drag."""
-        share = frame.stack(self.motors).sum(-1, keepdim=True) / self.total
+        share = frame.stack(self.driven).sum(-1, keepdim=True) / self.total
         return frame.add(force=-p.stack("xy", "xy", "z") * share * frame.stack(VELOCITIES)), x

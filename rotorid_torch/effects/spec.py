@@ -26,6 +26,19 @@ class RotorSpec(msgspec.Struct, frozen=True, kw_only=True):
         return 1.0 if self.direction == "ccw" else -1.0
 
 
+class MotorSpec(msgspec.Struct, frozen=True, kw_only=True):
+    """One motor of a multirotor as declared: place from the centre of gravity, m, and what its rotor does.
+
+    spin : +1 for counter-clockwise seen from above. thrust : c0, c1, c2, N by the rotor's input. torque_ratio : torque
+        over thrust, m.
+    """
+
+    position: tuple[float, float, float]
+    spin: float
+    thrust: tuple[float, float, float] | None = None
+    torque_ratio: float | None = None
+
+
 class ModelSpec(msgspec.Struct, frozen=True, kw_only=True):
     """Plain data from which `nominal.build` makes the model; what model.pt holds beside theta.
 
@@ -37,6 +50,8 @@ class ModelSpec(msgspec.Struct, frozen=True, kw_only=True):
     inflow, cyclic_inflow : whether the induced velocity, and its first harmonics, are states.
     effects : ids of effects beyond the nominal model.
     mass_excludes : what flies along but is not in mass and inertia.
+    inputs : measured quantities beyond the controls that drive the model: rotor speeds, battery voltage.
+    motors : a multirotor's, one per motor command; none where they are not declared.
     spins : of a multirotor's rotors, +1 for counter-clockwise seen from above.
     free, values : by full parameter name, whether it is estimated, and where it starts, other than the effect declares.
     ranges : smallest and largest value of every signal in the identify flights.
@@ -62,10 +77,18 @@ class ModelSpec(msgspec.Struct, frozen=True, kw_only=True):
     imu: tuple[float, float, float] = (0.0, 0.0, 0.0)
     mass_excludes: tuple[str, ...] = ()
     rotor: RotorSpec | None = None
+    inputs: tuple[str, ...] = ()
+    motors: tuple[MotorSpec, ...] = ()
     spins: tuple[float, ...] = ()
     effects: tuple[str, ...] = ()
     free: dict[str, bool] = {}
     values: dict[str, float] = {}
+
+    @property
+    def driven(self) -> tuple[str, ...]:
+        """What a multirotor's rotors are driven by: their measured speeds, or the commands where these are missing."""
+        speeds = tuple(name for name in self.inputs if name.startswith("omega"))
+        return speeds or tuple(name for name in self.controls if name.startswith("motor"))
 
     def plain(self) -> dict[str, Any]:
         """As builtins, for model.pt."""

@@ -27,6 +27,8 @@ ENOUGH = Options(tolerance=1e-5, absolute=0.05)
 """The search ends where a step could change the log-likelihood by no more than this: less than a standard error."""
 LENGTHS = (2.0, 5.0)
 """s: segments of the two stages; an unstable vehicle's slow modes show in the second, its fast ones set the first."""
+ROTORS_RATE, ROTORS_LENGTHS = 200.0, (0.25,)
+"""Hz and s for multirotors: motors follow within tens of milliseconds, and chains of integrators drift off at once."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ def estimate_model(
     places = [model.parameter_set.index(n) for n in names]
     settings = Settings(
         floor=sensor_noise(model, dataset),
-        lengths=LENGTHS,
+        lengths=lengths(model),
         prior_mean=model.parameter_set.values[places],
         prior_sd=model.parameter_set.prior_sd[places],
         x0_sd=initial_spread(model),
@@ -92,7 +94,7 @@ def initial_spread(model: Model) -> Tensor:
 
 def sensor_noise(model: Model, dataset: Dataset) -> Tensor:
     """Sensor noise of the outputs after averaging, [ny]."""
-    every = _every(dataset.facts[dataset.identify[0]].dt)
+    every = _every(model, dataset.facts[dataset.identify[0]].dt)
     return torch.tensor([dataset.noise(c) for c in model.body.outputs], dtype=torch.float64) / math.sqrt(every)
 
 
@@ -100,11 +102,11 @@ def records(model: Model, dataset: Dataset, reconstruction: Reconstruction, rank
     """The rank's identify flights as one batch: measured outputs, and smoothed states to start segments from."""
     batch: Records | None = None
     names = ranks.mine(dataset.identify)
-    lengths = [dataset.facts[name].samples // _every(dataset.facts[name].dt) for name in names]
+    count = [dataset.facts[name].samples // _every(model, dataset.facts[name].dt) for name in names]
     for i, name in enumerate(names):
         own = _record(model, dataset, reconstruction, name)
         if batch is None:
-            batch = _empty(own, len(lengths), max(lengths))
+            batch = _empty(own, len(count), max(count))
         batch.lengths[i], batch.start[i] = own.lengths[0], own.start[0]
         batch.controls[i], batch.outputs[i, : own.samples] = own.controls[0, -1], own.outputs[0]
         batch.controls[i, : own.samples], batch.states[i, : own.samples] = own.controls[0], own.states[0]
@@ -113,15 +115,20 @@ def records(model: Model, dataset: Dataset, reconstruction: Reconstruction, rank
     return replace(batch, dt=ranks.from_first(batch.dt))  # the first flight's, which is the first rank's
 
 
-def _every(dt: float) -> int:
+def lengths(model: Model) -> tuple[float, ...]:
+    """Lengths of the segments that a model's parameters are estimated on, s, stage by stage."""
+    return LENGTHS if model.effect("rotors") is None else ROTORS_LENGTHS
+
+
+def _every(model: Model, dt: float) -> int:
     """Samples that are averaged to one."""
-    return max(1, int(1.0 / (dt * RATE)))
+    return max(1, int(1.0 / (dt * (RATE if model.effect("rotors") is None else ROTORS_RATE))))
 
 
 def _record(model: Model, dataset: Dataset, reconstruction: Reconstruction, name: str) -> Records:
     """One flight alone."""
     flight, step1 = dataset.flights[name], reconstruction.flights[name]
-    every = _every(flight.dt)
+    every = _every(model, flight.dt)
     signals = measured(model, dataset, reconstruction, name).signals
     unknown = torch.full_like(flight.time, math.nan)
     states = [step1.channels.get(s.channel or s.name, signals.get(s.name, unknown)) for s in model.layout.states]

@@ -17,6 +17,7 @@ from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.registry import predicted_by
 from rotorid_torch.effects.spec import FlappingKind, ModelSpec, RotorSpec
 from rotorid_torch.errors import InputError
+from rotorid_torch.identification.multirotor import measured_inputs, motors, rotor_speeds, spins
 from rotorid_torch.identification.reconstruct import Reconstruction
 from rotorid_torch.model.inflow import CYCLIC, INDUCED, trim_velocity
 from rotorid_torch.model.nominal import thrust
@@ -63,6 +64,7 @@ def propose(dataset: Dataset, reconstruction: Reconstruction, effects: Sequence[
         controls=dataset.controls,
         outputs=(
             *(c for c in OUTPUTS if _predicted(c, states, flapping, dataset)),
+            *rotor_speeds(dataset),
             *(c for c in predicted_by(effects) if have(dataset, (c,))),
         ),
         reference={k: v for k, v in dataset.reference().items() if math.isfinite(v)},
@@ -82,10 +84,12 @@ def propose(dataset: Dataset, reconstruction: Reconstruction, effects: Sequence[
         imu=(0.0, 0.0, 0.0) if vehicle.imu is None else _triple(vehicle.imu),
         mass_excludes=vehicle.mass_excludes,
         rotor=rotor,
-        spins=tuple(1.0 if motor.spin == "ccw" else -1.0 for motor in vehicle.motors or ()),
+        inputs=measured_inputs(dataset),
+        motors=motors(dataset),
+        spins=spins(dataset),
         effects=tuple(effects),
     )
-    return _with_patterns(spec, drivers)
+    return _with_patterns(spec, drivers if dataset.kind == "helicopter" else () if spec.motors else dataset.controls)
 
 
 def rival(spec: ModelSpec) -> ModelSpec | None:
@@ -106,7 +110,7 @@ def _require_rates(dataset: Dataset) -> None:
 def _with_patterns(spec: ModelSpec, drivers: Sequence[str]) -> ModelSpec:
     lagged = spec.flapping == "first order"
     columns = (*drivers, *(FLAPPING if lagged else ()), *((INDUCED,) if spec.inflow else ()))
-    forces = FORCES if "u" in spec.states or "ax" in spec.outputs else ()
+    forces = [f for f, a in zip(FORCES, SPECIFIC_FORCES, strict=True) if "u" in spec.states or a in spec.outputs]
     patterns = dict.fromkeys((*forces, *MOMENTS), columns)
     if spec.flapping != "none":
         patterns |= dict.fromkeys(FLAPPING, columns)
@@ -142,7 +146,8 @@ def _predicted(channel: str, states: Sequence[str], flapping: FlappingKind, data
     if not any(dataset.facts[f].has(channel) for f in dataset.identify):
         return False
     if channel in SPECIFIC_FORCES:
-        return "u" in states or have(dataset, SPECIFIC_FORCES)
+        alone = dataset.kind == "multirotor" and bool(motors(dataset))  # whose thrust has one axis
+        return "u" in states or have(dataset, (channel,) if alone else SPECIFIC_FORCES)
     return channel in states or (channel in FLAPPING and flapping != "none")
 
 

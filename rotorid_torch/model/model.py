@@ -131,7 +131,7 @@ class Model(nn.Module):
 
     def _body_rates(self, frame: Frame, x: Tensor) -> list[Tensor]:
         has, pick = self.layout.has, self.layout.pick
-        rates = pick(x, *RATES)
+        rates = frame.stack(RATES)
         parts = []
         if has(*VELOCITIES):
             assert frame.force is not None
@@ -147,14 +147,15 @@ class Model(nn.Module):
         """Channels `body.outputs` [..., ny] at parameters theta [..., P]."""
         frame, _ = self.frame(theta, x, u)
         signals = dict(frame.signals)
-        rates = self.layout.pick(x, *RATES)
+        rates = frame.stack(RATES)
         angular = self._angular(frame, rates)
         signals.update(zip(ANGULAR_ACCELERATIONS, angular.unbind(-1), strict=True))
         if frame.force is not None:
             imu = self.imu if frame.centre is None else self.imu - frame.centre
             force = specific_force_at(imu, frame.force, rates, angular)
             signals.update(zip(SPECIFIC_FORCES, force.unbind(-1), strict=True))
-        signals.update(zip(self.body.states, x.unbind(-1), strict=False))  # over ground, whatever the air does
+        if self.layout.has(*VELOCITIES):  # over ground, whatever the air does
+            signals.update(zip(VELOCITIES, self.layout.pick(x, *VELOCITIES).unbind(-1), strict=True))
         frame = replace(frame, signals=signals)
         for k, effect in enumerate(self.chain):
             if effect.stage is Stage.SENSORS:

@@ -41,12 +41,15 @@ def state_matrix(model: Model) -> Tensor:
 
 def modes(model: Model, sizes: dict[str, float]) -> list[Mode]:
     """All modes, slowest first; eigenvectors are weighed in units of the states' usual excursions `sizes`."""
-    scale = torch.tensor([max(sizes.get(n, 1.0), 1e-9) for n in model.layout.names], dtype=torch.float64)
-    values, vectors = torch.linalg.eig(state_matrix(model) * scale / scale[:, None])
+    matrix, n = state_matrix(model), len(model.body.states)
+    moving = [i for i in range(len(matrix)) if i < n or bool(matrix[i].any())]  # not what stays as it is
+    names = [model.layout.names[i] for i in moving]
+    scale = torch.tensor([max(sizes.get(n, 1.0), 1e-9) for n in names], dtype=torch.float64)
+    values, vectors = torch.linalg.eig(matrix[moving][:, moving] * scale / scale[:, None])
     left = torch.linalg.pinv(vectors)
     share = (vectors * left.mT).abs()  # participation of state i in mode k
     found = [
-        Mode(complex(v), _name(complex(v), dict(zip(model.layout.names, share[:, k].tolist(), strict=True))))
+        Mode(complex(v), _name(complex(v), dict(zip(names, share[:, k].tolist(), strict=True))))
         for k, v in enumerate(values)
     ]
     return sorted((m for m in found if m.eigenvalue.imag >= 0.0), key=lambda m: abs(m.eigenvalue))

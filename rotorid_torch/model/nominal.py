@@ -19,6 +19,7 @@ from rotorid_torch.model.forces import LinearForces, Tailplane, TailRotor, Thrus
 from rotorid_torch.model.inflow import CYCLIC, INDUCED, CyclicInflow, Inflow
 from rotorid_torch.model.linear import LinearBlock
 from rotorid_torch.model.model import Body, Model
+from rotorid_torch.model.rotors import Disturbance, Rotors, RotorSpeed, Telemetry, hover_input
 
 PRIOR_SPAN = 5.0
 """A trim, or a derivative times its regressor's rms, may reach this many times its row's rms before the prior minds."""
@@ -48,8 +49,9 @@ def build(spec: ModelSpec) -> Model:
     ------
     InputError : an effect's id is unknown, or `free` or `values` name no parameter of the model.
     """
-    body = Body(spec.states, spec.controls, spec.outputs, spec.gravity, spec.inertia, spec.imu)
-    effects = [*_rotor(spec), _forces(spec), *_physics(spec), *(make(name, spec) for name in spec.effects)]
+    body = Body(spec.states, (*spec.controls, *spec.inputs), spec.outputs, spec.gravity, spec.inertia, spec.imu)
+    nominal = _multirotor(spec) if spec.motors else [*_rotor(spec), _forces(spec), *_physics(spec)]
+    effects = [*nominal, *(make(name, spec) for name in spec.effects)]
     for effect in effects:
         free = {p.name: spec.free.get(f"{effect.id}.{p.name}", p.free) for p in effect.declared}
         effect.declared = tuple(replace(p, free=free[p.name]) for p in effect.declared)
@@ -60,6 +62,17 @@ def build(spec: ModelSpec) -> Model:
             raise InputError("model", name, "there is no such parameter", f"one of {known}")
     model.start_from(spec.values)
     return model
+
+
+def _multirotor(spec: ModelSpec) -> Sequence[Effect]:
+    """Rotors at their places; where their speeds are measured, also what the commands make of these."""
+    body: list[Effect]
+    body, speeds = [Rotors(spec, PRIOR_SPAN), Disturbance(spec.sizes)], spec.driven
+    if not speeds[0].startswith("omega"):
+        return body
+    at = sum(spec.reference[name] for name in spec.controls) / len(spec.controls)
+    telemetry = Telemetry(spec.controls, speeds, hover_input(spec) / at)
+    return [RotorSpeed(spec.controls, at), *body, telemetry]
 
 
 def thrust(spec: ModelSpec) -> float:

@@ -22,6 +22,7 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification import reconstruct as step1
 from rotorid_torch.identification.reconstruct import Reconstruction
+from rotorid_torch.identification.rotor_regression import regress_rotors
 from rotorid_torch.identification.step2 import Step2, regress_model
 from rotorid_torch.identification.step3 import Step3, estimate_model
 from rotorid_torch.identification.structure import propose, rival
@@ -186,7 +187,8 @@ def estimated(
 ) -> tuple[ModelSpec, Model, Step2, Step3]:
     """Steps 2 and 3 of one structure."""
     model, monitor = build(spec), steps.monitor
-    regressions = steps.do("ftr", f"ftr-{spec.flapping}", lambda: regress_model(model, dataset, reconstruction))
+    regress = regress_rotors if spec.motors else regress_model
+    regressions = steps.do("ftr", f"ftr-{spec.flapping}", lambda: regress(model, dataset, reconstruction))
     monitor.scalars({f"ftr/R2/{row}": float(r.r2) for row, r in regressions.regressions.items()}, 0)
     for line in remarks.regression_table(regressions):
         monitor.log(line)

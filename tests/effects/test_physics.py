@@ -13,7 +13,7 @@ from torch import Tensor
 
 from rotorid_torch.core.integrate import simulate
 from rotorid_torch.core.rigid import gyroscopic
-from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR
+from rotorid_torch.effects.examples import HELICOPTER, MOTORS, MULTIROTOR
 from rotorid_torch.effects.registry import make
 from rotorid_torch.effects.rotor import Stall
 from rotorid_torch.effects.spec import ModelSpec
@@ -233,16 +233,40 @@ def test_collective_slows_the_rotor_and_the_governor_brings_it_back():
 
 
 def test_battery_scales_every_command():
-    spec = msgspec.structs.replace(MULTIROTOR, patterns={**MULTIROTOR.patterns, "Z": ("motor1",)})
-    model = with_values(made("propulsion.voltage", spec, exponent=2.0), {"forces.Z.motor1": -10.0})
-    found = rates(model, (0.9 * 3.9,))
-    assert found["w"] == pytest.approx(10.0 * 0.6 * (1.0 - 0.81))
+    model = made("propulsion.voltage", MULTIROTOR, exponent=2.0)
+    u = torch.tensor([[0.6, 0.6, 0.6, 0.6, 0.9 * 3.9]] * 3, dtype=torch.float64)
+    wanted = torch.tensor([0.6 * 0.81] * 4 + [0.9 * 3.9], dtype=torch.float64)
+    torch.testing.assert_close(model.tape(u, 0.01)[1].detach(), wanted)
 
 
 def test_rotors_that_speed_up_turn_the_body():
-    model = made("propulsion.rotor_inertia", MULTIROTOR, N=0.5, tau=0.1)
-    found = rates(model, (0.0,), motor1=0.7, motor2=0.6, motor3=0.7, motor4=0.6)
-    assert found["r"] == pytest.approx(0.5 * 0.2 / 0.1)
+    model = made("propulsion.rotor_inertia", MULTIROTOR, N=0.5)
+    faster = torch.tensor([0.7, 0.6, 0.7, 0.6, 3.9], dtype=torch.float64)
+    u = torch.stack([torch.full_like(faster, 0.6), faster]).index_fill(1, torch.tensor([4]), 3.9)
+    x = torch.zeros(2, len(model.layout), dtype=torch.float64)
+    turned = model.output(x, u)[:, model.body.outputs.index("r")].detach()
+    assert turned.tolist() == pytest.approx([0.0, 0.5 * 0.2])
+    assert rates(model, (0.0,), motor1=0.7, motor2=0.6, motor3=0.7, motor4=0.6)["w"] < 0.0
+
+
+def test_rotors_turn_the_body_by_their_places_and_spins():
+    spec = msgspec.structs.replace(MULTIROTOR, inputs=())
+    model, hover = build(spec), dict.fromkeys(MOTORS, 0.6)
+    assert rates(model, **hover)["w"] == pytest.approx(0.0, abs=1e-9)
+    thrust = 0.03 * 9.80665 / 4
+    more = thrust * ((0.66 / 0.6) ** 2 - 1.0)
+    found = rates(model, **{**hover, "motor1": 0.66})  # in front, on the right, counter-clockwise
+    assert found["p"] == pytest.approx(-0.028 * more / 1.66e-5)
+    assert found["q"] == pytest.approx(0.028 * more / 1.67e-5)
+    assert found["r"] == pytest.approx(0.1 * math.hypot(0.028, 0.028) * more / 2.93e-5)
+    assert found["w"] == pytest.approx(-more / 0.03)
+
+
+def test_rotor_drag_grows_with_speed_and_inflow_takes_thrust():
+    model = made("propulsion.rotor_drag", MULTIROTOR, xy=0.4, z=0.3)
+    still, moving = (rates(model, u=u, w=w) for u, w in ((0.0, 0.0), (2.0, -1.0)))
+    assert moving["u"] - still["u"] == pytest.approx(-0.8)
+    assert moving["w"] - still["w"] == pytest.approx(0.3)
 
 
 def test_sensors_err_as_they_say_and_the_motion_does_not():

@@ -69,7 +69,7 @@ def proposed(*args: Any, **more: Any) -> ModelSpec:
     data = a_dataset(*args, **more)
     spec = propose(data, Loads(data))  # pyright: ignore[reportArgumentType]
     model = build(spec)  # whatever is proposed can be built and evaluated
-    x, u = torch.zeros(2, len(model.layout)).double(), torch.zeros(2, len(spec.controls)).double()
+    x, u = torch.zeros(2, len(model.layout)).double(), torch.zeros(2, len(model.body.controls)).double()
     assert model(torch.tensor(0.0), x, u).shape == x.shape
     assert model.output(x, u).shape == (2, len(spec.outputs))
     assert ModelSpec.from_plain(msgspec.json.decode(msgspec.json.encode(spec.plain()))) == spec
@@ -117,8 +117,44 @@ def test_a_multirotor_has_its_motors():
     assert spec.controls == motors
     assert spec.states == (*RATES, "phi", "theta")
     assert spec.control_units == dict.fromkeys(motors, "norm")
+    assert spec.patterns["L"] == motors  # no damping: rotors have effects of their own
     units = {p.name: p.unit for p in build(spec).parameter_set.parameters}
     assert units["forces.L.motor1"] == "rad/s2"
+
+
+def test_declared_motors_bring_rotors_at_their_places():
+    motors = tuple(f"motor{k}" for k in range(1, 5))
+    places = [([0.1, 0.1, 0.0], "ccw"), ([-0.1, 0.1, 0.0], "cw"), ([-0.1, -0.1, 0.0], "ccw"), ([0.1, -0.1, 0.0], "cw")]
+    vehicle = {"mass": 1.2, "motors": [{"position": at, "spin": spin} for at, spin in places]}
+    spec = proposed((*RATES, "az"), motors, kind="multirotor", vehicle=vehicle)
+    assert spec.driven == motors
+    assert set(spec.patterns) == {"Z", *MOMENTS}  # nothing sees X and Y
+    assert spec.outputs == (*RATES, "az")
+    assert spec.spins == (1.0, -1.0, 1.0, -1.0)
+    units = {p.name: p.unit for p in build(spec).parameter_set.parameters}
+    assert units["rotors.thrust.c2"] == "N"
+    assert units["rotors.power.L"] == "rad/(kg m2)"  # the inertia is not declared
+    assert "rotors.trim.X" not in units
+    assert not any(name.startswith("forces.") for name in units)
+    blind = build(proposed(RATES, motors, kind="multirotor", vehicle=vehicle))
+    assert "rotors.thrust.c2" not in blind.parameter_set.free  # nothing shows the thrust
+
+
+def test_measured_rotor_speeds_drive_the_rotors_and_follow_the_commands():
+    motors, speeds = tuple(f"motor{k}" for k in range(1, 5)), tuple(f"omega{k}" for k in range(1, 5))
+    places = [([0.1, 0.1, 0.0], "ccw"), ([-0.1, 0.1, 0.0], "cw"), ([-0.1, -0.1, 0.0], "ccw"), ([0.1, -0.1, 0.0], "cw")]
+    vehicle = {"mass": 1.2, "motors": [{"position": at, "spin": spin} for at, spin in places]}
+    spec = proposed((*RATES, "az", *speeds, "voltage"), motors, kind="multirotor", vehicle=vehicle)
+    assert spec.inputs == (*speeds, "voltage")
+    assert spec.driven == speeds
+    assert spec.outputs == (*RATES, "az", *speeds)
+    model = build(spec)
+    u = torch.tensor([spec.reference[n] for n in model.body.controls], dtype=torch.float64).repeat(3, 1)
+    told = model.output(torch.zeros(3, len(model.layout), dtype=torch.float64), model.tape(u, DT)).detach()
+    for name in speeds:  # at the reference's mean command the reference's mean speed
+        own = spec.reference[f"motor{name[-1]}"] / (sum(spec.reference[m] for m in motors) / 4)
+        mean = sum(spec.reference[n] for n in speeds) / 4
+        assert float(told[0, spec.outputs.index(name)]) == pytest.approx(mean * own**0.5, rel=1e-9)
 
 
 def test_a_declared_rotor_brings_inflow_and_its_physics():

@@ -1,0 +1,43 @@
+"""What a model gives at measured states, sample by sample: nothing is integrated, so that no error grows."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
+from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
+
+
+class Accelerations:
+    """Angular accelerations, specific forces at the IMU and rotor speeds of a model at given body states and inputs.
+
+    names : what it gives; a rate's name is that of its acceleration (pdot qdot rdot).
+    """
+
+    def __init__(self, model: Model) -> None:
+        forces = model.layout.has("u") or not set(SPECIFIC_FORCES).isdisjoint(model.body.outputs)
+        speeds = tuple(o for o in model.body.outputs if o.startswith("omega"))
+        self.names = (*ANGULAR_ACCELERATIONS, *(SPECIFIC_FORCES if forces else ()), *speeds)
+        self.model = copy.copy(model)
+        self.model.body = replace(model.body, outputs=(*self.names, RATES[2]))
+
+    def __call__(self, theta: Tensor, states: Tensor, taped: Tensor, dt: float) -> dict[str, Tensor]:
+        """Values [..., T] by name at states [T, nx] and inputs [T, nu] behind the control path.
+
+        The states' rates are those of the body, as a gyro tells them, and not what is left of them where spinning-up
+        rotors take their share. theta : [P], or [..., 1, P] for many at once.
+        """
+        model, yaw = self.model, self.model.layout.places(RATES[2:])[0]
+        found = model.outputs_at(theta, states, taped)
+        share = found[..., -1] - states[..., yaw]  # of the rate by the rotors' momentum
+        if bool((share != 0.0).any()):
+            inside = states.expand(*share.shape, -1).clone()
+            inside[..., yaw] -= share
+            found = model.outputs_at(theta, inside, taped)
+        values = dict(zip(self.names, found.unbind(-1), strict=False))
+        values["rdot"] = values["rdot"] + torch.gradient(share, spacing=dt, dim=-1)[0]
+        return values

@@ -1,0 +1,190 @@
+"""Rotors of a multirotor: thrust and torque of each from its speed or command, at its place on the body."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.names import FORCES, MOMENTS
+from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.core.rigid import cross, vec
+from rotorid_torch.core.state import State
+from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
+from rotorid_torch.effects.spec import ModelSpec
+
+TORQUE_ARM = 0.1
+"""Torque over thrust of a rotor as a share of its arm, where it is not declared: usual for small propellers."""
+MOST = 10.0
+"""Control power beyond this share of what is declared is an error of the declaration, not of the estimate."""
+UNITS = {
+    (True, False): ("N", "N", "N"),
+    (True, True): ("N", "N s/rad", "N s2/rad2"),
+    (False, False): ("m/s2", "m/s2", "m/s2"),
+    (False, True): ("m/s2", "m/(s rad)", "m/rad2"),
+}
+"""Of the thrust curve, by whether the mass is declared and whether the rotors' speeds are measured."""
+DISTURBED = 0.05
+"""Standard deviation of a disturbance over the rms of the angular acceleration of its axis."""
+LEAST_COMMAND = 1e-3
+"""Below it the root of a command is held, for its slope would be infinite."""
+
+
+def hover_thrust(spec: ModelSpec) -> float:
+    """Thrust of one rotor at the reference, N, or m/s2 (per mass) where no mass is declared."""
+    phi, theta = spec.reference.get("phi", 0.0), spec.reference.get("theta", 0.0)
+    return (spec.mass or 1.0) * spec.gravity * math.cos(phi) * math.cos(theta) / len(spec.motors)
+
+
+def hover_input(spec: ModelSpec) -> float:
+    """Mean input of the rotors at the reference: command, or speed in rad/s."""
+    return sum(spec.reference[name] for name in spec.driven) / len(spec.driven) or 1.0
+
+
+class Rotors(Effect):
+    """Each rotor's thrust T = c0 + c1 s + c2 s^2 along -z and torque about its axis, s its command or measured speed.
+
+    Z = -sum T/m; L and M by the declared places over the declared inertia, N by spin and torque ratio, each times a
+    control power that is 1 if the declaration holds. No damping: rotors' other physics are effects of their own.
+    Where mass and inertia are not declared, thrust is per mass and control power carries the inertia.
+
+    Source: Mahony, Kumar and Corke, IEEE Robotics and Automation Magazine 19 (2012), eqs. 5 to 7; Foerster, System
+    Identification of the Crazyflie 2.0 (ETH, 2015), sec. 3.
+    """
+
+    id, stage, role = "rotors", Stage.FORCES, Role.NOMINAL
+    place: Tensor
+    torque: Tensor
+    turning: Tensor
+
+    def __init__(self, spec: ModelSpec, prior_span: float) -> None:
+        super().__init__((*_curve(spec), *_powers(spec), *_trims(spec, prior_span)))
+        self.driven, self.mass = spec.driven, spec.mass or 1.0
+        self.forces = tuple(row for row in FORCES[:2] if row in spec.patterns)
+        inertia = torch.eye(3, dtype=torch.float64)
+        if _declared(spec):
+            inertia = torch.tensor(spec.inertia, dtype=torch.float64)
+        arm = sum(math.hypot(*m.position[:2]) for m in spec.motors) / len(spec.motors)
+        ratios = [TORQUE_ARM * arm if m.torque_ratio is None else m.torque_ratio for m in spec.motors]
+        self.register_buffer("place", torch.tensor([m.position for m in spec.motors], dtype=torch.float64))
+        self.register_buffer(
+            "torque", torch.tensor([m.spin * r for m, r in zip(spec.motors, ratios, strict=True)], dtype=torch.float64)
+        )
+        self.register_buffer("turning", torch.linalg.inv(inertia))
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Adds thrust, moments and trims."""
+        s = frame.stack(self.driven)
+        c0, c1, c2 = p.stack("thrust.c0", "thrust.c1", "thrust.c2").unsqueeze(-2).unbind(-1)
+        thrust = c0 + s * (c1 + s * c2)  # [..., motors]
+        zero = torch.zeros_like(thrust)
+        moment = cross(self.place, vec(zero, zero, -thrust)).sum(-2)
+        moment = moment + vec(zero[..., 0], zero[..., 0], (self.torque * thrust).sum(-1))
+        angular = (p.stack("power.L", "power.M", "power.N") * moment) @ self.turning.mT
+        across = [p[f"trim.{row}"] if row in self.forces else zero[..., 0] for row in FORCES[:2]]
+        force = vec(*across, -thrust.sum(-1) / self.mass)
+        return frame.add(force, angular + p.stack(*(f"trim.{row}" for row in MOMENTS))), x
+
+
+def _curve(spec: ModelSpec) -> tuple[Parameter, ...]:
+    """Thrust curve: as declared, or the square that carries the weight at the reference; held if it does not show."""
+    units = UNITS[spec.mass is not None, spec.driven[0].startswith("omega")]
+    lift, at = hover_thrust(spec), hover_input(spec)
+    curves = [m.thrust for m in spec.motors if m.thrust is not None]
+    mean = [sum(c[k] for c in curves) / len(curves) for k in range(3)] if curves else [0.0, 0.0, lift / at**2]
+    docs = ("thrust at rest", "thrust by the rotor's input", "thrust by its square")
+    seen = "Z" in spec.patterns
+    return tuple(
+        Parameter(f"thrust.c{k}", mean[k], units[k], prior_sd=lift / at**k, free=seen, doc=docs[k]) for k in range(3)
+    )
+
+
+def _powers(spec: ModelSpec) -> tuple[Parameter, ...]:
+    """Control power of each axis: 1 where mass and inertia are declared and right, else one over the inertia."""
+    known = _declared(spec)
+    unit, most = ("1", MOST) if known else ("rad/m2" if spec.mass is None else "rad/(kg m2)", math.inf)
+    sd = 1.0 if known else math.inf
+    return tuple(
+        Parameter(f"power.{axis}", 1.0, unit, (0.0, most), sd, doc=f"{about} by the rotors, over what is declared")
+        for axis, about in zip(MOMENTS, ("roll", "pitch", "yaw"), strict=True)
+    )
+
+
+def _declared(spec: ModelSpec) -> bool:
+    return spec.mass is not None and spec.inertia is not None
+
+
+def _trims(spec: ModelSpec, span: float) -> tuple[Parameter, ...]:
+    rows = [row for row in (*FORCES[:2], *MOMENTS) if row in spec.patterns]
+    return tuple(
+        Parameter(
+            f"trim.{row}",
+            0.0,
+            "m/s2" if row in FORCES else "rad/s2",
+            prior_sd=span * spec.sizes.get(f"row.{row}", 1.0),
+            doc="what is there whatever the rotors do",
+        )
+        for row in rows
+    )
+
+
+class RotorSpeed(Effect):
+    """Speed that a rotor goes to under its command m: Omega0 (k0 + k1 sqrt(m/m0) + k2 m/m0), all rotors alike.
+
+    Acts on the record of the commands, which it turns into speeds over the reference's, times m0: what follows on the
+    control path (voltage, lag, delay) then acts on the speed. `Telemetry` tells them in rad/s.
+
+    Source: Foerster, System Identification of the Crazyflie 2.0 (ETH, 2015), sec. 3.2 (command to rotor speed).
+    """
+
+    id, stage, role = "speed", Stage.CONTROL, Role.NOMINAL
+
+    def __init__(self, commands: tuple[str, ...], at: float) -> None:
+        rows = (("k0", 0.0, "none"), ("k1", 1.0, "the root of the command"), ("k2", 0.0, "the command"))
+        super().__init__(tuple(Parameter(n, v, "1", prior_sd=3.0, doc=f"rotor speed by {d}") for n, v, d in rows))
+        self.commands, self.at = commands, at
+
+    def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
+        """Commands as speeds over the reference's, times the reference's command."""
+        share = record.clamp(min=LEAST_COMMAND * self.at) / self.at
+        k0, k1, k2 = p.stack("k0", "k1", "k2")[..., None, None, :].unbind(-1)
+        speed = self.at * (k0 + k1 * share.sqrt() + k2 * share)
+        return torch.where(torch.tensor([n in self.commands for n in names], device=record.device), speed, record)
+
+
+class Telemetry(Effect):
+    """Rotor speeds as their telemetry tells them: what the commands make of them, rad/s."""
+
+    id, stage, role = "telemetry", Stage.SENSORS, Role.NOMINAL
+
+    def __init__(self, commands: tuple[str, ...], speeds: tuple[str, ...], factor: float) -> None:
+        super().__init__()
+        self.commands, self.speeds, self.factor = commands, speeds, factor
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """The speeds that follow from the commands in place of the measured ones."""
+        told = {o: self.factor * frame.signals[m] for m, o in zip(self.commands, self.speeds, strict=True)}
+        return frame.with_signals(**told), x
+
+
+class Disturbance(Effect):
+    """What else turns the body and hardly changes over a quarter of a second: gusts, rotors that are not alike.
+
+    One state per axis that stays as it is. Where a segment begins it is small, a share `DISTURBED` of the usual angular
+    acceleration; without it, output error would read integrated disturbances as errors of control power and lag. A free
+    run has none of it.
+    """
+
+    id, stage, role = "disturbance", Stage.FORCES, Role.NOMINAL
+
+    def __init__(self, sizes: Mapping[str, float]) -> None:
+        spreads = {row: DISTURBED * sizes.get(f"row.{row}", 1.0) for row in MOMENTS}
+        super().__init__(
+            (), tuple(State(f"disturbance.{row}", "rad/s2", f"of {row}", spread=sd) for row, sd in spreads.items())
+        )
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Adds the disturbance, which stays."""
+        return frame.add(moment=x), torch.zeros_like(x)

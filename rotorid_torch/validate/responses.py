@@ -1,0 +1,80 @@
+"""How well a model explains accelerations at measured states: specific force, angular acceleration, rotor speed.
+
+Where a free run means little, because a vehicle that was flown in closed loop is a chain of integrators, this is what a
+model can be judged by: nothing is integrated, so that no error grows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.names import RATES
+from rotorid_torch.data.flight import Flight
+from rotorid_torch.model.accelerations import Accelerations
+from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
+
+SMOOTHED_S = 0.03
+"""Length of the centred mean that measurement and model both pass before the rates are differentiated."""
+
+
+@dataclass(frozen=True)
+class Response:
+    """One response of a flight: rms of measured minus model in its unit, and R2 = 1 - sum(error^2)/sum(deviation^2)."""
+
+    rmse: float
+    r2: float
+
+
+def responses(model: Model, flight: Flight, states: Mapping[str, Tensor] | None = None) -> dict[str, Response]:
+    """R2 of each response of a flight that is measured: rates differentiated, accelerometers, rotor speeds.
+
+    Measurement and model both pass a centred mean over `SMOOTHED_S`; then rates are differentiated by central
+    differences. Gaps are bridged by straight lines. `states` : (T,) by name, for states that are no channels.
+    """
+    x = _states(model, flight, states or {})
+    with torch.no_grad():
+        taped = model.tape(flight.bridged(model.body.controls), flight.dt)
+        found = Accelerations(model)(model.theta, x, taped, flight.dt)
+    half = round(SMOOTHED_S / flight.dt / 2.0)
+    made = {}
+    for name, values in found.items():
+        channel = RATES[ANGULAR_ACCELERATIONS.index(name)] if name in ANGULAR_ACCELERATIONS else name
+        if not flight.has(channel):
+            continue
+        measured = averaged(flight.bridged([channel])[:, 0], half)
+        if channel != name:
+            measured = torch.gradient(measured, spacing=flight.dt)[0]
+        inner = slice(half + 1, len(measured) - half - 1)
+        made[name] = _judged(measured[inner], averaged(values, half)[inner])
+    return made
+
+
+def _judged(measured: Tensor, model: Tensor) -> Response:
+    error = (measured - model).square()
+    spread = (measured - measured.mean()).square().sum()
+    return Response(float(error.mean().sqrt()), float(1.0 - error.sum() / spread))
+
+
+def averaged(record: Tensor, half: int) -> Tensor:
+    """Centred mean over 2 half + 1 samples of a record (T,), over fewer at its ends."""
+    total = torch.cat([record.new_zeros(1), record.cumsum(0)])
+    place = torch.arange(len(record))
+    first, last = (place - half).clamp(min=0), (place + half + 1).clamp(max=len(record))
+    return (total[last] - total[first]) / (last - first)
+
+
+def _states(model: Model, flight: Flight, known: Mapping[str, Tensor]) -> Tensor:
+    """States [T, nx]: the measured channels; others as known, or at the reference."""
+    columns = []
+    for state in model.layout.states:
+        channel = state.channel or state.name
+        if flight.has(channel):
+            columns.append(flight.bridged([channel])[:, 0])
+        else:
+            at = torch.full((flight.samples,), model.reference.get(state.name, 0.0), dtype=torch.float64)
+            columns.append(known.get(state.name, at))
+    return torch.stack(columns, dim=-1)
