@@ -287,8 +287,9 @@ def _flights(model: Model, data: Records) -> Iterator[Seen]:
     for k, samples in enumerate(data.lengths.tolist()):
         states, outputs = data.states[k, :samples].nan_to_num(0.0), data.outputs[k, :samples].clone()
         for o, s in places:
-            outputs[:, o] = torch.where(outputs[:, o].isnan(), states[:, s], outputs[:, o])
-            states[:, s] = outputs[:, o]
+            if body.outputs[o] not in RATES:  # those are smoothed anyway, and whole
+                states[:, s] = torch.where(outputs[:, o].isnan(), states[:, s], outputs[:, o])
+            outputs[:, o] = states[:, s]
         yield Seen(data.dt, data.controls[k, :samples], states, outputs)
 
 

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from rotorid_torch.core import large
 from rotorid_torch.core.device import moved, working_on
+from rotorid_torch.core.names import RATES
 from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.identification.gauss_newton import Options
@@ -29,6 +30,8 @@ LENGTHS = (2.0, 5.0)
 """s: segments of the two stages; an unstable vehicle's slow modes show in the second, its fast ones set the first."""
 ROTORS_RATE, ROTORS_LENGTHS = 200.0, (0.25,)
 """Hz and s for multirotors: motors follow within tens of milliseconds, and chains of integrators drift off at once."""
+FOLDED = 4
+"""Recorded samples from one comparison of a multirotor's rates to the next."""
 
 
 @dataclass(frozen=True)
@@ -137,11 +140,27 @@ def _record(model: Model, dataset: Dataset, reconstruction: Reconstruction, name
             {
                 "time": averaged(flight.time, every),
                 "controls": averaged(flight.bridged(model.body.controls), every),
-                "outputs": averaged(flight.stack(model.body.outputs) - _biases(model, step1), every),
+                "outputs": _compared(
+                    model, averaged(flight.stack(model.body.outputs) - _biases(model, step1), every), every
+                ),
                 "states": averaged(torch.stack(states, dim=-1), every),
             }
         ]
     )
+
+
+def _compared(model: Model, outputs: Tensor, every: int) -> Tensor:
+    """Outputs (T, ny) as they count: a multirotor's rates at a quarter of the recorded rate at most.
+
+    Its commands are a rate controller's, which runs faster than most records: what is folded into a record says nothing
+    of how the vehicle follows.
+    """
+    apart = -(-FOLDED // every)
+    if model.effect("rotors") is None or apart == 1:
+        return outputs
+    rates = torch.tensor([name in RATES for name in model.body.outputs])
+    skipped = torch.arange(len(outputs)) % apart != 0
+    return outputs.masked_fill(skipped[:, None] & rates, math.nan)
 
 
 def _empty(one: Records, flights: int, samples: int) -> Records:
