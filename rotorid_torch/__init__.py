@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from rotorid_torch.identification.ml import output_error as output_error
     from rotorid_torch.identification.reconstruct import reconstruct as reconstruct
     from rotorid_torch.identification.ukf import unscented_filter as unscented_filter
+    from rotorid_torch.importing.logs import import_logs as import_logs
     from rotorid_torch.model.model import Model as Model
     from rotorid_torch.run.closing import Loop as Loop
     from rotorid_torch.run.closing import close_loop as close_loop
@@ -33,6 +34,7 @@ _PUBLIC = {
     "output_error": "identification.ml",
     "reconstruct": "identification.reconstruct",
     "unscented_filter": "identification.ukf",
+    "import_logs": "importing.logs",
     "Model": "model.model",
     "Loop": "run.closing",
     "close_loop": "run.closing",

@@ -100,6 +100,7 @@ def parser() -> Parser:
     top = Parser(prog="rotorid", description="Identify rotorcraft models from flight data.", allow_abbrev=False)
     commands = top.add_subparsers(metavar="COMMAND", required=True, parser_class=Parser)
     _add_fly(commands)
+    _add_import(commands)
     _add_check(commands)
     _add_reconstruct(commands)
     _add_identify(commands)
@@ -137,6 +138,15 @@ def _add_fly(commands) -> None:
     flights_help = "names with commas, also under a condition: dbl_lon_p, dbl_lon_p-90deg, dbl_col_p-5m, "
     flights_help += "dbl_lon_p-20mps; or all, headings, heights, speeds (all, and what the effects need)"
     command.add_argument("--flights", metavar="LIST", type=_names, help=flights_help)
+
+
+def _add_import(commands) -> None:
+    command = _add_command(commands, "import", import_logs, "flight logs and tables in; writes a data set")
+    command.add_argument("logs", metavar="LOG", nargs="+", type=Path, help=".ulg, .bin, .mat, .csv, .parquet or .npz")
+    command.add_argument("--out", metavar="DATASET", type=Path, required=True, help="folder to write")
+    command.add_argument("--map", metavar="MAP.toml", type=Path, help="which fields are which channels (built in)")
+    command.add_argument("--rate", metavar="HZ", type=_number, help="sample rate (that of the body rates, at most 250)")
+    command.add_argument("--split", action="store_true", help="cut into manoeuvres by control activity")
 
 
 def _add_check(commands) -> None:
@@ -186,6 +196,15 @@ def fly(options: Options) -> None:
     with monitor.step("fly"):
         fly_aircraft(options.out, seed=options.seed, effects=options.effect or (), progress=monitor.progress, **given)
     _answer(options, {"dataset": str(options.out)}, f"data set: {options.out}")
+
+
+def import_logs(options: Options) -> None:
+    """Turn logs into a data set."""
+    from rotorid_torch.importing import logs
+    from rotorid_torch.run.importing import import_record, import_table
+
+    done = logs.import_logs(options.logs, options.out, options.map, options.rate, options.split)
+    _answer(options, import_record(done), import_table(done))
 
 
 def check(options: Options) -> None:

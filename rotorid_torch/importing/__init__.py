@@ -1,0 +1,1 @@
+"""Logs in: readers, maps from log fields to channels, resampling, cutting into manoeuvres."""

@@ -1,0 +1,141 @@
+"""CSV block by block: memory holds the wanted columns and one block of text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from rotorid_torch.data.read import CHANNELS
+from rotorid_torch.errors import InputError
+from rotorid_torch.importing.log import Choose, Log
+from rotorid_torch.importing.mapping import Clock
+from rotorid_torch.importing.tables import is_clock, table_log
+
+BLOCK = 4 * 2**20
+"""Bytes read at a time; also the longest line."""
+MISSING = frozenset(("", "nan", "null", "none", "na", "n/a", "-"))
+"""What stands for a missing sample, in small letters."""
+
+
+def read_csv(file: Path, choose: Choose, clock: Clock | None = None, block: int = BLOCK) -> Log:
+    """Read a table with a header row; commas, semicolons, tabs or blanks between the fields.
+
+    Raises
+    ------
+    InputError : where a wanted field is no number, a row has another number of fields, or no column is the clock.
+    """
+    lines = _lines(file, block)
+    number, first = next(lines, (1, []))
+    while first and not first[0].strip():
+        number, first = number + 1, first[1:]
+    if not first:
+        raise InputError(file, "", "is empty", "a header row and numbers")
+    table = _Table(file, first[0].lstrip("#% \t"), choose, clock)
+    table.take(number + 1, first[1:])
+    for number, some in lines:
+        table.take(number, some)
+    return table_log(file, {"": table.columns()}, {"": table.header}, clock, table.warnings())
+
+
+def _lines(file: Path, size: int) -> Iterator[tuple[int, list[str]]]:
+    """Whole lines by blocks, each with the number of its first line."""
+    number, rest = 1, b""
+    with file.open("rb") as stream:
+        while data := stream.read(size):
+            whole, _, rest = (rest + data).rpartition(b"\n")
+            if not whole and len(rest) > size:
+                raise InputError(file, f"line {number}", f"has over {size} bytes", "a row of numbers")
+            lines = _text(file, whole).split("\n") if whole else []
+            yield number, lines
+            number += len(lines)
+    if rest.strip():
+        yield number, [_text(file, rest)]
+
+
+def _text(file: Path, data: bytes) -> str:
+    try:
+        return data.decode("utf-8-sig").replace("\r", "")
+    except UnicodeDecodeError as error:
+        raise InputError(file, "", f"is not text in UTF-8 ({error.reason})", "CSV with a header row") from None
+
+
+class _Table:
+    """The wanted columns as they come in."""
+
+    def __init__(self, file: Path, head: str, choose: Choose, clock: Clock | None) -> None:
+        mark = max(",;\t", key=head.count)
+        self.file, self.mark = file, mark if mark in head else None
+        self.header = [name.strip().strip('"') for name in head.split(self.mark)]
+        if len(self.header) > CHANNELS:
+            raise InputError(file, "", f"has {len(self.header)} columns", f"at most {CHANNELS}")
+        if twice := next((name for name in self.header if name and self.header.count(name) > 1), None):
+            raise InputError(file, twice, "is there twice" if not _is_number(twice) else "is no name", "a header row")
+        kept = {*choose("", self.header)}
+        self.kept = [i for i, name in enumerate(self.header) if name in kept or is_clock("", name, clock)]
+        self.parts: list[np.ndarray] = []
+        self.units = self.cut = 0
+
+    def take(self, number: int, lines: Sequence[str]) -> None:
+        """Take the lines that begin at this number."""
+        if not self.kept or not any(lines):
+            return
+        if self.cut:
+            raise self._other_count(self.cut)
+        if self.mark == ";" and any("," in line for line in lines):
+            lines = [line.replace(",", ".") for line in lines]
+        try:
+            given = {"delimiter": self.mark, "usecols": self.kept, "comments": None, "quotechar": '"', "ndmin": 2}
+            self.parts.append(np.loadtxt(lines, np.float64, **given))
+        except ValueError:
+            self.parts.append(np.array([*self._slowly(number, lines)]).reshape(-1, len(self.kept)))
+
+    def _slowly(self, first: int, lines: Sequence[str]) -> Iterator[list[float]]:
+        """Line by line where something is no number: missing samples, a row of units, a cut end, or an error."""
+        for number, line in enumerate(lines, first):
+            fields = [field.strip().strip('"') for field in line.split(self.mark)]
+            if self.cut:
+                raise self._other_count(self.cut)
+            if not line.strip():
+                continue
+            if len(fields) != len(self.header):
+                self.cut = number  # an error, unless it is the last line, which a full card cuts
+                continue
+            if not self.parts and not self.units and not any(_is_number(field) for field in fields):
+                self.units = number
+                continue
+            yield [self._number(number, i, fields[i]) for i in self.kept]
+
+    def _number(self, line: int, column: int, field: str) -> float:
+        if field.lower() in MISSING:
+            return np.nan
+        try:
+            return float(field)
+        except ValueError:
+            told = f"is '{field[:40]}' in line {line}"
+            raise InputError(self.file, self.header[column], told, "a number, or nothing for a missing one") from None
+
+    def _other_count(self, line: int) -> InputError:
+        return InputError(
+            self.file, f"line {line}", "has another number of fields", f"{len(self.header)} as the header"
+        )
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """All of each kept column."""
+        table = np.concatenate(self.parts) if self.parts else np.empty((0, len(self.kept)))
+        self.parts.clear()
+        return {self.header[i]: table[:, at] for at, i in enumerate(self.kept)}
+
+    def warnings(self) -> list[str]:
+        """Sentences on lines that were left out."""
+        told = [f"line {self.units} holds no numbers (units?) and was left out"] if self.units else []
+        return [*told, f"line {self.cut}, the last, is cut and was left out"] if self.cut else told
+
+
+def _is_number(field: str) -> bool:
+    try:
+        float(field)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,223 @@
+"""ArduPilot DataFlash and the older PX4 sdlog2, which share their framing, block by block. Own code, as for ULog.
+
+Source: ArduPilot developer guide, "Downloading and Analyzing Data Logs in Mission Planner"; AP_Logger, LogStructure.h.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from rotorid_torch.errors import InputError
+from rotorid_torch.importing.blocks import BLOCK, Blocks, Gathered
+from rotorid_torch.importing.log import Choose, Log, Stream
+
+HEAD = b"\xa3\x95"
+FORMAT = 0x80
+TYPES = {
+    **{"b": ("<i1", 1.0), "B": ("<u1", 1.0), "h": ("<i2", 1.0), "H": ("<u2", 1.0), "i": ("<i4", 1.0)},
+    **{"I": ("<u4", 1.0), "q": ("<i8", 1.0), "Q": ("<u8", 1.0), "g": ("<f2", 1.0), "f": ("<f4", 1.0)},
+    **{"d": ("<f8", 1.0), "M": ("<u1", 1.0), "n": ("S4", 1.0), "N": ("S16", 1.0), "Z": ("S64", 1.0)},
+    **{"c": ("<i2", 0.01), "C": ("<u2", 0.01), "e": ("<i4", 0.01), "E": ("<u4", 0.01), "L": ("<i4", 1e-7)},
+    "a": ("S64", 1.0),  # 32 numbers of a batch sampler: one field, never a channel
+}
+"""Type and factor of every letter of a format."""
+INSTANCE = ("I", "Inst", "Instance", "C")
+"""Names of the field that numbers the instances of a topic, where no unit marks it; C is a filter's core."""
+INSTANCES = 32
+"""Instances of a topic that are kept."""
+ALWAYS = {"PARM": ("Name", "Value"), "MSG": ("Message",), "VER": ("Arch",)}
+"""What is read of every log: parameters and what it says of itself."""
+
+
+@dataclass
+class _Kind:
+    """One kind of message: its name, length with the header, columns, and what is gathered of it."""
+
+    name: str
+    length: int
+    columns: dict[str, tuple[int, str]]
+    gathered: Gathered | None = None
+    factors: list[float] = field(default_factory=list)
+    instance: str = ""
+    stamps: array[int] = field(default_factory=lambda: array("q"))
+
+
+def read_dataflash(file: Path, choose: Choose, block: int = BLOCK) -> Log:
+    """Read a DataFlash or sdlog2 log; `choose` says which fields are kept. A cut end is told in the warnings.
+
+    Raises
+    ------
+    InputError : where the file is no such log.
+    """
+    walk = _Walk(choose)
+    with file.open("rb") as stream:
+        if stream.read(3) != HEAD + bytes([FORMAT]):
+            raise InputError(file, "", "is not a DataFlash log (it begins otherwise)", "a .bin of ArduPilot")
+        walk.all(Blocks(stream, 0, block))
+    return walk.log(file)
+
+
+class _Walk:
+    """One pass over the messages."""
+
+    def __init__(self, choose: Choose) -> None:
+        self.choose = choose
+        self.kinds: dict[int, _Kind] = {FORMAT: _kind("FMT", 89, "BBnNZ", "Type,Length,Name,Format,Columns")}
+        self.skipped = self.left = 0
+        self.now = -1
+        self.bad_formats: list[str] = []
+
+    def all(self, blocks: Blocks) -> None:
+        """Walk to the file's end."""
+        blocks.advance(0)
+        while True:
+            used = self._block(blocks.data, blocks.last)
+            for kind in self.kinds.values():
+                if kind.gathered:
+                    kind.gathered.take(blocks.data)
+            if blocks.last:
+                self.left = len(blocks.data) - used
+                return
+            blocks.advance(used)
+
+    def _block(self, data: bytes, last: bool) -> int:
+        """Walk the messages that are whole in memory; bytes used."""
+        end, place, kinds = len(data), 0, self.kinds
+        while place + 3 <= end:
+            kind = kinds.get(data[place + 2]) if data[place] == 0xA3 and data[place + 1] == 0x95 else None
+            if kind is None:
+                place = self._next(data, place, last)
+                continue
+            if place + kind.length > end:
+                break
+            if kind.gathered is not None:
+                kind.gathered.places.append(place)
+                if self.now >= 0:
+                    kind.stamps.append(self.now)
+            if kind.name in _RARE:
+                self._rare(kind, data[place : place + kind.length])
+            place += kind.length
+        return place
+
+    def _next(self, data: bytes, place: int, last: bool) -> int:
+        found = data.find(HEAD, place + 1)
+        after = found if found >= 0 else len(data) if last else len(data) - 1
+        if any(data[place:after]) and set(data[place:after]) != {0xFF}:  # erased flash is no loss
+            self.skipped += after - place
+        return after
+
+    def _rare(self, kind: _Kind, data: bytes) -> None:
+        if kind.name == "FMT":
+            number, length, name, form, columns = data[3], data[4], data[5:9], data[9:25], data[25:89]
+            self._format(number, length, _text(name), _text(form), _text(columns))
+        elif kind.name == "TIME" and "StartTime" in kind.columns:
+            place, _ = kind.columns["StartTime"]
+            self.now = int.from_bytes(data[place : place + 8], "little") & (2**63 - 1)
+        elif kind.name == "FMTU" and {"FmtType", "UnitIds"} <= {*kind.columns}:
+            place = kind.columns["UnitIds"][0]
+            self._units(data[kind.columns["FmtType"][0]], _text(data[place : place + 16]))
+
+    def _format(self, number: int, length: int, name: str, form: str, columns: str) -> None:
+        if number in self.kinds:
+            return
+        kind = _kind(name, length, form, columns)
+        if length < 3 or (not kind.columns and columns):
+            self.bad_formats.append(name)
+        if length >= 3:  # a shorter one would never end
+            self.kinds[number] = kind
+            self._want(kind)
+
+    def _want(self, kind: _Kind) -> None:
+        """Gather of this kind what is wanted, its clock and the number of its instance."""
+        kept = [
+            c for c in (*self.choose(kind.name, list(kind.columns)), *ALWAYS.get(kind.name, ())) if c in kind.columns
+        ]
+        if not kept:
+            return
+        kind.instance = kind.instance or next((c for c in INSTANCE if c in kind.columns), "")
+        names = {*kept, kind.instance, "TimeUS", "TimeMS"} & {*kind.columns}
+        layout = [(c, place, np.dtype(TYPES[f][0])) for c, (place, f) in kind.columns.items() if c in names]
+        kind.factors = [TYPES[kind.columns[c][1]][1] for c, *_ in layout]
+        kind.gathered = Gathered(layout, kind.length)
+
+    def _units(self, number: int, units: str) -> None:
+        """The unit `#` marks the field that numbers a topic's instances."""
+        kind, at = self.kinds.get(number), units.find("#")
+        if kind is not None and 0 <= at < len(kind.columns) and not (kind.gathered and kind.gathered.places):
+            kind.instance = list(kind.columns)[at]
+            self._want(kind)
+
+    def log(self, file: Path) -> Log:
+        """All that was read."""
+        streams, texts, parameters = {}, [], {}
+        for kind in self.kinds.values():
+            if kind.gathered is None:
+                continue
+            columns = kind.gathered.columns()
+            for name, factor in zip(list(columns), kind.factors, strict=True):
+                columns[name] = columns[name] if factor == 1.0 else columns[name] * factor
+            if kind.name == "PARM":
+                parameters |= {
+                    _text(bytes(name)): float(value)
+                    for name, value in zip(columns["Name"][::-1], columns["Value"][::-1], strict=True)
+                }
+            elif kind.name in ALWAYS:
+                texts += [_text(bytes(text)) for text in columns[ALWAYS[kind.name][0]][:100]]
+            else:
+                streams |= _instances(kind, columns)
+        system = "PX4" if self.now >= 0 else "ArduPilot"
+        fields = {kind.name: list(kind.columns) for kind in self.kinds.values()}
+        return Log(file, system, "; ".join(texts), streams, fields, parameters, tuple(self._warnings()))
+
+    def _warnings(self) -> Iterator[str]:
+        if self.left:
+            yield f"ends in the middle of a message: read up to there ({self.left} bytes left)"
+        if self.skipped:
+            yield f"{self.skipped} bytes are damaged and were passed over"
+        if self.bad_formats:
+            yield f"messages of unknown form were passed over ({', '.join(self.bad_formats[:5])})"
+
+
+_RARE = frozenset(("FMT", "TIME", "FMTU"))
+
+
+def _kind(name: str, length: int, form: str, columns: str) -> _Kind:
+    """Kind of message from its format; without columns where they do not fit its length."""
+    placed, place = {}, 3
+    for letter, column in zip(form, filter(None, columns.split(",")), strict=False):
+        if letter not in TYPES:
+            return _Kind(name, length, {})
+        placed[column] = (place, letter)
+        place += np.dtype(TYPES[letter][0]).itemsize
+    return _Kind(name, length, placed if place <= length else {})
+
+
+def _instances(kind: _Kind, columns: dict[str, np.ndarray]) -> dict[tuple[str, int], Stream]:
+    """Streams of a topic, one per instance, with time in s; none where nothing says when."""
+    if "TimeUS" in columns:
+        time = columns.pop("TimeUS") * 1e-6
+    elif "TimeMS" in columns:
+        time = columns.pop("TimeMS") * 1e-3
+    else:
+        time = np.array(kind.stamps) * 1e-6
+    columns = {name: values[len(values) - len(time) :] for name, values in columns.items()}  # before any clock: lost
+    if not len(time):
+        return {}
+    if kind.instance not in columns:
+        return {(kind.name, 0): Stream(time, columns)}
+    numbers = columns[kind.instance]
+    made = {}
+    for number in np.unique(numbers)[:INSTANCES]:
+        chosen = numbers == number
+        picked = {name: values[chosen] for name, values in columns.items()}
+        made[kind.name, int(number)] = Stream(time[chosen], picked)
+    return made
+
+
+def _text(data: bytes) -> str:
+    return data.partition(b"\x00")[0].decode("utf-8", "replace")

@@ -1,0 +1,98 @@
+"""Channels from what logs hold instead: quaternion, velocity in north-east-down axes, latitude and longitude."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rotorid_torch.importing.signals import Signal
+
+Signals = dict[str, Signal]
+QUATERNION = ("q0", "q1", "q2", "q3")
+VELOCITY = ("vn", "ve", "vd")
+EQUATOR_M, FLATTENING = 6378137.0, 1.0 / 298.257223563
+
+
+def unwrapped(values: np.ndarray) -> np.ndarray:
+    """Angle (T,) in rad without jumps of a turn, over missing samples too."""
+    known = np.isfinite(values)
+    result = values.copy()
+    result[known] = np.unwrap(values[known])
+    return result
+
+
+def before_resampling(signals: Signals) -> Signals:
+    """Euler angles from a quaternion, north and east from latitude and longitude, headings without jumps."""
+    found = dict(signals)
+    if all(name in found for name in QUATERNION):
+        q = [found.pop(name) for name in QUATERNION]
+        for name, values in zip(("phi", "theta", "psi"), euler(*(s.values for s in q)), strict=True):
+            found.setdefault(name, replace(q[0], name=name, values=values, source=replace(q[0].source, field="q")))
+    if "latitude" in found and "longitude" in found:
+        latitude, longitude = found.pop("latitude"), found.pop("longitude")
+        for name, values in zip(("north", "east"), local(latitude.values, longitude.values), strict=True):
+            found.setdefault(name, replace(latitude, name=name, values=values))
+    for name in ("phi", "psi"):
+        if name in found:
+            found[name] = replace(found[name], values=unwrapped(found[name].values))
+    return found
+
+
+def euler(q0: np.ndarray, q1: np.ndarray, q2: np.ndarray, q3: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Euler angles 3-2-1 (T,) in rad of the rotation from body to north-east-down axes, q0 the scalar part.
+
+    A quaternion of no length is a missing sample.
+
+    Source: Stevens and Lewis, Aircraft Control and Simulation (3rd ed.), eq. 1.8-18.
+    """
+    norm = q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3
+    size = np.where(norm > 0.25, norm, np.nan)
+    phi = np.arctan2(2.0 * (q2 * q3 + q0 * q1), q0 * q0 - q1 * q1 - q2 * q2 + q3 * q3) + 0.0 * size
+    theta = np.arcsin(np.clip(2.0 * (q0 * q2 - q1 * q3) / size, -1.0, 1.0))
+    psi = np.arctan2(2.0 * (q1 * q2 + q0 * q3), q0 * q0 + q1 * q1 - q2 * q2 - q3 * q3) + 0.0 * size
+    return phi, theta, psi
+
+
+def local(latitude: np.ndarray, longitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """North and east (T,) in m of the first known place, from latitude and longitude in rad.
+
+    Source: Groves, Principles of GNSS, Inertial and Multisensor Integrated Navigation (2nd ed.), eq. 2.105 ff.
+    """
+    known = np.isfinite(latitude) & np.isfinite(longitude)
+    if not known.any():
+        return latitude.copy(), longitude.copy()
+    lat0, lon0 = latitude[known][0], longitude[known][0]
+    square = FLATTENING * (2.0 - FLATTENING)
+    bent = 1.0 - square * np.sin(lat0) ** 2
+    meridian, prime = EQUATOR_M * (1.0 - square) / bent**1.5, EQUATOR_M / np.sqrt(bent)
+    return (latitude - lat0) * meridian, (longitude - lon0) * prime * np.cos(lat0)
+
+
+def body_velocity(arrays: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], str]:
+    """Arrays on the grid with u v w in place of vn ve vd, turned by the attitude; a sentence where that is missing."""
+    found = dict(arrays)
+    given = [found.pop(name) for name in VELOCITY if name in found]
+    if len(given) < 3 or all(name in found for name in ("u", "v", "w")):
+        return found, ""
+    if not all(name in found for name in ("phi", "theta", "psi")):
+        return found, "velocity north, east and down cannot be turned into body axes without phi, theta and psi"
+    turned = to_body(given[0], given[1], given[2], found["phi"], found["theta"], found["psi"])
+    return found | dict(zip(("u", "v", "w"), turned, strict=True)), ""
+
+
+def to_body(
+    north: np.ndarray, east: np.ndarray, down: np.ndarray, phi: np.ndarray, theta: np.ndarray, psi: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """North-east-down components of a vector (T,) in body axes, by Euler angles 3-2-1 in rad.
+
+    Source: Stevens and Lewis, Aircraft Control and Simulation (3rd ed.), eq. 1.7-16.
+    """
+    ahead = np.cos(psi) * north + np.sin(psi) * east
+    side = -np.sin(psi) * north + np.cos(psi) * east
+    low = np.sin(theta) * ahead + np.cos(theta) * down
+    return (
+        np.cos(theta) * ahead - np.sin(theta) * down,
+        np.cos(phi) * side + np.sin(phi) * low,
+        -np.sin(phi) * side + np.cos(phi) * low,
+    )

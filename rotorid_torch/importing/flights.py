@@ -1,0 +1,155 @@
+"""One log to flights: its signals by a map, the times when all of them are there, the grid, the manoeuvres."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rotorid_torch.core import names
+from rotorid_torch.data.read import SAMPLES
+from rotorid_torch.errors import InputError
+from rotorid_torch.importing import manoeuvres
+from rotorid_torch.importing.derive import before_resampling, body_velocity
+from rotorid_torch.importing.formats import built_in_plan
+from rotorid_torch.importing.log import TOLD, Log
+from rotorid_torch.importing.mapping import Entry, Map, unknown_names
+from rotorid_torch.importing.plan import Plan
+from rotorid_torch.importing.resample import on_grid
+from rotorid_torch.importing.signals import Signal, signals, without_spikes
+
+PAUSE_S = 10.0
+"""A longer pause of all controls and rates ends a flight and begins another."""
+LEAST_S = 1.5
+"""Shortest flight that an identification can use."""
+SLOW = 0.5
+"""Controls recorded at less than this share of the body rates' rate are told."""
+Arrays = dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Record:
+    """One log on its way: signals by channel and what is told of it."""
+
+    file: Path
+    plan: Plan
+    entries: Mapping[str, Entry]
+    signals: dict[str, Signal]
+    warnings: list[str]
+
+
+def record_of(log: Log, given: Map | None) -> Record:
+    """Signals of a log by its map, cleaned; with what follows from them."""
+    plan = built_in_plan(log) if given is None or given.built_in else Plan(given.kind, {})
+    entries = {**plan.entries, **(given.entries() if given else {})}
+    if not any(names.is_control(name) for name in entries):
+        listed = ", ".join(sorted(topic for topic in log.fields if topic)[:TOLD]) or ", ".join(
+            log.fields.get("", ())[:TOLD]
+        )
+        wanted = "a map (--map) that names lon, lat, col, ped or motor1, motor2, ..."
+        raise InputError(log.file, "", f"has no control that is known (it has {listed or 'nothing'})", wanted)
+    found, told = signals(log, entries, "channels")
+    clean: dict[str, Signal] = {}
+    for name, signal in found.items():
+        clean[name], sentence = without_spikes(signal, log.file)
+        told += [sentence] if sentence else []
+    slow = _slow_speeds(clean, plan.entries)
+    clean = {name: signal for name, signal in clean.items() if name not in slow}
+    told += [f"{', '.join(slow)} left out: recorded less often than the motor commands"] if slow else []
+    warnings = [*log.warnings, *plan.notes, *(unknown_names(given.entries()) if given else ()), *told]
+    return Record(log.file, plan, entries, before_resampling(clean), warnings)
+
+
+def _slow_speeds(found: Mapping[str, Signal], built_in: Mapping[str, Entry]) -> list[str]:
+    """Rotor speeds of the built-in map that would replace commands which are better known."""
+    commands = [signal.hertz for name, signal in found.items() if names.is_motor(name)]
+    speeds = [name for name in found if name in built_in and name.startswith("omega") and name != "omega"]
+    return [name for name in speeds if commands and found[name].hertz < 0.8 * min(commands)]
+
+
+def flights_of(
+    record: Record, hertz: float, split: bool, taken: set[str]
+) -> tuple[dict[str, tuple[Arrays, str]], list[str]]:
+    """Flights of a record with their kinds, on the grid, and what was left out."""
+    told = _slow_controls(record)
+    spans, left = _spans(record)
+    told += left
+    made: dict[str, tuple[Arrays, str]] = {}
+    for number, (start, stop) in enumerate(spans, 1):
+        name = _free(_plain(record.file.stem) + (f"_{number}" if len(spans) > 1 else ""), taken | {*made})
+        arrays, sentence = _gridded(record, start, stop, hertz)
+        told += [sentence] if sentence and number == 1 else []
+        pieces = manoeuvres.cut(arrays, 1.0 / hertz) if split else []
+        if split and not pieces:
+            told.append(f"{name}: no control moves for {manoeuvres.SHORTEST_S:g} s: not cut")
+        for piece in pieces:
+            at = arrays["time"][piece.start]
+            part = {channel: values[piece.start : piece.stop] for channel, values in arrays.items()}
+            part["time"] = part["time"] - at
+            made[_free(f"{name}_{round(at):04d}s_{piece.kind}", taken | {*made})] = (part, piece.kind)
+        if not pieces:
+            made[name] = (arrays, "")
+    return made, told
+
+
+def _slow_controls(record: Record) -> list[str]:
+    rates = [s.hertz for n, s in record.signals.items() if n in names.RATES]
+    slow = {n: s.hertz for n, s in record.signals.items() if names.is_control(n) and rates}
+    slow = {name: hertz for name, hertz in slow.items() if hertz < SLOW * max(rates)}
+    if not slow:
+        return []
+    hertz = min(slow.values())
+    told = f"{', '.join(slow)} recorded at {hertz:.3g} Hz, the body rates at {max(rates):.3g} Hz"
+    return [f"{told}: above {hertz / 2:.2g} Hz nothing is known of the controls"]
+
+
+def _spans(record: Record) -> tuple[list[tuple[float, float]], list[str]]:
+    """Times from and to which all controls and body rates are there, one per flight; what was left out."""
+    needed = {n: s for n, s in record.signals.items() if names.is_control(n) or n in names.RATES}
+    known = {n: s.time[np.isfinite(s.values)] for n, s in needed.items()}
+    if empty := next((n for n, time in known.items() if len(time) < 2), None):
+        raise InputError(record.file, f"{needed[empty].source} ({empty})", "has no samples", "a recorded channel")
+    clock = min(known.values(), key=len)
+    edges = np.flatnonzero(np.diff(clock) > PAUSE_S)
+    starts, stops = clock[np.concatenate([[0], edges + 1])], clock[np.concatenate([edges, [len(clock) - 1]])]
+    spans, short = [], 0
+    for start, stop in zip(starts, stops, strict=True):
+        inside = [time[(time >= start - 1.0) & (time <= stop + 1.0)] for time in known.values()]
+        low = max((time[0] for time in inside if len(time)), default=stop)
+        high = min((time[-1] for time in inside if len(time)), default=start)
+        whole = all(map(len, inside)) and high - low >= LEAST_S
+        spans += [(float(low), float(high))] if whole else []
+        short += not whole
+    if spans:
+        return spans, [f"{short} stretches of under {LEAST_S:g} s or without all controls left out"] if short else []
+    ends = {n: f"{time[0]:.6g} to {time[-1]:.6g} s" for n, time in known.items()}
+    first = min(known, key=lambda n: known[n][-1])
+    last = max(known, key=lambda n: known[n][0])
+    told = f"{first} runs from {ends[first]}, {last} from {ends[last]}: less than {LEAST_S:g} s in common"
+    raise InputError(record.file, "time", told, "controls and body rates on one clock")
+
+
+def _gridded(record: Record, start: float, stop: float, hertz: float) -> tuple[Arrays, str]:
+    """Channels on the grid between two times, with what is computed there; a sentence where something could not be."""
+    count = int((stop - start) * hertz + 1e-6) + 1
+    if count > SAMPLES:
+        raise InputError(record.file, "time", f"makes {count} samples at {hertz:g} Hz", f"at most {SAMPLES}")
+    grid = start + np.arange(count) / hertz
+    arrays = {name: on_grid(s.time, s.values, grid) for name, s in record.signals.items()}
+    arrays, sentence = body_velocity(arrays)
+    there = {name: values for name, values in arrays.items() if np.isfinite(values).any()}
+    return {"time": np.arange(count) / hertz, **there}, sentence
+
+
+def _plain(stem: str) -> str:
+    """File's name as a flight's: letters, digits and a few signs, and no way out of the folder."""
+    return re.sub(r"[^A-Za-z0-9_.-]+", "_", stem).strip("._-")[:60] or "flight"
+
+
+def _free(name: str, taken: set[str]) -> str:
+    if name not in taken:
+        return name
+    return next(f"{name}_{number}" for number in range(2, len(taken) + 3) if f"{name}_{number}" not in taken)

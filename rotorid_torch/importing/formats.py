@@ -1,0 +1,69 @@
+"""Which reader reads which file, and the built-in map that belongs to what it read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from rotorid_torch.errors import InputError
+from rotorid_torch.importing import ardupilot, px4
+from rotorid_torch.importing.arrays import read_matlab, read_npz, read_parquet
+from rotorid_torch.importing.csv import read_csv
+from rotorid_torch.importing.dataflash import read_dataflash
+from rotorid_torch.importing.log import Choose, Log
+from rotorid_torch.importing.mapping import Clock
+from rotorid_torch.importing.plan import Plan
+from rotorid_torch.importing.tables import own_entries
+from rotorid_torch.importing.ulog import read_ulog
+
+FLIGHT_LOGS: Mapping[str, Callable[[Path, Choose], Log]] = {
+    ".ulg": read_ulog,
+    ".ulog": read_ulog,
+    ".bin": read_dataflash,
+    ".px4log": read_dataflash,
+}
+"""Readers of logs with topics and clocks of their own, by the file's ending in small letters."""
+TABLES: Mapping[str, Callable[[Path, Choose, Clock | None], Log]] = {
+    ".csv": read_csv,
+    ".txt": read_csv,
+    ".npz": read_npz,
+    ".mat": read_matlab,
+    ".parquet": read_parquet,
+}
+"""Readers of tables."""
+
+
+def read_log(file: Path, choose: Choose, clock: Clock | None) -> Log:
+    """Read a file by the reader of its ending. Raises InputError."""
+    ending = file.suffix.lower()
+    if not file.is_file():
+        told = "is a folder" if file.is_dir() else "there is no such file"
+        raise InputError(file, "", told, "a log")
+    try:
+        if ending in FLIGHT_LOGS:
+            return FLIGHT_LOGS[ending](file, choose)
+        if ending in TABLES:
+            return TABLES[ending](file, choose, clock)
+    except OSError as error:
+        raise InputError(file, "", f"cannot be read ({error.strerror or error})", "a readable file") from None
+    known = ", ".join((*FLIGHT_LOGS, *TABLES))
+    raise InputError(file, "", f"has the ending '{ending}', which no reader reads", f"one of {known}")
+
+
+def built_in_fields(topic: str, names: list[str]) -> list[str]:
+    """Fields that any built-in map may need: a reader's choice where there is no map."""
+    return [*px4.fields(topic, names), *ardupilot.fields(topic, names), *own_fields(topic, names)]
+
+
+def own_fields(topic: str, names: list[str]) -> list[str]:
+    """Columns that are named as our channels are."""
+    return [entry.field.removeprefix(f"{topic}.") for entry in own_entries({topic: names}).values()]
+
+
+def built_in_plan(log: Log) -> Plan:
+    """Channels of a log by the map of its maker, or by their own names in a table. Raises InputError."""
+    if log.system == "PX4":
+        return px4.plan(log)
+    if log.system == "ArduPilot":
+        return ardupilot.plan(log)
+    return Plan("", own_entries(log.fields))

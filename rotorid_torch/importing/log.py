@@ -1,0 +1,112 @@
+"""What a reader gives: the streams of a log, each a clock and columns, and what the log says of the vehicle."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from rotorid_torch.core import names
+from rotorid_torch.errors import InputError
+
+Choose = Callable[[str, Sequence[str]], Sequence[str]]
+"""Called by a reader once per topic with all its fields; gives those to keep, so that the rest costs no memory."""
+
+_INSTANCE = re.compile(r"([^.\[\]]+)\[(\d{1,3})\]\.(.+)", re.DOTALL)
+TOLD = 8
+"""Names that a message lists at most."""
+
+
+@dataclass(frozen=True)
+class Stream:
+    """One topic of a log (one instance of it): time (T,) in s and columns, each (T,) as stored."""
+
+    time: np.ndarray
+    columns: Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Source:
+    """One field of a log: its topic (empty in a table), the instance of the topic, and the field."""
+
+    topic: str
+    instance: int
+    field: str
+
+    def __str__(self) -> str:
+        """As a map writes it: `topic.field`, `topic[1].field` for a further instance, or a bare column."""
+        number = f"[{self.instance}]" if self.instance else ""
+        return f"{self.topic}{number}.{self.field}" if self.topic else self.field
+
+
+@dataclass(frozen=True)
+class Log:
+    """One file as read.
+
+    Attributes
+    ----------
+    system : "PX4", "ArduPilot" or "" where the file says nothing of its maker.
+    about : for people: what recorded this, where it is known.
+    streams : by topic and instance; those with samples only.
+    fields : all topics with all their fields, also those not kept.
+    parameters : the vehicle's settings by name.
+    warnings : sentences on what could not be read.
+    """
+
+    file: Path
+    system: str
+    about: str
+    streams: Mapping[tuple[str, int], Stream]
+    fields: Mapping[str, Sequence[str]]
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    def instances(self, topic: str) -> list[int]:
+        """Instances of a topic that have samples."""
+        return sorted(number for name, number in self.streams if name == topic)
+
+    def source(self, text: str, key: str) -> Source:
+        """Field that a map names; `key` is the map's, for the message. Raises InputError where there is none."""
+        bare, instance = without_instance(text)
+        known = {joined(topic, name): (topic, name) for topic, fields in self.fields.items() for name in fields}
+        if bare not in known:
+            raise InputError(self.file, key, f"there is no field '{text[:80]}'{self._hint(bare, known)}", "a field")
+        topic, name = known[bare]
+        there = self.instances(topic)
+        if instance not in there:
+            told = f"has no samples of {topic or name}" if not there else f"has {topic} {there} only"
+            raise InputError(self.file, key, told, f"'{text[:80]}'")
+        return Source(topic, instance, name)
+
+    def stream(self, source: Source) -> Stream:
+        """The stream that a field is in."""
+        return self.streams[source.topic, source.instance]
+
+    def _hint(self, text: str, known: Iterable[str]) -> str:
+        """What may have been meant: a similar name, or what the topic, or the log, holds."""
+        if near := names.nearest(text, known):
+            return near
+        topic = text.partition(".")[0]
+        listed = self.fields.get(topic) or (list(known) if len(self.fields) == 1 else sorted(self.fields))
+        more = f" and {len(listed) - TOLD} more" if len(listed) > TOLD else ""
+        return f" (there are {', '.join(listed[:TOLD])}{more})" if listed else ""
+
+
+def joined(topic: str, name: str) -> str:
+    """Name of a field in a map."""
+    return f"{topic}.{name}" if topic else name
+
+
+def without_instance(text: str) -> tuple[str, int]:
+    """`topic[1].field` as `topic.field` and 1; 0 where no instance is named."""
+    match = _INSTANCE.fullmatch(text)
+    return (f"{match[1]}.{match[3]}", int(match[2])) if match else (text, 0)
+
+
+def choose(texts: Iterable[str]) -> Choose:
+    """Reader's choice that keeps what these texts of a map name."""
+    wanted = {without_instance(text)[0] for text in texts}
+    return lambda topic, fields: [name for name in fields if joined(topic, name) in wanted]

@@ -1,0 +1,186 @@
+"""`rotorid import`: logs to a data set, from reading to the lists of flights."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rotorid_torch.core import names
+from rotorid_torch.data.write import refuse_unless_free, write_dataset
+from rotorid_torch.errors import InputError
+from rotorid_torch.importing import manoeuvres, units
+from rotorid_torch.importing.flights import Record, flights_of, record_of
+from rotorid_torch.importing.formats import built_in_fields, read_log
+from rotorid_torch.importing.log import Log, choose
+from rotorid_torch.importing.mapping import Map, read_map
+
+FASTEST_HZ = 250.0
+"""Rate of the grid at most, unless one is asked for."""
+RATES_HZ = (1.0, 10_000.0)
+"""What may be asked for."""
+
+
+@dataclass(frozen=True)
+class Taken:
+    """A channel: where it came from and how often it was recorded; `source` is empty for what was computed."""
+
+    source: str
+    hertz: float
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What was imported.
+
+    Attributes
+    ----------
+    folder : the data set.
+    kind : "helicopter" or "multirotor".
+    rate : of the grid, Hz.
+    flights : by name the seconds and the kind of manoeuvre ("" where it was not cut).
+    lists : names of flights in identify, validate, acid.
+    channels : where each came from.
+    warnings : what was left out, taken out or chosen.
+    """
+
+    folder: Path
+    kind: str
+    rate: float
+    flights: Mapping[str, tuple[float, str]]
+    lists: Mapping[str, Sequence[str]]
+    channels: Mapping[str, Taken]
+    warnings: tuple[str, ...]
+
+
+def import_logs(
+    paths: Sequence[str | Path] | str | Path,
+    out: str | Path,
+    mapping: str | Path | Mapping[str, Any] | None = None,
+    rate: float | None = None,
+    split: bool = False,
+) -> Imported:
+    """Import logs as a data set; each file is a flight, or a stream of one where the map says `together`.
+
+    Parameters
+    ----------
+    paths : PX4 ULog, ArduPilot or sdlog2 logs, MATLAB, CSV, Parquet or NPZ files.
+    out : folder of the data set; an earlier data set there is replaced whole.
+    mapping : a map (TOML file, or the same as a dict); without it the built-in one of the log's maker, and in tables
+        the columns that are named as channels.
+    rate : of the data set in Hz; without it that of the body rates, at most 250.
+    split : cut flights into manoeuvres by control activity.
+
+    Raises
+    ------
+    InputError : where a log cannot be read, lacks controls, or has clocks that disagree; nothing is written then.
+    """
+    place, files = Path(out), [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
+    refuse_unless_free(place.absolute())
+    if not files:
+        raise InputError("import", "", "has no log", "at least one file")
+    if rate is not None and not RATES_HZ[0] <= rate <= RATES_HZ[1]:
+        raise InputError("--rate", str(rate), "is out of range", f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz")
+    given = read_map(mapping) if mapping is not None else None
+    records = _records(files, given)
+    grid_hz = rate or _usual_rate(records)
+    flights, kinds, told = dict[str, dict[str, np.ndarray]](), dict[str, str](), list[str]()
+    for record in records:
+        made, more = flights_of(record, grid_hz, split, set(flights))
+        told += [f"{record.file.name}: {sentence}" for sentence in (*record.warnings, *more)]
+        flights |= {name: arrays for name, (arrays, _) in made.items()}
+        kinds |= {name: kind for name, (_, kind) in made.items()}
+    seconds = {name: float(arrays["time"][-1]) for name, arrays in flights.items()}
+    lists = manoeuvres.share_out([(name, kinds[name], seconds[name]) for name in flights])
+    kind = _vehicle_kind(records, given)
+    write_dataset(
+        place,
+        flights,
+        identify=lists["identify"],
+        validate=lists["validate"],
+        acid=lists["acid"],
+        kind=kind,
+        description=f"Imported from {', '.join(f.name for f in files)} at {grid_hz:g} Hz.",
+        vehicle=(given.vehicle if given else None) or dict(records[0].plan.vehicle) or None,
+        controls=_controls(records, flights),
+    )
+    durations = {name: (seconds[name], kinds[name]) for name in flights}
+    return Imported(place, kind, grid_hz, durations, lists, _taken(records, flights), tuple(told))
+
+
+def _records(files: Sequence[Path], given: Map | None) -> list[Record]:
+    """Every log read and turned into signals; one record of all where they are streams of one flight."""
+    logs = [_read(file, given, together=bool(given and given.together)) for file in files]
+    if given is not None and given.together:
+        logs = [_joined(logs)]
+    return [record_of(log, given) for log in logs]
+
+
+def _read(file: Path, given: Map | None, together: bool) -> Log:
+    if given is None:
+        return read_log(file, lambda topic, fields: built_in_fields(topic, list(fields)), None)
+    stem = f"{file.stem}." if together else ""
+    mapped = choose(e.field.removeprefix(stem) for e in given.entries().values() if e.field.startswith(stem))
+    built_in = given.built_in
+
+    def wanted(topic: str, fields: Sequence[str]) -> list[str]:
+        return [*mapped(topic, fields), *(built_in_fields(topic, list(fields)) if built_in else ())]
+
+    return read_log(file, wanted, given.clock())
+
+
+def _joined(logs: Sequence[Log]) -> Log:
+    """Streams of several files as one log, each topic behind the file's name."""
+
+    def name(log: Log, topic: str) -> str:
+        return f"{log.file.stem}.{topic}" if topic else log.file.stem
+
+    if len({log.file.stem for log in logs}) < len(logs):
+        raise InputError(logs[0].file, "", "has the name of another file", "files of different names for one flight")
+    return replace(
+        logs[0],
+        streams={(name(log, topic), i): s for log in logs for (topic, i), s in log.streams.items()},
+        fields={name(log, topic): fields for log in logs for topic, fields in log.fields.items()},
+        warnings=tuple(f"{log.file.name}: {sentence}" for log in logs for sentence in log.warnings),
+    )
+
+
+def _usual_rate(records: Sequence[Record]) -> float:
+    """Rate of the body rates, else of the fastest control; of the slowest log."""
+    usual = []
+    for record in records:
+        rates = [s.hertz for n, s in record.signals.items() if n in names.RATES]
+        controls = [s.hertz for n, s in record.signals.items() if names.is_control(n)]
+        usual.append(max(rates or controls))
+    return float(f"{min(*usual, FASTEST_HZ):.2g}") if min(usual) < FASTEST_HZ else FASTEST_HZ
+
+
+def _vehicle_kind(records: Sequence[Record], given: Map | None) -> str:
+    if given is not None and given.kind:
+        return given.kind
+    motors = any(names.is_motor(name) for record in records for name in record.signals)
+    return records[0].plan.kind or ("multirotor" if motors else "helicopter")
+
+
+def _controls(records: Sequence[Record], flights: Mapping[str, Mapping[str, np.ndarray]]) -> dict[str, Any]:
+    """Tables of the controls with their units: motors are 0 to 1, sticks what their map says."""
+    found: dict[str, Any] = {}
+    for name in names.ordered_controls({name for arrays in flights.values() for name in arrays}):
+        entry = next(record.entries[name] for record in records if name in record.entries)
+        unit = units.find_unit(entry.unit)
+        found[name] = {"unit": "norm" if names.is_motor(name) else unit.measures if unit else "rad"}
+    return found
+
+
+def _taken(records: Sequence[Record], flights: Mapping[str, Mapping[str, np.ndarray]]) -> dict[str, Taken]:
+    """Where each channel of the flights came from; what was computed on the grid has no source."""
+    found: dict[str, Taken] = {}
+    for arrays in flights.values():
+        for name in arrays:
+            signal = next((record.signals[name] for record in records if name in record.signals), None)
+            if name != "time":
+                found.setdefault(name, Taken(str(signal.source) if signal else "", signal.hertz if signal else 0.0))
+    return found

@@ -1,0 +1,128 @@
+"""Maps from fields of a log to channels: the short TOML that a user writes, and its check."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta, Struct
+
+from rotorid_torch.core import names
+from rotorid_torch.data.declare import TOML_LIMIT
+from rotorid_torch.data.refusal import convert
+from rotorid_torch.errors import InputError
+from rotorid_torch.importing import units
+
+Factor = Annotated[float, Meta(ge=-1e12, le=1e12)]
+
+DERIVED = {
+    **dict.fromkeys(("q0", "q1", "q2", "q3"), "norm"),
+    **dict.fromkeys(("vn", "ve", "vd"), "m/s"),
+    **dict.fromkeys(("latitude", "longitude"), "rad"),
+}
+"""What a map may name besides channels, with its unit: the quaternion from body to north-east-down axes (q0 the scalar)
+becomes phi, theta, psi; velocity north, east and down becomes u, v, w; latitude and longitude become north, east."""
+
+
+class Entry(Struct, frozen=True, forbid_unknown_fields=True):
+    """A channel: sign * (scale * field + offset), in `unit`; an empty unit is the channel's own."""
+
+    field: str
+    unit: str = ""
+    sign: Literal[1, -1] = 1
+    scale: Factor = 1.0
+    offset: Factor = 0.0
+
+
+class Clock(Struct, frozen=True, forbid_unknown_fields=True):
+    """Which column of a table is time, and its unit."""
+
+    field: str
+    unit: Literal["s", "ms", "us", "ns"] = "s"
+
+
+class Map(Struct, frozen=True, forbid_unknown_fields=True):
+    """A whole map.
+
+    Attributes
+    ----------
+    channels : per channel its field, or a table with unit, sign, scale and offset.
+    time : clock of a table; a flight log has its own.
+    kind : of vehicle; by the controls where it is empty.
+    together : the files are streams of one flight, and a field is named `FILE.field` (the file's name without ending).
+    built_in : what the map does not name comes from the map of the log's maker.
+    vehicle : the table of that name, for dataset.toml.
+    """
+
+    channels: dict[str, str | Entry]
+    time: str | Clock | None = None
+    kind: Literal["helicopter", "multirotor", ""] = ""
+    together: bool = False
+    built_in: bool = False
+    vehicle: dict[str, Any] = {}
+
+    def entries(self) -> dict[str, Entry]:
+        """Channels with their entries written out."""
+        return {name: Entry(e) if isinstance(e, str) else e for name, e in self.channels.items()}
+
+    def clock(self) -> Clock | None:
+        """The clock written out."""
+        return Clock(self.time) if isinstance(self.time, str) else self.time
+
+
+def read_map(given: str | Path | Mapping[str, Any]) -> Map:
+    """Map from a TOML file, or from the same as a dict. Raises InputError with the key at fault."""
+    file: str | Path = "mapping"
+    document: Any = given
+    if isinstance(given, str | Path):
+        file = given
+        document = _toml(Path(given))
+    found = convert(document, Map, file, "")
+    if not found.channels:
+        raise InputError(file, "channels", "is empty", "at least a control")
+    for name, entry in found.entries().items():
+        check_unit(name, entry, file)
+    return found
+
+
+def _toml(file: Path) -> dict[str, Any]:
+    try:
+        with file.open("rb") as stream:
+            content = stream.read(TOML_LIMIT + 1)
+        if len(content) > TOML_LIMIT:
+            raise InputError(file, "", f"has over {TOML_LIMIT} bytes", "a map in TOML")
+        return tomllib.loads(content.decode("utf-8"))
+    except OSError as error:
+        raise InputError(file, "", f"cannot be read ({error.strerror})", "a map in TOML") from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        raise InputError(file, "", f"is not TOML: {error}", "a map with a table [channels]") from None
+
+
+def measures(name: str) -> str:
+    """Unit of a channel or of what becomes one; empty for somebody's own name."""
+    return DERIVED.get(name) or ("norm" if names.is_motor(name) else names.unit(name))
+
+
+def check_unit(name: str, entry: Entry, file: str | Path) -> None:
+    """Raise InputError where an entry's unit is unknown or does not measure what the channel is."""
+    if not entry.unit:
+        return
+    unit, key = units.find_unit(entry.unit), f"channels.{name}.unit"
+    own = measures(name)
+    allowed = ("rad", "m", "norm") if name in names.STICKS else (own,) if own else ()
+    fitting = [n for measure in allowed for n in units.names_of(measure)] or list(units.UNITS)
+    if unit is None:
+        told = f"'{entry.unit[:40]}' is not known{names.nearest(entry.unit, fitting)}"
+        raise InputError(file, key, told, f"one of {', '.join(fitting)}")
+    if allowed and unit.measures not in allowed:
+        raise InputError(file, key, f"'{entry.unit}' does not measure {name}", f"one of {', '.join(fitting)}")
+
+
+def unknown_names(entries: Mapping[str, Entry]) -> Iterator[str]:
+    """Sentences on channels that nothing uses."""
+    known = [*names.CHANNELS, *DERIVED, "motor1", "omega1"]
+    for name in entries:
+        if name not in DERIVED and names.channel(name) is None:
+            yield f"channel '{name}' is not known{names.nearest(name, known)}: it is kept and not used"

@@ -1,0 +1,171 @@
+"""From fields of a log to signals: a clean clock, SI units, impossible samples taken out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotorid_torch.core import names
+from rotorid_torch.errors import InputError
+from rotorid_torch.importing import units
+from rotorid_torch.importing.log import Log, Source, Stream
+from rotorid_torch.importing.mapping import Entry, check_unit
+from rotorid_torch.importing.plan import rate_of
+
+LIMITS = {
+    **{"velocity": 1000.0, "rate": 100.0, "specific force": 2000.0, "angular acceleration": 1e5},
+    **{"rotor": 1e5, "position": 1e7, "air data": 1000.0},
+}
+"""Largest magnitude of a kind of channel in SI; beyond it no rotorcraft has been."""
+SPIKES = 0.01
+"""Share of samples that may be spikes; more are another unit."""
+OUT_OF_ORDER = 0.1
+"""Share of stamps that may be out of order; more are two clocks."""
+ASTRAY_S = 1.0
+"""A single stamp this far from those around it is damaged."""
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One channel of a log: time (T,) in s, increasing; values (T,) in SI, NaN where missing; where it comes from."""
+
+    name: str
+    time: np.ndarray
+    values: np.ndarray
+    source: Source
+
+    @property
+    def hertz(self) -> float:
+        """Usual sample rate."""
+        return rate_of(self.time)
+
+
+class BadClock(Exception):
+    """A stream's clock that cannot be used; says why and what was expected."""
+
+    def __init__(self, wrong: str, expected: str) -> None:
+        self.wrong, self.expected = wrong, expected
+        super().__init__(wrong)
+
+
+def signals(log: Log, entries: Mapping[str, Entry], key: str) -> tuple[dict[str, Signal], list[str]]:
+    """Signals of all entries, and sentences on what was taken out or left out.
+
+    `key` is where the entries stand, for messages. A channel whose clock cannot be used is left out with a sentence,
+    but for a control or a body rate, without which there is nothing to import.
+
+    Raises
+    ------
+    InputError : for a field that is not there, a unit that does not fit, a control or rate without a usable clock.
+    """
+    found, told, clocks = dict[str, Signal](), list[str](), dict[tuple[str, int], np.ndarray | BadClock]()
+    for name, entry in entries.items():
+        source = log.source(entry.field, f"{key}.{name}")
+        check_unit(name, entry, log.file)
+        place = (source.topic, source.instance)
+        if place not in clocks:
+            clocks[place] = _usable(log.streams[place], source, told)
+        usable = clocks[place]
+        if isinstance(usable, BadClock):
+            if names.is_control(name) or name in names.RATES:
+                raise InputError(log.file, f"{source} ({name})", usable.wrong, usable.expected)
+            told.append(f"{name} is left out: the clock of {source.topic or 'the table'} {usable.wrong}")
+            continue
+        stream = log.streams[place]
+        values = _taken(log, source, stream)[usable]
+        found[name] = Signal(name, stream.time[usable], _in_si(name, values, entry), source)
+    return found, told
+
+
+def _taken(log: Log, source: Source, stream: Stream) -> np.ndarray:
+    values = stream.columns[source.field]
+    if values.dtype.kind not in "fiub":
+        raise InputError(log.file, str(source), "is text", "a field of numbers")
+    return values
+
+
+def _usable(stream: Stream, source: Source, told: list[str]) -> np.ndarray | BadClock:
+    """Samples of a stream whose stamps increase, as a mask."""
+    try:
+        usable = increasing(stream.time)
+    except BadClock as bad:
+        return bad
+    if lost := int((~usable).sum()):
+        told.append(f"{source.topic or 'the table'}: {lost} samples with a stamp out of order were left out")
+    return usable
+
+
+def increasing(time: np.ndarray) -> np.ndarray:
+    """Samples to keep so that time increases: a stamp that is astray, repeats or runs back is given up.
+
+    Raises
+    ------
+    BadClock : where time stands still, or so many stamps are out of order that there are two clocks.
+    """
+    keep = np.isfinite(time)
+    if not keep.any():
+        raise BadClock("has no stamp", "time in s for every sample")
+    steps = np.diff(time)
+    if keep.all() and len(steps) and (steps > 0).all() and steps.max() < ASTRAY_S:
+        return keep
+    keep[keep] = ~_astray(time[keep])
+    known = time[keep]
+    if len(known) < 2 or known.min() == known.max():
+        raise BadClock(f"stands still at {time[np.isfinite(time)][0]:.6g} s", "a clock that runs")
+    highest = np.maximum.accumulate(known)
+    ahead = np.concatenate([[True], known[1:] > highest[:-1]])
+    back = np.flatnonzero(known[1:] < highest[:-1])
+    if (~ahead).mean() > OUT_OF_ORDER:
+        if not len(back):
+            raise BadClock(f"repeats its stamps ({(~ahead).mean():.0%} of them)", "a stamp for every sample")
+        at = int(back[0])
+        told = f"runs back from {known[at]:.6g} to {known[at + 1]:.6g} s: two time bases?"
+        raise BadClock(told, "one clock that runs on")
+    keep[keep] = ahead
+    return keep
+
+
+def _astray(time: np.ndarray) -> np.ndarray:
+    """Single stamps, or pairs, far from the median of the five around them."""
+    if len(time) < 5:
+        return np.zeros(len(time), bool)
+    padded = np.concatenate([time[2:0:-1], time, time[-2:-4:-1]])
+    middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1)
+    return np.abs(time - middle) > max(ASTRAY_S, 20.0 * float(np.median(np.abs(np.diff(middle)))))
+
+
+def _in_si(name: str, values: np.ndarray, entry: Entry) -> np.ndarray:
+    """Convert to SI as the entry says; a pulse of a motor at rest is 0."""
+    unit = units.find_unit(entry.unit) or units.Unit("")
+    factor, offset = unit.factor, unit.offset
+    result = entry.sign * (entry.scale * values.astype(np.float64) + entry.offset) * factor + offset
+    result[~np.isfinite(result)] = np.nan
+    return np.clip(result, 0.0, 1.0) if names.is_motor(name) and (entry.unit == "us" or entry.offset) else result
+
+
+def without_spikes(signal: Signal, file: object) -> tuple[Signal, str]:
+    """The signal with impossible samples missing, and a sentence; empty where there are none.
+
+    Raises
+    ------
+    InputError : where so many are impossible that the unit is another.
+    """
+    known = names.channel(signal.name)
+    if known is None:
+        return signal, ""
+    limit = 1.001 * min(known.limit, LIMITS.get(known.kind, math.inf))
+    beyond = np.abs(signal.values) > limit
+    count, there = int(beyond.sum()), int(np.isfinite(signal.values).sum())
+    if not count:
+        return signal, ""
+    largest = float(np.nanmax(np.abs(signal.values)))
+    if count > max(1, SPIKES * there):
+        told = f"reaches {largest:.4g} {known.unit}, {count} of {there} samples beyond {limit:.4g} (another unit?)"
+        raise InputError(str(file), f"{signal.source} ({signal.name})", told, f"{known.unit}; a map gives the unit")
+    values = np.where(beyond, np.nan, signal.values)
+    return replace(signal, values=values), (
+        f"{signal.name}: {count} spike{'s' if count > 1 else ''} of up to {largest:.3g} {known.unit} taken out"
+    )

@@ -1,0 +1,93 @@
+"""Tables (CSV, Parquet, NPZ, MATLAB) as logs: which column is the clock, and what a header says of units."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from rotorid_torch.core import names
+from rotorid_torch.errors import InputError
+from rotorid_torch.importing import units
+from rotorid_torch.importing.log import TOLD, Log, Stream, joined
+from rotorid_torch.importing.mapping import Clock, Entry
+
+CLOCKS = {
+    **dict.fromkeys(("time", "t", "time_s", "t_s", "timestamp", "timestamp_s", "seconds", "sec"), "s"),
+    **dict.fromkeys(("time_ms", "t_ms", "timestamp_ms", "timems"), "ms"),
+    **dict.fromkeys(("time_us", "t_us", "timestamp_us", "timeus"), "us"),
+    **dict.fromkeys(("time_ns", "t_ns", "timestamp_ns", "timens"), "ns"),
+}
+"""Columns taken for the clock where no map names one, in small letters."""
+USUAL_S = (1e-5, 2.0)
+"""Shortest and longest usual interval of a record; beyond them the clock has another unit."""
+_UNIT_IN_HEADER = re.compile(r"\s*([A-Za-z]\w*)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*")
+
+Columns = Mapping[str, np.ndarray]
+
+
+def header_name(column: str) -> tuple[str, str]:
+    """`p [deg/s]` as p and deg/s; without brackets the column itself and no unit."""
+    match = _UNIT_IN_HEADER.fullmatch(column)
+    return (match[1], match[2]) if match else (column.strip(), "")
+
+
+def is_clock(topic: str, column: str, clock: Clock | None) -> bool:
+    """Whether a column may be the clock."""
+    if clock is not None:
+        return clock.field in (column, joined(topic, column))
+    return header_name(column)[0].lower() in CLOCKS
+
+
+def table_log(
+    file: Path,
+    tables: Mapping[str, Columns],
+    fields: Mapping[str, Sequence[str]],
+    clock: Clock | None,
+    warnings: Sequence[str] = (),
+) -> Log:
+    """Log of one table or several (by topic), each with a clock among its columns. Raises InputError without one."""
+    streams = {}
+    for topic, columns in tables.items():
+        name = next((column for column in columns if is_clock(topic, column, clock)), None)
+        if name is None:
+            continue
+        stamps = np.asarray(columns[name], np.float64) * _seconds(name, clock)
+        _refuse_other_unit(file, name, stamps)
+        kept = {column: values for column, values in columns.items() if column != name or len(columns) == 1}
+        streams[topic, 0] = Stream(stamps, kept)
+    if not streams:
+        listed = [joined(topic, name) for topic, columns in fields.items() for name in columns]
+        wanted = clock.field if clock else "time"
+        near = names.nearest(wanted, listed) or f" (there are {', '.join(listed[:TOLD])})"
+        expected = "a clock: a column time in s, or a map with time = { field = ..., unit = ... }"
+        raise InputError(file, wanted, f"is missing{near if listed else ''}", expected)
+    return Log(file, "", "", streams, fields, warnings=tuple(warnings))
+
+
+def _seconds(column: str, clock: Clock | None) -> float:
+    """Seconds of one unit of the clock."""
+    name, bracketed = header_name(column)
+    unit = clock.unit if clock else CLOCKS[name.lower()]
+    return units.clock_unit(bracketed if clock is None and bracketed else unit) or 1.0
+
+
+def _refuse_other_unit(file: Path, name: str, stamps: np.ndarray) -> None:
+    steps = np.diff(stamps[np.isfinite(stamps)])
+    typical = float(np.median(steps[steps > 0])) if (steps > 0).any() else USUAL_S[1]
+    if not USUAL_S[0] <= typical <= USUAL_S[1]:
+        told = f"has samples {typical:.4g} s apart"
+        raise InputError(file, name, told, f'time in s, or a map with time = {{ field = "{name}", unit = "us" }}')
+
+
+def own_entries(fields: Mapping[str, Sequence[str]]) -> dict[str, Entry]:
+    """Map of a table whose columns are named as our channels are, `p` or `p [deg/s]`."""
+    entries: dict[str, Entry] = {}
+    for topic, columns in fields.items():
+        for column in columns:
+            name, unit = header_name(column)
+            if names.channel(name) is not None and name != "time" and name not in entries:
+                entries[name] = Entry(joined(topic, column), unit)
+    return entries

@@ -1,0 +1,79 @@
+"""Units that logs use, and what they are in SI."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Unit:
+    """Value in SI = factor * value + offset; `measures` is the SI unit as the table of channels writes it."""
+
+    measures: str
+    factor: float = 1.0
+    offset: float = 0.0
+
+
+_FOOT, _KNOT, _G = 0.3048, 1852.0 / 3600.0, 9.80665
+UNITS: dict[str, Unit] = {
+    "rad": Unit("rad"),
+    "deg": Unit("rad", math.pi / 180.0),
+    "cdeg": Unit("rad", math.pi / 18000.0),
+    "rad/s": Unit("rad/s"),
+    "deg/s": Unit("rad/s", math.pi / 180.0),
+    "mrad/s": Unit("rad/s", 1e-3),
+    "rpm": Unit("rad/s", math.pi / 30.0),
+    "Hz": Unit("rad/s", 2.0 * math.pi),
+    "rad/s²": Unit("rad/s²"),
+    "deg/s²": Unit("rad/s²", math.pi / 180.0),
+    "m": Unit("m"),
+    "mm": Unit("m", 1e-3),
+    "cm": Unit("m", 1e-2),
+    "km": Unit("m", 1e3),
+    "ft": Unit("m", _FOOT),
+    "in": Unit("m", _FOOT / 12.0),
+    "m/s": Unit("m/s"),
+    "cm/s": Unit("m/s", 1e-2),
+    "mm/s": Unit("m/s", 1e-3),
+    "km/h": Unit("m/s", 1.0 / 3.6),
+    "kn": Unit("m/s", _KNOT),
+    "kt": Unit("m/s", _KNOT),
+    "knots": Unit("m/s", _KNOT),
+    "mph": Unit("m/s", 5280.0 * _FOOT / 3600.0),
+    "ft/s": Unit("m/s", _FOOT),
+    "ft/min": Unit("m/s", _FOOT / 60.0),
+    "m/s²": Unit("m/s²"),
+    "g": Unit("m/s²", _G),
+    "mg": Unit("m/s²", 1e-3 * _G),
+    "cm/s²": Unit("m/s²", 1e-2),
+    "ft/s²": Unit("m/s²", _FOOT),
+    "N m": Unit("N m"),
+    "ft lb": Unit("N m", _FOOT * 4.4482216152605),
+    "V": Unit("V"),
+    "mV": Unit("V", 1e-3),
+    "norm": Unit("norm"),
+    "%": Unit("norm", 0.01),
+    "us": Unit("norm", 1e-3, -1.0),  # a servo pulse of 1000 to 2000 us is 0 to 1
+    "s": Unit("s"),
+    "ms": Unit("s", 1e-3),
+    "ns": Unit("s", 1e-9),
+}
+"""`us` of a control is a servo pulse; of a clock it is a microsecond, see `clock_unit`."""
+
+
+def find_unit(name: str) -> Unit | None:
+    """Unit of this name, also written with ^2 or a plain 2; None where the table has none."""
+    for typed, meant in (("**2", "²"), ("^2", "²"), ("/s2", "/s²"), ("/s/s", "/s²"), ("µs", "us")):
+        name = name.replace(typed, meant)
+    return UNITS.get(name.strip())
+
+
+def clock_unit(name: str) -> float | None:
+    """Seconds of one unit of a clock; None where it is none."""
+    return {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}.get(name)
+
+
+def names_of(measures: str) -> list[str]:
+    """Names of all units that measure the same."""
+    return [name for name, unit in UNITS.items() if unit.measures == measures]

@@ -1,0 +1,48 @@
+"""What `rotorid import` tells: flights and their lists, where each channel came from, warnings."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from rotorid_torch.core import names
+from rotorid_torch.importing.logs import Imported
+
+
+def import_table(done: Imported) -> RenderableType:
+    """All of it for people."""
+    flights = Table(title=f"{done.folder.name}: {done.kind}, {done.rate:g} Hz", title_justify="left")
+    for heading in ("list", "flight", "s", "most moved"):
+        flights.add_column(heading, justify="right" if heading == "s" else "left")
+    for listed, chosen in done.lists.items():
+        for name in chosen:
+            seconds, kind = done.flights[name]
+            flights.add_row(listed, name, f"{seconds:.1f}", kind or "-")
+    channels = Table("channel", "unit", "from", "recorded at")
+    for name, taken in done.channels.items():
+        told = f"{taken.hertz:.3g} Hz" if taken.source else "-"
+        channels.add_row(name, _unit(name), taken.source or "computed", told)
+    warnings = [Text(f"warning: {sentence}") for sentence in done.warnings]
+    where = Text(f"data set: {done.folder}; its lists and its vehicle are yours to edit in dataset.toml")
+    return Group(flights, channels, *warnings, where)
+
+
+def _unit(name: str) -> str:
+    return "0…1" if names.is_motor(name) else names.unit(name) or "-"
+
+
+def import_record(done: Imported) -> dict[str, Any]:
+    """All of it for `--json`."""
+    flights = {name: {"seconds": seconds, "kind": kind} for name, (seconds, kind) in done.flights.items()}
+    return {
+        "dataset": str(done.folder),
+        "kind": done.kind,
+        "rate_hz": done.rate,
+        "flights": flights,
+        "lists": done.lists,
+        "channels": {n: {"source": taken.source, "hertz": taken.hertz} for n, taken in done.channels.items()},
+        "warnings": done.warnings,
+    }
