@@ -159,7 +159,10 @@ def _told(loop: Loop, flown: Flown, hidden: Sequence[str], folder: Path) -> tupl
     acting = [e for e in hidden if showing[e] is not Showing.KINEMATICS]
     data = rotorid.load(flown.write(folder / "right", right=True))
     told = {tuple(acting), tuple(dict.fromkeys((*structure, *acting)))}
-    runs = [rotorid.identify(data, effects=effects) for effects in sorted(told)]
+    try:
+        runs = [rotorid.identify(data, effects=effects) for effects in sorted(told)]
+    except rotorid.InputError as error:
+        return None, str(error)
     return min(runs, key=lambda run: run.scores["validate"] or math.inf), ""
 
 

@@ -14,7 +14,7 @@ from torch.nn.utils.rnn import pad_sequence
 from rotorid_torch.core.names import ATTITUDES, FLAPPING, FORCES, MOMENTS, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
-from rotorid_torch.effects.registry import predicted_by
+from rotorid_torch.effects.registry import predicted_by, registered
 from rotorid_torch.effects.spec import FlappingKind, ModelSpec, RotorSpec
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.multirotor import measured_inputs, motors, rotor_speeds, spins
@@ -93,11 +93,16 @@ def propose(dataset: Dataset, reconstruction: Reconstruction, effects: Sequence[
 
 
 def rival(spec: ModelSpec) -> ModelSpec | None:
-    """The same structure with algebraic flapping, where the data leave open whether it lags; the likelihood decides."""
+    """The same structure with algebraic flapping, where the data leave open whether it lags; the likelihood decides.
+
+    None too where an effect that was asked for needs flapping with a lag.
+    """
     if not spec.flapping_doubtful:
         return None
     drivers = [c for c in spec.patterns[MOMENTS[0]] if c not in FLAPPING and c != INDUCED]
-    return _with_patterns(msgspec.structs.replace(spec, flapping="algebraic", flapping_doubtful=False), drivers)
+    other = _with_patterns(msgspec.structs.replace(spec, flapping="algebraic", flapping_doubtful=False), drivers)
+    fits = all(registered()[e].untestable(other) is None for e in spec.effects)
+    return other if fits else None
 
 
 def _require_rates(dataset: Dataset) -> None:

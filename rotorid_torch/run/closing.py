@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -137,16 +138,38 @@ def _closed(dataset: Dataset, seed: int, device: str, monitor: Monitor) -> Loop:
             seed,
         )
         shaken = stochastic_findings(right, base.spec, start)
-    findings = (*map(_of_sensors, sensors.findings), *_replaced(tracing.findings, shaken))
+    again = partial(_again, dataset=dataset, steps=steps)
+    wrong, named = sensors.values, bool(tracing.accepted or sensors.effects)
+    before, after, plain = first, None, _without(tracing.final.spec, tracing.structure)
+    if tracing.structure and named:
+        null = again(first, tracing.null.spec, tracing.null.values, seen=at_one_rate(dataset), sensors={})
+        before = _best([first, null])
+    if tracing.structure or named:
+        shapes = [tracing.final.spec, *([plain] if tracing.structure and named else [])]
+        tried = [again(base, shape, tracing.final.values, seen=right, sensors=wrong) for shape in shapes]
+        after = _best(tried if named else [first, *tried])
+        after = None if after is first else replace(after, fit=_with_spread(after.fit, tracing.spread))
+    stays = after is not None and set(tracing.structure) <= set(after.spec.effects)
+    traced = tracing.findings if stays else _dropped(tracing)
+    findings = (*map(_of_sensors, sensors.findings), *_replaced(traced, shaken))
     told = statement(findings, tracing.unknown)
-    before, after = first, None
-    undeclared = bool(tracing.accepted or sensors.effects)
-    if tracing.structure and undeclared:
-        before = _again(first, tracing.null.spec, tracing.null.values, dataset, at_one_rate(dataset), steps, {})
-    if tracing.structure or undeclared:
-        after = _again(base, tracing.final.spec, tracing.final.values, dataset, right, steps, sensors.values)
-        after = replace(after, fit=_with_spread(after.fit, tracing.spread))
     return _loop(after or before, before, after, findings, told, tracing.unknown, monitor, tracing)
+
+
+def _best(runs: Sequence[Run]) -> Run:
+    """The run that describes best the flights which no fit has seen; without any, the last."""
+    return min(reversed(runs), key=lambda run: run.scores["validate"] or 0.0)
+
+
+def _without(spec: ModelSpec, effects: Sequence[str]) -> ModelSpec:
+    """The spec without these effects."""
+    return msgspec.structs.replace(spec, effects=tuple(e for e in spec.effects if e not in effects))
+
+
+def _dropped(tracing: Tracing) -> list[Finding]:
+    """Findings where the structure that was traced beside other effects does not stay in the model."""
+    said = "it describes the motion that was fitted, but free runs of flights that no fit has seen are no better by it"
+    return [replace(f, verdict="rejected", reason=said) if f.id in tracing.structure else f for f in tracing.findings]
 
 
 def _of_sensors(found: KinematicFinding) -> Finding:

@@ -167,13 +167,19 @@ class _Search:
         if not sane:
             return None
         best, near = rivals(null, fitted, floors, sane)
-        beside = self.screened(fitted[best], near) if near else None
-        same = tuple(e for e in near if beside is not None and beside.gain([e]) <= floors[e])
+        same = tuple(e for e in near if self._alike(fitted, best, e, floors))
         if same:
             self.groups[best] = same
         self.spread.update(screened.scatter(best))
         self.say(f"{best} joins" + (f", in a group with {', '.join(same)}" if same else ""))
         return best
+
+    def _alike(self, fitted: Mapping[str, Fitted], one: str, other: str, floors: Mapping[str, float]) -> bool:
+        """Whether either of two effects leaves nothing for the other to explain."""
+        return all(
+            self.screened(fitted[there], [asked]).gain([asked]) <= floors[asked]
+            for there, asked in ((one, other), (other, one))
+        )
 
     def confirmed(self, final: Fitted, accepted: list[str], floors: Mapping[str, float]) -> tuple[Fitted, list[str]]:
         """Each accepted effect tested again beside the others; those that explain nothing more are taken out."""

@@ -66,7 +66,10 @@ def _turbulence(dataset: Dataset, spec: ModelSpec, values: Mapping[str, float]) 
     if min(without) <= floor:
         return Finding(TURBULENCE, "undeclared", "rejected", "a single flight shows it", **keep)
     beyond = np.sqrt(np.maximum(_between(means) - noise**2, 0.0))
-    said = f"before the pilot acts the flights differ by more than their sensors' noise, in {channels[worst]} most"
+    said = (
+        f"before the pilot acts the flights differ by more than their sensors' noise, in {channels[worst]} most;"
+        " output error takes gusts for noise: derivatives are biased, fly in calmer air"
+    )
     size = _gust(values, dict(zip(channels, beyond, strict=True)))
     return Finding(TURBULENCE, "undeclared", "accepted", said, **keep, values=size)
 

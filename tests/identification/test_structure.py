@@ -188,6 +188,15 @@ def test_flapping_that_does_not_lag_is_algebraic():
     assert spec.outputs[-3:] == FLAPPING
 
 
+def test_a_doubtful_lag_has_a_rival_without_it_unless_an_effect_needs_the_lag():
+    spec = proposed((*BODY, *FLAPPING), lag=1)
+    assert spec.flapping_doubtful
+    other = structure.rival(spec)
+    assert other is not None
+    assert other.flapping == "algebraic"
+    assert structure.rival(msgspec.structs.replace(spec, effects=("rotor.flap_second_order",))) is None
+
+
 def test_flapping_needs_velocity_and_all_three():
     assert proposed((*RATES, *FLAPPING)).flapping == "none"
     assert proposed((*BODY, "a1", "b1")).flapping == "none"
