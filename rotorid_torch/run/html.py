@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
 from rotorid_torch.run.records import FitRecord, ModeRecord, ParameterRecord, Report
+from rotorid_torch.run.short_horizon import FREE_RUN, NAMES, short_horizon
 from rotorid_torch.run.summary import headline, list_summaries, next_steps, shown_flights
 
 CAPTIONS = {
@@ -24,6 +25,9 @@ CAPTIONS = {
     "residual": "What the model leaves over. A slow drift points to trim or low-frequency derivatives, a burst at the"
     " edges of controls to delay or missing rotor dynamics, a line to vibration.",
 }
+
+ORDER = ("accepted", "indistinguishable", "rejected", "below floor")
+"""Verdicts on effects that were tested, in the order of the page's table."""
 
 
 def render(report: Report, pictures: Mapping[str, bytes]) -> str:
@@ -41,6 +45,11 @@ def render(report: Report, pictures: Mapping[str, bytes]) -> str:
         headline=headline(report),
         steps=next_steps(report),
         fits=[(title, fit, list_summaries(fit), shown_flights(fit)) for title, fit in _fits(report)],
+        short={title: short_horizon(fit) for title, fit in _fits(report)},
+        names=NAMES,
+        free_run=FREE_RUN,
+        tested=sorted((e for e in report.effects if e.verdict in ORDER), key=lambda e: ORDER.index(e.verdict)),
+        untested=[e for e in report.effects if e.verdict not in ORDER],
         pictures=[(name, _caption(name), base64.b64encode(png).decode()) for name, png in pictures.items()],
     )
 
