@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from rotorid_torch.data import examine_controls, examine_kinematics, examine_records
+from rotorid_torch.data import examine_controls, examine_kinematics, examine_records, examine_samples
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.examine_band import band
 from rotorid_torch.data.finding import Finding, Severity
+from rotorid_torch.data.surroundings import surroundings
 
 
 @dataclass(frozen=True)
@@ -25,20 +27,27 @@ class Check:
 
 EXAMINATIONS: tuple[Callable[[Dataset], Iterator[Finding]], ...] = (
     examine_records.reading,
+    examine_samples.stamps,
     examine_records.gaps,
+    examine_samples.repeats,
+    examine_samples.rows,
     examine_records.units,
     examine_records.gravity,
     examine_kinematics.kinematics,
-    examine_kinematics.sticks,
+    examine_kinematics.precedence,
+    surroundings,
     examine_records.noise,
     examine_records.vibration,
+    examine_records.supply,
     examine_controls.controls,
+    band,
     examine_controls.trim,
+    examine_controls.length,
 )
 
 
 def check(dataset: Dataset) -> Check:
-    """Examine a data set: kinematics of the sensors, clocks, noise, gaps, controls, excitation, trim, gravity, units.
+    """Examine a data set: clocks, samples, units, kinematics, noise, controls, band, trim and length of the flights.
 
     Raises
     ------

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,14 +12,14 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 
 Array = np.ndarray
-Side = tuple[Array, Array, slice, float]
-"""Left on the samples that every lag leaves, right on all of them, which of right these are, and the time step."""
 
 WIDTH_S = 0.08
 """Standard deviation of the Gaussian that both sides pass, in s: half power at 1.7 Hz, no phase."""
 REACH_S = 0.4
 """Largest lag that is looked for, in s."""
 STEP_S = 0.01
+PIECE_S = 60.0
+"""Longer flights count as several: the spread between pieces gives the standard errors, and drift shows."""
 SAMPLED_S = 0.02
 """What has passed the Gaussian loses nothing when it is looked at this often."""
 LAGS_S = np.linspace(-REACH_S, REACH_S, round(2 * REACH_S / STEP_S) + 1)
@@ -38,16 +39,28 @@ class Pair:
     exact: bool = True
 
 
+class Side(NamedTuple):
+    """Left on the samples that every lag leaves, right on all of them, which of right these are, and the time step."""
+
+    left: Array
+    right: Array
+    keep: slice
+    dt: float
+
+
 @dataclass(frozen=True)
 class Agreement:
-    """How left = scale * right(t - lag) + bias holds, pooled over flights, the bias free per flight.
+    """How left = scale * right(t - lag) + bias holds, pooled over pieces of flights, the bias free in each.
 
-    `scale` has bounds for errors on either side; `lag_s` above 0 means that left comes later; `lags_s` has the lag
-    and its standard error of each flight in which it can be seen.
+    `scale` is the ratio of the two sides' rms, `bounds` has it for all errors on either side; `lag_s` above 0 means
+    that left comes later; standard errors are the larger of that of the residuals and that of the jackknife over the
+    pieces. `lags_s` has the lag and its standard error of each piece in which it can be seen.
     """
 
     pair: Pair
-    scale: tuple[float, float]
+    scale: float
+    scale_se: float
+    bounds: tuple[float, float]
     lag_s: float
     lag_se: float
     r2: float
@@ -67,28 +80,45 @@ def kernel(dt: float, width_s: float = WIDTH_S) -> tuple[Array, Array]:
 
 def agreement(pair: Pair, flights: Iterable[Flight]) -> Agreement | None:
     """Scale, lag and bias between the two sides of a pair; None where the flights are too short or nothing moves."""
-    sides = {f.name: s for f in flights if f.has(*pair.channels) and (s := _sides(pair, f)) is not None}
+    sides = {name: side for f in flights if f.has(*pair.channels) for name, side in _sides(pair, f)}
     if not sides:
         return None
-    moments = {name: np.array([_moments(*side, lag) for lag in LAGS_S]) for name, side in sides.items()}
+    moments = {name: np.array([_moments(side, lag) for lag in LAGS_S]) for name, side in sides.items()}
     total = np.sum(list(moments.values()), axis=0)
     if total[:, :2].min() <= 0.0:
         return None
-    r2 = _r2(total)
-    best = int(np.argmax(r2))
-    slope = total[best, 2] / total[best, 0]
+    best = int(np.argmax(_r2(total)))
     lag, lag_se = _lag(total, list(sides.values()))
-    bias = np.array([np.nanmean(left) - np.nanmean(right[keep]) for left, right, keep, _ in sides.values()])
+    without = [total - one for one in moments.values()]
+    bias = np.array([np.nanmean(side.left) - np.nanmean(side.right[side.keep]) for side in sides.values()])
     return Agreement(
         pair=pair,
-        scale=_ordered(float(slope), float(total[best, 1] / total[best, 2])),
+        scale=_scale(total),
+        scale_se=jackknife_error([_scale(part) for part in without]),
+        bounds=_ordered(float(total[best, 2] / total[best, 0]), float(total[best, 1] / total[best, 2])),
         lag_s=lag,
-        lag_se=lag_se,
-        r2=float(r2[best]),
+        lag_se=max(lag_se, jackknife_error([_top(_r2(part)) for part in without])),
+        r2=float(_r2(total)[best]),
         bias=float(bias.mean()),
         bias_se=float(bias.std() / np.sqrt(max(len(bias) - 1, 1))),
         lags_s={name: _lag(m, [sides[name]]) for name, m in moments.items() if _r2(m).max() > 0.6},
     )
+
+
+def jackknife_error(without_one: Sequence[float]) -> float:
+    """Standard error of an estimate from its values with each of the pieces left out; 0 where there is one piece.
+
+    Source: Efron and Tibshirani, An Introduction to the Bootstrap, eq. 11.5.
+    """
+    values = np.asarray(without_one, dtype=float)
+    if len(values) < 2:
+        return 0.0
+    return float(np.sqrt((len(values) - 1) / len(values) * ((values - values.mean()) ** 2).sum()))
+
+
+def _scale(moments: Array) -> float:
+    right, left, both = moments[int(np.argmax(_r2(moments)))]
+    return float(np.sqrt(left / right) * np.sign(both)) if right > 0.0 else 0.0
 
 
 def _ordered(a: float, b: float) -> tuple[float, float]:
@@ -100,28 +130,45 @@ def _r2(moments: Array) -> Array:
     return moments[:, 2] ** 2 / power
 
 
-def _sides(pair: Pair, flight: Flight) -> Side | None:
+def _sides(pair: Pair, flight: Flight) -> Iterator[tuple[str, Side]]:
+    """The two sides of a flight, or of each of its pieces of a minute, with the names of these."""
     bell, slope = kernel(flight.dt)
     reach = int(np.ceil(REACH_S / flight.dt)) + 1
     if flight.samples < len(bell) + 2 * reach + 20:
-        return None
+        return
     missing = np.isnan(flight.stack(pair.channels).numpy()).any(axis=1).astype(float)
     gaps = np.convolve(missing, np.ones(len(bell)), "valid") > 0.5
-    left = np.convolve(pair.left(flight), slope if pair.differentiate else bell, "valid")
-    right = np.convolve(pair.right(flight), bell, "valid")
-    keep = slice(reach, len(left) - reach, max(1, int(SAMPLED_S / flight.dt)))
-    left, right = np.where(gaps, np.nan, left), np.where(gaps, np.nan, right)
-    return (left[keep], right, keep, flight.dt) if np.isfinite(left[keep]).sum() > 20 else None
+    left = np.where(gaps, np.nan, np.convolve(pair.left(flight), slope if pair.differentiate else bell, "valid"))
+    right = np.where(gaps, np.nan, np.convolve(pair.right(flight), bell, "valid"))
+    step = max(1, int(SAMPLED_S / flight.dt))
+    for first, last in pieces(len(left), flight.dt, reach):
+        keep = slice(reach, last - first + reach, step)
+        part = left[first:last:step]
+        if np.isfinite(part).sum() > 20:
+            where = (
+                flight.name
+                if last - first + 2 * reach == len(left)
+                else f"{flight.name} from {first * flight.dt:.0f} s"
+            )
+            yield where, Side(part, right[first - reach : last + reach], keep, flight.dt)
 
 
-def _moments(left: Array, right: Array, keep: slice, dt: float, lag: float) -> tuple[float, float, float]:
+def pieces(samples: int, dt: float, margin: int) -> Iterator[tuple[int, int]]:
+    """First and last + 1 sample of equal parts of a record, `margin` samples at both ends left out."""
+    parts = max(1, round((samples - 2 * margin) * dt / PIECE_S))
+    edges = np.linspace(margin, samples - margin, parts + 1).astype(int)
+    yield from zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
+
+
+def _moments(side: Side, lag: float) -> tuple[float, float, float]:
     """Sums of right², left² and right * left about their means, right taken `lag` earlier."""
-    index = np.arange(keep.start, keep.stop, keep.step) - lag / dt
-    moved = np.interp(index, np.arange(len(right)), right)
-    known = np.isfinite(moved) & np.isfinite(left)
+    keep = side.keep
+    index = np.arange(keep.start, keep.stop, keep.step) - lag / side.dt
+    moved = np.interp(index, np.arange(len(side.right)), side.right)
+    known = np.isfinite(moved) & np.isfinite(side.left)
     if not known.any():
         return 0.0, 0.0, 0.0
-    x, y = moved[known] - moved[known].mean(), left[known] - left[known].mean()
+    x, y = moved[known] - moved[known].mean(), side.left[known] - side.left[known].mean()
     return float(x @ x), float(y @ y), float(x @ y)
 
 
@@ -134,17 +181,22 @@ def _vertex(values: Array, best: int) -> float:
     return float(0.5 * (below - above) / bend) if bend < 0 else 0.0
 
 
+def _top(r2: Array) -> float:
+    best = int(np.argmax(r2))
+    return float(LAGS_S[best] + STEP_S * _vertex(r2, best))
+
+
 def _lag(moments: Array, sides: list[Side]) -> tuple[float, float]:
     """Lag of the best agreement and its standard error, for residuals that are correlated over the kernel's width."""
     r2 = _r2(moments)
     best = int(np.argmax(r2))
     slope = moments[best, 2] / moments[best, 0]
-    steep = sum(float(np.nansum(np.gradient(right[keep], dt * keep.step) ** 2)) for _, right, keep, dt in sides)
-    samples = sum(int(np.isfinite(left).sum()) for left, *_ in sides)
-    together = 2.0 * np.sqrt(np.pi) * WIDTH_S / (sides[0][3] * sides[0][2].step)
+    steep = sum(float(np.nansum(np.gradient(s.right[s.keep], s.dt * s.keep.step) ** 2)) for s in sides)
+    samples = sum(int(np.isfinite(s.left).sum()) for s in sides)
+    together = 2.0 * np.sqrt(np.pi) * WIDTH_S / (sides[0].dt * sides[0].keep.step)
     spread = max(moments[best, 1] * (1.0 - r2[best]), 0.0) / samples * together
     error = float(np.sqrt(spread / max(slope**2 * steep, np.finfo(float).tiny)))
-    return float(LAGS_S[best] + STEP_S * _vertex(r2, best)), error
+    return _top(r2), error
 
 
 def attitude_pairs() -> tuple[Pair, ...]:

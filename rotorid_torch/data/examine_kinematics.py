@@ -1,13 +1,17 @@
-"""Sensors against each other: clocks, scales, biases; sticks against the rates that they command."""
+"""Sensors against each other: clocks, time base, scales, biases; controls against what they command."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 
+import numpy as np
+
+from rotorid_torch.core import names
 from rotorid_torch.data import consistency
 from rotorid_torch.data.consistency import Agreement, Pair, agreement
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.finding import Finding, Severity, finding
+from rotorid_torch.data.precedence import Response, responses
 
 Group = tuple[str, str, Callable[[Dataset], tuple[Pair, ...]]]
 
@@ -18,6 +22,12 @@ GROUPS: tuple[Group, ...] = (
 )
 BIAS = {"rad/s": 0.004, "m/s²": 0.15, "m/s": 0.15}
 """Constant difference that is worth a word."""
+SCALE = 0.04
+"""Scale error that is worth a word."""
+SURE, SURE_LAG = 4.0, 3.0
+"""Standard errors that make a finding; of a lag, whose size must mean something besides."""
+EARLY_S = 0.01
+"""Smallest time by which a response must precede its control to be told."""
 
 
 def kinematics(dataset: Dataset) -> Iterator[Finding]:
@@ -28,6 +38,9 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
         results = [a for pair in pairs(dataset) if (a := agreement(pair, flights)) is not None]
         seen = [a for a in results if a.r2 > 0.6]
         lags[left] = [a for a in seen if _off(a)]
+        base = time_base(seen) if left == "attitude" else None
+        if base is not None:
+            yield _wrong_base(base, dataset)
         if lags[left]:
             yield _late(left, right, lags)
         elif seen:
@@ -37,11 +50,39 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
             yield from _drift(result)
         for result in results:
             if result.pair.exact:
-                yield from _scale_and_bias(result, dataset)
+                yield from _bias(result, dataset)
+                yield from _scale(result) if base is None else ()
+
+
+def time_base(seen: Sequence[Agreement]) -> tuple[float, float] | None:
+    """Ratio of the attitudes' rates to the body rates and its standard error, where all share one that is not 1.
+
+    Stamps that run too slow or too fast scale what is differentiated, on all axes alike; one gyro's scale does not.
+    """
+    if len(seen) < 2 or min(a.r2 for a in seen) < 0.8:
+        return None
+    ratios, errors = np.array([a.scale for a in seen]), np.maximum([a.scale_se for a in seen], 0.005)
+    weights = errors**-2.0
+    mean, error = float(weights @ ratios / weights.sum()), float(weights.sum() ** -0.5)
+    beyond = all((a.bounds[0] > 1.0 + SCALE) if mean > 1.0 else (a.bounds[1] < 1.0 - SCALE) for a in seen)
+    alike = bool(np.all(np.abs(ratios - mean) < np.maximum(SURE * errors, 0.03)))
+    return (mean, error) if beyond and alike and abs(mean - 1.0) > SURE * error else None
+
+
+def _wrong_base(base: tuple[float, float], dataset: Dataset) -> Finding:
+    ratio, error = base
+    dt = float(np.median([facts.dt for facts in dataset.facts.values()]))
+    return finding(
+        "warning",
+        "time",
+        f"attitude turns {ratio:.3f} (± {error:.3f}) times as fast as the body rates say, on all axes alike:",
+        f"the time base is wrong, samples are {ratio * dt:.4g} s apart rather than {dt:.4g} s,",
+        "or the rates share a scale or unit error. Correct the stamps before anything else.",
+    )
 
 
 def _off(a: Agreement) -> bool:
-    return abs(a.lag_s) > max(4.0 * a.lag_se, 0.008 if a.pair.exact else 0.06)
+    return abs(a.lag_s) > max(SURE_LAG * a.lag_se, 0.008 if a.pair.exact else 0.06)
 
 
 def _channels(results: Sequence[Agreement]) -> str:
@@ -50,7 +91,9 @@ def _channels(results: Sequence[Agreement]) -> str:
 
 def _late(left: str, right: str, lags: dict[str, list[Agreement]]) -> Finding:
     late = lags[left]
-    told = ", ".join(f"{a.pair.left_name} {abs(a.lag_s):.3f} s {'late' if a.lag_s > 0 else 'early'}" for a in late)
+    told = ", ".join(
+        f"{a.pair.left_name} {abs(a.lag_s):.3f} s {'late' if a.lag_s > 0 else 'early'} (± {a.lag_se:.3f})" for a in late
+    )
     grave: Severity = "warning" if max(abs(a.lag_s) for a in late) >= 0.02 else "note"
     cause = ""
     if left == "velocity" and any(a.lag_s > 0.02 for a in lags["attitude"]) and sum(a.lag_s for a in late) < 0:
@@ -71,34 +114,78 @@ def _drift(a: Agreement) -> Iterator[Finding]:
         yield finding("warning", a.pair.left_name, told, "the clocks drift, and one common delay cannot repair it.")
 
 
-def _scale_and_bias(a: Agreement, dataset: Dataset) -> Iterator[Finding]:
-    left, right, (low, high) = a.pair.left_name, a.pair.right_name, a.scale
-    if a.r2 > 0.9 and (low > 1.04 or high < 0.96):
-        told = f"the rate of {left} is {(low + high) / 2:.3f} times what {right} says by kinematics:"
+def _scale(a: Agreement) -> Iterator[Finding]:
+    left, right, (low, high) = a.pair.left_name, a.pair.right_name, a.bounds
+    if a.r2 > 0.9 and (low > 1.0 + SCALE or high < 1.0 - SCALE) and abs(a.scale - 1.0) > SURE * a.scale_se:
+        told = f"the rate of {left} is {a.scale:.3f} (± {a.scale_se:.3f}) times what {right} says by kinematics:"
         cause = "a scale factor or unit of one of the two is off. Calibrate, or let sensors.scale be estimated."
         yield finding("warning", left, told, cause)
-    threshold = BIAS[a.pair.unit]
-    if abs(a.bias) > max(threshold, 4.0 * a.bias_se):
-        sensor = left if a.pair.unit == "m/s" else right
-        free = dataset.bias(sensor) == "free"
-        use = "is estimated per flight" if free else 'is estimated only where bias = "free" is declared'
-        told = f"kinematics of {left} want {a.bias:+.3g} {a.pair.unit} on {right}: a sensor bias, which {use}."
-        yield finding("warning" if abs(a.bias) > 3.0 * threshold else "note", sensor, told)
     if a.r2 < 0.3:
         told = f"too little motion, or too much noise, to compare {left} with {right} (R² {a.r2:.2f})."
         yield finding("note", left, told)
 
 
-def sticks(dataset: Dataset) -> Iterator[Finding]:
-    """Sticks that are stamped after the rates that they command, and delays that differ between flights."""
-    flights = dataset.flights.values()
-    for pair in consistency.stick_pairs(dataset):
-        a = agreement(pair, flights)
-        if a is None or a.r2 < 0.6:
-            continue
+def _bias(a: Agreement, dataset: Dataset) -> Iterator[Finding]:
+    left, right, unit = a.pair.left_name, a.pair.right_name, a.pair.unit
+    threshold = BIAS[unit]
+    if abs(a.bias) <= max(threshold, SURE * a.bias_se):
+        return
+    sensor = left if unit == "m/s" else right
+    if unit == "m/s":
+        told = f"changes by {a.bias:+.3g} {unit} (± {a.bias_se:.1g}) more than {right} say:"
+    else:
+        word = "low" if a.bias > 0 else "high"
+        told = f"reads {abs(a.bias):.3g} {unit} (± {a.bias_se:.1g}) too {word} by the kinematics of {left}:"
+    use = "is estimated per flight" if dataset.bias(sensor) == "free" else 'is estimated only with bias = "free"'
+    yield finding("warning" if abs(a.bias) > 3.0 * threshold else "note", sensor, told, f"a sensor bias, which {use}.")
+
+
+def precedence(dataset: Dataset) -> Iterator[Finding]:
+    """Responses that seem to come before their controls, delays that differ between flights, and right ones."""
+    flights = [dataset.flights[name] for name in dataset.identify]
+    sticks = [a for pair in consistency.stick_pairs(dataset) if (a := agreement(pair, flights)) is not None]
+    seen = [a for a in sticks if a.r2 > 0.6]
+    for a in seen:
         yield from _drift(a)
-        if a.r2 > 0.7 and a.lag_s < -max(4.0 * a.lag_se, 0.02):
-            told = f"the stick {pair.right_name} is stamped {-a.lag_s:.2f} s late against {pair.left_name}:"
-            advice = "Shift the sticks earlier, or expect every delay at its bound of zero."
-            reason = "the response seems to come first, which no aircraft does."
-            yield finding("warning", pair.right_name, told, reason, advice)
+    early = [a for a in seen if a.r2 > 0.7 and a.lag_s < -max(SURE_LAG * a.lag_se, 2.0 * EARLY_S)]
+    if early:
+        yield _late_sticks(early)
+    if not sticks:
+        yield from _controls_against_accelerations(dataset)
+
+
+def _late_sticks(early: Sequence[Agreement]) -> Finding:
+    weights = np.array([a.lag_se**-2.0 for a in early])
+    lag, error = float(weights @ [-a.lag_s for a in early] / weights.sum()), float(weights.sum() ** -0.5)
+    told = ", ".join(
+        f"{a.pair.right_name} against {a.pair.left_name} {-a.lag_s:.3f} s (± {a.lag_se:.3f})" for a in early
+    )
+    return finding(
+        "warning",
+        " ".join(a.pair.right_name for a in early),
+        f"the sticks are stamped {lag:.3f} s (± {error:.3f}) late against the rates ({told}):",
+        "the response seems to come first, which no aircraft does: the streams are misaligned by that and by what",
+        f"the aircraft lags besides. Shift all sticks {lag:.3f} s earlier, or expect every delay at its bound of zero;",
+        "no lag or delay of the control path can be told from these streams.",
+    )
+
+
+def _controls_against_accelerations(dataset: Dataset) -> Iterator[Finding]:
+    known = [r for r in responses(dataset) if r.r2 > 0.5 and r.gain > 0.1 and r.lag_se < 0.02]
+    early = [r for r in known if r.lag_s < -max(SURE * r.lag_se, EARLY_S)]
+    if early:
+        told = f"{_lags(early, -1.0)} before the controls move: the response seems to come first."
+        advice = (
+            "The controls' stream is late, or these streams are early. Shift them onto one clock before identifying."
+        )
+        yield finding("warning", " ".join(dataset.controls), told, advice)
+    elif known:
+        told = f"the accelerations follow the controls: {_lags(known, 1.0)} (delay and lag of the whole path together)."
+        yield finding("good", " ".join(r.channel for r in known), told)
+
+
+def _lags(found: Sequence[Response], sign: float) -> str:
+    return ", ".join(
+        f"{f'd{r.channel}/dt' if r.channel in names.RATES else r.channel} {sign * r.lag_s:.3f} s (± {r.lag_se:.3f})"
+        for r in found
+    )

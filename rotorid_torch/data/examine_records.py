@@ -13,13 +13,23 @@ from rotorid_torch.data.finding import Finding, Severity, finding
 from rotorid_torch.data.noise import white_noise
 from rotorid_torch.data.vibration import content_ends, lines, spectrum
 
+FEW = 0.005
+"""Share of missing samples that does no harm."""
+
 
 def reading(dataset: Dataset) -> Iterator[Finding]:
     """What had to be changed or left out on reading."""
+    told_by_clock = dataset.path is not None  # the stamps are told from the files then
     for flight, sentence in condensed(dataset.warnings):
-        if flight:
+        if flight and "spike" in sentence:
+            channel = sentence.partition(" ")[0]
+            advice = "Look at the telemetry; nothing that follows sees these samples."
+            yield finding("warning", channel, f"{sentence}.", advice, flight=flight)
+        elif flight and not (told_by_clock and sentence.startswith("time is not uniform")):
             advice = "Record on one clock if fast dynamics matter."
             yield finding("note", "time", f"{sentence}.", advice, flight=flight)
+        elif flight:
+            continue
         else:
             yield finding("note", "", f"{sentence}.")
     rates = sorted({round(1.0 / facts.dt, 2) for facts in dataset.facts.values()})
@@ -28,7 +38,7 @@ def reading(dataset: Dataset) -> Iterator[Finding]:
 
 
 def condensed(warnings: Sequence[str]) -> list[tuple[str, str]]:
-    """Flight and sentence of a data set's warnings; of those that begin alike, the first flight's and who else has it."""
+    """Flight and sentence of a data set's warnings; those that begin alike become one, the first flight's."""
     found, others = dict[str, tuple[str, str]](), dict[str, list[str]]()
     for sentence in warnings:
         name, _, rest = sentence.partition(": ")
@@ -54,10 +64,11 @@ def gaps(dataset: Dataset) -> Iterator[Finding]:
             if share > 0.0:
                 use = "bridged by a straight line" if channel in dataset.controls else "skipped"
                 grave: Severity = "warning" if share > 0.05 else "note"
-                told = f"{share:.1%} of the samples are missing; they are {use}."
-                yield finding(
-                    grave, channel, told, "Leave the flight out if the manoeuvre itself is lost.", flight=name
-                )
+                told = f"{share:.2%} of the samples are missing; they are {use}."
+                if share > FEW:
+                    told = f"{share:.1%} of the samples are missing; they are {use}."
+                    told += " Leave the flight out if the manoeuvre itself is lost."
+                yield finding(grave, channel, told, flight=name)
 
 
 def units(dataset: Dataset) -> Iterator[Finding]:
@@ -148,3 +159,13 @@ def vibration(dataset: Dataset) -> Iterator[Finding]:
         )
         advice = "Isolate the sensor, or declare the rotor's speed, so that this is not taken for motion."
         yield finding("warning" if shown[0].share > 0.2 else "note", channel, f"vibration at {told}.", advice)
+
+
+def supply(dataset: Dataset) -> Iterator[Finding]:
+    """A battery that sags: the same command then gives less thrust."""
+    spreads = [facts.spreads["voltage"] for facts in dataset.facts.values() if facts.has("voltage")]
+    low, high = min((s.low for s in spreads), default=0.0), max((s.high for s in spreads), default=0.0)
+    if high > 0.0 and high - low > 0.1 * high:
+        told = f"runs from {low:.3g} to {high:.3g} V over the flights:"
+        told += " the same command gives another rotor speed and thrust, which goes with its square."
+        yield finding("note", "voltage", told, "Let propulsion.voltage be weighed, or use measured rotor speeds.")

@@ -49,7 +49,7 @@ def spikes(channel: str, values: np.ndarray, time: np.ndarray) -> np.ndarray:
         longest = min(longest, round(LONGEST_S * (len(time) - 1) / max(float(time[-1] - time[0]), 1e-12)))
     if len(x) < 8 * LONGEST or longest < 1 or not _jumps(x):
         return np.empty(0, int)
-    middle = _running_median(x, longest)
+    middle = running_median(x, longest)
     away, steps = np.abs(x - middle), np.abs(np.diff(x))
     least = TURN if channel in ("phi", "psi") else 0.0
     bound = max(BEYOND * float(np.ptp(middle)), STEPS * float(steps[steps > 0.0].min()), least)
@@ -63,7 +63,8 @@ def _jumps(x: np.ndarray) -> bool:
     return float(np.abs(np.diff(x)).max(initial=0.0)) > BEYOND * float(np.ptp(blocks))
 
 
-def _running_median(x: np.ndarray, half: int) -> np.ndarray:
+def running_median(x: np.ndarray, half: int) -> np.ndarray:
+    """Median (T,) of each sample and `half` neighbours on either side; at the ends of what the record begins with."""
     edge = 4 * half  # so many that a spike is not their median
     padded = np.concatenate([np.full(half, np.median(x[:edge])), x, np.full(half, np.median(x[-edge:]))])
     return np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1), axis=1)

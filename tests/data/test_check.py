@@ -5,8 +5,10 @@ import pytest
 
 from rotorid_torch.data import Dataset, load
 from rotorid_torch.data.check import check
+from rotorid_torch.data.coherence import coherences
 from rotorid_torch.data.consistency import agreement, attitude_pairs, velocity_pairs
 from rotorid_torch.data.excitation import independent_share
+from rotorid_torch.data.surroundings import gravity, wind
 from rotorid_torch.data.vibration import lines, spectrum
 from rotorid_torch.errors import InputError
 from tests.helpers import shared, shared_sets, small_flight
@@ -67,7 +69,8 @@ def test_consistent_sensors_agree():
     for a in results(dataset, (*attitude_pairs(), *velocity_pairs(dataset))):
         assert a.r2 > 0.99
         assert abs(a.lag_s) < max(4 * a.lag_se, 1e-3)
-        assert a.scale == pytest.approx((1.0, 1.0), abs=0.01)
+        assert a.bounds == pytest.approx((1.0, 1.0), abs=0.01)
+        assert a.scale == pytest.approx(1.0, abs=max(0.005, 4 * a.scale_se))
         assert abs(a.bias) < 0.01
     assert not [s for s in sentences(dataset, "warning", "error") if "against" in s]
 
@@ -83,7 +86,10 @@ def test_a_late_attitude_is_told_with_its_time(late):
 
 def test_scale_and_bias_of_a_gyro_are_told():
     assert any("scale factor" in s for s in sentences(dataset_of(scale=1.1), "warning"))
-    assert any("-0.05 rad/s on p: a sensor bias" in s for s in sentences(dataset_of(bias=0.05), "warning"))
+    assert any(
+        "reads 0.05 rad/s" in s and "too high by the kinematics of phi" in s
+        for s in sentences(dataset_of(bias=0.05), "warning")
+    )
 
 
 def test_the_lever_arm_of_the_imu_is_taken_out():
@@ -101,7 +107,7 @@ def test_sticks_after_the_rate_are_told():
         arrays["p"] = np.roll(np.convolve(arrays["lat"], np.hanning(40) / 20, "same"), -15)
         flights[f"f{seed}"] = {name: arrays[name] for name in ("time", "lat", "p", "q", "r")}
     dataset = Dataset.from_arrays(flights, identify=["f0", "f1", "f2"], controls={"lat": {"unit": "norm"}})
-    assert any("the stick lat is stamped 0.15 s late against p" in s for s in sentences(dataset, "warning"))
+    assert any("late against the rates (lat against p 0.145 s" in s for s in sentences(dataset, "warning"))
 
 
 def test_gravity_axis_and_unit():
@@ -174,8 +180,124 @@ def test_shared_sets_are_fit(name):
 
 def test_known_clocks_of_the_measured_sets():
     rates = sentences(load(shared("flightdata", "trex550-rates")), "warning")
-    assert any("the stick lat is stamped 0.05 s late against p" in s for s in rates)
+    assert any("sticks are stamped 0.054 s (± 0.006) late against the rates (lat against p 0.053 s" in s for s in rates)
     moves = [f for f in check(load(shared("flightdata", "trex550-translation"))).of("warning")]
     assert any(f.channel == "u v" and "u 0.145 s early" in f.sentence for f in moves)
     assert any(f.channel == "p" and "vibration at 34.7 Hz" in f.sentence for f in moves)
     assert any(f.channel == "az" and "sensor bias" in f.sentence for f in moves)
+
+
+def test_a_wrong_time_base_is_told_with_the_right_interval():
+    flights = {f"f{seed}": rolling(seed) for seed in range(3)}
+    for arrays in flights.values():
+        arrays["time"] = 1.25 * arrays["time"]
+    told = sentences(Dataset.from_arrays(flights, identify=["f0", "f1", "f2"]), "warning")
+    assert any("times as fast as the body rates say, on all axes alike" in s and "are 0.01 s apart" in s for s in told)
+    assert not any("a scale factor or unit" in s and "rate of p" in s for s in told)
+
+
+def test_one_gyro_off_scale_is_not_a_wrong_time_base():
+    assert not any("time base" in s for s in sentences(dataset_of(scale=1.2)))
+
+
+def test_frozen_held_cut_lone_and_repeated_samples_are_told():
+    flights = {f"f{seed}": rolling(seed) for seed in range(2)}
+    first = flights["f0"]
+    first["q"][500:800] = first["q"][500]
+    first["phi"] = np.clip(first["phi"], -0.15, 0.15)
+    first["v"][1000] += 12.0
+    first["theta"] = np.repeat(first["theta"][::10], 10)
+    flights["f1"]["theta"] = np.repeat(flights["f1"]["theta"][::10], 10)
+    by_channel = {}
+    for f in check(Dataset.from_arrays(flights, identify=["f0", "f1"])).findings:
+        by_channel[f.channel] = by_channel.get(f.channel, "") + f.sentence
+    assert "frozen" in by_channel["q"]
+    assert "cut off by its range" in by_channel["phi"]
+    assert "1 samples stand alone" in by_channel["v"]
+    assert "theta 9.95 Hz" in by_channel["theta"]
+    held = {name: values.copy() for name, values in rolling(3).items()}
+    for name in held:
+        if name != "time":
+            held[name][1::8] = held[name][::8]
+    told = sentences(Dataset.from_arrays({"f": held}, identify=["f"]), "warning")
+    assert any("of the rows repeat the one before in every channel (f 13%)" in s for s in told)
+
+
+def closed_loop(test_input):
+    """A multirotor that rolls under a controller fed by a noisy gyro sampled too slowly, with or without doublets."""
+    rng = np.random.default_rng(5)
+    command = 0.01 * rng.standard_normal(SAMPLES)
+    time = DT * np.arange(SAMPLES)
+    command += test_input * np.sign(np.sin(2 * np.pi * 0.7 * time)) * ((time > 2) & (time < 12))
+    p = np.convolve(command, 20 * DT * np.exp(-3 * time))[:SAMPLES] + 1e-3 * rng.standard_normal(SAMPLES)
+    thrust = 0.5 + 0.05 * np.sin(2.0 * time) + 1e-3 * rng.standard_normal(SAMPLES)
+    place = ((1, 1), (-1, 1), (-1, -1), (1, -1))
+    motors = {f"motor{k}": thrust - 0.5 * y * command for k, (_, y) in enumerate(place, 1)}
+    declared = [{"position": [0.1 * x, 0.1 * y, 0.0], "spin": "ccw" if x * y > 0 else "cw"} for x, y in place]
+    flights = {"f": {"time": time, **motors, "p": p, "az": -20.0 * thrust}}
+    return Dataset.from_arrays(flights, identify=["f"], kind="multirotor", vehicle={"motors": declared})
+
+
+def test_folded_commands_without_a_test_input_are_told_and_real_ones_are_not():
+    told = sentences(closed_loop(0.0), "warning")
+    assert any(s.startswith("no test input on roll") and "cannot be told apart" in s for s in told)
+    assert any("sampled without a filter (folded)" in s for s in told)
+    assert not any("no test input" in s or "folded" in s for s in sentences(closed_loop(0.1)) if "roll" in s)
+
+
+def test_blade_angles_after_their_response_are_told():
+    flights = {}
+    for seed in range(4):
+        rng, time = np.random.default_rng(seed), DT * np.arange(SAMPLES)
+        stick = 0.05 * np.repeat(rng.choice([-1.0, 0.0, 1.0], SAMPLES // 50), 50)
+        p = np.convolve(stick, 20 * DT * np.exp(-2 * time))[:SAMPLES] + 1e-3 * rng.standard_normal(SAMPLES)
+        flights[f"f{seed}"] = {"time": time, "lat": np.roll(stick, 6), "p": p, "q": 0 * p, "r": 0 * p}
+    # each sample's stick acts on the rate of that sample already: half an interval early
+    controls = {"lat": {"unit": "rad"}}
+    late = Dataset.from_arrays(flights, identify=list(flights), controls=controls)
+    assert any("dp/dt 0.065 s" in s and "before the controls move" in s for s in sentences(late, "warning"))
+    for arrays in flights.values():
+        arrays["lat"] = np.roll(arrays["lat"], -12)
+    early = Dataset.from_arrays(flights, identify=list(flights), controls=controls)
+    assert any("dp/dt 0.055 s" in s and "follow the controls" in s for s in sentences(early, "good"))
+
+
+def test_an_aircraft_that_answers_at_once_is_no_feedback():
+    assert not any("feedback): only" in f.sentence for f in check(load(shared("flightdata", "ah1-hover"))).findings)
+
+
+def test_gravity_and_wind_have_their_standard_errors():
+    local = gravity(dataset_of())
+    assert local is not None
+    assert local.values[0] == pytest.approx(9.80665, abs=4 * local.errors[0])
+    assert local.errors[0] < 0.05
+    flights = {}
+    for seed in range(4):
+        rng, time = np.random.default_rng(seed), np.arange(0.0, 60.0, 0.1)
+        heading, u = 0.1 * time + seed, 12.0 + np.sin(0.3 * time)
+        north, east = u * np.cos(heading) - 3.0, u * np.sin(heading) + 4.0
+        zero = 0.0 * time
+        airspeed = np.hypot(north, east) + 0.1 * rng.standard_normal(len(time))
+        lat = np.sign(np.sin(time))
+        flights[f"f{seed}"] = {"time": time, "lat": lat, "airspeed": airspeed, "u": u, "v": zero, "w": zero}
+        flights[f"f{seed}"] |= {"phi": zero, "theta": zero, "psi": heading}
+    air = wind(Dataset.from_arrays(flights, identify=list(flights), controls={"lat": {"unit": "norm"}}))
+    assert air is not None
+    assert np.all(np.abs(air.values - [3.0, -4.0, 0.0]) < 4 * air.errors + 1e-3)
+    assert np.all(air.errors < 0.05)
+
+
+def test_coherence_ends_where_the_noise_begins():
+    rng = np.random.default_rng(3)
+    flights = {}
+    for k in range(4):
+        lat = rng.standard_normal(SAMPLES)
+        p = np.convolve(lat, np.hanning(21) / 10, "same") + 0.3 * rng.standard_normal(SAMPLES)
+        flights[f"f{k}"] = {"time": DT * np.arange(SAMPLES), "lat": lat, "p": p, "q": rng.standard_normal(SAMPLES)}
+    dataset = Dataset.from_arrays(flights, identify=list(flights), controls={"lat": {"unit": "norm"}})
+    p, q = coherences(dataset, ("p", "q"))
+    assert p.band is not None
+    assert p.band[0] < 0.2
+    assert 4.0 < p.band[1] < 10.0
+    assert q.band is None
+    assert np.nanmax(q.values) < 0.4
