@@ -133,7 +133,8 @@ class Effect(nn.Module):
 
     A subclass sets `id`, `stage`, `role`, declares parameters and states, and writes `forward` or `tape`. Parameter
     names are local ("drag.x"); the model prefixes them with the id. `predicts` names channels beyond the body's that
-    the effect publishes as signals: outputs where the flights have them.
+    the effect publishes as signals: outputs where the flights have them. `separated_by` are the flights that tell it
+    from derivatives which absorb it.
     """
 
     id: str = ""
@@ -141,6 +142,7 @@ class Effect(nn.Module):
     role: Role = Role.UNDECLARED
     showing: Showing = Showing.TRAJECTORIES
     predicts: tuple[str, ...] = ()
+    separated_by: str = "larger or longer inputs on every control"
 
     def __init__(self, declared: tuple[Parameter, ...] = (), states: tuple[State, ...] = ()) -> None:
         super().__init__()

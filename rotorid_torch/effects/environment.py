@@ -29,6 +29,7 @@ class Ground(Effect):
     """
 
     id, stage, role = "environment.ground", Stage.FORCES, Role.UNDECLARED
+    separated_by = "flights at half a rotor diameter and at several"
     showing = Showing.OTHER_FLIGHTS
 
     def __init__(self, radius: float, hub: float, induced: float, reference: float, speed: float) -> None:
@@ -94,6 +95,7 @@ class Wind(Effect):
     """
 
     id, stage, role = "environment.wind", Stage.ENVIRONMENT, Role.UNDECLARED
+    separated_by = "flights on several headings"
     showing = Showing.OTHER_FLIGHTS
 
     def __init__(self, attitude: tuple[float, float, float]) -> None:

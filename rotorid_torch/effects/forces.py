@@ -40,6 +40,7 @@ class Drag(Effect):
     """
 
     id, stage, role, showing = "forces.drag", Stage.FORCES, Role.UNDECLARED, Showing.OTHER_FLIGHTS
+    separated_by = "flights trimmed at other speeds"
     reference: Tensor
 
     def __init__(self, base: float, reference: Tensor) -> None:
@@ -112,6 +113,7 @@ class TranslationalLift(Effect):
     """
 
     id, stage, role = "forces.translational_lift", Stage.FORCES, Role.STRUCTURE
+    separated_by = "flights trimmed at other speeds"
     showing = Showing.OTHER_FLIGHTS
 
     def __init__(self, speed: float) -> None:
@@ -158,6 +160,7 @@ class TailInterference(Effect):
     """
 
     id, stage, role = "forces.tail_interference", Stage.FORCES, Role.UNDECLARED
+    separated_by = "flights trimmed at other speeds"
     showing = Showing.OTHER_FLIGHTS
 
     def __init__(self, arm: float, reference: Tensor) -> None:

@@ -53,6 +53,7 @@ class Payload(Effect):
     """
 
     id, stage, role, showing = "mass.payload", Stage.MASS, Role.UNDECLARED, Showing.ABSORBED
+    separated_by = "flights before and after a known load is moved"
     trim: Tensor
 
     def __init__(self, mass: float, trim: Tensor) -> None:
@@ -90,6 +91,7 @@ class CentreOfGravity(Effect):
     """
 
     id, stage, role, showing = "mass.cg", Stage.MASS, Role.UNDECLARED, Showing.ABSORBED
+    separated_by = "flights before and after a known load is moved"
     inverse: Tensor
     trim: Tensor
 
@@ -133,6 +135,7 @@ class Inertia(Effect):
     """
 
     id, stage, role, showing = "mass.inertia", Stage.MASS, Role.UNDECLARED, Showing.ABSORBED
+    separated_by = "flights before and after a known load is moved"
     inertia: Tensor
     entries: Tensor
 

@@ -397,6 +397,7 @@ class Stall(Effect):
     """
 
     id, stage, role = "rotor.stall", Stage.FORCES, Role.UNDECLARED
+    separated_by = "flights trimmed at other speeds"
     WIDTH, SLOPE = 0.005, 5.7
 
     def __init__(self, rotor: RotorSpec, air_density: float, mass: float) -> None:

@@ -124,6 +124,7 @@ def left_over(screened: Screen, effect: str, floor: float, explained_by: Sequenc
         absorbed = screened.imitators(effect)
         said = "at its usual size these flights would not show it: "
         said += f"{', '.join(absorbed)} take its place" if absorbed else "it hardly moves what was measured"
+        said += f"; {registered()[effect].separated_by} would tell"
         return Finding(effect, role, "indistinguishable", said, **keep, group=absorbed)
     return Finding(effect, role, "below floor", "it explains no more than it would on a clean aircraft", **keep)
 
