@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -68,6 +69,7 @@ class _Table:
         mark = max(",;\t", key=head.count)
         self.file, self.mark = file, mark if mark in head else None
         self.header = [name.strip().strip('"') for name in head.split(self.mark)]
+        self.marks = len(self.header) - 1
         if len(self.header) > CHANNELS:
             raise InputError(file, "", f"has {len(self.header)} columns", f"at most {CHANNELS}")
         if twice := next((name for name in self.header if name and self.header.count(name) > 1), None):
@@ -86,6 +88,8 @@ class _Table:
         if self.mark == ";" and any("," in line for line in lines):
             lines = [line.replace(",", ".") for line in lines]
         try:
+            if self.mark and any(line.count(self.mark) != self.marks and '"' not in line for line in lines if line):
+                raise ValueError("another number of fields")
             given = {"delimiter": self.mark, "usecols": self.kept, "comments": None, "quotechar": '"', "ndmin": 2}
             self.parts.append(np.loadtxt(lines, np.float64, **given))
         except ValueError:
@@ -94,7 +98,7 @@ class _Table:
     def _slowly(self, first: int, lines: Sequence[str]) -> Iterator[list[float]]:
         """Line by line where something is no number: missing samples, a row of units, a cut end, or an error."""
         for number, line in enumerate(lines, first):
-            fields = [field.strip().strip('"') for field in line.split(self.mark)]
+            fields = self._fields(line)
             if self.cut:
                 raise self._other_count(self.cut)
             if not line.strip():
@@ -106,6 +110,10 @@ class _Table:
                 self.units = number
                 continue
             yield [self._number(number, i, fields[i]) for i in self.kept]
+
+    def _fields(self, line: str) -> list[str]:
+        quoted = csv.reader([line], delimiter=self.mark) if self.mark else iter([line.split()])
+        return [field.strip() for field in next(quoted, [])]
 
     def _number(self, line: int, column: int, field: str) -> float:
         if field.lower() in MISSING:

@@ -128,6 +128,10 @@ def _spans(record: Record) -> tuple[list[tuple[float, float]], list[str]]:
     ends = {n: f"{time[0]:.6g} to {time[-1]:.6g} s" for n, time in known.items()}
     first = min(known, key=lambda n: known[n][-1])
     last = max(known, key=lambda n: known[n][0])
+    lasts = max(time[-1] for time in known.values()) - min(time[0] for time in known.values())
+    if lasts < 2.0 * LEAST_S or len({*ends.values()}) == 1:
+        told = f"lasts {lasts:.2g} s" if lasts < PAUSE_S else f"has no {LEAST_S:g} s without a pause of {PAUSE_S:g} s"
+        raise InputError(record.file, "time", told, f"a flight of {LEAST_S:g} s at least")
     told = f"{first} runs from {ends[first]}, {last} from {ends[last]}: less than {LEAST_S:g} s in common"
     raise InputError(record.file, "time", told, "controls and body rates on one clock")
 

@@ -87,10 +87,11 @@ class Log:
 
     def _hint(self, text: str, known: Iterable[str]) -> str:
         """What may have been meant: a similar name, or what the topic, or the log, holds."""
-        if near := names.nearest(text, known):
+        topic, _, name = text.partition(".")
+        inside = self.fields.get(topic, ())
+        if near := names.nearest(name, inside) or ("" if inside else names.nearest(text, known)):
             return near
-        topic = text.partition(".")[0]
-        listed = self.fields.get(topic) or (list(known) if len(self.fields) == 1 else sorted(self.fields))
+        listed = inside or (list(known) if len(self.fields) == 1 else sorted(self.fields))
         more = f" and {len(listed) - TOLD} more" if len(listed) > TOLD else ""
         return f" (there are {', '.join(listed[:TOLD])}{more})" if listed else ""
 

@@ -88,8 +88,11 @@ def import_logs(
     records = _records(files, given)
     grid_hz = rate or _usual_rate(records)
     flights, kinds, told = dict[str, dict[str, np.ndarray]](), dict[str, str](), list[str]()
+    channels = dict[str, Taken]()
     for record in records:
         made, more = flights_of(record, grid_hz, split, set(flights))
+        channels |= {n: taken for n, taken in _taken(record, made).items() if n not in channels}
+        record.signals.clear()  # the next log needs the memory
         told += [f"{record.file.name}: {sentence}" for sentence in (*record.warnings, *more)]
         flights |= {name: arrays for name, (arrays, _) in made.items()}
         kinds |= {name: kind for name, (_, kind) in made.items()}
@@ -108,15 +111,14 @@ def import_logs(
         controls=_controls(records, flights),
     )
     durations = {name: (seconds[name], kinds[name]) for name in flights}
-    return Imported(place, kind, grid_hz, durations, lists, _taken(records, flights), tuple(told))
+    return Imported(place, kind, grid_hz, durations, lists, channels, tuple(told))
 
 
 def _records(files: Sequence[Path], given: Map | None) -> list[Record]:
     """Every log read and turned into signals; one record of all where they are streams of one flight."""
-    logs = [_read(file, given, together=bool(given and given.together)) for file in files]
     if given is not None and given.together:
-        logs = [_joined(logs)]
-    return [record_of(log, given) for log in logs]
+        return [record_of(_joined([_read(file, given, together=True) for file in files]), given)]
+    return [record_of(_read(file, given, together=False), given) for file in files]
 
 
 def _read(file: Path, given: Map | None, together: bool) -> Log:
@@ -161,7 +163,7 @@ def _usual_rate(records: Sequence[Record]) -> float:
 def _vehicle_kind(records: Sequence[Record], given: Map | None) -> str:
     if given is not None and given.kind:
         return given.kind
-    motors = any(names.is_motor(name) for record in records for name in record.signals)
+    motors = any(names.is_motor(name) for record in records for name in record.entries)
     return records[0].plan.kind or ("multirotor" if motors else "helicopter")
 
 
@@ -175,12 +177,10 @@ def _controls(records: Sequence[Record], flights: Mapping[str, Mapping[str, np.n
     return found
 
 
-def _taken(records: Sequence[Record], flights: Mapping[str, Mapping[str, np.ndarray]]) -> dict[str, Taken]:
-    """Where each channel of the flights came from; what was computed on the grid has no source."""
+def _taken(record: Record, flights: Mapping[str, tuple[Mapping[str, np.ndarray], str]]) -> dict[str, Taken]:
+    """Where each channel of a record's flights came from; what was computed on the grid has no source."""
     found: dict[str, Taken] = {}
-    for arrays in flights.values():
-        for name in arrays:
-            signal = next((record.signals[name] for record in records if name in record.signals), None)
-            if name != "time":
-                found.setdefault(name, Taken(str(signal.source) if signal else "", signal.hertz if signal else 0.0))
+    for name in {channel: None for arrays, _ in flights.values() for channel in arrays if channel != "time"}:
+        signal = record.signals.get(name)
+        found[name] = Taken(str(signal.source) if signal else "", signal.hertz if signal else 0.0)
     return found

@@ -56,20 +56,22 @@ class Map(Struct, frozen=True, forbid_unknown_fields=True):
     vehicle : the table of that name, for dataset.toml.
     """
 
-    channels: dict[str, str | Entry]
-    time: str | Clock | None = None
+    channels: dict[str, Any]
+    time: Any = None
     kind: Literal["helicopter", "multirotor", ""] = ""
     together: bool = False
     built_in: bool = False
     vehicle: dict[str, Any] = {}
 
-    def entries(self) -> dict[str, Entry]:
+    def entries(self, file: str | Path = "mapping") -> dict[str, Entry]:
         """Channels with their entries written out."""
-        return {name: Entry(e) if isinstance(e, str) else e for name, e in self.channels.items()}
+        written = {name: {"field": e} if isinstance(e, str) else e for name, e in self.channels.items()}
+        return {name: convert(e, Entry, file, f"channels.{name}") for name, e in written.items()}
 
-    def clock(self) -> Clock | None:
+    def clock(self, file: str | Path = "mapping") -> Clock | None:
         """The clock written out."""
-        return Clock(self.time) if isinstance(self.time, str) else self.time
+        written = {"field": self.time} if isinstance(self.time, str) else self.time
+        return None if written is None else convert(written, Clock, file, "time")
 
 
 def read_map(given: str | Path | Mapping[str, Any]) -> Map:
@@ -82,7 +84,8 @@ def read_map(given: str | Path | Mapping[str, Any]) -> Map:
     found = convert(document, Map, file, "")
     if not found.channels:
         raise InputError(file, "channels", "is empty", "at least a control")
-    for name, entry in found.entries().items():
+    found.clock(file)
+    for name, entry in found.entries(file).items():
         check_unit(name, entry, file)
     return found
 

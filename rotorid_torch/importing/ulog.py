@@ -41,7 +41,9 @@ TYPES = {
 SENSED = ("vehicle_angular_velocity", "vehicle_acceleration", "vehicle_attitude", "vehicle_local_position")
 """Topics whose `timestamp_sample` is when the sensor was read; `timestamp` is when the topic was sent."""
 TOLD = ("sys_name", "ver_hw", "ver_sw_release_str")
-_KINDS = frozenset(b"FDIMPQARSOLCB")
+_KINDS, DATA = frozenset(b"FDIMPQARSOLCB"), ord("D")
+_HEAD = struct.Struct("<HBH")
+_UNWANTED = Gathered((), 0)
 _Layout = list[tuple[str, int, np.dtype]]
 
 
@@ -71,7 +73,7 @@ class _Walk:
         self.formats: dict[str, str] = {}
         self.layouts: dict[str, _Layout] = {}
         self.gathered: dict[tuple[str, int], Gathered] = {}
-        self.by_id: dict[int, Gathered | None] = {}
+        self.by_id: dict[int, Gathered] = {}
         self.info: dict[str, str] = {}
         self.parameters: dict[str, float] = {}
         self.appended: list[int] = []
@@ -94,27 +96,25 @@ class _Walk:
 
     def _block(self, blocks: Blocks) -> tuple[int, bool]:
         """Walk the messages that are whole in memory; bytes used, and whether data go on in an appended part."""
-        data, end, place, by_id = blocks.data, len(blocks.data), 0, self.by_id
-        limit = self._limit(blocks)
-        while place + 3 <= end:
-            size, kind = data[place] | data[place + 1] << 8, data[place + 2]
+        data, end, place = blocks.data, len(blocks.data), 0
+        limit, stop = self._limit(blocks), len(data) - 5
+        slot, head = self.by_id.get, _HEAD.unpack_from
+        while place <= stop:
+            size, kind, number = head(data, place)
             after = place + 3 + size
-            if after > limit:  # what stood here was overwritten by nothing: the first part ends at the appended one
-                return place, True
-            if kind not in _KINDS or size < 2:
-                place = self._next_sync(data, place, blocks.last)
-                if place + 3 > end:
-                    break
-                continue
-            if after > end:
-                break
-            if kind == 68:  # D
-                number = data[place + 3] | data[place + 4] << 8
-                gathered = by_id.get(number)
-                if gathered is not None and size - 2 >= gathered.size:
-                    gathered.places.append(place + 5)
-                elif gathered is not None or number not in by_id:
+            if kind == DATA and after <= end and after <= limit and size >= 2:
+                gathered = slot(number)
+                if gathered is None or size - 2 < gathered.size:
                     self.odd += 1
+                elif gathered.layout:
+                    gathered.places.append(place + 5)
+            elif after > limit:  # of the first part nothing more was written: data go on in the appended one
+                return place, True
+            elif kind not in _KINDS or size < 2:
+                place = self._next_sync(data, place, blocks.last)
+                continue
+            elif after > end:
+                break
             else:
                 self._rare(chr(kind), data[place + 3 : after])
                 limit = self._limit(blocks)
@@ -177,7 +177,7 @@ class _Walk:
         layout = self.layouts[topic]
         kept = {*self.choose(topic, [name for name, *_ in layout])}
         if not kept or "timestamp" not in [name for name, *_ in layout]:
-            self.by_id[number] = None
+            self.by_id[number] = _UNWANTED
             return
         clocks = ("timestamp", "timestamp_sample") if topic in SENSED else ("timestamp",)
         columns = [column for column in layout if column[0] in kept or column[0] in clocks]
