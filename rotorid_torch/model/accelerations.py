@@ -31,13 +31,25 @@ class Accelerations:
         The states' rates are those of the body, as a gyro tells them, and not what is left of them where spinning-up
         rotors take their share. theta : [P], or [..., 1, P] for many at once.
         """
-        model, yaw = self.model, self.model.layout.places(RATES[2:])[0]
-        found = model.outputs_at(theta, states, taped)
-        share = found[..., -1] - states[..., yaw]  # of the rate by the rotors' momentum
+        found = self.model.outputs_at(theta, states, taped)
+        yaw = self._yaw(states)
+        share = found[..., -1] - yaw  # of the rate by the rotors' momentum
         if bool((share != 0.0).any()):
-            inside = states.expand(*share.shape, -1).clone()
-            inside[..., yaw] -= share
-            found = model.outputs_at(theta, inside, taped)
+            found = self.model.outputs_at(theta, self._less(states, share), taped)
         values = dict(zip(self.names, found.unbind(-1), strict=False))
         values["rdot"] = values["rdot"] + torch.gradient(share, spacing=dt, dim=-1)[0]
         return values
+
+    def inside(self, states: Tensor, taped: Tensor) -> Tensor:
+        """The model's states [T, nx] where the rates are those of the body, as measured."""
+        found = self.model.outputs_at(self.model.theta, states, taped)
+        return self._less(states, found[..., -1] - self._yaw(states))
+
+    def _yaw(self, states: Tensor) -> Tensor:
+        return self.model.layout.pick(states, RATES[2])[..., 0]
+
+    def _less(self, states: Tensor, share: Tensor) -> Tensor:
+        place = self.model.layout.places(RATES[2:])[0]
+        inside = states.expand(*share.shape, -1).clone()
+        inside[..., place] -= share
+        return inside

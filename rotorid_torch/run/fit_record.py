@@ -6,14 +6,17 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+import msgspec
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.names import SPECIFIC_FORCES
 from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.step3 import Step3
-from rotorid_torch.model.model import Model
+from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
 from rotorid_torch.model.modes import modes
 from rotorid_torch.run.figures import Overlay
 from rotorid_torch.run.records import (
@@ -23,6 +26,8 @@ from rotorid_torch.run.records import (
     FlightRecord,
     ModeRecord,
     ParameterRecord,
+    PredictionRecord,
+    ResponseRecord,
     ScoresRecord,
     Status,
     WindowsRecord,
@@ -30,7 +35,10 @@ from rotorid_torch.run.records import (
 from rotorid_torch.run.summary import SHOWN
 from rotorid_torch.validate import scores
 from rotorid_torch.validate.free_run import Runs, Windows, free_run, windows
+from rotorid_torch.validate.predictions import UNITS, predictions
+from rotorid_torch.validate.responses import responses
 
+RESPONSE_UNITS = dict.fromkeys(ANGULAR_ACCELERATIONS, "rad/s2") | dict.fromkeys(SPECIFIC_FORCES, "m/s2")
 TOGETHER = 100_000
 """Samples of windows that are run at once; what is known of them takes a hundred megabytes."""
 
@@ -87,8 +95,11 @@ def judge(model: Model, dataset: Dataset, ranks: Ranks = ALONE) -> Judged:
     """
     records, overlays = dict[str, FlightRecord](), dict[str, Overlay]()
     shown = {name for flights in (dataset.identify, dataset.validate, dataset.acid) for name in flights[:SHOWN]}
-    for name, piece, outputs in _all_windows(model, dataset, ranks.mine(tuple(dataset.flights))):
+    run = Runs.of(model)
+    for name, piece, outputs in _all_windows(model, dataset, ranks.mine(tuple(dataset.flights)), run):
         records[name] = _flight(model, dataset, name, piece, outputs)
+        if dataset.kind == "multirotor":
+            records[name] = _without_free_run(model, dataset.flights[name], records[name], run)
         if name in shown:
             overlays[name] = _overlay(model, dataset, name, piece, outputs)
     for others, pictures in ranks.gather((records, overlays)):
@@ -100,13 +111,14 @@ def judge(model: Model, dataset: Dataset, ranks: Ranks = ALONE) -> Judged:
     return Judged(ordered, ScoresRecord(**totals), tuple(overlays[name] for name in ordered if name in overlays))
 
 
-def _all_windows(model: Model, dataset: Dataset, names: Sequence[str]) -> Iterator[tuple[str, Windows, Tensor]]:
+def _all_windows(
+    model: Model, dataset: Dataset, names: Sequence[str], run: Runs
+) -> Iterator[tuple[str, Windows, Tensor]]:
     """All windows of these flights with their outputs, some flights at once; by sample interval."""
     by_step = defaultdict(list)
     for name in names:
         by_step[dataset.facts[name].dt].append(name)
     groups = [(dt, group) for dt, names in by_step.items() for group in _groups(dataset, names, dt)]
-    run = Runs.of(model)
     for dt, names in groups:
         samples = min(scores.horizon_samples(dt), max(dataset.facts[name].samples for name in names))
         starts = {name: scores.window_starts(dataset.facts[name].samples, dt) for name in names}
@@ -149,6 +161,19 @@ def _flight(model: Model, dataset: Dataset, name: str, piece: Windows, outputs: 
         windows=WindowsRecord(median=spread.median, p10=spread.p10, p90=spread.p90),
         channels=_channels(model, piece, outputs),
     )
+
+
+def _without_free_run(model: Model, flight: Flight, record: FlightRecord, run: Runs) -> FlightRecord:
+    """The record with what tells of a multirotor's model, whose free runs drift: responses and short predictions."""
+    explained = {
+        name: ResponseRecord(rmse=found.rmse, r2=found.r2, unit=RESPONSE_UNITS.get(name, "rad/s"))
+        for name, found in responses(model, flight).items()
+    }
+    ahead = tuple(
+        PredictionRecord(quantity=p.quantity, seconds=p.seconds, unit=UNITS[p.quantity], error=p.error, held=p.held)
+        for p in predictions(model, flight, run)
+    )
+    return msgspec.structs.replace(record, responses=explained, predictions=ahead)
 
 
 def _channels(model: Model, piece: Windows, outputs: Tensor) -> dict[str, ChannelRecord]:

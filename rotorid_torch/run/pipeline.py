@@ -6,10 +6,11 @@ import math
 import warnings as python_warnings
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import msgspec
 import numpy as np
 import torch
 from torch import Tensor
@@ -30,7 +31,7 @@ from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.model.save import load as load_model
 from rotorid_torch.model.save import save as save_model
-from rotorid_torch.run import remarks
+from rotorid_torch.run import limits, remarks
 from rotorid_torch.run.checkpoint import Checkpoint, Steps, checkpoint
 from rotorid_torch.run.figures import draw
 from rotorid_torch.run.fit_record import fit_record, judge
@@ -39,6 +40,7 @@ from rotorid_torch.run.monitor import Monitor, peak_memory_mb
 from rotorid_torch.run.records import DatasetRecord, FitRecord, ParameterRecord, Report, package_version
 from rotorid_torch.run.write import write_report
 from rotorid_torch.validate.free_run import free_run, windows
+from rotorid_torch.validate.predictions import unexplained_moments
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -177,6 +179,8 @@ def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps
         *remarks.of_controls(seen, regressions.own_share),
         *remarks.of_regressions(regressions),
         *remarks.of_estimate(estimate, fit),
+        *limits.of_channels(seen, spec),
+        *limits.of_rotors(spec, fit),
     ]
     report = _report("identify", seen, seed, monitor, fit, told)
     return Run(model, spec, fit, report, reconstruction, regressions, estimate, judged.overlays)
@@ -189,6 +193,8 @@ def estimated(
     model, monitor = build(spec), steps.monitor
     regress = regress_rotors if spec.motors else regress_model
     regressions = steps.do("ftr", f"ftr-{spec.flapping}", lambda: regress(model, dataset, reconstruction))
+    if spec.motors:
+        spec, model, regressions = _told(spec, model, regressions, dataset)
     monitor.scalars({f"ftr/R2/{row}": float(r.r2) for row, r in regressions.regressions.items()}, 0)
     for line in remarks.regression_table(regressions):
         monitor.log(line)
@@ -204,6 +210,20 @@ def estimated(
         model.theta.copy_(estimate.theta_of(model, regressions))
     monitor.say(f"flapping {spec.flapping}: Akaike's criterion {estimate.criterion:.6g}")
     return spec, model, regressions, estimate
+
+
+def _told(spec: ModelSpec, model: Model, regressions: Step2, dataset: Dataset) -> tuple[ModelSpec, Model, Step2]:
+    """A multirotor's structure with those control powers held at zero whose rates are better held than predicted."""
+    with torch.no_grad():
+        model.theta.copy_(regressions.theta)
+    rows = unexplained_moments(model, (dataset.flights[name] for name in dataset.identify))
+    held = [name for row in rows for name in (f"rotors.power.{row}", f"rotors.trim.{row}")]
+    theta = regressions.theta.clone()
+    theta[[model.parameter_set.index(name) for name in held]] = 0.0
+    spec = msgspec.structs.replace(
+        spec, free={**spec.free, **dict.fromkeys(held, False)}, values={**spec.values, **dict.fromkeys(held, 0.0)}
+    )
+    return spec, build(spec), replace(regressions, theta=theta)
 
 
 def simulate(

@@ -83,8 +83,26 @@ class WindowsRecord(Record, frozen=True, kw_only=True):
     p90: Number
 
 
-class FlightRecord(Record, frozen=True, kw_only=True):
-    """Scores of one flight's free run."""
+class ResponseRecord(Record, frozen=True, kw_only=True):
+    """What a model gives at measured states against what was measured: nothing is integrated."""
+
+    rmse: Number
+    r2: Number
+    unit: str
+
+
+class PredictionRecord(Record, frozen=True, kw_only=True):
+    """Mean norm of a quantity's error some seconds after measured states: of the model, and of holding them."""
+
+    quantity: str
+    seconds: float
+    unit: str
+    error: Number
+    held: Number
+
+
+class FlightRecord(Record, frozen=True, kw_only=True, omit_defaults=True):
+    """Scores of one flight's free run; of a multirotor's flight also its responses and predictions."""
 
     list: Literal["identify", "validate", "acid"]
     J: Number
@@ -92,6 +110,8 @@ class FlightRecord(Record, frozen=True, kw_only=True):
     J_trim: Number
     windows: WindowsRecord
     channels: dict[str, ChannelRecord]
+    responses: dict[str, ResponseRecord] = {}
+    predictions: tuple[PredictionRecord, ...] = ()
 
 
 class ScoresRecord(Record, frozen=True, kw_only=True):

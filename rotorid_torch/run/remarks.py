@@ -10,6 +10,7 @@ from rotorid_torch.data.excitation import moves
 from rotorid_torch.identification.step2 import Step2
 from rotorid_torch.identification.step3 import Step3
 from rotorid_torch.run.records import FitRecord
+from rotorid_torch.run.short_horizon import FREE_RUN, short_horizon
 from rotorid_torch.run.summary import WORSE_THAN_TRIM, list_summaries
 
 OWN_SHARE = 0.1
@@ -76,7 +77,10 @@ def of_estimate(step3: Step3, fit: FitRecord) -> Iterator[str]:
             f"step 3 did not converge ({step3.fit.minimum.message}): take the standard errors with care;"
             " longer flights, or test inputs on every control, would help"
         )
-    for summary in list_summaries(fit):
+    meaningless = bool(short_horizon(fit))
+    if meaningless:
+        yield FREE_RUN
+    for summary in () if meaningless else list_summaries(fit):
         if summary.grade == WORSE_THAN_TRIM:
             yield (
                 f"on the {summary.name} flights the model is {WORSE_THAN_TRIM} (J {summary.J:.3g} against"

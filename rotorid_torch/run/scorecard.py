@@ -7,6 +7,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rotorid_torch.run.records import FitRecord, Report
+from rotorid_torch.run.short_horizon import NAMES, short_horizon
 from rotorid_torch.run.summary import headline, list_summaries
 
 
@@ -16,6 +17,9 @@ def scorecard(report: Report) -> RenderableType:
     for title, fit in (("before", report.before), ("after", report.after)):
         if fit is not None:
             heading = f"{report.dataset.name}, {title}" if report.after else report.dataset.name
+            if short_horizon(fit):
+                parts.append(_short(heading, fit))
+                heading = "free runs of 8 s, which mean nothing here"
             parts.append(_scores(heading, fit))
     parts.append(Text(headline(report)))
     if report.verdict:
@@ -41,6 +45,23 @@ def _scores(title: str, fit: FitRecord) -> Table:
             _number(summary.J_trim),
             "-" if share is None else f"{100 * share:.1f} %",
         )
+    return table
+
+
+def _short(title: str, fit: FitRecord) -> Table:
+    """Responses and predictions of a multirotor, list by list."""
+    lists = short_horizon(fit)
+    table = Table(title=title, title_justify="left")
+    table.add_column("")
+    for found in lists:
+        table.add_column(f"{found.name} ({found.flights})", justify="right")
+    for name in dict.fromkeys(name for found in lists for name in found.responses):
+        values = (found.responses.get(name) for found in lists)
+        table.add_row(f"R² of {NAMES.get(name, name)}", *map(_number, values))
+    for p in lists[0].predictions:
+        same = ({(q.quantity, q.seconds): q for q in found.predictions}.get((p.quantity, p.seconds)) for found in lists)
+        cells = ("-" if q is None else f"{q.error:.3g} ({q.held:.3g})" for q in same)
+        table.add_row(f"{p.quantity} after {p.seconds:g} s, {p.unit} (held)", *cells)
     return table
 
 

@@ -8,10 +8,13 @@ from dataclasses import dataclass
 
 from rotorid_torch.core import names
 from rotorid_torch.run.records import LISTS, ChannelRecord, FitRecord, FlightRecord, ParameterRecord, Report
+from rotorid_torch.run.short_horizon import NAMES, explained, short_horizon
 
 # Shares of the motion explained, from which on a model is called so.
 GRADES = ((0.97, "very good"), (0.90, "good"), (0.70, "usable with care"), (0.0, "poor"))
 WORSE_THAN_TRIM = "worse than holding trim"
+MOSTLY = 0.7
+"""R² of a response below which something is missing from the model."""
 SHOWN = 12
 """Flights of each list that pictures and tables of channels show; scores are those of all."""
 THEIL_PARTS = (
@@ -69,6 +72,9 @@ def headline(report: Report) -> str:
     """One sentence: how well the model does on flights that it has not seen."""
     if report.fit is None:
         return "No model was fitted in this run."
+    short = short_horizon(report.fit)
+    if short:
+        return explained(short[-1])
     unseen = [s for s in list_summaries(report.fit) if s.name != "identify" and s.explained is not None]
     if not unseen:
         return "No flight was kept back, so nothing is known about flights the model has not seen."
@@ -86,7 +92,8 @@ def next_steps(report: Report) -> list[str]:
     """What an engineer would look at next, most important first; never empty."""
     if report.fit is None:
         return ["Identify a model from these flights: rotorid identify."]
-    steps = [*_steps_of_scores(report.fit), *_steps_of_parameters(report.fit.parameters)]
+    scores = _steps_of_responses if short_horizon(report.fit) else _steps_of_scores
+    steps = [*scores(report.fit), *_steps_of_parameters(report.fit.parameters)]
     return steps or ["Nothing stands out. Use the model within the range of motion that its flights covered."]
 
 
@@ -148,6 +155,20 @@ def _steps_of_scores(fit: FitRecord) -> Iterator[str]:
                 f"The mode '{mode.name}' is unstable (time to double {math.log(2) / real:.1f} s): expect a free run to"
                 " drift after a few doubling times."
             )
+
+
+def _steps_of_responses(fit: FitRecord) -> Iterator[str]:
+    """For a multirotor, of which free runs tell nothing."""
+    last = short_horizon(fit)[-1]
+    weak = [NAMES.get(name, name) for name, r2 in last.responses.items() if r2 < MOSTLY]
+    if weak:
+        yield (
+            f"Of {_listed(weak)} less than {100 * MOSTLY:.0f} % is explained on the {last.name} flights: look for motor"
+            " lag, delay, voltage or rotor drag with rotorid close-loop, or name them with --effect."
+        )
+    poor = dict.fromkeys(p.quantity for p in last.predictions if p.error > p.held)
+    if poor:
+        yield f"{_listed(list(poor))}: held values are nearer than the model's predictions. Do not use it for these."
 
 
 def _steps_of_parameters(parameters: Iterable[ParameterRecord]) -> Iterator[str]:

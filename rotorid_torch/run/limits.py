@@ -1,0 +1,83 @@
+"""What the channels and declarations of a data set cannot tell: named, with what it means for the model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from rotorid_torch.core.names import ATTITUDES, FLAPPING, MOMENTS, VELOCITIES
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.identification.structure import have
+from rotorid_torch.run.records import FitRecord
+
+AXES = dict(zip(MOMENTS, ("x", "y", "z"), strict=True))
+BELIEVED = (1.0 / 3.0, 3.0)
+"""Control power over the declared within which another inertia can be the reason."""
+AGREES = 0.15
+"""Relative difference from the declared control power that is not worth a sentence."""
+
+
+def of_channels(dataset: Dataset, spec: ModelSpec) -> Iterator[str]:
+    """States and physics that no channel shows, and channels that are therefore not scored."""
+    if "u" not in spec.states:
+        missing = [c for c in (*VELOCITIES, *ATTITUDES[:2]) if not have(dataset, (c,))]
+        slow = "speed derivatives, drag and the slow modes stay unknown"
+        yield f"{', '.join(missing)} not measured in every identify flight: u v w are no states; {slow}"
+    elif "airspeed" not in dataset.facts[dataset.identify[0]].channels:
+        yield "u v w are over ground and there is no airspeed: a wind is part of what goes with them, and of the trims"
+    if "phi" not in spec.states:
+        yield "phi and theta are not measured: gravity is not in the model, rates and specific forces are judged alone"
+    left = [c for c in dataset.scored() if c not in spec.outputs]
+    if left:
+        yield f"{', '.join(left)} measured, but not all that they need beside them: left out and not scored"
+    if dataset.kind == "helicopter":
+        yield from _of_helicopter(dataset, spec)
+    elif not spec.motors:
+        yield "the motors' places are not declared ([[vehicle.motors]]): each command has free derivatives instead"
+    elif "Z" not in spec.patterns:
+        yield "neither az nor w is measured: the thrust curve is held at hover balance, control powers carry its error"
+
+
+def _of_helicopter(dataset: Dataset, spec: ModelSpec) -> Iterator[str]:
+    if (
+        "u" in spec.states
+        and spec.flapping == "none"
+        and not all(dataset.facts[f].has(*FLAPPING) for f in dataset.identify)
+    ):
+        yield "no flapping measured: the rotor's motion is implicit, its lag is part of damping and control derivatives"
+    sticks = [c for c in dataset.controls if spec.control_units.get(c) == "norm"]
+    if sticks:
+        yield (
+            f"{', '.join(sticks)}: sticks in units of full travel, not blade angles; control derivatives hold linkage,"
+            " mixer and any stabilisation in between"
+        )
+
+
+def of_rotors(spec: ModelSpec, fit: FitRecord) -> Iterator[str]:
+    """Control powers of a multirotor against its declared places, mass and inertia."""
+    if not spec.motors or spec.mass is None or spec.inertia is None:
+        return
+    values = {p.name: p for p in fit.parameters}
+    silent = [row for row in MOMENTS if values[f"rotors.power.{row}"].status == "frozen"]
+    if silent:
+        yield (
+            f"{' '.join(silent)} not testable: the thrusts predict body rates over 0.1 s worse than holding them does,"
+            " so the model holds them; commands that a rate controller makes faster than they were recorded, or"
+            " streams that do not belong together in time, look like that"
+        )
+    for row in MOMENTS:
+        found = values[f"rotors.power.{row}"].value
+        if row in silent or found is None or (row == "N" and any(m.torque_ratio is None for m in spec.motors)):
+            continue
+        if not BELIEVED[0] < found < BELIEVED[1]:
+            yield (
+                f"control power of {row} is {found:.2g} of what places, thrust and declared inertia give: no inertia is"
+                " that far off; commands that answer the rates, or a lag that is not in the model, bias it"
+            )
+        elif abs(found - 1.0) > AGREES:
+            declared = spec.inertia[MOMENTS.index(row)][MOMENTS.index(row)]
+            yield (
+                f"control power of {row} is {found:.2f} of what is declared; an inertia about {AXES[row]} of"
+                f" {declared / found:.3g} kg m² ({100 * (1 / found - 1):+.0f} %) would explain it, if mass and arms are"
+                " right and no lag is missing"
+            )

@@ -1,0 +1,183 @@
+"""Predictions over parts of a second: from measured states on, by the model alone, against holding everything.
+
+Source: the protocol of Busetto and others (2026), nanodrone system identification benchmark: from every sample of a
+flight so many steps ahead, the mean over the samples of the norm of the error vector.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.names import ATTITUDES, MOMENTS, POSITIONS, RATES, VELOCITIES
+from rotorid_torch.core.rigid import euler_rates, position_rates
+from rotorid_torch.data.flight import Flight
+from rotorid_torch.model.accelerations import Accelerations
+from rotorid_torch.model.model import Model
+from rotorid_torch.validate.free_run import Runs, equilibrium
+
+HORIZONS_S = (0.1, 0.5)
+"""Lengths of the predictions."""
+STARTS = 800
+"""Samples of a flight from which it is predicted, where nobody asks for all."""
+WORSE = 1.1
+"""Ratio of the error predicted to that of holding from which on a moment is not explained."""
+TOGETHER = 200_000
+"""Samples that are predicted at once."""
+UNITS = {"position": "m", "velocity": "m/s", "attitude": "rad", "rates": "rad/s"}
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Mean norm of the error of a quantity after so many seconds: of the model, and of holding what was measured."""
+
+    quantity: str
+    seconds: float
+    error: float
+    held: float
+
+
+def predictions(
+    model: Model, flight: Flight, run: Runs | None = None, starts: int | None = STARTS
+) -> tuple[Prediction, ...]:
+    """Errors of position, velocity (earth axes), attitude (angle of the rotation) and rates, where they are measured.
+
+    Initial states are measured samples; inputs are measured throughout; the effects' own states begin in equilibrium.
+    Velocity and position need u v w, phi, theta and psi among the channels. `starts` : from how many samples, spread
+    over the flight; None: from every one.
+    """
+    run = run or Runs.of(model)
+    longest = round(HORIZONS_S[-1] / flight.dt)
+    if flight.samples <= longest:
+        return ()
+    known = _measured(flight)
+    with torch.no_grad():
+        taped = model.tape(flight.bridged(model.body.controls), flight.dt)
+        states = Accelerations(model).inside(_states(model, flight), taped)
+        count = flight.samples - longest
+        places = torch.arange(0, count, 1 if starts is None else max(1, count // starts))
+        errors: dict[tuple[str, float], list[Tensor]] = {}
+        for some in places.split(max(1, TOGETHER // longest)):
+            _predicted(model, flight.dt, run, states, taped, known, some, errors)
+    return tuple(
+        Prediction(quantity, seconds, *torch.cat(found).nanmean(0).tolist())
+        for (quantity, seconds), found in errors.items()
+    )
+
+
+def unexplained_moments(model: Model, flights: Iterable[Flight]) -> tuple[str, ...]:
+    """Rows of L M N that predict their rate over the first horizon clearly worse than holding it does.
+
+    Errors count without their mean in a flight. Where roll and pitch both fail, so does yaw: the records of commands
+    and rates do not belong together then.
+    """
+    run, sums = Runs.of(model), torch.zeros(2, 3, dtype=torch.float64)
+    places = [model.body.outputs.index(name) for name in RATES]
+    for flight in flights:
+        ahead = round(HORIZONS_S[0] / flight.dt)
+        starts = torch.arange(0, flight.samples - ahead, max(1, (flight.samples - ahead) // STARTS))
+        with torch.no_grad():
+            taped = model.tape(flight.bridged(model.body.controls), flight.dt)
+            states = Accelerations(model).inside(_states(model, flight), taped)
+            x0 = equilibrium(model, states[starts][:, : len(model.body.states)], taped[starts])
+            found = run(x0, taped[starts[:, None] + torch.arange(ahead + 1)], flight.dt)[1][:, -1, places]
+        rates = flight.bridged(RATES)
+        truth = rates[starts + ahead]
+        sums += torch.stack([(found - truth).std(0), (rates[starts] - truth).std(0)])
+    worse = (sums[0] > WORSE * sums[1]).tolist()
+    return MOMENTS if worse[0] and worse[1] else tuple(row for row, bad in zip(MOMENTS, worse, strict=True) if bad)
+
+
+def _predicted(
+    model: Model,
+    dt: float,
+    run: Runs,
+    states: Tensor,
+    taped: Tensor,
+    known: Mapping[str, Tensor],
+    places: Tensor,
+    errors: dict[tuple[str, float], list[Tensor]],
+) -> None:
+    """Append errors of model and of holding [starts, 2] of each quantity after each horizon."""
+    window = places[:, None] + torch.arange(round(HORIZONS_S[-1] / dt) + 1)
+    body = len(model.body.states)
+    x0 = equilibrium(model, states[places][:, :body], taped[places])
+    outputs = run(x0, taped[window], dt)[1]
+    path = dict(zip(model.body.outputs, outputs.unbind(-1), strict=True))
+    if not set(RATES) <= set(path):
+        return
+    motion = _motion(path, known, places, dt)
+    for seconds in HORIZONS_S:
+        k = round(seconds / dt)
+        for quantity, values in motion.items():
+            truth = known[quantity]
+            both = (values[:, k], truth[places])
+            found = torch.stack([_distance(quantity, value, truth[places + k]) for value in both], dim=-1)
+            errors.setdefault((quantity, seconds), []).append(found)
+
+
+def _motion(path: Mapping[str, Tensor], known: Mapping[str, Tensor], places: Tensor, dt: float) -> dict[str, Tensor]:
+    """Predicted quantities [starts, T, 3] that are measured: heading and position integrated from the outputs."""
+    stack = lambda names: torch.stack([path[n] for n in names], dim=-1)  # noqa: E731
+    rates = stack(RATES)
+    found = {"rates": rates}
+    if "attitude" not in known or not set(ATTITUDES[:2]) <= set(path):
+        return found
+    level = stack(ATTITUDES[:2])
+    psi = _integrated(euler_rates(rates, level)[..., 2:], known["attitude"][places, 2:], dt)
+    found["attitude"] = torch.cat([level, psi], dim=-1)
+    if "velocity" in known and set(VELOCITIES) <= set(path):
+        found["velocity"] = position_rates(stack(VELOCITIES), found["attitude"])
+        if "position" in known:
+            found["position"] = _integrated(found["velocity"], known["position"][places], dt)
+    return found
+
+
+def _integrated(rate: Tensor, start: Tensor, dt: float) -> Tensor:
+    """Trapezoidal integral [starts, T, n] of a rate from the values at the start [starts, n]."""
+    steps = 0.5 * dt * (rate[:, 1:] + rate[:, :-1])
+    return start[:, None] + torch.cat([torch.zeros_like(rate[:, :1]), steps.cumsum(1)], dim=1)
+
+
+def _distance(quantity: str, value: Tensor, truth: Tensor) -> Tensor:
+    """Norm of the difference [n]; of attitudes the angle of the rotation between them."""
+    if quantity != "attitude":
+        return torch.linalg.vector_norm(value - truth, dim=-1)
+    cosine = 0.5 * ((_rotation(value).mT @ _rotation(truth)).diagonal(dim1=-2, dim2=-1).sum(-1) - 1.0)
+    return torch.arccos(cosine.clamp(-1.0, 1.0))
+
+
+def _rotation(attitude: Tensor) -> Tensor:
+    """Body to earth axes [n, 3, 3]."""
+    axes = torch.eye(3, dtype=attitude.dtype)
+    columns = [position_rates(axis.expand(len(attitude), 3), attitude) for axis in axes]
+    return torch.stack(columns, dim=-1)
+
+
+def _measured(flight: Flight) -> dict[str, Tensor]:
+    """Quantities (T, 3) that the flight has: rates, attitude, velocity in earth axes, position."""
+
+    def has(names: Sequence[str]) -> bool:
+        return flight.has(*names)
+
+    known = {"rates": flight.stack(RATES)} if has(RATES) else {}
+    if has(ATTITUDES):
+        known["attitude"] = flight.stack(ATTITUDES)
+        if has(VELOCITIES):
+            known["velocity"] = position_rates(flight.stack(VELOCITIES), known["attitude"])
+            if has(POSITIONS):
+                known["position"] = flight.stack(POSITIONS)
+    return known
+
+
+def _states(model: Model, flight: Flight) -> Tensor:
+    """States [T, nx] by their channels, gaps bridged; at the reference where there is none."""
+    columns = []
+    for state in model.layout.states:
+        channel = state.channel or state.name
+        at = torch.full((flight.samples,), model.reference.get(state.name, 0.0), dtype=torch.float64)
+        columns.append(flight.bridged([channel])[:, 0] if flight.has(channel) else at)
+    return torch.stack(columns, dim=-1)
