@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from rotorid_torch.identification.ukf import unscented_filter as unscented_filter
     from rotorid_torch.importing.logs import import_logs as import_logs
     from rotorid_torch.model.model import Model as Model
+    from rotorid_torch.run.checking import check as check
     from rotorid_torch.run.closing import Loop as Loop
     from rotorid_torch.run.closing import close_loop as close_loop
     from rotorid_torch.run.pipeline import Run as Run
@@ -36,6 +37,7 @@ _PUBLIC = {
     "unscented_filter": "identification.ukf",
     "import_logs": "importing.logs",
     "Model": "model.model",
+    "check": "run.checking",
     "Loop": "run.closing",
     "close_loop": "run.closing",
     "Run": "run.pipeline",

@@ -210,7 +210,7 @@ def import_logs(options: Options) -> None:
 def check(options: Options) -> None:
     """Say whether a data set is fit for identification."""
     from rotorid_torch.data import load
-    from rotorid_torch.data.check import check as examine
+    from rotorid_torch.run.checking import check as examine
     from rotorid_torch.run.checking import check_table, write_check
     from rotorid_torch.run.folder import refuse_unless_free
 

@@ -105,6 +105,16 @@ def agreement(pair: Pair, flights: Iterable[Flight]) -> Agreement | None:
     )
 
 
+def compared(a: Agreement, flight: Flight) -> tuple[Array, Array, Array, Array]:
+    """Time, left side, right side as recorded and with lag, scale and constant taken out, (n,) each, of one flight."""
+    bell, slope = kernel(flight.dt)
+    left = np.convolve(a.pair.left(flight), slope if a.pair.differentiate else bell, "valid")
+    right = np.convolve(a.pair.right(flight), bell, "valid")
+    time = flight.dt * (np.arange(len(left)) + len(bell) // 2)
+    moved = a.scale * np.interp(time - a.lag_s, time, right)
+    return time, left, right, moved + np.nanmean(left - moved)
+
+
 def jackknife_error(without_one: Sequence[float]) -> float:
     """Standard error of an estimate from its values with each of the pieces left out; 0 where there is one piece.
 

@@ -15,6 +15,8 @@ TEST_INPUT = 30.0
 """Power in the band over that of the white part there, below which nothing was flown on an axis."""
 FOLDED = 0.1
 """White part over the power in the band from which on a motor command was folded by sampling."""
+TURNS = {"roll": "p", "pitch": "q", "yaw": "r"}
+"""What the axes of the motors turn."""
 FREE_RUN_S = 8.0
 PERIODS = 2.0
 """A mode needs so many of its periods in a flight."""
@@ -68,9 +70,10 @@ def _rests(dataset: Dataset, e: Excitation) -> Iterator[Finding]:
 
 def _no_test_input(idle: Sequence[Excitation]) -> Finding:
     told = ", ".join(f"{e.axis.name} {e.above_white:.1f} times its white part" for e in idle)
+    answers = [TURNS[e.axis.name] for e in idle if e.axis.name in TURNS]
     return finding(
         "warning",
-        _channels(idle),
+        " ".join([_channels(idle), *answers]),
         f"no test input on {_named(idle)}: from {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz the power is no more than {told}.",
         "What moves is the controller's answer to noise and air: control power, damping, lag and delay of"
         " these axes cannot be told apart, and damping comes out too large. Fly doublets or sweeps on top of the"
@@ -128,9 +131,10 @@ def _limits(dataset: Dataset) -> Iterator[Finding]:
     every = {control: share_at(dataset, control) for control in dataset.controls}
     full = {control: share for control, (share, _) in every.items() if share > 0.01}
     if full:
-        told = ", ".join(f"{control} up to {share:.0%} of a flight" for control, share in full.items())
+        told = ", ".join(f"{control} {share:.0%}" for control, share in full.items())
+        most = f"on a limit for up to {max(full.values()):.0%} of a flight ({told}):"
         reason = "what was asked beyond the limit is not in the record. Use smaller inputs."
-        yield finding("warning", " ".join(full), f"on a limit: {told};", reason)
+        yield finding("warning", " ".join(full), most, reason)
     for control, (_, outside) in every.items():
         limits = dataset.control_specs[control].limits
         if limits and outside > 0.02 * (limits[1] - limits[0]):

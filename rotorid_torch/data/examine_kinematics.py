@@ -101,7 +101,7 @@ def _late(left: str, right: str, lags: dict[str, list[Agreement]]) -> Finding:
     early = sum(a.lag_s for a in late) < 0
     who = f"{right} late, or {left} early" if early else f"{left} late, or {right} early"
     advice = f"A clock or a filter is off ({who}): shift the streams onto one clock, or let sensors.delay be estimated."
-    return finding(grave, _channels(late), f"{left} against {right}: {told}.", *([cause] if cause else []), advice)
+    return finding(grave, _channels(late), f"{told} against {right}.", *([cause] if cause else []), advice)
 
 
 def _drift(a: Agreement) -> Iterator[Finding]:

@@ -88,6 +88,18 @@ def excitations(dataset: Dataset) -> tuple[Excitation, ...]:
     )
 
 
+def correlations(dataset: Dataset) -> tuple[list[str], np.ndarray]:
+    """Names of the axes and of the motion, and their correlation (n, n) in the band over the identify flights."""
+    flights, axes = [dataset.flights[name] for name in dataset.identify], control_axes(dataset)
+    motion = [c for c in names.BODY if all(dataset.facts[f.name].has(c) for f in flights)]
+    mixed, count = np.stack([axis.weights for axis in axes], axis=1), len(dataset.controls)
+    lines = np.concatenate([_in_band(f, [*dataset.controls, *motion])[1] for f in flights])
+    both = np.concatenate([lines[:, :count] @ mixed, lines[:, count:]], axis=1)
+    product = np.real(both.conj().T @ both)
+    size = np.sqrt(np.maximum(np.diag(product), np.finfo(float).tiny))
+    return [*(axis.name for axis in axes), *motion], product / np.outer(size, size)
+
+
 def _excitation(dataset: Dataset, axis: Axis, independent: float, leads: bool) -> Excitation:
     moved, travel, records = [], 0.0, []
     noise = float(np.sqrt((axis.weights**2) @ [dataset.noise(c) ** 2 for c in dataset.controls]))

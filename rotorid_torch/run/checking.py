@@ -1,51 +1,212 @@
-"""What `rotorid check` found, for people, and as a run of its own."""
+"""`rotorid check`: the examination of the records, joint sensor errors with standard errors, a verdict per channel."""
 
 from __future__ import annotations
 
+import re
+from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
+import numpy as np
+from rich.console import Group
 from rich.table import Table
 
-from rotorid_torch.data.check import Check
+from rotorid_torch.core import names
+from rotorid_torch.data import check as records
+from rotorid_torch.data.coherence import coherences
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.data.finding import Finding
+from rotorid_torch.data.examine_band import RESPONSES
+from rotorid_torch.data.finding import Finding, finding
+from rotorid_torch.run.check_figures import draw_check
 from rotorid_torch.run.folder import run_folder
+from rotorid_torch.run.html import render
 from rotorid_torch.run.monitor import Monitor, peak_memory_mb
-from rotorid_torch.run.records import DatasetRecord, Report
-from rotorid_torch.run.write import write_report
+from rotorid_torch.run.records import DatasetRecord, Report, encode_report, package_version
+from rotorid_torch.run.write import png
+from rotorid_torch.trace.kinematic_equations import UNITS
+from rotorid_torch.trace.kinematic_findings import KinematicFinding
+from rotorid_torch.trace.kinematic_fit import Setting
+from rotorid_torch.trace.kinematic_records import pieces
+from rotorid_torch.trace.kinematic_search import Search
+from rotorid_torch.trace.kinematics import kinematic_findings
+
+GROSS = 300.0
+"""Power of what no sensor error explains over that of the noise, above which errors of sensors are not searched for."""
+RANK = {"error": 0, "warning": 1, "note": 2, "good": 3}
+VERDICTS = {"error": "not fit", "warning": "with care", "note": "good", "good": "good"}
 
 
-def check_table(found: Check) -> Table:
-    """All findings, gravest first."""
+@dataclass(frozen=True)
+class ChannelVerdict:
+    """What to think of one channel or control.
+
+    verdict : "good", "with care" or "not fit". noise : standard deviation of a sample, rms : of its motion, both in
+    `unit`. band : in which it follows the controls, Hz; None where it nowhere does or is no response. reasons : the
+    heads of the sentences that speak of it.
+    """
+
+    channel: str
+    verdict: str
+    unit: str
+    noise: float
+    rms: float
+    band: tuple[float, float] | None
+    reasons: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Check:
+    """All findings on a data set, gravest first; `fit` is false where one is an error.
+
+    channels : a verdict for each. sensors : joint estimates of sensor errors from kinematics with their standard
+    errors; empty where the channels allow none.
+    """
+
+    dataset: str
+    fit: bool
+    findings: tuple[Finding, ...]
+    channels: tuple[ChannelVerdict, ...]
+    sensors: tuple[KinematicFinding, ...]
+
+
+def check(dataset: Dataset) -> Check:
+    """Is a data set fit for identification? Every record by itself, all against each other, and the controls.
+
+    Raises
+    ------
+    InputError : where a helicopter's flights lack the body rates that every step needs.
+    """
+    quick = records.check(dataset)
+    sensors, told = sensor_errors(dataset)
+    findings = tuple(sorted((*quick.findings, *told), key=lambda found: RANK[found.severity]))
+    return Check(quick.dataset, quick.fit, findings, _verdicts(dataset, findings), sensors)
+
+
+def sensor_errors(dataset: Dataset) -> tuple[tuple[KinematicFinding, ...], tuple[Finding, ...]]:
+    """Bias, scale, misalignment, lever arm, delay and filter, all at once, from exact kinematics; and what to say."""
+    level = _misfit(dataset)
+    if level is None:
+        return (), ()
+    if level > GROSS:
+        told = "kinematics disagree far beyond the noise in ways that no constant sensor error makes:"
+        more = "lags, scales and biases are told from pairs of channels only, not jointly."
+        return (), (finding("note", "", told, more),)
+    found = kinematic_findings(dataset).findings
+    named = [
+        f for f in found if f.verdict in ("accepted", "indistinguishable") and any(p.accepted for p in f.parameters)
+    ]
+    if not named:
+        visible = ", ".join(
+            f"{f.id.removeprefix('sensors.')} {f.smallest_visible[0]:.2g} {f.smallest_visible[1]}".removesuffix(" 1")
+            for f in found
+            if f.smallest_visible
+        )
+        told = f"all channels together show no constant sensor error; from this size on it would show: {visible}."
+        return found, (finding("good", "", told),)
+    return found, tuple(_sentence(f) for f in named)
+
+
+def _sentence(found: KinematicFinding) -> Finding:
+    members = dict.fromkeys(c for p in found.parameters if p.accepted for c in _channels(p.name.split(".")[2]))
+    told = f"all channels together: {found.reason}."
+    advice = f"Correct the records, or let {found.id} be estimated by close-loop."
+    return finding("warning", " ".join(members), told, advice)
+
+
+def _channels(member: str) -> tuple[str, ...]:
+    """Channels of a sensor error's last name: a unit's, an IMU axis's, or the channel itself."""
+    return UNITS.get(member) or (() if member in ("x", "y", "z") else (member,))
+
+
+def _misfit(dataset: Dataset) -> float | None:
+    """Largest level of what all sensor errors together leave over, in powers of the noise; None without kinematics."""
+    cut = pieces(dataset)
+    if not cut:
+        return None
+    there = dict.fromkeys(channel for piece in cut for channel in piece.channels)
+    errors = [f"{kind}.{unit}" for kind in ("delay", "filter") for unit in UNITS if set(UNITS[unit]) & set(there)]
+    errors += [f"scale.{channel}" for channel in there if channel in names.CHANNELS]
+    if set(names.VELOCITIES) & {name for piece in cut for name in piece.equations}:
+        errors += [f"{kind}.{axis}" for kind in ("misalignment", "lever_arm") for axis in "xyz"]
+    search = Search(cut, Setting(dataset.vehicle.gravity, np.array(dataset.vehicle.imu or (0.0, 0.0, 0.0))))
+    search.measure({}, errors)
+    return max((float(level.max()) for level in search.levels.values()), default=1.0)
+
+
+def _verdicts(dataset: Dataset, findings: tuple[Finding, ...]) -> tuple[ChannelVerdict, ...]:
+    bands = {c.channel: c.band for c in coherences(dataset, RESPONSES)}
+    order = [c for c in (*dataset.controls, *names.CHANNELS, *dataset.scales()) if c in dataset.scales()]
+    return tuple(_verdict(dataset, channel, findings, bands.get(channel)) for channel in dict.fromkeys(order))
+
+
+def _verdict(
+    dataset: Dataset, channel: str, findings: tuple[Finding, ...], band: tuple[float, float] | None
+) -> ChannelVerdict:
+    about = [f for f in findings if channel in f.channel.split() and f.severity in ("error", "warning")]
+    worst = about[0].severity if about else "good"
+    unit = names.unit(channel)
+    if channel in dataset.controls:
+        unit = dataset.control_specs[channel].unit
+    reasons = tuple(dict.fromkeys(_head(f.sentence) for f in about))
+    return ChannelVerdict(
+        channel, VERDICTS[worst], unit, dataset.noise(channel), dataset.scales()[channel], band, reasons
+    )
+
+
+def _head(sentence: str) -> str:
+    """A sentence's first clause, without what stands in brackets."""
+    clear = re.sub(r" ?\((?:[^()]|\([^()]*\))*\)", "", sentence)
+    return re.split(r"[:;] |\. |\.$", clear)[0]
+
+
+def check_table(found: Check) -> Group:
+    """All findings, gravest first, and the verdict on each channel."""
     verdict = "fit for identification" if found.fit else "not fit for identification"
-    table = Table("", "where", "finding", title=f"{found.dataset}: {verdict}", title_justify="left")
-    for finding in found.findings:
-        table.add_row(finding.severity, _where(finding), finding.sentence)
-    return table
+    title = f"{found.dataset}: {verdict}"
+    table = Table("", "where", "finding", title=title, title_justify="left")
+    for one in found.findings:
+        table.add_row(one.severity, _where(one), one.sentence)
+    channels = Table("channel", "verdict", "noise", "moves", "follows controls", "because", title="Channel by channel")
+    channels.title_justify = "left"
+    for one in found.channels:
+        band = f"{one.band[0]:.1g}-{one.band[1]:.2g} Hz" if one.band else ""
+        size = f"{one.noise:.2g}", f"{one.rms:.2g} {one.unit}".strip()
+        channels.add_row(one.channel, one.verdict, *size, band, "; ".join(one.reasons))
+    return Group(table, channels)
 
 
 def write_check(out: Path, dataset: Dataset, found: Check, seed: int, monitor: Monitor) -> None:
-    """Write the findings as a run: errors and warnings become the report's warnings, all of them go to log.txt."""
-    grave = [*found.of("error"), *found.of("warning")]
+    """Write a run: check.json holds everything, figures show it; errors and warnings become the report's warnings."""
+    grave = [one for one in found.findings if one.severity in ("error", "warning")]
     with run_folder(out) as folder, monitor.recording(folder):
-        for finding in found.findings:
-            monitor.log(f"{finding.severity}: {_told(finding)}")
+        for one in found.findings:
+            monitor.log(f"{one.severity}: {_told(one)}")
+        pictures = {name: png(figure) for name, figure in draw_check(dataset).items()}
+        (folder / "figures").mkdir(exist_ok=True)
+        for name, content in pictures.items():
+            (folder / "figures" / f"{name}.png").write_bytes(content)
+            monitor.picture(name, content)
+        about = DatasetRecord(name=dataset.name, sha256=dataset.sha256)
         report = Report(
             command="check",
-            dataset=DatasetRecord(name=dataset.name, sha256=dataset.sha256),
+            dataset=about,
             seed=seed,
             time_s=monitor.time_record(),
             peak_memory_mb=peak_memory_mb(),
             before=None,
-            warnings=tuple(_told(finding) for finding in grave),
+            warnings=tuple(_told(one) for one in grave),
         )
-        write_report(folder, report)
+        head = {"format": 1, "rotorid": package_version(), "sha256": dataset.sha256}
+        whole = msgspec.json.encode(head | msgspec.to_builtins(found))
+        (folder / "check.json").write_bytes(msgspec.json.format(whole, indent=2))
+        (folder / "report.html").write_text(render(report, pictures), encoding="utf-8")
+        (folder / "report.json").write_bytes(encode_report(report))
 
 
-def _where(finding: Finding) -> str:
-    return " ".join(part for part in (finding.flight, finding.channel) if part)
+def _where(one: Finding) -> str:
+    return " ".join(part for part in (one.flight, one.channel) if part)
 
 
-def _told(finding: Finding) -> str:
-    where = _where(finding)
-    return f"{where}: {finding.sentence}" if where else finding.sentence
+def _told(one: Finding) -> str:
+    where = _where(one)
+    return f"{where}: {one.sentence}" if where else one.sentence

@@ -13,6 +13,12 @@ from rotorid_torch.run.short_horizon import FREE_RUN, NAMES, short_horizon
 from rotorid_torch.run.summary import headline, list_summaries, next_steps, shown_flights
 
 CAPTIONS = {
+    "sampling": "Stamps as recorded: a line is a good clock, a cloud jitters, a lone point is a gap.",
+    "spectra": "Where motion ends and noise begins; vibration stands out as a line.",
+    "coherence": "In the grey band a response belongs to the controls; fit and judge there.",
+    "controls": "What was flown: each control should move by itself in some flight.",
+    "correlation": "Controls that go together, or with the motion, are told apart only where they do not.",
+    "kinematics": "Sensors against each other. Red that blue repairs is a clock, a scale or a bias.",
     "evidence": "What each candidate would explain, over its floor: right of the line it explains more than it does on"
     " clean aircraft. Blue is accepted, red rejected, purple cannot be told apart.",
     "residual_spectrum": "What the free runs leave over on flights not used to fit, before and after.",
