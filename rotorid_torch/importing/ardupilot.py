@@ -90,7 +90,8 @@ def _motors(log: Log) -> tuple[dict[str, Entry], list[str]]:
     """Motor commands 0 to 1 from the servo outputs that drive motors."""
     if not log.instances("RCOU"):
         return {}, []
-    given, columns = log.parameters, log.streams["RCOU", 0].columns
+    instance = log.instances("RCOU")[0]
+    given, columns = log.parameters, log.streams["RCOU", instance].columns
     outputs = {FUNCTIONS[f]: i for i in range(1, 15) if (f := int(given.get(f"SERVO{i}_FUNCTION", 0))) in FUNCTIONS}
     notes = []
     if not outputs:
@@ -98,7 +99,7 @@ def _motors(log: Log) -> tuple[dict[str, Entry], list[str]]:
         notes = [f"no SERVOn_FUNCTION says which output drives which motor: RCOU outputs {[*outputs]} are motors"]
     low, high = (given.get(f"MOT_PWM_{end}") or default for end, default in (("MIN", 1000.0), ("MAX", 2000.0)))
     motors = {f"motor{m}": pulse(f"C{i}", low, high) for m, i in sorted(outputs.items()) if f"C{i}" in columns}
-    return named(Group("RCOU", motors), 0), notes if motors else []
+    return named(Group("RCOU", motors), instance), notes if motors else []
 
 
 def _speeds(log: Log, motors: int) -> dict[str, Entry]:

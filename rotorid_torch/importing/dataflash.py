@@ -6,7 +6,7 @@ Source: ArduPilot developer guide, "Downloading and Analyzing Data Logs in Missi
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -159,15 +159,14 @@ class _Walk:
             if kind.gathered is None:
                 continue
             columns = kind.gathered.columns()
-            for name, factor in zip(list(columns), kind.factors, strict=True):
-                columns[name] = columns[name] if factor == 1.0 else columns[name] * factor
+            with np.errstate(all="ignore"):  # whatever bytes a damaged log holds
+                for name, factor in zip(list(columns), kind.factors, strict=True):
+                    columns[name] = columns[name] if factor == 1.0 else columns[name] * factor
             if kind.name == "PARM":
-                parameters |= {
-                    _text(bytes(name)): float(value)
-                    for name, value in zip(columns["Name"][::-1], columns["Value"][::-1], strict=True)
-                }
+                parameters |= _parameters(columns)
             elif kind.name in ALWAYS:
-                texts += [_text(bytes(text)) for text in columns[ALWAYS[kind.name][0]][:100]]
+                said = columns.get(ALWAYS[kind.name][0], np.empty(0))[:100]
+                texts += [_text(bytes(text)) for text in said if isinstance(text, bytes)]
             else:
                 streams |= _instances(kind, columns)
         system = "PX4" if self.now >= 0 else "ArduPilot"
@@ -217,6 +216,15 @@ def _instances(kind: _Kind, columns: dict[str, np.ndarray]) -> dict[tuple[str, i
         picked = {name: values[chosen] for name, values in columns.items()}
         made[kind.name, int(number)] = Stream(time[chosen], picked)
     return made
+
+
+def _parameters(columns: Mapping[str, np.ndarray]) -> dict[str, float]:
+    """Settings by name, as they were when the log began."""
+    texts, values = columns.get("Name", np.empty(0)), columns.get("Value", np.empty(0))
+    if texts.dtype.kind != "S" or values.dtype.kind != "f":
+        return {}
+    pairs = list(zip(texts, values, strict=True))
+    return {_text(bytes(name)): float(value) for name, value in reversed(pairs) if np.isfinite(value)}
 
 
 def _text(data: bytes) -> str:

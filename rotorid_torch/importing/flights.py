@@ -13,11 +13,11 @@ from rotorid_torch.core import names
 from rotorid_torch.data.read import SAMPLES
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing import manoeuvres
-from rotorid_torch.importing.derive import before_resampling, body_velocity
+from rotorid_torch.importing.derive import QUATERNION, before_resampling, body_velocity
 from rotorid_torch.importing.formats import built_in_plan
 from rotorid_torch.importing.log import TOLD, Log
 from rotorid_torch.importing.mapping import Entry, Map, unknown_names
-from rotorid_torch.importing.plan import Plan
+from rotorid_torch.importing.plan import Plan, moving
 from rotorid_torch.importing.resample import on_grid
 from rotorid_torch.importing.signals import Signal, signals, without_spikes
 
@@ -56,17 +56,25 @@ def record_of(log: Log, given: Map | None) -> Record:
     for name, signal in found.items():
         clean[name], sentence = without_spikes(signal, log.file)
         told += [sentence] if sentence else []
-    slow = _slow_speeds(clean, plan.entries)
-    clean = {name: signal for name, signal in clean.items() if name not in slow}
-    told += [f"{', '.join(slow)} left out: recorded less often than the motor commands"] if slow else []
+    chosen = {*given.channels} if given else set[str]()
+    slow, dead = _slow_speeds(clean), [name for name, signal in clean.items() if _is_dead(name, signal)]
+    for left, why in ((slow, "recorded less often than the motor commands"), (dead, "never changes")):
+        left_out = [name for name in left if name not in chosen and log.system]
+        clean = {name: signal for name, signal in clean.items() if name not in left_out}
+        told += [f"{', '.join(left_out)} left out: {why}"] if left_out else []
     warnings = [*log.warnings, *plan.notes, *(unknown_names(given.entries()) if given else ()), *told]
     return Record(log.file, plan, entries, before_resampling(clean), warnings)
 
 
-def _slow_speeds(found: Mapping[str, Signal], built_in: Mapping[str, Entry]) -> list[str]:
-    """Rotor speeds of the built-in map that would replace commands which are better known."""
+def _is_dead(name: str, signal: Signal) -> bool:
+    """Whether a channel is there by name only, as position and velocity without a receiver are."""
+    return not names.is_control(name) and name not in (*names.RATES, *QUATERNION) and not moving(signal.values)
+
+
+def _slow_speeds(found: Mapping[str, Signal]) -> list[str]:
+    """Rotor speeds that would replace commands which are better known."""
     commands = [signal.hertz for name, signal in found.items() if names.is_motor(name)]
-    speeds = [name for name in found if name in built_in and name.startswith("omega") and name != "omega"]
+    speeds = [name for name in found if name.startswith("omega") and name != "omega"]
     return [name for name in speeds if commands and found[name].hertz < 0.8 * min(commands)]
 
 

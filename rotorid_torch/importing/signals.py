@@ -141,7 +141,8 @@ def _in_si(name: str, values: np.ndarray, entry: Entry) -> np.ndarray:
     """Convert to SI as the entry says; a pulse of a motor at rest is 0."""
     unit = units.find_unit(entry.unit) or units.Unit("")
     factor, offset = unit.factor, unit.offset
-    result = entry.sign * (entry.scale * values.astype(np.float64) + entry.offset) * factor + offset
+    with np.errstate(all="ignore"):  # whatever bytes a damaged log holds
+        result = entry.sign * (entry.scale * values.astype(np.float64) + entry.offset) * factor + offset
     result[~np.isfinite(result)] = np.nan
     return np.clip(result, 0.0, 1.0) if names.is_motor(name) and (entry.unit == "us" or entry.offset) else result
 

@@ -5,6 +5,7 @@ Source: PX4 Guide, ULog File Format (version 1, with appended data).
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -65,6 +66,10 @@ def read_ulog(file: Path, choose: Choose, block: int = BLOCK) -> Log:
     return Log(file, "PX4", about, walk.streams(), fields, walk.parameters, tuple(walk.warnings()))
 
 
+class _UnknownForm(Exception):
+    """A type that no format of the file explains."""
+
+
 class _Walk:
     """One pass over the messages: formats, subscriptions, parameters, data."""
 
@@ -77,6 +82,7 @@ class _Walk:
         self.info: dict[str, str] = {}
         self.parameters: dict[str, float] = {}
         self.appended: list[int] = []
+        self.unknown: list[str] = []
         self.format_bytes = self.skipped = self.odd = self.dropouts = self.dropout_ms = self.left = 0
 
     def all(self, blocks: Blocks) -> None:
@@ -156,7 +162,9 @@ class _Walk:
         if kind == "I" and name in TOLD and form.startswith("char"):
             self.info.setdefault(name, _text(value[:80]))
         elif kind == "P" and form in ("float", "int32_t") and len(value) == 4 and len(self.parameters) < FIELDS:
-            self.parameters.setdefault(name, float(np.frombuffer(value, TYPES[form])[0]))
+            number = float(np.frombuffer(value, TYPES[form])[0])
+            if math.isfinite(number):
+                self.parameters.setdefault(name, number)
 
     def _format(self, data: bytes) -> None:
         name, _, fields = _text(data).partition(":")
@@ -168,7 +176,11 @@ class _Walk:
     def _subscribe(self, instance: int, number: int, topic: str) -> None:
         """Take the columns of messages of this number from now on, where they are wanted."""
         if topic not in self.layouts:
-            layout = list(self._flat(topic))
+            try:
+                layout = list(self._flat(topic))
+            except _UnknownForm as unknown:
+                self.unknown.append(f"{topic} ({unknown})")
+                layout = []
             while layout and layout[-1][0].startswith("_padding"):  # not written at a message's end
                 layout.pop()
             self.layouts[topic] = layout
@@ -199,7 +211,7 @@ class _Walk:
                 members = [m for part in self.formats[kind].split(";") for m in _members(part)]
                 pending += [(inner, member, form, depth + 1) for form, member in reversed(members)]
             else:
-                raise InputError(self.file, topic, f"is of unknown form '{kind[:40]}'", "a format for every topic")
+                raise _UnknownForm(kind[:40])
             if place > LARGEST or steps + len(pending) > 2 * LARGEST:
                 raise InputError(self.file, topic, f"is larger than a message of {LARGEST} bytes", "a true format")
 
@@ -222,6 +234,8 @@ class _Walk:
             yield f"{self.skipped} bytes are damaged and were passed over"
         if self.odd:
             yield f"{self.odd} messages do not fit their topic and were passed over"
+        if self.unknown:
+            yield f"topics of unknown form were passed over: {', '.join(self.unknown[:5])}"
         if self.dropouts:
             yield f"the logger lost data {self.dropouts} times, {self.dropout_ms / 1000:.3g} s in all"
 

@@ -123,9 +123,7 @@ def test_damage_inside_dataflash_is_passed_over(tmp_path: Path):
 FORGED = {
     "huge array": "timestamp;float[2000000000] x",
     "larger than a message": "timestamp;double[60000] x",
-    "topic inside itself": "timestamp;forged inner",
     "nothing many times": "timestamp;none[60000] x",
-    "unknown": "timestamp;quaternion x",
 }
 
 
@@ -137,6 +135,16 @@ def test_formats_that_no_message_can_have_are_refused(tmp_path: Path, form: str)
     file.write_bytes(ulog_head() + formats)
     with pytest.raises(InputError, match="forged"):
         read_ulog(file, everything)
+
+
+@pytest.mark.parametrize("form", ["quaternion x", "forged inner"])
+def test_topics_of_unknown_form_and_inside_themselves_are_passed_over(tmp_path: Path, form: str):
+    file = write_ulog(tmp_path / "a.ulg", px4_topics(seconds=2.0))
+    odd = message("F", f"forged:uint64_t timestamp;{form};".encode()) + message("A", b"\x00\x63\x00forged")
+    file.write_bytes(file.read_bytes() + odd + message("D", b"\x63\x00" + bytes(12)))
+    log = read_ulog(file, everything)
+    assert len(log.streams) == len(px4_topics())
+    assert "topics of unknown form were passed over: forged (" in log.warnings[0]
 
 
 def test_many_topics_of_many_fields_are_refused(tmp_path: Path):
