@@ -18,6 +18,7 @@ from rotorid_torch.data.flight import Flight
 from rotorid_torch.model.accelerations import Accelerations
 from rotorid_torch.model.model import Model
 from rotorid_torch.validate.free_run import Runs, equilibrium
+from rotorid_torch.validate.responses import measured_states
 
 HORIZONS_S = (0.1, 0.5)
 """Lengths of the predictions."""
@@ -56,7 +57,7 @@ def predictions(
     known = _measured(flight)
     with torch.no_grad():
         taped = model.tape(flight.bridged(model.body.controls), flight.dt)
-        states = Accelerations(model).inside(_states(model, flight), taped)
+        states = Accelerations(model).inside(measured_states(model, flight), taped)
         count = flight.samples - longest
         places = torch.arange(0, count, 1 if starts is None else max(1, count // starts))
         errors: dict[tuple[str, float], list[Tensor]] = {}
@@ -81,7 +82,7 @@ def unexplained_moments(model: Model, flights: Iterable[Flight]) -> tuple[str, .
         starts = torch.arange(0, flight.samples - ahead, max(1, (flight.samples - ahead) // STARTS))
         with torch.no_grad():
             taped = model.tape(flight.bridged(model.body.controls), flight.dt)
-            states = Accelerations(model).inside(_states(model, flight), taped)
+            states = Accelerations(model).inside(measured_states(model, flight), taped)
             x0 = equilibrium(model, states[starts][:, : len(model.body.states)], taped[starts])
             found = run(x0, taped[starts[:, None] + torch.arange(ahead + 1)], flight.dt)[1][:, -1, places]
         rates = flight.bridged(RATES)
@@ -171,13 +172,3 @@ def _measured(flight: Flight) -> dict[str, Tensor]:
             if has(POSITIONS):
                 known["position"] = flight.stack(POSITIONS)
     return known
-
-
-def _states(model: Model, flight: Flight) -> Tensor:
-    """States [T, nx] by their channels, gaps bridged; at the reference where there is none."""
-    columns = []
-    for state in model.layout.states:
-        channel = state.channel or state.name
-        at = torch.full((flight.samples,), model.reference.get(state.name, 0.0), dtype=torch.float64)
-        columns.append(flight.bridged([channel])[:, 0] if flight.has(channel) else at)
-    return torch.stack(columns, dim=-1)

@@ -6,7 +6,6 @@ model can be judged by: nothing is integrated, so that no error grows.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
@@ -29,17 +28,17 @@ class Response:
     r2: float
 
 
-def responses(model: Model, flight: Flight, states: Mapping[str, Tensor] | None = None) -> dict[str, Response]:
+def responses(model: Model, flight: Flight, smoothed: float = SMOOTHED_S) -> dict[str, Response]:
     """R2 of each response of a flight that is measured: rates differentiated, accelerometers, rotor speeds.
 
-    Measurement and model both pass a centred mean over `SMOOTHED_S`; then rates are differentiated by central
-    differences. Gaps are bridged by straight lines. `states` : (T,) by name, for states that are no channels.
+    Measurement and model both pass a centred mean over `smoothed` seconds; then rates are differentiated by central
+    differences. Gaps are bridged by straight lines; states that are no channels are taken at the reference.
     """
-    x = _states(model, flight, states or {})
+    x = measured_states(model, flight)
     with torch.no_grad():
         taped = model.tape(flight.bridged(model.body.controls), flight.dt)
         found = Accelerations(model)(model.theta, x, taped, flight.dt)
-    half = round(SMOOTHED_S / flight.dt / 2.0)
+    half = round(smoothed / flight.dt / 2.0)
     made = {}
     for name, values in found.items():
         channel = RATES[ANGULAR_ACCELERATIONS.index(name)] if name in ANGULAR_ACCELERATIONS else name
@@ -67,14 +66,11 @@ def averaged(record: Tensor, half: int) -> Tensor:
     return (total[last] - total[first]) / (last - first)
 
 
-def _states(model: Model, flight: Flight, known: Mapping[str, Tensor]) -> Tensor:
-    """States [T, nx]: the measured channels; others as known, or at the reference."""
+def measured_states(model: Model, flight: Flight) -> Tensor:
+    """States [T, nx] by their channels, gaps bridged; at the reference where there is none."""
     columns = []
     for state in model.layout.states:
         channel = state.channel or state.name
-        if flight.has(channel):
-            columns.append(flight.bridged([channel])[:, 0])
-        else:
-            at = torch.full((flight.samples,), model.reference.get(state.name, 0.0), dtype=torch.float64)
-            columns.append(known.get(state.name, at))
+        at = torch.full((flight.samples,), model.reference.get(state.name, 0.0), dtype=torch.float64)
+        columns.append(flight.bridged([channel])[:, 0] if flight.has(channel) else at)
     return torch.stack(columns, dim=-1)

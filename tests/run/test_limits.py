@@ -1,0 +1,72 @@
+"""What cannot be told is named: missing channels, sticks, wind, control powers that no inertia explains."""
+
+from types import SimpleNamespace
+
+import msgspec
+import numpy as np
+
+from rotorid_torch.data import Dataset
+from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.run import limits
+
+TIME = 0.02 * np.arange(200)
+
+
+def data(*channels: str, kind: str = "helicopter", unit: str = "rad") -> Dataset:
+    controls = ("motor1",) if kind == "multirotor" else ("lat",)
+    flight = {"time": TIME, **{c: np.sin(TIME * (k + 1)) for k, c in enumerate((*controls, *channels))}}
+    return Dataset.from_arrays({"f": flight}, identify=["f"], kind=kind, controls={c: {"unit": unit} for c in controls})
+
+
+def spec(**changes: object) -> ModelSpec:
+
+    return msgspec.structs.replace(HELICOPTER, flapping="none", control_units={"lat": "norm"}, **changes)
+
+
+def test_missing_velocities_and_what_is_left_of_them():
+    told = list(
+        limits.of_channels(data("p", "q", "r", "u", unit="norm"), spec(states=("p", "q", "r"), outputs=("p", "q", "r")))
+    )
+    assert told[0].startswith("v, w, phi, theta not measured in every identify flight: u v w are no states")
+    assert any(t.startswith("phi and theta are not measured") for t in told)
+    assert any(t.startswith("u measured, but not all") and "not scored" in t for t in told)
+    assert any(t.startswith("lat: sticks in units of full travel") for t in told)
+
+
+def test_wind_is_told_unless_airspeed_is_measured():
+    body = ("u", "v", "w", "p", "q", "r", "phi", "theta")
+    told = list(limits.of_channels(data(*body), spec()))
+    assert any("a wind is part of what goes with them" in t for t in told)
+    assert any(t.startswith("no flapping measured") for t in told)
+    assert not any("wind" in t for t in limits.of_channels(data(*body, "airspeed"), spec()))
+
+
+def test_motors_without_places_have_free_derivatives():
+
+    without = msgspec.structs.replace(MULTIROTOR, motors=())
+    said = list(limits.of_channels(data("p", "q", "r", "az", kind="multirotor"), without))
+    assert any("places are not declared" in t for t in said)
+
+
+def powers(**found: float | None) -> SimpleNamespace:
+    """A fit with these control powers; None: held at zero."""
+    return SimpleNamespace(
+        parameters=[
+            SimpleNamespace(name=f"rotors.power.{row}", value=v or 0.0, status="frozen" if v is None else "free")
+            for row, v in found.items()
+        ]
+    )
+
+
+def test_control_powers_are_told_as_inertia_as_far_as_that_is_credible():
+    said = list(limits.of_rotors(MULTIROTOR, powers(L=0.625, M=0.1, N=3.0)))  # pyright: ignore[reportArgumentType]
+    assert "an inertia about x of 2.66e-05 kg m² (+60 %)" in said[0]
+    assert said[1].startswith("control power of M is 0.1 of what places, thrust and declared inertia give: no inertia")
+    assert len(said) == 2  # of yaw nothing: the torque ratio is not declared
+    assert list(limits.of_rotors(MULTIROTOR, powers(L=1.0, M=0.95, N=1.0))) == []  # pyright: ignore[reportArgumentType]
+
+
+def test_moments_that_commands_do_not_explain_are_not_testable():
+    (said,) = limits.of_rotors(MULTIROTOR, powers(L=None, M=None, N=None))  # pyright: ignore[reportArgumentType]
+    assert said.startswith("L M N not testable")
