@@ -34,12 +34,16 @@ SMOOTH_S = 0.25
 
 @dataclass(frozen=True)
 class Trace:
-    """The best description of what an equation leaves over: what it goes with and how, since when, its rms size."""
+    """The best description of what an equation leaves over: what it goes with and how, since when.
+
+    size : its rms. share : of the square of all that linear terms leave over.
+    """
 
     goes_with: str
     shape: str
     since_s: float | None
     size: float
+    share: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,10 +110,12 @@ def scan(left: LeftOver) -> dict[str, Trace]:
 
     names, columns = zip(*_shapes(left), *_onsets(left), strict=True)
     tried = beyond(torch.stack(columns, dim=-1))
-    sizes = (tried / tried.norm(dim=0).clamp_min(1e-300)).mT @ beyond(left.residual) / len(left.residual) ** 0.5
-    best = sizes.abs().argmax(dim=0).tolist()
+    residual = beyond(left.residual) / len(left.residual) ** 0.5
+    sizes = ((tried / tried.norm(dim=0).clamp_min(1e-300)).mT @ residual).abs()
+    shares = (sizes / residual.norm(dim=0).clamp_min(1e-300)).square()
+    best = sizes.argmax(dim=0).tolist()
     return {
-        row: Trace(*names[i], size=float(sizes[i, k].abs()))
+        row: Trace(*names[i], size=float(sizes[i, k]), share=float(shares[i, k]))
         for k, (row, i) in enumerate(zip(left.rows, best, strict=True))
     }
 
@@ -141,14 +147,20 @@ def _onsets(left: LeftOver) -> Iterator[Named]:
         yield ("time", "", onset), after
 
 
-def unknown(traces: Mapping[str, Trace], floors: Mapping[str, float], left: LeftOver) -> Unknown | None:
-    """The equation whose trace stands highest above what clean aircraft leave; None where none does."""
-    above = {row: t.size / floors[row] for row, t in traces.items() if floors.get(row, 0.0) > 0.0}
+def unknown(traces: Mapping[str, Trace], floors: Mapping[str, tuple[float, float]], left: LeftOver) -> Unknown | None:
+    """The equation whose trace stands highest above what clean aircraft leave; None where none does.
+
+    floors : of the size and of the share. What is large must also stand out of the rest that its equation leaves over,
+    for no model of other people's aircraft is perfect.
+    """
+    above = {
+        row: t.size / floors[row][0]
+        for row, t in traces.items()
+        if row in floors and t.size > floors[row][0] and t.share > floors[row][1]
+    }
     if not above:
         return None
     where = max(above, key=lambda row: above[row])
-    if above[where] <= 1.0:
-        return None
     found, unit = traces[where], "m/s2" if where in FORCES else "rad/s2"
     band = _band(left, where)
     how = f" ({found.shape})" if found.shape else ""
