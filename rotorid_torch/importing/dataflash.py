@@ -223,7 +223,7 @@ def _parameters(columns: Mapping[str, np.ndarray]) -> dict[str, float]:
     texts, values = columns.get("Name", np.empty(0)), columns.get("Value", np.empty(0))
     if texts.dtype.kind != "S" or values.dtype.kind != "f":
         return {}
-    pairs = list(zip(texts, values, strict=True))
+    pairs = list(zip(texts, values, strict=False))
     return {_text(bytes(name)): float(value) for name, value in reversed(pairs) if np.isfinite(value)}
 
 
