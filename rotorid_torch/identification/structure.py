@@ -117,6 +117,8 @@ def _with_patterns(spec: ModelSpec, drivers: Sequence[str]) -> ModelSpec:
     columns = (*drivers, *(FLAPPING if lagged else ()), *((INDUCED,) if spec.inflow else ()))
     forces = [f for f, a in zip(FORCES, SPECIFIC_FORCES, strict=True) if "u" in spec.states or a in spec.outputs]
     patterns = dict.fromkeys((*forces, *MOMENTS), columns)
+    if sticks_alone(spec):
+        patterns |= dict.fromkeys(MOMENTS, tuple(c for c in columns if c not in VELOCITIES))
     if spec.flapping != "none":
         patterns |= dict.fromkeys(FLAPPING, columns)
     if spec.cyclic_inflow:
@@ -134,6 +136,12 @@ def _with_patterns(spec: ModelSpec, drivers: Sequence[str]) -> ModelSpec:
     flapping_time = FLAP_TIME if lagged else 1.0
     sizes |= {f"row.{row}": sizes[row] / flapping_time for row in FLAPPING if row in patterns}
     return msgspec.structs.replace(spec, patterns=patterns, reference=reference, sizes=sizes)
+
+
+def sticks_alone(spec: ModelSpec) -> bool:
+    """Whether sticks are all that is known of a helicopter: they command a unit that takes speed out of the moments."""
+    declared = spec.mass is not None or spec.inertia is not None or spec.rotor is not None
+    return not declared and not spec.motors and set(spec.control_units.values()) == {"norm"}
 
 
 def _trims(spec: ModelSpec, forces: Sequence[str]) -> dict[str, float]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from rotorid_torch.core.names import ATTITUDES, FLAPPING, MOMENTS, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.identification.structure import have
+from rotorid_torch.identification.structure import have, sticks_alone
 from rotorid_torch.run.records import FitRecord
 
 AXES = dict(zip(MOMENTS, ("x", "y", "z"), strict=True))
@@ -50,6 +50,7 @@ def _of_helicopter(dataset: Dataset, spec: ModelSpec) -> Iterator[str]:
         yield (
             f"{', '.join(sticks)}: sticks in units of full travel, not blade angles; control derivatives hold linkage,"
             " mixer and any stabilisation in between"
+            + (", and the moments have no speed derivatives" if sticks_alone(spec) and "u" in spec.states else "")
         )
 
 

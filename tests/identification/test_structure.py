@@ -105,6 +105,19 @@ def test_velocity_without_attitude_is_no_state():
     assert proposed((*RATES, "phi", "theta", "psi")).states == (*RATES, "phi", "theta")
 
 
+def test_sticks_of_an_undeclared_helicopter_leave_no_speed_in_the_moments():
+    flights = {name: recorded(k, BODY, STICKS) for k, name in enumerate(("one", "two"))}
+    sticks = {c: {"unit": "norm"} for c in STICKS}
+    for vehicle, columns in (
+        ({}, ("p", "q", "r", *STICKS)),
+        ({"mass": 800.0}, ("u", "v", "w", "p", "q", "r", *STICKS)),
+    ):
+        data = Dataset.from_arrays(flights, identify=["one", "two"], controls=sticks, vehicle=vehicle)
+        spec = propose(data, Loads(data))  # pyright: ignore[reportArgumentType]
+        assert spec.patterns["L"] == columns
+        assert spec.patterns["X"] == ("u", "v", "w", "p", "q", "r", *STICKS)
+
+
 def test_a_body_rate_that_no_flight_has_is_told():
     data = a_dataset(("p", "q"))
     with pytest.raises(InputError, match=r"r.*missing.*expected.*p, q and r"):
