@@ -11,11 +11,12 @@ from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Valu
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec
 
-HIDDEN = 6
-SHARE = 0.5
-"""Of a row's rms: no output of the network is larger."""
-INPUT_SD, OUTPUT_SD = 1.0, 0.3
+INPUT_SD, OUTPUT_SD = 0.5, 0.3
 """Prior standard deviations of the weights; what physics explains stays with physics."""
+NEAR_ZERO = 0.1
+"""Share of a usual hidden weight about which its prior lies: an input that is not asked for has no part."""
+TRUST = "neural.trust"
+"""Among a spec's sizes: share of the prior's standard deviations that is allowed, where residuals are coloured."""
 
 
 @register
@@ -30,37 +31,40 @@ class NeuralForces(Effect):
     """
 
     id, stage, role, showing = "neural.forces", Stage.FORCES, Role.LEARNT, Showing.TRAJECTORIES
+    hidden, share = 6, 0.5
+    """Hidden units; share of a row's rms that no output of the network exceeds."""
     reference: Tensor
     size: Tensor
     bound: Tensor
 
     def __init__(self, inputs: tuple[str, ...], rows: tuple[str, ...], spec: ModelSpec) -> None:
-        drawn = torch.randn(HIDDEN, len(inputs) + 1, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-        drawn = drawn.clamp(-2.0, 2.0) / len(inputs) ** 0.5
+        chance = torch.Generator().manual_seed(0)
+        drawn = torch.randn(self.hidden, len(inputs) + 1, generator=chance, dtype=torch.float64)
+        drawn, trust = drawn.clamp(-2.0, 2.0) / len(inputs) ** 0.5, spec.sizes.get(TRUST, 1.0)
         first = [
             Parameter(
                 f"h{k}.{n}",
-                float(drawn[k, i]),
+                NEAR_ZERO * float(drawn[k, i]),
                 "1",
                 (-10.0, 10.0),
-                INPUT_SD,
+                trust * INPUT_SD,
                 doc="weight of the hidden layer",
                 typical=float(drawn[k, i]),
             )
-            for k in range(HIDDEN)
+            for k in range(self.hidden)
             for i, n in enumerate((*inputs, "one"))
         ]
         second = [
-            Parameter(f"{row}.h{k}", 0.0, "1", (-10.0, 10.0), OUTPUT_SD, doc="weight of the output", typical=0.2)
+            Parameter(f"{row}.h{k}", 0.0, "1", (-10.0, 10.0), trust * OUTPUT_SD, doc="output's weight", typical=0.2)
             for row in rows
-            for k in range(HIDDEN)
+            for k in range(self.hidden)
         ]
         super().__init__((*first, *second))
         self.inputs, self.rows = inputs, rows
         column = lambda numbers: torch.tensor(numbers, dtype=torch.float64)  # noqa: E731
         self.register_buffer("reference", column([spec.reference.get(n, 0.0) for n in inputs]))
         self.register_buffer("size", column([max(spec.sizes.get(n, 1.0), 1e-9) for n in inputs]))
-        self.register_buffer("bound", column([SHARE * spec.sizes.get(f"row.{r}", 1.0) for r in rows]))
+        self.register_buffer("bound", column([self.share * spec.sizes.get(f"row.{r}", 1.0) for r in rows]))
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> NeuralForces:
@@ -69,11 +73,18 @@ class NeuralForces(Effect):
         rows = tuple(r for r in (*FORCES, *MOMENTS) if r in spec.patterns)
         return cls((*inputs, *spec.controls), rows, spec)
 
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """A model without equations of force and moment about a reference has no rows to add to."""
+        if any(r in spec.patterns for r in (*FORCES, *MOMENTS)):
+            return None
+        return "the model has no equations of force and moment about a reference that a network could add to"
+
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds the network's forces and moments."""
         n, m = len(self.inputs) + 1, len(self.rows)
-        first = p.vector[..., : HIDDEN * n].unflatten(-1, (HIDDEN, n))
-        second = p.vector[..., HIDDEN * n :].unflatten(-1, (m, HIDDEN))
+        first = p.vector[..., : self.hidden * n].unflatten(-1, (self.hidden, n))
+        second = p.vector[..., self.hidden * n :].unflatten(-1, (m, self.hidden))
         z = (frame.stack(self.inputs) - self.reference) / self.size
         hidden = torch.tanh((first[..., :-1] * z.unsqueeze(-2)).sum(-1) + first[..., -1])
         out = self.bound * torch.tanh((second * hidden.unsqueeze(-2)).sum(-1))

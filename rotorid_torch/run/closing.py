@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -13,8 +13,8 @@ import msgspec
 from rotorid_torch.core.ranks import ALONE
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.one_rate import at_one_rate
+from rotorid_torch.effects.neural import NeuralForces
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.errors import InputError
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.run.checkpoint import Checkpoint, Steps
@@ -36,10 +36,11 @@ from rotorid_torch.run.records import (
 from rotorid_torch.run.write import write_report
 from rotorid_torch.trace.clean import clean_floors
 from rotorid_torch.trace.finding import Finding, Unknown
-from rotorid_torch.trace.fits import Flights
+from rotorid_torch.trace.fits import Fitted, Flights, refit
 from rotorid_torch.trace.kinematic_findings import KinematicFinding
 from rotorid_torch.trace.kinematics import kinematic_findings
 from rotorid_torch.trace.loop import Tracing, trace
+from rotorid_torch.trace.network import learn
 from rotorid_torch.trace.stochastic import stochastic_findings
 from rotorid_torch.trace.verdict import Statement, statement
 
@@ -91,7 +92,7 @@ def close_loop(
     Parameters
     ----------
     out : folder of the run; an earlier RUN there is replaced when the new one is whole.
-    hybrid : let a small network learn what no named effect explains; refused for now.
+    hybrid : let a small network learn what no named effect explains; it stays where unseen flights gain by it.
     seed : of the drawn clean aircraft and the shuffled residuals.
 
     Raises
@@ -99,23 +100,19 @@ def close_loop(
     InputError : as `identify`.
     """
     monitor = monitor or Monitor()
-    if hybrid:
-        raise InputError(
-            "--hybrid", "", "no network is trained yet", "close-loop without it, which names what is missing"
-        )
     refuse(dataset, (), device)
     with ExitStack() as stack:
         folder = None
         if out is not None:
             folder = stack.enter_context(run_folder(out))
             stack.enter_context(monitor.recording(folder))
-        run = _closed(dataset, seed, device, monitor)
+        run = _closed(dataset, seed, device, monitor, hybrid)
         if folder is not None:
             run.write(folder, monitor)
     return run
 
 
-def _closed(dataset: Dataset, seed: int, device: str, monitor: Monitor) -> Loop:
+def _closed(dataset: Dataset, seed: int, device: str, monitor: Monitor, hybrid: bool) -> Loop:
     """Sensors against each other first, then what acts on the vehicle, on records without the sensors' errors."""
     steps = Steps(monitor, ALONE, Checkpoint(), device)
     first = identified(dataset, (), seed, steps)
@@ -152,8 +149,35 @@ def _closed(dataset: Dataset, seed: int, device: str, monitor: Monitor) -> Loop:
     stays = after is not None and set(tracing.structure) <= set(after.spec.effects)
     traced = tracing.findings if stays else _dropped(tracing)
     findings = (*map(_of_sensors, sensors.findings), *_replaced(traced, shaken))
+    if hybrid:
+        held = base.regressions.held
+        null = tracing.final if stays or not tracing.structure else refit(plain, flights, tracing.final.values, held)
+        rerun = partial(again, base, seen=right, sensors=wrong)
+        richer, learnt = _with_network(null, held, after or before, rerun, seed, monitor)
+        findings = (*findings, learnt)
+        if richer is not None:
+            after = replace(richer, fit=_with_spread(richer.fit, tracing.spread))
     told = statement(findings, tracing.unknown)
     return _loop(after or before, before, after, findings, told, tracing.unknown, monitor, tracing)
+
+
+def _with_network(
+    null: Fitted, held: Sequence[str], best: Run, rerun: Callable[..., Run], seed: int, monitor: Monitor
+) -> tuple[Run | None, Finding]:
+    """The run with a network beside what was traced, and what is told of it; None where it does not stay."""
+    why = NeuralForces.untestable(null.spec)
+    if why is not None:
+        return None, Finding(NeuralForces.id, "learnt", "not testable", why)
+    with monitor.step("trace"):
+        learnt = learn(null, held, seed, monitor.say)
+    found = learnt.finding()
+    if found.verdict != "accepted":
+        return None, found
+    run = rerun(learnt.fitted.spec, learnt.fitted.values)
+    if _best([best, run]) is run:
+        return run, found
+    said = "segments of flights that no fit has seen are better described by it, their free runs are not"
+    return None, replace(found, verdict="rejected", reason=said)
 
 
 def _best(runs: Sequence[Run]) -> Run:

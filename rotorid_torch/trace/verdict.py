@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from rotorid_torch.trace.finding import Finding, Kind, Unknown
 
@@ -22,6 +22,14 @@ def statement(findings: Sequence[Finding], unknown: Unknown | None) -> Statement
 
     An effect is named where it is accepted; a group where only its members fit and the data cannot tell which.
     """
+    said = _stated(findings, unknown)
+    if not any(f.role == "learnt" and f.verdict == "accepted" for f in findings):
+        return said
+    return replace(said, sentence=f"{said.sentence} A network takes what is left; it is no name for it.")
+
+
+def _stated(findings: Sequence[Finding], unknown: Unknown | None) -> Statement:
+    """The same without a network: it is no undeclared effect."""
     named = [f for f in findings if f.role == "undeclared" and f.verdict == "accepted"]
     grouped = [f for f in findings if f.role == "undeclared" and f.verdict == "indistinguishable" and f.values]
     structure = [f for f in findings if f.role == "structure" and f.verdict == "accepted"]

@@ -27,7 +27,7 @@ def late(delay: float) -> Dataset:
 @pytest.fixture(scope="module")
 def closed(tmp_path_factory: pytest.TempPathFactory) -> tuple[rotorid.Loop, Path]:
     place = tmp_path_factory.mktemp("closed") / "RUN"
-    return rotorid.close_loop(late(0.06), out=place), place
+    return rotorid.close_loop(late(0.06), out=place, hybrid=True), place
 
 
 def test_the_report_names_the_delay_with_its_error(closed: tuple[rotorid.Loop, Path]):
@@ -63,9 +63,13 @@ def test_the_run_holds_model_pictures_and_page(closed: tuple[rotorid.Loop, Path]
     assert "control.delay" in (place / "report.html").read_text(encoding="utf-8")
 
 
-def test_a_network_is_refused_in_words():
-    with pytest.raises(rotorid.InputError, match="hybrid"):
-        rotorid.close_loop(late(0.06), hybrid=True)
+def test_a_network_finds_nothing_left_beside_the_delay(closed: tuple[rotorid.Loop, Path]):
+    loop, _ = closed
+    network = next(e for e in loop.effects if e.id == "neural.forces")
+    assert (network.role, network.verdict) == ("learnt", "rejected")
+    assert "no fit has seen" in network.reason
+    assert loop.verdict is not None
+    assert "network" not in loop.verdict.sentence
 
 
 def test_where_no_aircraft_can_be_drawn_the_report_says_so(closed: tuple[rotorid.Loop, Path]):

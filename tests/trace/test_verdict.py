@@ -42,3 +42,12 @@ def test_nothing_points_at_the_list_of_what_could_have_been_seen():
     assert told.kind == "nothing undeclared"
     assert told.effects == ()
     assert "1 effects were tested" in told.sentence or "1 effect" in told.sentence
+
+
+def test_a_network_that_stays_is_told_and_changes_no_verdict():
+    network = Finding("neural.forces", "learnt", "accepted", "")
+    told, without = statement([QUIET, network], MISSING), statement([QUIET], MISSING)
+    assert (told.kind, told.effects) == (without.kind, without.effects)
+    assert told.sentence.startswith(without.sentence)
+    assert "network" in told.sentence
+    assert statement([QUIET, Finding("neural.forces", "learnt", "rejected", "")], MISSING) == without

@@ -1,0 +1,269 @@
+"""What no named effect explains, learnt by a small bounded network, which stays only where unseen flights ask for it.
+
+The weights are trained on what the equations leave over on the measured motion first, over trajectories second, physics
+and network together under their priors. What a network gains by chance is measured: on flights of the same vehicle
+whose residual has been turned in time, so that it means nothing, everything is done in the same way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import msgspec
+import torch
+from torch import Tensor
+
+from rotorid_torch.effects.base import Frame, Values
+from rotorid_torch.effects.neural import TRUST, NeuralForces
+from rotorid_torch.identification.gauss_newton import Options
+from rotorid_torch.identification.segments import Records, cut
+from rotorid_torch.model.model import Model
+from rotorid_torch.model.nominal import build
+from rotorid_torch.trace.decide import gain, helps, unseen_gain
+from rotorid_torch.trace.finding import Finding
+from rotorid_torch.trace.fits import SEGMENT_S, Fitted, Flights, Residual, refit
+from rotorid_torch.trace.residual import RATE, SMOOTH_S, LeftOver, left_over
+
+STARTS = 2
+"""Draws of the hidden layer that training begins from."""
+STEPS = 100
+"""Of L-BFGS from each."""
+LEARNING = Options(max_iterations=10, tolerance=1e-6, absolute=0.5)
+"""Over trajectories: weights go on moving long after the residual has stopped to."""
+MEANINGLESS = 3
+"""Times that a network is trained where nothing is to be learnt."""
+EDGE = 0.1
+"""Share of a flight by which its residual is turned at least, and at most one less that."""
+
+Turn = Mapping[str, tuple[float, float]]
+"""Of each flight, by which share of its length its residual is turned in time, and with which sign."""
+
+
+@dataclass(frozen=True, eq=False)
+class Learnt:
+    """A network beside a traced model.
+
+    null : the model without. fitted : with it. better : mean log ratio of errors on each flight that no fit has seen
+    [F]. chance : its mean where nothing was to be learnt, once per trial; none where flights do not gain anyway.
+    """
+
+    null: Fitted
+    fitted: Fitted
+    better: Tensor
+    chance: tuple[float, ...]
+
+    @property
+    def floor(self) -> float | None:
+        """Most that unseen flights gained where nothing was to be learnt; None where that was not tried."""
+        return max(0.0, *self.chance) if self.chance else None
+
+    @property
+    def objection(self) -> str | None:
+        """Why the network does not stay; None where it does."""
+        if self.floor is None:
+            count = f"{int((self.better > 0).sum())} of {len(self.better)} better"
+            return f"a network does not help on flights that no fit has seen ({count})"
+        if float(self.better.mean()) <= self.floor:
+            return "unseen flights gain no more by it than by a network that was trained where nothing is to be learnt"
+        return None
+
+    def finding(self) -> Finding:
+        """What the report says of it; gain and floor are mean log ratios of errors on unseen flights."""
+        said = (
+            self.objection or "it takes what is left: flights that no fit has seen are better described, without a name"
+        )
+        verdict = "accepted" if self.objection is None else "rejected"
+        return Finding(NeuralForces.id, "learnt", verdict, said, float(self.better.mean()), self.floor)
+
+
+def learn(
+    null: Fitted, held: Sequence[str] = (), seed: int = 0, say: Callable[[str], None] = lambda line: None
+) -> Learnt:
+    """A network trained on what a traced model leaves over, and what it is worth.
+
+    Parameters
+    ----------
+    null : the model with everything that was traced. held : parameters that no fit moves.
+    seed : of the hidden layers that training begins from, and of the turned residuals.
+    say : told what happens, a line at a time.
+    """
+    chance = torch.Generator().manual_seed(seed)
+    fitted = trained(null, held, seed)
+    better = unseen_gain(null, fitted)
+    say(f"network: gain {gain(null, fitted):.3g} per sample, errors of unseen flights fall by {_percent(better)}")
+    by_chance = []
+    for _ in range(MEANINGLESS if helps(better) else 0):
+        turn = drawn_turn(null, chance)
+        base = refit(null.spec, turned(null, turn), null.values, held)
+        found = unseen_gain(base, trained(base, held, seed, turn))
+        by_chance.append(float(found.mean()))
+        say(f"network: where nothing is to be learnt they fall by {_percent(found)}")
+    return Learnt(null, fitted, better, tuple(by_chance))
+
+
+def _percent(better: Tensor) -> str:
+    """Mean fall of errors whose log ratios are given."""
+    return f"{100.0 * float(-torch.expm1(-better.mean())):.2g} %"
+
+
+def trained(null: Fitted, held: Sequence[str] = (), seed: int = 0, turn: Turn | None = None) -> Fitted:
+    """A fitted model with a network beside its physics: trained on equations first, then over trajectories with them.
+
+    turn : of the equations' residual, where it is to mean nothing.
+    """
+    dataset, reconstruction = null.flights.dataset, null.flights.reconstruction
+    over = left_over(null.model, dataset, reconstruction, dataset.identify)
+    if turn is not None:
+        over = _turned_over(over, [turn[name] for name in dataset.identify])
+    spec = msgspec.structs.replace(
+        null.spec,
+        effects=(*null.spec.effects, NeuralForces.id),
+        sizes={**null.spec.sizes, TRUST: memory(null) ** -0.5},
+    )
+    weights = regressed(build(spec), over, seed)
+    return refit(spec, null.flights, {**null.values, **weights}, held, options=LEARNING)
+
+
+def memory(fitted: Fitted) -> float:
+    """Samples for which the residual of a fit stays what it is: the longest correlation time of its channels.
+
+    So many together tell as much as one would beside white noise, and the prior of a network's weights has to know.
+
+    Source: Priestley, Spectral Analysis and Time Series, sec. 5.3.2 (variance of the mean of a correlated record).
+    """
+    found = [_correlated(record) for record in _residuals(fitted, fitted.seen).values()]
+    return float(torch.stack(found).mean(dim=0).max())
+
+
+def _correlated(record: Tensor) -> Tensor:
+    """Sum of a record's [T, n] autocorrelations up to where they first vanish, both sides [n]."""
+    spectrum = torch.fft.rfft(record - record.mean(dim=0), n=2 * len(record), dim=0)
+    products = torch.fft.irfft(spectrum.abs().square(), dim=0)[: len(record)]
+    correlation = products / products[0].clamp_min(1e-300)
+    before = (correlation > 0.0).to(torch.float64).cumprod(dim=0)
+    return (2.0 * (correlation * before).sum(dim=0) - 1.0).clamp_min(1.0)
+
+
+def regressed(model: Model, over: LeftOver, seed: int = 0, linear: bool = False) -> dict[str, float]:
+    """Weights of a model's network by their full names, from what the equations leave over on the measured motion.
+
+    Of residual and network only that counts which linear terms cannot take up: it stays with the derivatives. The cost
+    is minus the log-likelihood with each row's noise as it turns out, and the prior of the weights.
+
+    linear : let the network have what linear terms could take up as well, all but trims.
+    """
+    effect = next(e for e in model.chain if isinstance(e, NeuralForces))
+    mean, sd = torch.tensor([(p.value, p.prior_sd) for p in effect.declared], dtype=torch.float64).mT
+    misfit = _Misfit.of(effect, model.reference, over, linear)
+
+    def cost(weights: Tensor) -> Tensor:
+        return misfit(weights) + 0.5 * ((weights - mean) / sd).square().sum()
+
+    found = [_minimised(cost, start) for start in _starts(mean, seed, len(effect.inputs))]
+    best = min(found, key=lambda f: f[0])[1].tolist()
+    return {f"{effect.id}.{p.name}": value for p, value in zip(effect.declared, best, strict=True)}
+
+
+def _starts(mean: Tensor, seed: int, inputs: int) -> list[Tensor]:
+    """Weights to begin from: hidden layers drawn, those of the output zero."""
+    chance, hidden = torch.Generator().manual_seed(seed), mean != 0.0
+    draws = [torch.randn(len(mean), generator=chance, dtype=torch.float64) for _ in range(STARTS)]
+    return [hidden * draw.clamp(-2.0, 2.0) / inputs**0.5 for draw in draws]
+
+
+def _minimised(cost: Callable[[Tensor], Tensor], start: Tensor) -> tuple[float, Tensor]:
+    """Least cost by L-BFGS, and where it is."""
+    weights = start.clone().requires_grad_()
+    search = torch.optim.LBFGS([weights], max_iter=STEPS, history_size=20, line_search_fn="strong_wolfe")
+
+    def closure() -> Tensor:
+        search.zero_grad()
+        value = cost(weights)
+        value.backward()
+        return value
+
+    search.step(closure)
+    with torch.no_grad():
+        return float(cost(weights)), weights.detach()
+
+
+@dataclass(frozen=True, eq=False)
+class _Misfit:
+    """Minus log-likelihood of what the equations leave over [N, rows] beside a network that sees these signals."""
+
+    effect: NeuralForces
+    seen: Frame
+    basis: Tensor
+    residual: Tensor
+
+    @classmethod
+    def of(cls, effect: NeuralForces, reference: Mapping[str, float], over: LeftOver, linear: bool) -> _Misfit:
+        signals = {n: over.signals[:, i] + reference.get(n, 0.0) for i, n in enumerate(over.names)}
+        basis = torch.linalg.qr(over.linear[:, len(over.names) if linear else 0 :]).Q
+        rows = [over.rows.index(r) for r in effect.rows]
+        return cls(effect, Frame(signals), basis, over.residual[:, rows])
+
+    def __call__(self, weights: Tensor) -> Tensor:
+        """At weights [P]; samples that the residual's smoothing has made one count once."""
+        values = Values(weights, tuple(p.name for p in self.effect.declared))
+        frame, _ = self.effect(self.seen, weights.new_zeros(len(self.residual), 0), values)
+        left = self.residual - torch.cat([part for part in (frame.force, frame.moment) if part is not None], dim=-1)
+        left = left - self.basis @ (self.basis.mT @ left)
+        return 0.5 * len(left) / (SMOOTH_S * RATE) * left.square().mean(dim=0).log().sum()
+
+
+def drawn_turn(fitted: Fitted, chance: torch.Generator) -> Turn:
+    """A turn for every flight that a fit has seen or will be judged by."""
+    names = tuple(dict.fromkeys((*fitted.flights.dataset.identify, *fitted.flights.unseen)))
+    shares = EDGE + (1.0 - 2.0 * EDGE) * torch.rand(len(names), generator=chance, dtype=torch.float64)
+    signs = 2.0 * torch.randint(0, 2, (len(names),), generator=chance) - 1.0
+    return {n: (float(share), float(sign)) for n, share, sign in zip(names, shares, signs, strict=True)}
+
+
+@dataclass(frozen=True)
+class _Turned(Flights):
+    """Flights as a model flew them, and its residual turned in time added: nothing in it goes with any motion."""
+
+    outputs: Mapping[str, Tensor]
+
+    def records(self, model: Model, listed: Sequence[str]) -> Records:
+        """These flights as the fits see them."""
+        known = super().records(model, listed)
+        made = torch.full_like(known.outputs, torch.nan)
+        for f, name in enumerate(listed):
+            made[f, : len(self.outputs[name])] = self.outputs[name]
+        return replace(known, outputs=made)
+
+
+def turned(fitted: Fitted, turn: Turn) -> Flights:
+    """The flights of a fit, with a residual that means nothing."""
+    outputs: dict[str, Tensor] = {}
+    for part in (fitted.seen, fitted.unseen):
+        known = fitted.flights.records(fitted.model, part.names)
+        for f, (name, over) in enumerate(_residuals(fitted, part).items()):
+            outputs[name] = known.outputs[f, : len(over)] - over + _rolled(over, turn[name])
+    return _Turned(fitted.flights.dataset, fitted.flights.reconstruction, outputs)
+
+
+def _residuals(fitted: Fitted, part: Residual) -> dict[str, Tensor]:
+    """Each flight's residual as one record [T, ny], zero where nothing was measured."""
+    known = fitted.flights.records(fitted.model, part.names)
+    over = torch.zeros_like(known.outputs)
+    cut(known, round(SEGMENT_S / known.dt)).write(part.residual.nan_to_num(0.0), over)
+    return {name: over[f, : int(known.lengths[f])] for f, name in enumerate(part.names)}
+
+
+def _rolled(record: Tensor, turn: tuple[float, float]) -> Tensor:
+    """A flight's record [T, n] turned in time, all channels alike."""
+    share, sign = turn
+    return sign * record.roll(round(share * len(record)), dims=0)
+
+
+def _turned_over(over: LeftOver, turns: Sequence[tuple[float, float]]) -> LeftOver:
+    """The equations' residual turned flight by flight."""
+    own = over.linear[:, len(over.names) :].bool()
+    residual = over.residual.clone()
+    for mine, turn in zip(own.mT, turns, strict=True):
+        residual[mine] = _rolled(over.residual[mine], turn)
+    return replace(over, residual=residual)
