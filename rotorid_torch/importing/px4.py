@@ -166,5 +166,5 @@ def _geometry(log: Log, motors: int) -> dict[str, object]:
     keys = [[f"CA_ROTOR{i}_{axis}" for axis in ("PX", "PY", "PZ", "KM")] for i in range(motors)]
     if not all(key in log.parameters for row in keys for key in row):
         return {}
-    rows = [[log.parameters[key] for key in row] for row in keys]
+    rows = [[round(log.parameters[key], 6) for key in row] for row in keys]
     return {"motors": [{"position": row[:3], "spin": "ccw" if row[3] > 0 else "cw"} for row in rows]}

@@ -521,6 +521,10 @@ def test_real_logs_become_data_sets(name: str, tmp_path: Path):
     assert flight.samples * flight.dt == pytest.approx(seconds, abs=0.1)
     assert any(told in sentence for sentence in done.warnings)
     assert flight.has("p", "q", "r", "phi", "theta", "psi", "ax", "ay", "az", "motor4", "height")
+    if name == "px4-quad-sitl-takeoff.ulg":  # its settings place the motors: front right, back left, front left, ...
+        motors = dataset.vehicle.motors
+        assert [motor.spin for motor in motors] == ["ccw", "ccw", "cw", "cw"]
+        assert motors[0].position == (0.1515, 0.245, 0.0)
     assert flight.has("u", "v", "w") == (name != "px4-quad-sdlog2.px4log")
     assert float(flight.channels["az"].nanmean()) == pytest.approx(-9.8, abs=0.3)
 
