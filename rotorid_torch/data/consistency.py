@@ -20,9 +20,8 @@ REACH_S = 0.4
 STEP_S = 0.01
 PIECE_S = 60.0
 """Longer flights count as several: the spread between pieces gives the standard errors, and drift shows."""
-SAMPLED_S = 0.02
-"""What has passed the Gaussian loses nothing when it is looked at this often."""
-LAGS_S = np.linspace(-REACH_S, REACH_S, round(2 * REACH_S / STEP_S) + 1)
+LAGS = round(2 * REACH_S / STEP_S)
+LAGS_S = np.linspace(-REACH_S, REACH_S, LAGS + 1)
 
 
 @dataclass(frozen=True)
@@ -40,12 +39,15 @@ class Pair:
 
 
 class Side(NamedTuple):
-    """Left on the samples that every lag leaves, right on all of them, which of right these are, and the time step."""
+    """Left every 2 `STEP_S` where every lag leaves samples, right every `STEP_S` and `REACH_S` longer at both ends."""
 
     left: Array
     right: Array
-    keep: slice
-    dt: float
+
+    def moved(self, lag: int) -> Array:
+        """Right at the samples of left, taken so many steps earlier."""
+        first = LAGS // 2 - lag
+        return self.right[first : first + 2 * len(self.left) : 2]
 
 
 @dataclass(frozen=True)
@@ -83,14 +85,14 @@ def agreement(pair: Pair, flights: Iterable[Flight]) -> Agreement | None:
     sides = {name: side for f in flights if f.has(*pair.channels) for name, side in _sides(pair, f)}
     if not sides:
         return None
-    moments = {name: np.array([_moments(side, lag) for lag in LAGS_S]) for name, side in sides.items()}
+    moments = {name: np.array([_moments(side, k - LAGS // 2) for k in range(LAGS + 1)]) for name, side in sides.items()}
     total = np.sum(list(moments.values()), axis=0)
     if total[:, :2].min() <= 0.0:
         return None
     best = int(np.argmax(_r2(total)))
     lag, lag_se = _lag(total, list(sides.values()))
     without = [total - one for one in moments.values()]
-    bias = np.array([np.nanmean(side.left) - np.nanmean(side.right[side.keep]) for side in sides.values()])
+    bias = np.array([np.nanmean(side.left) - np.nanmean(side.moved(0)) for side in sides.values()])
     return Agreement(
         pair=pair,
         scale=_scale(total),
@@ -150,17 +152,15 @@ def _sides(pair: Pair, flight: Flight) -> Iterator[tuple[str, Side]]:
     gaps = np.convolve(missing, np.ones(len(bell)), "valid") > 0.5
     left = np.where(gaps, np.nan, np.convolve(pair.left(flight), slope if pair.differentiate else bell, "valid"))
     right = np.where(gaps, np.nan, np.convolve(pair.right(flight), bell, "valid"))
-    step = max(1, int(SAMPLED_S / flight.dt))
-    for first, last in pieces(len(left), flight.dt, reach):
-        keep = slice(reach, last - first + reach, step)
-        part = left[first:last:step]
+    grid = np.arange(0.0, (len(left) - 1) * flight.dt, STEP_S) / flight.dt
+    places = np.arange(len(left))
+    left, right = np.interp(grid, places, left), np.interp(grid, places, right)
+    for first, last in pieces(len(grid), STEP_S, LAGS // 2):
+        part = left[first:last:2]
         if np.isfinite(part).sum() > 20:
-            where = (
-                flight.name
-                if last - first + 2 * reach == len(left)
-                else f"{flight.name} from {first * flight.dt:.0f} s"
-            )
-            yield where, Side(part, right[first - reach : last + reach], keep, flight.dt)
+            whole = last - first + LAGS == len(grid)
+            where = flight.name if whole else f"{flight.name} from {first * STEP_S:.0f} s"
+            yield where, Side(part, right[first - LAGS // 2 : last + LAGS // 2 + 1])
 
 
 def pieces(samples: int, dt: float, margin: int) -> Iterator[tuple[int, int]]:
@@ -170,15 +170,14 @@ def pieces(samples: int, dt: float, margin: int) -> Iterator[tuple[int, int]]:
     yield from zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
 
 
-def _moments(side: Side, lag: float) -> tuple[float, float, float]:
-    """Sums of right², left² and right * left about their means, right taken `lag` earlier."""
-    keep = side.keep
-    index = np.arange(keep.start, keep.stop, keep.step) - lag / side.dt
-    moved = np.interp(index, np.arange(len(side.right)), side.right)
-    known = np.isfinite(moved) & np.isfinite(side.left)
+def _moments(side: Side, lag: int) -> tuple[float, float, float]:
+    """Sums of right², left² and right * left about their means, right taken so many steps earlier."""
+    moved = side.moved(lag)
+    left = side.left[: len(moved)]
+    known = np.isfinite(moved) & np.isfinite(left)
     if not known.any():
         return 0.0, 0.0, 0.0
-    x, y = moved[known] - moved[known].mean(), side.left[known] - side.left[known].mean()
+    x, y = moved[known] - moved[known].mean(), left[known] - left[known].mean()
     return float(x @ x), float(y @ y), float(x @ y)
 
 
@@ -201,9 +200,9 @@ def _lag(moments: Array, sides: list[Side]) -> tuple[float, float]:
     r2 = _r2(moments)
     best = int(np.argmax(r2))
     slope = moments[best, 2] / moments[best, 0]
-    steep = sum(float(np.nansum(np.gradient(s.right[s.keep], s.dt * s.keep.step) ** 2)) for s in sides)
+    steep = sum(float(np.nansum(np.gradient(s.moved(0), 2.0 * STEP_S) ** 2)) for s in sides)
     samples = sum(int(np.isfinite(s.left).sum()) for s in sides)
-    together = 2.0 * np.sqrt(np.pi) * WIDTH_S / (sides[0].dt * sides[0].keep.step)
+    together = 2.0 * np.sqrt(np.pi) * WIDTH_S / (2.0 * STEP_S)
     spread = max(moments[best, 1] * (1.0 - r2[best]), 0.0) / samples * together
     error = float(np.sqrt(spread / max(slope**2 * steep, np.finfo(float).tiny)))
     return _top(r2), error

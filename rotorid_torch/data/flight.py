@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -57,9 +58,5 @@ def _bridge(column: Tensor) -> Tensor:
     known = (~column.isnan()).nonzero().squeeze(-1)
     if len(known) in (0, len(column)):
         return column
-    index = torch.arange(len(column))
-    after = torch.searchsorted(known, index).clamp(max=len(known) - 1)
-    before = (torch.searchsorted(known, index, right=True) - 1).clamp(min=0)
-    left, right = known[before], known[after]
-    share = torch.where(right > left, (index - left).to(column.dtype) / (right - left).clamp(min=1), 0.0)
-    return column[left] + share * (column[right] - column[left])
+    index, there = np.arange(len(column)), known.numpy()
+    return torch.from_numpy(np.interp(index, there, column.numpy()[there]))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorid_torch.core import names
-from rotorid_torch.data.consistency import REACH_S, SAMPLED_S, STEP_S, jackknife_error, kernel, pieces
+from rotorid_torch.data.consistency import LAGS, LAGS_S, REACH_S, STEP_S, jackknife_error, kernel, pieces
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 
@@ -16,7 +16,8 @@ Array = np.ndarray
 
 WIDTH_S = 0.04
 """Standard deviation of the Gaussian that all signals pass, in s: half power at 3.3 Hz, no phase."""
-LAGS_S = np.linspace(-REACH_S, REACH_S, round(2 * REACH_S / STEP_S) + 1)
+EVERY = 3
+"""Steps of `STEP_S` between the samples that are compared: what has passed the Gaussian loses nothing."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +55,8 @@ def _response(dataset: Dataset, channel: str) -> Response | None:
     if not parts:
         return None
     total = np.sum(parts, axis=0)
-    r2 = np.array([_r2(moments) for moments in total])
-    error = jackknife_error([_top(np.array([_r2(m) for m in total - part])) for part in parts])
+    r2 = _r2(total)
+    error = jackknife_error([_top(_r2(total - part)) for part in parts])
     if len(parts) < 2 or r2.max() <= 0.0:
         return None
     return Response(channel, _top(r2), error, float(r2.max()), float(r2.max() - max(r2[0], r2[-1])))
@@ -70,28 +71,33 @@ def _moments(flight: Flight, channel: str, controls: tuple[str, ...], states: li
     columns = flight.bridged([channel, *controls, *states]).numpy().T
     left = np.convolve(columns[0], bell if channel == "az" else slope, "valid")
     rest = np.stack([np.convolve(column, bell, "valid") for column in columns[1:]])
-    step = max(1, int(SAMPLED_S / flight.dt))
-    for first, last in pieces(len(left), flight.dt, reach):
-        here = np.arange(first, last, step)
-        moved, at = rest[: len(controls), first - reach : last + reach], np.arange(last - first + 2 * reach)
-        fixed = np.concatenate([left[None, here], rest[len(controls) :, here]])
+    grid = np.arange(0.0, (len(left) - 1) * flight.dt, STEP_S) / flight.dt
+    places, count = np.arange(len(left)), len(controls)
+    left, *rows = (np.interp(grid, places, row) for row in (left, *rest))
+    moved, states_rows = np.array(rows[:count]), np.array(rows[count:]).reshape(len(states), len(grid))
+    for first, last in pieces(len(grid), STEP_S, LAGS // 2):
+        fixed = _centred(np.concatenate([left[None, first:last:EVERY], states_rows[:, first:last:EVERY]]))
+        among = fixed @ fixed.T
         made = []
-        for lag in LAGS_S:
-            shifted = np.stack([np.interp(here - first + reach - lag / flight.dt, at, row) for row in moved])
-            all_columns = np.concatenate([fixed, shifted])
-            centred = all_columns - all_columns.mean(axis=1, keepdims=True)
-            made.append(centred @ centred.T)
+        for lag in range(-(LAGS // 2), LAGS // 2 + 1):
+            shifted = _centred(moved[:, first - lag : last - lag : EVERY])
+            across = fixed @ shifted.T
+            made.append(np.block([[among, across], [across.T, shifted @ shifted.T]]))
         yield np.array(made)
 
 
-def _r2(moments: Array) -> float:
-    """Share of the first column's variance that the others explain."""
-    normal, slope = moments[1:, 1:], moments[1:, 0]
-    scale = np.sqrt(np.maximum(np.diag(normal), np.finfo(float).tiny))
-    if moments[0, 0] <= 0.0:
-        return 0.0
-    inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-9, hermitian=True)
-    return float(slope / scale @ inverse @ (slope / scale) / moments[0, 0])
+def _centred(rows: Array) -> Array:
+    return rows - rows.mean(axis=1, keepdims=True)
+
+
+def _r2(moments: Array) -> Array:
+    """Share (lags,) of the first column's variance that the others explain, from cross moments (lags, n, n)."""
+    normal, slope, power = moments[:, 1:, 1:], moments[:, 1:, 0], moments[:, 0, 0]
+    scale = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), np.finfo(float).tiny))
+    inverse = np.linalg.pinv(normal / (scale[:, :, None] * scale[:, None, :]), rcond=1e-9, hermitian=True)
+    along = slope / scale
+    explained = np.einsum("ki,kij,kj->k", along, inverse, along)
+    return np.where(power > 0.0, explained / np.maximum(power, np.finfo(float).tiny), 0.0)
 
 
 def _top(r2: Array) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -99,7 +100,7 @@ def sensor_errors(dataset: Dataset) -> tuple[tuple[KinematicFinding, ...], tuple
         visible = ", ".join(
             f"{f.id.removeprefix('sensors.')} {f.smallest_visible[0]:.2g} {f.smallest_visible[1]}".removesuffix(" 1")
             for f in found
-            if f.smallest_visible
+            if f.smallest_visible and math.isfinite(f.smallest_visible[0])
         )
         told = f"all channels together show no constant sensor error; from this size on it would show: {visible}."
         return found, (finding("good", "", told),)

@@ -1,0 +1,97 @@
+"""The whole check: joint sensor errors, a verdict per channel, check.json and pictures; and a long flight in time."""
+
+import json
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rotorid_torch as rotorid
+from rotorid_torch.data import Dataset, load
+from rotorid_torch.data.write import write_dataset
+from rotorid_torch.run.checking import _head, check, check_table, write_check
+from rotorid_torch.run.monitor import Monitor
+from tests.helpers import shared, small_flight
+
+CLEAN = ("uh60-hover", "uh60-60kt", "ah1-hover", "uh60b-hover")
+
+
+def verdicts(found):
+    return {one.channel: one.verdict for one in found.channels}
+
+
+@pytest.mark.parametrize("name", CLEAN)
+def test_clean_sets_are_good_in_every_channel(name):
+    found = check(load(shared("flightdata", name)))
+    assert set(verdicts(found).values()) == {"good"}
+    assert any("no constant sensor error" in one.sentence for one in found.findings)
+    assert not any(p.accepted for sensor in found.sensors for p in sensor.parameters)
+    assert not [one for one in found.findings if one.severity in ("error", "warning")]
+
+
+def test_a_late_stream_has_its_delay_and_standard_error():
+    found = check(load(shared("flightdata", "uh60-x2")))
+    (delay,) = (p for sensor in found.sensors for p in sensor.parameters if p.accepted)
+    assert delay.se < 0.001
+    assert verdicts(found)["phi"] == "with care"
+    assert any("all channels together: attitude" in one.sentence for one in found.findings)
+
+
+def test_measured_defects_are_told_with_what_to_do():
+    pad = check(load(shared("flightdata", "crazypad-normal")))
+    assert verdicts(pad)["p"] == verdicts(pad)["q"] == "with care"
+    assert verdicts(pad)["az"] == "good"
+    assert any(s.sentence.startswith("no test input on roll, pitch") for s in pad.findings)
+    jitter = [f for f in check(load(shared("flightdata", "crazyflie-motors"))).findings if f.channel == "time"]
+    assert "intervals of 0.522 to 7 ms, median 0.989" in jitter[0].sentence
+    nano = check(load(shared("flightdata", "nanodrone")))
+    assert verdicts(nano)["omega1"] == "with care"
+    told = " ".join(f.sentence for f in nano.findings)
+    assert "3.04 to 3.99 V" in told
+    assert "square_2 27%" in told
+
+
+def test_a_head_is_the_first_clause_without_brackets():
+    assert _head("late by 0.05 s (± 0.01) (p (x) 0.1): shift it. More.") == "late by 0.05 s"
+
+
+def test_a_run_holds_check_json_and_pictures(tmp_path: Path):
+    flights = {name: small_flight(seed=k, samples=900) for k, name in enumerate(("one", "two"))}
+    controls = {"lat": {"unit": "rad"}, "lon": {"unit": "rad"}}
+    write_dataset(tmp_path / "set", flights, identify=["one"], validate=["two"], controls=controls)
+    dataset = rotorid.load(tmp_path / "set")
+    found = rotorid.check(dataset)
+    write_check(tmp_path / "run", dataset, found, 0, Monitor())
+    whole = json.loads((tmp_path / "run" / "check.json").read_text())
+    assert {"format", "rotorid", "sha256", "dataset", "fit", "findings", "channels", "sensors"} <= whole.keys()
+    assert [one["channel"] for one in whole["channels"]][:2] == ["lon", "lat"]
+    names = {path.stem for path in (tmp_path / "run" / "figures").iterdir()}
+    assert {"sampling", "spectra", "coherence", "controls", "correlation", "kinematics"} <= names
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in (tmp_path / "run" / "figures").iterdir())
+    assert "Channel by channel" in str(check_table(found).renderables[1].title)
+
+
+def test_data_in_memory_with_gaps_and_a_dead_channel_are_checked():
+    flight = small_flight(samples=900)
+    flight["r"][:] = 0.0
+    flight["theta"][100:160] = np.nan
+    found = check(Dataset.from_arrays({"f": flight}, identify=["f"]))
+    assert verdicts(found)["r"] == "with care"
+    assert any("never changes" in one.sentence and one.channel == "r" for one in found.findings)
+
+
+@pytest.mark.slow
+def test_ten_minutes_at_200_hz_are_checked_in_their_share_of_a_minute(tmp_path: Path):
+    sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "experiments"))
+    import hour_flight
+
+    from rotorid_torch.fly import fly
+
+    fly(tmp_path / "flown", seed=1, flights=hour_flight.PIECES[:4])
+    hour_flight.write_hour(tmp_path / "flown", tmp_path / "hour", 600.0, 200.0)
+    begin = time.process_time()
+    found = check(load(tmp_path / "hour"))
+    assert time.process_time() - begin < 15.0
+    assert not [one for one in found.findings if one.severity == "warning" and "against" in one.sentence]
