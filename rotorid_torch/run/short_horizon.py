@@ -49,12 +49,11 @@ def short_horizon(fit: FitRecord) -> list[ShortHorizon]:
 
 def explained(found: ShortHorizon) -> str:
     """What the model explains and predicts on a list of flights, as a sentence."""
-    parts = [
-        f"{NAMES.get(name, name)} {r2:.2f}" for name, r2 in found.responses.items() if not name.startswith("omega")
-    ]
+    values = {NAMES.get(name, name): r2 for name, r2 in found.responses.items() if not name.startswith("omega")}
     speeds = [r2 for name, r2 in found.responses.items() if name.startswith("omega")]
     if speeds:
-        parts.append(f"rotor speeds {sum(speeds) / len(speeds):.2f}")
+        values["rotor speeds"] = sum(speeds) / len(speeds)
+    parts = [f"{name} {round(r2, 2) + 0.0:.2f}" for name, r2 in values.items()]  # no minus before a zero
     seen = "" if found.name == "identify" else ", which it has not seen"
     ahead = [
         f"{p.quantity} {p.error:.3g} {p.unit} ({p.held:.3g} if held)"
