@@ -17,8 +17,17 @@ DT = 0.02
 
 
 def late(delay: float) -> Dataset:
-    truth = with_values(rate_vehicle(effects=("control.delay",)), {"control.delay.common": delay})
-    moves = manoeuvres(8.0, DT)
+    return hiding("control.delay", "common", delay, manoeuvres(8.0, DT))
+
+
+def damped(quadratic: float) -> Dataset:
+    """Rolls that are damped by p |p| as well."""
+    large = {name: 3.0 * move for name, move in manoeuvres(6.0, DT).items()}
+    return hiding("forces.quadratic_damping", "L", quadratic, large)
+
+
+def hiding(effect: str, parameter: str, value: float, moves: dict[str, np.ndarray]) -> Dataset:
+    truth = with_values(rate_vehicle(effects=(effect,)), {f"{effect}.{parameter}": value})
     both = {**moves, **{f"{name}_again": -0.8 * move for name, move in moves.items()}}
     lists = {"identify": list(moves), "validate": [f"{name}_again" for name in moves]}
     return flown(truth, both, DT, noise=0.02, seed=3, lists=lists)
@@ -75,3 +84,24 @@ def test_a_network_finds_nothing_left_beside_the_delay(closed: tuple[rotorid.Loo
 def test_where_no_aircraft_can_be_drawn_the_report_says_so(closed: tuple[rotorid.Loop, Path]):
     loop, _ = closed
     assert any("shuffled residuals" in w for w in loop.record.warnings)
+
+
+@pytest.mark.slow
+def test_a_network_stays_where_something_is_left_that_no_candidate_explains(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("rotorid_torch.trace.loop.candidates", lambda spec: ([], []))
+    monkeypatch.setattr("rotorid_torch.trace.network.MEANINGLESS", 1)
+    loop = rotorid.close_loop(damped(8.0), hybrid=True)
+    network = next(e for e in loop.effects if e.id == "neural.forces")
+    assert (network.role, network.verdict) == ("learnt", "accepted")
+    assert network.gain is not None
+    assert network.floor is not None
+    assert network.gain > network.floor
+    assert loop.verdict is not None
+    assert loop.verdict.kind == "nothing undeclared"
+    assert "network" in loop.verdict.sentence
+    assert loop.before is not None
+    assert loop.after is not None
+    before, after = loop.before.scores.validate, loop.after.scores.validate
+    assert before is not None
+    assert after is not None
+    assert after < 0.8 * before
