@@ -38,6 +38,8 @@ SEARCHED = 1000
 """Samples of each flight, from its middle, that the search for parameters with memory looks at."""
 STEP = 1e-3
 """Of a parameter for a column, over its prior's standard deviation or its size; the equations are linear in it."""
+ROUNDING = 1e-11
+"""Share of a row's size by which it changes at least where a parameter reaches it."""
 STILL = 1e-6
 """Share of its mean by which a column moves at least if it is not constant."""
 
@@ -167,7 +169,7 @@ class RotorEquations:
             moved = self.at(thetas)
             for k, name in enumerate(batch):
                 columns[name] = [
-                    {row: (there[row].expand(len(batch), -1)[k] - here[row][0]) / steps[name] for row in here}
+                    {row: _change(there[row].expand(len(batch), -1)[k], here[row][0]) / steps[name] for row in here}
                     for there, here in zip(moved, base, strict=True)
                 ]
         return [{row: values[0] for row, values in one.items()} for one in base], columns
@@ -297,6 +299,12 @@ def _moved(rows: Sequence[Tensor], columns: Mapping[str, Sequence[Tensor]], chan
     """Rows of every flight after a change of the parameters that they are linear in."""
     per_flight = zip(*columns.values(), strict=True)
     return [one + torch.stack(parts, -1) @ change for one, parts in zip(rows, per_flight, strict=True)]
+
+
+def _change(moved: Tensor, before: Tensor) -> Tensor:
+    """What has changed beyond rounding."""
+    change = moved - before
+    return torch.where(change.abs() > ROUNDING * before.abs().max(), change, 0.0)
 
 
 def _moves(column: Tensor) -> bool:
