@@ -157,7 +157,9 @@ def vibration(dataset: Dataset) -> Iterator[Finding]:
             + f" {line.rms:.2g} {names.unit(channel)} rms, {line.share:.0%} of the channel's variance"
             for line in shown
         )
-        advice = "Isolate the sensor, or declare the rotor's speed, so that this is not taken for motion."
+        known = rotor is not None and rotor.speed is not None
+        guess = "" if known else f" ({2 * np.pi * shown[0].hertz:.0f} rad/s if this is once per revolution)"
+        advice = f"Isolate the sensor, or declare the rotor's speed{guess}, so that this is not taken for motion."
         yield finding("warning" if shown[0].share > 0.2 else "note", channel, f"vibration at {told}.", advice)
 
 
