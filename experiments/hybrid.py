@@ -15,7 +15,7 @@ import json
 import os
 import random
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -120,10 +120,11 @@ def models(args: Args, data: rotorid.Dataset, say: Console) -> Iterator[tuple[st
     yield "physics", null
     if not args.quick:
 
-        def floors(spec: ModelSpec, effects: list[str]) -> Floors:
+        def floors(spec: ModelSpec, effects: Sequence[str]) -> Floors:
             return Floors({}, "") if args.chance else clean_floors(seen, spec, effects, args.seed, say.print)
 
-        null = trace(base.spec, start, held, flights, floors, say.print, args.seed).final
+        final = trace(base.spec, start, held, flights, floors, say.print, args.seed).final
+        null = refit(final.spec, flights, final.values, held)
         yield "physics + effects", null
     learnt = learn(null, held, args.seed, say.print)
     say.print(learnt.finding())

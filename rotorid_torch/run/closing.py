@@ -150,10 +150,11 @@ def _closed(dataset: Dataset, seed: int, device: str, monitor: Monitor, hybrid: 
     traced = tracing.findings if stays else _dropped(tracing)
     findings = (*map(_of_sensors, sensors.findings), *_replaced(traced, shaken))
     if hybrid:
+        shape = tracing.final.spec if stays or not tracing.structure else plain
         held = base.regressions.held
-        null = tracing.final if stays or not tracing.structure else refit(plain, flights, tracing.final.values, held)
+        refitted = partial(refit, shape, flights, tracing.final.values, held)
         rerun = partial(again, base, seen=right, sensors=wrong)
-        richer, learnt = _with_network(null, held, after or before, rerun, seed, monitor)
+        richer, learnt = _with_network(shape, refitted, held, after or before, rerun, seed, monitor)
         findings = (*findings, learnt)
         if richer is not None:
             after = replace(richer, fit=_with_spread(richer.fit, tracing.spread))
@@ -162,14 +163,20 @@ def _closed(dataset: Dataset, seed: int, device: str, monitor: Monitor, hybrid: 
 
 
 def _with_network(
-    null: Fitted, held: Sequence[str], best: Run, rerun: Callable[..., Run], seed: int, monitor: Monitor
+    spec: ModelSpec,
+    refitted: Callable[[], Fitted],
+    held: Sequence[str],
+    best: Run,
+    rerun: Callable[..., Run],
+    seed: int,
+    monitor: Monitor,
 ) -> tuple[Run | None, Finding]:
     """The run with a network beside what was traced, and what is told of it; None where it does not stay."""
-    why = NeuralForces.untestable(null.spec)
+    why = NeuralForces.untestable(spec)
     if why is not None:
         return None, Finding(NeuralForces.id, "learnt", "not testable", why)
     with monitor.step("trace"):
-        learnt = learn(null, held, seed, monitor.say)
+        learnt = learn(refitted(), held, seed, monitor.say)
     found = learnt.finding()
     if found.verdict != "accepted":
         return None, found
