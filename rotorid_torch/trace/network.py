@@ -29,7 +29,7 @@ STARTS = 2
 """Draws of the hidden layer that training begins from."""
 STEPS = 100
 """Of L-BFGS from each."""
-LEARNING = Options(max_iterations=10, tolerance=1e-6, absolute=0.5)
+LEARNING = Options(max_iterations=15, tolerance=1e-6, absolute=0.5)
 """Over trajectories: weights go on moving long after the residual has stopped to."""
 MEANINGLESS = 3
 """Times that a network is trained where nothing is to be learnt."""
