@@ -10,6 +10,7 @@ from pathlib import Path
 
 import msgspec
 
+from rotorid_torch.core.names import MOMENTS
 from rotorid_torch.core.ranks import ALONE
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.one_rate import at_one_rate
@@ -40,6 +41,7 @@ from rotorid_torch.trace.fits import Fitted, Flights, refit
 from rotorid_torch.trace.kinematic_findings import KinematicFinding
 from rotorid_torch.trace.kinematics import kinematic_findings
 from rotorid_torch.trace.loop import Tracing, trace
+from rotorid_torch.trace.multirotor import Identified, trace_rotors
 from rotorid_torch.trace.network import learn
 from rotorid_torch.trace.stochastic import stochastic_findings
 from rotorid_torch.trace.verdict import Statement, statement
@@ -123,18 +125,9 @@ def _closed(dataset: Dataset, seed: int, device: str, monitor: Monitor, hybrid: 
         monitor.say(f"sensors: {name} = {value:.4g}")
     base = identified(right, (), seed, steps) if sensors.effects else first
     flights = Flights(right, base.reconstruction)
-    start = base.model.named_values
     with monitor.step("trace"):
-        tracing = trace(
-            base.spec,
-            start,
-            base.regressions.held,
-            flights,
-            lambda spec, effects: clean_floors(right, spec, effects, seed, monitor.say),
-            monitor.say,
-            seed,
-        )
-        shaken = stochastic_findings(right, base.spec, start)
+        tracing = (_rotors_traced if base.spec.motors else _traced)(base, flights, seed, monitor)
+        shaken = stochastic_findings(right, base.spec, base.model.named_values)
     again = partial(_again, dataset=dataset, steps=steps)
     wrong, named = sensors.values, bool(tracing.accepted or sensors.effects)
     before, after, plain = first, None, _without(tracing.final.spec, tracing.structure)
@@ -144,7 +137,7 @@ def _closed(dataset: Dataset, seed: int, device: str, monitor: Monitor, hybrid: 
     if tracing.structure or named:
         shapes = [tracing.final.spec, *([plain] if tracing.structure and named else [])]
         tried = [again(base, shape, tracing.final.values, seen=right, sensors=wrong) for shape in shapes]
-        after = _best(tried if named else [first, *tried])
+        after = tried[0] if base.spec.motors else _best(tried if named else [first, *tried])
         after = None if after is first else replace(after, fit=_with_spread(after.fit, tracing.spread))
     stays = after is not None and set(tracing.structure) <= set(after.spec.effects)
     traced = tracing.findings if stays else _dropped(tracing)
@@ -160,6 +153,36 @@ def _closed(dataset: Dataset, seed: int, device: str, monitor: Monitor, hybrid: 
             after = replace(richer, fit=_with_spread(richer.fit, tracing.spread))
     told = statement(findings, tracing.unknown)
     return _loop(after or before, before, after, findings, told, tracing.unknown, monitor, tracing)
+
+
+def _traced(base: Run, flights: Flights, seed: int, monitor: Monitor) -> Tracing:
+    """By trajectories over segments, floors from clean aircraft."""
+    return trace(
+        base.spec,
+        base.model.named_values,
+        base.regressions.held,
+        flights,
+        lambda spec, effects: clean_floors(flights.dataset, spec, effects, seed, monitor.say),
+        monitor.say,
+        seed,
+    )
+
+
+def _rotors_traced(base: Run, flights: Flights, seed: int, monitor: Monitor) -> Tracing:
+    """By accelerations at measured states, each candidate identified in full."""
+    quiet = Steps(Monitor(), ALONE, Checkpoint())
+    told = [f"rotors.{kind}.{row}" for kind in ("power", "trim") for row in MOMENTS]
+    free, values = ({n: v for n, v in known.items() if n not in told} for known in (base.spec.free, base.spec.values))
+
+    def fit(spec: ModelSpec) -> Identified:
+        _, model, _, found = estimated(spec, flights.dataset, flights.reconstruction, quiet)
+        errors = dict(zip(found.names, found.fit.uncertainty.standard_errors.tolist(), strict=True))
+        return Identified(spec, model, errors)
+
+    open_spec = msgspec.structs.replace(
+        base.spec, free=free, values=values
+    )  # what could not be told may be with an effect
+    return trace_rotors(open_spec, flights.dataset, fit, monitor.say, seed)
 
 
 def _with_network(

@@ -47,12 +47,10 @@ SAME = ("flapping", "flapping_doubtful", "patterns", "inflow", "cyclic_inflow", 
 """Structure that a drawn aircraft's model shares with the data's."""
 
 
-def gains_on(
-    clean: Dataset, spec: ModelSpec, effects: Sequence[str]
-) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
+def gains_on(clean: Dataset, spec: ModelSpec, effects: Sequence[str]) -> tuple[dict[str, float], dict[str, float]]:
     """Gain of each effect on a clean aircraft's flights, its model having the structure of the spec.
 
-    Beside it size and share in each equation of what looks most like something unknown.
+    Beside it the weight in each equation of what looks most like something unknown.
     """
     seen = at_one_rate(clean)
     found = reconstruct(seen)
@@ -65,7 +63,7 @@ def gains_on(
     screened = screen(fitted, effects, shuffles=CHANCES)
     traces = scan(left_over(fitted.model, seen, found, seen.identify))
     gains = {e: max(screened.gain([e]), float(screened.by_chance(e).max())) for e in effects}
-    return gains, {row: (t.size, t.share) for row, t in traces.items()}
+    return gains, {row: t.weight for row, t in traces.items()}
 
 
 def clean_floors(

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.effects.registry import registered
+from rotorid_torch.model.model import Model
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.fits import Fitted, Residual
 from rotorid_torch.trace.screen import Screen
@@ -34,7 +35,7 @@ def objection(null: Fitted, candidate: Fitted, effect: str, floor: float, screen
     """Why a fitted candidate is not a finding; None where nothing speaks against it."""
     if gain(null, candidate) <= floor:
         return "fitted in full, it explains no more than clean aircraft let any candidate explain"
-    edge = at_edge(candidate, effect)
+    edge = at_edge(candidate.model, effect)
     if edge is not None:
         return edge
     own = [s for s in screened.signatures if s.effect == effect]
@@ -62,13 +63,12 @@ def helps(better: Tensor) -> bool:
     return float(better.mean()) > error and int((better > 0).sum()) * 2 >= count
 
 
-def at_edge(candidate: Fitted, effect: str) -> str | None:
+def at_edge(model: Model, effect: str) -> str | None:
     """Why a fit is no physics: a parameter of the effect on a bound that is not its null; None where none is.
 
     Zero is a limit of physics, not of a range: a pendulum may have no damping.
     """
-    known = candidate.model.parameter_set
-    for parameter, value in zip(known.parameters, candidate.values.values(), strict=True):
+    for parameter, value in zip(model.parameter_set.parameters, model.named_values.values(), strict=True):
         on = [b for b in parameter.bounds if math.isclose(value, b, rel_tol=1e-9) and b not in (0.0, parameter.value)]
         if parameter.name.startswith(f"{effect}.") and parameter.free and on:
             return f"{parameter.name} = {value:.3g} lies at the edge of its range"

@@ -23,18 +23,16 @@ class Floors:
 
     The gain of a clean aircraft is at least what chance gives: that of its residual once its time has been shuffled.
 
-    note : how many were drawn, or why none. traces : size and share in each equation of what looks like something unknown
-    [D, 2].
+    note : how many were drawn, or why none. traces : weight by equation of what looks like something unknown [D].
     """
 
     gains: Mapping[str, Tensor]
     note: str
     traces: Mapping[str, Tensor] = field(default_factory=dict)
 
-    def of_traces(self) -> dict[str, tuple[float, float]]:
-        """Floors of size and share by equation; empty where no aircraft was drawn: nothing tells what is ordinary."""
-        sizes, shares = (family_wise({row: t[:, k] for row, t in self.traces.items()}) for k in (0, 1))
-        return {row: (sizes[row], shares[row]) for row in sizes}
+    def of_traces(self) -> dict[str, float]:
+        """Floor of each equation; empty where no aircraft was drawn, for then nothing tells how much is ordinary."""
+        return family_wise(self.traces)
 
     def of(self, screened: Screen, effects: Sequence[str]) -> dict[str, float]:
         """Floor of each effect: that of clean aircraft; without any, that of the data's own shuffled residual."""

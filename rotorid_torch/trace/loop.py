@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import msgspec
 
@@ -43,6 +44,20 @@ ELSEWHERE = (Showing.KINEMATICS, Showing.INNOVATIONS)
 Say = Callable[[str], None]
 
 
+class Named(Protocol):
+    """A model by its structure and its parameters' values."""
+
+    @property
+    def spec(self) -> ModelSpec:
+        """Its structure."""
+        ...
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Every parameter by its full name."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Tracing:
     """What was traced.
@@ -52,8 +67,8 @@ class Tracing:
     unknown : what is left over without a name. spread : jackknife over flights of the accepted effects' parameters.
     """
 
-    null: Fitted
-    final: Fitted
+    null: Named
+    final: Named
     structure: tuple[str, ...]
     accepted: tuple[str, ...]
     groups: Mapping[str, tuple[str, ...]]

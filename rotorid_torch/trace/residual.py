@@ -36,7 +36,9 @@ SMOOTH_S = 0.25
 class Trace:
     """The best description of what an equation leaves over: what it goes with and how, since when.
 
-    size : its rms. share : of the square of all that linear terms leave over.
+    size : its rms. share : of the square of all that linear terms leave over. weight : what counts against the floor,
+    the size times its correlation with the rest: what is large must also stand out, for no model of other people's
+    aircraft is perfect.
     """
 
     goes_with: str
@@ -44,6 +46,11 @@ class Trace:
     since_s: float | None
     size: float
     share: float
+
+    @property
+    def weight(self) -> float:
+        """Its rms times its correlation with what is left over."""
+        return self.size * self.share**0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,20 +154,12 @@ def _onsets(left: LeftOver) -> Iterator[Named]:
         yield ("time", "", onset), after
 
 
-def unknown(traces: Mapping[str, Trace], floors: Mapping[str, tuple[float, float]], left: LeftOver) -> Unknown | None:
-    """The equation whose trace stands highest above what clean aircraft leave; None where none does.
-
-    floors : of the size and of the share. What is large must also stand out of the rest that its equation leaves over,
-    for no model of other people's aircraft is perfect.
-    """
-    above = {
-        row: t.size / floors[row][0]
-        for row, t in traces.items()
-        if row in floors and t.size > floors[row][0] and t.share > floors[row][1]
-    }
-    if not above:
+def unknown(traces: Mapping[str, Trace], floors: Mapping[str, float], left: LeftOver) -> Unknown | None:
+    """The equation whose trace stands highest above what clean aircraft leave; None where none does."""
+    above = {row: t.weight / floors[row] for row, t in traces.items() if floors.get(row, 0.0) > 0.0}
+    where = max(above, key=lambda row: above[row], default=None)
+    if where is None or above[where] <= 1.0:
         return None
-    where = max(above, key=lambda row: above[row])
     found, unit = traces[where], "m/s2" if where in FORCES else "rad/s2"
     band = _band(left, where)
     how = f" ({found.shape})" if found.shape else ""

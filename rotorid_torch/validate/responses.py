@@ -29,7 +29,12 @@ class Response:
 
 
 def responses(model: Model, flight: Flight, smoothed: float = SMOOTHED_S) -> dict[str, Response]:
-    """R2 of each response of a flight that is measured: rates differentiated, accelerometers, rotor speeds.
+    """R2 of each response of a flight that is measured: rates differentiated, accelerometers, rotor speeds."""
+    return {name: _judged(*pair) for name, pair in compared(model, flight, smoothed).items()}
+
+
+def compared(model: Model, flight: Flight, smoothed: float = SMOOTHED_S) -> dict[str, tuple[Tensor, Tensor]]:
+    """Each response of a flight that is measured, (T,), and what the model makes of measured states and inputs.
 
     Measurement and model both pass a centred mean over `smoothed` seconds; then rates are differentiated by central
     differences. Gaps are bridged by straight lines; states that are no channels are taken at the reference.
@@ -48,7 +53,7 @@ def responses(model: Model, flight: Flight, smoothed: float = SMOOTHED_S) -> dic
         if channel != name:
             measured = torch.gradient(measured, spacing=flight.dt)[0]
         inner = slice(half + 1, len(measured) - half - 1)
-        made[name] = _judged(measured[inner], averaged(values, half)[inner])
+        made[name] = measured[inner], averaged(values, half)[inner]
     return made
 
 

@@ -51,7 +51,7 @@ def test_a_curve_over_one_channel_is_told_by_the_channel_and_its_shape(signals: 
     over = left("M", shape(signals[:, 2]))
     found = scan(over)
     assert (found["M"].goes_with, found["M"].shape, found["M"].since_s) == ("q", said, None)
-    told = unknown(found, dict.fromkeys(ROWS, (0.05, 0.2)), over)
+    told = unknown(found, dict.fromkeys(ROWS, 0.05), over)
     assert told is not None
     assert f"go with q ({said})" in told.sentence
 
@@ -70,10 +70,10 @@ def test_what_linear_terms_can_take_up_is_not_left_over(signals: Tensor):
 def test_below_the_floors_nothing_is_told_and_above_them_no_name(signals: Tensor):
     over = left("L", signals[:, 1] * signals[:, 3])
     found = scan(over)
-    assert unknown(found, dict.fromkeys(ROWS, (1.5, 0.2)), over) is None
+    assert unknown(found, dict.fromkeys(ROWS, 1.5), over) is None
     assert unknown(found, {}, over) is None
-    assert unknown(found, dict.fromkeys(ROWS, (0.3, 0.9999)), over) is None
-    told = unknown(found, dict.fromkeys(ROWS, (0.3, 0.2)), over)
+    assert found["L"].weight == pytest.approx(found["L"].size, rel=0.05)
+    told = unknown(found, dict.fromkeys(ROWS, 0.3), over)
     assert told is not None
     assert (told.where, told.goes_with) == ("L", "p col")
     assert told.band_hz[0] < told.band_hz[1]

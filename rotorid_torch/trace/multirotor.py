@@ -1,0 +1,252 @@
+"""Which effects a multirotor's model lacks: each identified in full, judged by accelerations at measured states.
+
+Free runs of a vehicle that was flown in closed loop mean little, and no clean multirotor is drawn: a candidate counts
+above what its own signature would gain on the model's residual with its blocks in another order, and where flights
+that no fit has seen gain too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import msgspec
+import torch
+from torch import Tensor
+
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.effects.base import Role
+from rotorid_torch.effects.registry import registered
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.model.model import Model
+from rotorid_torch.trace.decide import SURE, at_edge, helps
+from rotorid_torch.trace.finding import Finding
+from rotorid_torch.trace.floor import family_wise
+from rotorid_torch.trace.loop import Tracing, candidates
+from rotorid_torch.validate.responses import compared
+
+BLOCK_S = 1.0
+"""Blocks of the residual that are put in another order: longer than what a motor or a stream is late by."""
+SHUFFLES = 200
+ROUNDS = 4
+"""Effects that may join, at most."""
+ABSORBED = {"mass.payload": "rotors.thrust", "mass.inertia": "rotors.power", "mass.cg": "rotors.trim"}
+"""What the free thrust curve, control powers and trims stand for."""
+LINKAGE = {
+    "control.lag": "motor commands lag by propulsion.motor_lag",
+    "control.backlash": "motor commands pass no linkage",
+    "control.rate_limit": "motor commands pass no actuator with a limit",
+}
+"""Effects of mechanical control paths, and why they are none of a motor command's."""
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """A model identified by the three steps. errors : standard errors of the estimated parameters by full name."""
+
+    spec: ModelSpec
+    model: Model
+    errors: Mapping[str, float]
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Every parameter by its full name."""
+        return self.model.named_values
+
+
+Fit = Callable[[ModelSpec], Identified]
+Compared = Mapping[str, Mapping[str, tuple[Tensor, Tensor]]]
+"""By flight and response: measured and modelled."""
+
+
+def trace_rotors(
+    spec: ModelSpec, dataset: Dataset, fit: Fit, say: Callable[[str], None] = lambda line: None, seed: int = 0
+) -> Tracing:
+    """Which undeclared effects the model of a multirotor lacks, by forward selection.
+
+    Parameters
+    ----------
+    fit : identifies a structure by the three steps. say : told what happens, a line at a time.
+    seed : of the order of the residual's blocks.
+    """
+    testable, findings = candidates(spec)
+    findings += [Finding(e, "undeclared", "not testable", why) for e, why in LINKAGE.items() if e in testable]
+    undeclared = [e for e in testable if registered()[e].role is Role.UNDECLARED and e not in LINKAGE]
+    tried = [e for e in undeclared if e not in ABSORBED]
+    search = _Search(dataset, fit, say, seed)
+    null = now = fit(spec)
+    near: dict[str, tuple[str, ...]] = {}
+    for _ in range(ROUNDS + 1):
+        fitted = {e: fit(_with(now.spec, e)) for e in tried if e not in search.accepted}
+        floors = search.floors(now, fitted)
+        standing = [e for e in fitted if search.stands(now, fitted[e], e, floors[e])]
+        if not standing or len(search.accepted) == ROUNDS:
+            break
+        best = max(standing, key=lambda e: search.gain(now, fitted[e]))
+        say(f"{best} joins")
+        search.accepted.append(best)
+        near[best] = search.near(fitted, best, standing)
+        now = fitted[best]
+    final = search.confirmed(now)
+    for effect in search.accepted:
+        search.groups[effect] = tuple(e for e in near[effect] if e not in search.accepted)
+    note = "floors come from residuals whose blocks stand in another order: no clean multirotor is drawn"
+    told = (*findings, *search.told(final, undeclared))
+    return Tracing(
+        null, final, (), tuple(search.accepted), {e: g for e, g in search.groups.items() if g}, told, (note,)
+    )
+
+
+def _with(spec: ModelSpec, effect: str) -> ModelSpec:
+    return msgspec.structs.replace(spec, effects=(*spec.effects, effect))
+
+
+class _Search:
+    """What was found on the way."""
+
+    def __init__(self, dataset: Dataset, fit: Fit, say: Callable[[str], None], seed: int) -> None:
+        self.dataset, self.fit, self.say = dataset, fit, say
+        self.chance = torch.Generator().manual_seed(seed)
+        self.accepted: list[str] = []
+        self.groups: dict[str, tuple[str, ...]] = {}
+        self.floor_of: dict[str, float] = {}
+        self.gain_of: dict[str, float] = {}
+        self.reasons: dict[str, tuple[str, Identified]] = {}
+        self._kept: dict[int, tuple[Identified, Compared]] = {}
+
+    def compared(self, model: Identified) -> Compared:
+        """Responses of a model on all flights that may be looked at."""
+        if id(model) not in self._kept:
+            names = (*self.dataset.identify, *self.dataset.validate)
+            self._kept[id(model)] = (model, {n: compared(model.model, self.dataset.flights[n]) for n in names})
+        return self._kept[id(model)][1]
+
+    def by_flight(self, null: Identified, other: Identified, flights: Sequence[str]) -> Tensor:
+        """Mean over the responses of log(rms without / rms with) on each flight [F]; an axis left alone counts little.
+
+        Both squares have what the richer model leaves over on the identify flights added for that.
+        """
+        before, after, usual = self.compared(null), self.compared(other), self.sigma(other)
+        square = lambda pair: float((pair[0] - pair[1]).square().mean())  # noqa: E731
+        gains = [
+            [
+                0.5 * math.log((square(before[n][c]) + usual[c] ** 2) / (square(after[n][c]) + usual[c] ** 2))
+                for c in before[n]
+                if c in usual
+            ]
+            for n in flights
+        ]
+        return torch.tensor([sum(g) / len(g) for g in gains], dtype=torch.float64)
+
+    def sigma(self, null: Identified) -> dict[str, float]:
+        """Rms of what a model leaves over in each response on the identify flights."""
+        found = self.compared(null)
+        left: dict[str, list[Tensor]] = {}
+        for name in self.dataset.identify:
+            for channel, (measured, modelled) in found[name].items():
+                left.setdefault(channel, []).append(measured - modelled)
+        return {c: max(float(torch.cat(r).square().mean().sqrt()), 1e-300) for c, r in left.items()}
+
+    def gain(self, null: Identified, other: Identified) -> float:
+        """Mean over the identify flights."""
+        return float(self.by_flight(null, other, self.dataset.identify).mean())
+
+    def floors(self, null: Identified, fitted: Mapping[str, Identified]) -> dict[str, float]:
+        """What each candidate's signature would gain on residuals whose blocks stand in another order, family-wise."""
+        return family_wise({e: self._by_chance(null, f) for e, f in fitted.items()})
+
+    def _by_chance(self, null: Identified, other: Identified) -> Tensor:
+        before, after, sigma = self.compared(null), self.compared(other), self.sigma(null)
+        product = torch.zeros(SHUFFLES, dtype=torch.float64)
+        size, count = 0.0, 0
+        for name in self.dataset.identify:
+            for channel, (measured, modelled) in before[name].items():
+                if channel not in after[name]:
+                    continue
+                residual = (measured - modelled) / sigma[channel]
+                signature = (after[name][channel][1] - modelled) / sigma[channel]
+                block = max(1, round(BLOCK_S / self.dataset.facts[name].dt))
+                product += _shuffled(residual, block, self.chance) @ signature
+                size, count = size + float(signature.square().sum()), count + len(residual)
+        return 0.5 * product.square() / max(size, 1e-300) / max(count, 1)
+
+    def stands(self, null: Identified, fitted: Identified, effect: str, floor: float) -> bool:
+        """Whether nothing speaks against a candidate; why not is kept and said."""
+        reason = self._objection(null, fitted, effect, floor)
+        self.gain_of[effect], self.floor_of[effect] = self.gain(null, fitted), floor
+        if reason is not None:
+            self.reasons[effect] = (reason, fitted)
+        if self.gain_of[effect] > floor:
+            self.say(f"{effect}: gain {self.gain_of[effect]:.3g}, floor {floor:.3g}: {reason or 'stands'}")
+        return reason is None
+
+    def _objection(self, null: Identified, fitted: Identified, effect: str, floor: float) -> str | None:
+        if not self.gain(null, fitted) > floor:
+            return "it explains no more than by chance"
+        edge = at_edge(fitted.model, effect)
+        if edge is not None:
+            return edge
+        nulls = {p.name: p.value for p in fitted.model.parameter_set.parameters}
+        own = {n: e for n, e in fitted.errors.items() if n.startswith(f"{effect}.")}
+        if not any(abs(fitted.values[n] - nulls[n]) > SURE * e for n, e in own.items()):
+            return f"none of its parameters lies beyond {SURE:g} of its standard errors from nothing"
+        better = self.by_flight(null, fitted, self.dataset.validate or self.dataset.identify)
+        if not helps(better):
+            return (
+                f"it does not help on flights that no fit has seen ({int((better > 0).sum())} of {len(better)} better)"
+            )
+        return None
+
+    def near(self, fitted: Mapping[str, Identified], best: str, standing: Sequence[str]) -> tuple[str, ...]:
+        """Candidates that flights which no fit has seen do not tell from the best."""
+        flights = self.dataset.validate or self.dataset.identify
+        return tuple(e for e in standing if e != best and not helps(self.by_flight(fitted[e], fitted[best], flights)))
+
+    def confirmed(self, final: Identified) -> Identified:
+        """Each accepted effect tested again beside the others; those that explain nothing more are taken out."""
+        for effect in list(self.accepted) if len(self.accepted) > 1 else []:
+            others = tuple(e for e in final.spec.effects if e != effect)
+            without = self.fit(msgspec.structs.replace(final.spec, effects=others))
+            if self.gain(without, final) <= self.floor_of[effect]:
+                self.accepted.remove(effect)
+                self.reasons[effect] = ("beside the others it explains nothing more", final)
+                final = without
+        return final
+
+    def told(self, final: Identified, undeclared: Sequence[str]) -> list[Finding]:
+        """One finding for each candidate."""
+        return [self._finding(final, effect) for effect in undeclared]
+
+    def _finding(self, final: Identified, effect: str) -> Finding:
+        if effect in ABSORBED:
+            said = f"{ABSORBED[effect]} stand for it in these flights; weigh the vehicle, or swing it, to tell"
+            return Finding(effect, "undeclared", "indistinguishable", said, group=(ABSORBED[effect],))
+        within = {e: best for best, others in self.groups.items() if best in self.accepted for e in others}
+        group = self.groups.get(effect, ())
+        gain, floor = self.gain_of[effect], self.floor_of[effect]
+        values = _errors(final, effect)
+        if effect in self.accepted and group:
+            verdict, said = "indistinguishable", f"something of this kind acts, or {' or '.join(group)}"
+        elif effect in self.accepted:
+            verdict, said = "accepted", "accelerations of flights that no fit has seen are better described too"
+        elif effect in within:
+            verdict, said, group = "indistinguishable", f"not to be told from {within[effect]}", (within[effect],)
+        else:
+            said, last = self.reasons.get(effect, ("another effect explains it better", final))
+            verdict, values = "rejected" if gain > floor else "below floor", _errors(last, effect)
+        return Finding(effect, "undeclared", verdict, said, gain, floor, group=group, values=values)
+
+
+def _errors(model: Identified, effect: str) -> dict[str, tuple[float, float]]:
+    own = {n: e for n, e in model.errors.items() if n.startswith(f"{effect}.")}
+    return {n: (model.values[n], e) for n, e in own.items()}
+
+
+def _shuffled(record: Tensor, block: int, chance: torch.Generator) -> Tensor:
+    """A record (T,) with its blocks in another order and turned to and fro [SHUFFLES, T]."""
+    count = max(1, len(record) // block)
+    pieces = record[: count * block].reshape(count, block)
+    orders = torch.stack([torch.randperm(count, generator=chance) for _ in range(SHUFFLES)])
+    signs = torch.randint(0, 2, (SHUFFLES, count, 1), generator=chance) * 2.0 - 1.0
+    return torch.cat([(pieces[orders] * signs).flatten(1), record[count * block :].expand(SHUFFLES, -1)], dim=1)
