@@ -1,0 +1,90 @@
+"""Selection among a multirotor's effects: what acts joins, what chance explains does not, rivals are a group."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from types import SimpleNamespace
+from typing import Any
+
+import msgspec
+import pytest
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.trace import multirotor
+from rotorid_torch.trace.multirotor import Identified, trace_rotors
+
+FLIGHTS = {"one": 1, "two": 2, "three": 3, "four": 4}
+SPEC = ModelSpec(
+    states=("p",),
+    controls=("motor1",),
+    outputs=("p",),
+    reference={},
+    sizes={},
+    ranges={},
+    patterns={},
+    control_units={},
+)
+DELAY, LAG, INERTIA = "control.delay", "propulsion.motor_lag", "propulsion.rotor_inertia"
+SAMPLES, DT = 4000, 0.01
+
+
+def traced(monkeypatch: pytest.MonkeyPatch, explained: Mapping[str, float], errors: float = 0.001) -> Any:
+    """A search in which every effect takes its share off a model error that all flights have."""
+    monkeypatch.setattr(multirotor, "candidates", lambda spec: ([DELAY, LAG, INERTIA], []))
+    monkeypatch.setattr(multirotor, "compared", lambda model, flight: {"pdot": model.pair(flight)})
+    facts = {name: SimpleNamespace(dt=DT) for name in FLIGHTS}
+    data: Any = SimpleNamespace(identify=("one", "two"), validate=("three", "four"), flights=FLIGHTS, facts=facts)
+
+    def fit(spec: ModelSpec) -> Identified:
+        names = [f"{e}.size" for e in spec.effects]
+        parameters = [Parameter(n, 0.0, "1", (0.0, 10.0)) for n in names]
+        left = max((explained.get(e, 0.0) for e in spec.effects), default=0.0)
+
+        def pair(flight: int) -> tuple[Tensor, Tensor]:
+            noise = torch.randn(SAMPLES, generator=torch.Generator().manual_seed(flight), dtype=torch.float64)
+            time = DT * torch.arange(SAMPLES, dtype=torch.float64)
+            missing = torch.sin(2.0 * math.pi * 0.7 * time + flight)
+            return missing + 0.3 * noise, left * missing
+
+        model: Any = SimpleNamespace(
+            parameter_set=SimpleNamespace(parameters=parameters),
+            named_values=dict.fromkeys(names, 0.05),
+            pair=pair,
+        )
+        return Identified(spec, model, dict.fromkeys(names, errors))
+
+    return trace_rotors(SPEC, data, fit)
+
+
+def verdicts(tracing: Any) -> dict[str, str]:
+    return {f.id: f.verdict for f in tracing.findings}
+
+
+def test_what_acts_joins_and_what_explains_nothing_does_not(monkeypatch: pytest.MonkeyPatch):
+    tracing = traced(monkeypatch, {LAG: 1.0})
+    assert tracing.accepted == (LAG,)
+    assert tracing.final.spec == msgspec.structs.replace(SPEC, effects=(LAG,))
+    assert verdicts(tracing) == {LAG: "accepted", DELAY: "below floor", INERTIA: "below floor"}
+
+
+def test_of_two_the_better_one_joins(monkeypatch: pytest.MonkeyPatch):
+    assert verdicts(traced(monkeypatch, {LAG: 1.0, DELAY: 0.5})) == {
+        LAG: "accepted",
+        DELAY: "below floor",
+        INERTIA: "below floor",
+    }
+
+
+def test_two_that_unseen_flights_do_not_tell_apart_are_a_group(monkeypatch: pytest.MonkeyPatch):
+    tracing = traced(monkeypatch, {LAG: 1.0, DELAY: 1.0})
+    assert len(tracing.accepted) == 1
+    assert verdicts(tracing) == {LAG: "indistinguishable", DELAY: "indistinguishable", INERTIA: "below floor"}
+
+
+def test_nothing_joins_where_nothing_is_explained_or_its_size_is_not_known(monkeypatch: pytest.MonkeyPatch):
+    assert traced(monkeypatch, {}).accepted == ()
+    assert traced(monkeypatch, {LAG: 1.0}, errors=0.1).accepted == ()
