@@ -173,7 +173,7 @@ def _add_close_loop(commands) -> None:
     command = _add_command(commands, "close-loop", close_loop, "identify, trace what is missing, identify again")
     command.add_argument("dataset", metavar="DATASET", type=Path)
     command.add_argument("--out", metavar="RUN", type=Path, required=True, help="the run's folder")
-    command.add_argument("--hybrid", action="store_true", help="let a small network learn what no named effect explains")
+    command.add_argument("--hybrid", action="store_true", help="a small network learns what no named effect explains")
 
 
 def _add_simulate(commands) -> None:
