@@ -33,12 +33,13 @@ ROUNDS = 4
 """Effects that may join, at most."""
 ABSORBED = {"mass.payload": "rotors.thrust", "mass.inertia": "rotors.power", "mass.cg": "rotors.trim"}
 """What the free thrust curve, control powers and trims stand for."""
-LINKAGE = {
+NONE_OF_MOTORS = {
     "control.lag": "motor commands lag by propulsion.motor_lag",
     "control.backlash": "motor commands pass no linkage",
     "control.rate_limit": "motor commands pass no actuator with a limit",
+    "forces.quadratic_damping": "commands answer the rates: a term by rates takes up what is left of a lag",
 }
-"""Effects of mechanical control paths, and why they are none of a motor command's."""
+"""What is not tried, and why."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +72,8 @@ def trace_rotors(
     seed : of the order of the residual's blocks.
     """
     testable, findings = candidates(spec)
-    findings += [Finding(e, "undeclared", "not testable", why) for e, why in LINKAGE.items() if e in testable]
-    undeclared = [e for e in testable if registered()[e].role is Role.UNDECLARED and e not in LINKAGE]
+    findings += [Finding(e, "undeclared", "not testable", why) for e, why in NONE_OF_MOTORS.items() if e in testable]
+    undeclared = [e for e in testable if registered()[e].role is Role.UNDECLARED and e not in NONE_OF_MOTORS]
     tried = [e for e in undeclared if e not in ABSORBED]
     search = _Search(dataset, fit, say, seed)
     null = now = fit(spec)
@@ -208,7 +209,7 @@ class _Search:
         for effect in list(self.accepted) if len(self.accepted) > 1 else []:
             others = tuple(e for e in final.spec.effects if e != effect)
             without = self.fit(msgspec.structs.replace(final.spec, effects=others))
-            if self.gain(without, final) <= self.floor_of[effect]:
+            if self.gain(without, final) <= self.floors(without, {effect: final})[effect]:
                 self.accepted.remove(effect)
                 self.reasons[effect] = ("beside the others it explains nothing more", final)
                 final = without

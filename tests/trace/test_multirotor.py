@@ -32,9 +32,15 @@ DELAY, LAG, INERTIA = "control.delay", "propulsion.motor_lag", "propulsion.rotor
 SAMPLES, DT = 4000, 0.01
 
 
-def traced(monkeypatch: pytest.MonkeyPatch, explained: Mapping[str, float], errors: float = 0.001) -> Any:
-    """A search in which every effect takes its share off a model error that all flights have."""
-    monkeypatch.setattr(multirotor, "candidates", lambda spec: ([DELAY, LAG, INERTIA], []))
+def traced(
+    monkeypatch: pytest.MonkeyPatch,
+    explained: Mapping[str, float],
+    errors: float = 0.001,
+    together: float | None = None,
+    known: tuple[str, ...] = (DELAY, LAG, INERTIA),
+) -> Any:
+    """A search in which every effect takes its share off an error that all flights have; `together` all of them."""
+    monkeypatch.setattr(multirotor, "candidates", lambda spec: (list(known), []))
     monkeypatch.setattr(multirotor, "compared", lambda model, flight: {"pdot": model.pair(flight)})
     facts = {name: SimpleNamespace(dt=DT) for name in FLIGHTS}
     data: Any = SimpleNamespace(identify=("one", "two"), validate=("three", "four"), flights=FLIGHTS, facts=facts)
@@ -43,6 +49,8 @@ def traced(monkeypatch: pytest.MonkeyPatch, explained: Mapping[str, float], erro
         names = [f"{e}.size" for e in spec.effects]
         parameters = [Parameter(n, 0.0, "1", (0.0, 10.0)) for n in names]
         left = max((explained.get(e, 0.0) for e in spec.effects), default=0.0)
+        if together is not None and set(explained) <= set(spec.effects):
+            left = together
 
         def pair(flight: int) -> tuple[Tensor, Tensor]:
             noise = torch.randn(SAMPLES, generator=torch.Generator().manual_seed(flight), dtype=torch.float64)
@@ -88,3 +96,14 @@ def test_two_that_unseen_flights_do_not_tell_apart_are_a_group(monkeypatch: pyte
 def test_nothing_joins_where_nothing_is_explained_or_its_size_is_not_known(monkeypatch: pytest.MonkeyPatch):
     assert traced(monkeypatch, {}).accepted == ()
     assert traced(monkeypatch, {LAG: 1.0}, errors=0.1).accepted == ()
+
+
+def test_two_that_explain_a_part_each_both_stay(monkeypatch: pytest.MonkeyPatch):
+    tracing = traced(monkeypatch, {LAG: 0.6, DELAY: 0.5}, together=0.97)
+    assert tracing.accepted == (LAG, DELAY)
+    assert verdicts(tracing) == {LAG: "accepted", DELAY: "accepted", INERTIA: "below floor"}
+
+
+def test_a_term_by_rates_is_never_tried(monkeypatch: pytest.MonkeyPatch):
+    tracing = traced(monkeypatch, {LAG: 1.0}, known=(LAG, "forces.quadratic_damping"))
+    assert verdicts(tracing) == {LAG: "accepted", "forces.quadratic_damping": "not testable"}
