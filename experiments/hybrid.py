@@ -23,7 +23,7 @@ import msgspec
 import torch
 import tyro
 from drawn_aircraft import draw, fly_drawn, groups_of
-from loop_tables import markdown, write_between
+from loop_tables import markdown, number, write_between
 from rich.console import Console
 from torch.utils.tensorboard import SummaryWriter
 
@@ -168,7 +168,7 @@ def table(result: dict) -> str:
     rows = []
     for line in result["models"]:
         cells = [(line["J"][k], line["noise"][k]) for k in LISTS]
-        numbers = [text for j, n in cells for text in (_number(j), _number(_removed(j, n)))]
+        numbers = [text for j, n in cells for text in (number(j), number(_removed(j, n)))]
         rows.append((line["model"], str(line["free"]), ", ".join(line["effects"]), *numbers, f"{line['seconds']:.0f}"))
     head = ("identify", "less noise", "validate", "less noise", "acid", "less noise")
     said = f"Data set `{result['data']}`. J of free runs, and sqrt(J² - J_noise²) beside it.\n\n"
@@ -177,10 +177,6 @@ def table(result: dict) -> str:
 
 def _removed(j: float | None, noise: float | None) -> float | None:
     return None if j is None or noise is None else max(j * j - noise * noise, 0.0) ** 0.5
-
-
-def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.3f}"
 
 
 def main(args: Args) -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
 
-from loop_lines import append_line
+from loop_lines import append_line, read_lines
 from rich.console import Console
 from torch.utils.tensorboard import SummaryWriter
 
@@ -35,3 +36,20 @@ def keep(lines: Iterable[dict], file: Path, total: int, writer: SummaryWriter) -
         done += 1
         console.print(f"{done}/{total} {line['case']}: {line.get('sentence') or line.get('failed')}")
     return done
+
+
+def sets_left(data: Path, sets: Sequence[str], quick: bool, file: Path) -> tuple[list[str], dict[str, str]]:
+    """Data sets that are there and have no line yet, of the first one alone where it is quick; why others are not."""
+    skipped = {n: f"no data set in {data}" for n in sets if not (data / n / "dataset.toml").exists()}
+    done = {line["case"] for line in read_lines(file) if "failed" not in line}
+    there = [n for n in sets if n not in skipped]
+    return [n for n in (there[:1] if quick else there) if n not in done], skipped
+
+
+def over_sets(run: Callable[..., dict], given: Sequence[tuple], processes: int, file: Path, settings: dict) -> int:
+    """Runs of data sets, kept beside TensorBoard records with the settings; returns how many there were."""
+    writer = SummaryWriter(str(file.parent / "tensorboard"))
+    writer.add_text("settings", json.dumps(settings, default=str))
+    runs = keep(lines_of(run, given, processes), file, len(given), writer)
+    writer.close()
+    return runs

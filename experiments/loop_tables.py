@@ -194,6 +194,11 @@ def _recovered(runs: Sequence[dict]) -> str:
     )
 
 
+def number(value: float | None) -> str:
+    """An error with three decimals; nothing for none."""
+    return "" if value is None else f"{value:.3f}"
+
+
 def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A Markdown table."""
     lines = [head, ["---"] * len(head), *rows]

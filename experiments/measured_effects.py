@@ -22,10 +22,9 @@ import numpy as np
 import torch
 import tyro
 from loop_lines import failure, read_lines
-from loop_runs import keep, lines_of
+from loop_runs import over_sets, sets_left
 from loop_tables import markdown, write_between
 from scipy.signal import butter, sosfiltfilt
-from torch.utils.tensorboard import SummaryWriter
 
 import rotorid_torch as rotorid
 from rotorid_torch.data import Dataset
@@ -229,19 +228,12 @@ def _text(values: Sequence[float]) -> str:
 
 def study(args: Args, file: Path) -> dict:
     """Run the sets that are there and have no line yet; those that are not are named with the reason."""
-    skipped = {n: f"no data set in {args.data}" for n in args.sets if not (args.data / n / "dataset.toml").exists()}
-    done = {line["case"] for line in read_lines(file) if "failed" not in line}
-    there = [n for n in args.sets if n not in skipped]
-    left = [n for n in (there[:1] if args.quick else there) if n not in done]
-    writer = SummaryWriter(str(args.out / "tensorboard"))
-    writer.add_text("settings", json.dumps(asdict(args), default=str))
+    left, skipped = sets_left(args.data, args.sets, args.quick, file)
     own = args.given or args.quick
     calls = [
         (args.data / n, args.effects.get(n, ()) if own else None, args.effects.get(n, ()), args.seed) for n in left
     ]
-    runs = keep(lines_of(run_set, calls, args.processes), file, len(left), writer)
-    writer.close()
-    return {"runs": runs, "skipped": skipped}
+    return {"runs": over_sets(run_set, calls, args.processes, file, asdict(args)), "skipped": skipped}
 
 
 def main(args: Args) -> None:

@@ -21,9 +21,8 @@ from pathlib import Path
 import torch
 import tyro
 from loop_lines import failure, loop_line, read_lines
-from loop_runs import keep, lines_of
-from loop_tables import markdown, write_between
-from torch.utils.tensorboard import SummaryWriter
+from loop_runs import over_sets, sets_left
+from loop_tables import markdown, number, write_between
 
 import rotorid_torch as rotorid
 
@@ -89,30 +88,17 @@ def table(lines: Sequence[dict]) -> str:
             rows.append((line["case"], hides, line["failed"], *[""] * 7))
             continue
         j = line["J"]
-        scores = [
-            _number(j[when][flights]) for flights in ("validate", "acid") for when in ("before", "after", "noise")
-        ]
+        scores = [number(j[when][flights]) for flights in ("validate", "acid") for when in ("before", "after", "noise")]
         rows.append((line["case"], hides, line["sentence"], *scores, f"{line['seconds']:.0f}"))
     head = ("validate before", "after", "noise", "acid before", "after", "noise", "s")
     return markdown(("set", "hides", "what the loop says", *head), rows)
 
 
-def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.3f}"
-
-
 def study(args: Args, file: Path) -> dict:
     """Run the sets that are there and have no line yet; those that are not are named with the reason."""
-    skipped = {n: f"no data set in {args.data}" for n in args.sets if not (args.data / n / "dataset.toml").exists()}
-    done = {line["case"] for line in read_lines(file) if "failed" not in line}
-    there = [n for n in args.sets if n not in skipped]
-    left = [n for n in (there[:1] if args.quick else there) if n not in done]
-    writer = SummaryWriter(str(args.out / "tensorboard"))
-    writer.add_text("settings", json.dumps(asdict(args), default=str))
+    left, skipped = sets_left(args.data, args.sets, args.quick, file)
     given = [(args.data / name, args.out / "runs", args.seed) for name in left]
-    runs = keep(lines_of(run_set, given, args.processes), file, len(left), writer)
-    writer.close()
-    return {"runs": runs, "skipped": skipped}
+    return {"runs": over_sets(run_set, given, args.processes, file, asdict(args)), "skipped": skipped}
 
 
 def main(args: Args) -> None:

@@ -71,6 +71,10 @@ def _member(file: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np
         raise InputError(file, name, f"is not an array ({str(error).splitlines()[0]})", "an array") from None
 
 
+HDF5 = 2
+"""Major version of a .mat that is an HDF5 file: MATLAB calls it 7.3."""
+
+
 def read_matlab(file: Path, choose: Choose, clock: Clock | None = None) -> Log:
     """Read the variables of a .mat up to version 7; a struct is a topic, a matrix becomes columns `name[0]`, ...
 
@@ -78,16 +82,16 @@ def read_matlab(file: Path, choose: Choose, clock: Clock | None = None) -> Log:
     ------
     InputError : where scipy is missing, the file is of version 7.3, damaged, or claims more than can be.
     """
-    scipy = need("scipy.io", "matlab", file)
+    scipy, matlab = need("scipy.io", "matlab", file), need("scipy.io.matlab", "matlab", file)
     try:
+        if matlab.matfile_version(file)[0] == HDF5:
+            raise InputError(file, "", "is of version 7.3 (HDF5)", "version 7: in MATLAB, save(..., '-v7')")
         claimed = sum(int(np.prod(shape, dtype=object)) for _, shape, _ in scipy.whosmat(file))
         if claimed * 8 > BYTES:
             raise InputError(file, "", f"claims {claimed} numbers", f"at most {BYTES // 8}")
         content = scipy.loadmat(
             file, simplify_cells=True, chars_as_strings=False, verify_compressed_data_integrity=True
         )
-    except NotImplementedError:
-        raise InputError(file, "", "is of version 7.3 (HDF5)", "version 7: in MATLAB, save(..., '-v7')") from None
     except InputError:
         raise
     except MemoryError:

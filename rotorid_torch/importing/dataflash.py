@@ -14,7 +14,7 @@ import numpy as np
 
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing.blocks import BLOCK, Blocks, Gathered
-from rotorid_torch.importing.log import Choose, Log, Stream
+from rotorid_torch.importing.log import Choose, Log, Stream, of_damage
 
 HEAD = b"\xa3\x95"
 FORMAT = 0x80
@@ -174,10 +174,7 @@ class _Walk:
         return Log(file, system, "; ".join(texts), streams, fields, parameters, tuple(self._warnings()))
 
     def _warnings(self) -> Iterator[str]:
-        if self.left:
-            yield f"ends in the middle of a message: read up to there ({self.left} bytes left)"
-        if self.skipped:
-            yield f"{self.skipped} bytes are damaged and were passed over"
+        yield from of_damage(self.left, self.skipped)
         if self.bad_formats:
             yield f"messages of unknown form were passed over ({', '.join(self.bad_formats[:5])})"
 

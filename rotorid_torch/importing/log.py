@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -111,3 +111,11 @@ def choose(texts: Iterable[str]) -> Choose:
     """Reader's choice that keeps what these texts of a map name."""
     wanted = {without_instance(text)[0] for text in texts}
     return lambda topic, fields: [name for name in fields if joined(topic, name) in wanted]
+
+
+def of_damage(left: int, skipped: int) -> Iterator[str]:
+    """Sentences on the bytes of a file that were not read: those left at its end, and those passed over inside."""
+    if left:
+        yield f"ends in the middle of a message: read up to there ({left} bytes left)"
+    if skipped:
+        yield f"{skipped} bytes are damaged and were passed over"

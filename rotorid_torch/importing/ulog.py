@@ -14,7 +14,7 @@ import numpy as np
 
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing.blocks import BLOCK, Blocks, Gathered
-from rotorid_torch.importing.log import Choose, Log, Stream
+from rotorid_torch.importing.log import Choose, Log, Stream, of_damage
 
 MAGIC = b"ULog\x01\x12\x35"
 SYNC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
@@ -228,10 +228,7 @@ class _Walk:
 
     def warnings(self) -> Iterator[str]:
         """Sentences on what was not read."""
-        if self.left:
-            yield f"ends in the middle of a message: read up to there ({self.left} bytes left)"
-        if self.skipped:
-            yield f"{self.skipped} bytes are damaged and were passed over"
+        yield from of_damage(self.left, self.skipped)
         if self.odd:
             yield f"{self.odd} messages do not fit their topic and were passed over"
         if self.unknown:

@@ -22,29 +22,26 @@ from rotorid_torch.run.checkpoint import Checkpoint, Steps
 from rotorid_torch.run.figures import Overlay
 from rotorid_torch.run.fit_record import fit_record, judge
 from rotorid_torch.run.folder import run_folder
+from rotorid_torch.run.loop_record import effect_record, of_sensors
 from rotorid_torch.run.monitor import Monitor, peak_memory_mb
-from rotorid_torch.run.pipeline import Run, estimated, identified, refuse, write_model
+from rotorid_torch.run.pipeline import Run, estimated, identified, refuse, remarks_on, write_model
 from rotorid_torch.run.records import (
     EffectRecord,
     FitRecord,
-    ParameterRecord,
     Report,
-    Role,
     UnknownRecord,
     VerdictRecord,
-    VisibleRecord,
 )
 from rotorid_torch.run.write import write_report
 from rotorid_torch.trace.clean import clean_floors
-from rotorid_torch.trace.finding import Finding, Unknown
+from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.fits import Fitted, Flights, refit
-from rotorid_torch.trace.kinematic_findings import KinematicFinding
 from rotorid_torch.trace.kinematics import kinematic_findings
 from rotorid_torch.trace.loop import Tracing, trace
 from rotorid_torch.trace.multirotor import Identified, trace_rotors
 from rotorid_torch.trace.network import learn
 from rotorid_torch.trace.stochastic import stochastic_findings
-from rotorid_torch.trace.verdict import Statement, statement
+from rotorid_torch.trace.verdict import statement
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,30 +126,41 @@ def _closed(dataset: Dataset, seed: int, device: str, monitor: Monitor, hybrid: 
         tracing = (_rotors_traced if base.spec.motors else _traced)(base, flights, seed, monitor)
         shaken = stochastic_findings(right, base.spec, base.model.named_values)
     again = partial(_again, dataset=dataset, steps=steps)
-    wrong, named = sensors.values, bool(tracing.accepted or sensors.effects)
-    before, after, plain = first, None, _without(tracing.final.spec, tracing.structure)
-    if tracing.structure and named:
-        null = again(first, tracing.null.spec, tracing.null.values, seen=at_one_rate(dataset), sensors={})
-        before = _best([first, null])
-    if tracing.structure or named:
-        shapes = [tracing.final.spec, *([plain] if tracing.structure and named else [])]
-        tried = [again(base, shape, tracing.final.values, seen=right, sensors=wrong) for shape in shapes]
-        after = tried[0] if base.spec.motors else _best(tried if named else [first, *tried])
-        after = None if after is first else replace(after, fit=_with_spread(after.fit, tracing.spread))
+    wrong = partial(again, first, seen=at_one_rate(dataset), sensors={})
+    rerun = partial(again, base, seen=right, sensors=sensors.values)
+    before, after = _before_and_after(first, tracing, bool(sensors.effects), wrong, rerun)
     stays = after is not None and set(tracing.structure) <= set(after.spec.effects)
     traced = tracing.findings if stays else _dropped(tracing)
-    findings = (*map(_of_sensors, sensors.findings), *_replaced(traced, shaken))
+    findings = [*map(of_sensors, sensors.findings), *_replaced(traced, shaken)]
     if hybrid:
-        shape = tracing.final.spec if stays or not tracing.structure else plain
+        spec = tracing.final.spec if stays else _without(tracing.final.spec, tracing.structure)
         held = base.regressions.held
-        refitted = partial(refit, shape, flights, tracing.final.values, held)
-        rerun = partial(again, base, seen=right, sensors=wrong)
-        richer, learnt = _with_network(shape, refitted, held, after or before, rerun, seed, monitor)
-        findings = (*findings, learnt)
-        if richer is not None:
-            after = replace(richer, fit=_with_spread(richer.fit, tracing.spread))
-    told = statement(findings, tracing.unknown)
-    return _loop(after or before, before, after, findings, told, tracing.unknown, monitor, tracing)
+        refitted = partial(refit, spec, flights, tracing.final.values, held)
+        richer, learnt = _with_network(spec, refitted, held, after or before, rerun, seed, monitor)
+        findings.append(learnt)
+        after = richer or after
+    if after is not None:
+        after = replace(after, fit=_with_spread(after.fit, tracing.spread))
+    return _loop(before, after, findings, monitor, tracing)
+
+
+def _before_and_after(
+    first: Run, tracing: Tracing, sensors: bool, wrong: Callable[..., Run], right: Callable[..., Run]
+) -> tuple[Run, Run | None]:
+    """The best run without what was traced, and the best with it; none where nothing stays.
+
+    first : the nominal model. sensors : whether sensors err. wrong, right : the three steps again for a spec from
+    values, on records as they are and on those without the sensors' errors. A multirotor's free runs decide nothing.
+    """
+    final, null = tracing.final, tracing.null
+    if tracing.accepted or sensors:
+        shapes = [final.spec, *([_without(final.spec, tracing.structure)] if tracing.structure else [])]
+        before = _best([first, wrong(null.spec, null.values)]) if tracing.structure else first
+        return before, _best([right(shape, final.values) for shape in shapes])
+    if tracing.structure:
+        after = _best([first, right(final.spec, final.values)])
+        return first, None if after is first else after
+    return first, None
 
 
 def _traced(base: Run, flights: Flights, seed: int, monitor: Monitor) -> Tracing:
@@ -179,10 +187,9 @@ def _rotors_traced(base: Run, flights: Flights, seed: int, monitor: Monitor) -> 
         errors = dict(zip(found.names, found.fit.uncertainty.standard_errors.tolist(), strict=True))
         return Identified(spec, model, errors)
 
-    open_spec = msgspec.structs.replace(
-        base.spec, free=free, values=values
-    )  # what could not be told may be with an effect
-    return trace_rotors(open_spec, flights.dataset, fit, monitor.say, seed)
+    # what step 2 could not tell without an effect may be told with it
+    untold = msgspec.structs.replace(base.spec, free=free, values=values)
+    return trace_rotors(untold, flights.dataset, fit, monitor.say, seed)
 
 
 def _with_network(
@@ -226,22 +233,6 @@ def _dropped(tracing: Tracing) -> list[Finding]:
     return [replace(f, verdict="rejected", reason=said) if f.id in tracing.structure else f for f in tracing.findings]
 
 
-def _of_sensors(found: KinematicFinding) -> Finding:
-    """A kinematic finding as one of the loop; its gain is in squares of the noise."""
-    values = {p.name: (p.value, p.se) for p in found.parameters if p.accepted}
-    return Finding(
-        found.id,
-        "undeclared",
-        found.verdict,
-        found.reason,
-        found.gain,
-        found.floor,
-        found.smallest_visible,
-        found.group,
-        values,
-    )
-
-
 def _replaced(findings: Sequence[Finding], others: Sequence[Finding]) -> list[Finding]:
     """Findings with those of the same ids replaced."""
     ids = {f.id for f in others}
@@ -270,9 +261,9 @@ def _again(
     with steps.monitor.step("validate"):
         judged = judge(model, dataset)
     fit = fit_record(model, spec, found, judged)
-    return replace(
-        base, model=model, spec=spec, fit=fit, regressions=regressions, estimate=found, overlays=judged.overlays
-    )
+    told = remarks_on(seen, spec, fit, base.reconstruction, regressions, found)
+    record = msgspec.structs.replace(base.record, warnings=tuple(told))
+    return Run(model, spec, fit, record, base.reconstruction, regressions, found, judged.overlays)
 
 
 def _with_spread(fit: FitRecord, spread: Mapping[str, float]) -> FitRecord:
@@ -293,16 +284,8 @@ def _with_sensors(spec: ModelSpec, model: Model, sensors: Mapping[str, float]) -
     return richer, sensing
 
 
-def _loop(
-    run: Run,
-    before: Run,
-    after: Run | None,
-    findings: Sequence[Finding],
-    told: Statement,
-    unknown: Unknown | None,
-    monitor: Monitor,
-    tracing: Tracing,
-) -> Loop:
+def _loop(before: Run, after: Run | None, findings: Sequence[Finding], monitor: Monitor, tracing: Tracing) -> Loop:
+    run, told = after or before, statement(findings, tracing.unknown)
     record = Report(
         command="close-loop",
         dataset=run.record.dataset,
@@ -313,34 +296,8 @@ def _loop(
         after=None if after is None else after.fit,
         verdict=VerdictRecord(kind=told.kind, effects=told.effects, sentence=told.sentence),
         effects=tuple(effect_record(f, run.model, after) for f in findings),
-        unknown=None if unknown is None else UnknownRecord(**vars(unknown)),
+        unknown=None if tracing.unknown is None else UnknownRecord(**vars(tracing.unknown)),
         warnings=(*run.record.warnings, *tracing.notes),
     )
     fields = {name: getattr(run, name) for name in Run.__dataclass_fields__}
     return Loop(**{**fields, "record": record}, tracing=tracing, earlier=before.overlays if after else ())
-
-
-def effect_record(finding: Finding, model: Model, after: Run | None) -> EffectRecord:
-    """A finding for the report; parameters are those of the fit after, where that estimated them."""
-    own = f"{finding.id}."
-    fitted = [p for p in after.fit.parameters if p.name.startswith(own) and p.se] if after else []
-    traced = [
-        ParameterRecord(name=n, value=v, se=e, unit=_unit(model, n), status="free" if e > 0.0 else "frozen")
-        for n, (v, e) in finding.values.items()
-    ]
-    visible = finding.smallest_visible
-    return EffectRecord(
-        id=finding.id,
-        role=msgspec.convert(finding.role, Role),  # pyright: ignore[reportArgumentType]
-        verdict=finding.verdict,
-        reason=finding.reason,
-        gain=finding.gain,
-        floor=finding.floor,
-        smallest_visible=None if visible is None else VisibleRecord(value=visible[0], unit=visible[1]),
-        group=finding.group,
-        parameters=tuple(fitted or traced),
-    )
-
-
-def _unit(model: Model, name: str) -> str:
-    return next((p.unit for p in model.parameter_set.parameters if p.name == name), "")

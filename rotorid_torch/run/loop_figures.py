@@ -22,7 +22,7 @@ def draw_loop(
 ) -> dict[str, Figure]:
     """Every picture of the loop that there is something to show in, by the name of its file."""
     pictures: dict[str, Figure] = {}
-    ranked = [e for e in effects if e.gain is not None and e.floor]
+    ranked = [e for e in effects if e.gain is not None and e.floor and e.verdict != "not testable"]
     if ranked:
         pictures["evidence"] = evidence(ranked)
     pairs = [(b, a) for b in before for a in after if a.flight == b.flight and a.list != "identify"]

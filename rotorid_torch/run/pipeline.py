@@ -108,7 +108,8 @@ def reconstruct(dataset: Dataset, out: str | Path, *, seed: int = 0, monitor: Mo
         with monitor.step("reconstruct"):
             found = step1.reconstruct(dataset)
         _write_reconstruction(found, folder)
-        write_report(folder, _report("reconstruct", dataset, seed, monitor, None, found.notes), (), monitor)
+        told = [*remarks.of_reading(dataset), *found.notes]
+        write_report(folder, _report("reconstruct", dataset, seed, monitor, None, told), (), monitor)
     return found
 
 
@@ -174,7 +175,17 @@ def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps
     with monitor.step("validate"):
         judged = judge(model, dataset, steps.ranks)
     fit = fit_record(model, spec, estimate, judged)
-    told = [
+    told = remarks_on(seen, spec, fit, reconstruction, regressions, estimate)
+    report = _report("identify", seen, seed, monitor, fit, told)
+    return Run(model, spec, fit, report, reconstruction, regressions, estimate, judged.overlays)
+
+
+def remarks_on(
+    seen: Dataset, spec: ModelSpec, fit: FitRecord, reconstruction: Reconstruction, regressions: Step2, estimate: Step3
+) -> list[str]:
+    """What people should know of the flights that the steps saw, of the steps, and of the fit they came to."""
+    return [
+        *remarks.of_reading(seen),
         *reconstruction.notes,
         *remarks.of_controls(seen, regressions.own_share),
         *remarks.of_regressions(regressions),
@@ -182,8 +193,6 @@ def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps
         *limits.of_channels(seen, spec),
         *limits.of_rotors(spec, fit),
     ]
-    report = _report("identify", seen, seed, monitor, fit, told)
-    return Run(model, spec, fit, report, reconstruction, regressions, estimate, judged.overlays)
 
 
 def estimated(
@@ -322,7 +331,7 @@ def _report(
         time_s=monitor.time_record(),
         peak_memory_mb=peak_memory_mb(),
         before=fit,
-        warnings=(*remarks.of_reading(dataset), *told),
+        warnings=tuple(told),
     )
 
 

@@ -29,6 +29,7 @@ from rotorid_torch.validate.responses import compared
 BLOCK_S = 1.0
 """Blocks of the residual that are put in another order: longer than what a motor or a stream is late by."""
 SHUFFLES = 200
+"""Orders of the blocks: enough for a quantile of 5 %."""
 ROUNDS = 4
 """Effects that may join, at most."""
 ABSORBED = {"mass.payload": "rotors.thrust", "mass.inertia": "rotors.power", "mass.cg": "rotors.trim"}
@@ -90,13 +91,11 @@ def trace_rotors(
         near[best] = search.near(fitted, best, standing)
         now = fitted[best]
     final = search.confirmed(now)
-    for effect in search.accepted:
-        search.groups[effect] = tuple(e for e in near[effect] if e not in search.accepted)
+    alike = {e: tuple(other for other in near[e] if other not in search.accepted) for e in search.accepted}
+    search.groups = {e: others for e, others in alike.items() if others}
     note = "floors come from residuals whose blocks stand in another order: no clean multirotor is drawn"
-    told = (*findings, *search.told(final, undeclared))
-    return Tracing(
-        null, final, (), tuple(search.accepted), {e: g for e, g in search.groups.items() if g}, told, (note,)
-    )
+    told = (*findings, *(search.finding(final, e) for e in undeclared))
+    return Tracing(null, final, (), tuple(search.accepted), search.groups, told, (note,))
 
 
 def _with(spec: ModelSpec, effect: str) -> ModelSpec:
@@ -215,15 +214,12 @@ class _Search:
                 final = without
         return final
 
-    def told(self, final: Identified, undeclared: Sequence[str]) -> list[Finding]:
-        """One finding for each candidate."""
-        return [self._finding(final, effect) for effect in undeclared]
-
-    def _finding(self, final: Identified, effect: str) -> Finding:
+    def finding(self, final: Identified, effect: str) -> Finding:
+        """What came of a candidate."""
         if effect in ABSORBED:
             said = f"{ABSORBED[effect]} stand for it in these flights; weigh the vehicle, or swing it, to tell"
             return Finding(effect, "undeclared", "indistinguishable", said, group=(ABSORBED[effect],))
-        within = {e: best for best, others in self.groups.items() if best in self.accepted for e in others}
+        within = {e: best for best, others in self.groups.items() for e in others}
         group = self.groups.get(effect, ())
         gain, floor = self.gain_of[effect], self.floor_of[effect]
         values = _errors(final, effect)

@@ -1,7 +1,6 @@
 """Physics against networks: what the network alone is made of, and the table."""
 
 import json
-from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 
@@ -9,15 +8,9 @@ import pytest
 
 from rotorid_torch.effects.examples import HELICOPTER
 from rotorid_torch.model.nominal import build
-from tests.experiments.test_undeclared_effects import beside_the_experiments
 
 pytest.importorskip("tyro", reason="experiments need the extra 'experiments'")
 pytest.importorskip("torch.utils.tensorboard")
-
-
-@pytest.fixture(autouse=True)
-def _beside(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    yield from beside_the_experiments(monkeypatch)
 
 
 def test_the_network_alone_has_trims_and_weights_and_nothing_else() -> None:

@@ -2,23 +2,16 @@
 
 import dataclasses
 import json
-from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 
 import pytest
 
 from tests.experiments.test_experiments import quick
-from tests.experiments.test_undeclared_effects import beside_the_experiments
 from tests.helpers import shared
 
 pytest.importorskip("tyro", reason="experiments need the extra 'experiments'")
 pytest.importorskip("torch.utils.tensorboard")
-
-
-@pytest.fixture(autouse=True)
-def _beside(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    yield from beside_the_experiments(monkeypatch)
 
 
 def line(name: str, **said: object) -> dict:

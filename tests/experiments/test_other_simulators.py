@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 
@@ -10,16 +9,10 @@ import pytest
 
 from rotorid_torch.run.folder import run_folder
 from tests.experiments.test_experiments import quick
-from tests.experiments.test_undeclared_effects import beside_the_experiments
 from tests.helpers import shared
 
 pytest.importorskip("tyro", reason="experiments need the extra 'experiments'")
 pytest.importorskip("torch.utils.tensorboard")
-
-
-@pytest.fixture(autouse=True)
-def _beside(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    yield from beside_the_experiments(monkeypatch)
 
 
 def line(name: str, **said: object) -> dict:

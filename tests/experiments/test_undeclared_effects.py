@@ -3,8 +3,6 @@
 import dataclasses
 import json
 import os
-import sys
-from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -13,28 +11,9 @@ import numpy as np
 import pytest
 
 from tests.experiments.test_experiments import quick
-from tests.helpers import ROOT
 
 pytest.importorskip("tyro", reason="experiments need the extra 'experiments'")
 pytest.importorskip("torch.utils.tensorboard")
-
-
-def beside_the_experiments(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Their modules are imported by bare names, and forgotten again."""
-    monkeypatch.syspath_prepend(str(ROOT / "experiments"))
-    yield
-    for name in [n for n, m in sys.modules.items() if _is_experiment(m)]:
-        del sys.modules[name]
-
-
-@pytest.fixture(autouse=True)
-def _beside(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    yield from beside_the_experiments(monkeypatch)
-
-
-def _is_experiment(module: object) -> bool:
-    file = getattr(module, "__file__", None)
-    return file is not None and Path(file).parent == ROOT / "experiments"
 
 
 def study() -> ModuleType:

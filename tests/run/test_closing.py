@@ -10,6 +10,7 @@ import pytest
 import rotorid_torch as rotorid
 from rotorid_torch.data import Dataset
 from rotorid_torch.model.save import load
+from rotorid_torch.run import limits
 from rotorid_torch.run.records import read_report
 from tests.known_models import flown, manoeuvres, rate_vehicle, with_values
 
@@ -36,7 +37,9 @@ def hiding(effect: str, parameter: str, value: float, moves: dict[str, np.ndarra
 @pytest.fixture(scope="module")
 def closed(tmp_path_factory: pytest.TempPathFactory) -> tuple[rotorid.Loop, Path]:
     place = tmp_path_factory.mktemp("closed") / "RUN"
-    return rotorid.close_loop(late(0.06), out=place, hybrid=True), place
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(limits, "of_rotors", lambda spec, fit: [f"remarked of {' '.join(spec.effects) or 'nothing'}"])
+        return rotorid.close_loop(late(0.06), out=place, hybrid=True), place
 
 
 def test_the_report_names_the_delay_with_its_error(closed: tuple[rotorid.Loop, Path]):
@@ -61,6 +64,13 @@ def test_unseen_flights_are_better_after_than_before(closed: tuple[rotorid.Loop,
     assert before is not None
     assert after is not None
     assert after < 0.5 * before
+
+
+def test_what_is_remarked_is_of_the_model_after(closed: tuple[rotorid.Loop, Path]):
+    loop, _ = closed
+    remarked = [w for w in loop.record.warnings if w.startswith("remarked of")]
+    assert remarked == [f"remarked of {' '.join(loop.spec.effects)}"]
+    assert "control.delay" in remarked[0]
 
 
 def test_the_run_holds_model_pictures_and_page(closed: tuple[rotorid.Loop, Path]):

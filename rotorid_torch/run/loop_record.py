@@ -1,0 +1,53 @@
+"""What a closed loop found, as records for the report."""
+
+from __future__ import annotations
+
+import msgspec
+
+from rotorid_torch.model.model import Model
+from rotorid_torch.run.pipeline import Run
+from rotorid_torch.run.records import EffectRecord, ParameterRecord, Role, VisibleRecord
+from rotorid_torch.trace.finding import Finding
+from rotorid_torch.trace.kinematic_findings import KinematicFinding
+
+
+def of_sensors(found: KinematicFinding) -> Finding:
+    """A kinematic finding as one of the loop; its gain is in squares of the noise."""
+    values = {p.name: (p.value, p.se) for p in found.parameters if p.accepted}
+    return Finding(
+        found.id,
+        "undeclared",
+        found.verdict,
+        found.reason,
+        found.gain,
+        found.floor,
+        found.smallest_visible,
+        found.group,
+        values,
+    )
+
+
+def effect_record(finding: Finding, model: Model, after: Run | None) -> EffectRecord:
+    """A finding for the report; parameters are those of the fit after, where that estimated them."""
+    own = f"{finding.id}."
+    fitted = [p for p in after.fit.parameters if p.name.startswith(own) and p.se] if after else []
+    traced = [
+        ParameterRecord(name=n, value=v, se=e, unit=_unit(model, n), status="free" if e > 0.0 else "frozen")
+        for n, (v, e) in finding.values.items()
+    ]
+    visible = finding.smallest_visible
+    return EffectRecord(
+        id=finding.id,
+        role=msgspec.convert(finding.role, Role),  # pyright: ignore[reportArgumentType]
+        verdict=finding.verdict,
+        reason=finding.reason,
+        gain=finding.gain,
+        floor=finding.floor,
+        smallest_visible=None if visible is None else VisibleRecord(value=visible[0], unit=visible[1]),
+        group=finding.group,
+        parameters=tuple(fitted or traced),
+    )
+
+
+def _unit(model: Model, name: str) -> str:
+    return next((p.unit for p in model.parameter_set.parameters if p.name == name), "")
