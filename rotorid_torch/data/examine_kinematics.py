@@ -11,7 +11,8 @@ from rotorid_torch.data import consistency
 from rotorid_torch.data.consistency import Agreement, Pair, agreement
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.finding import Finding, Severity, finding
-from rotorid_torch.data.precedence import Response, responses
+from rotorid_torch.data.late_controls import LateControls, followed_sticks, known_responses, late_controls
+from rotorid_torch.data.precedence import Response
 
 Group = tuple[str, str, Callable[[Dataset], tuple[Pair, ...]]]
 
@@ -26,8 +27,6 @@ SCALE = 0.04
 """Scale error that is worth a word."""
 SURE, SURE_LAG = 4.0, 3.0
 """Standard errors that make a finding; of a lag, whose size must mean something besides."""
-EARLY_S = 0.01
-"""Smallest time by which a response must precede its control to be told."""
 
 
 def kinematics(dataset: Dataset) -> Iterator[Finding]:
@@ -142,46 +141,38 @@ def _bias(a: Agreement, dataset: Dataset) -> Iterator[Finding]:
 
 def precedence(dataset: Dataset) -> Iterator[Finding]:
     """Responses that seem to come before their controls, delays that differ between flights, and right ones."""
-    flights = [dataset.flights[name] for name in dataset.identify]
-    sticks = [a for pair in consistency.stick_pairs(dataset) if (a := agreement(pair, flights)) is not None]
-    seen = [a for a in sticks if a.r2 > 0.6]
-    for a in seen:
+    sticks = followed_sticks(dataset)
+    for a in sticks:
         yield from _drift(a)
-    early = [a for a in seen if a.r2 > 0.7 and a.lag_s < -max(SURE_LAG * a.lag_se, 2.0 * EARLY_S)]
-    if early:
-        yield _late_sticks(early)
-    if not sticks:
-        yield from _controls_against_accelerations(dataset)
+    late = late_controls(dataset)
+    if late is not None and late.sticks:
+        yield _late_sticks(late)
+    elif late is not None:
+        yield _late_controls(late, dataset)
+    elif not sticks and (known := known_responses(dataset)):
+        told = f"the accelerations follow the controls: {_lags(known, 1.0)} (delay and lag of the whole path together)."
+        yield finding("good", " ".join(r.channel for r in known), told)
 
 
-def _late_sticks(early: Sequence[Agreement]) -> Finding:
-    weights = np.array([a.lag_se**-2.0 for a in early])
-    lag, error = float(weights @ [-a.lag_s for a in early] / weights.sum()), float(weights.sum() ** -0.5)
+def _late_sticks(late: LateControls) -> Finding:
     told = ", ".join(
-        f"{a.pair.right_name} against {a.pair.left_name} {-a.lag_s:.3f} s (± {a.lag_se:.3f})" for a in early
+        f"{a.pair.right_name} against {a.pair.left_name} {-a.lag_s:.3f} s (± {a.lag_se:.3f})" for a in late.sticks
     )
     return finding(
         "warning",
-        " ".join(a.pair.right_name for a in early),
-        f"the sticks are stamped {lag:.3f} s (± {error:.3f}) late against the rates ({told}):",
+        " ".join(a.pair.right_name for a in late.sticks),
+        f"the sticks are stamped {late.seconds:.3f} s (± {late.se:.3f}) late against the rates ({told}):",
         "the response seems to come first, which no aircraft does: the streams are misaligned by that and by what",
-        f"the aircraft lags besides. Shift all sticks {lag:.3f} s earlier, or expect every delay at its bound of zero;",
-        "no lag or delay of the control path can be told from these streams.",
+        f"the aircraft lags besides. Shift all sticks {late.seconds:.3f} s earlier (close-loop does), or expect every",
+        "delay at its bound of zero; no lag or delay of the control path can be told from these streams.",
     )
 
 
-def _controls_against_accelerations(dataset: Dataset) -> Iterator[Finding]:
-    known = [r for r in responses(dataset) if r.r2 > 0.5 and r.gain > 0.1 and r.lag_se < 0.02]
-    early = [r for r in known if r.lag_s < -max(SURE * r.lag_se, EARLY_S)]
-    if early:
-        told = f"{_lags(early, -1.0)} before the controls move: the response seems to come first."
-        advice = (
-            "The controls' stream is late, or these streams are early. Shift them onto one clock before identifying."
-        )
-        yield finding("warning", " ".join(dataset.controls), told, advice)
-    elif known:
-        told = f"the accelerations follow the controls: {_lags(known, 1.0)} (delay and lag of the whole path together)."
-        yield finding("good", " ".join(r.channel for r in known), told)
+def _late_controls(late: LateControls, dataset: Dataset) -> Finding:
+    told = f"{_lags(late.accelerations, -1.0)} before the controls move: the response seems to come first."
+    cause = f"The controls' stream is late by at least {late.seconds:.3f} s, or these streams are early."
+    advice = "Shift them onto one clock before identifying, or let sensors.delay be found by close-loop."
+    return finding("warning", " ".join(dataset.controls), told, cause, advice)
 
 
 def _lags(found: Sequence[Response], sign: float) -> str:

@@ -166,6 +166,10 @@ class Effect(nn.Module):
         """
         return frame, x
 
+    def read(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
+        """The controls [..., T, n] as they were, from what sensors that err recorded of them; before any `tape`."""
+        return record
+
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """The record [..., T, n] as it reaches the next stage: of controls, or, where sensors act, of outputs."""
         return record

@@ -8,7 +8,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.names import ATTITUDES, FLAPPING, RATES, SPECIFIC_FORCES, VELOCITIES, unit
+from rotorid_torch.core.names import ATTITUDES, FLAPPING, RATES, SPECIFIC_FORCES, VELOCITIES, is_control, unit
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.core.rigid import cross, specific_force_at
 from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Values
@@ -174,18 +174,28 @@ def _per_channel(p: Values, names: tuple[str, ...]) -> Tensor:
 class SensorDelay(_Sensor):
     """Channels of one unit late against the others: y(t) is recorded at t + delay (early where negative).
 
+    `controls` is the same for the record of the controls, the response to which seems to come first: the model then
+    looks ahead in that record. Controls that act later than they are recorded are `control.delay`.
+
     Source: Tischler and Remple, Aircraft and Rotorcraft System Identification, sec. 6.4 (instrumentation delays).
     """
 
     id = "sensors.delay"
 
     def __init__(self, channels: tuple[str, ...]) -> None:
-        super().__init__(_of_units(channels, -0.3, 0.3, 0.05, "delay"))
+        late = "time by which the record of the controls is late"
+        own = Parameter("controls", 0.0, "s", (0.0, 0.5), free=False, doc=late, typical=0.05)
+        super().__init__((*_of_units(channels, -0.3, 0.3, 0.05, "delay"), own))
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> SensorDelay:
-        """One delay per unit among the outputs."""
+        """One delay per unit among the outputs, and that of the controls' record."""
         return cls(spec.outputs)
+
+    def read(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
+        """Controls [..., T, nu] earlier by their delay; the record's end is held."""
+        late = torch.stack([p["controls"] if is_control(n) else 0.0 * p["controls"] for n in names], dim=-1)
+        return shifted(record, -late, dt)
 
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Outputs [..., T, ny], each unit's by its delay later."""

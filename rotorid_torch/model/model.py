@@ -171,7 +171,13 @@ class Model(nn.Module):
         return self.outputs_at(self.theta, x, u)
 
     def tape(self, controls: Tensor, dt: float) -> Tensor:
-        """The control record [..., T, nu] as it reaches the rotor: control-path effects, once over the whole record."""
+        """The control record [..., T, nu] as it reaches the rotor, once over the whole record.
+
+        What sensors did to the record is undone first; then the effects of the control path act.
+        """
+        for k, effect in enumerate(self.chain):
+            if effect.stage is Stage.SENSORS:
+                controls = effect.read(controls, self.body.controls, dt, self.values(self.theta, k))
         return self._taped(Stage.CONTROL, controls, self.body.controls, dt)
 
     def recorded(self, outputs: Tensor, dt: float) -> Tensor:

@@ -34,9 +34,9 @@ from rotorid_torch.run.records import (
 )
 from rotorid_torch.run.write import write_report
 from rotorid_torch.trace.clean import clean_floors
+from rotorid_torch.trace.control_clock import sensor_findings
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.fits import Fitted, Flights, refit
-from rotorid_torch.trace.kinematics import kinematic_findings
 from rotorid_torch.trace.loop import Tracing, trace
 from rotorid_torch.trace.multirotor import Identified, trace_rotors
 from rotorid_torch.trace.network import learn
@@ -116,7 +116,7 @@ def _closed(dataset: Dataset, seed: int, device: str, monitor: Monitor, hybrid: 
     steps = Steps(monitor, ALONE, Checkpoint(), device)
     first = identified(dataset, (), seed, steps)
     with monitor.step("trace"):
-        sensors = kinematic_findings(at_one_rate(dataset))
+        sensors = sensor_findings(at_one_rate(dataset))
     right = sensors.corrected(at_one_rate(dataset))
     for name, value in sensors.values.items():
         monitor.say(f"sensors: {name} = {value:.4g}")

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 import torch
 
-from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
+from rotorid_torch.core.names import RATES, SPECIFIC_FORCES, is_control
 from rotorid_torch.data.consistency import kernel
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.facts import Facts
@@ -53,7 +53,7 @@ def _noise(dataset: Dataset, errors: Mapping[str, float]) -> dict[str, ChannelSp
 
 def without_errors_of_flight(flight: Flight, errors: Mapping[str, float]) -> Flight:
     """The same for one flight."""
-    x = {name: _on_time(flight, name, errors) for name in flight.channels if unit_of(name) or name.endswith("dot")}
+    x = {name: _on_time(flight, name, errors) for name in flight.channels if _unit(name) or name.endswith("dot")}
     x = without_static_errors(x, errors)
     arm = np.array([errors.get(f"lever_arm.{axis}", 0.0) for axis in "xyz"])
     if arm.any() and all(name in x for name in RATES):
@@ -63,8 +63,13 @@ def without_errors_of_flight(flight: Flight, errors: Mapping[str, float]) -> Fli
     return Flight(flight.name, flight.dt, MappingProxyType(channels))
 
 
+def _unit(name: str) -> str:
+    """Channels that share a clock: a sensor's, or the controls."""
+    return "controls" if is_control(name) else unit_of(name)
+
+
 def _on_time(flight: Flight, name: str, errors: Mapping[str, float]) -> Array:
-    values, unit = flight.channels[name].numpy(), unit_of(name)
+    values, unit = flight.channels[name].numpy(), _unit(name)
     delay, lag = errors.get(f"delay.{unit}", 0.0), errors.get(f"filter.{unit}", 0.0)
     if delay:
         margin = int(np.ceil(abs(delay) / flight.dt)) + 3

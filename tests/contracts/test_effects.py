@@ -93,8 +93,11 @@ def at_typical(model: Model, *effects: str) -> Tensor:
 
 
 def passed(model: Model, theta: Tensor, stage: Stage, record: Tensor) -> Tensor:
-    """A record after the control path or the sensors, for a theta [..., P]."""
+    """A record after the control path, what sensors did to it undone, or after the sensors, for a theta [..., P]."""
     names = model.body.controls if stage is Stage.CONTROL else model.body.outputs
+    for k, effect in enumerate(model.chain):
+        if stage is Stage.CONTROL and effect.stage is Stage.SENSORS:
+            record = effect.read(record, names, DT, model.values(theta, k))
     for k, effect in enumerate(model.chain):
         if effect.stage is stage:
             record = effect.tape(record, names, DT, model.values(theta, k))

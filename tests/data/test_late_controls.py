@@ -1,0 +1,90 @@
+"""Controls recorded late: told by at least their time where a response comes first, and nowhere else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rotorid_torch.data import Dataset, load
+from rotorid_torch.data.late_controls import late_controls
+from rotorid_torch.data.precedence import responses
+from rotorid_torch.trace.sensor_correction import without_errors
+from tests.helpers import shared
+
+DT, SAMPLES = 0.01, 1500
+CLEAN = ("uh60-hover", "uh60-delay", "ah1-hover", "uh60b-hover", "uh60-60kt", "uh60-x1", "uh60-x2", "uh60-x3")
+MULTIROTORS = ("nanodrone", "crazyflie-motors", "crazypad-normal", "crazypad-x1", "crazypad-x2")
+
+
+def commanded(late: float, lag: float = 0.0, seed: int = 0, drift: float = 0.0) -> Dataset:
+    """Rates that a stabilising unit makes of smooth sticks, behind a lag; sticks recorded late, drifting by flight."""
+    rng, flights = np.random.default_rng(seed), {}
+    time = DT * np.arange(SAMPLES)
+    for k in range(4):
+        hertz, phase = rng.uniform(0.2, 1.2, (2, 6)), rng.uniform(0, 2 * np.pi, (2, 6))
+
+        def sticks(t, hertz=hertz, phase=phase):
+            return 0.1 * np.sin(2 * np.pi * hertz[:, None] * t[:, None] + phase[:, None]).sum(-1)
+
+        moved = sticks(time)
+        p, q = moved[0], moved[1]
+        if lag:
+            kernel = np.exp(-time / lag)
+            p, q = (np.convolve(x, kernel / kernel.sum())[:SAMPLES] for x in (p, q))
+        shown = sticks(time - late - drift * k)
+        noise = 0.02 * rng.standard_normal((3, SAMPLES))
+        flights[f"f{k}"] = {
+            "time": time,
+            "lat": shown[0],
+            "lon": shown[1],
+            "p": 2.0 * p + noise[0],
+            "q": 2.3 * q + noise[1],
+            "r": noise[2],
+        }
+    return Dataset.from_arrays(flights, identify=list(flights), controls={c: {"unit": "norm"} for c in ("lat", "lon")})
+
+
+@pytest.mark.parametrize("late", [0.03, 0.06, 0.15])
+@pytest.mark.parametrize("seed", range(3))
+def test_late_sticks_are_told_within_three_standard_errors(late: float, seed: int) -> None:
+    found = late_controls(commanded(late, seed=seed))
+    assert found is not None
+    assert {a.pair.right_name for a in found.sticks} == {"lat", "lon"}
+    assert abs(found.seconds - late) < 3.0 * found.se
+    assert found.se < 0.2 * late
+
+
+@pytest.mark.parametrize(("late", "lag"), [(0.0, 0.0), (0.0, 0.08), (0.01, 0.0), (0.06, 0.08)])
+def test_a_response_that_does_not_clearly_precede_is_no_finding(late: float, lag: float) -> None:
+    assert late_controls(commanded(late, lag)) is None
+
+
+def test_clocks_that_drift_to_either_side_are_no_common_delay() -> None:
+    assert late_controls(commanded(0.25, drift=-0.1)) is None
+
+
+@pytest.mark.parametrize("name", [*CLEAN, *MULTIROTORS, "trex550-translation"])
+def test_nothing_is_told_where_streams_belong_together(name: str) -> None:
+    dataset = load(shared("flightdata", name))
+    assert late_controls(dataset) is None
+    # margin: what precedes at all does so by less than a sample of these flights
+    known = [r for r in responses(dataset) if r.r2 > 0.5 and r.gain > 0.1 and r.lag_se < 0.02]
+    if name in CLEAN:
+        assert known
+        assert min(r.lag_s for r in known) > -0.006
+
+
+@pytest.mark.parametrize("name", ["uh60-hover", "uh60b-hover"])
+def test_blade_angles_recorded_late_are_told_by_what_responds_first(name: str) -> None:
+    late = without_errors(load(shared("flightdata", name)), {"delay.controls": -0.1})
+    found = late_controls(late)
+    assert found is not None
+    assert found.accelerations
+    assert 0.07 < found.seconds < 0.1 + 0.005
+
+
+def test_measured_sticks_that_are_late() -> None:
+    found = late_controls(load(shared("flightdata", "trex550-rates")))
+    assert found is not None
+    assert found.seconds == pytest.approx(0.054, abs=0.003)
+    assert found.clearest == "p"
