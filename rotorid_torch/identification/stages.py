@@ -84,6 +84,11 @@ class Estimate:
         """Parameters [P]."""
         return self.minimum.point.theta
 
+    @property
+    def errors(self) -> Tensor:
+        """Standard errors [P], infinite where a parameter lies on a bound or cannot be told."""
+        return _errors(self)
+
 
 @dataclass(frozen=True)
 class Fit:
@@ -99,6 +104,11 @@ class Fit:
     def theta(self) -> Tensor:
         """Parameters [P]."""
         return self.minimum.point.theta
+
+    @property
+    def errors(self) -> Tensor:
+        """Standard errors [P], infinite where a parameter lies on a bound or cannot be told."""
+        return _errors(self)
 
     def estimate(self) -> Estimate:
         """The fit without its flights."""
@@ -175,9 +185,17 @@ def fit(
         samples = stages.next(samples, problem, found.point)
     assert best is not None
     problem, found = stages.finish(*best, rough)
-    told = ~(found.at_bound | found.not_identifiable)
-    errors = uncertainty(problem, found.point, found.linear, told, _loss(problem, found))
+    errors = uncertainty(problem, found.point, found.linear, _told(found), _loss(problem, found))
     return Fit(problem, found, errors, tuple(stages.account), settings.floor)
+
+
+def _told(minimum: Minimum[Place]) -> Tensor:
+    """Mask [P] of the parameters that were estimated."""
+    return ~(minimum.at_bound | minimum.not_identifiable)
+
+
+def _errors(fit: Fit | Estimate) -> Tensor:
+    return torch.where(_told(fit.minimum), fit.uncertainty.standard_errors, torch.inf)
 
 
 def _options(last: Options, rough: bool, tentative: bool) -> Options:

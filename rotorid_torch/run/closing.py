@@ -128,7 +128,7 @@ def _closed(dataset: Dataset, seed: int, device: str, monitor: Monitor, hybrid: 
     again = partial(_again, dataset=dataset, steps=steps)
     wrong = partial(again, first, seen=at_one_rate(dataset), sensors={})
     rerun = partial(again, base, seen=right, sensors=sensors.values)
-    before, after = _before_and_after(first, tracing, bool(sensors.effects), wrong, rerun)
+    before, after, tracing = _before_and_after(first, tracing, bool(sensors.effects), wrong, rerun)
     stays = after is not None and set(tracing.structure) <= set(after.spec.effects)
     traced = tracing.findings if stays else _dropped(tracing)
     findings = [*map(of_sensors, sensors.findings), *_replaced(traced, shaken)]
@@ -146,8 +146,8 @@ def _closed(dataset: Dataset, seed: int, device: str, monitor: Monitor, hybrid: 
 
 def _before_and_after(
     first: Run, tracing: Tracing, sensors: bool, wrong: Callable[..., Run], right: Callable[..., Run]
-) -> tuple[Run, Run | None]:
-    """The best run without what was traced, and the best with it; none where nothing stays.
+) -> tuple[Run, Run | None, Tracing]:
+    """The best run without what was traced, the best with it or none where nothing stays, and the tracing that stands.
 
     first : the nominal model. sensors : whether sensors err. wrong, right : the three steps again for a spec from
     values, on records as they are and on those without the sensors' errors. A multirotor's free runs decide nothing.
@@ -156,11 +156,16 @@ def _before_and_after(
     if tracing.accepted or sensors:
         shapes = [final.spec, *([_without(final.spec, tracing.structure)] if tracing.structure else [])]
         before = _best([first, wrong(null.spec, null.values)]) if tracing.structure else first
-        return before, _best([right(shape, final.values) for shape in shapes])
+        after = _best([right(shape, final.values) for shape in shapes])
+        if tracing.accepted and not first.spec.motors:
+            without = right(null.spec, null.values) if sensors else before
+            if _best([without, after]) is without:
+                return _before_and_after(first, _refused(tracing), sensors, wrong, right)
+        return before, after, tracing
     if tracing.structure:
         after = _best([first, right(final.spec, final.values)])
-        return first, None if after is first else after
-    return first, None
+        return first, None if after is first else after, tracing
+    return first, None, tracing
 
 
 def _traced(base: Run, flights: Flights, seed: int, monitor: Monitor) -> Tracing:
@@ -184,7 +189,7 @@ def _rotors_traced(base: Run, flights: Flights, seed: int, monitor: Monitor) -> 
 
     def fit(spec: ModelSpec) -> Identified:
         _, model, _, found = estimated(spec, flights.dataset, flights.reconstruction, quiet)
-        errors = dict(zip(found.names, found.fit.uncertainty.standard_errors.tolist(), strict=True))
+        errors = dict(zip(found.names, found.fit.errors.tolist(), strict=True))
         return Identified(spec, model, errors)
 
     # what step 2 could not tell without an effect may be told with it
@@ -225,6 +230,15 @@ def _best(runs: Sequence[Run]) -> Run:
 def _without(spec: ModelSpec, effects: Sequence[str]) -> ModelSpec:
     """The spec without these effects."""
     return msgspec.structs.replace(spec, effects=tuple(e for e in spec.effects if e not in effects))
+
+
+def _refused(tracing: Tracing) -> Tracing:
+    """The tracing without the undeclared effects that it accepted: identified again, the model is no better by them."""
+    said = "it describes segments of flights, but identified again with it, the model's free runs are no better"
+    members = {e for others in tracing.groups.values() for e in others} | set(tracing.accepted)
+    refused = partial(replace, verdict="rejected", reason=said, group=())
+    findings = tuple(refused(f) if f.id in members else f for f in tracing.findings)
+    return replace(tracing, final=tracing.null, accepted=(), groups={}, findings=findings)
 
 
 def _dropped(tracing: Tracing) -> list[Finding]:

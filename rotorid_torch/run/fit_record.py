@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import msgspec
@@ -34,13 +34,12 @@ from rotorid_torch.run.records import (
 )
 from rotorid_torch.run.summary import SHOWN
 from rotorid_torch.validate import scores
-from rotorid_torch.validate.free_run import Runs, Windows, free_run, windows
+from rotorid_torch.validate.free_run import Runs, Windows
 from rotorid_torch.validate.predictions import UNITS, predictions
 from rotorid_torch.validate.responses import responses
+from rotorid_torch.validate.windows import all_windows, window_J
 
 RESPONSE_UNITS = dict.fromkeys(ANGULAR_ACCELERATIONS, "rad/s2") | dict.fromkeys(SPECIFIC_FORCES, "m/s2")
-TOGETHER = 100_000
-"""Samples of windows that are run at once; what is known of them takes a hundred megabytes."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +95,7 @@ def judge(model: Model, dataset: Dataset, ranks: Ranks = ALONE) -> Judged:
     records, overlays = dict[str, FlightRecord](), dict[str, Overlay]()
     shown = {name for flights in (dataset.identify, dataset.validate, dataset.acid) for name in flights[:SHOWN]}
     run = Runs.of(model)
-    for name, piece, outputs in _all_windows(model, dataset, ranks.mine(tuple(dataset.flights)), run):
+    for name, piece, outputs in all_windows(model, dataset, ranks.mine(tuple(dataset.flights)), run):
         records[name] = _flight(model, dataset, name, piece, outputs)
         if dataset.kind == "multirotor":
             records[name] = _without_free_run(model, dataset.flights[name], records[name], run)
@@ -111,46 +110,12 @@ def judge(model: Model, dataset: Dataset, ranks: Ranks = ALONE) -> Judged:
     return Judged(ordered, ScoresRecord(**totals), tuple(overlays[name] for name in ordered if name in overlays))
 
 
-def _all_windows(
-    model: Model, dataset: Dataset, names: Sequence[str], run: Runs
-) -> Iterator[tuple[str, Windows, Tensor]]:
-    """All windows of these flights with their outputs, some flights at once; by sample interval."""
-    by_step = defaultdict(list)
-    for name in names:
-        by_step[dataset.facts[name].dt].append(name)
-    groups = [(dt, group) for dt, names in by_step.items() for group in _groups(dataset, names, dt)]
-    for dt, names in groups:
-        samples = min(scores.horizon_samples(dt), max(dataset.facts[name].samples for name in names))
-        starts = {name: scores.window_starts(dataset.facts[name].samples, dt) for name in names}
-        places = [(name, k) for name in names for k in starts[name]]
-        pieces = windows(model, dataset, places, samples)
-        _, outputs = free_run(model, pieces, run)
-        first = 0
-        for name in names:
-            own = range(first, first + len(starts[name]))
-            yield name, pieces.pick(own), outputs[list(own)]
-            first = own.stop
-        del pieces, outputs  # before the next group's
-
-
-def _groups(dataset: Dataset, names: Sequence[str], dt: float) -> Iterator[list[str]]:
-    """Flights whose windows are run at once."""
-    group, total = [], 0
-    for name in names:
-        own = len(scores.window_starts(dataset.facts[name].samples, dt)) * scores.horizon_samples(dt)
-        if group and total + own > TOGETHER:
-            yield group
-            group, total = [], 0
-        group, total = [*group, name], total + own
-    yield group
-
-
 def _flight(model: Model, dataset: Dataset, name: str, piece: Windows, outputs: Tensor) -> FlightRecord:
     scored = [c for c in dataset.scored() if c in model.body.outputs]
     places = [model.body.outputs.index(c) for c in scored]
     scale = torch.tensor([dataset.scales()[c] for c in scored], dtype=torch.float64)
     noise = torch.tensor([dataset.noise(c) for c in scored], dtype=torch.float64)
-    J = scores.flight_J((outputs - piece.measured)[..., places], scale)
+    J = window_J(model, dataset, piece, outputs)
     first = piece.measured[0]
     spread = scores.window_statistics(J)
     return FlightRecord(

@@ -13,6 +13,7 @@ from rotorid_torch.model.model import Model
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.fits import Fitted, Residual
 from rotorid_torch.trace.screen import Screen
+from rotorid_torch.trace.significance import helps
 
 SURE = 3.0
 """Standard errors from its null beyond which a parameter is believed."""
@@ -23,6 +24,12 @@ STEADY = 2.0
 def unseen_gain(null: Fitted, candidate: Fitted) -> Tensor:
     """Mean over the channels of log(rms without / rms with) on each flight that no fit has seen [F]."""
     return _gains(null.unseen, candidate.unseen)
+
+
+def free_run_gain(null: Fitted, candidate: Fitted) -> Tensor:
+    """log(J without / J with) of the free runs of each of these flights that has them [F]."""
+    found = (null.free_runs / candidate.free_runs).log()
+    return found[~found.isnan()]
 
 
 def gain(null: Fitted, candidate: Fitted) -> float:
@@ -50,17 +57,11 @@ def objection(null: Fitted, candidate: Fitted, effect: str, floor: float, screen
     ]
     if not any(steady):
         return "its size differs from flight to flight"
-    better = unseen_gain(null, candidate)
-    if not helps(better):
-        return f"it does not help on flights that no fit has seen ({int((better > 0).sum())} of {len(better)} better)"
+    for better, how in ((unseen_gain(null, candidate), "flights"), (free_run_gain(null, candidate), "free runs")):
+        if not helps(better):
+            count = f"{int((better > 0).sum())} of {len(better)} better"
+            return f"it does not help on {how} that no fit has seen ({count})"
     return None
-
-
-def helps(better: Tensor) -> bool:
-    """Whether unseen flights [F] gain: in the mean by more than its standard error, and at least half of them."""
-    count = len(better)
-    error = float(better.std() / math.sqrt(count)) if count > 1 else 0.0
-    return float(better.mean()) > error and int((better > 0).sum()) * 2 >= count
 
 
 def at_edge(model: Model, effect: str) -> str | None:

@@ -28,6 +28,7 @@ from rotorid_torch.identification.system import System
 from rotorid_torch.identification.whitening import Noise
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
+from rotorid_torch.validate.windows import flights_J
 
 SEGMENT_S = 5.0
 """Length of the segments that all models are compared on, s."""
@@ -89,15 +90,20 @@ class Fitted:
         return float(self.fit.likelihood.samples)
 
     def error(self, name: str) -> float:
-        """Standard error of a parameter, infinite where it was not estimated."""
+        """Standard error of a parameter, infinite where it was not estimated or cannot be told."""
         if name not in self.names:
             return math.inf
-        return float(self.fit.uncertainty.standard_errors[self.names.index(name)])
+        return float(self.fit.errors[self.names.index(name)])
 
     @cached_property
     def unseen(self) -> Residual:
         """The flights that decide, under this model."""
         return _unseen(self)
+
+    @cached_property
+    def free_runs(self) -> Tensor:
+        """J of each of these flights [F], over all its windows of 8 s; NaN where there is no free run."""
+        return flights_J(self.model, self.flights.dataset, self.flights.unseen)
 
     @cached_property
     def seen(self) -> Residual:

@@ -18,7 +18,6 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.decide import (
     errors,
     gain,
-    helps,
     left_over,
     objection,
     rivals,
@@ -29,8 +28,10 @@ from rotorid_torch.trace.finding import Finding, Unknown
 from rotorid_torch.trace.fits import Fitted, Flights, refit
 from rotorid_torch.trace.floor import Floors
 from rotorid_torch.trace.residual import left_over as left_over_of
-from rotorid_torch.trace.residual import scan, unknown
+from rotorid_torch.trace.residual import scan
 from rotorid_torch.trace.screen import Screen, screen
+from rotorid_torch.trace.significance import helps
+from rotorid_torch.trace.unexplained import unknown
 
 FEW = 4
 """Candidates that are fitted in full in one round, those that explain most."""
@@ -237,8 +238,11 @@ def trace(
     usual = search.floors.of(first, undeclared)
     final, accepted = search.undeclared(null, undeclared)
     final, accepted = search.confirmed(final, accepted, usual)
-    over = left_over_of(final.model, flights.dataset, flights.reconstruction, flights.dataset.identify)
-    missing = unknown(scan(over), search.floors.of_traces(), over)
+    over, unseen = (
+        left_over_of(final.model, flights.dataset, flights.reconstruction, listed)
+        for listed in (flights.dataset.identify, flights.unseen)
+    )
+    missing = unknown(scan(over), search.floors.of_traces(), over, unseen)
     findings += _told(search, null, final, structure, accepted, undeclared, first, usual)
     return Tracing(
         null,

@@ -20,10 +20,11 @@ from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model
-from rotorid_torch.trace.decide import SURE, at_edge, helps
+from rotorid_torch.trace.decide import SURE, at_edge
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.floor import family_wise
 from rotorid_torch.trace.loop import Tracing, candidates
+from rotorid_torch.trace.significance import helps
 from rotorid_torch.validate.responses import compared
 
 BLOCK_S = 1.0

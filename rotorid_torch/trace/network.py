@@ -20,10 +20,11 @@ from rotorid_torch.identification.gauss_newton import Options
 from rotorid_torch.identification.segments import Records, cut
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
-from rotorid_torch.trace.decide import gain, helps, unseen_gain
+from rotorid_torch.trace.decide import gain, unseen_gain
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.fits import SEGMENT_S, Fitted, Flights, Residual, refit
 from rotorid_torch.trace.residual import RATE, SMOOTH_S, LeftOver, left_over
+from rotorid_torch.trace.significance import helps
 
 STARTS = 2
 """Draws of the hidden layer that training begins from."""

@@ -20,7 +20,6 @@ from rotorid_torch.identification.reconstruct import Reconstruction
 from rotorid_torch.identification.step2 import measured
 from rotorid_torch.identification.step3 import averaged
 from rotorid_torch.model.model import Model
-from rotorid_torch.trace.finding import Unknown
 
 RATE = 20.0
 """Hz: records are averaged down to this; the body moves below a fifth of it."""
@@ -55,7 +54,10 @@ class Trace:
 
 @dataclass(frozen=True, eq=False)
 class LeftOver:
-    """Equations' residuals [N, rows] of all flights in one column, and what may go with them [N, k]."""
+    """Equations' residuals [N, rows] of all flights in one column, and what may go with them [N, k].
+
+    linear : what linear terms and a constant of each flight take up. flight : the flight of each sample [N].
+    """
 
     rows: tuple[str, ...]
     residual: Tensor
@@ -63,6 +65,17 @@ class LeftOver:
     signals: Tensor
     time: Tensor
     linear: Tensor
+    flight: Tensor
+
+    @property
+    def usual(self) -> Tensor:
+        """Rms of each signal [k]."""
+        return self.signals.square().mean(dim=0).sqrt().clamp_min(1e-300)
+
+    def beyond(self, values: Tensor) -> Tensor:
+        """Columns [N, m] less what linear terms take up."""
+        basis = torch.linalg.qr(self.linear).Q
+        return values - basis @ (basis.mT @ values)
 
 
 def left_over(model: Model, dataset: Dataset, reconstruction: Reconstruction, flights: Sequence[str]) -> LeftOver:
@@ -86,8 +99,9 @@ def left_over(model: Model, dataset: Dataset, reconstruction: Reconstruction, fl
         own[:, k] = 1.0
         constants.append(own)
     signals = torch.cat(columns)
-    linear = torch.cat([signals, torch.cat(constants)], dim=1)
-    return LeftOver(rows, torch.cat(residuals), names, signals, torch.cat(times), linear)
+    own = torch.cat(constants)
+    linear = torch.cat([signals, own], dim=1)
+    return LeftOver(rows, torch.cat(residuals), names, signals, torch.cat(times), linear, own.argmax(dim=1))
 
 
 def _modelled(model: Model, signals: Mapping[str, Tensor]) -> Tensor:
@@ -110,14 +124,9 @@ def _smooth(records: Tensor, width: int) -> Tensor:
 
 def scan(left: LeftOver) -> dict[str, Trace]:
     """The best trace of each equation."""
-    basis = torch.linalg.qr(left.linear).Q
-
-    def beyond(values: Tensor) -> Tensor:
-        return values - basis @ (basis.mT @ values)
-
-    names, columns = zip(*_shapes(left), *_onsets(left), strict=True)
-    tried = beyond(torch.stack(columns, dim=-1))
-    residual = beyond(left.residual) / len(left.residual) ** 0.5
+    names, columns = zip(*_shapes(left, left.usual), *_onsets(left), strict=True)
+    tried = left.beyond(torch.stack(columns, dim=-1))
+    residual = left.beyond(left.residual) / len(left.residual) ** 0.5
     sizes = ((tried / tried.norm(dim=0).clamp_min(1e-300)).mT @ residual).abs()
     shares = (sizes / residual.norm(dim=0).clamp_min(1e-300)).square()
     best = sizes.argmax(dim=0).tolist()
@@ -127,13 +136,18 @@ def scan(left: LeftOver) -> dict[str, Trace]:
     }
 
 
+def column(trace: Trace, left: LeftOver, usual: Tensor) -> Tensor:
+    """What a trace goes with on other flights [N]; zero where they end before it begins. usual : size of signals."""
+    columns = dict([*_shapes(left, usual), *_onsets(left)])
+    return columns.get((trace.goes_with, trace.shape, trace.since_s), torch.zeros_like(left.time))
+
+
 Named = tuple[tuple[str, str, float | None], Tensor]
 """What something goes with, how, since when; and its column [N]."""
 
 
-def _shapes(left: LeftOver) -> Iterator[Named]:
-    """What the motion and the controls make beyond linear terms."""
-    usual = left.signals.square().mean(dim=0).sqrt().clamp_min(1e-300)
+def _shapes(left: LeftOver, usual: Tensor) -> Iterator[Named]:
+    """What the motion and the controls, of usual sizes [k], make beyond linear terms."""
     for i, j in combinations_with_replacement(range(len(left.names)), 2):
         a, b = left.signals[:, i], left.signals[:, j]
         if i == j:
@@ -152,30 +166,3 @@ def _onsets(left: LeftOver) -> Iterator[Named]:
         for i, name in enumerate(left.names):
             yield (name, "", onset), left.signals[:, i] * after
         yield ("time", "", onset), after
-
-
-def unknown(traces: Mapping[str, Trace], floors: Mapping[str, float], left: LeftOver) -> Unknown | None:
-    """The equation whose trace stands highest above what clean aircraft leave; None where none does."""
-    above = {row: t.weight / floors[row] for row, t in traces.items() if floors.get(row, 0.0) > 0.0}
-    where = max(above, key=lambda row: above[row], default=None)
-    if where is None or above[where] <= 1.0:
-        return None
-    found, unit = traces[where], "m/s2" if where in FORCES else "rad/s2"
-    band = _band(left, where)
-    how = f" ({found.shape})" if found.shape else ""
-    began = "" if found.since_s is None else f", since {found.since_s:.1f} s into the flights"
-    said = (
-        f"Something is missing in {where}: {found.size:.2g} {unit} rms at {band[0]:.2g} to {band[1]:.2g} Hz go with"
-        f" {found.goes_with}{how}{began}; no effect of the library explains it."
-    )
-    return Unknown(where, band, found.goes_with, found.since_s, said)
-
-
-def _band(left: LeftOver, row: str) -> tuple[float, float]:
-    """Frequencies between which the middle 80 % of a residual's power lie, Hz."""
-    values = left.residual[:, left.rows.index(row)]
-    power = torch.fft.rfft(values - values.mean()).abs().square()
-    share = power.cumsum(0) / power.sum().clamp_min(1e-300)
-    hertz = torch.fft.rfftfreq(len(values), 1.0 / RATE, dtype=torch.float64)
-    low, high = (float(hertz[int((share >= s).nonzero()[0, 0])]) for s in (0.1, 0.9))
-    return low, high

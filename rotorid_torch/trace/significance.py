@@ -1,9 +1,11 @@
-"""Quantiles of the normal distribution, and of Student's t for few data."""
+"""What is more than chance: quantiles of few data, and whether flights that no fit has seen gain."""
 
 from __future__ import annotations
 
 import math
 from statistics import NormalDist
+
+from torch import Tensor
 
 
 def normal_quantile(upper_tail: float) -> float:
@@ -20,3 +22,12 @@ def student_quantile(normal: float, freedom: float) -> float:
     scale = (8.0 * freedom + 1.0) / (8.0 * freedom + 3.0)
     exponent = min((normal / scale) ** 2 / freedom, 700.0)
     return math.copysign(math.sqrt(freedom * math.expm1(exponent)), normal)
+
+
+def helps(better: Tensor) -> bool:
+    """Whether unseen flights [F] gain: in the mean by more than its standard error, and at least half of them."""
+    count = len(better)
+    if count == 0:
+        return True  # nothing was flown that could speak against it
+    error = float(better.std() / math.sqrt(count)) if count > 1 else 0.0
+    return float(better.mean()) > error and int((better > 0).sum()) * 2 >= count

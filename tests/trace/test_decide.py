@@ -8,25 +8,7 @@ from typing import Any
 import pytest
 import torch
 
-from rotorid_torch.trace.decide import helps, left_over, smallest_visible
-
-
-def gains(*numbers: float) -> torch.Tensor:
-    return torch.tensor(numbers, dtype=torch.float64)
-
-
-@pytest.mark.parametrize(
-    ("better", "answer"),
-    [
-        ((0.1, 0.12, 0.08, 0.11), True),
-        ((0.3, -0.2, -0.1, 0.25), False),
-        ((1.0, -0.01, -0.01, -0.01), False),
-        ((-0.1, -0.1), False),
-        ((0.1,), True),
-    ],
-)
-def test_flights_that_no_fit_has_seen_gain_more_than_by_chance(better: tuple[float, ...], answer: bool):
-    assert helps(gains(*better)) is answer
+from rotorid_torch.trace.decide import free_run_gain, left_over, objection, smallest_visible
 
 
 def screened(gain: float, shown: float, imitators: tuple[str, ...] = ()) -> Any:
@@ -59,3 +41,45 @@ def test_the_smallest_visible_size_grows_with_the_root_of_the_floor():
     value, unit = smallest_visible(screened(0.0, 0.01), "forces.drag", 0.0001) or (0.0, "")
     assert (value, unit) == (pytest.approx(0.02 * 0.1), "1/m")
     assert smallest_visible(screened(0.0, 0.0), "forces.drag", 0.0001) is None
+
+
+def fitted(cost: float, free_runs: tuple[float, ...], error: float = 0.01, value: float = 0.05) -> Any:
+    """A fit as decisions see it; its segments of unseen flights fit better the less it costs."""
+    size = torch.full((len(free_runs), 1), cost, dtype=torch.float64)
+    parameter = SimpleNamespace(name="forces.drag.x", value=0.0, bounds=(0.0, 1.0), free=True)
+    values = {"forces.drag.x": value}
+    return SimpleNamespace(
+        cost=cost,
+        per_sample=1.0,
+        values=values,
+        error=lambda name: error,
+        free_runs=torch.tensor(free_runs, dtype=torch.float64),
+        unseen=SimpleNamespace(size=lambda: size),
+        model=SimpleNamespace(parameter_set=SimpleNamespace(parameters=(parameter,)), named_values=values),
+    )
+
+
+def screening() -> Any:
+    signature = SimpleNamespace(effect="forces.drag", parameter="forces.drag.x", null=0.0)
+    return SimpleNamespace(signatures=(signature,), scatter=lambda effect: {"forces.drag.x": 0.001})
+
+
+@pytest.mark.parametrize(
+    ("candidate", "reason"),
+    [
+        (fitted(1.0, (0.08, 0.09)), None),
+        (fitted(1.0, (0.12, 0.14)), "free runs that no fit has seen (0 of 2 better)"),
+        (fitted(1.0, (0.08, 0.09), error=float("inf")), "within 3 of its standard errors"),
+        (fitted(1.0, (float("nan"), float("nan"))), None),
+        (fitted(2.5, (0.08, 0.09)), "no more than clean aircraft"),
+    ],
+)
+def test_free_runs_of_unseen_flights_decide_too(candidate: Any, reason: str | None):
+    said = objection(fitted(2.0, (0.1, 0.1)), candidate, "forces.drag", 0.1, screening())
+    assert (said is None) if reason is None else reason in (said or "")
+
+
+def test_flights_without_a_free_run_are_left_out():
+    nan = float("nan")
+    found = free_run_gain(fitted(1.0, (0.2, nan)), fitted(1.0, (0.1, nan)))
+    assert found.tolist() == pytest.approx([0.6931], rel=1e-3)

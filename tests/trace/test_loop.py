@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -79,3 +82,14 @@ def test_screens_repeat_exactly():
     _, null = started(flights())
     one, two = (screen(null, SUSPECTS, seed=5) for _ in range(2))
     assert torch.equal(one.products, two.products)
+
+
+def test_a_parameter_that_cannot_be_told_has_no_finite_error():
+    known, null = started(flights())
+    twice = refit(null.spec, known, null.values, held=[n for n in null.names if n != "forces.L.p"])
+    assert 0.0 < twice.error("forces.L.p") < math.inf
+    assert twice.error("forces.L.lat") == math.inf
+    blind = replace(
+        twice, fit=replace(twice.fit, minimum=replace(twice.fit.minimum, not_identifiable=torch.ones(1) > 0))
+    )
+    assert blind.error("forces.L.p") == math.inf

@@ -6,7 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from rotorid_torch.trace.residual import LeftOver, scan, unknown
+from rotorid_torch.trace.residual import LeftOver, scan
+from rotorid_torch.trace.unexplained import unknown
 
 ROWS = ("X", "Y", "Z", "L", "M", "N")
 NAMES = ("u", "p", "q", "col")
@@ -23,7 +24,7 @@ def left(row: str, extra: Tensor | None, noise: float = 0.05) -> LeftOver:
         residual[:, ROWS.index(row)] += extra
     time = STEP * torch.arange(SAMPLES, dtype=torch.float64).repeat(FLIGHTS)
     own = torch.eye(FLIGHTS, dtype=torch.float64).repeat_interleave(SAMPLES, 0)
-    return LeftOver(ROWS, residual, NAMES, signals, time, torch.cat([signals, own], dim=1))
+    return LeftOver(ROWS, residual, NAMES, signals, time, torch.cat([signals, own], dim=1), own.argmax(dim=1))
 
 
 @pytest.fixture
@@ -51,7 +52,7 @@ def test_a_curve_over_one_channel_is_told_by_the_channel_and_its_shape(signals: 
     over = left("M", shape(signals[:, 2]))
     found = scan(over)
     assert (found["M"].goes_with, found["M"].shape, found["M"].since_s) == ("q", said, None)
-    told = unknown(found, dict.fromkeys(ROWS, 0.05), over)
+    told = unknown(found, dict.fromkeys(ROWS, 0.05), over, over)
     assert told is not None
     assert f"go with q ({said})" in told.sentence
 
@@ -70,10 +71,29 @@ def test_what_linear_terms_can_take_up_is_not_left_over(signals: Tensor):
 def test_below_the_floors_nothing_is_told_and_above_them_no_name(signals: Tensor):
     over = left("L", signals[:, 1] * signals[:, 3])
     found = scan(over)
-    assert unknown(found, dict.fromkeys(ROWS, 1.5), over) is None
-    assert unknown(found, {}, over) is None
+    assert unknown(found, dict.fromkeys(ROWS, 1.5), over, over) is None
+    assert unknown(found, {}, over, over) is None
     assert found["L"].weight == pytest.approx(found["L"].size, rel=0.05)
-    told = unknown(found, dict.fromkeys(ROWS, 0.3), over)
+    told = unknown(found, dict.fromkeys(ROWS, 0.3), over, over)
     assert told is not None
     assert (told.where, told.goes_with) == ("L", "p col")
     assert told.band_hz[0] < told.band_hz[1]
+
+
+def test_what_unseen_flights_do_not_show_is_not_told(signals: Tensor):
+    product = signals[:, 1] * signals[:, 3]
+    over = left("L", product)
+    told = unknown(scan(over), dict.fromkeys(ROWS, 0.3), over, left("L", 0.8 * product))
+    assert told is not None
+    for other in (None, -product):
+        assert unknown(scan(over), dict.fromkeys(ROWS, 0.3), over, left("L", other)) is None
+
+
+def test_what_begins_after_the_end_of_unseen_flights_cannot_be_told(signals: Tensor):
+    time = STEP * torch.arange(SAMPLES, dtype=torch.float64).repeat(FLIGHTS)
+    over = left("M", signals[:, 2] * (time >= 6.0))
+    early = over.time < 5.0
+    short = LeftOver(
+        ROWS, over.residual[early], NAMES, signals[early], time[early], over.linear[early], over.flight[early]
+    )
+    assert unknown(scan(over), dict.fromkeys(ROWS, 0.1), over, short) is None

@@ -1,9 +1,10 @@
-"""Quantiles for few data against SciPy."""
+"""Quantiles for few data against SciPy; unseen flights gain by more than chance, or do not."""
 
 import pytest
+import torch
 from scipy import stats
 
-from rotorid_torch.trace.significance import normal_quantile, student_quantile
+from rotorid_torch.trace.significance import helps, normal_quantile, student_quantile
 
 
 @pytest.mark.parametrize("tail", [1e-2, 1e-4])
@@ -12,3 +13,17 @@ def test_student_is_near_the_exact_quantile(tail: float, freedom: int) -> None:
     assert normal_quantile(tail) == pytest.approx(stats.norm.isf(tail))
     exact = stats.t.isf(tail, freedom)
     assert 0.98 * exact < student_quantile(normal_quantile(tail), freedom) < 1.12 * exact
+
+
+@pytest.mark.parametrize(
+    ("better", "answer"),
+    [
+        ((0.1, 0.12, 0.08, 0.11), True),
+        ((0.3, -0.2, -0.1, 0.25), False),
+        ((1.0, -0.01, -0.01, -0.01), False),
+        ((-0.1, -0.1), False),
+        ((0.1,), True),
+    ],
+)
+def test_flights_that_no_fit_has_seen_gain_more_than_by_chance(better: tuple[float, ...], answer: bool):
+    assert helps(torch.tensor(better, dtype=torch.float64)) is answer
