@@ -57,10 +57,12 @@ def objection(null: Fitted, candidate: Fitted, effect: str, floor: float, screen
     ]
     if not any(steady):
         return "its size differs from flight to flight"
-    for better, how in ((unseen_gain(null, candidate), "flights"), (free_run_gain(null, candidate), "free runs")):
-        if not helps(better):
-            count = f"{int((better > 0).sum())} of {len(better)} better"
-            return f"it does not help on {how} that no fit has seen ({count})"
+    better = unseen_gain(null, candidate)
+    if not helps(better):
+        return f"it does not help on flights that no fit has seen ({int((better > 0).sum())} of {len(better)} better)"
+    runs = free_run_gain(null, candidate)
+    if len(runs) and helps(-runs):  # less sharp than segments, for they drift: they may only speak against it
+        return f"free runs of flights that no fit has seen are worse by it ({int((runs < 0).sum())} of {len(runs)})"
     return None
 
 

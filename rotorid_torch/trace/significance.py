@@ -27,7 +27,5 @@ def student_quantile(normal: float, freedom: float) -> float:
 def helps(better: Tensor) -> bool:
     """Whether unseen flights [F] gain: in the mean by more than its standard error, and at least half of them."""
     count = len(better)
-    if count == 0:
-        return True  # nothing was flown that could speak against it
     error = float(better.std() / math.sqrt(count)) if count > 1 else 0.0
     return float(better.mean()) > error and int((better > 0).sum()) * 2 >= count

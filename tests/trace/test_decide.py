@@ -68,7 +68,8 @@ def screening() -> Any:
     ("candidate", "reason"),
     [
         (fitted(1.0, (0.08, 0.09)), None),
-        (fitted(1.0, (0.12, 0.14)), "free runs that no fit has seen (0 of 2 better)"),
+        (fitted(1.0, (0.12, 0.14)), "free runs of flights that no fit has seen are worse by it (2 of 2)"),
+        (fitted(1.0, (0.12, 0.09)), None),
         (fitted(1.0, (0.08, 0.09), error=float("inf")), "within 3 of its standard errors"),
         (fitted(1.0, (float("nan"), float("nan"))), None),
         (fitted(2.5, (0.08, 0.09)), "no more than clean aircraft"),
