@@ -108,10 +108,11 @@ def _follow(model: Model, theta: Tensor, row: str, equation: Equation, flights: 
         replace(equation, response=_each(flights, rate_of), kind="value", prior_mean=None, prior_sd=None),
         others,
     )
-    rates = torch.tensor([-FOLLOWING if c == rate else 0.0 for c in RATES], dtype=torch.float64)
-    _store(model, theta, "forces", row, RATES, rates)
+    rates = [c for c in equation.names if c in RATES]
+    follow = torch.tensor([-FOLLOWING if c == rate else 0.0 for c in rates], dtype=torch.float64)
+    _store(model, theta, "forces", row, rates, follow)
     _store(model, theta, "forces", row, others, FOLLOWING * gains.coefficients)
-    return [f"forces.{row}.{c}" for c in RATES if c != rate]
+    return [f"forces.{row}.{c}" for c in rates if c != rate]
 
 
 def _store(model: Model, theta: Tensor, effect: str, row: str, names: Sequence[str], values: Tensor) -> None:

@@ -118,7 +118,7 @@ def _with_patterns(spec: ModelSpec, drivers: Sequence[str]) -> ModelSpec:
     forces = [f for f, a in zip(FORCES, SPECIFIC_FORCES, strict=True) if "u" in spec.states or a in spec.outputs]
     patterns = dict.fromkeys((*forces, *MOMENTS), columns)
     if sticks_alone(spec):
-        patterns |= dict.fromkeys(MOMENTS, tuple(c for c in columns if c not in VELOCITIES))
+        patterns |= {row: _commanded(row, columns) for row in patterns}
     if spec.flapping != "none":
         patterns |= dict.fromkeys(FLAPPING, columns)
     if spec.cyclic_inflow:
@@ -136,6 +136,24 @@ def _with_patterns(spec: ModelSpec, drivers: Sequence[str]) -> ModelSpec:
     flapping_time = FLAP_TIME if lagged else 1.0
     sizes |= {f"row.{row}": sizes[row] / flapping_time for row in FLAPPING if row in patterns}
     return msgspec.structs.replace(spec, patterns=patterns, reference=reference, sizes=sizes)
+
+
+def _commanded(row: str, columns: Sequence[str]) -> tuple[str, ...]:
+    """Regressors of a row where sticks command a unit that makes body rates of them, and holds these against the rest.
+
+    A rate follows its commands and is damped; it takes nothing from the other rates or from speed. Along the body only
+    drag is left, for the attitude says where thrust points; across the rotor the collective acts.
+    """
+    if not set(RATES) <= set(columns):
+        return tuple(c for c in columns if row not in MOMENTS or c not in VELOCITIES)
+    states = (*VELOCITIES, *RATES)
+    if row in MOMENTS:
+        own = RATES[MOMENTS.index(row)]
+        return tuple(c for c in columns if c == own or c not in states)
+    if not set(VELOCITIES) <= set(columns):
+        return tuple(columns)
+    own = VELOCITIES[FORCES.index(row)]
+    return tuple(c for c in columns if c == own or (row == "Z" and c == "col"))
 
 
 def sticks_alone(spec: ModelSpec) -> bool:

@@ -34,7 +34,7 @@ from rotorid_torch.run.records import (
 )
 from rotorid_torch.run.write import write_report
 from rotorid_torch.trace.clean import clean_floors
-from rotorid_torch.trace.control_clock import sensor_findings
+from rotorid_torch.trace.clocks import sensor_findings
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.fits import Fitted, Flights, refit
 from rotorid_torch.trace.loop import Tracing, trace

@@ -56,10 +56,11 @@ def test_a_loop_that_fails_leaves_the_given_effects(monkeypatch: pytest.MonkeyPa
         raise ValueError("not here")
 
     monkeypatch.setattr(module.rotorid, "close_loop", fails)
-    effects, source = module._effects(None, None, ("control.delay",), 0)
+    effects, source, run = module._effects(None, None, ("control.delay",), 0)
     assert effects == ("control.delay",)
+    assert run is None
     assert "ValueError" in source
-    assert module._effects(None, (), ("control.delay",), 0) == ((), "given")
+    assert module._effects(None, (), ("control.delay",), 0) == ((), "given", None)
 
 
 @pytest.mark.slow

@@ -105,17 +105,16 @@ def test_velocity_without_attitude_is_no_state():
     assert proposed((*RATES, "phi", "theta", "psi")).states == (*RATES, "phi", "theta")
 
 
-def test_sticks_of_an_undeclared_helicopter_leave_no_speed_in_the_moments():
+def test_sticks_of_an_undeclared_helicopter_command_its_rates_one_by_one():
     flights = {name: recorded(k, BODY, STICKS) for k, name in enumerate(("one", "two"))}
     sticks = {c: {"unit": "norm"} for c in STICKS}
-    for vehicle, columns in (
-        ({}, ("p", "q", "r", *STICKS)),
-        ({"mass": 800.0}, ("u", "v", "w", "p", "q", "r", *STICKS)),
-    ):
+    alone = {"L": ("p", *STICKS), "M": ("q", *STICKS), "N": ("r", *STICKS)}
+    alone |= {"X": ("u",), "Y": ("v",), "Z": ("w", "col")}
+    whole = dict.fromkeys(alone, ("u", "v", "w", "p", "q", "r", *STICKS))
+    for vehicle, patterns in (({}, alone), ({"mass": 800.0}, whole)):
         data = Dataset.from_arrays(flights, identify=["one", "two"], controls=sticks, vehicle=vehicle)
         spec = propose(data, Loads(data))  # pyright: ignore[reportArgumentType]
-        assert spec.patterns["L"] == columns
-        assert spec.patterns["X"] == ("u", "v", "w", "p", "q", "r", *STICKS)
+        assert spec.patterns == patterns
 
 
 def test_a_body_rate_that_no_flight_has_is_told():

@@ -7,11 +7,12 @@ import pytest
 import torch
 
 import rotorid_torch as rotorid
-from rotorid_torch.data import Dataset
+from rotorid_torch.data import Dataset, load
 from rotorid_torch.effects.base import Values
 from rotorid_torch.effects.sensors import SensorDelay
-from rotorid_torch.trace.control_clock import sensor_findings
+from rotorid_torch.trace.clocks import sensor_findings
 from rotorid_torch.trace.sensor_correction import without_errors
+from tests.helpers import shared
 from tests.known_models import flown, manoeuvres, rate_vehicle
 from tests.trace.kinematic_cases import data
 
@@ -65,6 +66,16 @@ def test_the_model_reads_the_late_record_ahead() -> None:
     read = effect.read(wave(time - 0.055), ("lat", "voltage"), DT, Values(vector, names))
     torch.testing.assert_close(read[:-5, 0], wave(time)[:-5, 0], atol=2e-4, rtol=0)
     assert torch.equal(read[:, 1], wave(time - 0.055)[:, 1])
+
+
+def test_velocities_without_accelerometers_are_told_in_a_group_with_drag() -> None:
+    measured = load(shared("flightdata", "trex550-translation"))
+    found = sensor_findings(measured)
+    clocks = found["sensors.delay"]
+    assert (clocks.verdict, clocks.group) == ("indistinguishable", ("forces.drag",))
+    assert found.values == {"sensors.delay.velocities": pytest.approx(-0.142, abs=0.01)}
+    assert len({p.name for p in clocks.parameters}) == len(clocks.parameters)
+    assert sensor_findings(found.corrected(measured)).effects == ()
 
 
 @pytest.mark.slow

@@ -1,0 +1,75 @@
+"""All clocks in one verdict: the sensors' by kinematics, velocities without accelerometers, and the controls."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.late_controls import SURE_STICKS, LateControls, late_controls
+from rotorid_torch.data.velocity_clock import IMITATED_S, VelocityClock, velocity_clock
+from rotorid_torch.trace.kinematic_findings import KinematicFinding, KinematicFindings, SensorParameter
+from rotorid_torch.trace.kinematics import kinematic_findings
+
+CLOCKS = "sensors.delay"
+VELOCITIES, CONTROLS = f"{CLOCKS}.velocities", f"{CLOCKS}.controls"
+
+
+def sensor_findings(dataset: Dataset) -> KinematicFindings:
+    """Errors of the sensors from kinematics, the velocities' clock without accelerometers, and that of the controls.
+
+    Each is looked for in records without those before: rates that are early by their attitude come before their
+    controls too. Only controls after the response are an error of a record; a response that comes later is physics,
+    and left to `control.delay`, `control.lag` and the like.
+    """
+    found = kinematic_findings(dataset)
+    moved = None if VELOCITIES in found.values else velocity_clock(found.corrected(dataset))
+    if moved is not None:
+        found = _with(found, _of_velocities(found[CLOCKS], moved))
+    late = late_controls(found.corrected(dataset))
+    return found if late is None else _with(found, _of_controls(found[CLOCKS], late))
+
+
+def _with(found: KinematicFindings, clocks: KinematicFinding) -> KinematicFindings:
+    return replace(found, findings=tuple(clocks if one.id == CLOCKS else one for one in found.findings))
+
+
+def _of_velocities(found: KinematicFinding, clock: VelocityClock) -> KinematicFinding:
+    """The verdict on clocks with the velocities' shift, which drag by speed can stand for in part."""
+    visible = IMITATED_S + SURE_STICKS * clock.se
+    own = SensorParameter(VELOCITIES, clock.seconds, clock.se, "s", True, (clock.seconds / clock.se) ** 2, visible)
+    u, v = (f"{k:.2f} ± {e:.2f}" for k, e in zip(clock.drag, clock.drag_se, strict=True))
+    none, drag, shift, both = clock.r2
+    said = (
+        f"u and v {abs(clock.seconds) * 1e3:.0f} ms {'late' if clock.seconds > 0 else 'early'} (± {clock.se * 1e3:.0f})"
+        f" against attitude and rates, beside drag by speed of {u} and {v} 1/s, which the derivatives hold: R² of du/dt"
+        f" and dv/dt is {none:.2f} with neither, {drag:.2f} with drag, {shift:.2f} with the shift, {both:.2f} with"
+        " both; without accelerometers what pushed the aircraft is not known, so the two partly stand for each other"
+    )
+    return replace(_joined(found, own, said), verdict="indistinguishable", group=(*found.group, "forces.drag"))
+
+
+def _of_controls(found: KinematicFinding, late: LateControls) -> KinematicFinding:
+    """The verdict on clocks with that of the controls' record."""
+    gain = (late.seconds / late.se) ** 2 if late.se > 0.0 else math.inf
+    own = SensorParameter(CONTROLS, late.seconds, late.se, "s", True, gain, SURE_STICKS * late.se)
+    said = (
+        f"controls at least {late.seconds * 1e3:.0f} ms late (± {late.se * 1e3:.1f}): {late.clearest} comes first,"
+        " which no vehicle does; its own lag comes on top and cannot be told from these streams"
+    )
+    return _joined(found, own, said)
+
+
+def _joined(found: KinematicFinding, own: SensorParameter, said: str) -> KinematicFinding:
+    """The finding with one more accepted parameter, in the place of one of that name."""
+    others = any(p.accepted for p in found.parameters)
+    return KinematicFinding(
+        id=CLOCKS,
+        verdict=found.verdict if others else "accepted",
+        reason=f"{found.reason}; {said}" if others else said,
+        gain=max(found.gain, own.gain) if others else own.gain,
+        floor=found.floor if others else SURE_STICKS**2,
+        parameters=(*(p for p in found.parameters if p.name != own.name), own),
+        smallest_visible=found.smallest_visible or (own.smallest_visible, "s"),
+        group=found.group if others else (),
+    )
