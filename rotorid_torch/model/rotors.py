@@ -19,6 +19,8 @@ TORQUE_ARM = 0.1
 """Torque over thrust of a rotor as a share of its arm, where it is not declared: usual for small propellers."""
 MOST = 10.0
 """Control power beyond this share of what is declared is an error of the declaration, not of the estimate."""
+BELIEVED = (1.0 / 3.0, 3.0)
+"""Control power over the declared within which another inertia can be the reason."""
 UNITS = {
     (True, False): ("N", "N", "N"),
     (True, True): ("N", "N s/rad", "N s2/rad2"),
@@ -41,6 +43,14 @@ def hover_thrust(spec: ModelSpec) -> float:
 def hover_input(spec: ModelSpec) -> float:
     """Mean input of the rotors at the reference: command, or speed in rad/s."""
     return sum(spec.reference[name] for name in spec.driven) / len(spec.driven) or 1.0
+
+
+def beyond_belief(spec: ModelSpec, values: Mapping[str, float]) -> tuple[str, ...]:
+    """Moments whose control power among these values is so far from the declared that no inertia is the reason."""
+    if not _declared(spec):
+        return ()
+    rows = [row for row in MOMENTS if row != "N" or all(m.torque_ratio is not None for m in spec.motors)]
+    return tuple(row for row in rows if not BELIEVED[0] < values[f"rotors.power.{row}"] < BELIEVED[1])
 
 
 class Rotors(Effect):

@@ -8,11 +8,10 @@ from rotorid_torch.core.names import ATTITUDES, FLAPPING, MOMENTS, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.structure import have, sticks_alone
+from rotorid_torch.model.rotors import beyond_belief
 from rotorid_torch.run.records import FitRecord
 
 AXES = dict(zip(MOMENTS, ("x", "y", "z"), strict=True))
-BELIEVED = (1.0 / 3.0, 3.0)
-"""Control power over the declared within which another inertia can be the reason."""
 AGREES = 0.15
 """Relative difference from the declared control power that is not worth a sentence."""
 
@@ -66,11 +65,12 @@ def of_rotors(spec: ModelSpec, fit: FitRecord) -> Iterator[str]:
             " so the model holds them; commands that a rate controller makes faster than they were recorded, or"
             " streams that do not belong together in time, look like that"
         )
+    wrong = beyond_belief(spec, {p.name: p.value or 0.0 for p in fit.parameters})
     for row in MOMENTS:
         found = values[f"rotors.power.{row}"].value
         if row in silent or found is None or (row == "N" and any(m.torque_ratio is None for m in spec.motors)):
             continue
-        if not BELIEVED[0] < found < BELIEVED[1]:
+        if row in wrong:
             yield (
                 f"control power of {row} is {found:.2g} of what places, thrust and declared inertia give: no inertia is"
                 " that far off; commands that answer the rates, or a lag that is not in the model, bias it"

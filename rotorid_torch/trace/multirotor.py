@@ -15,11 +15,14 @@ import msgspec
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.names import MOMENTS, SPECIFIC_FORCES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.model.model import Model
+from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
+from rotorid_torch.model.rotors import beyond_belief
+from rotorid_torch.trace.balance import out_of_balance
 from rotorid_torch.trace.decide import SURE, at_edge
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.floor import family_wise
@@ -42,6 +45,8 @@ NONE_OF_MOTORS = {
     "forces.quadratic_damping": "commands answer the rates: a term by rates takes up what is left of a lag",
 }
 """What is not tried, and why."""
+COMPANIONS = {"propulsion.motor_lag": "propulsion.rotor_inertia"}
+"""What may come with an effect at once: a rotor that takes time to turn up hands angular momentum to the body."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,21 +87,39 @@ def trace_rotors(
     near: dict[str, tuple[str, ...]] = {}
     for _ in range(ROUNDS + 1):
         fitted = {e: fit(_with(now.spec, e)) for e in tried if e not in search.accepted}
+        search.rows = believed([now, *fitted.values()])
         floors = search.floors(now, fitted)
+        for effect, companion in COMPANIONS.items():
+            if effect in fitted and companion in fitted:
+                fitted[effect] = search.accompanied(fitted[effect], companion)
         standing = [e for e in fitted if search.stands(now, fitted[e], e, floors[e])]
         if not standing or len(search.accepted) == ROUNDS:
             break
         best = max(standing, key=lambda e: search.gain(now, fitted[e]))
-        say(f"{best} joins")
-        search.accepted.append(best)
-        near[best] = search.near(fitted, best, standing)
+        joining = [e for e in fitted[best].spec.effects if e not in now.spec.effects]
+        say(f"{' and '.join(joining)} joins" if len(joining) == 1 else f"{' and '.join(joining)} join")
+        search.accepted += joining
+        near |= {e: search.near(fitted, best, standing) if e == best else () for e in joining}
         now = fitted[best]
     final = search.confirmed(now)
     alike = {e: tuple(other for other in near[e] if other not in search.accepted) for e in search.accepted}
     search.groups = {e: others for e, others in alike.items() if others}
+    centre, missing = out_of_balance(final.model, final.spec, dataset, search.unseen) if spec.motors else (None, None)
     note = "floors come from residuals whose blocks stand in another order: no clean multirotor is drawn"
-    told = (*findings, *(search.finding(final, e) for e in undeclared))
-    return Tracing(null, final, (), tuple(search.accepted), search.groups, told, (note,))
+    told = [centre if centre and e == centre.id else search.finding(final, e) for e in undeclared]
+    accepted = tuple(search.accepted)
+    return Tracing(null, final, (), accepted, search.groups, (*findings, *told), (note,), missing)
+
+
+def believed(models: Sequence[Identified]) -> tuple[str, ...]:
+    """Responses to compare: angular accelerations only where one of the models gives a control power that can be.
+
+    Commands that answer the rates are found to move the vehicle by a fraction of what its inertia allows; what
+    describes such a response better describes the controller.
+    """
+    wrong = set.intersection(*(set(beyond_belief(m.spec, m.values)) for m in models))
+    turns = [a for a, row in zip(ANGULAR_ACCELERATIONS, MOMENTS, strict=True) if row not in wrong]
+    return (*SPECIFIC_FORCES, *turns)
 
 
 def _with(spec: ModelSpec, effect: str) -> ModelSpec:
@@ -114,6 +137,7 @@ class _Search:
         self.floor_of: dict[str, float] = {}
         self.gain_of: dict[str, float] = {}
         self.reasons: dict[str, tuple[str, Identified]] = {}
+        self.rows: tuple[str, ...] = ()
         self._kept: dict[int, tuple[Identified, Compared]] = {}
 
     def compared(self, model: Identified) -> Compared:
@@ -121,7 +145,9 @@ class _Search:
         if id(model) not in self._kept:
             names = (*self.dataset.identify, *self.dataset.validate)
             self._kept[id(model)] = (model, {n: compared(model.model, self.dataset.flights[n]) for n in names})
-        return self._kept[id(model)][1]
+        whole = self._kept[id(model)][1]
+        counts = lambda name: name in self.rows or name.startswith("omega")  # noqa: E731
+        return {flight: {c: pair for c, pair in found.items() if counts(c)} for flight, found in whole.items()}
 
     def by_flight(self, null: Identified, other: Identified, flights: Sequence[str]) -> Tensor:
         """Mean over the responses of log(rms without / rms with) on each flight [F]; an axis left alone counts little.
@@ -138,7 +164,7 @@ class _Search:
             ]
             for n in flights
         ]
-        return torch.tensor([sum(g) / len(g) for g in gains], dtype=torch.float64)
+        return torch.tensor([sum(g) / max(len(g), 1) for g in gains], dtype=torch.float64)
 
     def sigma(self, null: Identified) -> dict[str, float]:
         """Rms of what a model leaves over in each response on the identify flights."""
@@ -172,6 +198,20 @@ class _Search:
                 size, count = size + float(signature.square().sum()), count + len(residual)
         return 0.5 * product.square() / max(size, 1e-300) / max(count, 1)
 
+    def accompanied(self, fitted: Identified, companion: str) -> Identified:
+        """The fit with the companion as well, where that gains above its floor and on unseen flights."""
+        both = self.fit(_with(fitted.spec, companion))
+        gain, floor = self.gain(fitted, both), self.floors(fitted, {companion: both})[companion]
+        if gain <= floor:
+            return fitted
+        self.gain_of[companion], self.floor_of[companion] = gain, floor
+        return both if helps(self.by_flight(fitted, both, self.unseen)) else fitted
+
+    @property
+    def unseen(self) -> Sequence[str]:
+        """Flights that decide."""
+        return self.dataset.validate or self.dataset.identify
+
     def stands(self, null: Identified, fitted: Identified, effect: str, floor: float) -> bool:
         """Whether nothing speaks against a candidate; why not is kept and said."""
         reason = self._objection(null, fitted, effect, floor)
@@ -192,7 +232,7 @@ class _Search:
         own = {n: e for n, e in fitted.errors.items() if n.startswith(f"{effect}.")}
         if not any(abs(fitted.values[n] - nulls[n]) > SURE * e for n, e in own.items()):
             return f"none of its parameters lies beyond {SURE:g} of its standard errors from nothing"
-        better = self.by_flight(null, fitted, self.dataset.validate or self.dataset.identify)
+        better = self.by_flight(null, fitted, self.unseen)
         if not helps(better):
             return (
                 f"it does not help on flights that no fit has seen ({int((better > 0).sum())} of {len(better)} better)"
@@ -201,8 +241,8 @@ class _Search:
 
     def near(self, fitted: Mapping[str, Identified], best: str, standing: Sequence[str]) -> tuple[str, ...]:
         """Candidates that flights which no fit has seen do not tell from the best."""
-        flights = self.dataset.validate or self.dataset.identify
-        return tuple(e for e in standing if e != best and not helps(self.by_flight(fitted[e], fitted[best], flights)))
+        told = {e: helps(self.by_flight(fitted[e], fitted[best], self.unseen)) for e in standing if e != best}
+        return tuple(e for e, better in told.items() if not better)
 
     def confirmed(self, final: Identified) -> Identified:
         """Each accepted effect tested again beside the others; those that explain nothing more are taken out."""

@@ -15,7 +15,7 @@ from torch import Tensor
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace import multirotor
-from rotorid_torch.trace.multirotor import Identified, trace_rotors
+from rotorid_torch.trace.multirotor import Identified, believed, trace_rotors
 
 FLIGHTS = {"one": 1, "two": 2, "three": 3, "four": 4}
 SPEC = ModelSpec(
@@ -107,3 +107,22 @@ def test_two_that_explain_a_part_each_both_stay(monkeypatch: pytest.MonkeyPatch)
 def test_a_term_by_rates_is_never_tried(monkeypatch: pytest.MonkeyPatch):
     tracing = traced(monkeypatch, {LAG: 1.0}, known=(LAG, "forces.quadratic_damping"))
     assert verdicts(tracing) == {LAG: "accepted", "forces.quadratic_damping": "not testable"}
+
+
+def test_rotor_inertia_comes_with_the_lag_where_the_two_explain_more(monkeypatch: pytest.MonkeyPatch):
+    tracing = traced(monkeypatch, {LAG: 0.6, INERTIA: 0.0}, together=0.97)
+    assert tracing.accepted == (LAG, INERTIA)
+    assert verdicts(tracing) == {LAG: "accepted", DELAY: "below floor", INERTIA: "accepted"}
+
+
+def test_turns_count_only_where_some_model_gives_a_control_power_that_can_be():
+    spec: Any = SimpleNamespace(mass=1.0, inertia=((1, 0, 0), (0, 1, 0), (0, 0, 1)), motors=())
+
+    def model(L: float, M: float) -> Any:
+        return SimpleNamespace(spec=spec, values={"rotors.power.L": L, "rotors.power.M": M, "rotors.power.N": 1.0})
+
+    assert believed([model(0.1, 0.2), model(0.5, 0.2)]) == ("ax", "ay", "az", "pdot", "rdot")
+    assert believed([model(4.0, 0.9)]) == ("ax", "ay", "az", "qdot", "rdot")
+    undeclared: Any = SimpleNamespace(mass=None, inertia=None, motors=())
+    free: Any = SimpleNamespace(spec=undeclared, values={"rotors.power.L": 900.0})
+    assert "pdot" in believed([free])

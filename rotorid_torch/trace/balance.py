@@ -1,0 +1,243 @@
+"""Where the thrusts of a multirotor balance: beside the declared centre of gravity, in yaw, and with what that goes.
+
+Averaged over a second a vehicle hardly turns faster or slower, so its rotors' moments cancel all others. That shows
+moments too slow for accelerations to show, whatever the control power, and with no test input at all.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.names import RATES, VELOCITIES
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.flight import Flight
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.model.model import Model
+from rotorid_torch.trace.finding import Finding, Unknown
+from rotorid_torch.trace.significance import helps, normal_quantile, student_quantile
+
+AVERAGED_S = 1.0
+"""Length of the means."""
+ROWS = ("M", "L", "N")
+"""Moments that the thrust centre along x and y and the yaw balance belong to."""
+UNEQUAL = 0.07
+"""Standard deviation of the thrusts that rotors of one kind give at the same input, over their mean."""
+FALSE_ALARMS = 0.001
+"""Chance that ordinary rotors stand out of balance."""
+EXCLUDED = 0.05
+"""Chance below which a cause is."""
+BY_CHANCE = 0.05
+"""Chance, family-wise over rows and signals, that something goes with a signal by chance."""
+POSITIONS = {"north": "the velocity north", "east": "the velocity east", "height": "the rate of climb"}
+
+
+@dataclass(frozen=True, eq=False)
+class Balance:
+    """Means over a second of one flight.
+
+    centre : [B, 3] thrust centre x, y in m from the declared centre of gravity, and yaw balance: the share by which
+    thrusts of rotors turning one way exceed those of the others. turning : [B, 3] angular accelerations of the same
+    rows. signals : what it may go with, [B] each.
+    """
+
+    centre: Tensor
+    turning: Tensor
+    signals: Mapping[str, Tensor]
+
+
+@dataclass(frozen=True)
+class Going:
+    """What a row goes with: t over the t that chance reaches; rms of the row on unseen flights without and with it."""
+
+    row: str
+    signal: str
+    evidence: float
+    without: float
+    rest: float
+
+
+def balances(model: Model, spec: ModelSpec, dataset: Dataset, flights: Sequence[str]) -> list[Balance]:
+    """The balance of flights by a model's thrust curve; flights shorter than two means are left out."""
+    made = [_balance(model, spec, dataset.flights[name]) for name in flights]
+    return [b for b in made if len(b.centre) > 1]
+
+
+def _balance(model: Model, spec: ModelSpec, flight: Flight) -> Balance:
+    with torch.no_grad():
+        taped = model.tape(flight.bridged(model.body.controls), flight.dt)
+    s = taped[:, [model.body.controls.index(c) for c in spec.driven]]
+    c0, c1, c2 = (model.named_values[f"rotors.thrust.c{k}"] for k in range(3))
+    thrust = c0 + s * (c1 + s * c2)
+    share = thrust / thrust.sum(dim=1, keepdim=True)
+    signals = {c: flight.bridged([c])[:, 0] for c in (*VELOCITIES, *RATES) if flight.has(c)}
+    if "u" not in signals:
+        moved = [c for c in POSITIONS if flight.has(c)]
+        signals |= {POSITIONS[c]: torch.gradient(flight.bridged([c])[:, 0], spacing=flight.dt)[0] for c in moved}
+    turning = [torch.gradient(signals[c], spacing=flight.dt)[0] for c in ("q", "p", "r")]
+    every = max(1, round(AVERAGED_S / flight.dt))
+    return Balance(
+        _means(share @ _levers(spec), every),
+        _means(torch.stack(turning, dim=-1), every),
+        {n: _means(v, every) for n, v in signals.items()},
+    )
+
+
+def _levers(spec: ModelSpec) -> Tensor:
+    """Place along x and y, m, and sense of rotation of each rotor [motors, 3]."""
+    return torch.tensor([[*m.position[:2], m.spin] for m in spec.motors], dtype=torch.float64)
+
+
+def _means(record: Tensor, every: int) -> Tensor:
+    count = len(record) // every
+    return record[: count * every].unflatten(0, (count, every)).mean(dim=1)
+
+
+def going_with(identify: Sequence[Balance], unseen: Sequence[Balance]) -> list[Going]:
+    """Rows that go with a signal beyond chance, on flights that no fit has seen too; the surest first.
+
+    A row's own angular acceleration and a constant are taken out of both sides. Means that resemble their neighbours
+    count for less (first-order autocorrelation).
+    """
+    names = [n for n in identify[0].signals if all(n in b.signals for b in (*identify, *unseen))]
+    found = [_going(k, name, identify, unseen, 2 * len(ROWS) * len(names)) for k in range(3) for name in names]
+    best = {g.row: g for g in sorted((g for g in found if g), key=lambda g: g.evidence)}
+    return sorted(best.values(), key=lambda g: -g.evidence)
+
+
+def _going(row: int, name: str, identify: Sequence[Balance], unseen: Sequence[Balance], tests: int) -> Going | None:
+    usual = [_columns(b, row, None) for b in identify]
+    with_it = [_columns(b, row, name) for b in identify]
+    y = torch.cat([b.centre[:, row] for b in identify])
+    short, full = torch.cat(usual), torch.cat(with_it)
+    if len(y) <= full.shape[1] + 1:
+        return None
+    slopes, more = (torch.linalg.lstsq(z, y).solution for z in (short, full))
+    before, after = y - short @ slopes, y - full @ more
+    worth = _worth(after, [len(b.centre) for b in identify]) - full.shape[1]
+    if worth < 1.0:
+        return None
+    left = float(after.square().sum())
+    t = math.sqrt(max(float(before.square().sum()) - left, 0.0) * worth / max(left, 1e-300))
+    evidence = t / student_quantile(normal_quantile(BY_CHANCE / tests), worth)
+    fits = ((None, slopes), (name, more))
+    errors = [[b.centre[:, row] - _columns(b, row, n) @ z for n, z in fits] for b in unseen]
+    sizes = torch.stack([torch.stack(pair, dim=1).square().mean(dim=0).sqrt() for pair in errors])
+    if evidence <= 1.0 or not helps((sizes[:, 0] / sizes[:, 1]).log()):
+        return None
+    without, rest = sizes.square().mean(dim=0).sqrt().tolist()
+    return Going(ROWS[row], name, evidence, without, rest)
+
+
+def _columns(balance: Balance, row: int, name: str | None) -> Tensor:
+    columns = [torch.ones(len(balance.centre), dtype=torch.float64), balance.turning[:, row]]
+    return torch.stack(columns if name is None else [*columns, balance.signals[name]], dim=-1)
+
+
+def _worth(residual: Tensor, lengths: Sequence[int]) -> float:
+    """Independent values among the residuals of flights of these lengths, by their first autocorrelation."""
+    products = sum(float(r[1:] @ r[:-1]) for r in residual.split(list(lengths)))
+    alike = max(products / max(float(residual.square().sum()), 1e-300), 0.0)
+    return len(residual) * (1.0 - alike) / (1.0 + alike)
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Thrusts that balance further from the declared centre of gravity than rotors of one kind differ.
+
+    centre, errors : [3] thrust centre along x and y, m, and yaw balance. moved_alone : whether a centre of gravity
+    elsewhere explains it, which leaves yaw alone. rotor : the rotor that explains it if it gives `less` of its thrust
+    than its input says; None where no single one does.
+    """
+
+    centre: Tensor
+    errors: Tensor
+    moved_alone: bool
+    rotor: int | None
+    less: float
+
+
+def standing(spec: ModelSpec, identify: Sequence[Balance]) -> Standing | None:
+    """How balance stands out on flights; None where ordinary rotors do that."""
+    flights = torch.stack([b.centre.mean(dim=0) for b in identify])
+    centre, levers = flights.mean(dim=0), _levers(spec) / len(spec.motors)
+    ordinary = UNEQUAL**2 * levers.mT @ levers
+    if len(flights) > 1:
+        ordinary = ordinary + (flights.var(dim=0) / len(flights)).diag()
+    inverse = torch.linalg.inv(ordinary)
+    if _chance(centre @ inverse @ centre, 3) > FALSE_ALARMS:
+        return None
+    less = (levers @ inverse @ centre) / (levers @ inverse * levers).sum(dim=1)
+    rest = centre - less[:, None] * levers
+    misfits = (rest @ inverse * rest).sum(dim=1)
+    rotor = int(misfits.argmin())
+    explains = _chance(misfits[rotor], 2) > EXCLUDED
+    moved = _chance(centre[2].square() / ordinary[2, 2], 1) > EXCLUDED
+    return Standing(centre, ordinary.diagonal().sqrt(), moved, rotor if explains else None, float(less[rotor]))
+
+
+def _chance(misfit: Tensor, freedom: int) -> float:
+    """Chance that a chi square of so many degrees of freedom is larger."""
+    half = torch.tensor(0.5 * freedom, dtype=torch.float64)
+    return float(torch.special.gammaincc(half, 0.5 * misfit))
+
+
+def out_of_balance(
+    model: Model, spec: ModelSpec, dataset: Dataset, unseen: Sequence[str]
+) -> tuple[Finding | None, Unknown | None]:
+    """A finding about the centre of gravity, and what else is missing; None where there is nothing to tell."""
+    known, new = balances(model, spec, dataset, dataset.identify), balances(model, spec, dataset, unseen)
+    if not known or not new:
+        return None, None
+    going, off = going_with(known, new), standing(spec, known)
+    finding = _centre_of_gravity(off, spec) if off is not None and off.moved_alone else None
+    said = [_said(g) for g in going]
+    rows, signal = [g.row for g in going], going[0].signal if going else None
+    if off is not None and finding is None:
+        said, rows, signal = [_stands(off, spec), *said], ["".join(ROWS), *rows], _rotor(off, spec)
+    if not said:
+        return finding, None
+    longest = max(len(b.centre) for b in known) * AVERAGED_S
+    sentence = f"Something is missing in {'; '.join(said)}; no effect of the library explains it."
+    return finding, Unknown(rows[0], (1.0 / longest, 0.5 / AVERAGED_S), signal, None, sentence)
+
+
+def _said(going: Going) -> str:
+    scale, unit = (100.0, "% of yaw balance") if going.row == "N" else (1e3, "mm of thrust centre")
+    return (
+        f"{going.row}: it goes with {going.signal}, which takes unseen flights from"
+        f" {scale * going.without:.2g} to {scale * going.rest:.2g} {unit}"
+    )
+
+
+def _where(off: Standing) -> str:
+    x, y, yaw = (float(v) for v in off.centre)
+    place = f"{1e3 * x:.1f} mm ahead and {1e3 * y:.1f} mm right of the declared centre"
+    return f"thrusts balance {place}, {100 * yaw:.0f} % in yaw"
+
+
+def _rotor(off: Standing, spec: ModelSpec) -> str | None:
+    return None if off.rotor is None else spec.driven[off.rotor]
+
+
+def _stands(off: Standing, spec: ModelSpec) -> str:
+    rotor = _rotor(off, spec)
+    single = (
+        "" if rotor is None else f"; as if the rotor of {rotor} gave {100 * off.less:.0f} % less than its input says"
+    )
+    return f"L, M and N: {_where(off)}, and a centre of gravity elsewhere would leave yaw alone{single}"
+
+
+def _centre_of_gravity(off: Standing, spec: ModelSpec) -> Finding:
+    """It may lie elsewhere, or rotors differ."""
+    rotor = _rotor(off, spec)
+    rival = (
+        "several rotors may differ" if rotor is None else f"the rotor of {rotor} may give {100 * off.less:.0f} % less"
+    )
+    values = {f"mass.cg.{axis}": (float(off.centre[i]), float(off.errors[i])) for i, axis in enumerate("xy")}
+    said = f"{_where(off)}: it lies there, or {rival}; swing the vehicle to tell"
+    return Finding("mass.cg", "undeclared", "indistinguishable", said, group=("rotors.thrust",), values=values)
