@@ -151,7 +151,8 @@ class Standing:
 
     centre, errors : [3] thrust centre along x and y, m, and yaw balance. moved_alone : whether a centre of gravity
     elsewhere explains it, which leaves yaw alone. rotor : the rotor that explains it if it gives `less` of its thrust
-    than its input says; None where no single one does.
+    than its input says; None where no single one does. without, rest : [3] rms on unseen flights from the declared
+    balance and from this one.
     """
 
     centre: Tensor
@@ -159,17 +160,19 @@ class Standing:
     moved_alone: bool
     rotor: int | None
     less: float
+    without: Tensor
+    rest: Tensor
 
 
-def standing(spec: ModelSpec, identify: Sequence[Balance]) -> Standing | None:
-    """How balance stands out on flights; None where ordinary rotors do that."""
+def standing(spec: ModelSpec, identify: Sequence[Balance], unseen: Sequence[Balance]) -> Standing | None:
+    """How balance stands out on flights; None where ordinary rotors do that, or unseen flights do not bear it out."""
     flights = torch.stack([b.centre.mean(dim=0) for b in identify])
     centre, levers = flights.mean(dim=0), _levers(spec) / len(spec.motors)
     ordinary = UNEQUAL**2 * levers.mT @ levers
     if len(flights) > 1:
         ordinary = ordinary + (flights.var(dim=0) / len(flights)).diag()
     inverse = torch.linalg.inv(ordinary)
-    if _chance(centre @ inverse @ centre, 3) > FALSE_ALARMS:
+    if _chance(_misfit(centre, inverse), 3) > FALSE_ALARMS:
         return None
     less = (levers @ inverse @ centre) / (levers @ inverse * levers).sum(dim=1)
     rest = centre - less[:, None] * levers
@@ -177,7 +180,16 @@ def standing(spec: ModelSpec, identify: Sequence[Balance]) -> Standing | None:
     rotor = int(misfits.argmin())
     explains = _chance(misfits[rotor], 2) > EXCLUDED
     moved = _chance(centre[2].square() / ordinary[2, 2], 1) > EXCLUDED
-    return Standing(centre, ordinary.diagonal().sqrt(), moved, rotor if explains else None, float(less[rotor]))
+    seen = torch.cat([b.centre for b in unseen])
+    without, after = (values.square().mean(dim=0).sqrt() for values in (seen, seen - centre))
+    if _misfit(after, inverse) >= _misfit(without, inverse):
+        return None
+    one = rotor if explains else None
+    return Standing(centre, ordinary.diagonal().sqrt(), moved, one, float(less[rotor]), without, after)
+
+
+def _misfit(centre: Tensor, inverse: Tensor) -> Tensor:
+    return centre @ inverse @ centre
 
 
 def _chance(misfit: Tensor, freedom: int) -> float:
@@ -193,7 +205,7 @@ def out_of_balance(
     known, new = balances(model, spec, dataset, dataset.identify), balances(model, spec, dataset, unseen)
     if not known or not new:
         return None, None
-    going, off = going_with(known, new), standing(spec, known)
+    going, off = going_with(known, new), standing(spec, known, new)
     finding = _centre_of_gravity(off, spec) if off is not None and off.moved_alone else None
     said = [_said(g) for g in going]
     rows, signal = [g.row for g in going], going[0].signal if going else None
@@ -217,7 +229,9 @@ def _said(going: Going) -> str:
 def _where(off: Standing) -> str:
     x, y, yaw = (float(v) for v in off.centre)
     place = f"{1e3 * x:.1f} mm ahead and {1e3 * y:.1f} mm right of the declared centre"
-    return f"thrusts balance {place}, {100 * yaw:.0f} % in yaw"
+    without, rest = ([1e3 * math.hypot(*e[:2].tolist()), 100.0 * float(e[2])] for e in (off.without, off.rest))
+    gain = f"unseen flights from {without[0]:.2g} to {rest[0]:.2g} mm and from {without[1]:.2g} to {rest[1]:.2g} %"
+    return f"thrusts balance {place} and {100 * yaw:.0f} % off in yaw, which takes {gain}"
 
 
 def _rotor(off: Standing, spec: ModelSpec) -> str | None:
@@ -229,7 +243,7 @@ def _stands(off: Standing, spec: ModelSpec) -> str:
     single = (
         "" if rotor is None else f"; as if the rotor of {rotor} gave {100 * off.less:.0f} % less than its input says"
     )
-    return f"L, M and N: {_where(off)}, and a centre of gravity elsewhere would leave yaw alone{single}"
+    return f"L, M and N: {_where(off)}; a centre of gravity elsewhere would leave yaw alone{single}"
 
 
 def _centre_of_gravity(off: Standing, spec: ModelSpec) -> Finding:

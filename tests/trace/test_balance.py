@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from rotorid_torch.trace.balance import UNEQUAL, Balance, going_with, out_of_balance, standing
+from rotorid_torch.trace.balance import UNEQUAL, Balance, Standing, going_with, out_of_balance, standing
 
 ARM = 0.033
 PLACES = ((1, 1, -1), (-1, 1, 1), (-1, -1, -1), (1, -1, 1))
@@ -19,6 +19,7 @@ SPEC: Any = SimpleNamespace(
 )
 LEVERS = torch.tensor([[ARM * x, ARM * y, s] for x, y, s in PLACES], dtype=torch.float64)
 MEANS = 20
+AHEAD = torch.tensor([0.006, 0.0, 0.0], dtype=torch.float64)
 
 
 def flight(seed: int, centre: Tensor | None = None, by_speed: float = 0.0) -> Balance:
@@ -33,6 +34,10 @@ def flight(seed: int, centre: Tensor | None = None, by_speed: float = 0.0) -> Ba
 
 def flights(*seeds: int, **what: Any) -> list[Balance]:
     return [flight(seed, **what) for seed in seeds]
+
+
+def stood(*seeds: int, **what: Any) -> Standing | None:
+    return standing(SPEC, flights(*seeds, **what), flights(*(1000 + seed for seed in seeds), **what))
 
 
 def test_a_pitching_moment_by_speed_is_found_and_holds_on_unseen_flights():
@@ -68,14 +73,14 @@ def test_slow_wandering_is_no_evidence():
 
 @pytest.mark.parametrize("rotor", range(4))
 def test_one_weak_rotor_is_told_from_a_centre_of_gravity_elsewhere(rotor: int):
-    found = standing(SPEC, flights(1, 2, 3, centre=0.5 * LEVERS[rotor] / 4))
+    found = stood(1, 2, 3, centre=0.5 * LEVERS[rotor] / 4)
     assert found is not None
     assert (found.moved_alone, found.rotor) == (False, rotor)
     assert found.less == pytest.approx(0.5, abs=0.02)
 
 
 def test_a_centre_of_gravity_elsewhere_leaves_yaw_alone():
-    found = standing(SPEC, flights(1, 2, 3, centre=torch.tensor([0.006, 0.0, 0.0], dtype=torch.float64)))
+    found = stood(1, 2, 3, centre=AHEAD)
     assert found is not None
     assert (found.moved_alone, found.rotor) == (True, None)
     assert float(found.centre[0]) == pytest.approx(0.006, abs=1e-4)
@@ -84,8 +89,12 @@ def test_a_centre_of_gravity_elsewhere_leaves_yaw_alone():
 def test_ordinary_rotors_do_not_stand_out():
     chance = torch.Generator().manual_seed(0)
     unequal = UNEQUAL * torch.randn(300, 4, generator=chance, dtype=torch.float64)
-    told = [standing(SPEC, flights(k, k + 1, centre=e @ LEVERS / 4)) for k, e in enumerate(unequal)]
+    told = [stood(k, k + 1, centre=e @ LEVERS / 4) for k, e in enumerate(unequal)]
     assert sum(found is not None for found in told) <= 2
+
+
+def test_what_unseen_flights_do_not_bear_out_is_not_told():
+    assert standing(SPEC, flights(1, 2, centre=AHEAD), flights(3, 4, centre=-AHEAD)) is None
 
 
 def told(monkeypatch: pytest.MonkeyPatch, **what: Any) -> Any:
@@ -106,7 +115,7 @@ def test_words_name_the_rotor_but_no_effect(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_a_moved_centre_of_gravity_is_told_with_its_rivals(monkeypatch: pytest.MonkeyPatch):
-    finding, missing = told(monkeypatch, centre=torch.tensor([0.006, 0.0, 0.0], dtype=torch.float64))
+    finding, missing = told(monkeypatch, centre=AHEAD)
     assert missing is None
     assert (finding.id, finding.verdict, finding.group) == ("mass.cg", "indistinguishable", ("rotors.thrust",))
     value, error = finding.values["mass.cg.x"]
