@@ -160,10 +160,7 @@ class Dataset:
 
         Which one of a part is left to chance, for lists that take axis after axis in turn.
         """
-        if len(self.identify) <= most:
-            return self.identify
-        places = (np.arange(most) + np.random.default_rng(0).random(most)) * len(self.identify) / most
-        return tuple(self.identify[int(place)] for place in places)
+        return _some(self.identify, most)
 
     def require_rates(self) -> None:
         """Raise InputError where a flight lacks one of the body rates, which every step needs."""
@@ -232,8 +229,16 @@ class Dataset:
 
     def records(self, channel: str) -> list[np.ndarray]:
         """A channel's records (T,) in the identify flights that have it, a hundred at most: enough for a spectrum."""
-        there = [name for name in self.some(ENOUGH) if self.facts[name].has(channel)]
-        return [self.flights[name].channels[channel].numpy() for name in there]
+        there = [name for name in self.identify if self.facts[name].has(channel)]
+        return [self.flights[name].channels[channel].numpy() for name in _some(there, ENOUGH)]
+
+
+def _some(flights: Sequence[str], most: int) -> tuple[str, ...]:
+    """At most so many, spread over the list."""
+    if len(flights) <= most:
+        return tuple(flights)
+    places = (np.arange(most) + np.random.default_rng(0).random(most)) * len(flights) / most
+    return tuple(flights[int(place)] for place in places)
 
 
 def load(path: str | Path) -> Dataset:

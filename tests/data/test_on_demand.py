@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.data import Dataset, load, on_demand
+from rotorid_torch.data.dataset import ENOUGH
 from rotorid_torch.data.facts import Facts
 from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.data.one_rate import at_one_rate
@@ -168,3 +169,16 @@ def test_some_flights_stand_for_all_of_a_long_list():
     assert [k // 5 for k in chosen] == list(range(8))
     assert len({k % 4 for k in chosen}) > 1
     assert dataset.some(8) == dataset.some(8)
+
+
+def test_a_channel_that_few_of_many_flights_have_keeps_its_noise():
+    time, chance = np.arange(200) / 50.0, np.random.default_rng(0)
+    channels = {"time": time, "lon": np.sin(time), "p": time}
+    names = [f"f{k}" for k in range(120)]
+    without = Dataset.from_arrays(dict.fromkeys(names, channels), identify=names)
+    only = next(name for name in names if name not in without.some(ENOUGH))
+    flights = dict.fromkeys(names, channels) | {only: channels | {"beta": 0.01 * chance.standard_normal(200)}}
+    dataset = Dataset.from_arrays(flights, identify=names)
+    assert [len(record) for record in dataset.records("beta")] == [200]
+    assert dataset.noise("beta") == pytest.approx(0.01, rel=0.3)
+    assert len(dataset.records("p")) == ENOUGH
