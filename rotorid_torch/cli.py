@@ -254,16 +254,20 @@ def identify(options: Options) -> None:
 
 
 def close_loop(options: Options) -> None:
-    """Find what the model lacks, name it, add it, identify again."""
+    """Find what the model lacks, name it, add it, identify again; under torchrun, by all processes together."""
+    from rotorid_torch.core.ranks import PATIENCE_FOR_FITS_S, ranks_of_torchrun
     from rotorid_torch.data import load
     from rotorid_torch.run.closing import close_loop as close
     from rotorid_torch.run.folder import refuse_unless_free
     from rotorid_torch.run.records import read_report
 
-    refuse_unless_free(options.out)
-    given = {"hybrid": options.hybrid, "seed": options.seed, "device": options.device, "monitor": _monitor(options)}
-    close(load(options.dataset), out=options.out, **given)
-    _answer_report(options, options.out, read_report(options.out))
+    with ranks_of_torchrun(PATIENCE_FOR_FITS_S) as ranks:
+        refuse_unless_free(options.out)
+        given = {"hybrid": options.hybrid, "seed": options.seed, "device": options.device}
+        told = _monitor(options) if ranks.first else None
+        close(load(options.dataset), out=options.out, monitor=told, ranks=ranks, **given)
+        if ranks.first:
+            _answer_report(options, options.out, read_report(options.out))
 
 
 def simulate(options: Options) -> None:

@@ -26,7 +26,7 @@ class LostRank(RuntimeError):
     """Another process of the run has ended or does not answer; exit code 1."""
 
     def __init__(self) -> None:
-        super().__init__("a process of this run is lost; an earlier RUN is as it was; --resume goes on")
+        super().__init__("a process of this run is lost; an earlier RUN is as it was; identify --resume goes on")
 
 
 class Told(Exception):

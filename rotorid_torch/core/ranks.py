@@ -21,11 +21,15 @@ from torch.distributed.rendezvous import rendezvous
 from rotorid_torch.errors import InputError, LostRank, Told
 
 Item = TypeVar("Item")
+Made = TypeVar("Made")
+Message = TypeVar("Message")
 
 BLOCKS = 40
 """Blocks of flights that sums are made of, at most."""
 PATIENCE_S = 600.0
 """How long a rank waits for the others; they do the same work on about as many flights."""
+PATIENCE_FOR_FITS_S = 3600.0
+"""The same where whole fits are spread, of which one rank may have one more than another."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +99,29 @@ class Ranks:
             for part in found:
                 yield from part
 
+    def share(self, items: Sequence[Item], make: Callable[[Item], Made]) -> list[Made]:
+        """What is made of each item, by one rank each; all of it at every rank, in the items' order."""
+        return self.carry(items, make, lambda made: made, lambda item, made: made)
+
+    def carry(
+        self,
+        items: Sequence[Item],
+        make: Callable[[Item], Made],
+        told: Callable[[Made], Message],
+        again: Callable[[Item, Message], Made],
+    ) -> list[Made]:
+        """The same for what cannot travel: `told` is what does, and `again` makes it once more at the other ranks.
+
+        One item alone is made at every rank, for the others would only wait for it.
+        """
+        if self.size == 1 or len(items) == 1:
+            return [make(item) for item in items]
+        own = {place: make(items[place]) for place in self.mine(range(len(items)))}
+        found = dict[int, Message]()
+        for part in self.gather({place: told(made) for place, made in own.items()}):
+            found |= part
+        return [own[k] if k in own else again(item, found[k]) for k, item in enumerate(items)]
+
     def from_first(self, item: Item) -> Item:
         """The first rank's item, at each."""
         if self.size == 1:
@@ -137,7 +164,8 @@ def ranks_of_torchrun(patience: float = PATIENCE_S) -> Iterator[Ranks]:
         yield Ranks()
         return
     try:
-        store, rank, size = next(iter(rendezvous("env://", timeout=timedelta(seconds=patience))))
+        met = timedelta(seconds=min(patience, PATIENCE_S))
+        store, rank, size = next(iter(rendezvous("env://", timeout=met)))
         wait = timedelta(seconds=patience)
         distributed.init_process_group("gloo", store=store, rank=rank, world_size=size, timeout=wait)
     except RuntimeError as error:

@@ -197,11 +197,12 @@ class Likelihood:
             if base is not None and base.parts is not None and base.locals is not None:
                 near, steps = base.parts[k].run.states, base.transitions[k]
             run = self.engine.run(place.theta, self.records, segments, place.x0[which], near, steps)
-            yield self._part(place, which, segments, run)
+            yield self.part(place, which, run)
             large.let_go()
 
-    def _part(self, place: Place, which: Tensor, segments: Segments, run: Run) -> Part:
-        bias = place.bias
+    def part(self, place: Place, which: Tensor, run: Run) -> Part:
+        """The run of some segments at a place, with its residual."""
+        segments, bias = self.segments.pick(which), place.bias
         constants = torch.zeros(len(bias), run.outputs.shape[-1], dtype=bias.dtype).index_copy(1, self.biased, bias)
         return Part(which, segments, run, segments.outputs - run.outputs - constants[segments.flight][:, None])
 
@@ -209,7 +210,7 @@ class Likelihood:
         """What a run of all segments says."""
         place = Place(theta, x0, bias)
         everything = torch.arange(len(self.segments))
-        return self.judged(place, [self._part(place, everything, self.segments, run)])
+        return self.judged(place, [self.part(place, everything, run)])
 
     def judged(self, place: Place, parts: list[Part] | None) -> Place:
         """The place with the noise that its residuals show, and its cost; infinite where a run has diverged."""

@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 
 from rotorid_torch.core.names import MOMENTS
-from rotorid_torch.core.ranks import ALONE
+from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.effects.neural import NeuralForces
@@ -85,6 +85,7 @@ def close_loop(
     seed: int = 0,
     device: str = "cpu",
     monitor: Monitor | None = None,
+    ranks: Ranks = ALONE,
 ) -> Loop:
     """Identify, find what the model cannot explain, trace it to named effects, add them, identify again.
 
@@ -93,27 +94,29 @@ def close_loop(
     out : folder of the run; an earlier RUN there is replaced when the new one is whole.
     hybrid : let a small network learn what no named effect explains; it stays where unseen flights gain by it.
     seed : of the drawn clean aircraft and the shuffled residuals.
+    ranks : processes that share the work, each of which calls this; the first one alone writes.
 
     Raises
     ------
-    InputError : as `identify`.
+    InputError, LostRank : as `identify`.
     """
     monitor = monitor or Monitor()
     refuse(dataset, (), device)
+    ranks.refuse_more_than(len(dataset.identify))
     with ExitStack() as stack:
         folder = None
-        if out is not None:
+        if out is not None and ranks.first:
             folder = stack.enter_context(run_folder(out))
             stack.enter_context(monitor.recording(folder))
-        run = _closed(dataset, seed, device, monitor, hybrid)
+        run = _closed(dataset, seed, Steps(monitor, ranks, Checkpoint(), device), hybrid)
         if folder is not None:
             run.write(folder, monitor)
     return run
 
 
-def _closed(dataset: Dataset, seed: int, device: str, monitor: Monitor, hybrid: bool) -> Loop:
+def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
     """Sensors against each other first, then what acts on the vehicle, on records without the sensors' errors."""
-    steps = Steps(monitor, ALONE, Checkpoint(), device)
+    monitor = steps.monitor
     first = identified(dataset, (), seed, steps)
     with monitor.step("trace"):
         sensors = sensor_findings(at_one_rate(dataset))
@@ -123,7 +126,7 @@ def _closed(dataset: Dataset, seed: int, device: str, monitor: Monitor, hybrid: 
     base = identified(right, (), seed, steps) if sensors.effects else first
     flights = Flights(right, base.reconstruction)
     with monitor.step("trace"):
-        tracing = (_rotors_traced if base.spec.motors else _traced)(base, flights, seed, monitor)
+        tracing = (_rotors_traced if base.spec.motors else _traced)(base, flights, seed, steps)
         shaken = stochastic_findings(right, base.spec, base.model.named_values)
     again = partial(_again, dataset=dataset, steps=steps)
     wrong = partial(again, first, seen=at_one_rate(dataset), sensors={})
@@ -168,20 +171,22 @@ def _before_and_after(
     return first, None, tracing
 
 
-def _traced(base: Run, flights: Flights, seed: int, monitor: Monitor) -> Tracing:
+def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
     """By trajectories over segments, floors from clean aircraft."""
+    say, ranks = steps.monitor.say, steps.ranks
     return trace(
         base.spec,
         base.model.named_values,
         base.regressions.held,
         flights,
-        lambda spec, effects: clean_floors(flights.dataset, spec, effects, seed, monitor.say),
-        monitor.say,
+        lambda spec, effects: clean_floors(flights.dataset, spec, effects, seed, say, ranks=ranks),
+        say,
         seed,
+        ranks,
     )
 
 
-def _rotors_traced(base: Run, flights: Flights, seed: int, monitor: Monitor) -> Tracing:
+def _rotors_traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
     """By accelerations at measured states, each candidate identified in full."""
     quiet = Steps(Monitor(), ALONE, Checkpoint())
     told = [f"rotors.{kind}.{row}" for kind in ("power", "trim") for row in MOMENTS]
@@ -194,7 +199,7 @@ def _rotors_traced(base: Run, flights: Flights, seed: int, monitor: Monitor) -> 
 
     # what step 2 could not tell without an effect may be told with it
     untold = msgspec.structs.replace(base.spec, free=free, values=values)
-    return trace_rotors(untold, flights.dataset, fit, monitor.say, seed)
+    return trace_rotors(untold, flights.dataset, fit, steps.monitor.say, seed, steps.ranks)
 
 
 def _with_network(
@@ -273,7 +278,7 @@ def _again(
     if sensors:
         spec, model = _with_sensors(spec, model, sensors)
     with steps.monitor.step("validate"):
-        judged = judge(model, dataset)
+        judged = judge(model, dataset, steps.ranks)
     fit = fit_record(model, spec, found, judged)
     told = remarks_on(seen, spec, fit, base.reconstruction, regressions, found)
     record = msgspec.structs.replace(base.record, warnings=tuple(told))

@@ -1,7 +1,7 @@
 """Gains of candidates on clean drawn aircraft: flown, identified and screened as the data set was; cached one by one.
 
-Draws are spread over processes of their own. What was found stays on disk by vehicle, manoeuvres and model structure,
-so that the same vehicle's next data set finds its floors there.
+Draws are spread over ranks, and at each over processes of their own. What was found stays on disk by vehicle,
+manoeuvres and model structure, so that the same vehicle's next data set finds its floors there.
 """
 
 from __future__ import annotations
@@ -13,13 +13,16 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import torch
 
 from rotorid_torch.core.native.build import cache_folder, threads
+from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset, load
 from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.data.write import write_dataset
@@ -43,6 +46,8 @@ STAGES = (2.0, 5.0)
 """Lengths of the segments that a drawn aircraft is fitted on, s."""
 FORMAT = 1
 """Of what is cached."""
+WATCH_S = 0.5
+"""s between two looks at the processes that draw, at each of which ranks tell each other that they are there."""
 SAME = ("flapping", "flapping_doubtful", "patterns", "inflow", "cyclic_inflow", "effects")
 """Structure that a drawn aircraft's model shares with the data's."""
 
@@ -73,10 +78,12 @@ def clean_floors(
     seed: int = 0,
     say: Callable[[str], None] = lambda line: None,
     draws: int = DRAWS,
+    ranks: Ranks = ALONE,
 ) -> Floors:
     """Gains of effects on clean aircraft drawn in the likeness of a data set, for models of the structure of a spec.
 
     Where none can be drawn the note says why, and the data's own shuffled residual is all that floors are made of.
+    ranks : processes that share the draws, each of which calls this; what the first one has cached counts for all.
     """
     from rotorid_torch.fly.drawn import undrawable
 
@@ -85,11 +92,17 @@ def clean_floors(
         return Floors({}, f"floors come from shuffled residuals alone: no clean aircraft can be drawn, {why}")
     folder = cache_folder() / "floors" / _fingerprint(dataset, spec, effects, seed)
     folder.mkdir(parents=True, exist_ok=True)
-    missing = [n for n in range(draws) if not _file(folder, n).exists()]
+    known = ranks.from_first(_read(folder, range(draws)))
+    missing = [n for n in range(draws) if n not in known]
     if missing:
         say(f"floors: {len(missing)} of {draws} clean aircraft to be flown and identified; they are kept for next time")
-        _fly(dataset, spec, effects, seed, missing, folder)
-    found = [json.loads(_file(folder, n).read_text()) for n in range(draws) if _file(folder, n).exists()]
+        mine = ranks.mine(missing)
+        _fly(dataset, spec, effects, seed, mine, folder, ranks)
+        for part in ranks.gather(_read(folder, mine)):
+            known |= part
+        for number in known.keys() & set(missing) if ranks.first else ():
+            _keep(folder, number, known[number])
+    found = [known[n] for n in range(draws) if n in known]
     told = [f for f in found if f["alike"] and set(f["gains"]) >= set(effects)]
     if len(told) < FEWEST:
         kept = f"only {len(told)} of {draws} drawn aircraft resemble the data"
@@ -101,6 +114,19 @@ def clean_floors(
 
 def _file(folder: Path, number: int) -> Path:
     return folder / f"{number}.json"
+
+
+def _read(folder: Path, numbers: Iterable[int]) -> dict[int, Any]:
+    """What is there of these draws."""
+    return {n: json.loads(_file(folder, n).read_text()) for n in numbers if _file(folder, n).exists()}
+
+
+def _keep(folder: Path, number: int, found: Mapping[str, Any]) -> None:
+    """Write what was found of a draw, where nothing is there yet; the file is whole or absent."""
+    if not _file(folder, number).exists():
+        beside = folder / f".{number}.{os.getpid()}"
+        beside.write_text(json.dumps(found))
+        beside.replace(_file(folder, number))
 
 
 def _fingerprint(dataset: Dataset, spec: ModelSpec, effects: Sequence[str], seed: int) -> str:
@@ -137,9 +163,15 @@ def _code() -> str:
 
 
 def _fly(
-    dataset: Dataset, spec: ModelSpec, effects: Sequence[str], seed: int, numbers: Sequence[int], folder: Path
+    dataset: Dataset,
+    spec: ModelSpec,
+    effects: Sequence[str],
+    seed: int,
+    numbers: Sequence[int],
+    folder: Path,
+    ranks: Ranks,
 ) -> None:
-    """The draws in as many processes as there are processors for this one."""
+    """The draws in as many processes as there are processors for this one; ends when all ranks' have ended."""
     count = min(threads(), len(numbers))
     with tempfile.TemporaryDirectory() as place:
         likeness = Path(place) / "likeness"
@@ -159,8 +191,8 @@ def _fly(
             alone = {**os.environ, "OMP_NUM_THREADS": "1", "ROTORID_THREADS": "1"}
             workers.append(subprocess.Popen([sys.executable, "-m", "rotorid_torch.trace.clean", str(file)], env=alone))
         try:
-            for worker in workers:
-                worker.wait()
+            while any(ranks.gather(any(worker.poll() is None for worker in workers))):
+                time.sleep(WATCH_S)
         finally:
             for worker in workers:
                 worker.kill()
@@ -200,9 +232,9 @@ def _work(request: Mapping[str, object]) -> None:
         except (ValueError, RuntimeError):  # an aircraft that no fit converges for
             gains, traces = {}, {}
         found = {"gains": gains, "traces": traces, "alike": drawn.alike, "misfit": drawn.misfit, "rotor": drawn.rotor}
-        beside = folder / f".{drawn.number}.{os.getpid()}"
-        beside.write_text(json.dumps(found))
-        beside.replace(_file(folder, drawn.number))
+        _keep(folder, drawn.number, found)
+    for number in numbers:  # aircraft that flew away are not flown again next time
+        _keep(folder, number, {"gains": {}, "traces": {}, "alike": False})
 
 
 if __name__ == "__main__":

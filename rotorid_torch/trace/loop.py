@@ -12,6 +12,7 @@ from typing import Protocol
 
 import msgspec
 
+from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.effects.base import Role, Showing
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
@@ -31,6 +32,7 @@ from rotorid_torch.trace.residual import left_over as left_over_of
 from rotorid_torch.trace.residual import scan
 from rotorid_torch.trace.screen import Screen, screen
 from rotorid_torch.trace.significance import helps
+from rotorid_torch.trace.spread import fits
 from rotorid_torch.trace.unexplained import unknown
 
 FEW = 4
@@ -84,6 +86,7 @@ class _Search:
     """The state of the search: the model so far, and what was found on the way.
 
     seed : of the shuffled residuals. asked_for : whether flights not fitted gain by the rotor's ordinary physics.
+    ranks : among which fits and tests of several candidates are spread; everything else is the same at each.
     """
 
     flights: Flights
@@ -91,6 +94,7 @@ class _Search:
     floors: Floors
     say: Say
     seed: int
+    ranks: Ranks = ALONE
     asked_for: bool = False
     rejected: dict[str, tuple[str, float, Mapping[str, tuple[float, float]]]] = field(default_factory=dict)
     hot: set[str] = field(default_factory=set)
@@ -101,10 +105,12 @@ class _Search:
         """These effects against what a model leaves over."""
         return screen(null, effects, seed=self.seed)
 
-    def with_effect(self, null: Fitted, effect: str, screened: Screen) -> Fitted:
-        """The null with one more effect, fitted from the size that the screen saw."""
-        spec = msgspec.structs.replace(null.spec, effects=(*null.spec.effects, effect))
-        return refit(spec, self.flights, {**null.values, **screened.sizes([effect])}, self.held)
+    def with_each(self, null: Fitted, effects: Sequence[str], screened: Screen) -> dict[str, Fitted]:
+        """The null with one more effect, for each of these, fitted from the size that the screen saw."""
+        richer = [msgspec.structs.replace(null.spec, effects=(*null.spec.effects, e)) for e in effects]
+        starts = [{**null.values, **screened.sizes([e])} for e in effects]
+        found = fits(list(zip(richer, starts, strict=True)), self.flights, self.held, self.ranks)
+        return dict(zip(effects, found, strict=True))
 
     def why(self, structural: str) -> str:
         """Why a structural effect is in the model."""
@@ -141,7 +147,7 @@ class _Search:
             best = max(rest, key=lambda e: screened.gain([e]))
             if screened.gain([best]) <= floors[best]:
                 break
-            fitted = self.with_effect(null, best, screened)
+            fitted = self.with_each(null, [best], screened)[best]
             null = self.improved(null, {best: fitted})
             rest.remove(best)
             against = objection(null, fitted, best, floors[best], screened)
@@ -159,7 +165,7 @@ class _Search:
             floors = self.floors.of(screened, rest)
             promising = sorted((e for e in rest if screened.gain([e]) > floors[e]), key=lambda e: -screened.gain([e]))
             self.hot.update(promising)
-            fitted = {e: self.with_effect(null, e, screened) for e in promising[:FEW]}
+            fitted = self.with_each(null, promising[:FEW], screened)
             better = self.improved(null, fitted)
             joined = self._joining(better, fitted, floors, screened)
             if joined is None and gain(null, better) <= min(floors.values(), default=0.0):
@@ -174,7 +180,8 @@ class _Search:
         self, null: Fitted, fitted: Mapping[str, Fitted], floors: Mapping[str, float], screened: Screen
     ) -> str | None:
         """The effect that joins in this round, and in its group those that explain as much."""
-        why = {e: objection(null, f, e, floors[e], screened) for e, f in fitted.items()}
+        against = self.ranks.share(list(fitted), lambda e: objection(null, fitted[e], e, floors[e], screened))
+        why = dict(zip(fitted, against, strict=True))
         for e, reason in why.items():
             self.say(f"{e}: gain {gain(null, fitted[e]):.3g}, floor {floors[e]:.3g}: {reason or 'stands'}")
             if reason is not None:
@@ -183,7 +190,8 @@ class _Search:
         if not sane:
             return None
         best, near = rivals(null, fitted, floors, sane)
-        same = tuple(e for e in near if self._alike(fitted, best, e, floors))
+        alike = self.ranks.share(near, lambda e: self._alike(fitted, best, e, floors))
+        same = tuple(e for e, one in zip(near, alike, strict=True) if one)
         if same:
             self.groups[best] = same
         self.spread.update(screened.scatter(best))
@@ -218,6 +226,7 @@ def trace(
     floors: Callable[[ModelSpec, Sequence[str]], Floors],
     say: Say = lambda line: None,
     seed: int = 0,
+    ranks: Ranks = ALONE,
 ) -> Tracing:
     """Which effects the model of a spec lacks.
 
@@ -226,9 +235,10 @@ def trace(
     start : its parameters as identified. held : those that keep their values.
     floors : gains of these effects on clean aircraft, for the model with its structural effects.
     say : told what happens, a line at a time. seed : of the shuffled residuals.
+    ranks : processes that share the candidates, each of which calls this.
     """
     testable, findings = candidates(spec)
-    search = _Search(flights, tuple(held), Floors({}, ""), say, seed)
+    search = _Search(flights, tuple(held), Floors({}, ""), say, seed, ranks)
     null = refit(spec, flights, start, held)
     null = search.structure(null, [e for e in testable if registered()[e].role is Role.STRUCTURE])
     structure = tuple(e for e in null.spec.effects if e not in spec.effects)

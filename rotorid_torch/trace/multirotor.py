@@ -10,17 +10,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import msgspec
 import torch
 from torch import Tensor
 
 from rotorid_torch.core.names import MOMENTS, SPECIFIC_FORCES
+from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
+from rotorid_torch.model.nominal import build
 from rotorid_torch.model.rotors import beyond_belief
 from rotorid_torch.trace.balance import out_of_balance
 from rotorid_torch.trace.decide import SURE, at_edge
@@ -69,14 +72,19 @@ Compared = Mapping[str, Mapping[str, tuple[Tensor, Tensor]]]
 
 
 def trace_rotors(
-    spec: ModelSpec, dataset: Dataset, fit: Fit, say: Callable[[str], None] = lambda line: None, seed: int = 0
+    spec: ModelSpec,
+    dataset: Dataset,
+    fit: Fit,
+    say: Callable[[str], None] = lambda line: None,
+    seed: int = 0,
+    ranks: Ranks = ALONE,
 ) -> Tracing:
     """Which undeclared effects the model of a multirotor lacks, by forward selection.
 
     Parameters
     ----------
     fit : identifies a structure by the three steps. say : told what happens, a line at a time.
-    seed : of the order of the residual's blocks.
+    seed : of the order of the residual's blocks. ranks : processes that share the candidates; each calls this.
     """
     testable, findings = candidates(spec)
     findings += [Finding(e, "undeclared", "not testable", why) for e, why in NONE_OF_MOTORS.items() if e in testable]
@@ -86,7 +94,9 @@ def trace_rotors(
     null = now = fit(spec)
     near: dict[str, tuple[str, ...]] = {}
     for _ in range(ROUNDS + 1):
-        fitted = {e: fit(_with(now.spec, e)) for e in tried if e not in search.accepted}
+        rest = [e for e in tried if e not in search.accepted]
+        found = ranks.carry([_with(now.spec, e) for e in rest], fit, _told, _again)
+        fitted = dict(zip(rest, found, strict=True))
         search.rows = believed([now, *fitted.values()])
         floors = search.floors(now, fitted)
         for effect, companion in COMPANIONS.items():
@@ -124,6 +134,19 @@ def believed(models: Sequence[Identified]) -> tuple[str, ...]:
 
 def _with(spec: ModelSpec, effect: str) -> ModelSpec:
     return msgspec.structs.replace(spec, effects=(*spec.effects, effect))
+
+
+def _told(found: Identified) -> tuple[dict[str, Any], Tensor, dict[str, float]]:
+    """What travels between ranks."""
+    return found.spec.plain(), found.model.theta.detach().clone(), dict(found.errors)
+
+
+def _again(_: ModelSpec, told: tuple[dict[str, Any], Tensor, dict[str, float]]) -> Identified:
+    spec = ModelSpec.from_plain(told[0])
+    model = build(spec)
+    with torch.no_grad():
+        model.theta.copy_(told[1])
+    return Identified(spec, model, told[2])
 
 
 class _Search:

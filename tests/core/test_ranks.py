@@ -26,6 +26,12 @@ with ranks_of_torchrun() as ranks:
     assert ranks.gather(ranks.rank) == [0, 1]
     assert ranks.from_first(f"of {ranks.rank}") == "of 0"
     assert list(ranks.exchange([[ranks.rank]] * (1 + ranks.rank))) == [0, 1, 1]
+    assert ranks.share("abc", lambda letter: letter + str(ranks.rank)) == ["a0", "b1", "c0"]
+    assert ranks.share("a", lambda letter: letter + str(ranks.rank)) == [f"a{ranks.rank}"]
+    assert ranks.share("", lambda letter: letter) == []
+    own, other = f"made of {'ab'[ranks.rank]}", f"{'ab'[1 - ranks.rank]} by {1 - ranks.rank}"
+    told = ranks.carry("ab", lambda one: f"made of {one}", lambda made: ranks.rank, lambda one, rank: f"{one} by {rank}")
+    assert told == ([own, other] if ranks.first else [other, own])
 """
 SILENT = """
 import time
@@ -90,6 +96,7 @@ def test_one_alone_exchanges_with_nobody():
     assert ALONE.largest(2.0) == 2.0
     assert ALONE.gather("own") == ["own"]
     assert ALONE.from_first("own") == "own"
+    assert ALONE.share([1, 2], lambda number: 2 * number) == [2, 4]
     assert list(ALONE.exchange([[1, 2], [], [3]])) == [1, 2, 3]
     assert ALONE.first
     with ranks_of_torchrun() as ranks:

@@ -1,0 +1,97 @@
+"""Full fits of several candidates, each by one of the ranks: what was found travels, every rank builds its engine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.ranks import Ranks
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.identification import stages
+from rotorid_torch.identification.engine import engine_for
+from rotorid_torch.identification.gauss_newton import Minimum
+from rotorid_torch.identification.likelihood import Likelihood, Place
+from rotorid_torch.identification.segments import cut
+from rotorid_torch.identification.sensitivity import Run
+from rotorid_torch.identification.system import System
+from rotorid_torch.identification.uncertainty import Uncertainty
+from rotorid_torch.model.nominal import build
+from rotorid_torch.trace.fits import Fitted, Flights, refit
+
+OWN = ("noise", "x0", "x0_mean", "x0_sd", "prior_mean", "prior_sd", "bias_sd")
+"""What a likelihood has beside flights and model."""
+
+
+@dataclass(frozen=True)
+class _Told:
+    """A fit without flights, model and engine.
+
+    theta : all the model's numbers. samples : of a segment. own : of the likelihood. runs : the last trajectories with
+    the segments of each, None where they are too large to be kept. minimum : its place without its linear model.
+    """
+
+    theta: Tensor
+    names: tuple[str, ...]
+    samples: int
+    own: Mapping[str, Any]
+    runs: list[tuple[Tensor, Run]] | None
+    minimum: Minimum[Place]
+    uncertainty: Uncertainty
+    stages: tuple[str, ...]
+    floor: Tensor | None
+
+
+def fits(
+    wanted: Sequence[tuple[ModelSpec, Mapping[str, float]]], flights: Flights, held: Sequence[str], ranks: Ranks
+) -> list[Fitted]:
+    """`refit` for several specs, each from its start, spread over the ranks; to the last digit the same at all."""
+    return ranks.carry(
+        wanted,
+        lambda one: refit(one[0], flights, one[1], held),
+        _told,
+        lambda one, told: _again(told, one[0], flights),
+    )
+
+
+def _told(fitted: Fitted) -> _Told:
+    fit = fitted.fit
+    problem, place = fit.likelihood, fit.minimum.point
+    runs = None if place.parts is None else [(part.which, part.run) for part in place.parts]
+    lean = replace(place, parts=None, locals=None, passage=None, transitions=[], blocks=[])
+    own = {name: getattr(problem, name) for name in OWN}
+    return _Told(
+        fitted.model.theta.detach().clone(),
+        fitted.names,
+        problem.segments.samples,
+        own,
+        runs,
+        replace(fit.minimum, point=lean),
+        fit.uncertainty,
+        fit.stages,
+        fit.floor,
+    )
+
+
+def _again(told: _Told, spec: ModelSpec, flights: Flights) -> Fitted:
+    """The fit on this rank's flights, with a model and an engine of its own."""
+    model = build(spec)
+    with torch.no_grad():
+        model.theta.copy_(told.theta)
+    known, system = flights.records(model, flights.dataset.identify), System(model, told.names)
+    problem = Likelihood(
+        system=system,
+        engine=engine_for(system, known.typical(), stages.Settings().solver),
+        records=known,
+        segments=cut(known, told.samples),
+        states=known.states,
+        **told.own,
+    )
+    place = told.minimum.point
+    if told.runs is not None:
+        place.parts = [problem.part(place, which, run) for which, run in told.runs]
+    fit = stages.Fit(problem, told.minimum, told.uncertainty, told.stages, told.floor)
+    return Fitted(spec, model, told.names, fit, flights)
