@@ -187,6 +187,7 @@ def remarks_on(
     return [
         *remarks.of_reading(seen),
         *reconstruction.notes,
+        *remarks.of_clocks(seen),
         *remarks.of_controls(seen, regressions.own_share),
         *remarks.of_regressions(regressions),
         *remarks.of_estimate(estimate, fit),

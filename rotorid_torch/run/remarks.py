@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.examine_records import condensed
 from rotorid_torch.data.excitation import moves
+from rotorid_torch.data.late_controls import late_controls
 from rotorid_torch.identification.step2 import Step2
 from rotorid_torch.identification.step3 import Step3
 from rotorid_torch.run.records import FitRecord
@@ -15,6 +17,8 @@ from rotorid_torch.run.summary import WORSE_THAN_TRIM, list_summaries
 
 OWN_SHARE = 0.1
 """Share of a control's own motion below which its derivatives and the states' are told only together."""
+COMPARED = 20
+"""Flights on which the clocks of controls and responses are compared."""
 SHOWN = 6
 """Names that a sentence lists; report.json's parameters hold all of them."""
 MEANINGS = {
@@ -39,6 +43,16 @@ def of_reading(dataset: Dataset) -> Iterator[str]:
     """What was changed or left out when the data set was read; all flights in one sentence."""
     for flight, sentence in condensed(dataset.warnings):
         yield f"flight {flight}: {sentence}" if flight else sentence
+
+
+def of_clocks(dataset: Dataset) -> Iterator[str]:
+    """Controls whose record is late, by the first identify flights."""
+    late = late_controls(replace(dataset, identify=dataset.identify[:COMPARED]))
+    if late is not None:
+        yield (
+            f"controls are recorded at least {late.seconds * 1e3:.0f} ± {late.se * 1e3:.0f} ms late: {late.clearest}"
+            " comes first, which no vehicle does; lags and damping are biased by it; `rotorid close-loop` takes it out"
+        )
 
 
 def of_controls(dataset: Dataset, own_share: Mapping[str, float]) -> Iterator[str]:

@@ -19,6 +19,27 @@ def test_a_control_at_rest_and_one_that_follows_the_states_are_told_apart():
     assert [sentence[:3] for sentence in remarks.of_controls(dataset, {"lon": 0.0, "lat": 0.5})] == ["lon"]
 
 
+def test_late_controls_are_told_with_their_time_and_who_mends_them():
+    def recorded(late: float) -> Dataset:
+        rng, dt = np.random.default_rng(0), 0.01
+        time = dt * np.arange(1500)
+
+        def stick(t: np.ndarray, hertz: np.ndarray, phase: np.ndarray) -> np.ndarray:
+            return 0.1 * np.sin(2 * np.pi * hertz * t[:, None] + phase).sum(-1)
+
+        flights = {}
+        for name in "abcd":
+            waves = rng.uniform(0.2, 1.2, 6), rng.uniform(0.0, 2 * np.pi, 6)
+            p = 2.0 * stick(time, *waves) + 0.02 * rng.standard_normal(1500)
+            flights[name] = {"time": time, "lat": stick(time - late, *waves), "p": p}
+        return Dataset.from_arrays(flights, identify=list(flights), controls={"lat": {"unit": "norm"}})
+
+    (said,) = remarks.of_clocks(recorded(0.06))
+    assert said.startswith("controls are recorded at least 60 ± ")
+    assert said.endswith("`rotorid close-loop` takes it out")
+    assert list(remarks.of_clocks(recorded(0.0))) == []
+
+
 def test_what_reading_changed_in_many_flights_is_one_sentence():
     dataset = SimpleNamespace(
         warnings=("control lat has no table", "flight a: time is not uniform: resampled", "flight b: time is rough")
