@@ -33,6 +33,8 @@ from rotorid_torch.trace.loop import Tracing, candidates
 from rotorid_torch.trace.significance import helps
 from rotorid_torch.validate.responses import compared
 
+LIKELY = 1.96
+"""Standard errors from nothing at which what every rotor has is taken as shown."""
 BLOCK_S = 1.0
 """Blocks of the residual that are put in another order: longer than what a motor or a stream is late by."""
 SHUFFLES = 200
@@ -222,13 +224,14 @@ class _Search:
         return 0.5 * product.square() / max(size, 1e-300) / max(count, 1)
 
     def accompanied(self, fitted: Identified, companion: str) -> Identified:
-        """The fit with the companion as well, where that gains above its floor and on unseen flights."""
+        """The fit with the companion as well, where that gains above its floor and on unseen flights, and is likely."""
         both = self.fit(_with(fitted.spec, companion))
         gain, floor = self.gain(fitted, both), self.floors(fitted, {companion: both})[companion]
         if gain <= floor:
             return fitted
         self.gain_of[companion], self.floor_of[companion] = gain, floor
-        return both if helps(self.by_flight(fitted, both, self.unseen)) else fitted
+        sure = _away(both, companion) > LIKELY and helps(self.by_flight(fitted, both, self.unseen))
+        return both if sure else fitted
 
     @property
     def unseen(self) -> Sequence[str]:
@@ -251,9 +254,7 @@ class _Search:
         edge = at_edge(fitted.model, effect)
         if edge is not None:
             return edge
-        nulls = {p.name: p.value for p in fitted.model.parameter_set.parameters}
-        own = {n: e for n, e in fitted.errors.items() if n.startswith(f"{effect}.")}
-        if not any(abs(fitted.values[n] - nulls[n]) > SURE * e for n, e in own.items()):
+        if _away(fitted, effect) <= SURE:
             return f"none of its parameters lies beyond {SURE:g} of its standard errors from nothing"
         better = self.by_flight(null, fitted, self.unseen)
         if not helps(better):
@@ -297,6 +298,13 @@ class _Search:
             said, last = self.reasons.get(effect, ("another effect explains it better", final))
             verdict, values = "rejected" if gain > floor else "below floor", _errors(last, effect)
         return Finding(effect, "undeclared", verdict, said, gain, floor, group=group, values=values)
+
+
+def _away(fitted: Identified, effect: str) -> float:
+    """Standard errors by which the surest parameter of an effect lies from nothing."""
+    nulls = {p.name: p.value for p in fitted.model.parameter_set.parameters}
+    own = {n: e for n, e in fitted.errors.items() if n.startswith(f"{effect}.")}
+    return max((abs(fitted.values[n] - nulls[n]) / max(e, 1e-300) for n, e in own.items()), default=0.0)
 
 
 def _errors(model: Identified, effect: str) -> dict[str, tuple[float, float]]:
