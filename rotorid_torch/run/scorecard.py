@@ -24,8 +24,6 @@ def scorecard(report: Report) -> RenderableType:
     parts.append(Text(headline(report)))
     if report.verdict:
         parts.append(Text(report.verdict.sentence))
-    if report.unknown:
-        parts.append(Text(report.unknown.sentence))
     parts += [Text(f"warning: {warning}") for warning in report.warnings]
     return Group(*parts)
 

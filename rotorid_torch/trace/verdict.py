@@ -33,14 +33,14 @@ def _stated(findings: Sequence[Finding], unknown: Unknown | None) -> Statement:
     named = [f for f in findings if f.role == "undeclared" and f.verdict == "accepted"]
     grouped = [f for f in findings if f.role == "undeclared" and f.verdict == "indistinguishable" and f.values]
     structure = [f for f in findings if f.role == "structure" and f.verdict == "accepted"]
+    more = f" {unknown.sentence.replace('Something is', 'Something more is')}" if unknown else ""
     members = tuple(dict.fromkeys(n for f in grouped for n in (f.id, *f.group)))
     if grouped:
         either = " or ".join(members)
         sure = f"; {_listed(named)} besides" if named else ""
-        said = f"Something undeclared acts on this vehicle, {either}: these flights cannot tell which{sure}."
+        said = f"Something undeclared acts on this vehicle, {either}: these flights cannot tell which{sure}.{more}"
         return Statement("group", (*(f.id for f in named), *members), said)
     if named:
-        more = f" {unknown.sentence.replace('Something is', 'Something more is')}" if unknown else ""
         return Statement("undeclared", tuple(f.id for f in named), f"Undeclared: {_listed(named)}.{more}")
     if unknown:
         return Statement("unknown", (), unknown.sentence)

@@ -33,6 +33,11 @@ def test_what_is_missing_gets_no_name():
     assert told.sentence == MISSING.sentence
 
 
+def test_what_is_missing_beside_names_and_groups_is_told_with_them():
+    for findings in ([DELAY], [GROUP, MEMBER]):
+        assert statement(findings, MISSING).sentence.endswith("Something more is missing in L.")
+
+
 def test_structure_alone_is_nothing_undeclared():
     assert statement([LAG_MODE, QUIET], None).kind == "structure"
 
