@@ -65,7 +65,7 @@ MEASUREMENTS = (
     Measurement(("reconstruct",), models.step1),
     Measurement(("import", "import-identify", "help", "help-torch"), processes.imports),
     Measurement(("identify-first", "identify-warm"), processes.identify),
-    Measurement(("close-loop",), processes.close_loop),
+    Measurement(("close-loop-cold", "close-loop"), processes.close_loop),
     *(
         Measurement((f"flights-{n}-time", f"flights-{n}-memory"), partial(processes.many_flights, count=n))
         for n in (100, 1000)

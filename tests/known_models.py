@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -13,6 +14,7 @@ from torch.nn.utils.rnn import pad_sequence
 from rotorid_torch.core.integrate import simulate
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES, STICKS, VELOCITIES
 from rotorid_torch.data import Dataset
+from rotorid_torch.data.write import write_dataset
 from rotorid_torch.effects.spec import FlappingKind, ModelSpec, RotorSpec
 from rotorid_torch.model.inflow import INDUCED, trim_velocity
 from rotorid_torch.model.model import Model
@@ -174,6 +176,18 @@ def flown(
     declared.setdefault("channels", {c: {"noise": sd[c], "bias": "none"} for c in outputs})
     declared.setdefault("vehicle", {"imu": list(model.body.imu)})
     return Dataset.from_arrays(flights, **lists, **declared)
+
+
+def written(dataset: Dataset, place: Path) -> Path:
+    """A flown data set as a folder."""
+    return write_dataset(
+        place,
+        {name: {c: v.numpy() for c, v in flight.channels.items()} for name, flight in dataset.flights.items()},
+        identify=dataset.identify,
+        validate=dataset.validate,
+        controls=dict(dataset.control_specs),
+        channels=dict(dataset.channel_specs),
+    )
 
 
 def rate_vehicle(**changes: Any) -> Model:

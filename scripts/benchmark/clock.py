@@ -6,6 +6,7 @@ import cProfile
 import io
 import os
 import pstats
+import resource
 import subprocess
 import sys
 import time
@@ -57,6 +58,12 @@ def process(*arguments: str, **environment: str) -> tuple[float, str]:
             done.stderr.strip().splitlines()[-1] if done.stderr.strip() else f"exit code {done.returncode}"
         )
     return spent, done.stdout
+
+
+def processor_seconds() -> float:
+    """Seconds that processors have spent on processes which this one has started and seen end, and on theirs."""
+    spent = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return spent.ru_utime + spent.ru_stime
 
 
 class _Timed:

@@ -30,7 +30,8 @@ with ranks_of_torchrun() as ranks:
     assert ranks.share("a", lambda letter: letter + str(ranks.rank)) == [f"a{ranks.rank}"]
     assert ranks.share("", lambda letter: letter) == []
     own, other = f"made of {'ab'[ranks.rank]}", f"{'ab'[1 - ranks.rank]} by {1 - ranks.rank}"
-    told = ranks.carry("ab", lambda one: f"made of {one}", lambda made: ranks.rank, lambda one, rank: f"{one} by {rank}")
+    made, again = lambda one: f"made of {one}", lambda one, rank: f"{one} by {rank}"
+    told = ranks.carry("ab", made, lambda made: ranks.rank, again)
     assert told == ([own, other] if ranks.first else [other, own])
 """
 SILENT = """

@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-import os
 import signal
-import socket
 import subprocess
 import sys
 import time
 from contextlib import suppress
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
 from rotorid_torch.core.ranks import Ranks
 from rotorid_torch.data import load
-from rotorid_torch.data.write import write_dataset
 from rotorid_torch.errors import InputError
 from rotorid_torch.run import pipeline
 from rotorid_torch.run.checkpoint import Checkpoint, Steps, checkpoint
 from rotorid_torch.run.monitor import Monitor
 from rotorid_torch.run.records import Report, read_report
-from tests.known_models import flown, manoeuvres, rate_vehicle
+from tests.known_models import flown, manoeuvres, rate_vehicle, written
+from tests.processes import ended, of_ranks, wait_until, write_earlier
 
 DT = 0.04
 LISTS = {"identify": ["f_lon", "f_lat", "f_col"], "validate": ["f_ped"]}
@@ -40,11 +37,7 @@ sys.exit(cli.main(sys.argv[2:]))
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = flown(rate_vehicle(), manoeuvres(9.0, DT), DT, noise=0.02, lists=LISTS)
-    flights = {name: {c: v.numpy() for c, v in flight.channels.items()} for name, flight in made.flights.items()}
-    declared = {name: msgspec.to_builtins(spec) for name, spec in made.channel_specs.items()}
-    controls = {name: msgspec.to_builtins(spec) for name, spec in made.control_specs.items()}
-    place = tmp_path_factory.mktemp("sets") / "rates"
-    return write_dataset(place, flights, **LISTS, channels=declared, controls=controls)
+    return written(made, tmp_path_factory.mktemp("sets") / "rates")
 
 
 @pytest.fixture(scope="module")
@@ -52,30 +45,6 @@ def straight(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Report:
     out = tmp_path_factory.mktemp("straight") / "run"
     pipeline.identify(load(data), out=out)
     return read_report(out)
-
-
-def of_ranks(size: int, command: list[str]) -> list[subprocess.Popen[str]]:
-    """The command in so many processes, as torchrun would start them."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = str(free.getsockname()[1])
-    given = {"WORLD_SIZE": str(size), "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "OMP_NUM_THREADS": "1"}
-    return [
-        subprocess.Popen(
-            command,
-            env={**os.environ, **given, "RANK": str(rank)},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        for rank in range(size)
-    ]
-
-
-def ended(processes: list[subprocess.Popen[str]]) -> tuple[list[int], list[str], list[str]]:
-    """Exit codes, outputs and errors by rank."""
-    told = [process.communicate(timeout=100) for process in processes]
-    return [process.returncode for process in processes], [out for out, _ in told], [err for _, err in told]
 
 
 def test_two_ranks_come_to_the_numbers_of_one(data: Path, straight: Report, tmp_path: Path):
@@ -129,7 +98,7 @@ def test_a_lost_rank_ends_the_run_with_one_line(data: Path, tmp_path: Path, lost
     write_earlier(out)
     before = (out / "report.json").read_bytes()
     processes = of_ranks(2, [*PROGRAM, "identify", str(data), "--out", str(out), "--quiet"])
-    wait_for(tmp_path / ".run.checkpoint" / "reconstruct-f_lon.pt")
+    wait_until((tmp_path / ".run.checkpoint" / "reconstruct-f_lon.pt").exists)
     processes[lost].kill()
     begin = time.monotonic()
     codes, _, errors = ended(processes)
@@ -138,19 +107,6 @@ def test_a_lost_rank_ends_the_run_with_one_line(data: Path, tmp_path: Path, lost
     assert errors[1 - lost].count("\n") == 1
     assert "a process of this run is lost" in errors[1 - lost]
     assert (out / "report.json").read_bytes() == before
-
-
-def write_earlier(out: Path) -> None:
-    out.mkdir()
-    (out / "report.json").write_text('{"format": 1, "rotorid": "0"}', encoding="utf-8")
-
-
-def wait_for(file: Path) -> None:
-    for _ in range(1000):
-        if file.exists():
-            return
-        time.sleep(0.05)
-    raise AssertionError(f"{file} does not come")
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])

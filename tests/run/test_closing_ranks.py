@@ -1,0 +1,164 @@
+"""The closed loop by several processes: the report of one, a lost one told, the clean aircraft of the floors shared."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from rotorid_torch.core.ranks import Ranks
+from rotorid_torch.data import load
+from rotorid_torch.errors import InputError
+from rotorid_torch.run.closing import close_loop
+from rotorid_torch.run.records import Report, read_report
+from rotorid_torch.trace import loop
+from tests.helpers import ROOT
+from tests.known_models import flown, manoeuvres, rate_vehicle, with_values, written
+from tests.processes import ended, of_ranks, wait_until, write_earlier
+
+DT = 0.04
+CANDIDATES = ["control.delay", "control.lag"]
+FEW_CANDIDATES = """
+import sys
+from rotorid_torch import cli
+from rotorid_torch.trace import loop
+loop.candidates = lambda spec: (sys.argv[1].split(), [])
+sys.exit(cli.main(sys.argv[2:]))
+"""
+PROGRAM = [sys.executable, "-c", FEW_CANDIDATES, " ".join(CANDIDATES), "close-loop"]
+FLOORS = """
+import json, os, sys
+from pathlib import Path
+from rotorid_torch.core.ranks import ranks_of_torchrun
+from rotorid_torch.fly import drawn
+from rotorid_torch.identification.reconstruct import reconstruct
+from rotorid_torch.identification.structure import propose
+from rotorid_torch.data import load
+from rotorid_torch.trace import clean
+dataset, worker, told = load(sys.argv[1]), sys.argv[2], []
+drawn.undrawable = lambda dataset: None
+spec = propose(dataset, reconstruct(dataset), ())
+sys.executable = worker
+with ranks_of_torchrun() as ranks:
+    floors = clean.clean_floors(dataset, spec, ["control.delay"], say=told.append, ranks=ranks)
+    gains = floors.gains["control.delay"].tolist()
+files = sorted(int(f.stem) for f in clean.cache_folder().glob("floors/*/[0-9]*.json"))
+print(json.dumps({"gains": gains, "files": files, "note": floors.note, "told": told}))
+"""
+WORKER = """#!{python}
+import json, sys
+from pathlib import Path
+request = json.loads(Path(sys.argv[3]).read_text())
+assert Path(request["dataset"], "dataset.toml").exists()
+for n in request["numbers"]:
+    found = {{"gains": {{"control.delay": n / 7.0}}, "traces": {{"L": 1.0}}, "alike": n != 5}}
+    Path(request["folder"], f"{{n}}.json").write_text(json.dumps(found))
+"""
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    truth = with_values(rate_vehicle(effects=("control.delay",)), {"control.delay.common": 0.08})
+    moves = manoeuvres(6.0, DT)
+    both = {**moves, **{f"{name}_again": -0.8 * move for name, move in moves.items()}}
+    lists = {"identify": list(moves), "validate": [f"{name}_again" for name in moves]}
+    made = flown(truth, both, DT, noise=0.02, seed=3, lists=lists)
+    return written(made, tmp_path_factory.mktemp("sets") / "late")
+
+
+@pytest.fixture(scope="module")
+def straight(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Report:
+    out = tmp_path_factory.mktemp("straight") / "run"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(loop, "candidates", lambda spec: (CANDIDATES, []))
+        close_loop(load(data), out=out)
+    return read_report(out)
+
+
+def leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
+    """Everything in a report but what no two runs share, by its place."""
+    if isinstance(value, dict | list):
+        for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+            if key not in ("time_s", "peak_memory_mb"):
+                yield from leaves(item, f"{place}/{key}")
+    else:
+        yield place, value
+
+
+def test_two_ranks_write_the_report_of_one(data: Path, straight: Report, tmp_path: Path):
+    codes, told, errors = ended(of_ranks(2, [*PROGRAM, str(data), "--out", str(tmp_path / "run")]))
+    assert codes == [0, 0], errors
+    assert errors == ["", ""]
+    assert "report:" in told[0]
+    assert told[1] == ""
+    got, wanted = (dict(leaves(msgspec.to_builtins(r))) for r in (read_report(tmp_path / "run"), straight))
+    assert got.keys() == wanted.keys()
+    for place, value in wanted.items():
+        if isinstance(value, float) and isinstance(got[place], float):
+            assert math.isclose(got[place], value, rel_tol=1e-9, abs_tol=1e-12), place
+        else:
+            assert got[place] == value, place
+    assert straight.verdict is not None
+    assert straight.verdict.effects == ("control.delay",)
+    log = (tmp_path / "run" / "log.txt").read_text(encoding="utf-8")
+    assert all(f"{candidate}: gain" in log for candidate in CANDIDATES)  # two full fits, one at each rank
+    assert [p.name for p in tmp_path.iterdir()] == ["run"]
+
+
+@pytest.mark.parametrize("lost", [pytest.param(0, marks=pytest.mark.slow), 1])
+def test_a_lost_rank_ends_the_loop_with_one_line(data: Path, tmp_path: Path, lost: int):
+    out = tmp_path / "run"
+    write_earlier(out)
+    before = (out / "report.json").read_bytes()
+    processes = of_ranks(2, [*PROGRAM, str(data), "--out", str(out), "--quiet"])
+    wait_until(lambda: any("validate:" in log.read_text() for log in tmp_path.glob(".run.*.partial/log.txt")))
+    processes[lost].kill()
+    codes, _, errors = ended(processes)
+    assert codes[1 - lost] == 1
+    assert errors[1 - lost].count("\n") == 1
+    assert "a process of this run is lost" in errors[1 - lost]
+    assert (out / "report.json").read_bytes() == before
+
+
+def test_what_all_ranks_refuse_is_told_once(tmp_path: Path):
+    codes, _, errors = ended(of_ranks(2, [*PROGRAM, str(tmp_path / "none"), "--out", str(tmp_path / "run")]))
+    assert codes == [2, 2]
+    assert "".join(errors).count("\n") == 1
+    assert "there is no such folder" in "".join(errors)
+    assert not list(tmp_path.iterdir())
+
+
+def test_more_ranks_than_flights_are_refused(data: Path):
+    with pytest.raises(InputError, match="started 5 processes; expected 4 at most for 4 flights"):
+        close_loop(load(data), ranks=Ranks(0, 5))
+
+
+def test_ranks_without_a_common_disk_share_the_draws_and_find_the_same_floors(data: Path, tmp_path: Path):
+    worker = tmp_path / "worker"
+    worker.write_text(WORKER.format(python=sys.executable))
+    worker.chmod(0o755)
+    command = [sys.executable, "-c", FLOORS, str(data), str(worker)]
+    caches = [tmp_path / "first", tmp_path / "second"]
+    found = together(command, caches)
+    wanted = [n / 7.0 for n in range(24) if n != 5]
+    assert [f["gains"] for f in found] == [wanted, wanted]
+    assert "23 clean aircraft" in found[0]["note"]
+    assert found[0]["files"] == list(range(24))  # the first keeps what all have found
+    assert found[1]["files"] == list(range(1, 24, 2))
+    again = together(command, caches)
+    assert [f["told"] for f in again] == [[], []]  # nobody flies anything: what the first has kept counts for all
+    assert [f["gains"] for f in again] == [wanted, wanted]
+
+
+def together(command: list[str], caches: list[Path]) -> list[dict[str, Any]]:
+    """What two processes with these caches print."""
+    place = {"PYTHONPATH": str(ROOT), "ROTORID_THREADS": "1"}
+    codes, told, errors = ended(of_ranks(2, command, *[{**place, "ROTORID_CACHE": str(c)} for c in caches]))
+    assert codes == [0, 0], errors
+    return [json.loads(said) for said in told]
