@@ -174,19 +174,28 @@ class FlapSecondOrder(Effect):
 
 @register
 class LeadLag(Effect):
-    """Lead-lag: the regressing and the advancing lag mode in the fixed frame shake the body after each step.
+    """Lead-lag: the regressing and the advancing lag mode shake the body after each step, the collective mode its yaw.
 
     Complex lag s = x + i y: s'' = (l1 + l2) s' - l1 l2 s + speed (da1/dt + i db1/dt), the Coriolis moments of flapping,
     with l = -damping + i frequency of each mode. The hub is pulled by c = e^(i phase) s': X += X re c, M += M re c,
     Y += Y im c, L += L im c. Without flapping states the cyclic controls drive it. The frequencies start at speed -+
-    lag frequency, which is speed sqrt(1.5 e/(R - e)) for hinges at e.
+    lag frequency, which is speed sqrt(1.5 e/(R - e)) for hinges at e. All blades together lag by z behind the
+    collective, z'' = -2 damping z' + (damping^2 + f^2) (col - z) with f half the difference of the two frequencies:
+    torque reaches the hub through the hinges, N += N (z - col).
 
     Source: Johnson, Helicopter Theory, sec. 12-1 (lag dynamics in multiblade coordinates); Bramwell, ch. 9.
     """
 
     id, stage, role = "rotor.lead_lag", Stage.FORCES, Role.STRUCTURE
 
-    def __init__(self, rotor: RotorSpec, drivers: tuple[str, str], zero: tuple[float, float], of_rates: bool) -> None:
+    def __init__(
+        self,
+        rotor: RotorSpec,
+        drivers: tuple[str, str],
+        zero: tuple[float, float],
+        of_rates: bool,
+        collective: float | None,
+    ) -> None:
         e = rotor.hinge_offset
         lag = USUAL_LAG if not e else math.sqrt(1.5 * e / (rotor.radius - e))
         slow, fast = (inside(rotor.speed * abs(1.0 + side * lag), (1.0, FASTEST / 1.4)) for side in (-1, 1))
@@ -201,14 +210,24 @@ class LeadLag(Effect):
                     Parameter(n, 0.0, per[n in "LM"], (-100.0, 100.0), doc=f"{n} by the lag motion", typical=size)
                     for n, size in (("X", 0.3), ("Y", 0.3), ("L", 0.6), ("M", 0.1))
                 ),
+                Parameter(
+                    *("N", 0.0, "1/s2", (-100.0, 100.0)),
+                    free=collective is not None,
+                    doc="N that is late with the collective lag",
+                    typical=5.0,
+                ),
             ),
             tuple(
                 State(n, unit, f"{what}, {axis}")
-                for what, unit, names in (("lag", "rad", ("x", "y")), ("rate of lag", "rad/s", ("x_rate", "y_rate")))
-                for n, axis in zip(names, ("longitudinal", "lateral"), strict=True)
+                for what, unit, names in (
+                    ("lag", "rad", ("x", "y", "z")),
+                    ("rate of lag", "rad/s", ("x_rate", "y_rate", "z_rate")),
+                )
+                for n, axis in zip(names, ("longitudinal", "lateral", "collective"), strict=True)
             ),
         )
         self.speed, self.drivers, self.zero, self.of_rates = rotor.speed, drivers, zero, of_rates
+        self.collective = collective
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> LeadLag:
@@ -217,7 +236,8 @@ class LeadLag(Effect):
         of_rates = spec.flapping == "first order"
         drivers = ("a1", "b1") if of_rates else ("lon", "lat")
         zero = (0.0, 0.0) if of_rates else (spec.reference.get("lon", 0.0), spec.reference.get("lat", 0.0))
-        return cls(spec.rotor, drivers, zero, of_rates)
+        collective = spec.reference.get("col", 0.0) if "col" in spec.controls else None
+        return cls(spec.rotor, drivers, zero, of_rates, collective)
 
     @classmethod
     def untestable(cls, spec: ModelSpec) -> str | None:
@@ -231,19 +251,24 @@ class LeadLag(Effect):
             frame.rate(n) if self.of_rates else frame.signals[n] - z
             for n, z in zip(self.drivers, self.zero, strict=True)
         )
-        along, side, along_rate, side_rate = x.unbind(-1)
+        along, side, late, along_rate, side_rate, late_rate = x.unbind(-1)
         total, twice = p["regressing"] + p["advancing"], 2.0 * p["damping"]
         spring, turned = p["damping"].square() - p["regressing"] * p["advancing"], p["damping"] * total
+        zero = torch.zeros_like(late)
+        behind = zero if self.collective is None else frame.signals["col"] - self.collective - late
+        own = p["damping"].square() + (0.5 * (p["advancing"] - p["regressing"])).square()
         rates = vec(
             along_rate,
             side_rate,
+            late_rate,
             self.speed * a - twice * along_rate - total * side_rate - spring * along - turned * side,
             self.speed * b - twice * side_rate + total * along_rate - spring * side + turned * along,
+            own * behind - twice * late_rate,
         )
         cos, sin = torch.cos(p["phase"]), torch.sin(p["phase"])
         fore, right = cos * along_rate - sin * side_rate, sin * along_rate + cos * side_rate
-        zero = torch.zeros_like(p["X"] * fore)
-        force, moment = vec(p["X"] * fore, p["Y"] * right, zero), vec(p["L"] * right, p["M"] * fore, zero)
+        force = vec(p["X"] * fore, p["Y"] * right, zero)
+        moment = vec(p["L"] * right, p["M"] * fore, -p["N"] * behind)
         return frame.add(force, moment), rates
 
 

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 import torch
+from scipy import signal
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
@@ -197,8 +198,23 @@ def test_lag_motion_rings_at_its_frequencies():
     )
     lag = math.sqrt(1.5 * 0.381 / (8.18 - 0.381))
     found = torch.linalg.eigvals(flapping_matrix(model))
-    for wanted in (27.0 * (1.0 - lag), 27.0 * (1.0 + lag)):
+    for wanted in (27.0 * (1.0 - lag), 27.0 * (1.0 + lag), 27.0 * lag):
         assert min(abs(complex(v) - complex(-1.0, wanted)) for v in found) < 1e-6
+
+
+def test_yaw_by_the_collective_is_late_with_the_collective_lag():
+    """SciPy's second-order step response; the slow yaw that the derivatives give is left as it is."""
+    lag, damping = 27.0 * math.sqrt(1.5 * 0.381 / (8.18 - 0.381)), 2.0
+    spec = msgspec.structs.replace(HELICOPTER, effects=("rotor.lead_lag",))
+    model = with_values(build(spec), {"rotor.lead_lag.damping": damping, "rotor.lead_lag.N": 8.0})
+    stiff = damping**2 + lag**2
+    time, followed = signal.step(signal.lti([stiff], [1.0, 2.0 * damping, stiff]), T=np.linspace(0.0, 2.0, 401))
+    at = {"rotor.lead_lag.z": 0.01 * followed, "rotor.lead_lag.z_rate": 0.01 * np.gradient(followed, time)}
+    found = [rates(model, (), col=0.01, **{n: float(v[k]) for n, v in at.items()}) for k in (0, 50, 400)]
+    yaw = [8.0 * 0.01 * (followed[k] - 1.0) for k in (0, 50, 400)]
+    assert [f["r"] for f in found] == pytest.approx(yaw, abs=1e-12)
+    change = np.gradient(at["rotor.lead_lag.z_rate"], time)
+    assert found[1]["rotor.lead_lag.z_rate"] == pytest.approx(change[50], rel=1e-3)
 
 
 def test_a_curved_wake_turns_the_tilt_against_the_off_axis_response():
