@@ -104,10 +104,11 @@ def close_loop(setting: Setting) -> Measured:
         run = runs / name
         before = processor_seconds()
         seconds, _ = process("-m", "rotorid_torch", "close-loop", str(data), "--out", str(run), "--quiet", **cache)
-        busy = processor_seconds() - before
-        found[name] = Figure(seconds, "s", f"{busy:.3g} s of processors; load {os.getloadavg()[0]:.1f}")
+        found[name] = Figure(seconds, "s")
+        busy, load = processor_seconds() - before, os.getloadavg()[0]
+        setting.tell(f"{name}: {seconds:.1f} s, of processors {busy:.1f} s; load at its end {load:.1f}")
         if setting.profile:
-            setting.tell(f"{name}: {seconds:.2f} s\n{(run / 'log.txt').read_text()}")
+            setting.tell((run / "log.txt").read_text())
     return found
 
 
