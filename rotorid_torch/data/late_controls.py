@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rotorid_torch.data.consistency import Agreement, agreement, stick_pairs
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.precedence import Response, responses
 
 EARLY_S = 0.01
@@ -16,6 +18,8 @@ SURE_STICKS, SURE = 3.0, 4.0
 """Standard errors beyond which a response precedes: rates against sticks, accelerations against controls."""
 SEEN, FOLLOWED = 0.6, 0.7
 """R² from which on a rate is compared with its stick, and from which on the stick commands it."""
+SHARPEST_S = 1e-4
+"""Least standard error of a lag: it is interpolated between steps a hundred times as long."""
 
 
 @dataclass(frozen=True)
@@ -55,18 +59,21 @@ def late_controls(dataset: Dataset) -> LateControls | None:
     """Whether responses precede their controls, beyond chance, beyond a sample, and in no flight the other way round.
 
     Where rates follow sticks, these are compared directly and their mean is told; otherwise accelerations, and of these
-    the one that leaves least time for the vehicle to respond.
+    the one that leaves least time for the vehicle to respond. A stick that commands an attitude is not late: the rate
+    leads it, for it goes with the stick's own rate of change.
     """
     sample = max(dataset.facts[name].dt for name in dataset.identify)
     sticks = followed_sticks(dataset)
     if sticks:
-        early = tuple(a for a in sticks if a.r2 > FOLLOWED and _precedes(a, sample))
+        flights = [dataset.flights[name] for name in dataset.identify]
+        first = tuple(a for a in sticks if a.r2 > FOLLOWED and _precedes(a, sample))
+        early = tuple(a for a in first if not _commands_attitude(a, flights))
         return _mean(early) if early else None
-    first = tuple(r for r in known_responses(dataset) if r.lag_s < -max(SURE * r.lag_se, EARLY_S, sample))
-    if not first:
+    felt = tuple(r for r in known_responses(dataset) if r.lag_s < -max(SURE * r.lag_se, EARLY_S, sample))
+    if not felt:
         return None
-    least = min(first, key=lambda r: r.lag_s + SURE * r.lag_se)
-    return LateControls(-least.lag_s, least.lag_se, accelerations=first)
+    least = min(felt, key=lambda r: r.lag_s + SURE * r.lag_se)
+    return LateControls(-least.lag_s, least.lag_se, accelerations=felt)
 
 
 def _precedes(a: Agreement, sample: float) -> bool:
@@ -74,7 +81,15 @@ def _precedes(a: Agreement, sample: float) -> bool:
     return a.lag_s < -max(SURE_STICKS * a.lag_se, 2.0 * EARLY_S, sample) and not follows
 
 
+def _commands_attitude(a: Agreement, flights: Sequence[Flight]) -> bool:
+    """Whether the rate goes with the stick's rate of change rather than with the stick."""
+    stick = a.pair.right
+    moving = replace(a.pair, right=lambda flight: np.gradient(stick(flight), flight.dt))
+    found = agreement(moving, flights)
+    return found is not None and found.r2 >= a.r2
+
+
 def _mean(early: tuple[Agreement, ...]) -> LateControls:
-    weights = np.array([a.lag_se**-2.0 for a in early])
+    weights = np.array([max(a.lag_se, SHARPEST_S) ** -2.0 for a in early])
     mean = float(weights @ [-a.lag_s for a in early] / weights.sum())
     return LateControls(mean, float(weights.sum() ** -0.5), sticks=early)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from rotorid_torch.data import Dataset, load
-from rotorid_torch.data.late_controls import late_controls
+from rotorid_torch.data.late_controls import followed_sticks, late_controls
 from rotorid_torch.data.precedence import responses
 from rotorid_torch.trace.sensor_correction import without_errors
 from tests.helpers import shared
@@ -61,6 +62,37 @@ def test_a_response_that_does_not_clearly_precede_is_no_finding(late: float, lag
 
 def test_clocks_that_drift_to_either_side_are_no_common_delay() -> None:
     assert late_controls(commanded(0.25, drift=-0.1)) is None
+
+
+def test_exact_records_have_a_lag_and_an_error_too() -> None:
+    time = DT * np.arange(SAMPLES)
+    hertz, phase = np.random.default_rng(0).uniform((0.2, 0.0), (1.2, 6.0), (6, 2)).T
+
+    def stick(t: np.ndarray) -> np.ndarray:
+        return 0.1 * np.sin(2 * np.pi * hertz * t[:, None] + phase).sum(-1)
+
+    flight = {"time": time, "lat": stick(time - 0.06), "p": 2.0 * stick(time)}
+    found = late_controls(Dataset.from_arrays({"f": flight}, identify=["f"], controls={"lat": {"unit": "norm"}}))
+    assert found is not None
+    assert found.seconds == pytest.approx(0.06, abs=1e-5)
+    assert 0.0 < found.se < 1e-3
+
+
+@pytest.mark.parametrize("band", [(0.2, 0.4), (0.3, 0.4)])
+def test_a_stick_that_commands_an_attitude_is_not_late(band: tuple[float, float]) -> None:
+    """The rate leads such a stick by up to a quarter of a period, and the vehicle answers in order all the same."""
+    rng, flights = np.random.default_rng(0), {}
+    time = DT * np.arange(SAMPLES)
+    for k in range(4):
+        hertz, phase = rng.uniform(*band, 6), rng.uniform(0.0, 2 * np.pi, 6)
+        stick = 0.1 * np.sin(2 * np.pi * hertz * time[:, None] + phase).sum(-1)
+        _, attitude, _ = signal.lsim(signal.lti([16.0], [1.0, 6.4, 16.0]), 5.0 * stick, time)
+        p = np.gradient(attitude, DT) + 0.02 * rng.standard_normal(SAMPLES)
+        flights[f"f{k}"] = {"time": time, "lat": stick, "phi": attitude, "p": p}
+    dataset = Dataset.from_arrays(flights, identify=list(flights), controls={"lat": {"unit": "norm"}})
+    (seen,) = followed_sticks(dataset)
+    assert seen.lag_s < -0.1
+    assert late_controls(dataset) is None
 
 
 @pytest.mark.parametrize("name", [*CLEAN, *MULTIROTORS, "trex550-translation"])
