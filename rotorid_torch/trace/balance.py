@@ -18,6 +18,7 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model
+from rotorid_torch.model.rotors import hover_thrust
 from rotorid_torch.trace.finding import Finding, Unknown
 from rotorid_torch.trace.significance import helps, normal_quantile, student_quantile
 
@@ -25,6 +26,8 @@ AVERAGED_S = 1.0
 """Length of the means."""
 ROWS = ("M", "L", "N")
 """Moments that the thrust centre along x and y and the yaw balance belong to."""
+AIRBORNE = 0.5
+"""Share of the weight that the thrusts must carry: below it the ground holds the vehicle, or motors stand still."""
 UNEQUAL = 0.07
 """Standard deviation of the thrusts that rotors of one kind give at the same input, over their mean."""
 FALSE_ALARMS = 0.001
@@ -38,7 +41,7 @@ POSITIONS = {"north": "the velocity north", "east": "the velocity east", "height
 
 @dataclass(frozen=True, eq=False)
 class Balance:
-    """Means over a second of one flight.
+    """Means over a second of one flight, those on the ground left out.
 
     centre : [B, 3] thrust centre x, y in m from the declared centre of gravity, and yaw balance: the share by which
     thrusts of rotors turning one way exceed those of the others. turning : [B, 3] angular accelerations of the same
@@ -62,8 +65,9 @@ class Going:
 
 
 def balances(model: Model, spec: ModelSpec, dataset: Dataset, flights: Sequence[str]) -> list[Balance]:
-    """The balance of flights by a model's thrust curve; flights shorter than two means are left out."""
-    made = [_balance(model, spec, dataset.flights[name]) for name in flights]
+    """The balance of flights by a model's thrust curve; those airborne for less than two means are left out."""
+    known = [dataset.flights[name] for name in flights]
+    made = [_balance(model, spec, flight) for flight in known if flight.has(*RATES)]
     return [b for b in made if len(b.centre) > 1]
 
 
@@ -73,17 +77,19 @@ def _balance(model: Model, spec: ModelSpec, flight: Flight) -> Balance:
     s = taped[:, [model.body.controls.index(c) for c in spec.driven]]
     c0, c1, c2 = (model.named_values[f"rotors.thrust.c{k}"] for k in range(3))
     thrust = c0 + s * (c1 + s * c2)
-    share = thrust / thrust.sum(dim=1, keepdim=True)
     signals = {c: flight.bridged([c])[:, 0] for c in (*VELOCITIES, *RATES) if flight.has(c)}
     if "u" not in signals:
         moved = [c for c in POSITIONS if flight.has(c)]
         signals |= {POSITIONS[c]: torch.gradient(flight.bridged([c])[:, 0], spacing=flight.dt)[0] for c in moved}
     turning = [torch.gradient(signals[c], spacing=flight.dt)[0] for c in ("q", "p", "r")]
     every = max(1, round(AVERAGED_S / flight.dt))
+    mean = _means(thrust, every)
+    total = mean.sum(dim=1)
+    flown = total > AIRBORNE * hover_thrust(spec) * len(spec.motors)
     return Balance(
-        _means(share @ _levers(spec), every),
-        _means(torch.stack(turning, dim=-1), every),
-        {n: _means(v, every) for n, v in signals.items()},
+        mean[flown] @ _levers(spec) / total[flown, None],
+        _means(torch.stack(turning, dim=-1), every)[flown],
+        {n: _means(v, every)[flown] for n, v in signals.items()},
     )
 
 
@@ -165,17 +171,22 @@ class Standing:
 
 
 def standing(spec: ModelSpec, identify: Sequence[Balance], unseen: Sequence[Balance]) -> Standing | None:
-    """How balance stands out on flights; None where ordinary rotors do that, or unseen flights do not bear it out."""
+    """How balance stands out on flights; None where ordinary rotors do that, or unseen flights do not bear it out.
+
+    None too where the rotors' places leave a moment that no thrust makes, as for two rotors.
+    """
     flights = torch.stack([b.centre.mean(dim=0) for b in identify])
     centre, levers = flights.mean(dim=0), _levers(spec) / len(spec.motors)
+    if int(torch.linalg.matrix_rank(levers)) < len(ROWS):
+        return None
     ordinary = UNEQUAL**2 * levers.mT @ levers
     if len(flights) > 1:
         ordinary = ordinary + (flights.var(dim=0) / len(flights)).diag()
     inverse = torch.linalg.inv(ordinary)
     if _chance(_misfit(centre, inverse), 3) > FALSE_ALARMS:
         return None
-    less = (levers @ inverse @ centre) / (levers @ inverse * levers).sum(dim=1)
-    rest = centre - less[:, None] * levers
+    beyond = (levers @ inverse @ centre) / (levers @ inverse * levers).sum(dim=1)
+    rest = centre - beyond[:, None] * levers
     misfits = (rest @ inverse * rest).sum(dim=1)
     rotor = int(misfits.argmin())
     explains = _chance(misfits[rotor], 2) > EXCLUDED
@@ -185,7 +196,9 @@ def standing(spec: ModelSpec, identify: Sequence[Balance], unseen: Sequence[Bala
     if _misfit(after, inverse) >= _misfit(without, inverse):
         return None
     one = rotor if explains else None
-    return Standing(centre, ordinary.diagonal().sqrt(), moved, one, float(less[rotor]), without, after)
+    # its share of all thrusts is larger than the others' by this over their number, and its true thrust is theirs
+    less = float(beyond[rotor] / (1.0 + beyond[rotor] * (1.0 - 1.0 / len(levers))))
+    return Standing(centre, ordinary.diagonal().sqrt(), moved, one, less, without, after)
 
 
 def _misfit(centre: Tensor, inverse: Tensor) -> Tensor:

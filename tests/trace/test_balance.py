@@ -5,11 +5,15 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from rotorid_torch.trace.balance import UNEQUAL, Balance, Standing, going_with, out_of_balance, standing
+from rotorid_torch.data import Dataset
+from rotorid_torch.effects.spec import ModelSpec, MotorSpec
+from rotorid_torch.model.nominal import build
+from rotorid_torch.trace.balance import UNEQUAL, Balance, Standing, balances, going_with, out_of_balance, standing
 
 ARM = 0.033
 PLACES = ((1, 1, -1), (-1, 1, 1), (-1, -1, -1), (1, -1, 1))
@@ -34,6 +38,13 @@ def flight(seed: int, centre: Tensor | None = None, by_speed: float = 0.0) -> Ba
 
 def flights(*seeds: int, **what: Any) -> list[Balance]:
     return [flight(seed, **what) for seed in seeds]
+
+
+def of_weak(rotor: int, less: float) -> Tensor:
+    """Thrust centre by the commands of a vehicle that balances with one rotor that gives less than they say."""
+    commanded = torch.ones(4, dtype=torch.float64)
+    commanded[rotor] /= 1.0 - less
+    return commanded @ LEVERS / commanded.sum()
 
 
 def stood(*seeds: int, **what: Any) -> Standing | None:
@@ -73,10 +84,11 @@ def test_slow_wandering_is_no_evidence():
 
 @pytest.mark.parametrize("rotor", range(4))
 def test_one_weak_rotor_is_told_from_a_centre_of_gravity_elsewhere(rotor: int):
-    found = stood(1, 2, 3, centre=0.5 * LEVERS[rotor] / 4)
-    assert found is not None
-    assert (found.moved_alone, found.rotor) == (False, rotor)
-    assert found.less == pytest.approx(0.5, abs=0.02)
+    for less in (0.3, 0.5):
+        found = stood(1, 2, 3, centre=of_weak(rotor, less))
+        assert found is not None
+        assert (found.moved_alone, found.rotor) == (False, rotor)
+        assert found.less == pytest.approx(less, abs=0.01)
 
 
 def test_a_centre_of_gravity_elsewhere_leaves_yaw_alone():
@@ -107,7 +119,7 @@ def told(monkeypatch: pytest.MonkeyPatch, **what: Any) -> Any:
 
 
 def test_words_name_the_rotor_but_no_effect(monkeypatch: pytest.MonkeyPatch):
-    finding, missing = told(monkeypatch, centre=0.5 * LEVERS[2] / 4, by_speed=3e-4)
+    finding, missing = told(monkeypatch, centre=of_weak(2, 0.5), by_speed=3e-4)
     assert finding is None
     assert missing.goes_with == "motor3"
     assert "as if the rotor of motor3 gave 50 % less" in missing.sentence
@@ -120,6 +132,38 @@ def test_a_moved_centre_of_gravity_is_told_with_its_rivals(monkeypatch: pytest.M
     assert (finding.id, finding.verdict, finding.group) == ("mass.cg", "indistinguishable", ("rotors.thrust",))
     value, error = finding.values["mass.cg.x"]
     assert (value, error) == (pytest.approx(0.006, abs=1e-4), pytest.approx(UNEQUAL * ARM / 2.0, rel=0.1))
+
+
+def test_two_rotors_leave_a_moment_that_no_thrust_makes():
+    two: Any = SimpleNamespace(motors=[SimpleNamespace(position=(0.0, y, 0.0), spin=1) for y in (0.1, -0.1)])
+    assert standing(two, flights(1, centre=AHEAD), flights(4, centre=AHEAD)) is None
+
+
+def test_seconds_on_the_ground_do_not_count():
+    motors = tuple(MotorSpec(position=(ARM * x, ARM * y, 0.0), spin=s) for x, y, s in PLACES)
+    names = SPEC.driven
+    spec = ModelSpec(
+        states=("p", "q", "r"),
+        controls=names,
+        outputs=("p", "q", "r", "az"),
+        reference=dict.fromkeys(names, 0.5),
+        sizes={},
+        ranges={},
+        patterns=dict.fromkeys("ZLMN", ()),
+        control_units=dict.fromkeys(names, "norm"),
+        motors=motors,
+        spins=tuple(m.spin for m in motors),
+    )
+    time, flying = 0.02 * np.arange(500), 1.0 * (np.arange(500) >= 200)
+    command = {n: flying * (0.55 if n == "motor1" else 0.5) for n in names}
+    command["motor2"] = command["motor2"] + 0.1 * (1.0 - flying)  # one of them idles
+    still = dict.fromkeys(("p", "q", "r", "u"), 0.0 * time)
+    flights = {"f": {"time": time, **command, **still}, "no r": {"time": time, **command, "p": time, "q": time}}
+    data = Dataset.from_arrays(flights, identify=["f"], validate=["no r"], kind="multirotor")
+    (found,) = balances(build(spec), spec, data, ["f", "no r"])
+    thrust = torch.tensor([0.55**2, 0.25, 0.25, 0.25], dtype=torch.float64)
+    torch.testing.assert_close(found.centre, (thrust @ LEVERS / thrust.sum()).repeat(6, 1))
+    assert (len(found.turning), len(found.signals["u"])) == (6, 6)
 
 
 def test_where_all_is_ordinary_nothing_is_told(monkeypatch: pytest.MonkeyPatch):
