@@ -105,12 +105,14 @@ def trace_rotors(
             if effect in fitted and companion in fitted:
                 fitted[effect] = search.accompanied(fitted[effect], companion)
         standing = [e for e in fitted if search.stands(now, fitted[e], e, floors[e])]
-        if not standing or len(search.accepted) == ROUNDS:
+        if not standing or len(search.accepted) >= ROUNDS:
             break
         best = max(standing, key=lambda e: search.gain(now, fitted[e]))
         joining = [e for e in fitted[best].spec.effects if e not in now.spec.effects]
         say(f"{' and '.join(joining)} joins" if len(joining) == 1 else f"{' and '.join(joining)} join")
         search.accepted += joining
+        for e in joining[1:]:  # a companion counts by what it gained beside the first
+            search.gain_of[e], search.floor_of[e] = search.beside[e]
         near |= {e: search.near(fitted, best, standing) if e == best else () for e in joining}
         now = fitted[best]
     final = search.confirmed(now)
@@ -118,9 +120,9 @@ def trace_rotors(
     search.groups = {e: others for e, others in alike.items() if others}
     centre, missing = out_of_balance(final.model, final.spec, dataset, search.unseen) if spec.motors else (None, None)
     note = "floors come from residuals whose blocks stand in another order: no clean multirotor is drawn"
-    told = [centre if centre and e == centre.id else search.finding(final, e) for e in undeclared]
-    accepted = tuple(search.accepted)
-    return Tracing(null, final, (), accepted, search.groups, (*findings, *told), (note,), missing)
+    findings += [search.finding(final, e) for e in undeclared]
+    told = tuple(centre if centre and f.id == centre.id else f for f in findings)
+    return Tracing(null, final, (), tuple(search.accepted), search.groups, told, (note,), missing)
 
 
 def believed(models: Sequence[Identified]) -> tuple[str, ...]:
@@ -161,6 +163,7 @@ class _Search:
         self.groups: dict[str, tuple[str, ...]] = {}
         self.floor_of: dict[str, float] = {}
         self.gain_of: dict[str, float] = {}
+        self.beside: dict[str, tuple[float, float]] = {}
         self.reasons: dict[str, tuple[str, Identified]] = {}
         self.rows: tuple[str, ...] = ()
         self._kept: dict[int, tuple[Identified, Compared]] = {}
@@ -229,7 +232,7 @@ class _Search:
         gain, floor = self.gain(fitted, both), self.floors(fitted, {companion: both})[companion]
         if gain <= floor:
             return fitted
-        self.gain_of[companion], self.floor_of[companion] = gain, floor
+        self.beside[companion] = gain, floor
         sure = _away(both, companion) > LIKELY and helps(self.by_flight(fitted, both, self.unseen))
         return both if sure else fitted
 

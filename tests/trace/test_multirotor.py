@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,8 +13,9 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.parameters import Parameter
-from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.effects.spec import ModelSpec, MotorSpec
 from rotorid_torch.trace import multirotor
+from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.multirotor import Identified, believed, trace_rotors
 
 FLIGHTS = {"one": 1, "two": 2, "three": 3, "four": 4}
@@ -38,9 +39,11 @@ def traced(
     errors: float = 0.001,
     together: float | None = None,
     known: tuple[str, ...] = (DELAY, LAG, INERTIA),
+    told: Sequence[Finding] = (),
+    motors: bool = False,
 ) -> Any:
     """A search in which every effect takes its share off an error that all flights have; `together` all of them."""
-    monkeypatch.setattr(multirotor, "candidates", lambda spec: (list(known), []))
+    monkeypatch.setattr(multirotor, "candidates", lambda spec: (list(known), list(told)))
     monkeypatch.setattr(multirotor, "compared", lambda model, flight: {"pdot": model.pair(flight)})
     facts = {name: SimpleNamespace(dt=DT) for name in FLIGHTS}
     data: Any = SimpleNamespace(identify=("one", "two"), validate=("three", "four"), flights=FLIGHTS, facts=facts)
@@ -65,7 +68,8 @@ def traced(
         )
         return Identified(spec, model, dict.fromkeys(names, errors))
 
-    return trace_rotors(SPEC, data, fit)
+    spec = msgspec.structs.replace(SPEC, motors=(MotorSpec(position=(0.0, 0.0, 0.0), spin=1.0),)) if motors else SPEC
+    return trace_rotors(spec, data, fit)
 
 
 def verdicts(tracing: Any) -> dict[str, str]:
@@ -113,6 +117,20 @@ def test_rotor_inertia_comes_with_the_lag_where_the_two_explain_more(monkeypatch
     tracing = traced(monkeypatch, {LAG: 0.6, INERTIA: 0.0}, together=0.97)
     assert tracing.accepted == (LAG, INERTIA)
     assert verdicts(tracing) == {LAG: "accepted", DELAY: "below floor", INERTIA: "accepted"}
+    (inertia,) = (f for f in tracing.findings if f.id == INERTIA)
+    assert inertia.gain > 0.1 > inertia.floor  # beside the lag; alone it gains nothing
+
+
+@pytest.mark.parametrize("testable", [True, False])
+def test_a_centre_of_gravity_that_balance_shows_is_told_with_or_without_a_declared_mass(
+    testable: bool, monkeypatch: pytest.MonkeyPatch
+):
+    shown = Finding("mass.cg", "undeclared", "indistinguishable", "it lies there", values={"mass.cg.x": (0.01, 0.001)})
+    without = [Finding("mass.cg", "undeclared", "not testable", "the mass and the inertia are not declared")]
+    monkeypatch.setattr(multirotor, "out_of_balance", lambda *given: (shown, None))
+    known = (LAG, "mass.cg") if testable else (LAG,)
+    tracing = traced(monkeypatch, {LAG: 1.0}, known=known, told=[] if testable else without, motors=True)
+    assert [f for f in tracing.findings if f.id == "mass.cg"] == [shown]
 
 
 def test_turns_count_only_where_some_model_gives_a_control_power_that_can_be():
