@@ -112,7 +112,10 @@ def _vertex(misfit: Array, best: int) -> float:
 
 
 def _moments(dataset: Dataset, flight: Flight) -> Iterator[Array]:
-    """Cross moments (2, lags, 3, 3) of each piece, for u and v: rate of change, kinematics at each lag, velocity."""
+    """Cross moments (2, lags, 3, 3) of each piece, for u and v: rate of change, kinematics at each lag, velocity.
+
+    Pieces of which less than half was measured are left out.
+    """
     bell, slope = kernel(flight.dt)
     if flight.samples < len(bell) + 2 * int(np.ceil(REACH_S / flight.dt)) + 50:
         return
@@ -126,7 +129,8 @@ def _moments(dataset: Dataset, flight: Flight) -> Iterator[Array]:
         for three in _sides(dataset, flight)
     ]
     for first, last in consistency.pieces(len(grid), STEP_S, LAGS // 2):
-        yield np.array([_over_lags(axis, sure, first, last) for axis in rows])
+        if sure[first:last].mean() > 0.5:
+            yield np.array([_over_lags(axis, sure, first, last) for axis in rows])
 
 
 def _sides(dataset: Dataset, flight: Flight) -> list[tuple[Array, Array, Array]]:

@@ -54,6 +54,15 @@ def test_a_shift_is_told_within_three_standard_errors_beside_drag(late: float) -
     assert found.r2[3] > max(found.r2[:3])
 
 
+def test_a_flight_that_is_mostly_missing_does_not_silence_the_others() -> None:
+    dataset = gliding(0.15)
+    flights = {n: {c: v.numpy().copy() for c, v in f.channels.items()} for n, f in dataset.flights.items()}
+    flights["f0"]["u"][100:] = np.nan
+    found = velocity_clock(Dataset.from_arrays(flights, identify=list(flights), controls={"lat": {"unit": "norm"}}))
+    assert found is not None
+    assert abs(found.seconds - 0.15) < 3.0 * found.se
+
+
 @pytest.mark.parametrize(("late", "tilt"), [(0.0, 0.0), (0.03, 0.0), (0.0, 0.5)])
 def test_nothing_is_told_where_clocks_agree_or_a_rotor_tilts(late: float, tilt: float) -> None:
     assert velocity_clock(gliding(late, tilt=tilt)) is None
