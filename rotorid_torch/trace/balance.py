@@ -223,7 +223,7 @@ def out_of_balance(
     said = [_said(g) for g in going]
     rows, signal = [g.row for g in going], going[0].signal if going else None
     if off is not None and finding is None:
-        said, rows, signal = [_stands(off, spec), *said], ["".join(ROWS), *rows], _rotor(off, spec)
+        said, rows, signal = [_stands(off, spec), *said], ["".join(sorted(ROWS)), *rows], _rotor(off, spec)
     if not said:
         return finding, None
     longest = max(len(b.centre) for b in known) * AVERAGED_S
@@ -241,30 +241,33 @@ def _said(going: Going) -> str:
 
 def _where(off: Standing) -> str:
     x, y, yaw = (float(v) for v in off.centre)
-    place = f"{1e3 * x:.1f} mm ahead and {1e3 * y:.1f} mm right of the declared centre"
+    along, across = "ahead" if x >= 0.0 else "behind", "right" if y >= 0.0 else "left"
+    place = f"{1e3 * abs(x):.1f} mm {along} and {1e3 * abs(y):.1f} mm {across} of the declared centre of gravity"
+    ways = ("counter-clockwise", "clockwise") if yaw >= 0.0 else ("clockwise", "counter-clockwise")
+    turn = f"rotors turning {ways[0]} carry {100 * abs(yaw):.0f} % of all thrust more than those turning {ways[1]}"
     without, rest = ([1e3 * math.hypot(*e[:2].tolist()), 100.0 * float(e[2])] for e in (off.without, off.rest))
     gain = f"unseen flights from {without[0]:.2g} to {rest[0]:.2g} mm and from {without[1]:.2g} to {rest[1]:.2g} %"
-    return f"thrusts balance {place} and {100 * yaw:.0f} % off in yaw, which takes {gain}"
+    return f"thrusts balance {place}, and {turn}, which takes {gain}"
 
 
 def _rotor(off: Standing, spec: ModelSpec) -> str | None:
     return None if off.rotor is None else spec.driven[off.rotor]
 
 
+def _less(off: Standing) -> str:
+    return f"{100 * abs(off.less):.0f} % {'less' if off.less > 0.0 else 'more'}"
+
+
 def _stands(off: Standing, spec: ModelSpec) -> str:
     rotor = _rotor(off, spec)
-    single = (
-        "" if rotor is None else f"; as if the rotor of {rotor} gave {100 * off.less:.0f} % less than its input says"
-    )
+    single = "" if rotor is None else f"; as if the rotor of {rotor} gave {_less(off)} than its input says"
     return f"L, M and N: {_where(off)}; a centre of gravity elsewhere would leave yaw alone{single}"
 
 
 def _centre_of_gravity(off: Standing, spec: ModelSpec) -> Finding:
     """It may lie elsewhere, or rotors differ."""
     rotor = _rotor(off, spec)
-    rival = (
-        "several rotors may differ" if rotor is None else f"the rotor of {rotor} may give {100 * off.less:.0f} % less"
-    )
+    rival = "several rotors may differ" if rotor is None else f"the rotor of {rotor} may give {_less(off)}"
     values = {f"mass.cg.{axis}": (float(off.centre[i]), float(off.errors[i])) for i, axis in enumerate("xy")}
     said = f"{_where(off)}: it lies there, or {rival}; swing the vehicle to tell"
     return Finding("mass.cg", "undeclared", "indistinguishable", said, group=("rotors.thrust",), values=values)

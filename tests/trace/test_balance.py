@@ -121,9 +121,25 @@ def told(monkeypatch: pytest.MonkeyPatch, **what: Any) -> Any:
 def test_words_name_the_rotor_but_no_effect(monkeypatch: pytest.MonkeyPatch):
     finding, missing = told(monkeypatch, centre=of_weak(2, 0.5), by_speed=3e-4)
     assert finding is None
-    assert missing.goes_with == "motor3"
+    assert (missing.where, missing.goes_with) == ("LMN", "motor3")
     assert "as if the rotor of motor3 gave 50 % less" in missing.sentence
     assert "M: it goes with u" in missing.sentence
+
+
+@pytest.mark.parametrize(
+    ("rotor", "less", "words"),
+    [
+        (0, 0.5, ("mm ahead and", "mm right", "turning clockwise carry 20 % of all thrust more", "gave 50 % less")),
+        (0, -0.5, ("mm behind and", "mm left", "turning counter-clockwise carry 9 %", "gave 50 % more")),
+        (1, 0.5, ("mm behind and", "mm right", "turning counter-clockwise carry 20 %", "gave 50 % less")),
+    ],
+)
+def test_words_have_sides_and_no_minus_signs(
+    rotor: int, less: float, words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+):
+    _, missing = told(monkeypatch, centre=of_weak(rotor, less))
+    assert [word for word in words if word not in missing.sentence] == []
+    assert "-" not in missing.sentence.replace("counter-clockwise", "")
 
 
 def test_a_moved_centre_of_gravity_is_told_with_its_rivals(monkeypatch: pytest.MonkeyPatch):
