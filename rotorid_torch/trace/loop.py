@@ -13,6 +13,7 @@ from typing import Protocol
 import msgspec
 
 from rotorid_torch.core.ranks import ALONE, Ranks
+from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.base import Role, Showing
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
@@ -261,10 +262,18 @@ def trace(
         tuple(accepted),
         search.groups,
         tuple(findings),
-        (search.floors.note,),
+        (search.floors.note, *untried(flights.dataset)),
         missing,
         search.spread,
     )
+
+
+def untried(dataset: Dataset) -> tuple[str, ...]:
+    """A note where no flight is held back: what is said of unseen flights then holds for those that were fitted."""
+    said = (
+        "no validate flights: where this report speaks of flights that no fit has seen, the identify flights stand in"
+    )
+    return () if dataset.validate else (f"{said}; give it some to tell effects from what a fit makes of noise",)
 
 
 def candidates(spec: ModelSpec) -> tuple[list[str], list[Finding]]:

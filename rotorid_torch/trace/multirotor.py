@@ -29,7 +29,7 @@ from rotorid_torch.trace.balance import out_of_balance
 from rotorid_torch.trace.decide import SURE, at_edge
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.floor import family_wise
-from rotorid_torch.trace.loop import Tracing, candidates
+from rotorid_torch.trace.loop import Tracing, candidates, untried
 from rotorid_torch.trace.significance import helps
 from rotorid_torch.validate.responses import compared
 
@@ -122,7 +122,7 @@ def trace_rotors(
     note = "floors come from residuals whose blocks stand in another order: no clean multirotor is drawn"
     findings += [search.finding(final, e) for e in undeclared]
     told = tuple(centre if centre and f.id == centre.id else f for f in findings)
-    return Tracing(null, final, (), tuple(search.accepted), search.groups, told, (note,), missing)
+    return Tracing(null, final, (), tuple(search.accepted), search.groups, told, (note, *untried(dataset)), missing)
 
 
 def believed(models: Sequence[Identified]) -> tuple[str, ...]:

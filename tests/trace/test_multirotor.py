@@ -41,12 +41,13 @@ def traced(
     known: tuple[str, ...] = (DELAY, LAG, INERTIA),
     told: Sequence[Finding] = (),
     motors: bool = False,
+    validate: tuple[str, ...] = ("three", "four"),
 ) -> Any:
     """A search in which every effect takes its share off an error that all flights have; `together` all of them."""
     monkeypatch.setattr(multirotor, "candidates", lambda spec: (list(known), list(told)))
     monkeypatch.setattr(multirotor, "compared", lambda model, flight: {"pdot": model.pair(flight)})
     facts = {name: SimpleNamespace(dt=DT) for name in FLIGHTS}
-    data: Any = SimpleNamespace(identify=("one", "two"), validate=("three", "four"), flights=FLIGHTS, facts=facts)
+    data: Any = SimpleNamespace(identify=("one", "two"), validate=validate, flights=FLIGHTS, facts=facts)
 
     def fit(spec: ModelSpec) -> Identified:
         names = [f"{e}.size" for e in spec.effects]
@@ -106,6 +107,13 @@ def test_two_that_explain_a_part_each_both_stay(monkeypatch: pytest.MonkeyPatch)
     tracing = traced(monkeypatch, {LAG: 0.6, DELAY: 0.5}, together=0.97)
     assert tracing.accepted == (LAG, DELAY)
     assert verdicts(tracing) == {LAG: "accepted", DELAY: "accepted", INERTIA: "below floor"}
+
+
+def test_flights_that_stand_in_for_unseen_ones_are_told(monkeypatch: pytest.MonkeyPatch):
+    assert len(traced(monkeypatch, {LAG: 1.0}).notes) == 1
+    alone = traced(monkeypatch, {LAG: 1.0}, validate=())
+    assert alone.accepted == (LAG,)
+    assert alone.notes[1].startswith("no validate flights: ")
 
 
 def test_a_term_by_rates_is_never_tried(monkeypatch: pytest.MonkeyPatch):
