@@ -49,7 +49,8 @@ def _of_helicopter(dataset: Dataset, spec: ModelSpec) -> Iterator[str]:
         yield (
             f"{', '.join(sticks)}: sticks in units of full travel, not blade angles; control derivatives hold linkage,"
             " mixer and any stabilisation in between"
-            + (", and the moments have no speed derivatives" if sticks_alone(spec) and "u" in spec.states else "")
+            + ("; moments have derivatives by their own rate and the sticks alone" if sticks_alone(spec) else "")
+            + (", X and Y by their own velocity alone" if sticks_alone(spec) and "u" in spec.states else "")
         )
 
 

@@ -50,7 +50,7 @@ def of_clocks(dataset: Dataset) -> Iterator[str]:
     late = late_controls(replace(dataset, identify=dataset.identify[:COMPARED]))
     if late is not None:
         yield (
-            f"controls are recorded at least {late.seconds * 1e3:.0f} ± {late.se * 1e3:.0f} ms late: {late.clearest}"
+            f"controls are recorded at least {late.seconds * 1e3:.0f} ± {late.se * 1e3:.1f} ms late: {late.clearest}"
             " comes first, which no vehicle does; lags and damping are biased by it; `rotorid close-loop` takes it out"
         )
 

@@ -34,6 +34,14 @@ def test_missing_velocities_and_what_is_left_of_them():
     assert any(t.startswith("lat: sticks in units of full travel") for t in told)
 
 
+def test_a_model_of_sticks_alone_says_what_it_leaves_out():
+    sticks = data("u", "v", "w", "p", "q", "r", "phi", "theta", unit="norm")
+    bare = spec(mass=None, inertia=None, rotor=None)
+    (told,) = (t for t in limits.of_channels(sticks, bare) if t.startswith("lat: sticks"))
+    assert "moments have derivatives by their own rate and the sticks alone, X and Y by their own velocity" in told
+    assert not any("by their own rate" in t for t in limits.of_channels(sticks, spec()))
+
+
 def test_wind_is_told_unless_airspeed_is_measured():
     body = ("u", "v", "w", "p", "q", "r", "phi", "theta")
     told = list(limits.of_channels(data(*body), spec()))
