@@ -60,14 +60,15 @@ def late_controls(dataset: Dataset) -> LateControls | None:
 
     Where rates follow sticks, these are compared directly and their mean is told; otherwise accelerations, and of these
     the one that leaves least time for the vehicle to respond. A stick that commands an attitude is not late: the rate
-    leads it, for it goes with the stick's own rate of change.
+    leads it, for it goes with the stick's own rate of change. Nor is what a controller moves against the rate.
     """
     sample = max(dataset.facts[name].dt for name in dataset.identify)
     sticks = followed_sticks(dataset)
     if sticks:
         flights = [dataset.flights[name] for name in dataset.identify]
         first = tuple(a for a in sticks if a.r2 > FOLLOWED and _precedes(a, sample))
-        early = tuple(a for a in first if not _commands_attitude(a, flights))
+        answered = _answered(dataset) if first else ()
+        early = tuple(a for a in first if a.pair.left_name not in answered and not _commands_attitude(a, flights))
         return _mean(early) if early else None
     felt = tuple(r for r in known_responses(dataset) if r.lag_s < -max(SURE * r.lag_se, EARLY_S, sample))
     if not felt:
@@ -79,6 +80,12 @@ def late_controls(dataset: Dataset) -> LateControls | None:
 def _precedes(a: Agreement, sample: float) -> bool:
     follows = any(lag > SURE_STICKS * se for lag, se in a.lags_s.values())
     return a.lag_s < -max(SURE_STICKS * a.lag_se, 2.0 * EARLY_S, sample) and not follows
+
+
+def _answered(dataset: Dataset) -> tuple[str, ...]:
+    """Rates whose acceleration clearly follows the controls beside the states: what follows the rate is feedback."""
+    follow = (r for r in responses(dataset) if r.gain > 0.1 and r.lag_s > max(SURE * r.lag_se, 2.0 * EARLY_S))
+    return tuple(r.channel for r in follow)
 
 
 def _commands_attitude(a: Agreement, flights: Sequence[Flight]) -> bool:

@@ -95,6 +95,24 @@ def test_a_stick_that_commands_an_attitude_is_not_late(band: tuple[float, float]
     assert late_controls(dataset) is None
 
 
+@pytest.mark.parametrize("gain", [0.1, 0.3])
+def test_a_control_that_a_controller_moves_against_the_rate_is_not_late(gain: float) -> None:
+    """As autopilots log it: gusts turn the vehicle, and what counts as its stick follows the rate."""
+    rng, flights = np.random.default_rng(0), {}
+    for k in range(4):
+        gusts = np.convolve(rng.standard_normal(SAMPLES + 50), np.exp(-0.1 * np.arange(51)), "valid")
+        p, phi, control = np.zeros(SAMPLES), 0.0, np.zeros(SAMPLES)
+        for i in range(1, SAMPLES):
+            control[i] = -gain * (p[max(0, i - 3)] + 0.5 * phi)
+            p[i] = p[i - 1] + DT * (10.0 * control[i] - p[i - 1] + gusts[i])
+            phi += DT * p[i]
+        flights[f"f{k}"] = {"time": DT * np.arange(SAMPLES), "lat": control, "p": p}
+    dataset = Dataset.from_arrays(flights, identify=list(flights), controls={"lat": {"unit": "norm"}})
+    (seen,) = followed_sticks(dataset)
+    assert seen.lag_s < -0.03
+    assert late_controls(dataset) is None
+
+
 @pytest.mark.parametrize("name", [*CLEAN, *MULTIROTORS, "trex550-translation"])
 def test_nothing_is_told_where_streams_belong_together(name: str) -> None:
     dataset = load(shared("flightdata", name))
