@@ -180,8 +180,8 @@ class LeadLag(Effect):
     with l = -damping + i frequency of each mode. The hub is pulled by c = e^(i phase) s': X += X re c, M += M re c,
     Y += Y im c, L += L im c. Without flapping states the cyclic controls drive it. The frequencies start at speed -+
     lag frequency, which is speed sqrt(1.5 e/(R - e)) for hinges at e. All blades together lag by z behind the
-    collective, z'' = -2 damping z' + (damping^2 + f^2) (col - z) with f half the difference of the two frequencies:
-    torque reaches the hub through the hinges, N += N (z - col).
+    collective, z'' = -2 damping z' + (damping^2 + f^2) (col - z) with f half the difference of the two frequencies
+    (half their sum where blades lag faster than they turn): torque reaches the hub late, N += N (z - col).
 
     Source: Johnson, Helicopter Theory, sec. 12-1 (lag dynamics in multiblade coordinates); Bramwell, ch. 9.
     """
@@ -227,7 +227,7 @@ class LeadLag(Effect):
             ),
         )
         self.speed, self.drivers, self.zero, self.of_rates = rotor.speed, drivers, zero, of_rates
-        self.collective = collective
+        self.collective, self.regressing = collective, -1.0 if lag < 1.0 else 1.0
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> LeadLag:
@@ -256,7 +256,7 @@ class LeadLag(Effect):
         spring, turned = p["damping"].square() - p["regressing"] * p["advancing"], p["damping"] * total
         zero = torch.zeros_like(late)
         behind = zero if self.collective is None else frame.signals["col"] - self.collective - late
-        own = p["damping"].square() + (0.5 * (p["advancing"] - p["regressing"])).square()
+        own = p["damping"].square() + (0.5 * (p["advancing"] + self.regressing * p["regressing"])).square()
         rates = vec(
             along_rate,
             side_rate,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -229,7 +230,12 @@ def _with_network(
 
 def _best(runs: Sequence[Run]) -> Run:
     """The run that describes best the flights which no fit has seen; without any, the last."""
-    return min(reversed(runs), key=lambda run: run.scores["validate"] or 0.0)
+
+    def score(run: Run) -> float:
+        J = run.scores["validate"]
+        return math.inf if J is None or math.isnan(J) else J
+
+    return min(reversed(runs), key=score)
 
 
 def _without(spec: ModelSpec, effects: Sequence[str]) -> ModelSpec:
@@ -243,7 +249,8 @@ def _refused(tracing: Tracing) -> Tracing:
     members = {e for others in tracing.groups.values() for e in others} | set(tracing.accepted)
     refused = partial(replace, verdict="rejected", reason=said, group=())
     findings = tuple(refused(f) if f.id in members else f for f in tracing.findings)
-    return replace(tracing, final=tracing.null, accepted=(), groups={}, findings=findings)
+    left = tracing.unknown_before
+    return replace(tracing, final=tracing.null, accepted=(), groups={}, findings=findings, unknown=left)
 
 
 def _dropped(tracing: Tracing) -> list[Finding]:

@@ -46,7 +46,10 @@ def _of_velocities(found: KinematicFinding, clock: VelocityClock) -> KinematicFi
         f" and dv/dt is {none:.2f} with neither, {drag:.2f} with drag, {shift:.2f} with the shift, {both:.2f} with"
         " both; without accelerometers what pushed the aircraft is not known, so the two partly stand for each other"
     )
-    return replace(_joined(found, own, said), verdict="indistinguishable", group=(*found.group, "forces.drag"))
+    joined = _joined(found, own, said)
+    if any(p.accepted for p in found.parameters):
+        return joined  # other clocks are certain; the words tell what this one is worth
+    return replace(joined, verdict="indistinguishable", group=(*found.group, "forces.drag"))
 
 
 def _of_controls(found: KinematicFinding, late: LateControls) -> KinematicFinding:
@@ -57,7 +60,7 @@ def _of_controls(found: KinematicFinding, late: LateControls) -> KinematicFindin
         f"controls at least {late.seconds * 1e3:.0f} ms late (± {late.se * 1e3:.1f}): {late.clearest} comes first,"
         " which no vehicle does; its own lag comes on top and cannot be told from these streams"
     )
-    return _joined(found, own, said)
+    return replace(_joined(found, own, said), verdict="accepted", group=())  # nothing stands for it
 
 
 def _joined(found: KinematicFinding, own: SensorParameter, said: str) -> KinematicFinding:

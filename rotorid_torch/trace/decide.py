@@ -17,6 +17,8 @@ from rotorid_torch.trace.significance import helps
 
 SURE = 3.0
 """Standard errors from its null beyond which a parameter is believed."""
+CLEARLY = 0.05
+"""Mean log ratio of J by which free runs must be worse to speak against an effect: they scatter by as much."""
 STEADY = 2.0
 """Jackknife standard errors over flights that a size must reach to be the same in all flights."""
 
@@ -61,7 +63,9 @@ def objection(null: Fitted, candidate: Fitted, effect: str, floor: float, screen
     if not helps(better):
         return f"it does not help on flights that no fit has seen ({int((better > 0).sum())} of {len(better)} better)"
     runs = free_run_gain(null, candidate)
-    if len(runs) and helps(-runs):  # less sharp than segments, for they drift: they may only speak against it
+    if (
+        len(runs) and float(runs.mean()) < -CLEARLY and helps(-runs)
+    ):  # less sharp than segments, for they drift: they may only speak against it
         return f"free runs of flights that no fit has seen are worse by it ({int((runs < 0).sum())} of {len(runs)})"
     return None
 
@@ -115,7 +119,7 @@ def smallest_visible(screened: Screen, effect: str, floor: float) -> tuple[float
     return abs(own[0].step) * math.sqrt(floor / shown), own[0].unit
 
 
-def left_over(screened: Screen, effect: str, floor: float, explained_by: Sequence[str], hot: bool) -> Finding:
+def not_joined(screened: Screen, effect: str, floor: float, explained_by: Sequence[str], hot: bool) -> Finding:
     """Finding of a candidate that did not join."""
     role = registered()[effect].role.value
     found, visible = screened.gain([effect]), smallest_visible(screened, effect, floor)

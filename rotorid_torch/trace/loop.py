@@ -20,7 +20,7 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.decide import (
     errors,
     gain,
-    left_over,
+    not_joined,
     objection,
     rivals,
     smallest_visible,
@@ -29,8 +29,7 @@ from rotorid_torch.trace.decide import (
 from rotorid_torch.trace.finding import Finding, Unknown
 from rotorid_torch.trace.fits import Fitted, Flights, refit
 from rotorid_torch.trace.floor import Floors
-from rotorid_torch.trace.residual import left_over as left_over_of
-from rotorid_torch.trace.residual import scan
+from rotorid_torch.trace.residual import left_over, scan
 from rotorid_torch.trace.screen import Screen, screen
 from rotorid_torch.trace.significance import helps
 from rotorid_torch.trace.spread import fits
@@ -68,7 +67,8 @@ class Tracing:
 
     null : the best model without undeclared effects. final : with those accepted. structure, accepted : their ids.
     groups : for an accepted effect the others that explain as much. findings : one of each effect that was tested.
-    unknown : what is left over without a name. spread : jackknife over flights of the accepted effects' parameters.
+    unknown : what is left over without a name; unknown_before : what is by the null.
+    spread : jackknife over flights of the accepted effects' parameters.
     """
 
     null: Named
@@ -79,6 +79,7 @@ class Tracing:
     findings: tuple[Finding, ...]
     notes: tuple[str, ...] = ()
     unknown: Unknown | None = None
+    unknown_before: Unknown | None = None
     spread: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -249,11 +250,7 @@ def trace(
     usual = search.floors.of(first, undeclared)
     final, accepted = search.undeclared(null, undeclared)
     final, accepted = search.confirmed(final, accepted, usual)
-    over, unseen = (
-        left_over_of(final.model, flights.dataset, flights.reconstruction, listed)
-        for listed in (flights.dataset.identify, flights.unseen)
-    )
-    missing = unknown(scan(over), search.floors.of_traces(), over, unseen)
+    missing, before = (_missing(model, flights, search.floors) for model in (final, null))
     findings += _told(search, null, final, structure, accepted, undeclared, first, usual)
     return Tracing(
         null,
@@ -264,8 +261,18 @@ def trace(
         tuple(findings),
         (search.floors.note, *untried(flights.dataset)),
         missing,
+        before,
         search.spread,
     )
+
+
+def _missing(fitted: Fitted, flights: Flights, floors: Floors) -> Unknown | None:
+    """What a model leaves over without a name."""
+    over, unseen = (
+        left_over(fitted.model, flights.dataset, flights.reconstruction, listed)
+        for listed in (flights.dataset.identify, flights.unseen)
+    )
+    return unknown(scan(over), floors.of_traces(), over, unseen)
 
 
 def untried(dataset: Dataset) -> tuple[str, ...]:
@@ -335,5 +342,5 @@ def _told(
             reason, got, values = search.rejected[effect]
             found.append(Finding(effect, "undeclared", "rejected", reason, **{**keep, "gain": got}, values=values))
         else:
-            found.append(left_over(last, effect, floors[effect], accepted, effect in search.hot))
+            found.append(not_joined(last, effect, floors[effect], accepted, effect in search.hot))
     return found

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import rotorid_torch as rotorid
 from rotorid_torch.data import Dataset
+from rotorid_torch.effects.examples import HELICOPTER
 from rotorid_torch.model.save import load
 from rotorid_torch.run import limits
+from rotorid_torch.run.closing import _before_and_after, _best
 from rotorid_torch.run.records import read_report
+from rotorid_torch.trace.finding import Finding, Unknown
+from rotorid_torch.trace.loop import Tracing
+from rotorid_torch.trace.verdict import statement
 from tests.known_models import flown, manoeuvres, rate_vehicle, with_values
 
 DT = 0.02
@@ -115,3 +123,34 @@ def test_a_network_stays_where_something_is_left_that_no_candidate_explains(monk
     assert before is not None
     assert after is not None
     assert after < 0.8 * before
+
+
+def test_effects_that_make_free_runs_worse_are_refused_and_what_they_took_up_is_told():
+    null, final = run_with(None), run_with(None)
+    findings = tuple(
+        Finding(e, "undeclared", "indistinguishable", "", group=(other,), values={f"{e}.common": (0.05, 0.01)})
+        for e, other in (("control.delay", "control.lag"), ("control.lag", "control.delay"))
+    )
+    missing = Unknown("L", (0.1, 2.0), "p", None, "Something is missing in L.")
+    groups = {"control.delay": ("control.lag",)}
+    tracing = Tracing(null, final, (), ("control.delay",), groups, findings, unknown_before=missing)
+    first, better, worse = (run_with(J) for J in (0.12, 0.11, 0.13))
+    fail = pytest.fail
+    kept = _before_and_after(first, tracing, False, fail, lambda spec, values: better)
+    assert kept == (first, better, tracing)
+    before, after, refused = _before_and_after(first, tracing, False, fail, lambda spec, values: worse)
+    assert (before, after) == (first, None)
+    assert (refused.accepted, refused.groups, refused.final, refused.unknown) == ((), {}, null, missing)
+    assert {f.verdict for f in refused.findings} == {"rejected"}
+    assert statement(refused.findings, refused.unknown).kind == "unknown"
+
+
+def run_with(J: float | None) -> Any:
+    return SimpleNamespace(scores={"validate": J}, spec=HELICOPTER, values={})
+
+
+def test_a_run_without_a_score_is_not_the_best():
+    first, unknown, none = run_with(0.12), run_with(math.nan), run_with(None)
+    assert _best([first, unknown]) is first
+    assert _best([unknown, first]) is first
+    assert _best([none, last := run_with(None)]) is last

@@ -8,6 +8,7 @@ import torch
 
 import rotorid_torch as rotorid
 from rotorid_torch.data import Dataset, load
+from rotorid_torch.data.velocity_clock import VelocityClock
 from rotorid_torch.effects.base import Values
 from rotorid_torch.effects.sensors import SensorDelay
 from rotorid_torch.trace.clocks import sensor_findings
@@ -52,6 +53,18 @@ def test_other_clocks_keep_their_verdict() -> None:
     found = sensor_findings(data({"delay.attitude": 0.06}, 1, flights=5))
     assert found.effects == ("sensors.delay",)
     assert set(found.values) == {"sensors.delay.attitude"}
+
+
+def test_a_certain_clock_is_not_lost_in_the_group_of_an_uncertain_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    moved = VelocityClock(0.14, 0.01, (0.1, 0.1), (0.02, 0.02), (0.5, 0.6, 0.7, 0.8))
+    monkeypatch.setattr("rotorid_torch.trace.clocks.velocity_clock", lambda dataset: moved)
+    alone = sensor_findings(aircraft(0.0))["sensors.delay"]
+    assert (alone.verdict, alone.group) == ("indistinguishable", ("forces.drag",))
+    both = sensor_findings(aircraft(0.1))["sensors.delay"]
+    assert (both.verdict, both.group) == ("accepted", ())
+    assert "partly stand for each other" in both.reason
+    beside = sensor_findings(data({"delay.attitude": 0.06}, 1, flights=5))["sensors.delay"]
+    assert (beside.verdict, beside.group) == ("accepted", ())
 
 
 def test_the_model_reads_the_late_record_ahead() -> None:

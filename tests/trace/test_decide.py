@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import torch
 
-from rotorid_torch.trace.decide import free_run_gain, left_over, objection, smallest_visible
+from rotorid_torch.trace.decide import free_run_gain, not_joined, objection, smallest_visible
 
 
 def screened(gain: float, shown: float, imitators: tuple[str, ...] = ()) -> Any:
@@ -22,17 +22,17 @@ def screened(gain: float, shown: float, imitators: tuple[str, ...] = ()) -> Any:
 
 
 def test_what_derivatives_absorb_is_told_with_them_and_with_the_flights_that_would_separate_it():
-    found = left_over(screened(1e-4, 2e-4, ("forces.X.u",)), "forces.drag", 1e-3, (), hot=False)
+    found = not_joined(screened(1e-4, 2e-4, ("forces.X.u",)), "forces.drag", 1e-3, (), hot=False)
     assert (found.verdict, found.group) == ("indistinguishable", ("forces.X.u",))
     assert found.reason.endswith("forces.X.u take its place; flights trimmed at other speeds would tell")
 
 
 def test_what_would_have_shown_itself_is_below_its_floor():
-    assert left_over(screened(1e-4, 1.0), "forces.drag", 1e-3, (), hot=False).verdict == "below floor"
+    assert not_joined(screened(1e-4, 1.0), "forces.drag", 1e-3, (), hot=False).verdict == "below floor"
 
 
 def test_what_an_accepted_effect_explains_better_is_rejected():
-    found = left_over(screened(0.0, 1.0), "forces.drag", 1e-3, ("rotor.stall",), hot=True)
+    found = not_joined(screened(0.0, 1.0), "forces.drag", 1e-3, ("rotor.stall",), hot=True)
     assert found.verdict == "rejected"
     assert "rotor.stall explains better" in found.reason
 
@@ -70,6 +70,7 @@ def screening() -> Any:
         (fitted(1.0, (0.08, 0.09)), None),
         (fitted(1.0, (0.12, 0.14)), "free runs of flights that no fit has seen are worse by it (2 of 2)"),
         (fitted(1.0, (0.12, 0.09)), None),
+        (fitted(1.0, (0.101, 0.102)), None),
         (fitted(1.0, (0.08, 0.09), error=float("inf")), "within 3 of its standard errors"),
         (fitted(1.0, (float("nan"), float("nan"))), None),
         (fitted(2.5, (0.08, 0.09)), "no more than clean aircraft"),
