@@ -33,8 +33,6 @@ from rotorid_torch.trace.loop import Tracing, candidates, untried
 from rotorid_torch.trace.significance import helps
 from rotorid_torch.validate.responses import compared
 
-LIKELY = 1.96
-"""Standard errors from nothing at which what every rotor has is taken as shown."""
 BLOCK_S = 1.0
 """Blocks of the residual that are put in another order: longer than what a motor or a stream is late by."""
 SHUFFLES = 200
@@ -227,14 +225,14 @@ class _Search:
         return 0.5 * product.square() / max(size, 1e-300) / max(count, 1)
 
     def accompanied(self, fitted: Identified, companion: str) -> Identified:
-        """The fit with the companion as well, where that gains above its floor and on unseen flights, and is likely."""
+        """The fit with the companion as well, where that gains above its floor and on unseen flights."""
         both = self.fit(_with(fitted.spec, companion))
         gain, floor = self.gain(fitted, both), self.floors(fitted, {companion: both})[companion]
         if gain <= floor:
             return fitted
         self.beside[companion] = gain, floor
-        sure = _away(both, companion) > LIKELY and helps(self.by_flight(fitted, both, self.unseen))
-        return both if sure else fitted
+        # no accusation, for every rotor has it: unseen flights alone decide, however few of them tell its size
+        return both if helps(self.by_flight(fitted, both, self.unseen)) else fitted
 
     @property
     def unseen(self) -> Sequence[str]:
