@@ -8,12 +8,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import torch
-from torch import Tensor
 
 from rotorid_torch.core.names import FORCES
 from rotorid_torch.trace.finding import Unknown
 from rotorid_torch.trace.residual import RATE, LeftOver, Trace, column
 from rotorid_torch.trace.significance import helps
+
+HELD = 0.5
+"""Share of what a trace explains of the flights it was found on that it must explain of unseen ones."""
 
 
 def unknown(
@@ -21,10 +23,11 @@ def unknown(
 ) -> Unknown | None:
     """The equation whose trace stands highest above what clean aircraft leave; None where none does.
 
-    Flights that no fit has seen must be better described with the trace as it was found.
+    Flights that no fit has seen must be better described with the trace as it was found, and as well as those it was
+    found on, or nearly: the best of hundreds of traces that mean nothing explains less of them.
     """
     above = {row: t.weight / floors[row] for row, t in traces.items() if floors.get(row, 0.0) > 0.0}
-    standing = [row for row, times in above.items() if times > 1.0 and helps(_held_up(traces[row], row, left, unseen))]
+    standing = [row for row, times in above.items() if times > 1.0 and _holds(traces[row], row, left, unseen)]
     if not standing:
         return None
     where = max(standing, key=lambda row: above[row])
@@ -39,10 +42,10 @@ def unknown(
     return Unknown(where, band, found.goes_with, found.since_s, said)
 
 
-def _held_up(trace: Trace, row: str, left: LeftOver, unseen: LeftOver) -> Tensor:
-    """log(rms without / rms with a trace) of the residual of each flight that no fit has seen [F].
+def _holds(trace: Trace, row: str, left: LeftOver, unseen: LeftOver) -> bool:
+    """Whether flights that no fit has seen gain by a trace, of the size that the flights `left` gave it.
 
-    The trace has the size that the flights `left` gave it; each side keeps linear terms of its own.
+    Each side keeps linear terms of its own.
     """
     k = left.rows.index(row)
     (tried, known), (new, before) = (
@@ -51,8 +54,9 @@ def _held_up(trace: Trace, row: str, left: LeftOver, unseen: LeftOver) -> Tensor
     )
     after = before - (tried @ known) / (tried @ tried) * new
     flights = [unseen.flight == f for f in unseen.flight.unique()]
-    gains = [0.5 * (before[own].square().sum() / after[own].square().sum()).log() for own in flights]
-    return torch.stack(gains)
+    gains = [(before[own].square().sum() / after[own].square().sum()).log() for own in flights]
+    share = 1.0 - float(after.square().sum() / before.square().sum())
+    return helps(torch.stack(gains)) and share > HELD * trace.share
 
 
 def _band(left: LeftOver, row: str) -> tuple[float, float]:
