@@ -114,7 +114,7 @@ def trace_rotors(
         near |= {e: search.near(fitted, best, standing) if e == best else () for e in joining}
         now = fitted[best]
     final = search.confirmed(now)
-    alike = {e: tuple(other for other in near[e] if other not in search.accepted) for e in search.accepted}
+    alike = {e: search.in_place_of(final, e, near[e]) for e in search.accepted}
     search.groups = {e: others for e, others in alike.items() if others}
     centre, missing = out_of_balance(final.model, final.spec, dataset, search.unseen) if spec.motors else (None, None)
     note = "floors come from residuals whose blocks stand in another order: no clean multirotor is drawn"
@@ -268,6 +268,13 @@ class _Search:
         """Candidates that flights which no fit has seen do not tell from the best."""
         told = {e: helps(self.by_flight(fitted[e], fitted[best], self.unseen)) for e in standing if e != best}
         return tuple(e for e, better in told.items() if not better)
+
+    def in_place_of(self, final: Identified, effect: str, others: Sequence[str]) -> tuple[str, ...]:
+        """Those of the others that in an accepted effect's place, beside all that joined later, do as well."""
+        rivals = [e for e in others if e not in self.accepted]
+        swapped = {e: tuple(e if own == effect else own for own in final.spec.effects) for e in rivals}
+        fitted = {e: self.fit(msgspec.structs.replace(final.spec, effects=them)) for e, them in swapped.items()}
+        return tuple(e for e, f in fitted.items() if not helps(self.by_flight(f, final, self.unseen)))
 
     def confirmed(self, final: Identified) -> Identified:
         """Each accepted effect tested again beside the others; those that explain nothing more are taken out."""

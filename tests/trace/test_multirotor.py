@@ -30,6 +30,7 @@ SPEC = ModelSpec(
     control_units={},
 )
 DELAY, LAG, INERTIA = "control.delay", "propulsion.motor_lag", "propulsion.rotor_inertia"
+VOLTAGE = "propulsion.voltage"
 SAMPLES, DT = 4000, 0.01
 
 
@@ -42,6 +43,7 @@ def traced(
     told: Sequence[Finding] = (),
     motors: bool = False,
     validate: tuple[str, ...] = ("three", "four"),
+    by_set: Mapping[tuple[str, ...], float] | None = None,
 ) -> Any:
     """A search in which every effect takes its share off an error that all flights have; `together` all of them."""
     monkeypatch.setattr(multirotor, "candidates", lambda spec: (list(known), list(told)))
@@ -55,6 +57,8 @@ def traced(
         left = max((explained.get(e, 0.0) for e in spec.effects), default=0.0)
         if together is not None and set(explained) <= set(spec.effects):
             left = together
+        if by_set is not None:
+            left = max((v for es, v in by_set.items() if set(es) <= set(spec.effects)), default=0.0)
 
         def pair(flight: int) -> tuple[Tensor, Tensor]:
             noise = torch.randn(SAMPLES, generator=torch.Generator().manual_seed(flight), dtype=torch.float64)
@@ -152,3 +156,15 @@ def test_turns_count_only_where_some_model_gives_a_control_power_that_can_be():
     undeclared: Any = SimpleNamespace(mass=None, inertia=None, motors=())
     free: Any = SimpleNamespace(spec=undeclared, values={"rotors.power.L": 900.0})
     assert "pdot" in believed([free])
+
+
+def test_a_rival_that_later_effects_leave_behind_is_no_group(monkeypatch: pytest.MonkeyPatch):
+    """Alone lag and delay do the same; beside the voltage that joins next, the lag does more."""
+    left = {(LAG,): 0.5, (DELAY,): 0.5, (VOLTAGE,): 0.3, (LAG, VOLTAGE): 0.95, (DELAY, VOLTAGE): 0.6}
+    tracing = traced(monkeypatch, {}, known=(DELAY, LAG, VOLTAGE), by_set=left)
+    assert set(tracing.accepted) == {LAG, VOLTAGE}
+    assert tracing.groups == {}
+    alike = {**left, (DELAY, VOLTAGE): 0.95}
+    tracing = traced(monkeypatch, {}, known=(DELAY, LAG, VOLTAGE), by_set=alike)
+    assert len(tracing.accepted) == 2
+    assert len(tracing.groups) == 1
