@@ -12,6 +12,7 @@ from torch import Tensor
 from rotorid_torch.data import Dataset
 from rotorid_torch.run import fit_record
 from rotorid_torch.run.records import FlightRecord
+from rotorid_torch.validate import windows
 from rotorid_torch.validate.free_run import Windows
 from tests.helpers import small_arrays
 
@@ -35,7 +36,7 @@ def judgement(data: Dataset, monkeypatch: pytest.MonkeyPatch) -> fit_record.Judg
         size = torch.tensor([off[name] for name in pieces.names], dtype=torch.float64)
         return torch.zeros(0), pieces.measured + size[:, None, None] * scale
 
-    monkeypatch.setattr(fit_record, "free_run", replayed)
+    monkeypatch.setattr(windows, "free_run", replayed)
     monkeypatch.setattr(fit_record.Runs, "of", lambda model: None)
     body = SimpleNamespace(outputs=OUTPUTS, controls=("lat",))
     model = SimpleNamespace(body=body, own_states=(), tape=lambda controls, dt: controls)
@@ -79,7 +80,7 @@ def test_overlays_show_every_flight_from_its_start(judged: fit_record.Judged):
 def test_flights_judged_in_groups_come_out_the_same(
     judged: fit_record.Judged, data: Dataset, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(fit_record, "TOGETHER", 1)
+    monkeypatch.setattr(windows, "TOGETHER", 1)
     apart = judgement(data, monkeypatch)
     assert apart.flights == judged.flights
     assert list(apart.flights) == list(data.flights)
