@@ -99,7 +99,7 @@ def agreement(pair: Pair, flights: Iterable[Flight]) -> Agreement | None:
         scale_se=jackknife_error([_scale(part) for part in without]),
         bounds=_ordered(float(total[best, 2] / total[best, 0]), float(total[best, 1] / total[best, 2])),
         lag_s=lag,
-        lag_se=max(lag_se, jackknife_error([_top(_r2(part)) for part in without])),
+        lag_se=max(lag_se, jackknife_error([lag_of_top(_r2(part)) for part in without])),
         r2=float(_r2(total)[best]),
         bias=float(bias.mean()),
         bias_se=float(bias.std() / np.sqrt(max(len(bias) - 1, 1))),
@@ -181,18 +181,14 @@ def _moments(side: Side, lag: int) -> tuple[float, float, float]:
     return float(x @ x), float(y @ y), float(x @ y)
 
 
-def _vertex(values: Array, best: int) -> float:
-    """Offset of a parabola's top from the best of its samples, in samples."""
+def lag_of_top(values: Array) -> float:
+    """Lag of the highest of values [LAGS], s, by a parabola through the best three."""
+    best = int(np.argmax(values))
     if best in (0, len(values) - 1):
-        return 0.0
+        return float(LAGS_S[best])
     below, at, above = values[best - 1 : best + 2]
-    bend = below - 2 * at + above
-    return float(0.5 * (below - above) / bend) if bend < 0 else 0.0
-
-
-def _top(r2: Array) -> float:
-    best = int(np.argmax(r2))
-    return float(LAGS_S[best] + STEP_S * _vertex(r2, best))
+    bend = below - 2.0 * at + above
+    return float(LAGS_S[best] + (0.5 * STEP_S * (below - above) / bend if bend < 0.0 else 0.0))
 
 
 def _lag(moments: Array, sides: list[Side]) -> tuple[float, float]:
@@ -205,7 +201,7 @@ def _lag(moments: Array, sides: list[Side]) -> tuple[float, float]:
     together = 2.0 * np.sqrt(np.pi) * WIDTH_S / (2.0 * STEP_S)
     spread = max(moments[best, 1] * (1.0 - r2[best]), 0.0) / samples * together
     error = float(np.sqrt(spread / max(slope**2 * steep, np.finfo(float).tiny)))
-    return _top(r2), error
+    return lag_of_top(r2), error
 
 
 def attitude_pairs() -> tuple[Pair, ...]:

@@ -162,6 +162,11 @@ class Dataset:
         """
         return _some(self.identify, most)
 
+    @property
+    def unseen(self) -> tuple[str, ...]:
+        """Flights that no fit has seen and that decide: the validate list, or, where it is empty, the identify list."""
+        return self.validate or self.identify
+
     def require_rates(self) -> None:
         """Raise InputError where a flight lacks one of the body rates, which every step needs."""
         for flight, facts in self.facts.items():

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorid_torch.core import names
-from rotorid_torch.data.consistency import LAGS, LAGS_S, REACH_S, STEP_S, jackknife_error, kernel, pieces
+from rotorid_torch.data.consistency import LAGS, REACH_S, STEP_S, jackknife_error, kernel, lag_of_top, pieces
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 
@@ -56,10 +56,10 @@ def _response(dataset: Dataset, channel: str) -> Response | None:
         return None
     total = np.sum(parts, axis=0)
     r2 = _r2(total)
-    error = jackknife_error([_top(_r2(total - part)) for part in parts])
+    error = jackknife_error([lag_of_top(_r2(total - part)) for part in parts])
     if len(parts) < 2 or r2.max() <= 0.0:
         return None
-    return Response(channel, _top(r2), error, float(r2.max()), float(r2.max() - max(r2[0], r2[-1])))
+    return Response(channel, lag_of_top(r2), error, float(r2.max()), float(r2.max() - max(r2[0], r2[-1])))
 
 
 def _moments(flight: Flight, channel: str, controls: tuple[str, ...], states: list[str]) -> Iterator[Array]:
@@ -98,13 +98,3 @@ def _r2(moments: Array) -> Array:
     along = slope / scale
     explained = np.einsum("ki,kij,kj->k", along, inverse, along)
     return np.where(power > 0.0, explained / np.maximum(power, np.finfo(float).tiny), 0.0)
-
-
-def _top(r2: Array) -> float:
-    """Lag of the best agreement, by a parabola through the best three."""
-    best = int(np.argmax(r2))
-    if best in (0, len(r2) - 1):
-        return float(LAGS_S[best])
-    below, at, above = r2[best - 1 : best + 2]
-    bend = below - 2.0 * at + above
-    return float(LAGS_S[best] + (0.5 * STEP_S * (below - above) / bend if bend < 0.0 else 0.0))

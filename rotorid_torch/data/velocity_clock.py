@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorid_torch.data import consistency
-from rotorid_torch.data.consistency import LAGS, LAGS_S, REACH_S, STEP_S, jackknife_error, kernel
+from rotorid_torch.data.consistency import LAGS, REACH_S, STEP_S, jackknife_error, kernel, lag_of_top
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 
@@ -99,16 +99,7 @@ def _fit(moments: Array) -> _Fit:
     kept = plain[none], dragged[none], plain.min(), dragged[best]
     drag = tuple((-along[:, best] / power[:, best]).tolist())
     r2 = tuple(1.0 - float(part) / total for part in kept)
-    return _Fit(float(LAGS_S[best]) + STEP_S * _vertex(dragged, best), drag, (r2[0], r2[1], r2[2], r2[3]))
-
-
-def _vertex(misfit: Array, best: int) -> float:
-    """Offset of a parabola's bottom from the best of its samples, in samples."""
-    if best in (0, len(misfit) - 1):
-        return 0.0
-    below, at, above = misfit[best - 1 : best + 2]
-    bend = below - 2.0 * at + above
-    return float(0.5 * (below - above) / bend) if bend > 0.0 else 0.0
+    return _Fit(lag_of_top(-dragged), drag, (r2[0], r2[1], r2[2], r2[3]))
 
 
 def _moments(dataset: Dataset, flight: Flight) -> Iterator[Array]:

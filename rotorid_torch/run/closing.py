@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -156,20 +156,25 @@ def _before_and_after(
     first : the nominal model. sensors : whether sensors err. wrong, right : the three steps again for a spec from
     values, on records as they are and on those without the sensors' errors. A multirotor's free runs decide nothing.
     """
+
+    def best(spec: ModelSpec, values: Mapping[str, float]) -> Run:
+        """On right records, with the structure that was traced or without."""
+        shapes = [spec, *([_without(spec, tracing.structure)] if tracing.structure else [])]
+        return _best([right(shape, values) for shape in shapes])
+
     final, null = tracing.final, tracing.null
-    if tracing.accepted or sensors:
-        shapes = [final.spec, *([_without(final.spec, tracing.structure)] if tracing.structure else [])]
-        before = _best([first, wrong(null.spec, null.values)]) if tracing.structure else first
-        after = _best([right(shape, final.values) for shape in shapes])
-        if tracing.accepted and not first.spec.motors:
-            without = right(null.spec, null.values) if sensors else before
-            if _best([without, after]) is without:
-                return _before_and_after(first, _refused(tracing), sensors, wrong, right)
-        return before, after, tracing
-    if tracing.structure:
-        after = _best([first, right(final.spec, final.values)])
-        return first, None if after is first else after, tracing
-    return first, None, tracing
+    plain = _best([first, wrong(null.spec, null.values)]) if tracing.structure else first
+    if tracing.accepted:
+        after = best(final.spec, final.values)
+        without = best(null.spec, null.values) if sensors else plain
+        if first.spec.motors or _best([without, after]) is after:
+            return plain, after, tracing
+        tracing = _refused(tracing)
+        if sensors:
+            return plain, without, tracing
+    elif sensors:
+        return plain, best(final.spec, final.values), tracing
+    return first, None if plain is first else plain, tracing
 
 
 def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
@@ -247,16 +252,19 @@ def _refused(tracing: Tracing) -> Tracing:
     """The tracing without the undeclared effects that it accepted: identified again, the model is no better by them."""
     said = "it describes segments of flights, but identified again with it, the model's free runs are no better"
     members = {e for others in tracing.groups.values() for e in others} | set(tracing.accepted)
-    refused = partial(replace, verdict="rejected", reason=said, group=())
-    findings = tuple(refused(f) if f.id in members else f for f in tracing.findings)
-    left = tracing.unknown_before
+    findings, left = tuple(_rejected(tracing.findings, members, said)), tracing.unknown_before
     return replace(tracing, final=tracing.null, accepted=(), groups={}, findings=findings, unknown=left)
 
 
 def _dropped(tracing: Tracing) -> list[Finding]:
     """Findings where the structure that was traced beside other effects does not stay in the model."""
     said = "it describes the motion that was fitted, but free runs of flights that no fit has seen are no better by it"
-    return [replace(f, verdict="rejected", reason=said) if f.id in tracing.structure else f for f in tracing.findings]
+    return _rejected(tracing.findings, tracing.structure, said)
+
+
+def _rejected(findings: Sequence[Finding], effects: Collection[str], said: str) -> list[Finding]:
+    """The findings, those of some effects rejected with a reason."""
+    return [replace(f, verdict="rejected", reason=said, group=()) if f.id in effects else f for f in findings]
 
 
 def _replaced(findings: Sequence[Finding], others: Sequence[Finding]) -> list[Finding]:

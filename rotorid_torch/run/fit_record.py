@@ -37,7 +37,7 @@ from rotorid_torch.validate import scores
 from rotorid_torch.validate.free_run import Runs, Windows
 from rotorid_torch.validate.predictions import UNITS, predictions
 from rotorid_torch.validate.responses import responses
-from rotorid_torch.validate.windows import all_windows, window_J
+from rotorid_torch.validate.windows import Scored, all_windows
 
 RESPONSE_UNITS = dict.fromkeys(ANGULAR_ACCELERATIONS, "rad/s2") | dict.fromkeys(SPECIFIC_FORCES, "m/s2")
 
@@ -111,18 +111,14 @@ def judge(model: Model, dataset: Dataset, ranks: Ranks = ALONE) -> Judged:
 
 
 def _flight(model: Model, dataset: Dataset, name: str, piece: Windows, outputs: Tensor) -> FlightRecord:
-    scored = [c for c in dataset.scored() if c in model.body.outputs]
-    places = [model.body.outputs.index(c) for c in scored]
-    scale = torch.tensor([dataset.scales()[c] for c in scored], dtype=torch.float64)
-    noise = torch.tensor([dataset.noise(c) for c in scored], dtype=torch.float64)
-    J = window_J(model, dataset, piece, outputs)
-    first = piece.measured[0]
+    scored = Scored.of(model, dataset)
+    J, first = scored.J(piece, outputs), piece.measured[0][:, scored.places]
     spread = scores.window_statistics(J)
     return FlightRecord(
         list=dataset.listed(name),
         J=float(J[0]),
-        J_noise=float(scores.noise_J(first[:, places], noise, scale)),
-        J_trim=float(scores.trim_J(first[:, places], scale, piece.dt)),
+        J_noise=float(scores.noise_J(first, scored.noise, scored.scale)),
+        J_trim=float(scores.trim_J(first, scored.scale, piece.dt)),
         windows=WindowsRecord(median=spread.median, p10=spread.p10, p90=spread.p90),
         channels=_channels(model, piece, outputs),
     )

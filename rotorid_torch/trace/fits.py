@@ -49,11 +49,6 @@ class Flights:
         """These flights as the fits see them."""
         return records(model, replace(self.dataset, identify=tuple(listed)), self.reconstruction)
 
-    @property
-    def unseen(self) -> tuple[str, ...]:
-        """Flights that decide: the validate list, or where there is none, the identify list itself."""
-        return self.dataset.validate or self.dataset.identify
-
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
@@ -103,7 +98,7 @@ class Fitted:
     @cached_property
     def free_runs(self) -> Tensor:
         """J of each of these flights [F], over all its windows of 8 s; NaN where there is no free run."""
-        return flights_J(self.model, self.flights.dataset, self.flights.unseen)
+        return flights_J(self.model, self.flights.dataset, self.flights.dataset.unseen)
 
     @cached_property
     def seen(self) -> Residual:
@@ -159,7 +154,7 @@ def refit(
 
 
 def _unseen(fitted: Fitted) -> Residual:
-    names = fitted.flights.unseen
+    names = fitted.flights.dataset.unseen
     own = fitted.fit.likelihood
     theta = fitted.fit.theta
     known = fitted.flights.records(fitted.model, names)

@@ -270,7 +270,7 @@ def _missing(fitted: Fitted, flights: Flights, floors: Floors) -> Unknown | None
     """What a model leaves over without a name."""
     over, unseen = (
         left_over(fitted.model, flights.dataset, flights.reconstruction, listed)
-        for listed in (flights.dataset.identify, flights.unseen)
+        for listed in (flights.dataset.identify, flights.dataset.unseen)
     )
     return unknown(scan(over), floors.of_traces(), over, unseen)
 

@@ -92,31 +92,12 @@ def trace_rotors(
     tried = [e for e in undeclared if e not in ABSORBED]
     search = _Search(dataset, fit, say, seed)
     null = now = fit(spec)
-    near: dict[str, tuple[str, ...]] = {}
-    for _ in range(ROUNDS + 1):
-        rest = [e for e in tried if e not in search.accepted]
-        found = ranks.carry([_with(now.spec, e) for e in rest], fit, _told, _again)
-        fitted = dict(zip(rest, found, strict=True))
-        search.rows = believed([now, *fitted.values()])
-        floors = search.floors(now, fitted)
-        for effect, companion in COMPANIONS.items():
-            if effect in fitted and companion in fitted:
-                fitted[effect] = search.accompanied(fitted[effect], companion)
-        standing = [e for e in fitted if search.stands(now, fitted[e], e, floors[e])]
-        if not standing or len(search.accepted) >= ROUNDS:
-            break
-        best = max(standing, key=lambda e: search.gain(now, fitted[e]))
-        joining = [e for e in fitted[best].spec.effects if e not in now.spec.effects]
-        say(f"{' and '.join(joining)} joins" if len(joining) == 1 else f"{' and '.join(joining)} join")
-        search.accepted += joining
-        for e in joining[1:]:  # a companion counts by what it gained beside the first
-            search.gain_of[e], search.floor_of[e] = search.beside[e]
-        near |= {e: search.near(fitted, best, standing) if e == best else () for e in joining}
-        now = fitted[best]
+    while (joined := search.joined(now, tried, ranks)) is not None:
+        now = joined
     final = search.confirmed(now)
-    alike = {e: search.in_place_of(final, e, near[e]) for e in search.accepted}
+    alike = {e: search.in_place_of(final, e, search.near[e]) for e in search.accepted}
     search.groups = {e: others for e, others in alike.items() if others}
-    centre, missing = out_of_balance(final.model, final.spec, dataset, search.unseen) if spec.motors else (None, None)
+    centre, missing = out_of_balance(final.model, final.spec, dataset, dataset.unseen) if spec.motors else (None, None)
     note = "floors come from residuals whose blocks stand in another order: no clean multirotor is drawn"
     findings += [search.finding(final, e) for e in undeclared]
     told = tuple(centre if centre and f.id == centre.id else f for f in findings)
@@ -162,6 +143,7 @@ class _Search:
         self.floor_of: dict[str, float] = {}
         self.gain_of: dict[str, float] = {}
         self.beside: dict[str, tuple[float, float]] = {}
+        self.near: dict[str, tuple[str, ...]] = {}
         self.reasons: dict[str, tuple[str, Identified]] = {}
         self.rows: tuple[str, ...] = ()
         self._kept: dict[int, tuple[Identified, Compared]] = {}
@@ -232,12 +214,28 @@ class _Search:
             return fitted
         self.beside[companion] = gain, floor
         # no accusation, for every rotor has it: unseen flights alone decide, however few of them tell its size
-        return both if helps(self.by_flight(fitted, both, self.unseen)) else fitted
+        return both if helps(self.by_flight(fitted, both, self.dataset.unseen)) else fitted
 
-    @property
-    def unseen(self) -> Sequence[str]:
-        """Flights that decide."""
-        return self.dataset.validate or self.dataset.identify
+    def joined(self, now: Identified, tried: Sequence[str], ranks: Ranks) -> Identified | None:
+        """The model with the best of the candidates that stand, and its companion; None where none joins."""
+        rest = [e for e in tried if e not in self.accepted]
+        fitted = dict(zip(rest, ranks.carry([_with(now.spec, e) for e in rest], self.fit, _told, _again), strict=True))
+        self.rows = believed([now, *fitted.values()])
+        floors = self.floors(now, fitted)
+        for effect, companion in COMPANIONS.items():
+            if effect in fitted and companion in fitted:
+                fitted[effect] = self.accompanied(fitted[effect], companion)
+        standing = [e for e in fitted if self.stands(now, fitted[e], e, floors[e])]
+        if not standing or len(self.accepted) >= ROUNDS:
+            return None
+        best = max(standing, key=lambda e: self.gain(now, fitted[e]))
+        joining = [e for e in fitted[best].spec.effects if e not in now.spec.effects]
+        self.say(f"{' and '.join(joining)} join{'s' if len(joining) == 1 else ''}")
+        self.accepted += joining
+        for e in joining[1:]:  # a companion counts by what it gained beside the first
+            self.gain_of[e], self.floor_of[e] = self.beside[e]
+        self.near |= {e: self.not_told_from(fitted, best, standing) if e == best else () for e in joining}
+        return fitted[best]
 
     def stands(self, null: Identified, fitted: Identified, effect: str, floor: float) -> bool:
         """Whether nothing speaks against a candidate; why not is kept and said."""
@@ -257,16 +255,16 @@ class _Search:
             return edge
         if _away(fitted, effect) <= SURE:
             return f"none of its parameters lies beyond {SURE:g} of its standard errors from nothing"
-        better = self.by_flight(null, fitted, self.unseen)
+        better = self.by_flight(null, fitted, self.dataset.unseen)
         if not helps(better):
             return (
                 f"it does not help on flights that no fit has seen ({int((better > 0).sum())} of {len(better)} better)"
             )
         return None
 
-    def near(self, fitted: Mapping[str, Identified], best: str, standing: Sequence[str]) -> tuple[str, ...]:
+    def not_told_from(self, fitted: Mapping[str, Identified], best: str, standing: Sequence[str]) -> tuple[str, ...]:
         """Candidates that flights which no fit has seen do not tell from the best."""
-        told = {e: helps(self.by_flight(fitted[e], fitted[best], self.unseen)) for e in standing if e != best}
+        told = {e: helps(self.by_flight(fitted[e], fitted[best], self.dataset.unseen)) for e in standing if e != best}
         return tuple(e for e, better in told.items() if not better)
 
     def in_place_of(self, final: Identified, effect: str, others: Sequence[str]) -> tuple[str, ...]:
@@ -274,7 +272,7 @@ class _Search:
         rivals = [e for e in others if e not in self.accepted]
         swapped = {e: tuple(e if own == effect else own for own in final.spec.effects) for e in rivals}
         fitted = {e: self.fit(msgspec.structs.replace(final.spec, effects=them)) for e, them in swapped.items()}
-        return tuple(e for e, f in fitted.items() if not helps(self.by_flight(f, final, self.unseen)))
+        return tuple(e for e, f in fitted.items() if not helps(self.by_flight(f, final, self.dataset.unseen)))
 
     def confirmed(self, final: Identified) -> Identified:
         """Each accepted effect tested again beside the others; those that explain nothing more are taken out."""

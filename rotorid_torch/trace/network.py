@@ -216,7 +216,7 @@ class _Misfit:
 
 def drawn_turn(fitted: Fitted, chance: torch.Generator) -> Turn:
     """A turn for every flight that a fit has seen or will be judged by."""
-    names = tuple(dict.fromkeys((*fitted.flights.dataset.identify, *fitted.flights.unseen)))
+    names = tuple(dict.fromkeys((*fitted.flights.dataset.identify, *fitted.flights.dataset.unseen)))
     shares = EDGE + (1.0 - 2.0 * EDGE) * torch.rand(len(names), generator=chance, dtype=torch.float64)
     signs = 2.0 * torch.randint(0, 2, (len(names),), generator=chance) - 1.0
     return {n: (float(share), float(sign)) for n, share, sign in zip(names, shares, signs, strict=True)}

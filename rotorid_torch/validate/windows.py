@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -39,18 +40,32 @@ def all_windows(
         del pieces, outputs  # before the next group's
 
 
-def window_J(model: Model, dataset: Dataset, pieces: Windows, outputs: Tensor) -> Tensor:
-    """J of each window [W], over the channels that the data set scores."""
-    scored = [c for c in dataset.scored() if c in model.body.outputs]
-    places = [model.body.outputs.index(c) for c in scored]
-    scale = torch.tensor([dataset.scales()[c] for c in scored], dtype=torch.float64)
-    return scores.flight_J((outputs - pieces.measured)[..., places], scale)
+@dataclass(frozen=True)
+class Scored:
+    """Channels that count: their places among a model's outputs, scales and noise [n]."""
+
+    places: list[int]
+    scale: Tensor
+    noise: Tensor
+
+    @classmethod
+    def of(cls, model: Model, dataset: Dataset) -> Scored:
+        """Those that the data set scores and the model gives."""
+        names = [c for c in dataset.scored() if c in model.body.outputs]
+        scale, noise = ([of(c) for c in names] for of in (dataset.scales().__getitem__, dataset.noise))
+        places = [model.body.outputs.index(c) for c in names]
+        return cls(places, *(torch.tensor(v, dtype=torch.float64) for v in (scale, noise)))
+
+    def J(self, pieces: Windows, outputs: Tensor) -> Tensor:
+        """J of each window [W]."""
+        return scores.flight_J((outputs - pieces.measured)[..., self.places], self.scale)
 
 
 def flights_J(model: Model, dataset: Dataset, names: Sequence[str]) -> Tensor:
     """Root mean square of the J of all windows of each flight [F]."""
+    scored = Scored.of(model, dataset)
     found = {
-        name: scores.list_score(window_J(model, dataset, pieces, outputs))
+        name: scores.list_score(scored.J(pieces, outputs))
         for name, pieces, outputs in all_windows(model, dataset, names, Runs.of(model))
     }
     return torch.stack([found[name] for name in names])

@@ -196,16 +196,14 @@ def test_compiled_trajectories_with_all_effects_are_torch_s(spec: ModelSpec):
     model = with_effects(spec, *chosen)
     with torch.no_grad():
         model.theta.copy_(at_typical(model, *chosen))
-    x, u = points(model, 2, spread=0.05)
+    x, u = points(model, 2, seed=2, spread=0.05)
     controls = u[:, None] + 0.02 * torch.sin(torch.linspace(0, 3, 26, dtype=torch.float64))[:, None]
     native = Runs.of(model)
     assert native.compiled is not None
     exact = [record.detach() for record in Runs(model, None)(x, controls, DT)]
-    calm = int((exact[0].abs().amax(dim=(0, 2)) < CALM).sum())  # what runs away turns rounding into differences
-    assert calm >= 20
+    assert float(exact[0].abs().max()) < CALM  # what runs away turns rounding into differences
     for found, wanted in zip(native(x, controls, DT), exact, strict=True):
-        assert bool(wanted.isfinite().all())
-        torch.testing.assert_close(found[:, :calm], wanted[:, :calm], rtol=SMALL, atol=SMALL)
+        torch.testing.assert_close(found, wanted, rtol=SMALL, atol=SMALL)
 
 
 def test_its_states_start_in_equilibrium_or_where_measured(effect: type[Effect]):

@@ -49,7 +49,8 @@ def traced(
     monkeypatch.setattr(multirotor, "candidates", lambda spec: (list(known), list(told)))
     monkeypatch.setattr(multirotor, "compared", lambda model, flight: {"pdot": model.pair(flight)})
     facts = {name: SimpleNamespace(dt=DT) for name in FLIGHTS}
-    data: Any = SimpleNamespace(identify=("one", "two"), validate=validate, flights=FLIGHTS, facts=facts)
+    lists: dict[str, Any] = {"identify": ("one", "two"), "validate": validate, "unseen": validate or ("one", "two")}
+    data: Any = SimpleNamespace(**lists, flights=FLIGHTS, facts=facts)
 
     def fit(spec: ModelSpec) -> Identified:
         names = [f"{e}.size" for e in spec.effects]
