@@ -35,7 +35,7 @@ from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.nominal import build
 from rotorid_torch.run.fit_record import Judged, judge
-from rotorid_torch.trace.clean import clean_floors
+from rotorid_torch.trace.clean import Null, clean_floors
 from rotorid_torch.trace.fits import Fitted, Flights, refit
 from rotorid_torch.trace.floor import Floors
 from rotorid_torch.trace.loop import trace
@@ -120,8 +120,8 @@ def models(args: Args, data: rotorid.Dataset, say: Console) -> Iterator[tuple[st
     yield "physics", null
     if not args.quick:
 
-        def floors(spec: ModelSpec, effects: Sequence[str]) -> Floors:
-            return Floors({}, "") if args.chance else clean_floors(seen, spec, effects, args.seed, say.print)
+        def floors(null: Null, effects: Sequence[str]) -> Floors:
+            return Floors({}, "") if args.chance else clean_floors(seen, null, effects, args.seed, say.print)
 
         final = trace(base.spec, start, held, flights, floors, say.print, args.seed).final
         null = refit(final.spec, flights, final.values, held)

@@ -24,6 +24,11 @@ USUAL_LOCK = 8.0
 """Lock number of a rotor that does not declare it."""
 USUAL_LAG = 0.3
 """Lag frequency over rotor speed where no hinge offset is declared."""
+KNOWN = 0.02
+"""rad: what a rotor does where a segment begins is known from the motion before to this, its rates to speed times this.
+
+Otherwise states that nothing shows yet, an effect being at its null, go anywhere and take the fit with them.
+"""
 FASTEST = 60.0
 """rad/s: states are integrated at 50 Hz; faster modes would be numbers of the integration."""
 
@@ -63,7 +68,7 @@ class DynamicInflow(Effect):
             Parameter("Z", 0.0, "1", (0.0, 0.95), doc="share of the thrust that the inflow takes back", typical=0.4),
             Parameter("N", 0.0, "rad/m", (-1.0, 1.0), doc="yaw by the torque of the inflow", typical=0.02),
         ]
-        states = [State("uniform", "m/s2", "uniform inflow, as the thrust that keeps it up")]
+        states = [State("uniform", "m/s2", "uniform inflow, as the thrust that keeps it up", spread=KNOWN * thrust)]
         if flapping is not None:
             declared += [
                 Parameter("tau_cyclic", 0.15, "s", times, 0.15, doc="time constant of the harmonics", typical=0.15),
@@ -73,7 +78,7 @@ class DynamicInflow(Effect):
                 Parameter("along", 0.0, "1/s", (-30.0, 30.0), doc="flapping by its own harmonic", typical=2.0),
                 Parameter("across", 0.0, "1/s", (-30.0, 30.0), doc="flapping by the other harmonic", typical=2.0),
             ]
-            states += [State(n, "rad", "first harmonic of the inflow, as flapping") for n in ("wa", "wb")]
+            states += [State(n, "rad", "first harmonic of the inflow, as flapping", spread=KNOWN) for n in ("wa", "wb")]
         super().__init__(tuple(declared), tuple(states))
         self.thrust, self.flapping = thrust, flapping
 
@@ -147,7 +152,7 @@ class FlapSecondOrder(Effect):
                     typical=coupling,
                 ),
             ),
-            tuple(State(f"{n}_rate", "rad/s", f"rate of {n}") for n in FLAPPING),
+            tuple(State(f"{n}_rate", "rad/s", f"rate of {n}", spread=KNOWN * rotor.speed) for n in FLAPPING),
         )
 
     @classmethod
@@ -218,10 +223,10 @@ class LeadLag(Effect):
                 ),
             ),
             tuple(
-                State(n, unit, f"{what}, {axis}")
-                for what, unit, names in (
-                    ("lag", "rad", ("x", "y", "z")),
-                    ("rate of lag", "rad/s", ("x_rate", "y_rate", "z_rate")),
+                State(n, unit, f"{what}, {axis}", spread=spread)
+                for what, unit, spread, names in (
+                    ("lag", "rad", KNOWN, ("x", "y", "z")),
+                    ("rate of lag", "rad/s", KNOWN * rotor.speed, ("x_rate", "y_rate", "z_rate")),
                 )
                 for n, axis in zip(names, ("longitudinal", "lateral", "collective"), strict=True)
             ),
@@ -374,8 +379,8 @@ class RotorSpeed(Effect):
                 Parameter("N", 0.0, "1", (-1.0, 1.0), doc="reaction to the engine's torque", typical=0.1),
             ),
             (
-                State("speed", "rad s", "speed beyond trim by load"),
-                State("engine", "rad", "engine beyond trim by load"),
+                State("speed", "rad s", "speed beyond trim by load", spread=KNOWN),
+                State("engine", "rad", "engine beyond trim by load", spread=KNOWN),
             ),
         )
         self.col, self.omega = col, omega

@@ -92,13 +92,24 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Fit:
-    """The end of a fit: likelihood of its last segments, minimum, covariance, and the stages' account."""
+    """The end of a fit: likelihood of its last segments, minimum, and the stages' account.
+
+    known : the covariance, where it was found elsewhere.
+    """
 
     likelihood: Likelihood
     minimum: Minimum[Place]
-    uncertainty: Uncertainty
     stages: tuple[str, ...]
     floor: Tensor | None
+    known: Uncertainty | None = None
+
+    @cached_property
+    def uncertainty(self) -> Uncertainty:
+        """Covariance of the parameters; all ranks ask for it together."""
+        if self.known is not None:
+            return self.known
+        problem, found = self.likelihood, self.minimum
+        return uncertainty(problem, found.point, found.linear, _told(found), _loss(problem, found))
 
     @property
     def theta(self) -> Tensor:
@@ -185,8 +196,7 @@ def fit(
         samples = stages.next(samples, problem, found.point)
     assert best is not None
     problem, found = stages.finish(*best, rough)
-    errors = uncertainty(problem, found.point, found.linear, _told(found), _loss(problem, found))
-    return Fit(problem, found, errors, tuple(stages.account), settings.floor)
+    return Fit(problem, found, tuple(stages.account), settings.floor)
 
 
 def _told(minimum: Minimum[Place]) -> Tensor:

@@ -52,7 +52,10 @@ def uncertainty(likelihood: Likelihood, place: Place, linear: Linear, told: Tens
     Source: Morelli and Klein, Aircraft System Identification (2nd ed.), sec. 6.3.2 (coloured residuals);
     Efron and Stein (1981), Ann. Statist. 9 (jackknife).
     """
-    inverse, plain = _inverse(linear, told), linear[0].new_zeros(len(told), len(told))
+    plain = linear[0].new_zeros(len(told), len(told))
+    if not bool(told.any()):
+        return Uncertainty(plain, plain, plain.diagonal(), plain, plain.diagonal())
+    inverse = _inverse(linear, told)
     plain[told[:, None] & told] = loss * (inverse @ inverse.mT).flatten()
     coloured = torch.zeros_like(plain)
     coloured[told[:, None] & told] = _coloured(likelihood, place, inverse, told).flatten()

@@ -185,7 +185,7 @@ def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
         base.model.named_values,
         base.regressions.held,
         flights,
-        lambda spec, effects: clean_floors(flights.dataset, spec, effects, seed, say, ranks=ranks),
+        lambda null, effects: clean_floors(flights.dataset, null, effects, seed, say, ranks=ranks),
         say,
         seed,
         ranks,

@@ -15,6 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +29,7 @@ from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.data.write import write_dataset
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.reconstruct import reconstruct
-from rotorid_torch.identification.step2 import regress_model
 from rotorid_torch.identification.structure import propose
-from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.fits import Flights, refit
 from rotorid_torch.trace.floor import Floors
 from rotorid_torch.trace.residual import left_over, scan
@@ -42,8 +41,6 @@ CHANCES = 4
 """Shuffled residuals of each: a candidate of which clean aircraft show nothing has the floor that chance gives."""
 FEWEST = 20
 """Draws below which no quantile of 5 % is told."""
-STAGES = (2.0, 5.0)
-"""Lengths of the segments that a drawn aircraft is fitted on, s."""
 FORMAT = 1
 """Of what is cached."""
 WATCH_S = 0.5
@@ -52,19 +49,26 @@ SAME = ("flapping", "flapping_doubtful", "patterns", "inflow", "cyclic_inflow", 
 """Structure that a drawn aircraft's model shares with the data's."""
 
 
-def gains_on(clean: Dataset, spec: ModelSpec, effects: Sequence[str]) -> tuple[dict[str, float], dict[str, float]]:
-    """Gain of each effect on a clean aircraft's flights, its model having the structure of the spec.
+@dataclass(frozen=True)
+class Null:
+    """The model whose candidates need floors: its structure, its parameters' values, and those that are held."""
+
+    spec: ModelSpec
+    values: Mapping[str, float]
+    held: Sequence[str] = ()
+
+
+def gains_on(clean: Dataset, null: Null, effects: Sequence[str]) -> tuple[dict[str, float], dict[str, float]]:
+    """Gain of each effect on a clean aircraft's flights, its model having the structure of the null.
 
     Beside it the weight in each equation of what looks most like something unknown.
     """
     seen = at_one_rate(clean)
     found = reconstruct(seen)
     own = propose(seen, found, ())
-    own = msgspec.structs.replace(own, **{name: getattr(spec, name) for name in SAME})
-    model = build(own)
-    start = regress_model(model, seen, found)
-    values = dict(zip(model.parameter_set.names, start.theta.tolist(), strict=True))
-    fitted = refit(own, Flights(seen, found), values, start.held, lengths=STAGES)
+    own = msgspec.structs.replace(own, **{name: getattr(null.spec, name) for name in SAME})
+    # an aircraft in the data's likeness lies near the data's values: from its own regression few fits find their end
+    fitted = refit(own, Flights(seen, found), null.values, null.held)
     screened = screen(fitted, effects, shuffles=CHANCES)
     traces = scan(left_over(fitted.model, seen, found, seen.identify))
     gains = {e: max(screened.gain([e]), float(screened.by_chance(e).max())) for e in effects}
@@ -73,14 +77,14 @@ def gains_on(clean: Dataset, spec: ModelSpec, effects: Sequence[str]) -> tuple[d
 
 def clean_floors(
     dataset: Dataset,
-    spec: ModelSpec,
+    null: Null,
     effects: Sequence[str],
     seed: int = 0,
     say: Callable[[str], None] = lambda line: None,
     draws: int = DRAWS,
     ranks: Ranks = ALONE,
 ) -> Floors:
-    """Gains of effects on clean aircraft drawn in the likeness of a data set, for models of the structure of a spec.
+    """Gains of effects on clean aircraft drawn in the likeness of a data set, for models of the structure of a null.
 
     Where none can be drawn the note says why, and the data's own shuffled residual is all that floors are made of.
     ranks : processes that share the draws, each of which calls this; what the first one has cached counts for all.
@@ -90,14 +94,14 @@ def clean_floors(
     why = undrawable(dataset)
     if why is not None:
         return Floors({}, f"floors come from shuffled residuals alone: no clean aircraft can be drawn, {why}")
-    folder = cache_folder() / "floors" / _fingerprint(dataset, spec, effects, seed)
+    folder = cache_folder() / "floors" / _fingerprint(dataset, null.spec, effects, seed)
     folder.mkdir(parents=True, exist_ok=True)
     known = ranks.from_first(_read(folder, range(draws)))
     missing = [n for n in range(draws) if n not in known]
     if missing:
         say(f"floors: {len(missing)} of {draws} clean aircraft to be flown and identified; they are kept for next time")
         mine = ranks.mine(missing)
-        _fly(dataset, spec, effects, seed, mine, folder, ranks)
+        _fly(dataset, null, effects, seed, mine, folder, ranks)
         for part in ranks.gather(_read(folder, mine)):
             known |= part
         for number in known.keys() & set(missing) if ranks.first else ():
@@ -164,7 +168,7 @@ def _code() -> str:
 
 def _fly(
     dataset: Dataset,
-    spec: ModelSpec,
+    null: Null,
     effects: Sequence[str],
     seed: int,
     numbers: Sequence[int],
@@ -180,7 +184,9 @@ def _fly(
         for k in range(count):
             request = {
                 "dataset": str(likeness),
-                "spec": spec.plain(),
+                "spec": null.spec.plain(),
+                "values": dict(null.values),
+                "held": list(null.held),
                 "effects": list(effects),
                 "seed": seed,
                 "numbers": list(numbers[k::count]),
@@ -224,11 +230,13 @@ def _work(request: Mapping[str, object]) -> None:
     from rotorid_torch.fly.drawn import clean_flights
 
     dataset, folder = load(str(request["dataset"])), Path(str(request["folder"]))
-    spec, effects = ModelSpec.from_plain(request["spec"]), msgspec.convert(request["effects"], list[str])
+    values, held = msgspec.convert(request["values"], dict[str, float]), msgspec.convert(request["held"], list[str])
+    null = Null(ModelSpec.from_plain(request["spec"]), values, held)
+    effects = msgspec.convert(request["effects"], list[str])
     numbers = msgspec.convert(request["numbers"], list[int])
     for drawn in clean_flights(dataset, msgspec.convert(request["seed"], int), numbers):
         try:
-            gains, traces = gains_on(drawn.dataset, spec, effects)
+            gains, traces = gains_on(drawn.dataset, null, effects)
         except (ValueError, RuntimeError):  # an aircraft that no fit converges for
             gains, traces = {}, {}
         found = {"gains": gains, "traces": traces, "alike": drawn.alike, "misfit": drawn.misfit, "rotor": drawn.rotor}

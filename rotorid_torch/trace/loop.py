@@ -17,6 +17,7 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.base import Role, Showing
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.trace.clean import Null
 from rotorid_torch.trace.decide import (
     errors,
     gain,
@@ -225,7 +226,7 @@ def trace(
     start: Mapping[str, float],
     held: Sequence[str],
     flights: Flights,
-    floors: Callable[[ModelSpec, Sequence[str]], Floors],
+    floors: Callable[[Null, Sequence[str]], Floors],
     say: Say = lambda line: None,
     seed: int = 0,
     ranks: Ranks = ALONE,
@@ -245,7 +246,7 @@ def trace(
     null = search.structure(null, [e for e in testable if registered()[e].role is Role.STRUCTURE])
     structure = tuple(e for e in null.spec.effects if e not in spec.effects)
     undeclared = [e for e in testable if registered()[e].role is Role.UNDECLARED]
-    search.floors = floors(null.spec, undeclared)
+    search.floors = floors(Null(null.spec, null.values, search.held), undeclared)
     first = search.screened(null, undeclared)
     usual = search.floors.of(first, undeclared)
     final, accepted = search.undeclared(null, undeclared)

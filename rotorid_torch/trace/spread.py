@@ -93,5 +93,5 @@ def _again(told: _Told, spec: ModelSpec, flights: Flights) -> Fitted:
     place = told.minimum.point
     if told.runs is not None:
         place.parts = [problem.part(place, which, run) for which, run in told.runs]
-    fit = stages.Fit(problem, told.minimum, told.uncertainty, told.stages, told.floor)
+    fit = stages.Fit(problem, told.minimum, told.stages, told.floor, told.uncertainty)
     return Fitted(spec, model, told.names, fit, flights)

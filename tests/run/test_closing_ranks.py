@@ -46,7 +46,7 @@ drawn.undrawable = lambda dataset: None
 spec = propose(dataset, reconstruct(dataset), ())
 sys.executable = worker
 with ranks_of_torchrun() as ranks:
-    floors = clean.clean_floors(dataset, spec, ["control.delay"], say=told.append, ranks=ranks)
+    floors = clean.clean_floors(dataset, clean.Null(spec, {}), ["control.delay"], say=told.append, ranks=ranks)
     gains = floors.gains["control.delay"].tolist()
 files = sorted(int(f.stem) for f in clean.cache_folder().glob("floors/*/[0-9]*.json"))
 print(json.dumps({"gains": gains, "files": files, "note": floors.note, "told": told}))
