@@ -16,6 +16,7 @@ from torch import Tensor
 from rotorid_torch.core.names import RATES, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
+from rotorid_torch.effects.record import lagged
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.rotors import hover_thrust
@@ -36,6 +37,8 @@ EXCLUDED = 0.05
 """Chance below which a cause is."""
 BY_CHANCE = 0.05
 """Chance, family-wise over rows and signals, that something goes with a signal by chance."""
+LATE_S = (0.0, 1.0, 2.0, 4.0)
+"""By how much a moment may be late behind what it goes with (air and heading take their time), first order."""
 POSITIONS = {"north": "the velocity north", "east": "the velocity east", "height": "the rate of climb"}
 
 
@@ -45,20 +48,24 @@ class Balance:
 
     centre : [B, 3] thrust centre x, y in m from the declared centre of gravity, and yaw balance: the share by which
     thrusts of rotors turning one way exceed those of the others. turning : [B, 3] angular accelerations of the same
-    rows. signals : what it may go with, [B] each.
+    rows. signals : what it may go with, [B] each, by name and by how late it follows.
     """
 
     centre: Tensor
     turning: Tensor
-    signals: Mapping[str, Tensor]
+    signals: Mapping[tuple[str, float], Tensor]
 
 
 @dataclass(frozen=True)
 class Going:
-    """What a row goes with: t over the t that chance reaches; rms of the row on unseen flights without and with it."""
+    """What a row goes with, and how late it follows, s.
+
+    evidence : t over the t that chance reaches. without, rest : rms of the row on unseen flights without and with it.
+    """
 
     row: str
     signal: str
+    late: float
     evidence: float
     without: float
     rest: float
@@ -89,8 +96,12 @@ def _balance(model: Model, spec: ModelSpec, flight: Flight) -> Balance:
     return Balance(
         mean[flown] @ _levers(spec) / total[flown, None],
         _means(torch.stack(turning, dim=-1), every)[flown],
-        {n: _means(v, every)[flown] for n, v in signals.items()},
+        {(n, late): _means(_late(v, late, flight.dt), every)[flown] for n, v in signals.items() for late in LATE_S},
     )
+
+
+def _late(record: Tensor, tau: float, dt: float) -> Tensor:
+    return lagged(record[:, None], record.new_tensor([tau]), dt)[:, 0]
 
 
 def _levers(spec: ModelSpec) -> Tensor:
@@ -109,15 +120,17 @@ def going_with(identify: Sequence[Balance], unseen: Sequence[Balance]) -> list[G
     A row's own angular acceleration and a constant are taken out of both sides. Means that resemble their neighbours
     count for less (first-order autocorrelation).
     """
-    names = [n for n in identify[0].signals if all(n in b.signals for b in (*identify, *unseen))]
-    found = [_going(k, name, identify, unseen, 2 * len(ROWS) * len(names)) for k in range(3) for name in names]
+    told = [n for n in identify[0].signals if all(n in b.signals for b in (*identify, *unseen))]
+    found = [_going(k, signal, identify, unseen, 2 * len(ROWS) * len(told)) for k in range(3) for signal in told]
     best = {g.row: g for g in sorted((g for g in found if g), key=lambda g: g.evidence)}
     return sorted(best.values(), key=lambda g: -g.evidence)
 
 
-def _going(row: int, name: str, identify: Sequence[Balance], unseen: Sequence[Balance], tests: int) -> Going | None:
+def _going(
+    row: int, signal: tuple[str, float], identify: Sequence[Balance], unseen: Sequence[Balance], tests: int
+) -> Going | None:
     usual = [_columns(b, row, None) for b in identify]
-    with_it = [_columns(b, row, name) for b in identify]
+    with_it = [_columns(b, row, signal) for b in identify]
     y = torch.cat([b.centre[:, row] for b in identify])
     short, full = torch.cat(usual), torch.cat(with_it)
     if len(y) <= full.shape[1] + 1:
@@ -130,18 +143,18 @@ def _going(row: int, name: str, identify: Sequence[Balance], unseen: Sequence[Ba
     left = float(after.square().sum())
     t = math.sqrt(max(float(before.square().sum()) - left, 0.0) * worth / max(left, 1e-300))
     evidence = t / student_quantile(normal_quantile(BY_CHANCE / tests), worth)
-    fits = ((None, slopes), (name, more))
-    errors = [[b.centre[:, row] - _columns(b, row, n) @ z for n, z in fits] for b in unseen]
+    fits = ((None, slopes), (signal, more))
+    errors = [[b.centre[:, row] - _columns(b, row, s) @ z for s, z in fits] for b in unseen]
     sizes = torch.stack([torch.stack(pair, dim=1).square().mean(dim=0).sqrt() for pair in errors])
     if evidence <= 1.0 or not helps((sizes[:, 0] / sizes[:, 1]).log()):
         return None
     without, rest = sizes.square().mean(dim=0).sqrt().tolist()
-    return Going(ROWS[row], name, evidence, without, rest)
+    return Going(ROWS[row], *signal, evidence, without, rest)
 
 
-def _columns(balance: Balance, row: int, name: str | None) -> Tensor:
+def _columns(balance: Balance, row: int, signal: tuple[str, float] | None) -> Tensor:
     columns = [torch.ones(len(balance.centre), dtype=torch.float64), balance.turning[:, row]]
-    return torch.stack(columns if name is None else [*columns, balance.signals[name]], dim=-1)
+    return torch.stack(columns if signal is None else [*columns, balance.signals[signal]], dim=-1)
 
 
 def _worth(residual: Tensor, lengths: Sequence[int]) -> float:
@@ -233,8 +246,9 @@ def out_of_balance(
 
 def _said(going: Going) -> str:
     scale, unit = (100.0, "% of yaw balance") if going.row == "N" else (1e3, "mm of thrust centre")
+    late = f", about {going.late:g} s late" if going.late else ""
     return (
-        f"{going.row}: it goes with {going.signal}, which takes unseen flights from"
+        f"{going.row}: it goes with {going.signal}{late}, which takes unseen flights from"
         f" {scale * going.without:.2g} to {scale * going.rest:.2g} {unit}"
     )
 

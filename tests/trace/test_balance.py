@@ -11,9 +11,19 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.data import Dataset
+from rotorid_torch.effects.record import lagged
 from rotorid_torch.effects.spec import ModelSpec, MotorSpec
 from rotorid_torch.model.nominal import build
-from rotorid_torch.trace.balance import UNEQUAL, Balance, Standing, balances, going_with, out_of_balance, standing
+from rotorid_torch.trace.balance import (
+    LATE_S,
+    UNEQUAL,
+    Balance,
+    Standing,
+    balances,
+    going_with,
+    out_of_balance,
+    standing,
+)
 
 ARM = 0.033
 PLACES = ((1, 1, -1), (-1, 1, 1), (-1, -1, -1), (1, -1, 1))
@@ -26,14 +36,21 @@ MEANS = 20
 AHEAD = torch.tensor([0.006, 0.0, 0.0], dtype=torch.float64)
 
 
-def flight(seed: int, centre: Tensor | None = None, by_speed: float = 0.0) -> Balance:
+def flight(seed: int, centre: Tensor | None = None, by_speed: float = 0.0, after: float = 0.0) -> Balance:
     chance = torch.Generator().manual_seed(seed)
     speed, other = (torch.randn(MEANS, generator=chance, dtype=torch.float64) for _ in range(2))
     noise = torch.randn(MEANS, 3, generator=chance, dtype=torch.float64) * torch.tensor([1e-4, 1e-4, 3e-3])
     turning = torch.randn(MEANS, 3, generator=chance, dtype=torch.float64)
     made = noise + 1e-4 * turning + (0.0 if centre is None else centre)
-    made[:, 0] += by_speed * speed
-    return Balance(made, turning, {"u": speed, "v": other})
+    made[:, 0] += by_speed * late(u=speed)["u", after]
+    return Balance(made, turning, late(u=speed, v=other))
+
+
+def late(**signals: Tensor) -> dict[tuple[str, float], Tensor]:
+    """Signals as they are and late, at one mean a second."""
+    taus = torch.tensor(LATE_S, dtype=torch.float64)
+    followed = {n: lagged(v[:, None].expand(-1, len(taus)), taus, 1.0) for n, v in signals.items()}
+    return {(n, tau): v[:, k] for n, v in followed.items() for k, tau in enumerate(LATE_S)}
 
 
 def flights(*seeds: int, **what: Any) -> list[Balance]:
@@ -53,9 +70,15 @@ def stood(*seeds: int, **what: Any) -> Standing | None:
 
 def test_a_pitching_moment_by_speed_is_found_and_holds_on_unseen_flights():
     found = going_with(flights(1, 2, by_speed=3e-4), flights(3, 4, by_speed=3e-4))
-    assert [(g.row, g.signal) for g in found] == [("M", "u")]
+    assert [(g.row, g.signal, g.late) for g in found] == [("M", "u", 0.0)]
     assert found[0].rest < 0.5 * found[0].without
     assert found[0].rest == pytest.approx(1e-4, rel=0.4)
+
+
+def test_a_moment_that_follows_late_is_found_with_how_late():
+    found = going_with(flights(1, 2, by_speed=1e-3, after=2.0), flights(3, 4, by_speed=1e-3, after=2.0))
+    assert [(g.row, g.signal, g.late) for g in found] == [("M", "u", 2.0)]
+    assert found[0].rest < 0.5 * found[0].without
 
 
 def test_what_unseen_flights_do_not_show_is_not_told():
@@ -76,7 +99,7 @@ def test_slow_wandering_is_no_evidence():
         slow = torch.randn(2, MEANS, generator=chance, dtype=torch.float64).cumsum(dim=1)
         zero = torch.zeros(MEANS, dtype=torch.float64)
         turning = torch.randn(MEANS, 3, generator=chance, dtype=torch.float64)
-        return Balance(torch.stack([slow[0], zero, zero], dim=1), turning, {"u": slow[1]})
+        return Balance(torch.stack([slow[0], zero, zero], dim=1), turning, late(u=slow[1]))
 
     told = [going_with([wandering(2 * k)], [wandering(2 * k + 1)]) for k in range(60)]
     assert sum(bool(found) for found in told) <= 4
@@ -179,7 +202,7 @@ def test_seconds_on_the_ground_do_not_count():
     (found,) = balances(build(spec), spec, data, ["f", "no r"])
     thrust = torch.tensor([0.55**2, 0.25, 0.25, 0.25], dtype=torch.float64)
     torch.testing.assert_close(found.centre, (thrust @ LEVERS / thrust.sum()).repeat(6, 1))
-    assert (len(found.turning), len(found.signals["u"])) == (6, 6)
+    assert (len(found.turning), len(found.signals["u", 0.0])) == (6, 6)
 
 
 def test_where_all_is_ordinary_nothing_is_told(monkeypatch: pytest.MonkeyPatch):
