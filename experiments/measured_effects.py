@@ -31,6 +31,7 @@ from rotorid_torch.data import Dataset
 from rotorid_torch.model.accelerations import Accelerations
 from rotorid_torch.model.model import Model
 from rotorid_torch.run.pipeline import Run
+from rotorid_torch.trace.balance import balances, going_with, standing
 from rotorid_torch.trace.sensor_correction import without_errors_of_flight
 from rotorid_torch.validate.predictions import predictions
 from rotorid_torch.validate.responses import measured_states, responses
@@ -41,12 +42,20 @@ GIVEN: dict[str, tuple[str, ...]] = {
     "crazyflie-motors": (*MOTORS, "propulsion.rotor_inertia"),
     "nanodrone": ("propulsion.rotor_drag", "propulsion.voltage", "propulsion.motor_lag"),
     "crazypad-normal": MOTORS,
+    "crazypad-x1": MOTORS,
+    "crazypad-x2": MOTORS,
     "trex550-rates": (),
     "trex550-translation": ("forces.drag",),
 }
 """Effects that first looks with plain means found, where the closed loop is not asked."""
 AZ_BAND = 0.3, 8.0
 """Hz, of crazypad's specific force."""
+BALANCE = (
+    ("M", "thrust centre along x, mm", 1e3),
+    ("L", "thrust centre along y, mm", 1e3),
+    ("N", "yaw balance, %", 100.0),
+)
+"""Rows of balance, in their order, and how they are told."""
 SLOW = {"trex550-rates": 3.0, "trex550-translation": 1.0}
 """Hz: upper edge of what is compared, Butterworth of second order, forward and backward."""
 
@@ -119,6 +128,24 @@ def thrust_in_band(run: Run, data: Dataset) -> dict[str, list[float]]:
     return {"az rms, m/s²": [float(np.sqrt((error**2).mean()))], "R² of az": [share]}
 
 
+def balance(run: Run, data: Dataset) -> dict[str, tuple[float, float]]:
+    """Rms on the acid flights of where thrusts balance: from the declared balance, and from what other flights told.
+
+    Means over a second by the model's thrust curve; rows of which nothing was told are left out.
+    """
+    known, new, acid = (balances(run.model, run.spec, data, names) for names in (data.identify, data.unseen, data.acid))
+    off, going = standing(run.spec, known, new), {g.row: g for g in going_with(known, new)}
+    found = {}
+    for k, (row, name, scale) in enumerate(BALANCE):
+        if off is None and row not in going:
+            continue
+        told = [going[row].explained(b) if row in going else off.centre[k] for b in acid]
+        errors = [[b.centre[:, k], b.centre[:, k] - own] for b, own in zip(acid, told, strict=True)]
+        without, rest = (float(torch.cat(part).square().mean().sqrt()) for part in zip(*errors, strict=True))
+        found[name] = (scale * without, scale * rest)
+    return found
+
+
 def turn_rates(run: Run, data: Dataset) -> dict[str, list[float]]:
     """R2 of the free runs of p and q, whole flights over 8 s, as the report tells them."""
     return {
@@ -178,7 +205,7 @@ QUANTITIES: dict[str, tuple[Callable[[Run, Dataset], dict], ...]] = {
         rotor_speeds,
         benchmark,
     ),
-    "crazypad-normal": (thrust_in_band,),
+    **dict.fromkeys(("crazypad-normal", "crazypad-x1", "crazypad-x2"), (thrust_in_band,)),
     "trex550-rates": (turn_rates,),
     "trex550-translation": (translation,),
 }
@@ -198,6 +225,8 @@ def run_set(place: Path, given: Sequence[str] | None, fallback: Sequence[str], s
         for quantity in QUANTITIES[place.name]:
             line["before"] |= quantity(nominal, data)
             line["after"] |= quantity(richer, data)
+        for name, pair in (balance(richer, data) if place.name.startswith("crazypad") else {}).items():
+            line["before"][name], line["after"][name] = ([v] for v in pair)
         own = tuple(f"{e}." for e in effects)
         line["parameters"] = {
             p.name: (p.value, p.se) for p in richer.parameters if p.name.startswith(own) and p.status == "free"

@@ -56,11 +56,12 @@ class Balance:
     signals: Mapping[tuple[str, float], Tensor]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Going:
     """What a row goes with, and how late it follows, s.
 
     evidence : t over the t that chance reaches. without, rest : rms of the row on unseen flights without and with it.
+    slopes : of a constant, the row's own angular acceleration and the signal.
     """
 
     row: str
@@ -69,6 +70,11 @@ class Going:
     evidence: float
     without: float
     rest: float
+    slopes: Tensor
+
+    def explained(self, balance: Balance) -> Tensor:
+        """What it explains of the row's means [B]."""
+        return _columns(balance, ROWS.index(self.row), (self.signal, self.late)) @ self.slopes
 
 
 def balances(model: Model, spec: ModelSpec, dataset: Dataset, flights: Sequence[str]) -> list[Balance]:
@@ -149,7 +155,7 @@ def _going(
     if evidence <= 1.0 or not helps((sizes[:, 0] / sizes[:, 1]).log()):
         return None
     without, rest = sizes.square().mean(dim=0).sqrt().tolist()
-    return Going(ROWS[row], *signal, evidence, without, rest)
+    return Going(ROWS[row], *signal, evidence, without, rest, more)
 
 
 def _columns(balance: Balance, row: int, signal: tuple[str, float] | None) -> Tensor:
