@@ -6,6 +6,7 @@ seen decide.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -17,6 +18,7 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.base import Role, Showing
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.trace.by_control import by_control
 from rotorid_torch.trace.clean import Null
 from rotorid_torch.trace.decide import (
     errors,
@@ -90,6 +92,7 @@ class _Search:
 
     seed : of the shuffled residuals. asked_for : whether flights not fitted gain by the rotor's ordinary physics.
     ranks : among which fits and tests of several candidates are spread; everything else is the same at each.
+    apart : for an accepted effect of the control path what it is for each control.
     """
 
     flights: Flights
@@ -103,6 +106,7 @@ class _Search:
     hot: set[str] = field(default_factory=set)
     groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
     spread: dict[str, float] = field(default_factory=dict)
+    apart: dict[str, str] = field(default_factory=dict)
 
     def screened(self, null: Fitted, effects: Sequence[str]) -> Screen:
         """These effects against what a model leaves over."""
@@ -220,6 +224,17 @@ class _Search:
                 final = without
         return final, accepted
 
+    def compare_controls(self, final: Fitted, accepted: Sequence[str]) -> None:
+        """Errors of what all controls have in common hold how far the controls agree."""
+        for effect in accepted:
+            found = by_control(final, effect, self.held)
+            if found is None:
+                continue
+            name = found.parameter
+            self.spread[name] = math.hypot(max(final.error(name), self.spread.get(name, 0.0)), found.spread)
+            self.apart[effect] = f"; {found}"
+            self.say(f"{effect}: {found}")
+
 
 def trace(
     spec: ModelSpec,
@@ -251,6 +266,7 @@ def trace(
     usual = search.floors.of(first, undeclared)
     final, accepted = search.undeclared(null, undeclared)
     final, accepted = search.confirmed(final, accepted, usual)
+    search.compare_controls(final, accepted)
     missing, before = (_missing(model, flights, search.floors) for model in (final, null))
     findings += _told(search, null, final, structure, accepted, undeclared, first, usual)
     return Tracing(
@@ -318,6 +334,7 @@ def _told(
         if effect in accepted and effect in search.groups:
             names = ", ".join(search.groups[effect])
             said = f"something of this kind acts, but these flights cannot tell it from {names}"
+            said += search.apart.get(effect, "")
             found.append(
                 Finding(
                     effect,
@@ -331,6 +348,7 @@ def _told(
             )
         elif effect in accepted:
             said = "no other effect explains it, and flights that no fit has seen are better described"
+            said += search.apart.get(effect, "")
             found.append(
                 Finding(effect, "undeclared", "accepted", said, **keep, values=errors(final, effect, search.spread))
             )

@@ -1,0 +1,65 @@
+"""By how much controls differ: an effect of the control path, found for each of them by itself.
+
+What a model lacks looks like a delay of one control and like a lead of another. Where controls differ by more than
+their own errors, a common value is known no better than they agree.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import msgspec
+
+from rotorid_torch.trace.fits import Fitted, refit
+
+
+@dataclass(frozen=True)
+class ByControl:
+    """The parameter that controls have in common, its unit, and the value and standard error of each control's own."""
+
+    parameter: str
+    unit: str
+    own: Mapping[str, tuple[float, float]]
+
+    @property
+    def between(self) -> float:
+        """Standard deviation of the controls' own values beyond their errors; zero where no two have an error.
+
+        Source: DerSimonian and Laird (1986), Controlled Clinical Trials 7, eq. 8 (random effects by moments).
+        """
+        told = [(v, e) for v, e in self.own.values() if 0.0 < e < math.inf]
+        if len(told) < 2:
+            return 0.0
+        weights = [e**-2 for _, e in told]
+        total = sum(weights)
+        mean = sum(w * v for w, (v, _) in zip(weights, told, strict=True)) / total
+        excess = sum(w * (v - mean) ** 2 for w, (v, _) in zip(weights, told, strict=True)) - (len(told) - 1)
+        return math.sqrt(max(excess, 0.0) / (total - sum(w * w for w in weights) / total))
+
+    @property
+    def spread(self) -> float:
+        """Standard error of a common value by the controls' differences."""
+        return self.between / math.sqrt(max(len(self.own), 1))
+
+    def __str__(self) -> str:
+        """In words."""
+        told = (f"{c} {v:.3g} ± {e:.1g}" for c, (v, e) in self.own.items() if e < math.inf)
+        return f"control by control {', '.join(told)}{'' if self.unit == '1' else ' ' + self.unit}"
+
+
+def by_control(final: Fitted, effect: str, held: Sequence[str]) -> ByControl | None:
+    """The effect's parameter for each control, the rest fitted again; None where the effect has none of its own.
+
+    final : a model with the effect. held : parameters that keep their values.
+    """
+    declared = [p for p in final.model.parameter_set.parameters if p.name.startswith(f"{effect}.")]
+    own = {c: f"{effect}.{c}" for c in final.spec.controls if f"{effect}.{c}" in {p.name for p in declared}}
+    common = next((p for p in declared if p.name not in own.values()), None)
+    if len(own) < 2 or common is None:
+        return None
+    free = {**final.spec.free, common.name: False, **dict.fromkeys(own.values(), True)}
+    start = {**final.values, common.name: common.value, **dict.fromkeys(own.values(), final.values[common.name])}
+    found = refit(msgspec.structs.replace(final.spec, free=free), final.flights, start, held)
+    return ByControl(common.name, common.unit, {c: (found.values[n], found.error(n)) for c, n in own.items()})

@@ -1,0 +1,60 @@
+"""A delay of each control is found by itself; controls that agree add nothing to the error, others do."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from rotorid_torch.data import Dataset
+from rotorid_torch.trace.by_control import ByControl, by_control
+from rotorid_torch.trace.fits import refit
+from tests.known_models import flown, manoeuvres, rate_vehicle, with_values
+from tests.trace.test_loop import DT, started, traced
+
+DELAY = "control.delay"
+
+
+def delayed(**seconds: float) -> Dataset:
+    truth = with_values(rate_vehicle(effects=(DELAY,)), {f"{DELAY}.{c}": s for c, s in seconds.items()})
+    moves = manoeuvres(8.0, DT)
+    both = {**moves, **{f"{name}_again": -0.8 * move for name, move in moves.items()}}
+    lists = {"identify": list(moves), "validate": [f"{name}_again" for name in moves]}
+    return flown(truth, both, DT, noise=0.02, seed=3, lists=lists)
+
+
+def test_controls_that_are_late_by_different_times_are_told_one_by_one():
+    known, null = started(delayed(common=0.03, lat=0.04))
+    spec = type(null.spec).from_plain({**null.spec.plain(), "effects": [DELAY]})
+    late = refit(spec, known, {**null.values, f"{DELAY}.common": 0.05})
+    found = by_control(late, DELAY, ())
+    assert found is not None
+    value, error = found.own["lat"]
+    assert abs(value - 0.07) < 3.0 * error + 1e-3
+    value, error = found.own["lon"]
+    assert abs(value - 0.03) < 3.0 * error + 1e-3
+    assert found.between > 0.01
+    assert "lat" in str(found)
+
+
+def test_the_error_of_a_common_delay_holds_how_far_controls_agree():
+    apart, alike = traced(delayed(common=0.03, lat=0.04)), traced(delayed(common=0.06))
+    assert apart.accepted == alike.accepted == (DELAY,)
+    assert apart.spread[f"{DELAY}.common"] > 3.0 * alike.spread[f"{DELAY}.common"]
+    assert "control by control" in next(f for f in apart.findings if f.id == DELAY).reason
+
+
+def test_an_effect_without_controls_of_its_own_has_nothing_to_compare():
+    _, null = started(delayed(common=0.0))
+    assert by_control(null, "forces.quadratic_damping", ()) is None
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-3])
+def test_between_is_that_of_random_effects(scale: float):
+    """Equal errors: the sample variance less theirs."""
+    own = {c: (scale * v, scale) for c, v in {"lon": 1.0, "lat": 5.0, "col": 9.0}.items()}
+    found = ByControl("x", "s", own)
+    assert found.between == pytest.approx(scale * math.sqrt(16.0 - 1.0))
+    assert found.spread == pytest.approx(found.between / math.sqrt(3.0))
+    assert ByControl("x", "s", {"lon": (1.0, 1.0), "lat": (1.5, 1.0)}).between == 0.0
+    assert ByControl("x", "s", {"lon": (1.0, math.inf), "lat": (9.0, 1.0)}).spread == 0.0
