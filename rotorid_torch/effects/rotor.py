@@ -210,7 +210,8 @@ class LeadLag(Effect):
                 _frequency("regressing", slow),
                 _frequency("advancing", fast),
                 Parameter("damping", 3.0, "1/s", (0.2, 12.0), 1.5, doc="of both modes", typical=3.0),
-                Parameter("phase", 0.0, "rad", (-math.pi, math.pi), doc="turn of the pull", typical=0.3),
+                # twice as wide as a circle is: no way round it ends at a bound
+                Parameter("phase", 0.0, "rad", (-2.0 * math.pi, 2.0 * math.pi), doc="turn of the pull", typical=0.3),
                 *(
                     Parameter(n, 0.0, per[n in "LM"], (-100.0, 100.0), doc=f"{n} by the lag motion", typical=size)
                     for n, size in (("X", 0.3), ("Y", 0.3), ("L", 0.6), ("M", 0.1))
