@@ -14,11 +14,11 @@ from typing import Protocol
 import msgspec
 
 from rotorid_torch.core.ranks import ALONE, Ranks
-from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.effects.base import Role, Showing
+from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.by_control import by_control
+from rotorid_torch.trace.candidates import candidates, untried
 from rotorid_torch.trace.clean import Null
 from rotorid_torch.trace.decide import (
     errors,
@@ -44,9 +44,6 @@ ROUNDS = 4
 """Undeclared effects that may join, at most."""
 ROTOR = ("rotor.flap_second_order", "rotor.lead_lag")
 """Structure that every rotor has where it can be tested: in the null of all candidates from the start."""
-ELSEWHERE = (Showing.KINEMATICS, Showing.INNOVATIONS)
-"""What trajectories do not show is found elsewhere: sensors against each other, and spectra."""
-
 Say = Callable[[str], None]
 
 
@@ -290,28 +287,6 @@ def _missing(fitted: Fitted, flights: Flights, floors: Floors) -> Unknown | None
         for listed in (flights.dataset.identify, flights.dataset.unseen)
     )
     return unknown(scan(over), floors.of_traces(), over, unseen)
-
-
-def untried(dataset: Dataset) -> tuple[str, ...]:
-    """A note where no flight is held back: what is said of unseen flights then holds for those that were fitted."""
-    said = (
-        "no validate flights: where this report speaks of flights that no fit has seen, the identify flights stand in"
-    )
-    return () if dataset.validate else (f"{said}; give it some to tell effects from what a fit makes of noise",)
-
-
-def candidates(spec: ModelSpec) -> tuple[list[str], list[Finding]]:
-    """Effects that can act inside the time loop of this model, and findings for those that cannot be tested."""
-    testable, untestable = [], []
-    for name, effect in sorted(registered().items()):
-        if name in spec.effects or effect.role is Role.LEARNT or effect.showing in ELSEWHERE:
-            continue
-        reason = effect.untestable(spec)
-        if reason is None:
-            testable.append(name)
-        else:
-            untestable.append(Finding(name, effect.role.value, "not testable", reason))
-    return testable, untestable
 
 
 def _told(

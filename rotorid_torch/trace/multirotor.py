@@ -26,10 +26,11 @@ from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.model.rotors import beyond_belief
 from rotorid_torch.trace.balance import out_of_balance
+from rotorid_torch.trace.candidates import candidates, untried
 from rotorid_torch.trace.decide import SURE, at_edge
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.floor import family_wise
-from rotorid_torch.trace.loop import Tracing, candidates, untried
+from rotorid_torch.trace.loop import Tracing
 from rotorid_torch.trace.significance import helps
 from rotorid_torch.validate.responses import compared
 

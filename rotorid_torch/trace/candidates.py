@@ -1,0 +1,34 @@
+"""Which effects can be tested on a data set, and what is to be told where that is not as it should be."""
+
+from __future__ import annotations
+
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.effects.base import Role, Showing
+from rotorid_torch.effects.registry import registered
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.trace.finding import Finding
+
+ELSEWHERE = (Showing.KINEMATICS, Showing.INNOVATIONS)
+"""What trajectories do not show is found elsewhere: sensors against each other, and spectra."""
+
+
+def untried(dataset: Dataset) -> tuple[str, ...]:
+    """A note where no flight is held back: what is said of unseen flights then holds for those that were fitted."""
+    said = (
+        "no validate flights: where this report speaks of flights that no fit has seen, the identify flights stand in"
+    )
+    return () if dataset.validate else (f"{said}; give it some to tell effects from what a fit makes of noise",)
+
+
+def candidates(spec: ModelSpec) -> tuple[list[str], list[Finding]]:
+    """Effects that can act inside the time loop of this model, and findings for those that cannot be tested."""
+    testable, untestable = [], []
+    for name, effect in sorted(registered().items()):
+        if name in spec.effects or effect.role is Role.LEARNT or effect.showing in ELSEWHERE:
+            continue
+        reason = effect.untestable(spec)
+        if reason is None:
+            testable.append(name)
+        else:
+            untestable.append(Finding(name, effect.role.value, "not testable", reason))
+    return testable, untestable
