@@ -34,11 +34,10 @@ def excursion(spec: ModelSpec) -> float:
     return sum(spec.sizes.get(c, EXCURSION) for c in spec.controls) / len(spec.controls)
 
 
-def _each(common: Parameter, controls: tuple[str, ...]) -> tuple[Parameter, ...]:
+def _each(common: Parameter, controls: tuple[str, ...], least: float = 0.0) -> tuple[Parameter, ...]:
+    bounds = least, common.bounds[1]
     own = (
-        Parameter(
-            c, 0.0, common.unit, common.bounds, free=False, doc=f"{common.doc}: {c}, added", typical=common.typical
-        )
+        Parameter(c, 0.0, common.unit, bounds, free=False, doc=f"{common.doc}: {c}, added", typical=common.typical)
         for c in controls
     )
     return (common, *own)
@@ -57,7 +56,8 @@ class ControlDelay(Effect):
 
     def __init__(self, controls: tuple[str, ...] = ()) -> None:
         common = Parameter("common", 0.0, "s", (0.0, LONGEST), doc="delay of every control", typical=0.06)
-        super().__init__(_each(common, controls))
+        # a control may be less late than the others, or in a model that lacks something lead
+        super().__init__(_each(common, controls, -LONGEST))
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> ControlDelay:

@@ -25,10 +25,12 @@ USUAL_LOCK = 8.0
 USUAL_LAG = 0.3
 """Lag frequency over rotor speed where no hinge offset is declared."""
 KNOWN = 0.02
-"""rad: what a rotor does where a segment begins is known from the motion before to this, its rates to speed times this.
+"""rad: what a rotor does where a segment begins is known from the motion before to this, rates to speed times this.
 
 Otherwise states that nothing shows yet, an effect being at its null, go anywhere and take the fit with them.
 """
+TURNS = (-1.2, -0.4, 0.4, 1.2)
+"""rad: all directions of a pull of either sign, to within 0.4."""
 FASTEST = 60.0
 """rad/s: states are integrated at 50 Hz; faster modes would be numbers of the integration."""
 
@@ -210,8 +212,8 @@ class LeadLag(Effect):
                 _frequency("regressing", slow),
                 _frequency("advancing", fast),
                 Parameter("damping", 3.0, "1/s", (0.2, 12.0), 1.5, doc="of both modes", typical=3.0),
-                # twice as wide as a circle is: no way round it ends at a bound
-                Parameter("phase", 0.0, "rad", (-2.0 * math.pi, 2.0 * math.pi), doc="turn of the pull", typical=0.3),
+                # half a turn is the same with all signs changed; a start far off sends fits to a bound, where they stay
+                Parameter("phase", 0.0, "rad", (-math.pi, math.pi), doc="turn of the pull", typical=0.3, tried=TURNS),
                 *(
                     Parameter(n, 0.0, per[n in "LM"], (-100.0, 100.0), doc=f"{n} by the lag motion", typical=size)
                     for n, size in (("X", 0.3), ("Y", 0.3), ("L", 0.6), ("M", 0.1))

@@ -163,16 +163,19 @@ def _before_and_after(
         return _best([right(shape, values) for shape in shapes])
 
     final, null = tracing.final, tracing.null
-    plain = _best([first, wrong(null.spec, null.values)]) if tracing.structure else first
     if tracing.accepted:
+        plain = _best([first, wrong(null.spec, null.values)]) if tracing.structure else first
         after = best(final.spec, final.values)
-        without = best(null.spec, null.values) if sensors else plain
-        if first.spec.motors or _best([without, after]) is after:
+        if first.spec.motors:
             return plain, after, tracing
-        tracing = _refused(tracing)
+        without = best(null.spec, null.values) if sensors else plain
+        if _best([without, after]) is after:
+            return plain, after, tracing
         if sensors:
-            return plain, without, tracing
-    elif sensors:
+            return plain, without, _refused(tracing)
+        return first, None if plain is first else plain, _refused(tracing)
+    plain = _best([first, wrong(final.spec, final.values)]) if tracing.structure else first
+    if sensors:
         return plain, best(final.spec, final.values), tracing
     return first, None if plain is first else plain, tracing
 
@@ -301,7 +304,7 @@ def _again(
 
 
 def _with_spread(fit: FitRecord, spread: Mapping[str, float]) -> FitRecord:
-    """The fit with standard errors no smaller than the scatter of a parameter from flight to flight."""
+    """The fit with standard errors no smaller than the scatter of a parameter over flights and controls."""
     parameters = tuple(
         msgspec.structs.replace(p, se=max(p.se or 0.0, spread[p.name])) if p.name in spread else p
         for p in fit.parameters

@@ -39,6 +39,8 @@ BY_CHANCE = 0.05
 """Chance, family-wise over rows and signals, that something goes with a signal by chance."""
 LATE_S = (0.0, 1.0, 2.0, 4.0)
 """By how much a moment may be late behind what it goes with (air and heading take their time), first order."""
+NEIGHBOURS = 5
+"""Means apart, up to which resemblance counts."""
 POSITIONS = {"north": "the velocity north", "east": "the velocity east", "height": "the rate of climb"}
 
 
@@ -143,7 +145,7 @@ def _going(
         return None
     slopes, more = (torch.linalg.lstsq(z, y).solution for z in (short, full))
     before, after = y - short @ slopes, y - full @ more
-    worth = _worth(after, [len(b.centre) for b in identify]) - full.shape[1]
+    worth = _worth(after, full[:, -1], [len(b.centre) for b in identify]) - full.shape[1]
     if worth < 1.0:
         return None
     left = float(after.square().sum())
@@ -163,11 +165,22 @@ def _columns(balance: Balance, row: int, signal: tuple[str, float] | None) -> Te
     return torch.stack(columns if signal is None else [*columns, balance.signals[signal]], dim=-1)
 
 
-def _worth(residual: Tensor, lengths: Sequence[int]) -> float:
-    """Independent values among the residuals of flights of these lengths, by their first autocorrelation."""
-    products = sum(float(r[1:] @ r[:-1]) for r in residual.split(list(lengths)))
-    alike = max(products / max(float(residual.square().sum()), 1e-300), 0.0)
-    return len(residual) * (1.0 - alike) / (1.0 + alike)
+def _worth(residual: Tensor, signal: Tensor, lengths: Sequence[int]) -> float:
+    """Independent pairs of residual and signal in flights of these lengths: both resemble their neighbours.
+
+    Source: Bartlett (1935), J. Royal Statistical Society 98 (correlated series); no less than by the residual's first
+    autocorrelation alone.
+    """
+    pairs = [_autocorrelations(series, lengths) for series in (residual, signal - signal.mean())]
+    first = max(pairs[0][0], 0.0)
+    alike = sum(max(a * b, 0.0) for a, b in zip(*pairs, strict=True))
+    return len(residual) * min((1.0 - first) / (1.0 + first), 1.0 / (1.0 + 2.0 * alike))
+
+
+def _autocorrelations(series: Tensor, lengths: Sequence[int]) -> list[float]:
+    power = max(float(series.square().sum()), 1e-300)
+    parts = series.split(list(lengths))
+    return [sum(float(r[k:] @ r[:-k]) for r in parts if len(r) > k) / power for k in range(1, NEIGHBOURS + 1)]
 
 
 @dataclass(frozen=True)

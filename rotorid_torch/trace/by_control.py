@@ -29,23 +29,28 @@ class ByControl:
 
         Source: DerSimonian and Laird (1986), Controlled Clinical Trials 7, eq. 8 (random effects by moments).
         """
-        told = [(v, e) for v, e in self.own.values() if 0.0 < e < math.inf]
-        if len(told) < 2:
+        weights, total = self._weights, sum(self._weights)
+        if len(weights) < 2:
             return 0.0
-        weights = [e**-2 for _, e in told]
-        total = sum(weights)
-        mean = sum(w * v for w, (v, _) in zip(weights, told, strict=True)) / total
-        excess = sum(w * (v - mean) ** 2 for w, (v, _) in zip(weights, told, strict=True)) - (len(told) - 1)
+        values = [v for v, _ in self.own.values()]
+        mean = sum(w * v for w, v in zip(weights, values, strict=True)) / total
+        excess = sum(w * (v - mean) ** 2 for w, v in zip(weights, values, strict=True)) - (len(values) - 1)
         return math.sqrt(max(excess, 0.0) / (total - sum(w * w for w in weights) / total))
 
     @property
     def spread(self) -> float:
-        """Standard error of a common value by the controls' differences."""
-        return self.between / math.sqrt(max(len(self.own), 1))
+        """Standard error of a common value by the controls' differences, each weighing as much as it tells."""
+        return self.between * math.hypot(*self._weights) / max(sum(self._weights), 1e-300)
+
+    @property
+    def _weights(self) -> list[float]:
+        """One over the squares of the errors; a value at its bound, which has none, is known as well as the worst."""
+        finite = [e for _, e in self.own.values() if 0.0 < e < math.inf]
+        return [(e if e in finite else max(finite)) ** -2 for _, e in self.own.values()] if len(finite) > 1 else []
 
     def __str__(self) -> str:
         """In words."""
-        told = (f"{c} {v:.3g} ± {e:.1g}" for c, (v, e) in self.own.items() if e < math.inf)
+        told = (f"{c} {v:.3g} ({f'± {e:.1g}' if e < math.inf else 'at its bound'})" for c, (v, e) in self.own.items())
         return f"control by control {', '.join(told)}{'' if self.unit == '1' else ' ' + self.unit}"
 
 

@@ -94,7 +94,7 @@ def clean_floors(
     why = undrawable(dataset)
     if why is not None:
         return Floors({}, f"floors come from shuffled residuals alone: no clean aircraft can be drawn, {why}")
-    folder = cache_folder() / "floors" / _fingerprint(dataset, null.spec, effects, seed)
+    folder = cache_folder() / "floors" / _fingerprint(dataset, null, effects, seed)
     folder.mkdir(parents=True, exist_ok=True)
     known = ranks.from_first(_read(folder, range(draws)))
     missing = [n for n in range(draws) if n not in known]
@@ -133,8 +133,12 @@ def _keep(folder: Path, number: int, found: Mapping[str, Any]) -> None:
         beside.replace(_file(folder, number))
 
 
-def _fingerprint(dataset: Dataset, spec: ModelSpec, effects: Sequence[str], seed: int) -> str:
-    """What the draws depend on: vehicle, manoeuvres (in coarse steps of their size), model structure, the code."""
+def _fingerprint(dataset: Dataset, null: Null, effects: Sequence[str], seed: int) -> str:
+    """What the draws depend on: vehicle, manoeuvres (in coarse steps of their size), model structure, the code.
+
+    The null's values are left out: fits only start there.
+    """
+    spec = null.spec
     facts = {name: dataset.facts[name] for name in dataset.flights}
     scales = dataset.scales()
     told = {
@@ -148,6 +152,7 @@ def _fingerprint(dataset: Dataset, spec: ModelSpec, effects: Sequence[str], seed
         "controls": {c: round(math.log2(max(scales[c], 1e-9))) for c in dataset.controls},
         "reference": {c: round(0.5 * spec.reference.get(c, 0.0)) for c in ("u", "v", "w")},
         "structure": {name: msgspec.to_builtins(getattr(spec, name)) for name in SAME},
+        "held": sorted(null.held),
         "effects": list(effects),
         "code": _code(),
     }
@@ -234,11 +239,12 @@ def _work(request: Mapping[str, object]) -> None:
     null = Null(ModelSpec.from_plain(request["spec"]), values, held)
     effects = msgspec.convert(request["effects"], list[str])
     numbers = msgspec.convert(request["numbers"], list[int])
-    for drawn in clean_flights(dataset, msgspec.convert(request["seed"], int), numbers):
+    for drawn in clean_flights(dataset, msgspec.convert(request["seed"], int), tuple(numbers)):
         try:
             gains, traces = gains_on(drawn.dataset, null, effects)
-        except (ValueError, RuntimeError):  # an aircraft that no fit converges for
-            gains, traces = {}, {}
+        except (ValueError, RuntimeError):  # no fit from here; the next data set of the vehicle starts elsewhere
+            numbers.remove(drawn.number)
+            continue
         found = {"gains": gains, "traces": traces, "alike": drawn.alike, "misfit": drawn.misfit, "rotor": drawn.rotor}
         _keep(folder, drawn.number, found)
     for number in numbers:  # aircraft that flew away are not flown again next time

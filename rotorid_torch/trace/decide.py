@@ -137,6 +137,6 @@ def not_joined(screened: Screen, effect: str, floor: float, explained_by: Sequen
 
 
 def errors(candidate: Fitted, effect: str, spread: Mapping[str, float]) -> dict[str, tuple[float, float]]:
-    """Parameters of an effect with their standard errors, no smaller than their scatter from flight to flight."""
+    """Parameters of an effect with their standard errors, no smaller than their scatter over flights and controls."""
     own = {n: v for n, v in candidate.values.items() if n.startswith(f"{effect}.")}
     return {n: (v, max(candidate.error(n), spread.get(n, 0.0))) for n, v in own.items()}

@@ -68,7 +68,7 @@ class Tracing:
     null : the best model without undeclared effects. final : with those accepted. structure, accepted : their ids.
     groups : for an accepted effect the others that explain as much. findings : one of each effect that was tested.
     unknown : what is left over without a name; unknown_before : what is by the null.
-    spread : jackknife over flights of the accepted effects' parameters.
+    spread : standard errors of the accepted effects' parameters by their scatter over flights and controls.
     """
 
     null: Named
@@ -228,7 +228,8 @@ class _Search:
             if found is None:
                 continue
             name = found.parameter
-            self.spread[name] = math.hypot(max(final.error(name), self.spread.get(name, 0.0)), found.spread)
+            known = [e for e in (final.error(name), self.spread.get(name, 0.0)) if math.isfinite(e)]
+            self.spread[name] = math.hypot(max(known, default=0.0), found.spread)
             self.apart[effect] = f"; {found}"
             self.say(f"{effect}: {found}")
 

@@ -56,5 +56,13 @@ def test_between_is_that_of_random_effects(scale: float):
     found = ByControl("x", "s", own)
     assert found.between == pytest.approx(scale * math.sqrt(16.0 - 1.0))
     assert found.spread == pytest.approx(found.between / math.sqrt(3.0))
+    sure = ByControl("x", "s", {"lon": (1.0, 1.0), "lat": (21.0, 20.0), "col": (-19.0, 20.0)})
+    assert sure.spread == pytest.approx(sure.between, rel=0.01)  # as good as one control's alone
     assert ByControl("x", "s", {"lon": (1.0, 1.0), "lat": (1.5, 1.0)}).between == 0.0
     assert ByControl("x", "s", {"lon": (1.0, math.inf), "lat": (9.0, 1.0)}).spread == 0.0
+
+
+def test_controls_that_show_none_of_it_count():
+    late = ByControl("x", "s", {"lon": (50.0, 1.0), "lat": (50.0, 1.0), "col": (0.0, math.inf), "ped": (0.0, math.inf)})
+    assert late.between > 20.0
+    assert "col 0 (at its bound)" in str(late)
