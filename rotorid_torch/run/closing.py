@@ -23,7 +23,7 @@ from rotorid_torch.run.checkpoint import Checkpoint, Steps
 from rotorid_torch.run.figures import Overlay
 from rotorid_torch.run.fit_record import fit_record, judge
 from rotorid_torch.run.folder import run_folder
-from rotorid_torch.run.loop_record import effect_record, of_sensors
+from rotorid_torch.run.loop_record import as_fitted, effect_record, of_sensors
 from rotorid_torch.run.monitor import Monitor, peak_memory_mb
 from rotorid_torch.run.pipeline import Run, estimated, identified, refuse, remarks_on, write_model
 from rotorid_torch.run.records import (
@@ -322,7 +322,7 @@ def _with_sensors(spec: ModelSpec, model: Model, sensors: Mapping[str, float]) -
 
 
 def _loop(before: Run, after: Run | None, findings: Sequence[Finding], monitor: Monitor, tracing: Tracing) -> Loop:
-    run, told = after or before, statement(findings, tracing.unknown)
+    run, told = after or before, statement([as_fitted(f, after) for f in findings], tracing.unknown)
     record = Report(
         command="close-loop",
         dataset=run.record.dataset,

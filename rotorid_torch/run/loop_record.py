@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import msgspec
 
 from rotorid_torch.model.model import Model
@@ -27,10 +29,14 @@ def of_sensors(found: KinematicFinding) -> Finding:
     )
 
 
+def as_fitted(finding: Finding, after: Run | None) -> Finding:
+    """The finding with the values of the fit after, where that estimated them: sentence and tables say the same."""
+    values = {p.name: (p.value, p.se) for p in _fitted(finding, after) if p.value is not None and p.se is not None}
+    return replace(finding, values=values) if values else finding
+
+
 def effect_record(finding: Finding, model: Model, after: Run | None) -> EffectRecord:
     """A finding for the report; parameters are those of the fit after, where that estimated them."""
-    own = f"{finding.id}."
-    fitted = [p for p in after.fit.parameters if p.name.startswith(own) and p.se] if after else []
     traced = [
         ParameterRecord(name=n, value=v, se=e, unit=_unit(model, n), status="free" if e > 0.0 else "frozen")
         for n, (v, e) in finding.values.items()
@@ -45,8 +51,13 @@ def effect_record(finding: Finding, model: Model, after: Run | None) -> EffectRe
         floor=finding.floor,
         smallest_visible=None if visible is None else VisibleRecord(value=visible[0], unit=visible[1]),
         group=finding.group,
-        parameters=tuple(fitted or traced),
+        parameters=tuple(_fitted(finding, after) or traced),
     )
+
+
+def _fitted(finding: Finding, after: Run | None) -> list[ParameterRecord]:
+    own = f"{finding.id}."
+    return [p for p in after.fit.parameters if p.name.startswith(own) and p.se] if after else []
 
 
 def _unit(model: Model, name: str) -> str:

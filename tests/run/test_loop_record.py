@@ -1,0 +1,30 @@
+"""What is told of an effect in a sentence and in tables is the same: the values of the fit after."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+from rotorid_torch.run.loop_record import as_fitted, effect_record
+from rotorid_torch.run.records import ParameterRecord
+from rotorid_torch.trace.finding import Finding
+from rotorid_torch.trace.verdict import statement
+
+NAME = "control.delay.common"
+FOUND = Finding("control.delay", "undeclared", "accepted", "why", values={NAME: (0.018, 0.005)})
+
+
+def run(*parameters: ParameterRecord) -> Any:
+    return SimpleNamespace(fit=SimpleNamespace(parameters=parameters))
+
+
+def test_sentence_and_table_tell_the_values_of_the_fit_after():
+    after = run(ParameterRecord(name=NAME, value=0.0386, se=0.006, unit="s", status="free"))
+    assert "common 0.0386 ± 0.006" in statement([as_fitted(FOUND, after)], None).sentence
+    model: Any = SimpleNamespace(parameter_set=SimpleNamespace(parameters=()))
+    assert effect_record(FOUND, model, after).parameters[0].value == 0.0386
+
+
+def test_what_no_fit_after_estimated_keeps_the_values_that_were_traced():
+    held = run(ParameterRecord(name=NAME, value=0.02, se=0.0, unit="s", status="frozen"))
+    assert as_fitted(FOUND, held) == as_fitted(FOUND, None) == FOUND
