@@ -35,9 +35,9 @@ from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.nominal import build
 from rotorid_torch.run.fit_record import Judged, judge
-from rotorid_torch.trace.clean import Null, clean_floors
+from rotorid_torch.trace.clean import clean_floors
 from rotorid_torch.trace.fits import Fitted, Flights, refit
-from rotorid_torch.trace.floor import Floors
+from rotorid_torch.trace.floor import Floors, Null
 from rotorid_torch.trace.loop import trace
 from rotorid_torch.trace.network import learn, memory, regressed
 from rotorid_torch.trace.residual import left_over

@@ -31,7 +31,7 @@ from rotorid_torch.data import Dataset
 from rotorid_torch.model.accelerations import Accelerations
 from rotorid_torch.model.model import Model
 from rotorid_torch.run.pipeline import Run
-from rotorid_torch.trace.balance import balances, going_with, standing
+from rotorid_torch.trace.balance import ROWS, balances, going_with, standing
 from rotorid_torch.trace.sensor_correction import without_errors_of_flight
 from rotorid_torch.validate.predictions import predictions
 from rotorid_torch.validate.responses import measured_states, responses
@@ -50,12 +50,12 @@ GIVEN: dict[str, tuple[str, ...]] = {
 """Effects that first looks with plain means found, where the closed loop is not asked."""
 AZ_BAND = 0.3, 8.0
 """Hz, of crazypad's specific force."""
-BALANCE = (
-    ("M", "thrust centre along x, mm", 1e3),
-    ("L", "thrust centre along y, mm", 1e3),
-    ("N", "yaw balance, %", 100.0),
-)
-"""Rows of balance, in their order, and how they are told."""
+BALANCE = {
+    "M": ("thrust centre along x, mm", 1e3),
+    "L": ("thrust centre along y, mm", 1e3),
+    "N": ("yaw balance, %", 100.0),
+}
+"""How the rows of balance are told."""
 SLOW = {"trex550-rates": 3.0, "trex550-translation": 1.0}
 """Hz: upper edge of what is compared, Butterworth of second order, forward and backward."""
 
@@ -136,12 +136,13 @@ def balance(run: Run, data: Dataset) -> dict[str, tuple[float, float]]:
     known, new, acid = (balances(run.model, run.spec, data, names) for names in (data.identify, data.unseen, data.acid))
     off, going = standing(run.spec, known, new), {g.row: g for g in going_with(known, new)}
     found = {}
-    for k, (row, name, scale) in enumerate(BALANCE):
+    for k, row in enumerate(ROWS):
         if off is None and row not in going:
             continue
         told = [going[row].explained(b) if row in going else off.centre[k] for b in acid]
         errors = [[b.centre[:, k], b.centre[:, k] - own] for b, own in zip(acid, told, strict=True)]
         without, rest = (float(torch.cat(part).square().mean().sqrt()) for part in zip(*errors, strict=True))
+        name, scale = BALANCE[row]
         found[name] = (scale * without, scale * rest)
     return found
 
@@ -225,7 +226,7 @@ def run_set(place: Path, given: Sequence[str] | None, fallback: Sequence[str], s
         for quantity in QUANTITIES[place.name]:
             line["before"] |= quantity(nominal, data)
             line["after"] |= quantity(richer, data)
-        for name, pair in (balance(richer, data) if place.name.startswith("crazypad") else {}).items():
+        for name, pair in (balance(richer, data) if richer.spec.motors else {}).items():
             line["before"][name], line["after"][name] = ([v] for v in pair)
         own = tuple(f"{e}." for e in effects)
         line["parameters"] = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 from rotorid_torch.core import names
 from rotorid_torch.run.records import LISTS, ChannelRecord, FitRecord, FlightRecord, ParameterRecord, Report
@@ -92,7 +93,8 @@ def next_steps(report: Report) -> list[str]:
     """What an engineer would look at next, most important first; never empty."""
     if report.fit is None:
         return ["Identify a model from these flights: rotorid identify."]
-    scores = _steps_of_responses if short_horizon(report.fit) else _steps_of_scores
+    traced = report.verdict is not None
+    scores = partial(_steps_of_responses, traced=traced) if short_horizon(report.fit) else _steps_of_scores
     steps = [*scores(report.fit), *_steps_of_parameters(report.fit.parameters)]
     return steps or ["Nothing stands out. Use the model within the range of motion that its flights covered."]
 
@@ -157,15 +159,17 @@ def _steps_of_scores(fit: FitRecord) -> Iterator[str]:
             )
 
 
-def _steps_of_responses(fit: FitRecord) -> Iterator[str]:
-    """For a multirotor, of which free runs tell nothing."""
+def _steps_of_responses(fit: FitRecord, traced: bool) -> Iterator[str]:
+    """For a multirotor, of which free runs tell nothing; traced : whether effects were looked for already."""
     last = short_horizon(fit)[-1]
     weak = [NAMES.get(name, name) for name, r2 in last.responses.items() if r2 < MOSTLY]
     if weak:
-        yield (
-            f"Of {_listed(weak)} less than {100 * MOSTLY:.0f} % is explained on the {last.name} flights: look for motor"
-            " lag, delay, voltage or rotor drag with rotorid close-loop, or name them with --effect."
+        look = (
+            "no effect of the library explains the rest; rotorid check tells what these channels can show"
+            if traced
+            else "look for motor lag, delay, voltage or rotor drag with rotorid close-loop, or name them with --effect"
         )
+        yield f"Of {_listed(weak)} less than {100 * MOSTLY:.0f} % is explained on the {last.name} flights: {look}."
     poor = dict.fromkeys(p.quantity for p in last.predictions if p.error > p.held)
     if poor:
         yield f"{_listed(list(poor))}: held values are nearer than the model's predictions. Do not use it for these."

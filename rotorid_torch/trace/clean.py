@@ -15,7 +15,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +30,7 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.reconstruct import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.trace.fits import Flights, refit
-from rotorid_torch.trace.floor import Floors
+from rotorid_torch.trace.floor import Floors, Null
 from rotorid_torch.trace.residual import left_over, scan
 from rotorid_torch.trace.screen import screen
 
@@ -47,15 +46,6 @@ WATCH_S = 0.5
 """s between two looks at the processes that draw, at each of which ranks tell each other that they are there."""
 SAME = ("flapping", "flapping_doubtful", "patterns", "inflow", "cyclic_inflow", "effects")
 """Structure that a drawn aircraft's model shares with the data's."""
-
-
-@dataclass(frozen=True)
-class Null:
-    """The model whose candidates need floors: its structure, its parameters' values, and those that are held."""
-
-    spec: ModelSpec
-    values: Mapping[str, float]
-    held: Sequence[str] = ()
 
 
 def gains_on(clean: Dataset, null: Null, effects: Sequence[str]) -> tuple[dict[str, float], dict[str, float]]:

@@ -11,10 +11,20 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
+from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.screen import Screen
 
 FALSE_ALARMS = 0.05
 """Family-wise: share of clean vehicles on which any candidate at all may pass its floor."""
+
+
+@dataclass(frozen=True)
+class Null:
+    """The model whose candidates need floors: its structure, its parameters' values, and those that are held."""
+
+    spec: ModelSpec
+    values: Mapping[str, float]
+    held: Sequence[str] = ()
 
 
 @dataclass(frozen=True, eq=False)

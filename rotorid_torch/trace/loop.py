@@ -19,7 +19,6 @@ from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.by_control import by_control
 from rotorid_torch.trace.candidates import candidates, untried
-from rotorid_torch.trace.clean import Null
 from rotorid_torch.trace.decide import (
     errors,
     gain,
@@ -31,7 +30,7 @@ from rotorid_torch.trace.decide import (
 )
 from rotorid_torch.trace.finding import Finding, Unknown
 from rotorid_torch.trace.fits import Fitted, Flights, refit
-from rotorid_torch.trace.floor import Floors
+from rotorid_torch.trace.floor import Floors, Null
 from rotorid_torch.trace.residual import left_over, scan
 from rotorid_torch.trace.screen import Screen, screen
 from rotorid_torch.trace.significance import helps

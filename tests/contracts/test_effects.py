@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from functools import cache
 
@@ -204,6 +205,14 @@ def test_compiled_trajectories_with_all_effects_are_torch_s(spec: ModelSpec):
     assert float(exact[0].abs().max()) < CALM  # what runs away turns rounding into differences
     for found, wanted in zip(native(x, controls, DT), exact, strict=True):
         torch.testing.assert_close(found, wanted, rtol=SMALL, atol=SMALL)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_its_states_are_known_where_a_segment_begins(name: str):
+    """At its null nothing shows a state: one that may begin anywhere goes anywhere, and takes the fit with it."""
+    effect = registered()[name]
+    states = effect.from_spec(example(effect)).states
+    assert [s.name for s in states if s.channel is None and not math.isfinite(s.spread)] == []
 
 
 def test_its_states_start_in_equilibrium_or_where_measured(effect: type[Effect]):

@@ -16,7 +16,7 @@ from rotorid_torch.core.integrate import simulate
 from rotorid_torch.core.rigid import gyroscopic
 from rotorid_torch.effects.examples import HELICOPTER, MOTORS, MULTIROTOR
 from rotorid_torch.effects.registry import make
-from rotorid_torch.effects.rotor import Stall
+from rotorid_torch.effects.rotor import LeadLag, Stall
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError
 from rotorid_torch.model.model import Model
@@ -332,3 +332,10 @@ def test_a_spec_frees_and_starts_single_parameters():
     assert at == {"lon": 0.04, "lat": 0.25, "col": 0.0}
     with pytest.raises(InputError, match="no such parameter"):
         build(msgspec.structs.replace(RIGID, values={"control.delay.common": 0.0}))
+
+
+def test_lead_lag_starts_near_every_direction_of_its_pull():
+    """Half a turn is the same pull with the sign changed."""
+    tried = next(p for p in LeadLag.from_spec(HELICOPTER).declared if p.name == "phase").tried
+    for turn in np.linspace(-math.pi, math.pi, 73):
+        assert min(abs(math.remainder(turn - start, math.pi)) for start in tried) < 0.41

@@ -12,7 +12,7 @@ import pytest
 
 import rotorid_torch as rotorid
 from rotorid_torch.data import Dataset
-from rotorid_torch.effects.examples import HELICOPTER
+from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR
 from rotorid_torch.model.save import load
 from rotorid_torch.run import limits
 from rotorid_torch.run.closing import _before_and_after, _best
@@ -143,6 +143,50 @@ def test_effects_that_make_free_runs_worse_are_refused_and_what_they_took_up_is_
     assert (refused.accepted, refused.groups, refused.final, refused.unknown) == ((), {}, null, missing)
     assert {f.verdict for f in refused.findings} == {"rejected"}
     assert statement(refused.findings, refused.unknown).kind == "unknown"
+
+
+def tracing_of(*accepted: str, structure: tuple[str, ...] = ()) -> Tracing:
+    """Null and final differ by their values, which say whose fit a run begins from."""
+    null, final = (SimpleNamespace(spec=HELICOPTER, values={"from": k}) for k in (0.0, 1.0))
+    return Tracing(null, final, structure, accepted, {}, ())
+
+
+def test_structure_alone_begins_from_the_last_fit_of_the_search():
+    first, begun, better = run_with(0.12), [], run_with(0.11)
+    tracing = tracing_of(structure=("rotor.lead_lag",))
+
+    def wrong(spec: Any, values: dict[str, float]) -> Any:
+        begun.append(values["from"])
+        return better
+
+    assert _before_and_after(first, tracing, False, wrong, pytest.fail) == (first, better, tracing)
+    assert begun == [1.0]
+    worse = _before_and_after(first, tracing, False, lambda spec, values: run_with(0.13), pytest.fail)
+    assert worse == (first, None, tracing)
+
+
+def test_free_runs_of_a_multirotor_decide_nothing_and_cost_nothing():
+    first, worse, runs = run_with(0.12), run_with(0.2), []
+    first.spec = MULTIROTOR
+    tracing = tracing_of("propulsion.motor_lag")
+    found = _before_and_after(first, tracing, True, pytest.fail, lambda spec, values: runs.append(spec) or worse)
+    assert found == (first, worse, tracing)
+    assert len(runs) == 1
+
+
+def test_sensors_alone_are_put_right_from_the_last_fit():
+    first, better = run_with(0.12), {1.0: run_with(0.1)}
+    tracing = tracing_of()
+    found = _before_and_after(first, tracing, True, pytest.fail, lambda spec, values: better[values["from"]])
+    assert found == (first, better[1.0], tracing)
+
+
+def test_where_an_effect_is_refused_records_stay_right_and_the_null_stands():
+    first, right = run_with(0.12), {0.0: run_with(0.1), 1.0: run_with(0.11)}
+    tracing = tracing_of("control.delay")
+    before, after, told = _before_and_after(first, tracing, True, pytest.fail, lambda spec, v: right[v["from"]])
+    assert (before, after) == (first, right[0.0])
+    assert (told.accepted, told.final) == ((), tracing.null)
 
 
 def run_with(J: float | None) -> Any:

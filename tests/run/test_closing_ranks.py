@@ -41,12 +41,13 @@ from rotorid_torch.identification.reconstruct import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.data import load
 from rotorid_torch.trace import clean
+from rotorid_torch.trace.floor import Null
 dataset, worker, told = load(sys.argv[1]), sys.argv[2], []
 drawn.undrawable = lambda dataset: None
 spec = propose(dataset, reconstruct(dataset), ())
 sys.executable = worker
 with ranks_of_torchrun() as ranks:
-    floors = clean.clean_floors(dataset, clean.Null(spec, {}), ["control.delay"], say=told.append, ranks=ranks)
+    floors = clean.clean_floors(dataset, Null(spec, {}), ["control.delay"], say=told.append, ranks=ranks)
     gains = floors.gains["control.delay"].tolist()
 files = sorted(int(f.stem) for f in clean.cache_folder().glob("floors/*/[0-9]*.json"))
 print(json.dumps({"gains": gains, "files": files, "note": floors.note, "told": told}))
