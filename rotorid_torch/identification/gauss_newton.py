@@ -19,6 +19,9 @@ FLOOR = 1e-12
 """A column of the whitened Jacobian shorter than this is zero."""
 ROUNDING = 1e-20
 """Cost over the first cost that is nothing but rounding."""
+STIFFEST = 1e4
+"""Damping at which the parameters stand still, within the data's say: where even that is not enough, what is eliminated
+has to settle first, and they must be able to move again soon afterwards."""
 NAMED_SHARE = 0.1
 """Share of a direction that cannot be told above which a parameter in it is named."""
 
@@ -240,7 +243,7 @@ def _descend(
             if gain > 0.75:
                 damping = damping / 10.0 if damping > 1e-10 else 0.0
             elif gain < 0.25:
-                damping = max(damping, 1e-6) * 4.0
+                damping = min(max(damping, 1e-6) * 4.0, STIFFEST)
             return trial, damping
-        damping = max(damping, 1e-5) * 8.0
+        damping = min(max(damping, 1e-5) * 8.0, STIFFEST)
     return None, damping

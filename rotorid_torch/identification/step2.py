@@ -36,7 +36,9 @@ MIDDLE = 2.0
 """Hz: where the noise of an integrated accelerometer is read."""
 
 FOLLOWING = 10.0
-"""1/s: rate at which a body rate follows its controls where the regression sees no lag between them."""
+"""1/s: rate at which a body rate follows its controls, or flapping what drives it, where the regression sees no lag."""
+SLOWEST = 1.0
+"""1/s: no blade flaps with less damping; a regression that says so has lost the lag in the noise."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,7 @@ class Step2:
 
     Where a regression finds a body rate that its controls drive without lag, and so no damping, the rate follows its
     controls instead: cross-axis rates are held at zero in that row, for they would only imitate the missing lead.
+    Flapping that seems undamped follows what drives it in the same way, as a start; step 3 finds its lag.
     """
 
     regressions: Mapping[str, Regression]
@@ -75,8 +78,9 @@ def regress_model(model: Model, dataset: Dataset, reconstruction: Reconstruction
                 equation = _equation(row, effect, effect.block, model, dataset, flights)
                 found[row] = fit_equation(equation)
                 _store(model, theta, effect.id, row, found[row].selected, found[row].coefficients)
-                if _undamped(model, theta, row):
-                    held += _follow(model, theta, row, equation, flights)
+                own = _own_state(model, row)
+                if own is not None and _undamped(model, theta, f"{effect.id}.{row}.{own}", row):
+                    held += _follow(model, theta, effect.id, row, own, equation, flights)
                 if row == MOMENTS[0]:
                     shares = _own_shares(equation, model)
     return Step2(found, model.parameter_set.clamp(theta), tuple(held), shares)
@@ -88,31 +92,44 @@ def _own_shares(equation: Equation, model: Model) -> dict[str, float]:
     return {b.name: b.share for b in beyond(equation, model.body.controls, states)}
 
 
-def _undamped(model: Model, theta: Tensor, row: str) -> bool:
-    """Whether a rate's own derivative came out beyond its bound."""
-    if row not in MOMENTS:
-        return False
-    place = model.parameter_set.index(f"forces.{row}.{RATES[MOMENTS.index(row)]}")
-    return bool(theta[place] > model.parameter_set.upper[place])
+def _own_state(model: Model, row: str) -> str | None:
+    """The state whose rate a row is, where it can lose its damping: a body rate, or flapping with a lag."""
+    if row in MOMENTS:
+        return RATES[MOMENTS.index(row)]
+    return row if row in model.layout.names else None
 
 
-def _follow(model: Model, theta: Tensor, row: str, equation: Equation, flights: Mapping[str, Measured]) -> list[str]:
-    """Let a rate follow the other signals at `FOLLOWING`: gains by regression of the rate itself; names to hold."""
-    rate = RATES[MOMENTS.index(row)]
-    others = [c for c in equation.names if c not in RATES]
+def _undamped(model: Model, theta: Tensor, name: str, row: str) -> bool:
+    """Whether a state's own derivative came out beyond its bound, or flapping's slower than any blade's."""
+    place = model.parameter_set.index(name)
+    return bool(theta[place] > (-SLOWEST if row in FLAPPING else model.parameter_set.upper[place]))
 
-    def rate_of(name: str, flight: Measured) -> Tensor:
-        return flight.signals[rate]
+
+def _follow(
+    model: Model,
+    theta: Tensor,
+    effect: str,
+    row: str,
+    own: str,
+    equation: Equation,
+    flights: Mapping[str, Measured],
+) -> list[str]:
+    """Let a state follow the other signals at `FOLLOWING`: gains by regression of the state itself; names to hold."""
+    kin = RATES if row in MOMENTS else FLAPPING
+    others = [c for c in equation.names if c not in kin]
+
+    def state(name: str, flight: Measured) -> Tensor:
+        return flight.signals[own]
 
     gains = fit_equation(
-        replace(equation, response=_each(flights, rate_of), kind="value", prior_mean=None, prior_sd=None),
+        replace(equation, response=_each(flights, state), kind="value", prior_mean=None, prior_sd=None),
         others,
     )
-    rates = [c for c in equation.names if c in RATES]
-    follow = torch.tensor([-FOLLOWING if c == rate else 0.0 for c in rates], dtype=torch.float64)
-    _store(model, theta, "forces", row, rates, follow)
-    _store(model, theta, "forces", row, others, FOLLOWING * gains.coefficients)
-    return [f"forces.{row}.{c}" for c in rates if c != rate]
+    known = [c for c in equation.names if c in kin]
+    follow = torch.tensor([-FOLLOWING if c == own else 0.0 for c in known], dtype=torch.float64)
+    _store(model, theta, effect, row, known, follow)
+    _store(model, theta, effect, row, others, FOLLOWING * gains.coefficients)
+    return [f"{effect}.{row}.{c}" for c in known if c != own] if row in MOMENTS else []
 
 
 def _store(model: Model, theta: Tensor, effect: str, row: str, names: Sequence[str], values: Tensor) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -143,3 +144,25 @@ def test_a_failed_trial_costs_no_jacobian_and_the_monitor_sees_accepted_steps() 
     assert len(jacobians) == found.iterations + 1
     assert seen == found.history[1:]
     assert all(b < a for a, b in zip(found.history[:-1], found.history[1:], strict=True))
+
+
+def test_parameters_move_again_once_what_is_eliminated_has_settled() -> None:
+    """Other unknowns settle in twelve small shares of their steps, whatever the parameters do meanwhile."""
+
+    @dataclass
+    class Settling(Where):
+        left: int
+
+    def evaluate(theta: Tensor, base: Settling | None, share: float) -> Settling:
+        left = 12 if base is None else max(base.left - 1, 0)
+        refused = base is not None and base.left > 0 and share > 0.02
+        cost = math.inf if refused else left + 0.5 * float((theta - 2.0).square().sum())
+        return Settling(theta, cost, left)
+
+    def linearise(point: Settling) -> Linear:
+        return Linear(torch.eye(1, dtype=torch.float64), 2.0 - point.theta, 1.0 if point.left else 0.0)
+
+    wide = tensor(math.inf)
+    found = minimise(evaluate, linearise, tensor(1.0), -wide, wide, options=Options(max_iterations=25))
+    assert found.converged
+    assert float(found.point.theta) == pytest.approx(2.0, abs=1e-3)

@@ -9,7 +9,7 @@ import torch
 from rotorid_torch.data import Dataset
 from rotorid_torch.identification.reconstruct import Reconstruction, reconstruct
 from rotorid_torch.identification.step2 import Step2, integral, measured, regress_model
-from rotorid_torch.identification.structure import propose
+from rotorid_torch.identification.structure import lagged, propose
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from tests.known_models import BODY, DERIVATIVES, IMU, flown, linear_vehicle, manoeuvres
@@ -123,6 +123,31 @@ def test_a_rate_that_follows_its_stick_at_once_follows_in_the_model():
     for row, rate, stick, gain in (("L", "p", "lat", 20.0), ("M", "q", "lon", 15.0), ("N", "r", "ped", 10.0)):
         assert value(f"{row}.{rate}") < 0.0
         assert -value(f"{row}.{stick}") / value(f"{row}.{rate}") == pytest.approx(gain, rel=0.05)
+
+
+def test_coning_whose_lag_is_lost_in_noise_follows_what_drives_it(clean: Dataset):
+    """A regression of its rate would say that it is not damped, and no run from there would come back."""
+    rng = np.random.default_rng(0)
+    flights = {n: {c: v.numpy() for c, v in f.channels.items()} for n, f in clean.flights.items()}
+    for record in flights.values():
+        coning = 0.2 * (record["col"] - record["col"][0]) + 0.002 * (record["w"] - record["w"][0])
+        record["a0"] = coning + 2e-3 * rng.standard_normal(len(coning))
+        for tilt, drives in (("a1", record["lon"] - record["q"]), ("b1", record["lat"] - record["p"])):
+            record[tilt] = lagged(torch.from_numpy(drives - drives[0]), 0.1 / DT).numpy()
+    noise = {**{c: clean.noise(c) for c in BODY}, "a0": 2e-3, "a1": 1e-6, "b1": 1e-6}
+    data = Dataset.from_arrays(
+        flights,
+        identify=clean.identify,
+        channels={c: {"noise": n, "bias": "none"} for c, n in noise.items()},
+        controls=dict(clean.control_specs),
+        vehicle=clean.vehicle,
+    )
+    found, model, _ = regressed(data)
+    value = lambda n: float(found.theta[model.parameter_set.index(f"rotor.a0.{n}")])  # noqa: E731
+    assert value("a0") == -10.0
+    assert -value("col") / value("a0") == pytest.approx(0.2, rel=0.1)
+    assert -value("w") / value("a0") == pytest.approx(0.002, rel=0.3)
+    assert not any(n.startswith("rotor.") for n in found.held)
 
 
 def test_theta_stays_inside_its_bounds(clean: Dataset):
