@@ -90,6 +90,8 @@ BODY = ("u", "v", "w", "p", "q", "r", "phi", "theta")
 VELOCITIES, RATES, ATTITUDES = ("u", "v", "w"), ("p", "q", "r"), ("phi", "theta", "psi")
 POSITIONS, SPECIFIC_FORCES = ("north", "east", "height"), ("ax", "ay", "az")
 FLAPPING = ("a0", "a1", "b1")
+INDUCED_SHARE = "induced.share"
+"""Signal of the model: what is left of momentum theory's induced velocity, near the ground for example."""
 FORCES, MOMENTS = ("X", "Y", "Z"), ("L", "M", "N")
 """Axes of force (N) and moment (N m) about the centre of gravity, body axes, without gravity."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.names import RATES, SPECIFIC_FORCES, VELOCITIES
+from rotorid_torch.core.names import INDUCED_SHARE, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.core.rigid import vec
 from rotorid_torch.core.state import State
@@ -16,14 +16,18 @@ from rotorid_torch.effects.testable import first, no_channel, no_forces, no_rate
 
 LOWEST = 0.3
 """Rotor radii: no rotor is nearer to the ground; below it the effect is held."""
+HEIGHT_KNOWN, HEADING_KNOWN = 0.3, 0.02
+"""m, rad: how well channels tell them where a segment begins; free there, each segment would have its own wind."""
 
 
 @register
 class Ground(Effect):
-    """Ground effect: near the ground a rotor of the same power carries more.
+    """Ground effect: the rotor's image below the ground takes part of the induced velocity away.
 
-    T = T_out (1 + strength (G(h) - G(h_ref))), G = g/(1 - g), g = (R/(4 z))^2/(1 + (V/vi)^2), z the hub's height above
-    the ground; strength is one in theory. The height is a state that starts at its channel.
+    g = (R/(4 z))^2/(1 + (V/vi)^2), z the hub's height above the ground. Where the model has an induced velocity,
+    that of momentum theory falls to vi (1 - strength (g(h) - g(h_ref))); elsewhere a rotor of the same power carries
+    more, T = T_out (1 + strength (G(h) - G(h_ref))), G = g/(1 - g). Strength is one in theory. The height is a state
+    that starts at its channel.
 
     Source: Cheeseman and Bennett, ARC R&M 3021 (1955).
     """
@@ -32,7 +36,9 @@ class Ground(Effect):
     separated_by = "flights at half a rotor diameter and at several"
     showing = Showing.OTHER_FLIGHTS
 
-    def __init__(self, radius: float, hub: float, induced: float, reference: float, speed: float) -> None:
+    def __init__(
+        self, radius: float, hub: float, induced: float, reference: float, speed: float, inflow: bool = False
+    ) -> None:
         super().__init__(
             (
                 Parameter("strength", 0.0, "1", (0.0, 4.0), doc="share of the theory's thrust gain", typical=1.0),
@@ -40,10 +46,13 @@ class Ground(Effect):
                     "ground", 0.0, "m", (-1e4, 1e4), free=False, doc="height of the ground in the channel's datum"
                 ),
             ),
-            (State("height", "m", "height of the reference point", "height"),),
+            (State("height", "m", "height of the reference point", "height", HEIGHT_KNOWN),),
         )
         self.radius, self.hub, self.induced = radius, hub, induced
         self.at = reference, speed * speed
+        self.inflow = inflow
+        if inflow:
+            self.stage = Stage.ENVIRONMENT
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> Ground:
@@ -53,7 +62,7 @@ class Ground(Effect):
         at = spec.reference
         induced = at.get("vi", 0.045 * spec.rotor.speed * spec.rotor.radius)
         speed = (at.get("u", 0.0) ** 2 + at.get("v", 0.0) ** 2) ** 0.5
-        return cls(spec.rotor.radius, hub, induced, at["height"], speed)
+        return cls(spec.rotor.radius, hub, induced, at["height"], speed, spec.inflow)
 
     @classmethod
     def untestable(cls, spec: ModelSpec) -> str | None:
@@ -61,19 +70,22 @@ class Ground(Effect):
         return first(no_channel(spec, "height"), no_rotor(spec), no_velocities(spec), no_forces(spec))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
-        """Adds the thrust gained; the rate of climb."""
-        assert frame.force is not None
+        """Tells what is left of the induced velocity, or adds the thrust gained; the rate of climb."""
 
-        def gain(height: Tensor | float, square: Tensor | float) -> Tensor:
+        def image(height: Tensor | float, square: Tensor | float) -> Tensor:
             z = (height + self.hub - p["ground"]).clamp(min=LOWEST * self.radius)
-            g = (0.25 * self.radius / z).square() / (1.0 + square / self.induced**2)
-            return g / (1.0 - g)
+            return (0.25 * self.radius / z).square() / (1.0 + square / self.induced**2)
 
         u, v = frame.signals["u"], frame.signals["v"]
-        more = p["strength"] * (gain(x[..., 0], u * u + v * v) - gain(*self.at))
+        here, there = image(x[..., 0], u * u + v * v), image(*self.at)
+        climb = _climb(frame).unsqueeze(-1)
+        if self.inflow:
+            return frame.with_signals(**{INDUCED_SHARE: 1.0 - p["strength"] * (here - there)}), climb
+        assert frame.force is not None
+        more = p["strength"] * (here / (1.0 - here) - there / (1.0 - there))
         lift = more * frame.force[..., 2]
         zero = torch.zeros_like(lift)
-        return frame.add(force=vec(zero, zero, lift)), _climb(frame).unsqueeze(-1)
+        return frame.add(force=vec(zero, zero, lift)), climb
 
 
 def _climb(frame: Frame) -> Tensor:
@@ -104,7 +116,7 @@ class Wind(Effect):
                 Parameter(n, 0.0, "m/s", (-30.0, 30.0), doc=f"speed of the air to the {n}", typical=t)
                 for n, t in (("north", 5.0), ("east", 3.0))
             ),
-            (State("psi", "rad", "heading", "psi"),),
+            (State("psi", "rad", "heading", "psi", HEADING_KNOWN),),
         )
         self.attitude = attitude
 

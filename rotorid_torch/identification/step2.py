@@ -7,7 +7,7 @@ from them and from step 1's thrust, and subtracted before.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +32,8 @@ from rotorid_torch.model.model import Model
 HIGHEST = {**dict.fromkeys(FLAPPING, 8.0), **dict.fromkeys((*FORCES, *MOMENTS), 4.0)}
 """Hz: highest frequency of each equation, if its data reach it."""
 
+END_S = 0.2
+"""s: over which noise is averaged at either end of a record whose mean rate is asked for."""
 MIDDLE = 2.0
 """Hz: where the noise of an integrated accelerometer is read."""
 
@@ -68,22 +70,65 @@ class Step2:
 def regress_model(model: Model, dataset: Dataset, reconstruction: Reconstruction) -> Step2:
     """All linear parameters of the model from the identify flights, in closed form; the others keep their prior."""
     theta = model.theta.detach().clone()
-    flights = OnDemand(dataset.identify, lambda name: measured(model, dataset, reconstruction, name), costly=True)
+    flights = _measured(model, dataset, reconstruction)
     found: dict[str, Regression] = {}
     held: list[str] = []
     shares: dict[str, float] = {}
+    for effect, equation in _equations(model, dataset, flights):
+        row = equation.name
+        found[row] = fit_equation(equation)
+        _store(model, theta, effect, row, found[row].selected, found[row].coefficients)
+        own = _own_state(model, row)
+        if own is not None and _undamped(model, theta, f"{effect}.{row}.{own}", row):
+            held += _follow(model, theta, effect, row, own, equation, flights)
+        if row == MOMENTS[0]:
+            shares = _own_shares(equation, model)
+    return Step2(found, model.parameter_set.clamp(theta), tuple(held), shares)
+
+
+def _measured(model: Model, dataset: Dataset, reconstruction: Reconstruction) -> Mapping[str, Measured]:
+    """The identify flights as step 2 sees them, each made when it is asked for."""
+    return OnDemand(dataset.identify, lambda name: measured(model, dataset, reconstruction, name), costly=True)
+
+
+def _equations(model: Model, dataset: Dataset, flights: Mapping[str, Measured]) -> Iterator[tuple[str, Equation]]:
+    """Each equation of the model that is linear in its derivatives, with the id of the effect that has it."""
     for effect in model.chain:
         if isinstance(effect, LinearForces | Flapping | AlgebraicFlapping):
             for row in effect.block.rows:
-                equation = _equation(row, effect, effect.block, model, dataset, flights)
-                found[row] = fit_equation(equation)
-                _store(model, theta, effect.id, row, found[row].selected, found[row].coefficients)
-                own = _own_state(model, row)
-                if own is not None and _undamped(model, theta, f"{effect.id}.{row}.{own}", row):
-                    held += _follow(model, theta, effect.id, row, own, equation, flights)
-                if row == MOMENTS[0]:
-                    shares = _own_shares(equation, model)
-    return Step2(found, model.parameter_set.clamp(theta), tuple(held), shares)
+                yield effect.id, _equation(row, effect, effect.block, model, dataset, flights)
+
+
+def trims_of_flights(
+    model: Model, theta: Tensor, dataset: Dataset, reconstruction: Reconstruction
+) -> tuple[tuple[str, ...], Tensor]:
+    """What each equation has as a constant in each identify flight, its derivatives and the physics as in theta.
+
+    Returns
+    -------
+    Names of the equations, and their constants [rows, flights] in the rows' units. The model is set to theta.
+    """
+    with torch.no_grad():
+        model.theta.copy_(theta)
+    names, found = [], []
+    for effect, equation in _equations(model, dataset, _measured(model, dataset, reconstruction)):
+        places = [model.parameter_set.index(f"{effect}.{equation.name}.{c}") for c in equation.names]
+        derivatives = theta[places]
+        mean = _mean_rate if equation.kind == "derivative" else _mean
+        each = zip(equation.response, equation.regressors, equation.steps(), strict=True)
+        found.append([float(mean(y, dt) - z.mean(0) @ derivatives) for y, z, dt in each])
+        names.append(equation.name)
+    return tuple(names), torch.tensor(found, dtype=torch.float64)
+
+
+def _mean(signal: Tensor, dt: float) -> Tensor:
+    return signal.mean()
+
+
+def _mean_rate(signal: Tensor, dt: float) -> Tensor:
+    """Mean rate of change, between means over the two ends."""
+    ends = max(1, min(round(END_S / dt), len(signal) // 2))
+    return (signal[-ends:].mean() - signal[:ends].mean()) / (dt * (len(signal) - ends))
 
 
 def _own_shares(equation: Equation, model: Model) -> dict[str, float]:

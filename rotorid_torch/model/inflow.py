@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.names import INDUCED_SHARE
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.core.state import State
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
@@ -58,9 +59,10 @@ def _time_constant(mass: float, rotor: RotorSpec, reference: dict[str, float]) -
 class Inflow(Effect):
     """Induced velocity vi as a state, and the torque of induced power beyond its tangent.
 
-    tau dvi/dt = vi(T, u, v, w) - vi, with the thrust T of the present force and vi(...) of momentum theory. The
-    derivatives by vi in forces, moments and flapping are parameters of those equations. The rotor's torque adds
-    s N (T - T0) [(vi - vi0) - (w - w0)]/Omega to the yawing moment, s = +1 for counter-clockwise seen from above.
+    tau dvi/dt = vi(T, u, v, w) - vi, with the thrust T of the present force and vi(...) of momentum theory, of which an
+    effect before may leave a share. The derivatives by vi in forces, moments and flapping are parameters of those
+    equations. The rotor's torque adds s N (T - T0) [(vi - vi0) - (w - w0)]/Omega to the yawing moment, s = +1 for
+    counter-clockwise seen from above.
 
     Source: Pitt and Peters, Vertica 5 (1981), uniform state; Padfield, Helicopter Flight Dynamics, sec. 3.2 (torque).
     """
@@ -98,7 +100,8 @@ class Inflow(Effect):
         thrust, vi = -frame.force[..., 2], x[..., 0]
         u, v, w = (frame.signals[n] for n in ("u", "v", "w"))
         torque = self.torque * (thrust - self.thrust) * ((vi - self.trim) - (w - self.w))
-        rate = (induced_velocity(self.disc * thrust, u, v, w) - vi) / p["tau"]
+        share = frame.signals.get(INDUCED_SHARE, 1.0)
+        rate = (share * induced_velocity(self.disc * thrust, u, v, w) - vi) / p["tau"]
         return frame.add(None, (p["N"] * torque).unsqueeze(-1) * self.about_z), rate.unsqueeze(-1)
 
 

@@ -20,6 +20,7 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.by_control import by_control
 from rotorid_torch.trace.candidates import candidates, untried
 from rotorid_torch.trace.decide import (
+    at_edge,
     errors,
     gain,
     not_joined,
@@ -31,6 +32,7 @@ from rotorid_torch.trace.decide import (
 from rotorid_torch.trace.finding import Finding, Unknown
 from rotorid_torch.trace.fits import Fitted, Flights, refit
 from rotorid_torch.trace.floor import Floors, Null
+from rotorid_torch.trace.places import explained_trims
 from rotorid_torch.trace.residual import left_over, scan
 from rotorid_torch.trace.screen import Screen, screen
 from rotorid_torch.trace.significance import helps
@@ -43,6 +45,7 @@ ROUNDS = 4
 """Undeclared effects that may join, at most."""
 ROTOR = ("rotor.flap_second_order", "rotor.lead_lag")
 """Structure that every rotor has where it can be tested: in the null of all candidates from the start."""
+UNDRAWN = "floors come from shuffled residuals alone: clean aircraft are drawn in still air, far from the ground"
 Say = Callable[[str], None]
 
 
@@ -89,6 +92,7 @@ class _Search:
     seed : of the shuffled residuals. asked_for : whether flights not fitted gain by the rotor's ordinary physics.
     ranks : among which fits and tests of several candidates are spread; everything else is the same at each.
     apart : for an accepted effect of the control path what it is for each control.
+    placed : gain and floor of effects of where the vehicle flies that explain what trims differ by; they join first.
     """
 
     flights: Flights
@@ -103,6 +107,7 @@ class _Search:
     groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
     spread: dict[str, float] = field(default_factory=dict)
     apart: dict[str, str] = field(default_factory=dict)
+    placed: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def screened(self, null: Fitted, effects: Sequence[str]) -> Screen:
         """These effects against what a model leaves over."""
@@ -131,6 +136,22 @@ class _Search:
             return null
         self.say(f"the model without candidates gains {gain(null, again):.3g} per sample from a better start")
         return again
+
+    def place(self, null: Fitted, effects: Sequence[str]) -> Fitted:
+        """The null with what explains how trims differ from flight to flight: without that, no fit of it means much."""
+        for effect, one in explained_trims(null.spec, self.flights, effects).items():
+            said = f"{effect} explains {100.0 * one.share:.0f} % of what trims of unseen flights differ by"
+            spec = msgspec.structs.replace(null.spec, effects=(*null.spec.effects, effect))
+            fitted = refit(spec, self.flights, {**null.values, **one.start}, self.held)
+            screened = self.screened(null, [effect])
+            floor = self.floors.chance(screened, [effect])[effect]
+            joins = gain(null, fitted) > floor and at_edge(fitted.model, effect) is None
+            joins = joins and helps(unseen_gain(null, fitted))
+            self.say(f"{said}: gain {gain(null, fitted):.3g}, {'joins' if joins else 'does not hold in the motion'}")
+            if joins:
+                self.placed[effect] = gain(null, fitted), floor
+                null = fitted
+        return null
 
     def structure(self, null: Fitted, candidates: Sequence[str]) -> Fitted:
         """The null with the rotor's ordinary physics, and what other structure helps flights that no fit has seen."""
@@ -254,15 +275,20 @@ def trace(
     """
     testable, findings = candidates(spec)
     search = _Search(flights, tuple(held), Floors({}, ""), say, seed, ranks)
-    null = refit(spec, flights, start, held)
+    plain = refit(spec, flights, start, held)
+    tested = [e for e in testable if registered()[e].role is Role.UNDECLARED]
+    null = search.place(plain, tested)
     null = search.structure(null, [e for e in testable if registered()[e].role is Role.STRUCTURE])
-    structure = tuple(e for e in null.spec.effects if e not in spec.effects)
-    undeclared = [e for e in testable if registered()[e].role is Role.UNDECLARED]
-    search.floors = floors(Null(null.spec, null.values, search.held), undeclared)
+    placed = list(search.placed)
+    structure = tuple(e for e in null.spec.effects if e not in (*spec.effects, *placed))
+    undeclared = [e for e in tested if e not in placed]
+    search.floors = Floors({}, UNDRAWN) if placed else floors(Null(null.spec, null.values, search.held), undeclared)
     first = search.screened(null, undeclared)
     usual = search.floors.of(first, undeclared)
     final, accepted = search.undeclared(null, undeclared)
     final, accepted = search.confirmed(final, accepted, usual)
+    accepted = [*placed, *accepted]
+    null = plain if placed else null
     search.compare_controls(final, accepted)
     missing, before = (_missing(model, flights, search.floors) for model in (final, null))
     findings += _told(search, null, final, structure, accepted, undeclared, first, usual)
@@ -303,6 +329,12 @@ def _told(
     found = [Finding(e, "structure", "accepted", search.why(e), values=errors(final, e, {})) for e in structure]
     last = search.screened(final, [e for e in undeclared if e not in accepted])
     grouped = {e: best for best, others in search.groups.items() if best in accepted for e in others}
+    for effect, (gained, floor) in search.placed.items():
+        values = errors(final, effect, search.spread)
+        said = (
+            "it explains how trims differ from flight to flight, and flights that no fit has seen are better described"
+        )
+        found.append(Finding(effect, "undeclared", "accepted", said, gain=gained, floor=floor, values=values))
     for effect in undeclared:
         visible = smallest_visible(first, effect, floors[effect])
         keep = {"gain": first.gain([effect]), "floor": floors[effect], "smallest_visible": visible}

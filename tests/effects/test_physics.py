@@ -21,7 +21,7 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
-from tests.known_models import points, with_values
+from tests.known_models import helicopter_spec, points, with_values
 
 G = 9.80665
 RIGID = msgspec.structs.replace(
@@ -82,6 +82,28 @@ def test_ground_effect_is_cheeseman_and_bennett_s(z_by_radius: float, gain: floa
     height = z_by_radius * 8.18 - 1.7
     assert rates(model, (height,))["w"] == pytest.approx(-G * (gain - 1.0), rel=1e-6)
     assert rates(model, (height,), w=-2.0)["environment.ground.height"] == pytest.approx(2.0)
+
+
+def test_near_the_ground_the_rotor_s_image_takes_induced_velocity_away():
+    """Cheeseman and Bennett: vi falls by (R/(4 z))^2; far from the ground nothing changes."""
+    declared = helicopter_spec()
+    spec = msgspec.structs.replace(
+        declared, effects=("environment.ground",), reference={**declared.reference, "height": 1e5, "u": 0.0, "v": 0.0}
+    )
+    model = build(spec)
+    model.start_from({"environment.ground.strength": 1.0})
+    names = model.layout.names
+    x = torch.tensor([spec.reference.get(n, 0.0) for n in names], dtype=torch.float64)
+    tau, vi = model.named_values["inflow.tau"], x[names.index("vi")]
+    u = torch.tensor([spec.reference[c] for c in model.body.controls], dtype=torch.float64)
+
+    def wanted(z_by_radius: float) -> float:
+        at = x.clone()
+        at[names.index("environment.ground.height")] = z_by_radius * 8.18 - 2.1
+        return float((tau * model.rates(model.theta, at, u)[names.index("vi")] + vi).detach())
+
+    assert wanted(0.5) / wanted(1e4) == pytest.approx(0.75, rel=1e-6)
+    assert wanted(1.0) / wanted(1e4) == pytest.approx(15 / 16, rel=1e-6)
 
 
 def test_wind_blows_in_body_axes_and_leaves_the_ground_alone():

@@ -1,0 +1,93 @@
+"""Trims that differ with heading: the wind is found, still air is not called a wind, and the loop names it first."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from rotorid_torch.data import Dataset
+from rotorid_torch.identification.reconstruct import reconstruct
+from rotorid_torch.identification.step2 import regress_model
+from rotorid_torch.identification.structure import propose
+from rotorid_torch.model.nominal import build
+from rotorid_torch.trace.fits import Flights
+from rotorid_torch.trace.floor import Floors
+from rotorid_torch.trace.loop import trace
+from rotorid_torch.trace.places import explained_trims
+from tests.known_models import BODY, body_spec, flown, linear_vehicle, manoeuvres, with_values
+
+DT = 0.02
+HEADINGS = {"north": 0.0, "east": 0.5 * math.pi, "south": math.pi, "west": 1.5 * math.pi}
+NORTH, EAST = -3.0, 2.0
+
+
+def at_headings(north: float, east: float) -> Dataset:
+    """The linear vehicle at four headings, let go at rest over ground; other signs are held back."""
+    moves, flights, specs = manoeuvres(8.0, DT), {}, {}
+    for place, heading in HEADINGS.items():
+        reference = {**body_spec().reference, "psi": 0.0, "environment.wind.psi": heading}
+        vehicle = linear_vehicle(effects=("environment.wind",), reference=reference, imu=(0.0, 0.0, 0.0))
+        vehicle = with_values(vehicle, {"environment.wind.north": north, "environment.wind.east": east})
+        both = {f"{n}_{place}": m for n, m in moves.items()} | {f"{n}_{place}_again": -m for n, m in moves.items()}
+        own = flown(vehicle, both, DT, noise=0.01, seed=len(flights))
+        specs = {c: {"noise": own.noise(c), "bias": "none"} for c in (*BODY, "ax", "ay", "az")}
+        for name, flight in own.flights.items():
+            record = {c: v.numpy() for c, v in flight.channels.items()}
+            q, r, phi, theta = (record[c] for c in ("q", "r", "phi", "theta"))
+            turn = (q * np.sin(phi) + r * np.cos(phi)) / np.cos(theta)
+            flights[name] = record | {"psi": heading + DT * np.cumsum(turn)}
+    return Dataset.from_arrays(
+        flights,
+        identify=[n for n in flights if not n.endswith("again")],
+        validate=[n for n in flights if n.endswith("again")],
+        channels={**specs, "psi": {"noise": 1e-3, "bias": "none"}},
+        controls={c: {"unit": "rad", "noise": 1e-7} for c in ("lon", "lat", "col", "ped")},
+        vehicle={"imu": [0.0, 0.0, 0.0]},
+    )
+
+
+@pytest.fixture(scope="module")
+def windy() -> Flights:
+    data = at_headings(NORTH, EAST)
+    return Flights(data, reconstruct(data))
+
+
+def test_a_wind_explains_the_trims_and_no_delay_is_asked(windy: Flights):
+    spec = propose(windy.dataset, windy.reconstruction)
+    found = explained_trims(spec, windy, ("control.delay", "environment.wind"))
+    assert list(found) == ["environment.wind"]
+    assert found["environment.wind"].share > 0.9
+    assert found["environment.wind"].start["environment.wind.north"] == pytest.approx(NORTH, abs=0.3)
+    assert found["environment.wind"].start["environment.wind.east"] == pytest.approx(EAST, abs=0.3)
+    assert found["environment.wind"].start["forces.L.lat"] == pytest.approx(30.0, rel=0.05)
+
+
+def test_still_air_is_no_wind():
+    data = at_headings(0.0, 0.0)
+    calm = Flights(data, reconstruct(data))
+    assert explained_trims(propose(data, calm.reconstruction), calm, ("environment.wind",)) == {}
+
+
+def test_the_loop_names_the_wind_before_anything_else(windy: Flights):
+    spec = propose(windy.dataset, windy.reconstruction)
+    model = build(spec)
+    start = regress_model(model, windy.dataset, windy.reconstruction)
+    values = dict(zip(model.parameter_set.names, start.theta.tolist(), strict=True))
+
+    def drawn(null: object, effects: object) -> Floors:
+        raise AssertionError("clean aircraft know no wind")
+
+    said: list[str] = []
+    found = trace(spec, values, start.held, windy, drawn, said.append)
+    assert found.accepted == ("environment.wind",)
+    assert "environment.wind" not in found.null.spec.effects
+    assert found.final.values["environment.wind.north"] == pytest.approx(NORTH, abs=0.2)
+    assert found.final.values["environment.wind.east"] == pytest.approx(EAST, abs=0.2)
+    told = next(f for f in found.findings if f.id == "environment.wind")
+    assert told.verdict == "accepted"
+    assert told.gain > told.floor
+    assert "still air" in found.notes[0]
+    assert torch.tensor([v for v, _ in told.values.values()]).isfinite().all()
