@@ -331,9 +331,7 @@ def _told(
     grouped = {e: best for best, others in search.groups.items() if best in accepted for e in others}
     for effect, (gained, floor) in search.placed.items():
         values = errors(final, effect, search.spread)
-        said = (
-            "it explains how trims differ from flight to flight, and flights that no fit has seen are better described"
-        )
+        said = "it explains how trims differ between flights, and flights that no fit has seen are better described"
         found.append(Finding(effect, "undeclared", "accepted", said, gain=gained, floor=floor, values=values))
     for effect in undeclared:
         visible = smallest_visible(first, effect, floors[effect])

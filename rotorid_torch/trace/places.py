@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.step2 import regress_model, trims_of_flights
 from rotorid_torch.model.model import Model
@@ -39,26 +40,28 @@ class Explained:
 def explained_trims(spec: ModelSpec, flights: Flights, effects: Sequence[str]) -> dict[str, Explained]:
     """What those of these effects that depend on where the vehicle flies explain of the flights' trims.
 
-    Sizes come from the identify flights; only effects that explain at least half of what trims of the unseen flights
-    differ by are told.
+    Asked where flights begin further apart, in heading or height, than they move. Sizes come from the identify flights;
+    only effects that explain at least half of what trims of the unseen flights differ by are told.
     """
-    placed = [e for e in effects if any(s.channel for s in _with(spec, e).layout.states)]
-    if not placed or len(flights.dataset.identify) < 2:
+    models = {e: build(msgspec.structs.replace(spec, effects=(*spec.effects, e))) for e in effects}
+    placed = {e: m for e, m in models.items() if any(_apart(flights.dataset, s.channel) for s in m.layout.states)}
+    if not placed:
         return {}
     nominal = build(spec)
-    derivatives = dict(
-        zip(
-            nominal.parameter_set.names,
-            regress_model(nominal, flights.dataset, flights.reconstruction).theta.tolist(),
-            strict=True,
-        )
-    )
-    found = {e: _explained(_with(spec, e), e, derivatives, spec.sizes, flights) for e in placed}
+    theta = regress_model(nominal, flights.dataset, flights.reconstruction).theta
+    derivatives = dict(zip(nominal.parameter_set.names, theta.tolist(), strict=True))
+    found = {e: _explained(model, e, derivatives, spec.sizes, flights) for e, model in placed.items()}
     return {e: one for e, one in found.items() if one.share >= EXPLAINED}
 
 
-def _with(spec: ModelSpec, effect: str) -> Model:
-    return build(msgspec.structs.replace(spec, effects=(*spec.effects, effect)))
+def _apart(dataset: Dataset, channel: str | None) -> bool:
+    """Whether the identify flights begin further apart in a channel than they move in it."""
+    if channel is None or len(dataset.identify) < 2:
+        return False
+    records = [dataset.flights[name].bridged([channel])[:, 0] for name in dataset.identify]
+    starts = torch.stack([record[0] for record in records])
+    moved = torch.cat([record - record[0] for record in records]).square().mean().sqrt()
+    return float(starts.std()) > float(moved)
 
 
 def _explained(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -63,6 +64,12 @@ def test_a_wind_explains_the_trims_and_no_delay_is_asked(windy: Flights):
     assert found["environment.wind"].start["environment.wind.north"] == pytest.approx(NORTH, abs=0.3)
     assert found["environment.wind"].start["environment.wind.east"] == pytest.approx(EAST, abs=0.3)
     assert found["environment.wind"].start["forces.L.lat"] == pytest.approx(30.0, rel=0.05)
+
+
+def test_flights_on_one_heading_are_not_asked(windy: Flights):
+    names = tuple(n for n in windy.dataset.identify if "north" in n)
+    one = Flights(replace(windy.dataset, identify=names), windy.reconstruction)
+    assert explained_trims(propose(one.dataset, one.reconstruction), one, ("environment.wind",)) == {}
 
 
 def test_still_air_is_no_wind():
