@@ -20,8 +20,8 @@ FLOOR = 1e-12
 ROUNDING = 1e-20
 """Cost over the first cost that is nothing but rounding."""
 STIFFEST = 1e4
-"""Damping at which the parameters stand still, within the data's say: where even that is not enough, what is eliminated
-has to settle first, and they must be able to move again soon afterwards."""
+"""Damping at which the parameters hardly move. A step that needs more waits for what is eliminated to settle; the next
+one begins with no more than this, for then they must be able to move again."""
 NAMED_SHARE = 0.1
 """Share of a direction that cannot be told above which a parameter in it is named."""
 
@@ -243,7 +243,7 @@ def _descend(
             if gain > 0.75:
                 damping = damping / 10.0 if damping > 1e-10 else 0.0
             elif gain < 0.25:
-                damping = min(max(damping, 1e-6) * 4.0, STIFFEST)
-            return trial, damping
-        damping = min(max(damping, 1e-5) * 8.0, STIFFEST)
+                damping = max(damping, 1e-6) * 4.0
+            return trial, min(damping, STIFFEST)
+        damping = max(damping, 1e-5) * 8.0
     return None, damping
