@@ -26,7 +26,7 @@ USUAL_LAG = 0.3
 """Lag frequency over rotor speed where no hinge offset is declared."""
 KNOWN = 0.02
 """What a rotor does where a segment begins is known from the motion before: angles to this (rad), their rates to speed
-times this, what stands for thrust to this share of it.
+times this, induced velocity to the tip's speed times this, what stands for thrust to this share of it.
 
 Otherwise states that nothing shows yet, an effect being at its null, go anywhere and take the fit with them.
 """

@@ -11,6 +11,7 @@ from rotorid_torch.core.names import INDUCED_SHARE
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.core.state import State
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
+from rotorid_torch.effects.rotor import KNOWN
 from rotorid_torch.effects.spec import RotorSpec
 
 INDUCED = "vi"
@@ -88,7 +89,7 @@ class Inflow(Effect):
                 Parameter("tau", tau, "s", TIME_BOUNDS, tau, doc="time constant of the induced velocity"),
                 Parameter("N", 1.0, "1", (-3.0, 5.0), 0.5, doc="share of induced power's torque beyond the tangent"),
             ),
-            (State(INDUCED, "m/s", "induced velocity"),),
+            (State(INDUCED, "m/s", "induced velocity", spread=KNOWN * rotor.speed * rotor.radius),),
         )
         self.disc, self.trim, self.thrust, self.w = disc, trim, thrust, reference["w"]
         self.torque = rotor.spin * mass / rotor.speed
@@ -120,7 +121,7 @@ class CyclicInflow(Effect):
         tau = _time_constant(2.0 * HARMONIC_MASS, rotor, reference)
         super().__init__(
             (Parameter("tau", tau, "s", TIME_BOUNDS, tau, free=False, doc="time constant of the first harmonics"),),
-            tuple(State(n, "rad", "first harmonic of the inflow, as flapping") for n in CYCLIC),
+            tuple(State(n, "rad", "first harmonic of the inflow, as flapping", spread=KNOWN) for n in CYCLIC),
         )
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:

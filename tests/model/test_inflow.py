@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from torch import Tensor
 
-from rotorid_torch.model.inflow import INDUCED, Inflow, induced_velocity, trim_velocity
+from rotorid_torch.model.inflow import CYCLIC, INDUCED, Inflow, induced_velocity, trim_velocity
 from tests.known_models import INERTIA, ROTOR, helicopter, points, with_values
 
 HOVER = math.sqrt(7257.0 * 9.80665 / (2.0 * 1.225 * math.pi * 8.18**2))
@@ -91,3 +91,10 @@ def test_more_thrust_in_climb_turns_the_nose_against_the_rotor():
     thrust = float(-frame.force[0, 2] + model.reference["Z.trim"])
     about_z = float(torch.linalg.inv(torch.tensor(INERTIA, dtype=torch.float64))[2, 2])
     assert turn == pytest.approx(7257.0 * thrust * 1.0 / 27.0 * about_z)  # torque is power over speed
+
+
+def test_states_that_no_channel_tells_are_known_from_the_motion_before():
+    model = helicopter(cyclic_inflow=True)
+    unmeasured = [s for s in model.layout.states if s.name not in model.body.outputs]
+    assert {s.name for s in unmeasured} == {INDUCED, *CYCLIC}
+    assert all(math.isfinite(s.spread) for s in unmeasured)
