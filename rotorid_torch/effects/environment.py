@@ -22,7 +22,7 @@ HEIGHT_KNOWN, HEADING_KNOWN = 0.3, 0.02
 
 @register
 class Ground(Effect):
-    """Ground effect: the rotor's image below the ground takes part of the induced velocity away.
+    """Ground effect: near the ground the rotor's image takes part of the induced velocity away.
 
     g = (R/(4 z))^2/(1 + (V/vi)^2), z the hub's height above the ground. Where the model has an induced velocity,
     that of momentum theory falls to vi (1 - strength (g(h) - g(h_ref))); elsewhere a rotor of the same power carries
@@ -41,7 +41,7 @@ class Ground(Effect):
     ) -> None:
         super().__init__(
             (
-                Parameter("strength", 0.0, "1", (0.0, 4.0), doc="share of the theory's thrust gain", typical=1.0),
+                Parameter("strength", 0.0, "1", (0.0, 4.0), doc="share of what theory says of the image", typical=1.0),
                 Parameter(
                     "ground", 0.0, "m", (-1e4, 1e4), free=False, doc="height of the ground in the channel's datum"
                 ),
@@ -52,7 +52,7 @@ class Ground(Effect):
         self.at = reference, speed * speed
         self.inflow = inflow
         if inflow:
-            self.stage = Stage.ENVIRONMENT
+            self.stage = Stage.ROTOR
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> Ground:
@@ -80,7 +80,7 @@ class Ground(Effect):
         here, there = image(x[..., 0], u * u + v * v), image(*self.at)
         climb = _climb(frame).unsqueeze(-1)
         if self.inflow:
-            return frame.with_signals(**{INDUCED_SHARE: 1.0 - p["strength"] * (here - there)}), climb
+            return frame.with_signals(**{INDUCED_SHARE: (1.0 - p["strength"] * (here - there)).clamp(min=0.0)}), climb
         assert frame.force is not None
         more = p["strength"] * (here / (1.0 - here) - there / (1.0 - there))
         lift = more * frame.force[..., 2]

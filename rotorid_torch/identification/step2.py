@@ -26,6 +26,7 @@ from rotorid_torch.identification.selection import beyond
 from rotorid_torch.identification.structure import ATTITUDE, have
 from rotorid_torch.model.flapping import AlgebraicFlapping, Flapping
 from rotorid_torch.model.forces import LinearForces
+from rotorid_torch.model.inflow import CYCLIC
 from rotorid_torch.model.linear import LinearBlock
 from rotorid_torch.model.model import Model
 
@@ -160,7 +161,7 @@ def _follow(
     flights: Mapping[str, Measured],
 ) -> list[str]:
     """Let a state follow the other signals at `FOLLOWING`: gains by regression of the state itself; names to hold."""
-    kin = RATES if row in MOMENTS else FLAPPING
+    kin = RATES if row in MOMENTS else (*FLAPPING, *CYCLIC)
     others = [c for c in equation.names if c not in kin]
 
     def state(name: str, flight: Measured) -> Tensor:
@@ -328,7 +329,8 @@ def _accelerometer_response(
 
 def _velocity_response(model: Model, flight: Measured, axis: int, dt: float) -> Tensor:
     """Velocity without gravity, turning axes and known force, integrated: its rate is the linear force."""
-    velocity, rates, attitude = (torch.stack([flight.signals[n] for n in g], -1) for g in (VELOCITIES, RATES, ATTITUDE))
+    rates, attitude = (torch.stack([flight.signals[n] for n in group], -1) for group in (RATES, ATTITUDE))
+    velocity = Frame(flight.signals).over_ground()
     other = gravity_in_body(attitude, model.body.gravity) - cross(rates, velocity) + flight.known[:, :3]
     return velocity[:, axis] - integral(other[:, axis], dt)
 

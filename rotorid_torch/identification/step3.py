@@ -132,8 +132,9 @@ def _record(model: Model, dataset: Dataset, reconstruction: Reconstruction, name
     """One flight alone."""
     flight, step1 = dataset.flights[name], reconstruction.flights[name]
     every = _every(model, flight.dt)
-    signals = measured(model, dataset, reconstruction, name).signals
     unknown = torch.full_like(flight.time, math.nan)
+    untold = {s.name: unknown for s in model.layout.states if s.channel is not None and not flight.has(s.channel)}
+    signals = {**measured(model, dataset, reconstruction, name).signals, **untold}
     states = [step1.channels.get(s.channel or s.name, signals.get(s.name, unknown)) for s in model.layout.states]
     return records_from(
         [

@@ -40,8 +40,13 @@ def gain(null: Fitted, candidate: Fitted) -> float:
     return found if math.isfinite(found) else -math.inf
 
 
-def objection(null: Fitted, candidate: Fitted, effect: str, floor: float, screened: Screen) -> str | None:
-    """Why a fitted candidate is not a finding; None where nothing speaks against it."""
+def objection(
+    null: Fitted, candidate: Fitted, effect: str, floor: float, screened: Screen, spread: Mapping[str, float]
+) -> str | None:
+    """Why a fitted candidate is not a finding; None where nothing speaks against it.
+
+    spread : standard errors of its parameters by their scatter over flights.
+    """
     if gain(null, candidate) <= floor:
         return "fitted in full, it explains no more than clean aircraft let any candidate explain"
     edge = at_edge(candidate.model, effect)
@@ -53,7 +58,6 @@ def objection(null: Fitted, candidate: Fitted, effect: str, floor: float, screen
     if max(away.values()) < SURE:
         name = max(away, key=lambda n: away[n])
         return f"{name} = {values[name]:.3g} lies within {SURE:g} of its standard errors from nothing"
-    spread = screened.scatter(effect)
     steady = [
         abs(values[s.parameter] - s.null) > STEADY * spread[s.parameter] for s in own if away[s.parameter] >= SURE
     ]

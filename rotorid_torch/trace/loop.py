@@ -7,7 +7,7 @@ seen decide.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -20,7 +20,6 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.by_control import by_control
 from rotorid_torch.trace.candidates import candidates, untried
 from rotorid_torch.trace.decide import (
-    at_edge,
     errors,
     gain,
     not_joined,
@@ -139,17 +138,22 @@ class _Search:
 
     def place(self, null: Fitted, effects: Sequence[str]) -> Fitted:
         """The null with what explains how trims differ from flight to flight: without that, no fit of it means much."""
-        for effect, one in explained_trims(null.spec, self.flights, effects).items():
+        rest = list(effects)
+        while found := explained_trims(null.spec, _of_effects(null.values, self.placed), self.flights, rest):
+            effect, one = next(iter(found.items()))
+            rest = [e for e in found if e != effect]
             said = f"{effect} explains {100.0 * one.share:.0f} % of what trims of unseen flights differ by"
             spec = msgspec.structs.replace(null.spec, effects=(*null.spec.effects, effect))
-            fitted = refit(spec, self.flights, {**null.values, **one.start}, self.held)
+            told = one.start if not self.placed else _of_effects(one.start, [effect])
+            start = {n: v for n, v in told.items() if n not in self.held}
+            fitted = refit(spec, self.flights, {**null.values, **start}, self.held)
             screened = self.screened(null, [effect])
             floor = self.floors.chance(screened, [effect])[effect]
-            joins = gain(null, fitted) > floor and at_edge(fitted.model, effect) is None
-            joins = joins and helps(unseen_gain(null, fitted))
-            self.say(f"{said}: gain {gain(null, fitted):.3g}, {'joins' if joins else 'does not hold in the motion'}")
-            if joins:
+            against = objection(null, fitted, effect, floor, screened, one.scatter)
+            self.say(f"{said}: gain {gain(null, fitted):.3g}, {against or 'joins'}")
+            if against is None:
                 self.placed[effect] = gain(null, fitted), floor
+                self.spread.update(one.scatter)
                 null = fitted
         return null
 
@@ -174,7 +178,7 @@ class _Search:
             fitted = self.with_each(null, [best], screened)[best]
             null = self.improved(null, {best: fitted})
             rest.remove(best)
-            against = objection(null, fitted, best, floors[best], screened)
+            against = objection(null, fitted, best, floors[best], screened, screened.scatter(best))
             self.say(f"structure: {best}, gain {gain(null, fitted):.3g} per sample: {against or 'joins'}")
             if against is None:
                 null = fitted
@@ -204,7 +208,9 @@ class _Search:
         self, null: Fitted, fitted: Mapping[str, Fitted], floors: Mapping[str, float], screened: Screen
     ) -> str | None:
         """The effect that joins in this round, and in its group those that explain as much."""
-        against = self.ranks.share(list(fitted), lambda e: objection(null, fitted[e], e, floors[e], screened))
+        against = self.ranks.share(
+            list(fitted), lambda e: objection(null, fitted[e], e, floors[e], screened, screened.scatter(e))
+        )
         why = dict(zip(fitted, against, strict=True))
         for e, reason in why.items():
             self.say(f"{e}: gain {gain(null, fitted[e]):.3g}, floor {floors[e]:.3g}: {reason or 'stands'}")
@@ -275,9 +281,8 @@ def trace(
     """
     testable, findings = candidates(spec)
     search = _Search(flights, tuple(held), Floors({}, ""), say, seed, ranks)
-    plain = refit(spec, flights, start, held)
     tested = [e for e in testable if registered()[e].role is Role.UNDECLARED]
-    null = search.place(plain, tested)
+    null = search.place(refit(spec, flights, start, held), tested)
     null = search.structure(null, [e for e in testable if registered()[e].role is Role.STRUCTURE])
     placed = list(search.placed)
     structure = tuple(e for e in null.spec.effects if e not in (*spec.effects, *placed))
@@ -285,13 +290,15 @@ def trace(
     search.floors = Floors({}, UNDRAWN) if placed else floors(Null(null.spec, null.values, search.held), undeclared)
     first = search.screened(null, undeclared)
     usual = search.floors.of(first, undeclared)
-    final, accepted = search.undeclared(null, undeclared)
-    final, accepted = search.confirmed(final, accepted, usual)
-    accepted = [*placed, *accepted]
-    null = plain if placed else null
+    final, joined = search.undeclared(null, undeclared)
+    known = usual | {e: floor for e, (_, floor) in search.placed.items()}
+    final, accepted = search.confirmed(final, [*placed, *joined], known)
+    if placed:  # the model before has the same structure
+        without = tuple(e for e in null.spec.effects if e not in placed)
+        null = refit(msgspec.structs.replace(null.spec, effects=without), flights, null.values, held)
     search.compare_controls(final, accepted)
     missing, before = (_missing(model, flights, search.floors) for model in (final, null))
-    findings += _told(search, null, final, structure, accepted, undeclared, first, usual)
+    findings += _told(search, final, structure, accepted, undeclared, first, usual)
     return Tracing(
         null,
         final,
@@ -306,6 +313,11 @@ def trace(
     )
 
 
+def _of_effects(values: Mapping[str, float], effects: Collection[str]) -> dict[str, float]:
+    """The parameters of these effects alone."""
+    return {n: v for n, v in values.items() if any(n.startswith(f"{e}.") for e in effects)}
+
+
 def _missing(fitted: Fitted, flights: Flights, floors: Floors) -> Unknown | None:
     """What a model leaves over without a name."""
     over, unseen = (
@@ -317,7 +329,6 @@ def _missing(fitted: Fitted, flights: Flights, floors: Floors) -> Unknown | None
 
 def _told(
     search: _Search,
-    null: Fitted,
     final: Fitted,
     structure: Sequence[str],
     accepted: Sequence[str],
@@ -328,11 +339,14 @@ def _told(
     """One finding for each effect that was tested."""
     found = [Finding(e, "structure", "accepted", search.why(e), values=errors(final, e, {})) for e in structure]
     last = search.screened(final, [e for e in undeclared if e not in accepted])
+    joined = [e for e in accepted if e not in search.placed]
     grouped = {e: best for best, others in search.groups.items() if best in accepted for e in others}
     for effect, (gained, floor) in search.placed.items():
-        values = errors(final, effect, search.spread)
+        verdict, values = "accepted", errors(final, effect, search.spread)
         said = "it explains how trims differ between flights, and flights that no fit has seen are better described"
-        found.append(Finding(effect, "undeclared", "accepted", said, gain=gained, floor=floor, values=values))
+        if effect not in accepted:
+            verdict, (said, gained, values) = "rejected", search.rejected[effect]
+        found.append(Finding(effect, "undeclared", verdict, said, gain=gained, floor=floor, values=values))
     for effect in undeclared:
         visible = smallest_visible(first, effect, floors[effect])
         keep = {"gain": first.gain([effect]), "floor": floors[effect], "smallest_visible": visible}
@@ -366,5 +380,5 @@ def _told(
             reason, got, values = search.rejected[effect]
             found.append(Finding(effect, "undeclared", "rejected", reason, **{**keep, "gain": got}, values=values))
         else:
-            found.append(not_joined(last, effect, floors[effect], accepted, effect in search.hot))
+            found.append(not_joined(last, effect, floors[effect], joined, effect in search.hot))
     return found

@@ -16,6 +16,8 @@ from torch import Tensor
 
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.effects.base import Showing
+from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.step2 import regress_model, trims_of_flights
 from rotorid_torch.model.model import Model
@@ -31,37 +33,61 @@ class Explained:
     """An effect of where the vehicle flies, and the share of the differences between unseen flights that it explains.
 
     start : parameters of the model with it, as step 2 finds them beside it.
+    scatter : standard errors of the effect's own parameters by their scatter over flights (jackknife).
     """
 
     start: Mapping[str, float]
     share: float
+    scatter: Mapping[str, float]
 
 
-def explained_trims(spec: ModelSpec, flights: Flights, effects: Sequence[str]) -> dict[str, Explained]:
-    """What those of these effects that depend on where the vehicle flies explain of the flights' trims.
+@dataclass(frozen=True)
+class _Trims:
+    """Constants [rows, F] of flights in units of their rows, and their change by each parameter [rows, F, n]."""
+
+    constants: Tensor
+    slopes: Tensor
+
+    def take(self, flights: Tensor) -> _Trims:
+        """Those of some flights."""
+        return _Trims(self.constants[:, flights], self.slopes[:, flights])
+
+
+def explained_trims(
+    spec: ModelSpec, known: Mapping[str, float], flights: Flights, effects: Sequence[str]
+) -> dict[str, Explained]:
+    """What those of these effects that depend on where the vehicle flies explain of the flights' trims, best first.
 
     Asked where flights begin further apart, in heading or height, than they move. Sizes come from the identify flights;
     only effects that explain at least half of what trims of the unseen flights differ by are told.
+
+    known : parameters that regressions do not find, of effects that the spec has already.
     """
-    models = {e: build(msgspec.structs.replace(spec, effects=(*spec.effects, e))) for e in effects}
+    other = [e for e in effects if registered()[e].showing is Showing.OTHER_FLIGHTS]
+    models = {e: build(msgspec.structs.replace(spec, effects=(*spec.effects, e))) for e in other}
     placed = {e: m for e, m in models.items() if any(_apart(flights.dataset, s.channel) for s in m.layout.states)}
     if not placed:
         return {}
     nominal = build(spec)
+    nominal.start_from(known)
     theta = regress_model(nominal, flights.dataset, flights.reconstruction).theta
     derivatives = dict(zip(nominal.parameter_set.names, theta.tolist(), strict=True))
     found = {e: _explained(model, e, derivatives, spec.sizes, flights) for e, model in placed.items()}
-    return {e: one for e, one in found.items() if one.share >= EXPLAINED}
+    best = sorted(found.items(), key=lambda one: -one[1].share)
+    return {e: one for e, one in best if one.share >= EXPLAINED}
 
 
 def _apart(dataset: Dataset, channel: str | None) -> bool:
-    """Whether the identify flights begin further apart in a channel than they move in it."""
+    """Whether the identify flights begin further apart in a channel than they move in it; headings on the circle."""
     if channel is None or len(dataset.identify) < 2:
         return False
     records = [dataset.flights[name].bridged([channel])[:, 0] for name in dataset.identify]
     starts = torch.stack([record[0] for record in records])
-    moved = torch.cat([record - record[0] for record in records]).square().mean().sqrt()
-    return float(starts.std()) > float(moved)
+    apart, moved = starts - starts.mean(), torch.cat([record - record[0] for record in records])
+    if channel == "psi":
+        middle = torch.atan2(starts.sin().mean(), starts.cos().mean())
+        apart, moved = (torch.atan2(x.sin(), x.cos()) for x in (starts - middle, moved))
+    return float(apart.square().mean()) > float(moved.square().mean())
 
 
 def _explained(
@@ -69,32 +95,56 @@ def _explained(
 ) -> Explained:
     """Least squares for the effect's free parameters, the constants in units of their rows."""
     model.start_from(derivatives)
-    known = model.parameter_set
+    known, dataset = model.parameter_set, flights.dataset
     own = [p for p in known.parameters if p.name.startswith(f"{effect}.") and p.free and p.typical != p.value]
-    seen, slopes = _lines(model, own, sizes, flights, flights.dataset.identify)
-    unseen, unseen_slopes = _lines(model, own, sizes, flights, flights.dataset.unseen)
-    centre, mean = seen.mean(-1, keepdim=True), slopes.mean(-2, keepdim=True)
-    A, b = (slopes - mean).flatten(0, 1), (seen - centre).flatten()
-    lower, upper = (torch.tensor([p.bounds[k] for p in own], dtype=torch.float64) for k in (0, 1))
-    start = torch.tensor([p.value for p in own], dtype=torch.float64)
-    size = torch.linalg.lstsq(A, -b.unsqueeze(-1), driver="gelsd").solution.squeeze(-1)
-    size = (start + size).clamp(lower, upper) - start
-    differ = unseen - centre
-    left = differ + (unseen_slopes - mean) @ size
-    share = 1.0 - float(left.square().sum() / differ.square().sum().clamp_min(1e-300))
-    with torch.no_grad():
-        model.theta[[known.index(p.name) for p in own]] = start + size
+    seen = _trims(model, own, sizes, flights, dataset.identify)
+    count = len(dataset.identify)
+    others = [(torch.arange(count) != f).nonzero()[:, 0] for f in range(count)]
+    without = [seen.take(which) for which in others]
+    recorded = [n for n in dataset.validate if _records_as_much(dataset, n)]
+    if recorded:
+        told = [_left(own, seen, _trims(model, own, sizes, flights, recorded))]
+    else:  # each flight by the others
+        told = [_left(own, rest, seen.take(torch.tensor([f]))) for f, rest in enumerate(without)]
+    left, differ = (sum(float(part) for part in parts) for parts in zip(*told, strict=True))
+    jackknife = torch.stack([_sizes(own, rest) for rest in without])
+    scatter = ((count - 1) / count * (jackknife - jackknife.mean(0)).square().sum(0)).sqrt()
+    share, names = 1.0 - left / max(differ, 1e-300), [p.name for p in own]
+    model.start_from(dict(zip(names, _sizes(own, seen).tolist(), strict=True)))
     if share >= EXPLAINED:
-        beside = regress_model(model, flights.dataset, flights.reconstruction).theta
+        beside = regress_model(model, dataset, flights.reconstruction).theta
         with torch.no_grad():
             model.theta.copy_(beside)
-    return Explained(model.named_values, share)
+    return Explained(model.named_values, share, dict(zip(names, scatter.tolist(), strict=True)))
 
 
-def _lines(
+def _records_as_much(dataset: Dataset, flight: str) -> bool:
+    """Whether a flight has every channel that all identify flights have."""
+    common = set.intersection(*(set(dataset.facts[n].channels) for n in dataset.identify))
+    return all(dataset.facts[flight].has(c) for c in common if all(dataset.facts[n].has(c) for n in dataset.identify))
+
+
+def _sizes(own: Sequence[Parameter], trims: _Trims) -> Tensor:
+    """The effect's parameters [n] that leave least of what constants differ by, within their bounds."""
+    A = (trims.slopes - trims.slopes.mean(-2, keepdim=True)).flatten(0, 1)
+    b = (trims.constants - trims.constants.mean(-1, keepdim=True)).flatten()
+    lower, upper = (torch.tensor([p.bounds[k] for p in own], dtype=torch.float64) for k in (0, 1))
+    start = torch.tensor([p.value for p in own], dtype=torch.float64)
+    return (start + torch.linalg.lstsq(A, -b.unsqueeze(-1), driver="gelsd").solution[:, 0]).clamp(lower, upper)
+
+
+def _left(own: Sequence[Parameter], seen: _Trims, others: _Trims) -> tuple[Tensor, Tensor]:
+    """Squares of what other flights' constants differ by from the mean of those seen: with the effect, and without."""
+    size = _sizes(own, seen) - torch.tensor([p.value for p in own], dtype=torch.float64)
+    differ = others.constants - seen.constants.mean(-1, keepdim=True)
+    explained = (others.slopes - seen.slopes.mean(-2, keepdim=True)) @ size
+    return (differ + explained).square().sum(), differ.square().sum()
+
+
+def _trims(
     model: Model, own: Sequence[Parameter], sizes: Mapping[str, float], flights: Flights, listed: Sequence[str]
-) -> tuple[Tensor, Tensor]:
-    """Constants [rows, F] without the effect, and their change by each of its parameters [rows, F, n]."""
+) -> _Trims:
+    """Of these flights, without the effect and by each of its parameters."""
     dataset = replace(flights.dataset, identify=tuple(listed))
     null = model.theta.detach().clone()
     rows, base = trims_of_flights(model, null, dataset, flights.reconstruction)
@@ -107,4 +157,4 @@ def _lines(
         changes.append((other - base) / (parameter.typical - parameter.value) / unit)
     with torch.no_grad():
         model.theta.copy_(null)
-    return base / unit, torch.stack(changes, dim=-1)
+    return _Trims(base / unit, torch.stack(changes, dim=-1))

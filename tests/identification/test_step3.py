@@ -196,3 +196,11 @@ def test_flights_of_different_lengths_share_a_batch():
     assert bool(batch.states[i, short:].isnan().all())
     assert torch.equal(batch.controls[i, short:], batch.controls[i, short - 1].expand(batch.samples - short, -1))
     assert bool(batch.outputs[i, :short].isfinite().all())
+
+
+def test_a_state_whose_channel_a_flight_lacks_is_not_made_up():
+    vehicle = linear_vehicle(effects=("environment.wind",), reference={"psi": 0.3, "environment.wind.psi": 0.3})
+    data = flown(linear_vehicle(), manoeuvres(8.0, DT), DT, noise=0.02, seed=2)
+    states = records(vehicle, data, reconstruct(data)).states
+    assert states[..., vehicle.layout.names.index("environment.wind.psi")].isnan().all()
+    assert states[..., : len(vehicle.body.states)].isfinite().all()

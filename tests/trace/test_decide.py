@@ -61,7 +61,7 @@ def fitted(cost: float, free_runs: tuple[float, ...], error: float = 0.01, value
 
 def screening() -> Any:
     signature = SimpleNamespace(effect="forces.drag", parameter="forces.drag.x", null=0.0)
-    return SimpleNamespace(signatures=(signature,), scatter=lambda effect: {"forces.drag.x": 0.001})
+    return SimpleNamespace(signatures=(signature,))
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def screening() -> Any:
     ],
 )
 def test_free_runs_of_unseen_flights_decide_too(candidate: Any, reason: str | None):
-    said = objection(fitted(2.0, (0.1, 0.1)), candidate, "forces.drag", 0.1, screening())
+    said = objection(fitted(2.0, (0.1, 0.1)), candidate, "forces.drag", 0.1, screening(), {"forces.drag.x": 0.001})
     assert (said is None) if reason is None else reason in (said or "")
 
 
