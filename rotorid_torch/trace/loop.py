@@ -30,9 +30,9 @@ from rotorid_torch.trace.decide import (
 )
 from rotorid_torch.trace.finding import Finding, Unknown
 from rotorid_torch.trace.fits import Fitted, Flights, refit
-from rotorid_torch.trace.floor import Floors, Null
+from rotorid_torch.trace.floor import Floors, Null, family_wise
 from rotorid_torch.trace.places import explained_trims
-from rotorid_torch.trace.residual import left_over, scan
+from rotorid_torch.trace.residual import chance, left_over, scan
 from rotorid_torch.trace.screen import Screen, screen
 from rotorid_torch.trace.significance import helps
 from rotorid_torch.trace.spread import fits
@@ -297,7 +297,8 @@ def trace(
         without = tuple(e for e in null.spec.effects if e not in placed)
         null = refit(msgspec.structs.replace(null.spec, effects=without), flights, null.values, held)
     search.compare_controls(final, accepted)
-    missing, before = (_missing(model, flights, search.floors) for model in (final, null))
+    missing = _missing(final, accepted, flights, search.floors, seed)
+    before = _missing(null, (), flights, search.floors, seed)
     findings += _told(search, final, structure, accepted, undeclared, first, usual)
     return Tracing(
         null,
@@ -318,13 +319,15 @@ def _of_effects(values: Mapping[str, float], effects: Collection[str]) -> dict[s
     return {n: v for n, v in values.items() if any(n.startswith(f"{e}.") for e in effects)}
 
 
-def _missing(fitted: Fitted, flights: Flights, floors: Floors) -> Unknown | None:
-    """What a model leaves over without a name."""
+def _missing(fitted: Fitted, accepted: Sequence[str], flights: Flights, floors: Floors, seed: int) -> Unknown | None:
+    """What a model leaves over without a name, beyond clean aircraft and beyond chance."""
     over, unseen = (
-        left_over(fitted.model, flights.dataset, flights.reconstruction, listed)
+        left_over(fitted.model, flights.dataset, flights.reconstruction, listed, accepted)
         for listed in (flights.dataset.identify, flights.dataset.unseen)
     )
-    return unknown(scan(over), floors.of_traces(), over, unseen)
+    by_chance = family_wise(chance(over, seed))
+    levels = {row: max(floor, by_chance[row]) for row, floor in floors.of_traces().items()}
+    return unknown(scan(over), levels, over, unseen)
 
 
 def _told(

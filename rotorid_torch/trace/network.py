@@ -23,7 +23,7 @@ from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.decide import gain, unseen_gain
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.fits import SEGMENT_S, Fitted, Flights, Residual, refit
-from rotorid_torch.trace.residual import RATE, SMOOTH_S, LeftOver, left_over
+from rotorid_torch.trace.residual import ALIKE_S, RATE, LeftOver, left_over
 from rotorid_torch.trace.significance import helps
 
 STARTS = 2
@@ -211,7 +211,7 @@ class _Misfit:
         frame, _ = self.effect(self.seen, weights.new_zeros(len(self.residual), 0), values)
         left = self.residual - torch.cat([part for part in (frame.force, frame.moment) if part is not None], dim=-1)
         left = left - self.basis @ (self.basis.mT @ left)
-        return 0.5 * len(left) / (SMOOTH_S * RATE) * left.square().mean(dim=0).log().sum()
+        return 0.5 * len(left) / (ALIKE_S * RATE) * left.square().mean(dim=0).log().sum()
 
 
 def drawn_turn(fitted: Fitted, chance: torch.Generator) -> Turn:

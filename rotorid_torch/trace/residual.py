@@ -17,18 +17,23 @@ from torch import Tensor
 from rotorid_torch.core.names import FORCES, MOMENTS
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.identification.reconstruct import Reconstruction
-from rotorid_torch.identification.step2 import measured
-from rotorid_torch.identification.step3 import averaged
+from rotorid_torch.identification.step2 import Measured, measured
 from rotorid_torch.model.model import Model
 
 RATE = 20.0
-"""Hz: records are averaged down to this; the body moves below a fifth of it."""
+"""Hz: records are taken at no less than this; the body moves below a fifth of it."""
 ONSET_S = 0.5
 """Steps in which the beginning of something new is looked for, s."""
 EDGE_S = 2.0
 """Something that begins within this of a flight's ends is not told from a manoeuvre, s."""
-SMOOTH_S = 0.25
-"""Moments are averaged over this: rates differentiated are noise above."""
+SMOOTH_S = 0.4
+"""Width of the smoothing of all records, s: rates differentiated are noise, and lines of the rotor would fold."""
+ALIKE_S = SMOOTH_S / 1.5
+"""What smoothing makes one sample of, s: a Hann window's noise bandwidth is 1.5 over its width."""
+MOVED = 1e-2
+"""Share of its typical size by which a parameter is moved for what the residuals change by."""
+SHUFFLES = 60
+"""Residuals turned in time: the least weight that what goes with nothing reaches by chance."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +62,7 @@ class LeftOver:
     """Equations' residuals [N, rows] of all flights in one column, and what may go with them [N, k].
 
     linear : what linear terms and a constant of each flight take up. flight : the flight of each sample [N].
+    named : how the residuals change with each parameter of effects that have a name [N, rows, n].
     """
 
     rows: tuple[str, ...]
@@ -66,42 +72,74 @@ class LeftOver:
     time: Tensor
     linear: Tensor
     flight: Tensor
+    named: Tensor
 
     @property
     def usual(self) -> Tensor:
         """Rms of each signal [k]."""
         return self.signals.square().mean(dim=0).sqrt().clamp_min(1e-300)
 
-    def beyond(self, values: Tensor) -> Tensor:
-        """Columns [N, m] less what linear terms take up."""
-        basis = torch.linalg.qr(self.linear).Q
+    def beyond(self, values: Tensor, row: int) -> Tensor:
+        """Columns [N, m] less what linear terms of an equation, and other sizes of named effects, take up."""
+        basis = torch.linalg.qr(torch.cat([self.linear, self.named[:, row]], dim=1)).Q
         return values - basis @ (basis.mT @ values)
 
 
-def left_over(model: Model, dataset: Dataset, reconstruction: Reconstruction, flights: Sequence[str]) -> LeftOver:
-    """Residuals of a model's forces and moments on flights, and the signals they may go with."""
-    residuals, columns, times, constants = [], [], [], []
-    rows = tuple(FORCES + MOMENTS)
+def left_over(
+    model: Model, dataset: Dataset, reconstruction: Reconstruction, flights: Sequence[str], effects: Sequence[str] = ()
+) -> LeftOver:
+    """Residuals of a model's forces and moments on flights, and the signals they may go with.
+
+    effects : those of the model with a name; what their parameters' errors leave is theirs.
+    """
+    residuals, changes, columns, times, constants = [], [], [], [], []
     names: tuple[str, ...] = ()
     for k, name in enumerate(flights):
         seen = measured(model, dataset, reconstruction, name)
         dt = dataset.facts[name].dt
-        every = max(1, round(1.0 / (dt * RATE)))
-        forces = _modelled(model, seen.signals)
+        every, width = max(1, round(1.0 / (dt * RATE))), max(1, round(SMOOTH_S / dt))
         names = tuple(n for n in (*model.body.states, *model.body.controls) if n in seen.signals)
         signals = torch.stack([seen.signals[n] - model.reference.get(n, 0.0) for n in names], dim=-1)
-        time = dt * torch.arange(len(signals), dtype=torch.float64)
-        residual = averaged(seen.specific - forces, every)
-        residuals.append(_smooth(residual.nan_to_num(0.0), max(1, round(SMOOTH_S * RATE))))
-        columns.append(averaged(signals, every))
-        times.append(averaged(time[:, None], every)[:, 0])
+        residual = _residual(model, seen)
+        moved = [
+            residual - _residual(model, measured(model, dataset, reconstruction, name)) for _ in _moved(model, effects)
+        ]
+        residuals.append(_smooth(residual, width)[::every])
+        changes.append([_smooth(one, width)[::every] for one in moved])
+        columns.append(_smooth(signals, width)[::every])
+        times.append(dt * torch.arange(len(signals), dtype=torch.float64)[::every])
         own = torch.zeros(len(columns[-1]), len(flights), dtype=torch.float64)
         own[:, k] = 1.0
         constants.append(own)
-    signals = torch.cat(columns)
-    own = torch.cat(constants)
-    linear = torch.cat([signals, own], dim=1)
-    return LeftOver(rows, torch.cat(residuals), names, signals, torch.cat(times), linear, own.argmax(dim=1))
+    signals, residual, own = torch.cat(columns), torch.cat(residuals), torch.cat(constants)
+    named = [torch.cat(one) for one in zip(*changes, strict=True)]
+    return LeftOver(
+        tuple(FORCES + MOMENTS),
+        residual,
+        names,
+        signals,
+        torch.cat(times),
+        torch.cat([signals, own], dim=1),
+        own.argmax(dim=1),
+        torch.stack(named, dim=-1) if named else residual.new_zeros(*residual.shape, 0),
+    )
+
+
+def _moved(model: Model, effects: Sequence[str]) -> Iterator[None]:
+    """The model with one free parameter of these effects after the other moved a little, and back again."""
+    before = model.theta.detach().clone()
+    for i, parameter in enumerate(model.parameter_set.parameters):
+        if parameter.free and any(parameter.name.startswith(f"{e}.") for e in effects):
+            with torch.no_grad():
+                model.theta[i] += MOVED * (abs(parameter.typical - parameter.value) or 1.0)
+            yield
+            with torch.no_grad():
+                model.theta.copy_(before)
+
+
+def _residual(model: Model, seen: Measured) -> Tensor:
+    """Forces and moments that step 1 found less those of the model [T, 6], zero where there are none."""
+    return (seen.specific - _modelled(model, seen.signals)).nan_to_num(0.0)
 
 
 def _modelled(model: Model, signals: Mapping[str, Tensor]) -> Tensor:
@@ -116,24 +154,53 @@ def _modelled(model: Model, signals: Mapping[str, Tensor]) -> Tensor:
 
 
 def _smooth(records: Tensor, width: int) -> Tensor:
-    """Running mean over a few samples [T, n]."""
-    kernel = torch.ones(1, 1, width, dtype=torch.float64) / width
+    """Records [T, n] by a Hann window of so many samples, held at the ends."""
+    kernel = torch.hann_window(width + 2, periodic=False, dtype=torch.float64)[1:-1]
     padded = torch.nn.functional.pad(records.mT[:, None], (width // 2, width - 1 - width // 2), mode="replicate")
-    return torch.nn.functional.conv1d(padded, kernel)[:, 0].mT
+    return torch.nn.functional.conv1d(padded, (kernel / kernel.sum())[None, None])[:, 0].mT
 
 
 def scan(left: LeftOver) -> dict[str, Trace]:
     """The best trace of each equation."""
-    names, columns = zip(*_shapes(left, left.usual), *_onsets(left), strict=True)
-    tried = left.beyond(torch.stack(columns, dim=-1))
-    residual = left.beyond(left.residual) / len(left.residual) ** 0.5
-    sizes = ((tried / tried.norm(dim=0).clamp_min(1e-300)).mT @ residual).abs()
-    shares = (sizes / residual.norm(dim=0).clamp_min(1e-300)).square()
-    best = sizes.argmax(dim=0).tolist()
-    return {
-        row: Trace(*names[i], size=float(sizes[i, k]), share=float(shares[i, k]))
-        for k, (row, i) in enumerate(zip(left.rows, best, strict=True))
-    }
+    names, columns = _tried(left)
+    return {row: _best(names, *_fitted(left, columns, left.residual[:, k, None], k)) for k, row in enumerate(left.rows)}
+
+
+def chance(left: LeftOver, seed: int) -> dict[str, Tensor]:
+    """Weight of the best trace of each equation in residuals of the same colour that know nothing of the motion [R].
+
+    Each flight's residual is turned in time as one record, all equations alike, and its sign drawn.
+    """
+    columns, generator = _tried(left)[1], torch.Generator().manual_seed(seed)
+    parts = [left.residual[left.flight == f] for f in left.flight.unique()]
+    turned = torch.stack([torch.cat([_turned(p, generator) for p in parts]) for _ in range(SHUFFLES)], dim=-1)
+    found = {row: _fitted(left, columns, turned[:, k], k) for k, row in enumerate(left.rows)}
+    return {row: (sizes * shares.sqrt()).amax(dim=0) for row, (sizes, shares) in found.items()}
+
+
+def _turned(record: Tensor, generator: torch.Generator) -> Tensor:
+    """A record [T, n] from another time on, what was before at its end; its sign drawn."""
+    turn, sign = (int(torch.randint(0, most, (), generator=generator)) for most in (len(record), 2))
+    return (2.0 * sign - 1.0) * record.roll(turn, dims=0)
+
+
+def _tried(left: LeftOver) -> tuple[list[Named], Tensor]:
+    """All that something may go with, and its columns [N, m]."""
+    named = [*_shapes(left, left.usual), *_onsets(left)]
+    return [name for name, _ in named], torch.stack([column for _, column in named], dim=-1)
+
+
+def _fitted(left: LeftOver, columns: Tensor, residual: Tensor, row: int) -> tuple[Tensor, Tensor]:
+    """Rms that each column explains of residuals [N, r] of an equation, and its share of their squares: [m, r]."""
+    tried, over = left.beyond(columns, row), left.beyond(residual, row) / len(residual) ** 0.5
+    sizes = ((tried / tried.norm(dim=0).clamp_min(1e-300)).mT @ over).abs()
+    return sizes, (sizes / over.norm(dim=0).clamp_min(1e-300)).square()
+
+
+def _best(names: Sequence[Named], sizes: Tensor, shares: Tensor) -> Trace:
+    """What explains most."""
+    i = int(sizes.argmax())
+    return Trace(*names[i], size=float(sizes[i, 0]), share=float(shares[i, 0]))
 
 
 def column(trace: Trace, left: LeftOver, usual: Tensor) -> Tensor:
@@ -142,11 +209,11 @@ def column(trace: Trace, left: LeftOver, usual: Tensor) -> Tensor:
     return columns.get((trace.goes_with, trace.shape, trace.since_s), torch.zeros_like(left.time))
 
 
-Named = tuple[tuple[str, str, float | None], Tensor]
-"""What something goes with, how, since when; and its column [N]."""
+Named = tuple[str, str, float | None]
+"""What something goes with, how, since when."""
 
 
-def _shapes(left: LeftOver, usual: Tensor) -> Iterator[Named]:
+def _shapes(left: LeftOver, usual: Tensor) -> Iterator[tuple[Named, Tensor]]:
     """What the motion and the controls, of usual sizes [k], make beyond linear terms."""
     for i, j in combinations_with_replacement(range(len(left.names)), 2):
         a, b = left.signals[:, i], left.signals[:, j]
@@ -158,7 +225,7 @@ def _shapes(left: LeftOver, usual: Tensor) -> Iterator[Named]:
             yield (f"{left.names[i]} {left.names[j]}", "by their product", None), a * b
 
 
-def _onsets(left: LeftOver) -> Iterator[Named]:
+def _onsets(left: LeftOver) -> Iterator[tuple[Named, Tensor]]:
     """What begins at some time and goes on linearly."""
     end = float(left.time.max())
     for onset in torch.arange(EDGE_S, end - EDGE_S, ONSET_S, dtype=torch.float64).tolist():

@@ -49,7 +49,7 @@ def _holds(trace: Trace, row: str, left: LeftOver, unseen: LeftOver) -> bool:
     """
     k = left.rows.index(row)
     (tried, known), (new, before) = (
-        (side.beyond(column(trace, side, left.usual)[:, None])[:, 0], side.beyond(side.residual)[:, k])
+        side.beyond(torch.stack([column(trace, side, left.usual), side.residual[:, k]], dim=-1), k).unbind(-1)
         for side in (left, unseen)
     )
     after = before - (tried @ known) / (tried @ tried) * new

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from torch import Tensor
 
-from rotorid_torch.trace.residual import LeftOver, scan
+from rotorid_torch.trace.residual import LeftOver, chance, scan
 from rotorid_torch.trace.unexplained import unknown
 
 ROWS = ("X", "Y", "Z", "L", "M", "N")
@@ -24,7 +26,8 @@ def left(row: str, extra: Tensor | None, noise: float = 0.05) -> LeftOver:
         residual[:, ROWS.index(row)] += extra
     time = STEP * torch.arange(SAMPLES, dtype=torch.float64).repeat(FLIGHTS)
     own = torch.eye(FLIGHTS, dtype=torch.float64).repeat_interleave(SAMPLES, 0)
-    return LeftOver(ROWS, residual, NAMES, signals, time, torch.cat([signals, own], dim=1), own.argmax(dim=1))
+    linear, none = torch.cat([signals, own], dim=1), residual.new_zeros(*residual.shape, 0)
+    return LeftOver(ROWS, residual, NAMES, signals, time, linear, own.argmax(dim=1), none)
 
 
 @pytest.fixture
@@ -93,7 +96,23 @@ def test_what_begins_after_the_end_of_unseen_flights_cannot_be_told(signals: Ten
     time = STEP * torch.arange(SAMPLES, dtype=torch.float64).repeat(FLIGHTS)
     over = left("M", signals[:, 2] * (time >= 6.0))
     early = over.time < 5.0
-    short = LeftOver(
-        ROWS, over.residual[early], NAMES, signals[early], time[early], over.linear[early], over.flight[early]
-    )
+    kept = {n: getattr(over, n)[early] for n in ("residual", "signals", "time", "linear", "flight", "named")}
+    short = replace(over, **kept)
     assert unknown(scan(over), dict.fromkeys(ROWS, 0.1), over, short) is None
+
+
+def test_what_another_size_of_a_named_effect_explains_is_not_left_over(signals: Tensor):
+    product = signals[:, 1] * signals[:, 3]
+    over = left("L", product)
+    change = torch.zeros_like(over.residual)[..., None]
+    change[:, ROWS.index("L"), 0] = 0.1 * product
+    assert scan(over)["L"].size > 0.5
+    assert scan(replace(over, named=change))["L"].size < 0.05
+
+
+def test_chance_reaches_what_nothing_explains_and_falls_short_of_what_something_does(signals: Tensor):
+    nothing, over = left("L", None), left("L", 0.2 * signals[:, 1] * signals[:, 3])
+    level = {row: float(weights.quantile(0.99)) for row, weights in chance(nothing, 0).items()}
+    assert all(trace.weight < 1.5 * level[row] for row, trace in scan(nothing).items())
+    assert scan(over)["L"].weight > float(chance(over, 0)["L"].max())
+    assert all(torch.equal(a, b) for a, b in zip(chance(over, 3).values(), chance(over, 3).values(), strict=True))
