@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pytest
@@ -85,3 +87,22 @@ def test_play_swallows_a_turn_and_then_drags():
         hard.append(y)
     assert float((found - torch.tensor(hard, dtype=torch.float64)).abs().max()) < 0.12 * 0.02
     assert torch.equal(with_play(record, one(0.0)), record)
+
+
+@pytest.mark.parametrize(("follow", "value"), [(partial(rate_limited, dt=DT), 0.03), (with_play, 1.0)])
+def test_derivatives_by_limit_and_play_are_those_of_the_whole_record(follow: Callable[..., Tensor], value: float):
+    path = partial(follow, noise(40, 2).cumsum(0))
+    at = torch.tensor([[value, 1.3 * value], [0.7 * value, value]], dtype=torch.float64)
+    step = torch.tensor([[1.0, -2.0], [0.5, 1.0]], dtype=torch.float64)
+    differences = (path(at + 1e-6 * step) - path(at - 1e-6 * step)) / 2e-6
+    forward = torch.func.jvp(path, (at,), (step,))[1]
+    torch.testing.assert_close(forward, differences, atol=1e-5, rtol=1e-5)
+    _, back, *_ = torch.func.vjp(path, at)
+    torch.testing.assert_close((back(torch.ones_like(forward))[0] * step).sum(), forward.sum())
+    torch.testing.assert_close((torch.func.jacfwd(path)(at) * step).sum((-1, -2)), forward)
+
+
+def test_a_record_of_one_sample_is_where_it_begins():
+    record = noise(1, 2)
+    assert torch.equal(rate_limited(record, one(3.0), DT), record)
+    assert torch.equal(with_play(record, one(0.1)), record)
