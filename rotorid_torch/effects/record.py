@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from torch.func import jvp
 
 SHARPNESS = 8
 """Power of the smooth switches: a rate at its limit is cut to 0.92 of it, one at half the limit by 0.05 %."""
@@ -19,6 +18,10 @@ EDGE = 32
 """Power of the smooth edges of a play: softer ones would creep from sample to sample."""
 NOTHING = 1e-12
 """Keeps a quotient of a play and of what lies in it from being nothing over nothing."""
+
+
+SETTLED = 1e-14
+"""Change of a followed record, over the largest number in it, that is nothing but rounding."""
 
 
 def shifted(record: Tensor, delay: Tensor, dt: float) -> Tensor:
@@ -69,10 +72,11 @@ def rate_limited(record: Tensor, inverse: Tensor, dt: float) -> Tensor:
     Source: Klyde and Mitchell (2004), J. Guidance 27 (rate-limiting elements); the smoothing is ours.
     """
 
-    def follow(y: Tensor, u: Tensor, inverse: Tensor) -> Tensor:
+    def follow(y: Tensor, u: Tensor, inverse: Tensor) -> tuple[Tensor, Tensor]:
         d = u - y
         speed = (inverse * d / dt).square()
-        return u - d * (1.0 - (1.0 + speed.square().square()) ** (-1.0 / SHARPNESS))
+        g = (1.0 + speed.square().square()) ** (-1.0 / SHARPNESS)
+        return u - d * (1.0 - g), 1.0 - g ** (SHARPNESS + 1)
 
     return _followed(record, inverse, follow)
 
@@ -80,52 +84,59 @@ def rate_limited(record: Tensor, inverse: Tensor, dt: float) -> Tensor:
 def with_play(record: Tensor, width: Tensor) -> Tensor:
     """The record passed through a linkage with a play of this width, from the middle of it; edges are smoothed.
 
-    y[k] = u[k] - d h/(h^32 + d^32)^(1/32), d = u[k] - y[k-1], h half the width. Deep inside the play nothing moves;
-    near its edge the sample creeps back, to 0.9 of the play within tens of samples.
+    y[k] = u[k] - d g, g = h/(h^32 + d^32)^(1/32), d = u[k] - y[k-1], h half the width. Deep inside the play nothing
+    moves; near its edge the sample creeps back, to 0.9 of the play within tens of samples.
 
     Source: Nordin and Gutman (2002), Automatica 38 (backlash as a hysteresis); the smoothing is ours.
     """
 
-    def follow(y: Tensor, u: Tensor, width: Tensor) -> Tensor:
+    def follow(y: Tensor, u: Tensor, width: Tensor) -> tuple[Tensor, Tensor]:
         half, d = 0.5 * width, u - y
         large = torch.maximum(d.abs(), half).clamp(min=NOTHING)
         share = torch.minimum(d.abs(), half) / large
         for _ in range(5):
             share = share.square()
-        return u - d * half / large * (1.0 + share) ** (-1.0 / EDGE)
+        g = half / large * (1.0 + share) ** (-1.0 / EDGE)
+        return u - d * g, g ** (EDGE + 1)
 
     return _followed(record, width, follow)
 
 
-Follow = Callable[[Tensor, Tensor, Tensor], Tensor]
-"""y[k] by y[k-1], u[k] and the parameter."""
+Follow = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
+"""y[k] by y[k-1], u[k] and the parameter, and its derivative by y[k-1]."""
 
 
 def _followed(record: Tensor, parameter: Tensor, follow: Follow) -> Tensor:
     """y[k] = follow(y[k-1], u[k], parameter) from y[0] = u[0].
 
-    The record is followed sample by sample without derivatives; these come from all samples at once, linear about what
-    was found: value and first derivatives are exact, and a derivative costs as little as the record itself.
+    All samples at once, by Newton's method on the whole record; the last step, from where the record is already
+    followed, gives exact first derivatives.
     """
-    before = _Followed.apply(record, parameter, follow)[..., : record.shape[-2] - 1, :]
-    parameter = parameter.unsqueeze(-2)
-    first, here = record[..., :1, :] + 0.0 * parameter, record[..., 1:, :]
-    slope = jvp(lambda y: follow(y, here, parameter), (before,), (torch.ones_like(before),))[1].detach()
-    after = follow(before, here, parameter) - slope * before
-    return _summed(torch.cat([torch.zeros_like(first), slope], dim=-2), torch.cat([first, after], dim=-2))
+    found = _Followed.apply(record, parameter, follow)
+    return _newton(found, record, parameter.unsqueeze(-2), follow)
+
+
+def _newton(y: Tensor, record: Tensor, parameter: Tensor, follow: Follow) -> Tensor:
+    """The record followed with every sample's step linear about y."""
+    first, here, before = record[..., :1, :] + 0.0 * parameter, record[..., 1:, :], y[..., :-1, :]
+    after, slope = follow(before, here, parameter)
+    slope = slope.detach()
+    factor = torch.cat([torch.zeros_like(first), slope], dim=-2)
+    return _summed(factor, torch.cat([first, after - slope * before], dim=-2))
 
 
 class _Followed(torch.autograd.Function):
-    """y[k-1] of every sample but the first, a constant for all derivatives."""
-
-    generate_vmap_rule = True
+    """The record as it is followed, a constant for all derivatives."""
 
     @staticmethod
     def forward(record: Tensor, parameter: Tensor, follow: Follow) -> Tensor:
-        rows = [record[..., 0, :] + 0.0 * parameter]
-        for u in record.unbind(-2)[1:-1]:
-            rows.append(follow(rows[-1], u, parameter))
-        return torch.stack(rows, dim=-2)
+        parameter = parameter.unsqueeze(-2)
+        y = record + 0.0 * parameter
+        for _ in range(record.shape[-2]):  # each settles at least one more sample; a few settle all
+            y, before = _newton(y, record, parameter, follow), y
+            if bool(((y - before).abs() <= SETTLED * record.abs().amax()).all()):
+                break
+        return y
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
