@@ -159,6 +159,7 @@ def fit(
     settings: Settings | None = None,
     monitor: Monitor | None = None,
     ranks: Ranks = ALONE,
+    states: Tensor | None = None,
 ) -> Fit:
     """Maximum-likelihood estimate of a system's free parameters from records, stage by stage.
 
@@ -170,10 +171,11 @@ def fit(
     theta : [P] start, the system's own values by default.
     monitor : called after each accepted step of every stage with iteration (counted through), cost, theta.
     ranks : among which the flights are spread; `records` are this rank's, the rest is the same at each.
+    states : [F, T, nx] from which initial states start, NaN where nothing is known; those of the records by default.
     """
     settings = settings or Settings()
     stages = _Stages(system, records, settings, monitor, ranks)
-    theta, states = system.theta if theta is None else theta, records.states
+    theta, states = system.theta if theta is None else theta, records.states if states is None else states
     best, samples, rough = None, stages.first(theta), False
     theta = stages.flyable(theta, samples)
     while samples is not None:

@@ -66,5 +66,5 @@ def by_control(final: Fitted, effect: str, held: Sequence[str]) -> ByControl | N
         return None
     free = {**final.spec.free, common.name: False, **dict.fromkeys(own.values(), True)}
     start = {**final.values, common.name: common.value, **dict.fromkeys(own.values(), final.values[common.name])}
-    found = refit(msgspec.structs.replace(final.spec, free=free), final.flights, start, held)
+    found = refit(msgspec.structs.replace(final.spec, free=free), final.flights, start, held, near=final)
     return ByControl(common.name, common.unit, {c: (found.values[n], found.error(n)) for c, n in own.items()})

@@ -34,6 +34,8 @@ SEGMENT_S = 5.0
 """Length of the segments that all models are compared on, s."""
 CAREFUL = Options(max_iterations=25, tolerance=1e-6, absolute=0.5)
 """Of every fit that is compared: differences that matter are hundreds of times larger."""
+BEGINNING = replace(CAREFUL, max_iterations=8, damping=1e-2)
+"""Of fits from several starts, of which the best goes on."""
 SETTLING = 3
 """Gauss-Newton steps for the initial states of flights that no fit has seen."""
 
@@ -129,28 +131,42 @@ def refit(
     held: Sequence[str] = (),
     lengths: tuple[float, ...] = (SEGMENT_S,),
     options: Options = CAREFUL,
+    near: Fitted | None = None,
 ) -> Fitted:
     """The model of a spec fitted from a start; parameters that the start does not know begin at their declared values.
 
-    held : parameters that keep their start.
+    held : parameters that keep their start. near : a fit whose trajectories initial states start from.
     """
     model = build(spec)
     model.start_from(start)
-    known = model.parameter_set
-    names = tuple(n for n in known.free if n not in held)
-    places = [known.index(n) for n in names]
+    numbers = model.parameter_set
+    names = tuple(n for n in numbers.free if n not in held)
+    places = [numbers.index(n) for n in names]
     settings = stages.Settings(
         floor=sensor_noise(model, flights.dataset),
         lengths=lengths,
-        prior_mean=known.values[places],
-        prior_sd=known.prior_sd[places],
+        prior_mean=numbers.values[places],
+        prior_sd=numbers.prior_sd[places],
         x0_sd=initial_spread(model),
         options=options,
     )
-    found = stages.fit(System(model, names), flights.records(model, flights.dataset.identify), settings=settings)
+    known = flights.records(model, flights.dataset.identify)
+    states = None if near is None else _followed(near, model, known.states)
+    found = stages.fit(System(model, names), known, settings=settings, states=states)
     with torch.no_grad():
         model.theta[places] = found.theta
     return Fitted(spec, model, names, found, flights)
+
+
+def _followed(near: Fitted, model: Model, states: Tensor) -> Tensor:
+    """States [F, T, nx] of a model's records, as a fit of another one follows them where both have them."""
+    fit, own = near.fit, [s.name for s in near.model.layout.states]
+    followed = fit.likelihood.states_at(fit.minimum.point, fit.likelihood.records.states)
+    shared = [(k, own.index(s.name)) for k, s in enumerate(model.layout.states) if s.name in own]
+    states = states.clone()
+    for here, there in shared:
+        states[..., here] = followed[..., there]
+    return states
 
 
 def _unseen(fitted: Fitted) -> Residual:

@@ -29,19 +29,22 @@ from rotorid_torch.trace.decide import (
     unseen_gain,
 )
 from rotorid_torch.trace.finding import Finding, Unknown
-from rotorid_torch.trace.fits import Fitted, Flights, refit
+from rotorid_torch.trace.fits import BEGINNING, CAREFUL, Fitted, Flights, refit
 from rotorid_torch.trace.floor import Floors, Null, family_wise
+from rotorid_torch.trace.forces import seen_in_forces
 from rotorid_torch.trace.places import explained_trims
 from rotorid_torch.trace.residual import chance, left_over, scan
 from rotorid_torch.trace.screen import Screen, screen
 from rotorid_torch.trace.significance import helps
-from rotorid_torch.trace.spread import fits
+from rotorid_torch.trace.spread import Wanted, fits
 from rotorid_torch.trace.unexplained import unknown
 
 FEW = 4
 """Candidates that are fitted in full in one round, those that explain most."""
 ROUNDS = 4
 """Undeclared effects that may join, at most."""
+LONGEST = 4
+"""Times that a fit may go on, at most."""
 ROTOR = ("rotor.flap_second_order", "rotor.lead_lag")
 """Structure that every rotor has where it can be tested: in the null of all candidates from the start."""
 UNDRAWN = "floors come from shuffled residuals alone: clean aircraft are drawn in still air, far from the ground"
@@ -112,12 +115,27 @@ class _Search:
         """These effects against what a model leaves over."""
         return screen(null, effects, seed=self.seed)
 
-    def with_each(self, null: Fitted, effects: Sequence[str], screened: Screen) -> dict[str, Fitted]:
-        """The null with one more effect, for each of these, fitted from the size that the screen saw."""
-        richer = [msgspec.structs.replace(null.spec, effects=(*null.spec.effects, e)) for e in effects]
-        starts = [{**null.values, **screened.sizes([e])} for e in effects]
-        found = fits(list(zip(richer, starts, strict=True)), self.flights, self.held, self.ranks)
-        return dict(zip(effects, found, strict=True))
+    def with_each(
+        self, null: Fitted, starts: Mapping[str, Sequence[Mapping[str, float]]], floors: Mapping[str, float]
+    ) -> dict[str, Fitted]:
+        """The null with one more effect, for each of these, fitted in full; of several starts the best goes on."""
+        richer = {e: msgspec.structs.replace(null.spec, effects=(*null.spec.effects, e)) for e in starts}
+        begun = [(e, Wanted(richer[e], {**null.values, **start}, null)) for e, own in starts.items() for start in own]
+        fitted: dict[str, Fitted] = {}
+        for (e, _), one in zip(begun, fits([w for _, w in begun], self.held, BEGINNING, self.ranks), strict=True):
+            fitted[e] = min(fitted.get(e, one), one, key=lambda f: f.cost)
+        return self.gone_on(fitted, floors)
+
+    def gone_on(self, fitted: Mapping[str, Fitted], least: Mapping[str, float]) -> dict[str, Fitted]:
+        """Fits gone on with until they have converged, or gain no more than the least that matters to each."""
+        now, going = dict(fitted), list(fitted)
+        for _ in range(LONGEST):
+            going = [name for name in going if not now[name].fit.minimum.converged]
+            wanted = [Wanted(now[name].spec, now[name].values, now[name]) for name in going]
+            longer = dict(zip(going, fits(wanted, self.held, CAREFUL, self.ranks), strict=True))
+            going = [name for name, one in longer.items() if gain(now[name], one) > least[name]]
+            now |= {name: one for name, one in longer.items() if gain(now[name], one) > 0.0}
+        return now
 
     def why(self, structural: str) -> str:
         """Why a structural effect is in the model."""
@@ -130,7 +148,7 @@ class _Search:
         if not fitted:
             return null
         best = max(fitted.values(), key=lambda f: gain(null, f))
-        again = refit(null.spec, self.flights, best.values, self.held)
+        again = refit(null.spec, self.flights, best.values, self.held, near=best)
         if gain(null, again) <= 0.0:
             return null
         self.say(f"the model without candidates gains {gain(null, again):.3g} per sample from a better start")
@@ -146,7 +164,7 @@ class _Search:
             spec = msgspec.structs.replace(null.spec, effects=(*null.spec.effects, effect))
             told = one.start if not self.placed else _of_effects(one.start, [effect])
             start = {n: v for n, v in told.items() if n not in self.held}
-            fitted = refit(spec, self.flights, {**null.values, **start}, self.held)
+            fitted = refit(spec, self.flights, {**null.values, **start}, self.held, near=null)
             screened = self.screened(null, [effect])
             floor = self.floors.chance(screened, [effect])[effect]
             against = objection(null, fitted, effect, floor, screened, one.scatter)
@@ -163,7 +181,7 @@ class _Search:
         if rotor:
             spec = msgspec.structs.replace(null.spec, effects=(*null.spec.effects, *rotor))
             sizes = screen(null, rotor, shuffles=0).sizes(rotor)
-            richer = refit(spec, self.flights, {**null.values, **sizes}, self.held)
+            richer = refit(spec, self.flights, {**null.values, **sizes}, self.held, near=null)
             self.asked_for = helps(unseen_gain(null, richer))
             if gain(null, richer) > 0.0:
                 self.say(f"structure: {' and '.join(rotor)} join, gain {gain(null, richer):.3g} per sample")
@@ -175,7 +193,7 @@ class _Search:
             best = max(rest, key=lambda e: screened.gain([e]))
             if screened.gain([best]) <= floors[best]:
                 break
-            fitted = self.with_each(null, [best], screened)[best]
+            fitted = self.with_each(null, {best: screened.starts(best)}, floors)[best]
             null = self.improved(null, {best: fitted})
             rest.remove(best)
             against = objection(null, fitted, best, floors[best], screened, screened.scatter(best))
@@ -192,8 +210,13 @@ class _Search:
             screened = self.screened(null, rest)
             floors = self.floors.of(screened, rest)
             promising = sorted((e for e in rest if screened.gain([e]) > floors[e]), key=lambda e: -screened.gain([e]))
-            self.hot.update(promising)
-            fitted = self.with_each(null, promising[:FEW], screened)
+            seen = seen_in_forces(null, accepted, rest, self.seed)
+            self.hot.update((*promising, *seen))
+            starts = {e: screened.starts(e) for e in promising[:FEW]}
+            starts |= {e: [*starts.get(e, []), start] for e, start in seen.items()}
+            if starts:  # what the null may still gain by itself is no candidate's
+                null = self.gone_on({"": null}, {"": min(floors[e] for e in starts)})[""]
+            fitted = self.with_each(null, starts, floors)
             better = self.improved(null, fitted)
             joined = self._joining(better, fitted, floors, screened)
             if joined is None and gain(null, better) <= min(floors.values(), default=0.0):
@@ -240,7 +263,7 @@ class _Search:
         for effect in list(accepted) if len(accepted) > 1 else []:
             others = tuple(e for e in final.spec.effects if e != effect)
             spec = msgspec.structs.replace(final.spec, effects=others)
-            without = refit(spec, self.flights, final.values, self.held)
+            without = refit(spec, self.flights, final.values, self.held, near=final)
             if gain(without, final) <= floors.get(effect, 0.0):
                 self.rejected[effect] = ("beside the others it explains nothing more", gain(without, final), {})
                 accepted.remove(effect)
@@ -295,7 +318,7 @@ def trace(
     final, accepted = search.confirmed(final, [*placed, *joined], known)
     if placed:  # the model before has the same structure
         without = tuple(e for e in null.spec.effects if e not in placed)
-        null = refit(msgspec.structs.replace(null.spec, effects=without), flights, null.values, held)
+        null = refit(msgspec.structs.replace(null.spec, effects=without), flights, null.values, held, near=null)
     search.compare_controls(final, accepted)
     missing = _missing(final, accepted, flights, search.floors, seed)
     before = _missing(null, (), flights, search.floors, seed)

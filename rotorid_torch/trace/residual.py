@@ -167,15 +167,20 @@ def scan(left: LeftOver) -> dict[str, Trace]:
 
 
 def chance(left: LeftOver, seed: int) -> dict[str, Tensor]:
-    """Weight of the best trace of each equation in residuals of the same colour that know nothing of the motion [R].
+    """Weight of the best trace of each equation in residuals that know nothing of the motion [R]."""
+    columns, residuals = _tried(left)[1], turned(left, seed)
+    found = {row: _fitted(left, columns, residuals[:, k], k) for k, row in enumerate(left.rows)}
+    return {row: (sizes * shares.sqrt()).amax(dim=0) for row, (sizes, shares) in found.items()}
+
+
+def turned(left: LeftOver, seed: int) -> Tensor:
+    """Residuals of the same colour that know nothing of the motion [N, rows, R].
 
     Each flight's residual is turned in time as one record, all equations alike, and its sign drawn.
     """
-    columns, generator = _tried(left)[1], torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(seed)
     parts = [left.residual[left.flight == f] for f in left.flight.unique()]
-    turned = torch.stack([torch.cat([_turned(p, generator) for p in parts]) for _ in range(SHUFFLES)], dim=-1)
-    found = {row: _fitted(left, columns, turned[:, k], k) for k, row in enumerate(left.rows)}
-    return {row: (sizes * shares.sqrt()).amax(dim=0) for row, (sizes, shares) in found.items()}
+    return torch.stack([torch.cat([_turned(p, generator) for p in parts]) for _ in range(SHUFFLES)], dim=-1)
 
 
 def _turned(record: Tensor, generator: torch.Generator) -> Tensor:

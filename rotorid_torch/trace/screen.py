@@ -118,6 +118,17 @@ class Screen:
         sizes = {s.parameter: s.null + float(a) * s.step for s, a in zip(chosen, found, strict=True)}
         return {name: value for i in which for name, value in self.signatures[i].beside} | sizes
 
+    def starts(self, effect: str) -> list[dict[str, float]]:
+        """Values from which a full fit of an effect may begin.
+
+        The best by the straight line; and where its other parameters are tried at several values, its typical size at
+        each, for there a line from nothing says little of what lies beyond.
+        """
+        variants = self._variants(effect) if any(s.beside for s in self.signatures if s.effect == effect) else []
+        own = [[self.signatures[i] for i in which] for which in variants]
+        typical = [{**dict(one[0].beside), **{s.parameter: s.typical for s in one}} for one in own]
+        return [self.sizes([effect]), *typical]
+
     def shown(self, effect: str) -> float:
         """Gain per sample that the effect at its typical size would bring, in its least visible direction."""
         return 0.5 * float(self.total.diagonal()[self.places([effect])].min()) / self.samples

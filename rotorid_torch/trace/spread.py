@@ -13,7 +13,7 @@ from rotorid_torch.core.ranks import Ranks
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification import stages
 from rotorid_torch.identification.engine import engine_for
-from rotorid_torch.identification.gauss_newton import Minimum
+from rotorid_torch.identification.gauss_newton import Minimum, Options
 from rotorid_torch.identification.likelihood import Likelihood, Place
 from rotorid_torch.identification.segments import cut
 from rotorid_torch.identification.sensitivity import Run
@@ -45,15 +45,22 @@ class _Told:
     floor: Tensor | None
 
 
-def fits(
-    wanted: Sequence[tuple[ModelSpec, Mapping[str, float]]], flights: Flights, held: Sequence[str], ranks: Ranks
-) -> list[Fitted]:
-    """`refit` for several specs, each from its start, spread over the ranks; to the last digit the same at all."""
+@dataclass(frozen=True)
+class Wanted:
+    """A fit to be made: of which spec, from which values, and near which fit."""
+
+    spec: ModelSpec
+    start: Mapping[str, float]
+    near: Fitted
+
+
+def fits(wanted: Sequence[Wanted], held: Sequence[str], options: Options, ranks: Ranks) -> list[Fitted]:
+    """`refit` of each, spread over the ranks; to the last digit the same at all."""
     return ranks.carry(
         wanted,
-        lambda one: refit(one[0], flights, one[1], held),
+        lambda one: refit(one.spec, one.near.flights, one.start, held, options=options, near=one.near),
         _told,
-        lambda one, told: _again(told, one[0], flights),
+        lambda one, told: _again(told, one.spec, one.near.flights),
     )
 
 

@@ -16,10 +16,10 @@ from rotorid_torch.identification.reconstruct import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace import multirotor
-from rotorid_torch.trace.fits import Flights, refit
+from rotorid_torch.trace.fits import CAREFUL, Flights, refit
 from rotorid_torch.trace.multirotor import Identified
 from rotorid_torch.trace.screen import screen
-from rotorid_torch.trace.spread import fits
+from rotorid_torch.trace.spread import Wanted, fits
 from tests.known_models import body_spec, flown, manoeuvres, rate_vehicle, scattered, with_values
 
 DT = 0.04
@@ -49,8 +49,8 @@ def test_a_fit_of_another_rank_is_the_same_fit(kept: bool, monkeypatch: pytest.M
     null = refit(propose(data, flights.reconstruction), flights, {})
     names = ("control.delay", "control.lag")
     specs = [msgspec.structs.replace(null.spec, effects=(name,)) for name in names]
-    wanted = [(spec, {**null.values, "control.delay.common": 0.05}) for spec in specs]
-    made, told = (fits(wanted, flights, ("forces.L.q",), ranks) for ranks in (ALONE, Others()))
+    wanted = [Wanted(spec, {**null.values, "control.delay.common": 0.05}, null) for spec in specs]
+    made, told = (fits(wanted, ("forces.L.q",), CAREFUL, ranks) for ranks in (ALONE, Others()))
     for one, other in zip(made, told, strict=True):
         assert other.spec == one.spec
         assert other.values == one.values
