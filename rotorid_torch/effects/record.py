@@ -20,6 +20,8 @@ NOTHING = 1e-12
 """Keeps a quotient of a play and of what lies in it from being nothing over nothing."""
 
 
+SWEEPS = 12
+"""Steps of Newton's method for a whole record, at most."""
 SETTLED = 1e-14
 """Change of a followed record, over the largest number in it, that is nothing but rounding."""
 
@@ -130,13 +132,15 @@ class _Followed(torch.autograd.Function):
 
     @staticmethod
     def forward(record: Tensor, parameter: Tensor, follow: Follow) -> Tensor:
-        parameter = parameter.unsqueeze(-2)
-        y = record + 0.0 * parameter
-        for _ in range(record.shape[-2]):  # each settles at least one more sample; a few settle all
-            y, before = _newton(y, record, parameter, follow), y
+        y = record + 0.0 * parameter.unsqueeze(-2)
+        for _ in range(SWEEPS):
+            y, before = _newton(y, record, parameter.unsqueeze(-2), follow), y
             if bool(((y - before).abs() <= SETTLED * record.abs().amax()).all()):
-                break
-        return y
+                return y
+        rows = [y[..., 0, :]]  # a record that turns round again and again at its limit: one sample after the other
+        for u in record.unbind(-2)[1:]:
+            rows.append(follow(rows[-1], u, parameter)[0])
+        return torch.stack(rows, dim=-2)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:

@@ -171,13 +171,15 @@ def fit(
     theta : [P] start, the system's own values by default.
     monitor : called after each accepted step of every stage with iteration (counted through), cost, theta.
     ranks : among which the flights are spread; `records` are this rank's, the rest is the same at each.
-    states : [F, T, nx] from which initial states start, NaN where nothing is known; those of the records by default.
+    states : [F, T, nx] from which initial states start, NaN where nothing is known; those of the records by default,
+        and where runs from these diverge.
     """
     settings = settings or Settings()
     stages = _Stages(system, records, settings, monitor, ranks)
-    theta, states = system.theta if theta is None else theta, records.states if states is None else states
+    theta = system.theta if theta is None else theta
     best, samples, rough = None, stages.first(theta), False
-    theta = stages.flyable(theta, samples)
+    if states is None or not math.isfinite(stages.open(theta, states, samples)[1].cost):
+        states, theta = records.states, stages.flyable(theta, samples)
     while samples is not None:
         rough = bool(stages.later(samples))
         problem, start = stages.open(theta, states, samples)

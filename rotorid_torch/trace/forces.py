@@ -58,8 +58,11 @@ def _explained(over: LeftOver, changes: Tensor, variant: Sequence[Signature], se
     """
     residuals = torch.cat([over.residual[..., None], turned(over, seed)], dim=-1)
     low, high = torch.tensor([one.reach for one in variant], dtype=torch.float64).mT[..., None]
-    tried = torch.stack([over.beyond(changes[:, k], k) for k in range(len(over.rows))])  # [rows, N, K]
-    left = torch.stack([over.beyond(residuals[:, k], k) for k in range(len(over.rows))])  # [rows, N, 1 + R]
+    rows = [k for k in range(len(over.rows)) if bool(over.residual[:, k].any())]  # where anything moved
+    if not rows:
+        return residuals.new_zeros(residuals.shape[-1]), residuals.new_zeros(len(variant))
+    tried = torch.stack([over.beyond(changes[:, k], k) for k in rows])  # [rows, N, K]
+    left = torch.stack([over.beyond(residuals[:, k], k) for k in rows])  # [rows, N, 1 + R]
     power = left.square().sum(dim=1)
     G = torch.einsum("rni,rnj,rc->cij", tried, tried, 1.0 / power)
     d = torch.einsum("rni,rnc,rc->ci", tried, left, 1.0 / power)

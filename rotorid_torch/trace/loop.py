@@ -143,12 +143,12 @@ class _Search:
             return "ordinary physics of every rotor; flights not fitted do not gain by it"
         return "ordinary physics that flights not fitted ask for"
 
-    def improved(self, null: Fitted, fitted: Mapping[str, Fitted]) -> Fitted:
+    def improved(self, null: Fitted, fitted: Mapping[str, Fitted], least: float) -> Fitted:
         """The null fitted again from where the best candidate ended: what it gains so is not the candidate's."""
         if not fitted:
             return null
         best = max(fitted.values(), key=lambda f: gain(null, f))
-        again = refit(null.spec, self.flights, best.values, self.held, near=best)
+        again = self.gone_on({"": refit(null.spec, self.flights, best.values, self.held, near=best)}, {"": least})[""]
         if gain(null, again) <= 0.0:
             return null
         self.say(f"the model without candidates gains {gain(null, again):.3g} per sample from a better start")
@@ -194,7 +194,7 @@ class _Search:
             if screened.gain([best]) <= floors[best]:
                 break
             fitted = self.with_each(null, {best: screened.starts(best)}, floors)[best]
-            null = self.improved(null, {best: fitted})
+            null = self.improved(null, {best: fitted}, floors[best])
             rest.remove(best)
             against = objection(null, fitted, best, floors[best], screened, screened.scatter(best))
             self.say(f"structure: {best}, gain {gain(null, fitted):.3g} per sample: {against or 'joins'}")
@@ -217,7 +217,7 @@ class _Search:
             if starts:  # what the null may still gain by itself is no candidate's
                 null = self.gone_on({"": null}, {"": min(floors[e] for e in starts)})[""]
             fitted = self.with_each(null, starts, floors)
-            better = self.improved(null, fitted)
+            better = self.improved(null, fitted, min(floors.values(), default=0.0))
             joined = self._joining(better, fitted, floors, screened)
             if joined is None and gain(null, better) <= min(floors.values(), default=0.0):
                 return better, accepted
@@ -263,8 +263,10 @@ class _Search:
         for effect in list(accepted) if len(accepted) > 1 else []:
             others = tuple(e for e in final.spec.effects if e != effect)
             spec = msgspec.structs.replace(final.spec, effects=others)
+            least = floors.get(effect, 0.0)
             without = refit(spec, self.flights, final.values, self.held, near=final)
-            if gain(without, final) <= floors.get(effect, 0.0):
+            without = self.gone_on({effect: without}, {effect: least})[effect]
+            if gain(without, final) <= least:
                 self.rejected[effect] = ("beside the others it explains nothing more", gain(without, final), {})
                 accepted.remove(effect)
                 final = without
@@ -344,6 +346,8 @@ def _of_effects(values: Mapping[str, float], effects: Collection[str]) -> dict[s
 
 def _missing(fitted: Fitted, accepted: Sequence[str], flights: Flights, floors: Floors, seed: int) -> Unknown | None:
     """What a model leaves over without a name, beyond clean aircraft and beyond chance."""
+    if not floors.of_traces():
+        return None
     over, unseen = (
         left_over(fitted.model, flights.dataset, flights.reconstruction, listed, accepted)
         for listed in (flights.dataset.identify, flights.dataset.unseen)

@@ -23,7 +23,7 @@ from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.decide import gain, unseen_gain
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.fits import SEGMENT_S, Fitted, Flights, Residual, refit
-from rotorid_torch.trace.residual import ALIKE_S, RATE, LeftOver, left_over
+from rotorid_torch.trace.residual import ALIKE_S, LeftOver, left_over
 from rotorid_torch.trace.significance import helps
 
 STARTS = 2
@@ -197,21 +197,22 @@ class _Misfit:
     seen: Frame
     basis: Tensor
     residual: Tensor
+    alike: float  # samples that smoothing has made one
 
     @classmethod
     def of(cls, effect: NeuralForces, reference: Mapping[str, float], over: LeftOver, linear: bool) -> _Misfit:
         signals = {n: over.signals[:, i] + reference.get(n, 0.0) for i, n in enumerate(over.names)}
         basis = torch.linalg.qr(over.linear[:, len(over.names) if linear else 0 :]).Q
         rows = [over.rows.index(r) for r in effect.rows]
-        return cls(effect, Frame(signals), basis, over.residual[:, rows])
+        return cls(effect, Frame(signals), basis, over.residual[:, rows], ALIKE_S * over.rate)
 
     def __call__(self, weights: Tensor) -> Tensor:
-        """At weights [P]; samples that the residual's smoothing has made one count once."""
+        """At weights [P]; what smoothing has made one sample counts once."""
         values = Values(weights, tuple(p.name for p in self.effect.declared))
         frame, _ = self.effect(self.seen, weights.new_zeros(len(self.residual), 0), values)
         left = self.residual - torch.cat([part for part in (frame.force, frame.moment) if part is not None], dim=-1)
         left = left - self.basis @ (self.basis.mT @ left)
-        return 0.5 * len(left) / (ALIKE_S * RATE) * left.square().mean(dim=0).log().sum()
+        return 0.5 * len(left) / self.alike * left.square().mean(dim=0).log().sum()
 
 
 def drawn_turn(fitted: Fitted, chance: torch.Generator) -> Turn:

@@ -21,7 +21,7 @@ from rotorid_torch.identification.step2 import Measured, measured
 from rotorid_torch.model.model import Model
 
 RATE = 20.0
-"""Hz: records are taken at no less than this; the body moves below a fifth of it."""
+"""Hz: records are taken at about this; the body moves below a fifth of it."""
 ONSET_S = 0.5
 """Steps in which the beginning of something new is looked for, s."""
 EDGE_S = 2.0
@@ -73,6 +73,11 @@ class LeftOver:
     linear: Tensor
     flight: Tensor
     named: Tensor
+
+    @property
+    def rate(self) -> float:
+        """Hz of the samples."""
+        return 1.0 / float(self.time[1] - self.time[0])
 
     @property
     def usual(self) -> Tensor:

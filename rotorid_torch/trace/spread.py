@@ -22,7 +22,7 @@ from rotorid_torch.identification.uncertainty import Uncertainty
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.fits import Fitted, Flights, refit
 
-OWN = ("noise", "x0", "x0_mean", "x0_sd", "prior_mean", "prior_sd", "bias_sd")
+OWN = ("states", "noise", "x0", "x0_mean", "x0_sd", "prior_mean", "prior_sd", "bias_sd")
 """What a likelihood has beside flights and model."""
 
 
@@ -94,7 +94,6 @@ def _again(told: _Told, spec: ModelSpec, flights: Flights) -> Fitted:
         engine=engine_for(system, known.typical(), stages.Settings().solver),
         records=known,
         segments=cut(known, told.samples),
-        states=known.states,
         **told.own,
     )
     place = told.minimum.point

@@ -11,7 +11,7 @@ import torch
 
 from rotorid_torch.core.names import FORCES
 from rotorid_torch.trace.finding import Unknown
-from rotorid_torch.trace.residual import RATE, LeftOver, Trace, column
+from rotorid_torch.trace.residual import LeftOver, Trace, column
 from rotorid_torch.trace.significance import helps
 
 HELD = 0.5
@@ -64,6 +64,6 @@ def _band(left: LeftOver, row: str) -> tuple[float, float]:
     values = left.residual[:, left.rows.index(row)]
     power = torch.fft.rfft(values - values.mean()).abs().square()
     share = power.cumsum(0) / power.sum().clamp_min(1e-300)
-    hertz = torch.fft.rfftfreq(len(values), 1.0 / RATE, dtype=torch.float64)
+    hertz = torch.fft.rfftfreq(len(values), 1.0 / left.rate, dtype=torch.float64)
     low, high = (float(hertz[int((share >= s).nonzero()[0, 0])]) for s in (0.1, 0.9))
     return low, high

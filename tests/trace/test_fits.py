@@ -4,23 +4,37 @@ from __future__ import annotations
 
 import msgspec
 import pytest
+import torch
 
 from rotorid_torch.identification.reconstruct import reconstruct
 from rotorid_torch.identification.structure import propose
-from rotorid_torch.trace.fits import Flights, refit
+from rotorid_torch.trace.fits import Fitted, Flights, refit
 from tests.known_models import flown, manoeuvres, rate_vehicle, with_values
 
 DT = 0.02
 
 
-def test_a_fit_near_another_begins_at_its_cost_whatever_effect_joins_at_nothing():
+@pytest.fixture(scope="module")
+def null() -> Fitted:
     truth = with_values(rate_vehicle(effects=("control.lag",)), {"control.lag.common": 0.1})
     lists = {"identify": list(manoeuvres(6.0, DT)), "validate": []}
     data = flown(truth, manoeuvres(6.0, DT), DT, noise=0.02, lists=lists)
     flights = Flights(data, reconstruct(data))
-    null = refit(propose(data, flights.reconstruction), flights, {})
-    for effects in ((), ("control.delay",)):
-        spec = msgspec.structs.replace(null.spec, effects=effects)
-        begun = refit(spec, flights, null.values, near=null).fit.minimum.history[0]
-        assert begun == pytest.approx(null.cost, rel=1e-9)
-    assert refit(null.spec, flights, null.values).fit.minimum.history[0] > null.cost + 1.0
+    return refit(propose(data, flights.reconstruction), flights, {})
+
+
+@pytest.mark.parametrize("effects", [(), ("control.delay",)])
+def test_a_fit_near_another_begins_at_its_cost_whatever_effect_joins_at_nothing(null: Fitted, effects: tuple[str, ...]):
+    spec = msgspec.structs.replace(null.spec, effects=effects)
+    assert refit(spec, null.flights, null.values, near=null).fit.minimum.history[0] == pytest.approx(
+        null.cost, rel=1e-9
+    )
+    assert refit(spec, null.flights, null.values).fit.minimum.history[0] > null.cost + 1.0
+
+
+def test_trajectories_from_which_runs_diverge_are_not_begun_from(null: Fitted, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(
+        "rotorid_torch.trace.fits._followed", lambda near, model, states: torch.full_like(states, 1e300)
+    )
+    again, afresh = (refit(null.spec, null.flights, null.values, near=near) for near in (null, None))
+    assert again.fit.minimum.history == afresh.fit.minimum.history

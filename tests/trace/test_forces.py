@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import msgspec
 import pytest
+import torch
 
 from rotorid_torch.identification.reconstruct import reconstruct
 from rotorid_torch.identification.step2 import regress_model
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.fits import Fitted, Flights, refit
-from rotorid_torch.trace.forces import seen_in_forces
+from rotorid_torch.trace.forces import _explained, seen_in_forces
+from rotorid_torch.trace.residual import left_over
+from rotorid_torch.trace.screen import signatures
 from tests.known_models import flown, linear_vehicle, manoeuvres, with_values
 
 DT = 0.02
@@ -31,6 +37,19 @@ def test_a_load_is_seen_with_its_cable_and_about_its_size():
     assert set(found) == {LOAD}
     assert found[LOAD][f"{LOAD}.length"] == 6.0
     assert found[LOAD][f"{LOAD}.ratio"] == pytest.approx(0.1, rel=0.4)
+
+
+def test_equations_in_which_nothing_moves_tell_nothing():
+    null = without_load(0.1)
+    model = build(msgspec.structs.replace(null.spec, effects=(LOAD,)))
+    over = left_over(null.model, null.flights.dataset, null.flights.reconstruction, null.flights.dataset.identify)
+    still = replace(over, residual=over.residual.clone().index_fill_(1, torch.tensor([1, 3, 5]), 0.0))
+    one = [s for s in signatures(model, [LOAD]) if s.beside][:1]
+    gains, sizes = _explained(still, over.residual[..., None], one, 0)
+    assert torch.isfinite(gains).all()
+    assert torch.isfinite(sizes).all()
+    none = replace(over, residual=torch.zeros_like(over.residual))
+    assert not _explained(none, over.residual[..., None], one, 0)[0].any()
 
 
 def test_no_load_is_seen_where_there_is_none():
