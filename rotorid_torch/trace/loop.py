@@ -95,6 +95,7 @@ class _Search:
     ranks : among which fits and tests of several candidates are spread; everything else is the same at each.
     apart : for an accepted effect of the control path what it is for each control.
     placed : gain and floor of effects of where the vehicle flies that explain what trims differ by; they join first.
+    gained : by effects that joined later, fitted in full.
     """
 
     flights: Flights
@@ -110,6 +111,7 @@ class _Search:
     spread: dict[str, float] = field(default_factory=dict)
     apart: dict[str, str] = field(default_factory=dict)
     placed: dict[str, tuple[float, float]] = field(default_factory=dict)
+    gained: dict[str, float] = field(default_factory=dict)
 
     def screened(self, null: Fitted, effects: Sequence[str]) -> Screen:
         """These effects against what a model leaves over."""
@@ -247,6 +249,7 @@ class _Search:
         same = tuple(e for e, one in zip(near, alike, strict=True) if one)
         if same:
             self.groups[best] = same
+        self.gained[best] = gain(null, fitted[best])
         self.spread.update(screened.scatter(best))
         self.say(f"{best} joins" + (f", in a group with {', '.join(same)}" if same else ""))
         return best
@@ -379,7 +382,11 @@ def _told(
         found.append(Finding(effect, "undeclared", verdict, said, gain=gained, floor=floor, values=values))
     for effect in undeclared:
         visible = smallest_visible(first, effect, floors[effect])
-        keep = {"gain": first.gain([effect]), "floor": floors[effect], "smallest_visible": visible}
+        keep = {
+            "gain": search.gained.get(effect, first.gain([effect])),
+            "floor": floors[effect],
+            "smallest_visible": visible,
+        }
         if effect in accepted and effect in search.groups:
             names = ", ".join(search.groups[effect])
             said = f"something of this kind acts, but these flights cannot tell it from {names}"

@@ -13,6 +13,7 @@ from rotorid_torch.identification.reconstruct import reconstruct
 from rotorid_torch.identification.step2 import regress_model
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build
+from rotorid_torch.trace.decide import gain
 from rotorid_torch.trace.fits import Fitted, Flights, refit
 from rotorid_torch.trace.floor import Floors
 from rotorid_torch.trace.loop import Tracing, trace
@@ -57,7 +58,9 @@ def test_the_screen_sees_the_size_of_a_delay():
 def test_a_hidden_delay_is_named_with_its_size():
     found = traced(flights("control.delay", control__delay__common=0.06))
     assert found.accepted == ("control.delay",)
-    value, error = next(f for f in found.findings if f.id == "control.delay").values["control.delay.common"]
+    told = next(f for f in found.findings if f.id == "control.delay")
+    value, error = told.values["control.delay.common"]
+    assert told.gain == pytest.approx(gain(found.null, found.final), rel=0.01)
     assert abs(value - 0.06) < 3.0 * error
     assert error < 0.01
 
