@@ -14,9 +14,9 @@ from rotorid_torch.identification.step2 import regress_model
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.decide import gain
-from rotorid_torch.trace.fits import Fitted, Flights, refit
+from rotorid_torch.trace.fits import CAREFUL, Fitted, Flights, refit
 from rotorid_torch.trace.floor import Floors
-from rotorid_torch.trace.loop import Tracing, trace
+from rotorid_torch.trace.loop import Tracing, _Search, trace
 from rotorid_torch.trace.screen import screen
 from tests.known_models import flown, manoeuvres, rate_vehicle, with_values
 
@@ -55,11 +55,24 @@ def test_the_screen_sees_the_size_of_a_delay():
     assert seen.gain(["control.delay"]) > 10.0 * float(seen.by_chance("control.delay").max())
 
 
+def test_fits_go_on_while_they_gain_what_matters_to_each(monkeypatch: pytest.MonkeyPatch):
+    known, null = started(flights())
+    rough = refit(null.spec, known, {}, options=replace(CAREFUL, max_iterations=1))
+    monkeypatch.setattr("rotorid_torch.trace.loop.CAREFUL", replace(CAREFUL, max_iterations=1))
+    monkeypatch.setattr("rotorid_torch.trace.loop.LONGEST", 30)
+    search = _Search(known, (), Floors({}, ""), lambda line: None, 0)
+    on = search.gone_on({"careful": rough, "easy": rough}, {"careful": 0.0, "easy": math.inf})
+    assert on["careful"].cost == pytest.approx(null.cost, abs=1.0)
+    assert on["careful"].cost + 10.0 < on["easy"].cost < rough.cost
+
+
 def test_a_hidden_delay_is_named_with_its_size():
     found = traced(flights("control.delay", control__delay__common=0.06))
     assert found.accepted == ("control.delay",)
     told = next(f for f in found.findings if f.id == "control.delay")
     value, error = told.values["control.delay.common"]
+    assert isinstance(found.null, Fitted)
+    assert isinstance(found.final, Fitted)
     assert told.gain == pytest.approx(gain(found.null, found.final), rel=0.01)
     assert abs(value - 0.06) < 3.0 * error
     assert error < 0.01
