@@ -154,6 +154,23 @@ class _Followed(torch.autograd.Function):
     def jvp(ctx: Any, *tangents: Tensor | None) -> None:
         return None
 
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple[int | None, ...], *args: Any) -> tuple[Tensor, int | None]:
+        """The batch is one more leading dimension."""
+        record, parameter, follow = args
+        if in_dims[:2] == (None, None):
+            return _Followed.apply(record, parameter, follow), None
+        lead = max(record.dim() - 2 - (in_dims[0] is not None), parameter.dim() - 1 - (in_dims[1] is not None))
+        return _Followed.apply(_front(record, in_dims[0], lead + 2), _front(parameter, in_dims[1], lead + 1), follow), 0
+
+
+def _front(value: Tensor, batch: int | None, own: int) -> Tensor:
+    """A value with its batch before `own` other dimensions."""
+    if batch is None:
+        return value
+    value = value.movedim(batch, 0)
+    return value.reshape(value.shape[0], *[1] * (own + 1 - value.dim()), *value.shape[1:])
+
 
 def _summed(factor: Tensor, driven: Tensor) -> Tensor:
     """y[k] = factor[k] y[k-1] + driven[k] from y[0] = driven[0], by doubling: few passes over the whole record.

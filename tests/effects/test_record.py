@@ -109,6 +109,10 @@ def test_derivatives_by_limit_and_play_are_those_of_the_whole_record(follow: Cal
     torch.testing.assert_close(forward, differences, atol=1e-5, rtol=1e-5)
     _, back, *_ = torch.func.vjp(path, at)
     torch.testing.assert_close((back(torch.ones_like(forward))[0] * step).sum(), forward.sum())
+    torch.testing.assert_close((torch.func.jacfwd(path)(at) * step).sum((-1, -2)), forward)
+    torch.testing.assert_close(torch.vmap(path)(at[:, None]), path(at)[:, None])
+    both = torch.vmap(follow, in_dims=(2, 1))(torch.stack([noise(40, 2), noise(40, 2).flip(0)], dim=2), at.mT)
+    torch.testing.assert_close(both, torch.stack([follow(noise(40, 2), at[0]), follow(noise(40, 2).flip(0), at[1])]))
 
 
 def test_a_record_of_one_sample_is_where_it_begins():
