@@ -156,7 +156,7 @@ def _code() -> str:
         for file in sorted((root / chapter).rglob("*")):
             if file.suffix in (".py", ".h", ".toml"):
                 digest.update(file.read_bytes())
-    for name in ("fits.py", "screen.py", "residual.py", "clean.py"):
+    for name in ("fits.py", "screen.py", "residual.py", "significance.py", "clean.py"):
         digest.update((Path(__file__).parent / name).read_bytes())
     return digest.hexdigest()
 

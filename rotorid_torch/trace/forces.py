@@ -8,6 +8,7 @@ over. On the measured motion the derivatives are found anew beside the effect, i
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import groupby
 
 import msgspec
 import torch
@@ -15,8 +16,8 @@ from torch import Tensor
 
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.fits import Fitted
-from rotorid_torch.trace.residual import LeftOver, left_over, turned
-from rotorid_torch.trace.screen import Signature, signatures
+from rotorid_torch.trace.residual import LeftOver, by_chance, left_over
+from rotorid_torch.trace.screen import Signature, signatures, sized
 
 
 def seen_in_forces(
@@ -30,18 +31,18 @@ def seen_in_forces(
     over: LeftOver | None = None
     for effect in effects:
         model = build(msgspec.structs.replace(null.spec, effects=(*null.spec.effects, effect)))
+        model.start_from(null.values)
         own = [one for one in signatures(model, [effect]) if one.beside]
         if not own:
             continue
         listed = flights.dataset, flights.reconstruction, flights.dataset.identify
         over = over or left_over(null.model, *listed, accepted)
         worth = {}
-        for beside in dict.fromkeys(one.beside for one in own):
-            variant, changes = [one for one in own if one.beside == beside], []
+        for beside, together in groupby(own, key=lambda one: one.beside):
+            variant, changes = tuple(together), []
             for one in variant:
-                model.start_from({**null.values, **dict(beside), one.parameter: one.typical})
-                changes.append(over.residual - left_over(model, *listed).residual)
-                model.start_from({one.parameter: one.null})
+                with sized(model, one):
+                    changes.append(over.residual - left_over(model, *listed).residual)
             gains, sizes = _explained(over, torch.stack(changes, dim=-1), variant, seed)
             if float(gains[0]) > float(gains[1:].max()):
                 values = {s.parameter: s.null + a * s.step for s, a in zip(variant, sizes.tolist(), strict=True)}
@@ -56,7 +57,7 @@ def _explained(over: LeftOver, changes: Tensor, variant: Sequence[Signature], se
 
     changes : of forces and moments [N, rows, K] at typical size, which is one for all rows, each as sharp as its rest.
     """
-    residuals = torch.cat([over.residual[..., None], turned(over, seed)], dim=-1)
+    residuals = torch.cat([over.residual[..., None], by_chance(over, seed)], dim=-1)
     low, high = torch.tensor([one.reach for one in variant], dtype=torch.float64).mT[..., None]
     rows = [k for k in range(len(over.rows)) if bool(over.residual[:, k].any())]  # where anything moved
     if not rows:

@@ -139,6 +139,10 @@ class _Search:
             now |= {name: one for name, one in longer.items() if gain(now[name], one) > 0.0}
         return now
 
+    def settled(self, fitted: Fitted, least: float) -> Fitted:
+        """One fit gone on with."""
+        return self.gone_on({"": fitted}, {"": least})[""]
+
     def why(self, structural: str) -> str:
         """Why a structural effect is in the model."""
         if structural in ROTOR and not self.asked_for:
@@ -150,7 +154,7 @@ class _Search:
         if not fitted:
             return null
         best = max(fitted.values(), key=lambda f: gain(null, f))
-        again = self.gone_on({"": refit(null.spec, self.flights, best.values, self.held, near=best)}, {"": least})[""]
+        again = self.settled(refit(null.spec, self.flights, best.values, self.held, near=best), least)
         if gain(null, again) <= 0.0:
             return null
         self.say(f"the model without candidates gains {gain(null, again):.3g} per sample from a better start")
@@ -217,11 +221,12 @@ class _Search:
             starts = {e: screened.starts(e) for e in promising[:FEW]}
             starts |= {e: [*starts.get(e, []), start] for e, start in seen.items()}
             if starts:  # what the null may still gain by itself is no candidate's
-                null = self.gone_on({"": null}, {"": min(floors[e] for e in starts)})[""]
+                null = self.settled(null, min(floors[e] for e in starts))
             fitted = self.with_each(null, starts, floors)
-            better = self.improved(null, fitted, min(floors.values(), default=0.0))
+            least = min(floors.values(), default=0.0)
+            better = self.improved(null, fitted, least)
             joined = self._joining(better, fitted, floors, screened)
-            if joined is None and gain(null, better) <= min(floors.values(), default=0.0):
+            if joined is None and gain(null, better) <= least:
                 return better, accepted
             null = better
             if joined is not None:
@@ -267,8 +272,7 @@ class _Search:
             others = tuple(e for e in final.spec.effects if e != effect)
             spec = msgspec.structs.replace(final.spec, effects=others)
             least = floors.get(effect, 0.0)
-            without = refit(spec, self.flights, final.values, self.held, near=final)
-            without = self.gone_on({effect: without}, {effect: least})[effect]
+            without = self.settled(refit(spec, self.flights, final.values, self.held, near=final), least)
             if gain(without, final) <= least:
                 self.rejected[effect] = ("beside the others it explains nothing more", gain(without, final), {})
                 accepted.remove(effect)
@@ -349,14 +353,15 @@ def _of_effects(values: Mapping[str, float], effects: Collection[str]) -> dict[s
 
 def _missing(fitted: Fitted, accepted: Sequence[str], flights: Flights, floors: Floors, seed: int) -> Unknown | None:
     """What a model leaves over without a name, beyond clean aircraft and beyond chance."""
-    if not floors.of_traces():
+    usual = floors.of_traces()
+    if not usual:
         return None
     over, unseen = (
         left_over(fitted.model, flights.dataset, flights.reconstruction, listed, accepted)
         for listed in (flights.dataset.identify, flights.dataset.unseen)
     )
     by_chance = family_wise(chance(over, seed))
-    levels = {row: max(floor, by_chance[row]) for row, floor in floors.of_traces().items()}
+    levels = {row: max(floor, by_chance[row]) for row, floor in usual.items()}
     return unknown(scan(over), levels, over, unseen)
 
 

@@ -19,6 +19,7 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.identification.reconstruct import Reconstruction
 from rotorid_torch.identification.step2 import Measured, measured
 from rotorid_torch.model.model import Model
+from rotorid_torch.trace.significance import turned
 
 RATE = 20.0
 """Hz: records are taken at about this; the body moves below a fifth of it."""
@@ -173,25 +174,15 @@ def scan(left: LeftOver) -> dict[str, Trace]:
 
 def chance(left: LeftOver, seed: int) -> dict[str, Tensor]:
     """Weight of the best trace of each equation in residuals that know nothing of the motion [R]."""
-    columns, residuals = _tried(left)[1], turned(left, seed)
+    columns, residuals = _tried(left)[1], by_chance(left, seed)
     found = {row: _fitted(left, columns, residuals[:, k], k) for k, row in enumerate(left.rows)}
     return {row: (sizes * shares.sqrt()).amax(dim=0) for row, (sizes, shares) in found.items()}
 
 
-def turned(left: LeftOver, seed: int) -> Tensor:
-    """Residuals of the same colour that know nothing of the motion [N, rows, R].
-
-    Each flight's residual is turned in time as one record, all equations alike, and its sign drawn.
-    """
+def by_chance(left: LeftOver, seed: int) -> Tensor:
+    """Residuals of all flights that know nothing of the motion [N, rows, R]."""
     generator = torch.Generator().manual_seed(seed)
-    parts = [left.residual[left.flight == f] for f in left.flight.unique()]
-    return torch.stack([torch.cat([_turned(p, generator) for p in parts]) for _ in range(SHUFFLES)], dim=-1)
-
-
-def _turned(record: Tensor, generator: torch.Generator) -> Tensor:
-    """A record [T, n] from another time on, what was before at its end; its sign drawn."""
-    turn, sign = (int(torch.randint(0, most, (), generator=generator)) for most in (len(record), 2))
-    return (2.0 * sign - 1.0) * record.roll(turn, dims=0)
+    return torch.cat([turned(left.residual[left.flight == f], SHUFFLES, generator) for f in left.flight.unique()])
 
 
 def _tried(left: LeftOver) -> tuple[list[Named], Tensor]:

@@ -23,6 +23,7 @@ from rotorid_torch.identification.whitening import Whitener
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.fits import Fitted
+from rotorid_torch.trace.significance import turned
 from rotorid_torch.validate.free_run import Runs
 
 PROBE = 1e-4
@@ -223,7 +224,7 @@ def screen(null: Fitted, effects: Sequence[str], shuffles: int = SHUFFLES, seed:
         base = run(start, part.segments.take(tape), part.segments.dt)[1]
         change = []
         for one in chosen:
-            with _sized(model, one):
+            with sized(model, one):
                 own = part.segments.take(tapes.get(one, tape))
                 change.append(run(start, own, part.segments.dt)[1] - base)
         signature = _rows(whitener, torch.stack(change, dim=-1)) if change else rows[..., :0]
@@ -231,8 +232,9 @@ def screen(null: Fitted, effects: Sequence[str], shuffles: int = SHUFFLES, seed:
         nx = problem.locals_per_segment
         first = nx + len(problem.biased)
         residual = rows[..., -1:]
-        turned = _shuffled(residual[..., 0], part.residual.shape[-1], shuffles, chance)
-        matrix = torch.cat([rows[..., first:-1][..., keep], signature, residual, turned], dim=-1)
+        record = residual[..., 0].unflatten(-1, (-1, part.residual.shape[-1])).flatten(0, 1)
+        by_chance = turned(record, shuffles, chance).unflatten(0, (len(residual), -1)).flatten(1, 2)
+        matrix = torch.cat([rows[..., first:-1][..., keep], signature, residual, by_chance], dim=-1)
         basis = torch.linalg.qr(rows[..., :first]).Q
         matrix = matrix - basis @ (basis.mT @ matrix)
         found.append((matrix.mT @ matrix).sum(0))
@@ -247,12 +249,13 @@ def screen(null: Fitted, effects: Sequence[str], shuffles: int = SHUFFLES, seed:
 
 
 @contextmanager
-def _sized(model: Model, one: Signature) -> Iterator[None]:
+def sized(model: Model, one: Signature) -> Iterator[None]:
     """The model with one signature at its typical size, and back again."""
     before = model.theta.clone()
     model.start_from(dict((*one.beside, (one.parameter, one.typical))))
     yield
-    model.theta.copy_(before)
+    with torch.no_grad():
+        model.theta.copy_(before)
 
 
 def _tapes(model: Model, records: Records, chosen: Sequence[Signature]) -> tuple[Tensor, dict[Signature, Tensor]]:
@@ -263,7 +266,7 @@ def _tapes(model: Model, records: Records, chosen: Sequence[Signature]) -> tuple
     paths, tapes = [e.id for e in model.chain if e.stage is Stage.CONTROL], {}
     for one in chosen:
         if one.effect in paths:
-            with _sized(model, one):
+            with sized(model, one):
                 tapes[one] = model.tape(records.controls, records.dt)
     return model.tape(records.controls, records.dt), tapes
 
@@ -277,17 +280,6 @@ def _largest(names: tuple[str, ...], shares: Tensor) -> tuple[str, ...]:
 def _rows(whitener: Whitener, values: Tensor) -> Tensor:
     """Whitened values [S, T, ny, n] as rows [S, T ny, n]."""
     return whitener.apply(values.nan_to_num(0.0)).flatten(1, 2)
-
-
-def _shuffled(residual: Tensor, channels: int, count: int, chance: torch.Generator) -> Tensor:
-    """Residual rows [S, T ny] of a flight turned in time as one record, all channels alike: [S, T ny, count]."""
-    record = residual.unflatten(-1, (-1, channels)).flatten(0, 1)
-    turns = torch.randint(1, max(2, len(record)), (count,), generator=chance)
-    signs = 2.0 * torch.randint(0, 2, (count,), generator=chance) - 1.0
-    made = [float(sign) * record.roll(int(n), dims=0) for n, sign in zip(turns, signs, strict=True)]
-    if not made:
-        return residual.new_zeros(*residual.shape, 0)
-    return torch.stack(made, dim=-1).unflatten(0, (len(residual), -1)).flatten(1, 2)
 
 
 def _eliminated(products: Tensor, prior: Tensor, count: int) -> tuple[Tensor, Tensor]:

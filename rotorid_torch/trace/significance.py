@@ -1,10 +1,11 @@
-"""What is more than chance: quantiles of few data, and whether flights that no fit has seen gain."""
+"""What is more than chance: quantiles of few data, residuals that mean nothing, whether unseen flights gain."""
 
 from __future__ import annotations
 
 import math
 from statistics import NormalDist
 
+import torch
 from torch import Tensor
 
 
@@ -29,3 +30,14 @@ def helps(better: Tensor) -> bool:
     count = len(better)
     error = float(better.std() / math.sqrt(count)) if count > 1 else 0.0
     return float(better.mean()) > error and int((better > 0).sum()) * 2 >= count
+
+
+def turned(record: Tensor, count: int, chance: torch.Generator) -> Tensor:
+    """Residuals of the same colour that cannot know of the motion [T, n, count], made of a flight's own [T, n].
+
+    Each is the record from another time on, what was before at its end, all channels alike; its sign is drawn.
+    """
+    turns = torch.randint(1, max(2, len(record)), (count,), generator=chance)
+    signs = 2.0 * torch.randint(0, 2, (count,), generator=chance) - 1.0
+    made = [float(sign) * record.roll(int(n), dims=0) for n, sign in zip(turns, signs, strict=True)]
+    return torch.stack(made, dim=-1) if made else record.new_zeros(*record.shape, 0)
