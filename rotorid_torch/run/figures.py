@@ -15,6 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+from matplotlib.transforms import blended_transform_factory
 from torch import Tensor
 
 from rotorid_torch.core import names
@@ -90,7 +91,7 @@ def side_by_side(overlays: Sequence[Overlay], channels: Sequence[str]) -> Figure
     width = WIDTH if len(overlays) == 1 else 2.8 * len(overlays)
     figure, grid = grid_of(rows, len(overlays), width, below=0.85)
     for column, overlay in enumerate(overlays):
-        grid[0][column].set_title(f"{overlay.flight} ({overlay.list})", fontsize=10)
+        grid[0][column].set_title(f"{overlay.flight} ({overlay.list})", fontsize=10, y=1.0)
         grid[-1][column].set_xlabel("time, s")
         for row, name in enumerate(rows):
             if name in overlay.common(channels):
@@ -114,8 +115,8 @@ def residuals(overlays: Sequence[Overlay]) -> Figure:
                 axes.plot(overlay.time, error, color=LIST_COLOURS[overlay.list], linewidth=0.8, alpha=0.7)
                 white.append(_white_share(error))
         axes.axhline(0.0, color="black", linewidth=0.5)
-        axes.set_title(f"white at {100 * np.mean(white):.0f} % of lags", loc="right", fontsize=8)
-    grid[0][0].set_title("measured - model", loc="left", fontsize=10)
+        axes.set_title(f"white at {100 * np.mean(white):.0f} % of lags", loc="right", fontsize=8, y=1.0)
+    grid[0][0].set_title("measured - model", loc="left", fontsize=10, y=1.0)
     grid[-1][0].set_xlabel("time, s")
     return figure
 
@@ -148,17 +149,19 @@ def scores(fit: FitRecord) -> Figure:
 def grid_of(
     rows: Sequence[str], columns: int, width: float, height: float = 1.3, below: float = 0.5
 ) -> tuple[Figure, list[list[Axes]]]:
-    """A figure with one row of axes for each channel."""
+    """A figure with one row of axes for each channel; titles that are set later take `y=1.0` too."""
     figure = Figure(figsize=(width, 0.3 + below + height * len(rows)))
     FigureCanvasAgg(figure)
     grid = figure.subplots(len(rows), columns, sharex="col", sharey="row", squeeze=False).tolist()
     leave(figure, left=0.85, below=below, above=0.3)
-    figure.align_ylabels()
     for axes, name in zip((row[0] for row in grid), rows, strict=True):
         unit = names.unit(name)
         axes.set_ylabel(f"{name}, {unit}" if unit else name)
+        beside = blended_transform_factory(figure.transFigure, axes.transAxes)
+        axes.yaxis.set_label_coords(0.2 / width, 0.5, transform=beside)
     for row in grid:
         for axes in row:
+            axes.set_title("", y=1.0)  # set, not searched for: ticks would be measured twice
             axes.grid(alpha=0.3)
             axes.tick_params(labelsize=8)
     return figure, grid

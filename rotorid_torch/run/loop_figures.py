@@ -62,7 +62,7 @@ def spectra(pairs: Sequence[tuple[Overlay, Overlay]]) -> Figure:
             length = min(len(power) for _, power in found)
             mean = np.sqrt(np.mean([power[:length] for _, power in found], axis=0))
             axes.loglog(found[0][0][1:length], mean[1:], color=colour, linewidth=1.2, label=label)
-    grid[0][0].set_title("measured - model: before (grey), after (blue)", loc="left", fontsize=10)
+    grid[0][0].set_title("measured - model: before (grey), after (blue)", loc="left", fontsize=10, y=1.0)
     grid[-1][0].set_xlabel("frequency, Hz")
     return figure
 
