@@ -39,6 +39,7 @@ class Dataset:
     """Flights of one vehicle about one reference point. Made by `load` or `Dataset.from_arrays`, both validating.
 
     `flights` of a folder are read when they are asked for, those used last stay in memory; `facts` of all are known.
+    `derived` are channels that were made from others, which no score knows.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Dataset:
     acid: tuple[str, ...]
     settings: ModelSettings
     warnings: tuple[str, ...]
+    derived: frozenset[str] = frozenset()
 
     @classmethod
     def from_arrays(
@@ -144,8 +146,8 @@ class Dataset:
         return self._scales
 
     def scored(self) -> tuple[str, ...]:
-        """Channels that a free run is scored on: those of `u v w p q r phi theta` that the identify flights have."""
-        return tuple(name for name in names.BODY if self._scales.get(name, 0.0) > 0.0)
+        """Channels that a free run is scored on: those of `u v w p q r phi theta` measured in the identify flights."""
+        return tuple(c for c in names.BODY if self._scales.get(c, 0.0) > 0.0 and c not in self.derived)
 
     def listed(self, flight: str) -> Literal["identify", "validate", "acid"]:
         """List that a flight is in: "identify", "validate" or "acid"."""

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from rotorid_torch.core import rigid
 from rotorid_torch.core.names import ATTITUDES, FORCES, MOMENTS, RATES, SPECIFIC_FORCES, VELOCITIES
-from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.schema import Vehicle
 
 ACCELERATIONS = ("pdot", "qdot", "rdot")
 AXES = (*FORCES, *MOMENTS)
@@ -44,6 +44,30 @@ class Motion:
     imu: Tensor | None
     lines: Mapping[str, float] = field(default_factory=dict)
 
+    @classmethod
+    def of(
+        cls,
+        vehicle: Vehicle,
+        states: tuple[str, ...],
+        outputs: tuple[str, ...],
+        tau: Tensor,
+        trim: Tensor,
+        dt: Tensor,
+        lines: Mapping[str, float] | None = None,
+    ) -> Motion:
+        """Motion of a vehicle as it is declared."""
+        return cls(
+            states=states,
+            outputs=outputs,
+            tau=tau,
+            trim=trim,
+            dt=dt,
+            gravity=vehicle.gravity,
+            inertia=None if vehicle.inertia is None else torch.tensor(vehicle.inertia, dtype=torch.float64),
+            imu=None if not any(vehicle.imu or ()) else torch.tensor(vehicle.imu, dtype=torch.float64),
+            lines=lines or {},
+        )
+
     def has(self, *names: str) -> bool:
         """Whether all of these are states."""
         return all(name in self.states for name in names)
@@ -67,7 +91,7 @@ class Motion:
         omega = self.pick(x, RATES)
         partners = torch.cat([omega, self.pick(x, VELOCITIES)], dim=-1) if self.has("u") else omega
         products = (omega.unsqueeze(-1) * partners.unsqueeze(-2)).flatten(-2)
-        toward_trim = u[..., -1 - len(self._axes) : -1] @ self._push
+        toward_trim = u[..., -1 - len(self.axes) : -1] @ self._push
         change = x @ self._linear + products @ self._bilinear + toward_trim
         if self.has("phi"):
             change = change + self._turning(x, omega)
@@ -109,15 +133,15 @@ class Motion:
         return A
 
     @property
-    def _axes(self) -> tuple[str, ...]:
+    def axes(self) -> tuple[str, ...]:
         """Forces and moments that are states."""
         return tuple(axis for axis in AXES if axis in self.states)
 
     @cached_property
     def _push(self) -> Tensor:
         """[axes, nx], from the trim of each force to its rate."""
-        table = torch.zeros(len(self._axes), len(self.states), dtype=torch.float64)
-        for i, axis in enumerate(self._axes):
+        table = torch.zeros(len(self.axes), len(self.states), dtype=torch.float64)
+        for i, axis in enumerate(self.axes):
             table[i, self.states.index(axis)] = 1.0 / self.tau[AXES.index(axis)]
         return table
 
@@ -194,7 +218,7 @@ class Motion:
         time = count * self.dt[..., 0]
         angles = [2.0 * torch.pi * hertz * time for hertz in self.lines.values()]
         pairs = [part for angle in angles for part in (angle.cos(), angle.sin())]
-        trims = [self.trim[..., AXES.index(axis)].expand_as(time) for axis in self._axes]
+        trims = [self.trim[..., AXES.index(axis)].expand_as(time) for axis in self.axes]
         return torch.stack([*pairs, *trims, (count < lengths.unsqueeze(-1)) * self.dt[..., 0]], dim=-1)
 
     def _attitudes(self) -> tuple[str, ...]:
@@ -209,25 +233,3 @@ def _horizontal(
     level = u * pitch[1] + (v * roll[0] + w * roll[1]) * pitch[0]
     side = v * roll[1] - w * roll[0]
     return [level * heading[1] - side * heading[0], level * heading[0] + side * heading[1]]
-
-
-def supported(dataset: Dataset) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """States that the channels of a data set support, and the channels that see them."""
-
-    def seen(*names: str) -> bool:
-        return any(facts.has(*names) for facts in dataset.facts.values())
-
-    states: list[str] = []
-    attitude = seen("phi", "theta")
-    velocity = attitude and seen(*VELOCITIES)
-    states += VELOCITIES if velocity else ()
-    states += RATES
-    states += () if not attitude else ATTITUDES if seen(*ATTITUDES) else ATTITUDES[:2]
-    if velocity and "psi" in states and seen("north", "east", "height"):
-        states += ["north", "east", "height"]
-    elif velocity and seen("height"):
-        states.append("height")
-    states += FORCES if velocity or any(seen(name) for name in SPECIFIC_FORCES) else ()
-    sensors = [name for name in (*states, *ACCELERATIONS) if seen(name)]
-    sensors += [name for name in SPECIFIC_FORCES if "X" in states and seen(name)]
-    return (*states, *MOMENTS), tuple(sensors)

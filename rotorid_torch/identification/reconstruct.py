@@ -27,7 +27,8 @@ from rotorid_torch.identification.force_noise import (
     adapted,
     find_force_noise,
 )
-from rotorid_torch.identification.motion import AXES, Motion, supported
+from rotorid_torch.identification.motion import AXES, Motion
+from rotorid_torch.identification.observability import left_out, observable
 from rotorid_torch.identification.sensor_errors import kinematic_biases, kinematic_disagreement, vibration_lines
 from rotorid_torch.identification.sigma_points import ProcessNoise
 from rotorid_torch.identification.ukf import Filtered, filter_and_smooth
@@ -135,7 +136,7 @@ def reconstruct(
     """
     options = options or ReconstructOptions()
     dataset.require_rates()
-    states, outputs = supported(dataset)
+    states, outputs = observable(dataset)
     searched = dataset.some(SEARCHED)
     lines = vibration_lines(dataset, searched, outputs) if options.vibration else {}
     biases = {
@@ -184,17 +185,13 @@ def _motion(
     local: LocalNoise,
     lines: Mapping[str, tuple[float, float]],
 ) -> Motion:
-    vehicle = dataset.vehicle
-    imu = vehicle.imu if vehicle.imu is not None and any(vehicle.imu) else None
-    return Motion(
-        states=states,
-        outputs=outputs,
+    return Motion.of(
+        dataset.vehicle,
+        states,
+        outputs,
         tau=torch.as_tensor(noise.tau),
         trim=torch.as_tensor(local.trim)[:, None, :],
         dt=torch.tensor([dataset.facts[name].dt for name in names], dtype=torch.float64)[:, None, None],
-        gravity=vehicle.gravity,
-        inertia=None if vehicle.inertia is None else torch.tensor(vehicle.inertia, dtype=torch.float64),
-        imu=None if imu is None else torch.tensor(imu, dtype=torch.float64),
         lines={channel: hertz for channel, (hertz, _) in lines.items()},
     )
 
@@ -353,9 +350,9 @@ def _notes(
         notes.append("no mass declared: X Y Z are specific forces, m/s²; declare vehicle.mass for newtons")
     if dataset.vehicle.inertia is None:
         notes.append("no inertia declared: L M N are angular accelerations, rad/s²; declare vehicle.inertia for N m")
-    unseen = [axis for i, axis in enumerate(AXES) if not noise.seen[i]]
-    if unseen:
-        notes.append(f"no channel sees {' '.join(unseen)}: nothing is known of them but that they are there")
+    untold = left_out(dataset)
+    if untold:
+        notes.append(f"the channels do not tell {' '.join(untold)}: left out of the reconstruction")
     if lines:
         told = ", ".join(f"{channel} at {hertz:.1f} Hz ({rms:.2g} rms)" for channel, (hertz, rms) in lines.items())
         notes.append(f"vibration was taken out of the motion: {told}")

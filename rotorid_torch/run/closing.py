@@ -14,6 +14,7 @@ import msgspec
 from rotorid_torch.core.names import MOMENTS
 from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.from_position import with_velocities
 from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.effects.neural import NeuralForces
 from rotorid_torch.effects.spec import ModelSpec
@@ -119,9 +120,10 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
     """Sensors against each other first, then what acts on the vehicle, on records without the sensors' errors."""
     monitor = steps.monitor
     first = identified(dataset, (), seed, steps)
+    recorded, dataset = at_one_rate(dataset), with_velocities(dataset)
     with monitor.step("trace"):
-        sensors = sensor_findings(at_one_rate(dataset))
-    right = sensors.corrected(at_one_rate(dataset))
+        sensors = sensor_findings(recorded)
+    right = with_velocities(sensors.corrected(recorded))
     for name, value in sensors.values.items():
         monitor.say(f"sensors: {name} = {value:.4g}")
     base = identified(right, (), seed, steps) if sensors.effects else first

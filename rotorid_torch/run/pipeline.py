@@ -17,6 +17,7 @@ from torch import Tensor
 
 from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.from_position import with_velocities
 from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
@@ -103,7 +104,7 @@ class Run:
 
 def reconstruct(dataset: Dataset, out: str | Path, *, seed: int = 0, monitor: Monitor | None = None) -> Reconstruction:
     """Step 1 alone, written as a RUN."""
-    monitor = monitor or Monitor()
+    dataset, monitor = with_velocities(dataset), monitor or Monitor()
     with run_folder(out) as folder, monitor.recording(folder):
         with monitor.step("reconstruct"):
             found = step1.reconstruct(dataset)
@@ -165,6 +166,7 @@ def _key(dataset: Dataset, effects: Sequence[str], seed: int) -> dict[str, str]:
 
 def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps) -> Run:
     """The three steps, free runs and scores."""
+    dataset = with_velocities(dataset)
     seen, monitor = at_one_rate(dataset), steps.monitor
     reconstruction = steps.reconstruct(
         tuple(seen.flights), lambda: step1.reconstruct(seen, None, steps.ranks, steps.device)
@@ -255,6 +257,7 @@ def simulate(
         raise InputError(
             dataset.path or dataset.name, "flight", f"there is no flight '{flight}'", ", ".join(dataset.flights)
         )
+    dataset = with_velocities(dataset)
     record = dataset.flights[flight]
     first, samples = _span(record.dt, record.samples, start, seconds, dataset.file(flight))
     missing = [c for c in loaded.body.controls if not record.has(c)]
