@@ -171,11 +171,12 @@ def _before_and_after(
         if first.spec.motors:
             return plain, after, tracing
         without = best(null.spec, null.values) if sensors else plain
-        if _best([without, after]) is after:
+        why = _objection(without, after, tracing.unknown is not None)
+        if why is None:
             return plain, after, tracing
         if sensors:
-            return plain, without, _refused(tracing)
-        return first, None if plain is first else plain, _refused(tracing)
+            return plain, without, _refused(tracing, why)
+        return first, None if plain is first else plain, _refused(tracing, why)
     plain = _best([first, wrong(final.spec, final.values)]) if tracing.structure else first
     if sensors:
         return plain, best(final.spec, final.values), tracing
@@ -253,11 +254,23 @@ def _without(spec: ModelSpec, effects: Sequence[str]) -> ModelSpec:
     return msgspec.structs.replace(spec, effects=tuple(e for e in spec.effects if e not in effects))
 
 
-def _refused(tracing: Tracing) -> Tracing:
-    """The tracing without the undeclared effects that it accepted: identified again, the model is no better by them."""
-    said = "it describes segments of flights, but identified again with it, the model's free runs are no better"
+def _objection(without: Run, after: Run, missing: bool) -> str | None:
+    """Why effects that were accepted are no finding, or None; missing: something without a name is left over.
+
+    What explains less than what then stays without a name may be no more than its imitation.
+    """
+    if _best([without, after]) is without:
+        return "it describes segments of flights, but identified again with it, the model's free runs are no better"
+    before, left = without.scores["validate"], after.scores["validate"]
+    if missing and before and left and left**2 > 0.5 * before**2:
+        return "what is left over beside it, without a name, is larger than what it explains: it may imitate that"
+    return None
+
+
+def _refused(tracing: Tracing, said: str) -> Tracing:
+    """The tracing without the undeclared effects that it accepted, for a reason."""
     members = {e for others in tracing.groups.values() for e in others} | set(tracing.accepted)
-    findings, left = tuple(_rejected(tracing.findings, members, said)), tracing.unknown_before
+    findings, left = tuple(_rejected(tracing.findings, members, said)), tracing.unknown_before or tracing.unknown
     return replace(tracing, final=tracing.null, accepted=(), groups={}, findings=findings, unknown=left)
 
 

@@ -362,7 +362,7 @@ def _missing(fitted: Fitted, accepted: Sequence[str], flights: Flights, floors: 
     )
     by_chance = family_wise(chance(over, seed))
     levels = {row: max(floor, by_chance[row]) for row, floor in usual.items()}
-    return unknown(scan(over), levels, over, unseen)
+    return unknown(scan(over), levels, over, unseen, seed)
 
 
 def _told(

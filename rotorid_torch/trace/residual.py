@@ -14,10 +14,11 @@ from itertools import combinations_with_replacement
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.names import FORCES, MOMENTS
+from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.identification.reconstruct import Reconstruction
 from rotorid_torch.identification.step2 import Measured, measured
+from rotorid_torch.model.flapping import Flapping
 from rotorid_torch.model.model import Model
 from rotorid_torch.trace.significance import turned
 
@@ -62,6 +63,7 @@ class Trace:
 class LeftOver:
     """Equations' residuals [N, rows] of all flights in one column, and what may go with them [N, k].
 
+    rows : forces and moments, and the rates of the flapping where it is measured and lags.
     linear : what linear terms and a constant of each flight take up. flight : the flight of each sample [N].
     named : how the residuals change with each parameter of effects that have a name [N, rows, n].
     """
@@ -94,25 +96,28 @@ class LeftOver:
 def left_over(
     model: Model, dataset: Dataset, reconstruction: Reconstruction, flights: Sequence[str], effects: Sequence[str] = ()
 ) -> LeftOver:
-    """Residuals of a model's forces and moments on flights, and the signals they may go with.
+    """Residuals of a model's forces, moments and flapping on flights, and the signals they may go with.
 
     effects : those of the model with a name; what their parameters' errors leave is theirs.
     """
-    residuals, changes, columns, times, constants = [], [], [], [], []
+    residuals, changes, columns, times, constants, tilts = [], [], [], [], [], []
     names: tuple[str, ...] = ()
+    flapping = FLAPPING if isinstance(model.effect("rotor"), Flapping) else ()
     for k, name in enumerate(flights):
         seen = measured(model, dataset, reconstruction, name)
         dt = dataset.facts[name].dt
         every, width = max(1, round(1.0 / (dt * RATE))), max(1, round(SMOOTH_S / dt))
         names = tuple(n for n in (*model.body.states, *model.body.controls) if n in seen.signals)
         signals = torch.stack([seen.signals[n] - model.reference.get(n, 0.0) for n in names], dim=-1)
-        residual = _residual(model, seen)
+        residual = _residual(model, seen, flapping, dt)
         moved = [
-            residual - _residual(model, measured(model, dataset, reconstruction, name)) for _ in _moved(model, effects)
+            residual - _residual(model, measured(model, dataset, reconstruction, name), flapping, dt)
+            for _ in _moved(model, effects)
         ]
         residuals.append(_smooth(residual, width)[::every])
         changes.append([_smooth(one, width)[::every] for one in moved])
         columns.append(_smooth(signals, width)[::every])
+        tilts += [_smooth(_stacked(seen.signals, flapping), width)[::every]] if flapping else []
         times.append(dt * torch.arange(len(signals), dtype=torch.float64)[::every])
         own = torch.zeros(len(columns[-1]), len(flights), dtype=torch.float64)
         own[:, k] = 1.0
@@ -120,12 +125,12 @@ def left_over(
     signals, residual, own = torch.cat(columns), torch.cat(residuals), torch.cat(constants)
     named = [torch.cat(one) for one in zip(*changes, strict=True)]
     return LeftOver(
-        tuple(FORCES + MOMENTS),
+        (*FORCES, *MOMENTS, *flapping),
         residual,
         names,
         signals,
         torch.cat(times),
-        torch.cat([signals, own], dim=1),
+        torch.cat([signals, own, *([torch.cat(tilts)] if tilts else [])], dim=1),
         own.argmax(dim=1),
         torch.stack(named, dim=-1) if named else residual.new_zeros(*residual.shape, 0),
     )
@@ -143,20 +148,32 @@ def _moved(model: Model, effects: Sequence[str]) -> Iterator[None]:
                 model.theta.copy_(before)
 
 
-def _residual(model: Model, seen: Measured) -> Tensor:
-    """Forces and moments that step 1 found less those of the model [T, 6], zero where there are none."""
-    return (seen.specific - _modelled(model, seen.signals)).nan_to_num(0.0)
+def _residual(model: Model, seen: Measured, flapping: Sequence[str], dt: float) -> Tensor:
+    """Forces and moments that step 1 found, and flapping rates, less the model's [T, rows]; zero where unseen."""
+    loads, rates = _modelled(model, seen.signals, flapping)
+    found = [seen.specific - loads]
+    if flapping:
+        found.append(torch.gradient(_stacked(seen.signals, flapping), spacing=dt, dim=0)[0] - rates)
+    return torch.cat(found, dim=-1).nan_to_num(0.0)
 
 
-def _modelled(model: Model, signals: Mapping[str, Tensor]) -> Tensor:
-    """Specific forces and angular accelerations by the external moment [T, 6] on measured signals."""
-    x = torch.stack([signals.get(n, torch.zeros_like(signals["p"])) for n in model.layout.names], dim=-1)
-    u = torch.stack([signals[n] for n in model.body.controls], dim=-1)
+def _stacked(signals: Mapping[str, Tensor], names: Sequence[str]) -> Tensor:
+    """Signals as columns [T, n]; NaN where a flight has none."""
+    return torch.stack([signals.get(n, torch.full_like(signals["p"], torch.nan)) for n in names], dim=-1)
+
+
+def _modelled(model: Model, signals: Mapping[str, Tensor], flapping: Sequence[str]) -> tuple[Tensor, Tensor]:
+    """Specific forces and angular accelerations by the external moment [T, 6], rates of the flapping [T, 0 or 3].
+
+    On measured signals; their own states are those signals too.
+    """
+    x, u = _stacked(signals, model.layout.names).nan_to_num(0.0), _stacked(signals, model.body.controls)
     with torch.no_grad():
         frame, _ = model.frame(model.theta, x, u)
     none = torch.zeros(len(x), 3, dtype=torch.float64)
     force = none if frame.force is None else frame.force
-    return torch.cat([force, none if frame.moment is None else frame.moment], dim=-1)
+    loads = torch.cat([force, none if frame.moment is None else frame.moment], dim=-1)
+    return loads, _stacked(frame.rates, flapping) if flapping else none[:, :0]
 
 
 def _smooth(records: Tensor, width: int) -> Tensor:

@@ -9,29 +9,26 @@ from collections.abc import Mapping
 
 import torch
 
-from rotorid_torch.core.names import FORCES
+from rotorid_torch.core.names import FORCES, MOMENTS
 from rotorid_torch.trace.finding import Unknown
-from rotorid_torch.trace.residual import LeftOver, Trace, column
-from rotorid_torch.trace.significance import helps
-
-HELD = 0.5
-"""Share of what a trace explains of the flights it was found on that it must explain of unseen ones."""
+from rotorid_torch.trace.floor import FALSE_ALARMS
+from rotorid_torch.trace.residual import LeftOver, Trace, by_chance, column
 
 
 def unknown(
-    traces: Mapping[str, Trace], floors: Mapping[str, float], left: LeftOver, unseen: LeftOver
+    traces: Mapping[str, Trace], floors: Mapping[str, float], left: LeftOver, unseen: LeftOver, seed: int = 0
 ) -> Unknown | None:
     """The equation whose trace stands highest above what clean aircraft leave; None where none does.
 
-    Flights that no fit has seen must be better described with the trace as it was found, and as well as those it was
-    found on, or nearly: the best of hundreds of traces that mean nothing explains less of them.
+    Flights that no fit has seen must be better described with the trace at the size at which it was found, by more than
+    chance allows: the best of hundreds of traces that mean nothing explains nothing of them.
     """
     above = {row: t.weight / floors[row] for row, t in traces.items() if floors.get(row, 0.0) > 0.0}
-    standing = [row for row, times in above.items() if times > 1.0 and _holds(traces[row], row, left, unseen)]
+    standing = [row for row, times in above.items() if times > 1.0 and _holds(traces[row], row, left, unseen, seed)]
     if not standing:
         return None
     where = max(standing, key=lambda row: above[row])
-    found, unit = traces[where], "m/s2" if where in FORCES else "rad/s2"
+    found, unit = traces[where], "m/s2" if where in FORCES else "rad/s2" if where in MOMENTS else "rad/s"
     band = _band(left, where)
     how = f" ({found.shape})" if found.shape else ""
     began = "" if found.since_s is None else f", since {found.since_s:.1f} s into the flights"
@@ -42,21 +39,18 @@ def unknown(
     return Unknown(where, band, found.goes_with, found.since_s, said)
 
 
-def _holds(trace: Trace, row: str, left: LeftOver, unseen: LeftOver) -> bool:
-    """Whether flights that no fit has seen gain by a trace, of the size that the flights `left` gave it.
+def _holds(trace: Trace, row: str, left: LeftOver, unseen: LeftOver, seed: int) -> bool:
+    """Whether flights that no fit has seen lose more by a trace of the size that `left` gave it than by chance.
 
-    Each side keeps linear terms of its own.
+    Each side keeps linear terms of its own. Chance: what the same trace takes from the residuals turned in time.
     """
     k = left.rows.index(row)
-    (tried, known), (new, before) = (
-        side.beyond(torch.stack([column(trace, side, left.usual), side.residual[:, k]], dim=-1), k).unbind(-1)
-        for side in (left, unseen)
-    )
-    after = before - (tried @ known) / (tried @ tried) * new
-    flights = [unseen.flight == f for f in unseen.flight.unique()]
-    gains = [(before[own].square().sum() / after[own].square().sum()).log() for own in flights]
-    share = 1.0 - float(after.square().sum() / before.square().sum())
-    return helps(torch.stack(gains)) and share > HELD * trace.share
+    tried, known = left.beyond(torch.stack([column(trace, left, left.usual), left.residual[:, k]], dim=-1), k).mT
+    size = (tried @ known) / (tried @ tried)
+    new = size * unseen.beyond(column(trace, unseen, left.usual)[:, None], k)[:, 0]
+    residuals = torch.cat([unseen.residual[:, k, None], by_chance(unseen, seed)[:, k]], dim=-1)
+    lost = 2.0 * new @ unseen.beyond(residuals, k) - new @ new
+    return bool(lost[0] > lost[1:].quantile(1.0 - FALSE_ALARMS).clamp_min(0.0))
 
 
 def _band(left: LeftOver, row: str) -> tuple[float, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -143,6 +144,20 @@ def test_effects_that_make_free_runs_worse_are_refused_and_what_they_took_up_is_
     assert (refused.accepted, refused.groups, refused.final, refused.unknown) == ((), {}, null, missing)
     assert {f.verdict for f in refused.findings} == {"rejected"}
     assert statement(refused.findings, refused.unknown).kind == "unknown"
+
+
+@pytest.mark.parametrize(("after", "stays"), [(0.06, True), (0.1, False)])
+def test_what_explains_less_than_what_stays_without_a_name_is_no_name(after: float, stays: bool):
+    missing = Unknown("b1", (0.1, 2.0), "time", 6.0, "Something is missing in b1.")
+    delay = Finding("control.delay", "undeclared", "accepted", "", values={"control.delay.common": (0.05, 0.01)})
+    tracing = replace(tracing_of("control.delay"), findings=(delay,), unknown=missing)
+    first, run = run_with(0.12), run_with(after)
+    _, _, found = _before_and_after(first, tracing, False, pytest.fail, lambda spec, values: run)
+    assert bool(found.accepted) is stays
+    assert found.unknown == missing
+    assert statement(found.findings, found.unknown).kind == ("undeclared" if stays else "unknown")
+    alone = _before_and_after(first, replace(tracing, unknown=None), False, pytest.fail, lambda spec, values: run)
+    assert alone[2].accepted
 
 
 def tracing_of(*accepted: str, structure: tuple[str, ...] = ()) -> Tracing:
