@@ -173,7 +173,7 @@ def _modelled(model: Model, signals: Mapping[str, Tensor], flapping: Sequence[st
     none = torch.zeros(len(x), 3, dtype=torch.float64)
     force = none if frame.force is None else frame.force
     loads = torch.cat([force, none if frame.moment is None else frame.moment], dim=-1)
-    return loads, _stacked(frame.rates, flapping) if flapping else none[:, :0]
+    return loads, torch.stack([frame.rates[n] for n in flapping], dim=-1) if flapping else none[:, :0]
 
 
 def _smooth(records: Tensor, width: int) -> Tensor:
