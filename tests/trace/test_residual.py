@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from rotorid_torch.trace.residual import LeftOver, chance, scan
+from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES, STICKS, VELOCITIES
+from rotorid_torch.data import Dataset
+from rotorid_torch.identification.reconstruct import reconstruct
+from rotorid_torch.trace.residual import LeftOver, chance, left_over, scan
 from rotorid_torch.trace.unexplained import unknown
+from tests.known_models import BODY, body_spec, flown, linear_vehicle, manoeuvres, with_values
 
 ROWS = ("X", "Y", "Z", "L", "M", "N")
 NAMES = ("u", "p", "q", "col")
@@ -116,3 +121,28 @@ def test_chance_reaches_what_nothing_explains_and_falls_short_of_what_something_
     assert all(trace.weight < 1.5 * level[row] for row, trace in scan(nothing).items())
     assert scan(over)["L"].weight > float(chance(over, 0)["L"].max())
     assert all(torch.equal(a, b) for a, b in zip(chance(over, 3).values(), chance(over, 3).values(), strict=True))
+
+
+def test_a_slipped_control_run_shows_in_the_flapping_that_follows_it():
+    """Half of the lateral cyclic's deviation is lost from 5 s on; the moments follow the measured flapping."""
+    columns = (*VELOCITIES, *RATES, *STICKS, *FLAPPING)
+    patterns = dict.fromkeys((*FORCES, *MOMENTS, *FLAPPING), columns)
+    reference = {**body_spec().reference, **dict.fromkeys(FLAPPING, 0.0)}
+    outputs = (*BODY, "ax", "ay", "az", *FLAPPING)
+    model = linear_vehicle(flapping="first order", patterns=patterns, reference=reference, outputs=outputs)
+    tilts = {f"rotor.{n}.{n}": -8.0 for n in FLAPPING} | {"rotor.a1.lon": 8.0, "rotor.b1.lat": 8.0, "rotor.a0.col": 4.0}
+    hubs = {"forces.L.lat": 0.0, "forces.L.b1": 30.0, "forces.M.lon": 0.0, "forces.M.a1": 15.0}
+    with_values(model, {**tilts, **hubs})
+    asked = manoeuvres(12.0, 0.02)
+    late = 0.02 * np.arange(len(asked["f_lat"])) >= 5.0
+    asked = {n: c + 0.02 * np.sin(0.05 * np.arange(len(c)))[:, None] for n, c in asked.items()}
+    came = {n: np.where(late[:, None] & (np.arange(4) == STICKS.index("lat")), 0.5 * c, c) for n, c in asked.items()}
+    data = flown(model, came, 0.02, noise=0.005)
+    told = {n: {**f.channels, "lat": asked[n][:, STICKS.index("lat")]} for n, f in data.flights.items()}
+    data = Dataset.from_arrays(told, identify=data.identify, channels=data.channel_specs)
+    over = left_over(model, data, reconstruct(data), data.identify)
+    assert over.rows == (*ROWS, *FLAPPING)
+    found = scan(over)
+    assert (found["b1"].goes_with, found["b1"].since_s) == ("lat", pytest.approx(5.0, abs=0.5))
+    assert found["b1"].share > 0.5
+    assert found["L"].size < 0.1 * found["b1"].size * 30.0
