@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -19,45 +20,68 @@ from rotorid_torch.data.schema import ChannelSpec
 
 HALF = 0.15
 """s to either side over which a cubic is fitted: a body's velocity changes below 3 Hz, which passes unchanged."""
+FEW = 10
+"""Identify flights that the noise is estimated from, at most."""
 HELD = 0.5
-"""Share of samples that repeat the one before, from which on a position is a slow one that was held."""
+"""Share of samples that repeat the one before, from which on a position that moves is a slow one that was held."""
 
 
 def with_velocities(dataset: Dataset) -> Dataset:
     """The data set with u v w in every flight, where none has any of them and all have position and attitude.
 
     The slope of a cubic through each 0.3 s of position (Savitzky and Golay, Analytical Chemistry 36, 1964), turned into
-    body axes. Its noise follows from that of the position; `derived` tells that no score is to know these channels.
+    body axes. Where positions are held or missing so often that this cannot be, a warning says so. `derived` tells that
+    no score is to know these channels.
     """
     known = dataset.facts.values()
     measured = any(facts.has(c) for facts in known for c in VELOCITIES)
     if measured or not all(facts.has(*POSITIONS, *ATTITUDES) for facts in known):
         return dataset
-    if any(_held(dataset.flights[name]) for name in dataset.flights):
-        told = "u v w are not measured, and position is held for several samples: record it faster to have them from it"
-        return replace(dataset, warnings=(*dataset.warnings, told))
     flights = OnDemand(dataset.flights, lambda name: _with_velocities(dataset.flights[name]))
     facts = {name: Facts.of(flight) for name, flight in flights.items()}
-    gain = max(float(np.linalg.norm(_slope(f.dt, _half(f.dt)))) for f in known)
-    level, upright = max(dataset.noise(c) for c in POSITIONS[:2]), dataset.noise(POSITIONS[2])
-    noise = dict(zip(VELOCITIES, (gain * level, gain * level, gain * upright), strict=True))  # about level flight
-    made = {c: ChannelSpec(noise=noise[c]) for c in VELOCITIES}
-    size = f"{noise['u']:.2g}, w to {noise['w']:.2g} m/s"
+    held = any(_held(flight) for flight in dataset.flights.values())
+    if held or not all(one.has(*VELOCITIES) for one in facts.values()):
+        told = "u v w are not measured, nor can they be had from position, which is held or missing between few samples"
+        return replace(dataset, warnings=tuple(dict.fromkeys((*dataset.warnings, told))))
+    noise = _noise(dataset, flights)
+    size = f"{noise['u'].noise:.2g}, w to {noise['w'].noise:.2g} m/s"
     told = f"u v w are not measured: made from position and attitude, to about {size}, and not scored"
     return replace(
         dataset,
         flights=MappingProxyType(flights),
         facts=MappingProxyType(facts),
-        channel_specs=MappingProxyType({**dataset.channel_specs, **made}),
+        channel_specs=MappingProxyType({**dataset.channel_specs, **noise}),
         warnings=(*dataset.warnings, told),
         derived=frozenset(VELOCITIES),
     )
 
 
+def _noise(dataset: Dataset, flights: Mapping[str, Flight]) -> dict[str, ChannelSpec]:
+    """Standard deviation of u v w, m/s, about level flight: by the positions' noise, and by that of their axes.
+
+    A position's noise is declared, or what the cubics leave of it: its spectrum shows the way that was flown.
+    """
+    gains, left, squares = [], [], []
+    for flight in (flights[name] for name in dataset.some(FEW)):
+        half = _half(flight.dt)
+        fit = _cubic(flight.dt, half)
+        pieces = np.lib.stride_tricks.sliding_window_view(flight.stack(POSITIONS).numpy(), 2 * half + 1, axis=0)
+        left.append(np.nanmean((pieces[..., half] - pieces @ fit[0]) ** 2, axis=0) / (1.0 - fit[0, half]))
+        gains.append(float(np.linalg.norm(fit[1])))
+        squares.append(float(flight.stack(VELOCITIES).square().sum(dim=-1).nanmean()))
+    specs = [dataset.channel_specs.get(c) for c in POSITIONS]
+    estimated = np.sqrt(np.mean(left, axis=0))
+    north, east, height = (s.noise if s and s.noise else float(e) for s, e in zip(specs, estimated, strict=True))
+    turned = math.sqrt(np.mean(squares)) * max(dataset.noise(c) for c in ATTITUDES)
+    level, upright = (math.hypot(max(gains) * sd, turned) for sd in (max(north, east), height))
+    return {c: ChannelSpec(noise=sd) for c, sd in zip(VELOCITIES, (level, level, upright), strict=True)}
+
+
 def _held(flight: Flight) -> bool:
-    steps = np.diff(flight.stack(POSITIONS[:2]).numpy(), axis=0)
-    moving = steps[~np.isnan(steps).any(axis=1)]
-    return len(moving) > 0 and float((moving == 0.0).all(axis=1).mean()) > HELD
+    steps = np.diff(flight.stack(POSITIONS).numpy(), axis=0)
+    there = ~np.isnan(steps)
+    same, count = ((steps == 0.0) & there).sum(axis=0), there.sum(axis=0)
+    return bool(((same < count) & (same > HELD * count)).any())
 
 
 def _half(dt: float) -> int:
@@ -65,10 +89,10 @@ def _half(dt: float) -> int:
     return max(2, round(HALF / dt))
 
 
-def _slope(dt: float, half: int) -> np.ndarray:
-    """Weights [2 half + 1] of the samples about one in the slope there of the cubic through them, 1/s."""
+def _cubic(dt: float, half: int) -> np.ndarray:
+    """Weights [4, 2 half + 1] of the samples about one in the coefficients of the cubic through them: value, slope."""
     time = dt * np.arange(-half, half + 1)
-    return np.linalg.pinv(np.vander(time, 4, increasing=True))[1]
+    return np.linalg.pinv(np.vander(time, 4, increasing=True))
 
 
 def _with_velocities(flight: Flight) -> Flight:
@@ -78,7 +102,7 @@ def _with_velocities(flight: Flight) -> Flight:
     moving = np.full_like(position, math.nan)
     if len(position) > 2 * half:
         pieces = np.lib.stride_tricks.sliding_window_view(position, 2 * half + 1, axis=0)
-        moving[half:-half] = pieces @ _slope(flight.dt, half)
+        moving[half:-half] = pieces @ _cubic(flight.dt, half)[1]
     axes = torch.eye(3, dtype=torch.float64)[:, None]
     turned = rigid.position_rates(axes, flight.stack(ATTITUDES))  # [3, T, 3]: what each body axis' unit speed does
     velocity = torch.einsum("itk,tk->it", turned, torch.from_numpy(moving))

@@ -63,7 +63,8 @@ def undrawable(dataset: Dataset) -> str | None:
     if missing:
         return f"the controls lack {', '.join(missing)}"
     wanted = ("u", "v", "w", "p", "q", "r", "phi", "theta")
-    missing = [name for name in wanted if any(not facts.has(name) for facts in dataset.facts.values())]
+    flights = dataset.facts.values()
+    missing = [name for name in wanted if name in dataset.derived or any(not facts.has(name) for facts in flights)]
     return f"flights lack {', '.join(missing)}" if missing else None
 
 

@@ -22,6 +22,8 @@ NEEDS = {
 """Groups without which a group has no equation."""
 SIZES = {**dict.fromkeys((*RATES, *ATTITUDES, *MOMENTS), 0.1)}
 """Usual size of a state's change, its unit; of those not listed one. What the rank is judged in."""
+DUST = 1e-9
+"""Rows of the stacked Jacobian below this are rounding."""
 TOLERATED = 1e-3
 """Part of the largest singular value below which a direction is not seen, and of a state that may lie in such ones."""
 
@@ -30,7 +32,7 @@ def observable(dataset: Dataset) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """States that the channels of a data set tell, and the channels that see them.
 
     States that the stacked Jacobian leaves open are taken out, with those that have no equation without them, until the
-    channels tell all that are left. Velocities need no channel of their own where position and attitude are measured.
+    channels tell all that are left. Channels that were made from others say where a state begins and tell nothing.
     """
     groups, left = GROUPS, tuple(group for group in GROUPS if _begun(dataset, group))
     while left != groups:
@@ -64,7 +66,9 @@ def seen(motion: Motion, at: Tensor) -> frozenset[str]:
     stacked = [torch.func.jacrev(motion.measure)(at, u) * size]
     for _ in motion.states[1:]:
         stacked.append(stacked[-1] @ A)
-    _, strength, directions = torch.linalg.svd(torch.cat(stacked))
+    rows = torch.cat(stacked)
+    rows = rows[rows.norm(dim=1) > DUST]  # each as one: at high speed later derivatives would drown what is measured
+    _, strength, directions = torch.linalg.svd(rows / rows.norm(dim=1, keepdim=True))
     open_to = directions[int((strength > TOLERATED * strength[0]).sum()) :].square().sum(dim=0).sqrt()
     return frozenset(name for name, part in zip(motion.states, open_to.tolist(), strict=True) if part < TOLERATED)
 
@@ -76,10 +80,8 @@ def _recorded(dataset: Dataset, *channels: str) -> bool:
 
 
 def _begun(dataset: Dataset, group: Sequence[str]) -> bool:
-    """Whether a filter knows where these begin: angles where they are measured, forces by their trims."""
-    if group == VELOCITIES:
-        return _recorded(dataset, *VELOCITIES) or _recorded(dataset, *ATTITUDES, *POSITIONS)
-    return set(group) <= set(FORCES) or _recorded(dataset, *group)
+    """Whether a filter knows where these begin: forces by their trims, all else by channels, measured or made."""
+    return set(group) <= set(FORCES) or any(facts.has(*group) for facts in dataset.facts.values())
 
 
 def _at_reference(dataset: Dataset, groups: Sequence[Sequence[str]]) -> tuple[Motion, Tensor]:

@@ -123,7 +123,7 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
     recorded, dataset = at_one_rate(dataset), with_velocities(dataset)
     with monitor.step("trace"):
         sensors = sensor_findings(recorded)
-    right = with_velocities(sensors.corrected(recorded))
+    right = with_velocities(sensors.corrected(recorded)) if sensors.effects else at_one_rate(dataset)
     for name, value in sensors.values.items():
         monitor.say(f"sensors: {name} = {value:.4g}")
     base = identified(right, (), seed, steps) if sensors.effects else first
@@ -254,23 +254,32 @@ def _without(spec: ModelSpec, effects: Sequence[str]) -> ModelSpec:
     return msgspec.structs.replace(spec, effects=tuple(e for e in spec.effects if e not in effects))
 
 
+WORSE = "it describes segments of flights, but identified again with it, the model's free runs are no better"
+IMITATES = "what is left over beside it, without a name, is larger than what it explains: it may imitate that"
+
+
 def _objection(without: Run, after: Run, missing: bool) -> str | None:
     """Why effects that were accepted are no finding, or None; missing: something without a name is left over.
 
     What explains less than what then stays without a name may be no more than its imitation.
     """
     if _best([without, after]) is without:
-        return "it describes segments of flights, but identified again with it, the model's free runs are no better"
-    before, left = without.scores["validate"], after.scores["validate"]
-    if missing and before and left and left**2 > 0.5 * before**2:
-        return "what is left over beside it, without a name, is larger than what it explains: it may imitate that"
-    return None
+        return WORSE
+    return IMITATES if missing and _beyond_noise(after) > 0.5 * _beyond_noise(without) else None
+
+
+def _beyond_noise(run: Run) -> float:
+    """Mean of J² less what the sensors' noise makes of it, over the flights that no fit has seen, or all."""
+    flights = [f for f in run.fit.flights.values() if f.list == "validate"] or list(run.fit.flights.values())
+    return sum(max((f.J or 0.0) ** 2 - (f.J_noise or 0.0) ** 2, 0.0) for f in flights) / max(len(flights), 1)
 
 
 def _refused(tracing: Tracing, said: str) -> Tracing:
     """The tracing without the undeclared effects that it accepted, for a reason."""
     members = {e for others in tracing.groups.values() for e in others} | set(tracing.accepted)
-    findings, left = tuple(_rejected(tracing.findings, members, said)), tracing.unknown_before or tracing.unknown
+    findings, left = tuple(_rejected(tracing.findings, members, said)), tracing.unknown_before
+    if said == IMITATES:
+        left = left or tracing.unknown
     return replace(tracing, final=tracing.null, accepted=(), groups={}, findings=findings, unknown=left)
 
 

@@ -13,7 +13,7 @@ from torch import Tensor
 from rotorid_torch.core.names import SPECIFIC_FORCES
 from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.data.flight import Flight
+from rotorid_torch.data.from_position import HALF
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.step3 import Step3
 from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
@@ -98,7 +98,7 @@ def judge(model: Model, dataset: Dataset, ranks: Ranks = ALONE) -> Judged:
     for name, piece, outputs in all_windows(model, dataset, ranks.mine(tuple(dataset.flights)), run):
         records[name] = _flight(model, dataset, name, piece, outputs)
         if dataset.kind == "multirotor":
-            records[name] = _without_free_run(model, dataset.flights[name], records[name], run)
+            records[name] = _without_free_run(model, dataset, name, records[name], run)
         if name in shown:
             overlays[name] = _overlay(model, dataset, name, piece, outputs)
     for others, pictures in ranks.gather((records, overlays)):
@@ -124,8 +124,12 @@ def _flight(model: Model, dataset: Dataset, name: str, piece: Windows, outputs: 
     )
 
 
-def _without_free_run(model: Model, flight: Flight, record: FlightRecord, run: Runs) -> FlightRecord:
-    """The record with what tells of a multirotor's model, whose free runs drift: responses and short predictions."""
+def _without_free_run(model: Model, dataset: Dataset, name: str, record: FlightRecord, run: Runs) -> FlightRecord:
+    """The record with what tells of a multirotor's model, whose free runs drift: responses and short predictions.
+
+    Velocities that were made from positions before and after judge nothing, and no position while that is known.
+    """
+    flight = dataset.flights[name]
     explained = {
         name: ResponseRecord(rmse=found.rmse, r2=found.r2, unit=RESPONSE_UNITS.get(name, "rad/s"))
         for name, found in responses(model, flight).items()
@@ -133,6 +137,8 @@ def _without_free_run(model: Model, flight: Flight, record: FlightRecord, run: R
     ahead = tuple(
         PredictionRecord(quantity=p.quantity, seconds=p.seconds, unit=UNITS[p.quantity], error=p.error, held=p.held)
         for p in predictions(model, flight, run)
+        if not dataset.derived
+        or not (p.quantity == "velocity" or (p.quantity == "position" and p.seconds < 2.0 * HALF))
     )
     return msgspec.structs.replace(record, responses=explained, predictions=ahead)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import msgspec
@@ -362,7 +362,10 @@ def _missing(fitted: Fitted, accepted: Sequence[str], flights: Flights, floors: 
     )
     by_chance = family_wise(chance(over, seed))
     levels = {row: max(floor, by_chance[row]) for row, floor in usual.items()}
-    return unknown(scan(over), levels, over, unseen, seed)
+    found = unknown(scan(over), levels, over, unseen, seed)
+    if found is None or flights.dataset.validate:
+        return found
+    return replace(found, sentence=f"{found.sentence} No flight was kept back that could confirm it.")
 
 
 def _told(

@@ -102,7 +102,8 @@ def left_over(
     """
     residuals, changes, columns, times, constants, tilts = [], [], [], [], [], []
     names: tuple[str, ...] = ()
-    flapping = FLAPPING if isinstance(model.effect("rotor"), Flapping) else ()
+    rotor = model.effect("rotor")
+    flapping = FLAPPING if isinstance(rotor, Flapping) else ()
     for k, name in enumerate(flights):
         seen = measured(model, dataset, reconstruction, name)
         dt = dataset.facts[name].dt
@@ -117,7 +118,9 @@ def left_over(
         residuals.append(_smooth(residual, width)[::every])
         changes.append([_smooth(one, width)[::every] for one in moved])
         columns.append(_smooth(signals, width)[::every])
-        tilts += [_smooth(_stacked(seen.signals, flapping), width)[::every]] if flapping else []
+        if isinstance(rotor, Flapping):
+            drivers = [c for c in rotor.block.columns if c not in names]
+            tilts.append(_smooth(_stacked(seen.signals, drivers).nan_to_num(0.0), width)[::every])
         times.append(dt * torch.arange(len(signals), dtype=torch.float64)[::every])
         own = torch.zeros(len(columns[-1]), len(flights), dtype=torch.float64)
         own[:, k] = 1.0
@@ -167,7 +170,10 @@ def _modelled(model: Model, signals: Mapping[str, Tensor], flapping: Sequence[st
 
     On measured signals; their own states are those signals too.
     """
-    x, u = _stacked(signals, model.layout.names).nan_to_num(0.0), _stacked(signals, model.body.controls)
+    names, controls = model.layout.names, model.body.controls
+    usual = torch.tensor([model.reference.get(n, 0.0) for n in names], dtype=torch.float64)
+    x, u = _stacked(signals, names), _stacked(signals, controls)
+    x = torch.where(x.isnan(), usual, x)
     with torch.no_grad():
         frame, _ = model.frame(model.theta, x, u)
     none = torch.zeros(len(x), 3, dtype=torch.float64)

@@ -5,11 +5,12 @@ Equation, band, what it goes with and how, since when. Never a name.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import torch
 
-from rotorid_torch.core.names import FORCES, MOMENTS
+from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS
 from rotorid_torch.trace.finding import Unknown
 from rotorid_torch.trace.floor import FALSE_ALARMS
 from rotorid_torch.trace.residual import LeftOver, Trace, by_chance, column
@@ -18,16 +19,16 @@ from rotorid_torch.trace.residual import LeftOver, Trace, by_chance, column
 def unknown(
     traces: Mapping[str, Trace], floors: Mapping[str, float], left: LeftOver, unseen: LeftOver, seed: int = 0
 ) -> Unknown | None:
-    """The equation whose trace stands highest above what clean aircraft leave; None where none does.
+    """The equation best described by its trace, of those that stand above clean aircraft, flapping first; or None.
 
     Flights that no fit has seen must be better described with the trace at the size at which it was found, by more than
     chance allows: the best of hundreds of traces that mean nothing explains nothing of them.
     """
-    above = {row: t.weight / floors[row] for row, t in traces.items() if floors.get(row, 0.0) > 0.0}
-    standing = [row for row, times in above.items() if times > 1.0 and _holds(traces[row], row, left, unseen, seed)]
+    above = [row for row, trace in traces.items() if trace.weight > floors.get(row, math.inf)]
+    standing = [row for row in above if _holds(traces[row], row, left, unseen, seed)]
     if not standing:
         return None
-    where = max(standing, key=lambda row: above[row])
+    where = max(standing, key=lambda row: (row in FLAPPING, traces[row].share))  # what moves the disc moves the body
     found, unit = traces[where], "m/s2" if where in FORCES else "rad/s2" if where in MOMENTS else "rad/s"
     band = _band(left, where)
     how = f" ({found.shape})" if found.shape else ""

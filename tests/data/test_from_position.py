@@ -46,6 +46,18 @@ def test_the_noise_is_that_of_the_record_and_no_score_knows_the_channels():
     assert "not measured" in seen.warnings[-1]
 
 
+def test_axes_that_are_not_known_better_count_at_speed_and_a_long_way_does_not():
+    rng = np.random.default_rng(5)
+    path = np.stack([20.0 * TIME, 0.0 * TIME, 0.0 * TIME]) + 0.003 * rng.standard_normal((3, len(TIME)))
+    attitude = 0.01 * rng.standard_normal((3, len(TIME)))
+    named = {**dict(zip(POSITIONS, path, strict=True)), **dict(zip(ATTITUDES, attitude, strict=True))}
+    rates = {c: 0.01 * np.sin(TIME) for c in ("lat", *RATES)}
+    raw = Dataset.from_arrays({"f": {"time": TIME, **rates, **named}}, identify=["f"])
+    made = with_velocities(raw)
+    v = made.flights["f"].channels["v"][15:-15]
+    assert float(v.std()) == pytest.approx(made.noise("v"), rel=0.3)
+
+
 def test_a_missing_position_leaves_a_gap_and_nothing_else():
     path = np.stack([TIME, 2.0 * TIME, 0.0 * TIME])
     path[0, 300] = np.nan
@@ -61,5 +73,11 @@ def test_what_was_measured_or_cannot_be_made_stays_as_it_is():
     no_heading = data(path, np.stack([*turning()[:2], np.full_like(TIME, np.nan)]))
     assert with_velocities(no_heading) is no_heading
     held = with_velocities(data(np.repeat(path[:, ::20], 20, axis=1), turning()))
-    assert "held" in held.warnings[-1]
+    assert "held or missing" in held.warnings[-1]
+    assert with_velocities(held).warnings == held.warnings
+    still = with_velocities(data(0.0 * path, turning()))
+    assert still.derived == {"u", "v", "w"}
+    gaps = path.copy()
+    gaps[:, ::10] = np.nan
+    assert "u" not in with_velocities(data(gaps, turning())).flights["f"].channels
     assert "u" not in held.flights["f"].channels

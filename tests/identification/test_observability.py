@@ -9,9 +9,11 @@ from scipy.integrate import solve_ivp
 
 from rotorid_torch.core.names import ATTITUDES, FORCES, MOMENTS, POSITIONS, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.data import Dataset
+from rotorid_torch.data.from_position import with_velocities
 from rotorid_torch.data.schema import Vehicle
 from rotorid_torch.identification.motion import Motion
 from rotorid_torch.identification.observability import left_out, observable, seen
+from rotorid_torch.identification.reconstruct import reconstruct
 
 TIME = 0.02 * np.arange(200)
 EVERYTHING = (*VELOCITIES, *RATES, *ATTITUDES, *POSITIONS, *FORCES, *MOMENTS)
@@ -32,7 +34,7 @@ def motion(states: tuple[str, ...], outputs: tuple[str, ...]) -> Motion:
     ("channels", "states", "untold"),
     [
         ((*VELOCITIES, *ATTITUDES, *POSITIONS), EVERYTHING, ()),
-        ((*ATTITUDES, *POSITIONS), EVERYTHING, ()),
+        ((*ATTITUDES, *POSITIONS), (*RATES, *ATTITUDES, *MOMENTS), (*VELOCITIES, *POSITIONS, *FORCES)),
         ((), (*RATES, *MOMENTS), (*VELOCITIES, "phi", "theta", *FORCES)),
         (("az",), (*RATES, "Z", *MOMENTS), (*VELOCITIES, "phi", "theta", "X", "Y")),
         ((*VELOCITIES,), (*RATES, *MOMENTS), (*VELOCITIES, "phi", "theta", *FORCES)),
@@ -76,3 +78,36 @@ def test_an_accelerometer_beside_velocities_tells_attitude():
     along = motion(EVERYTHING, (*VELOCITIES, *RATES, *SPECIFIC_FORCES, *POSITIONS))
     assert "psi" in seen(along, ahead)
     assert "psi" not in seen(along, level)
+
+
+def test_position_and_attitude_tell_the_velocities_that_were_made_of_them():
+    made = with_velocities(data(*ATTITUDES, *POSITIONS))
+    states, outputs = observable(made)
+    assert set(states) == set(EVERYTHING)
+    assert set(outputs) == {*RATES, *ATTITUDES, *POSITIONS}
+
+
+def test_positions_that_are_held_leave_the_filter_as_it_was_without_them():
+    """A slow position within a fast record tells no velocity: it is left out, and the other channels fit."""
+    rng = np.random.default_rng(1)
+    names = ("lat", *RATES, "phi", "theta")
+    true = {c: 0.05 * np.sin(TIME * (k + 1)) for k, c in enumerate(names)}
+    flight = {c: v + (0.002 * rng.standard_normal(len(v)) if c != "lat" else 0.0) for c, v in true.items()}
+    slow = {c: np.repeat(5.0 * TIME[::10], 10) for c in POSITIONS}
+    given = {"f": {"time": TIME, **flight, "psi": 0.0 * TIME, **slow}}
+    records = with_velocities(Dataset.from_arrays(given, identify=["f"]))
+    assert "held or missing" in records.warnings[-1]
+    found = reconstruct(records)
+    assert "the channels do not tell u v w north east height X Y Z: left out of the reconstruction" in found.notes
+    assert {"u", "north"}.isdisjoint(found.flights["f"].channels)
+    white = torch.stack(list(found.flights["f"].innovations.values()))
+    assert float(white[~white.isnan()].std()) == pytest.approx(1.0, abs=0.3)
+
+
+@pytest.mark.parametrize("speed", [0.0, 30.0, 100.0, 250.0])
+def test_what_has_a_channel_of_its_own_is_told_at_any_speed(speed: float):
+    at = torch.zeros(len(EVERYTHING), dtype=torch.float64)
+    at[0], at[7] = speed, 0.3
+    direct = (*VELOCITIES, *RATES, *ATTITUDES, *POSITIONS)
+    assert seen(motion(EVERYTHING, direct), at) == set(EVERYTHING)
+    assert seen(motion(EVERYTHING, (*RATES, *ATTITUDES, *POSITIONS)), at) == set(EVERYTHING)

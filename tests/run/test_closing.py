@@ -146,12 +146,12 @@ def test_effects_that_make_free_runs_worse_are_refused_and_what_they_took_up_is_
     assert statement(refused.findings, refused.unknown).kind == "unknown"
 
 
-@pytest.mark.parametrize(("after", "stays"), [(0.06, True), (0.1, False)])
-def test_what_explains_less_than_what_stays_without_a_name_is_no_name(after: float, stays: bool):
+@pytest.mark.parametrize(("before", "after", "stays"), [(0.12, 0.06, True), (0.12, 0.1, False), (0.06, 0.052, True)])
+def test_what_explains_less_than_what_stays_without_a_name_is_no_name(before: float, after: float, stays: bool):
     missing = Unknown("b1", (0.1, 2.0), "time", 6.0, "Something is missing in b1.")
     delay = Finding("control.delay", "undeclared", "accepted", "", values={"control.delay.common": (0.05, 0.01)})
     tracing = replace(tracing_of("control.delay"), findings=(delay,), unknown=missing)
-    first, run = run_with(0.12), run_with(after)
+    first, run = run_with(before), run_with(after)
     _, _, found = _before_and_after(first, tracing, False, pytest.fail, lambda spec, values: run)
     assert bool(found.accepted) is stays
     assert found.unknown == missing
@@ -205,7 +205,8 @@ def test_where_an_effect_is_refused_records_stay_right_and_the_null_stands():
 
 
 def run_with(J: float | None) -> Any:
-    return SimpleNamespace(scores={"validate": J}, spec=HELICOPTER, values={})
+    flights = {"f": SimpleNamespace(list="validate", J=J, J_noise=0.05)}
+    return SimpleNamespace(scores={"validate": J}, spec=HELICOPTER, values={}, fit=SimpleNamespace(flights=flights))
 
 
 def test_a_run_without_a_score_is_not_the_best():

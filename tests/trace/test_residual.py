@@ -146,3 +146,7 @@ def test_a_slipped_control_run_shows_in_the_flapping_that_follows_it():
     assert (found["b1"].goes_with, found["b1"].since_s) == ("lat", pytest.approx(5.0, abs=0.5))
     assert found["b1"].share > 0.5
     assert found["L"].size < 0.1 * found["b1"].size * 30.0
+    some = {n: {c: v for c, v in f.items() if n != "f_ped" or c not in FLAPPING} for n, f in told.items()}
+    lacking = Dataset.from_arrays(some, identify=data.identify, channels=data.channel_specs)
+    again = scan(left_over(model, lacking, reconstruct(lacking), data.identify))
+    assert (again["b1"].goes_with, again["b1"].since_s) == ("lat", pytest.approx(5.0, abs=0.5))
