@@ -22,8 +22,6 @@ HALF = 0.15
 """s to either side over which a cubic is fitted: a body's velocity changes below 3 Hz, which passes unchanged."""
 FEW = 10
 """Identify flights that the noise is estimated from, at most."""
-HELD = 0.5
-"""Share of samples that repeat the one before, from which on a position that moves is a slow one that was held."""
 
 
 def with_velocities(dataset: Dataset) -> Dataset:
@@ -41,7 +39,7 @@ def with_velocities(dataset: Dataset) -> Dataset:
     facts = {name: Facts.of(flight) for name, flight in flights.items()}
     held = any(_held(flight) for flight in dataset.flights.values())
     if held or not all(one.has(*VELOCITIES) for one in facts.values()):
-        told = "u v w are not measured, nor can they be had from position, which is held or missing between few samples"
+        told = "u v w are not measured, nor can they be had from position: it is held or missing for too long"
         return replace(dataset, warnings=tuple(dict.fromkeys((*dataset.warnings, told))))
     noise = _noise(dataset, flights)
     size = f"{noise['u'].noise:.2g}, w to {noise['w'].noise:.2g} m/s"
@@ -78,10 +76,11 @@ def _noise(dataset: Dataset, flights: Mapping[str, Flight]) -> dict[str, Channel
 
 
 def _held(flight: Flight) -> bool:
+    """Whether a position that moves at all stays for longer than half the window before it changes, on average."""
     steps = np.diff(flight.stack(POSITIONS).numpy(), axis=0)
-    there = ~np.isnan(steps)
-    same, count = ((steps == 0.0) & there).sum(axis=0), there.sum(axis=0)
-    return bool(((same < count) & (same > HELD * count)).any())
+    there = (~np.isnan(steps)).sum(axis=0)
+    changes = (np.nan_to_num(steps) != 0.0).sum(axis=0)
+    return bool(((changes > 0) & (there * flight.dt > HALF * changes)).any())
 
 
 def _half(dt: float) -> int:

@@ -20,7 +20,7 @@ NEEDS = {
     POSITIONS[:2]: (VELOCITIES, ATTITUDES[2:], POSITIONS[2:]),
 }
 """Groups without which a group has no equation."""
-SIZES = {**dict.fromkeys((*RATES, *ATTITUDES, *MOMENTS), 0.1)}
+SIZES = dict.fromkeys((*RATES, *ATTITUDES, *MOMENTS), 0.1)
 """Usual size of a state's change, its unit; of those not listed one. What the rank is judged in."""
 DUST = 1e-9
 """Rows of the stacked Jacobian below this are rounding."""

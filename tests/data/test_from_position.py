@@ -77,6 +77,8 @@ def test_what_was_measured_or_cannot_be_made_stays_as_it_is():
     assert with_velocities(held).warnings == held.warnings
     still = with_velocities(data(0.0 * path, turning()))
     assert still.derived == {"u", "v", "w"}
+    hovering = 0.001 * np.round(20.0 * np.stack([np.sin(TIME)] * 3))  # motion capture to a millimetre
+    assert with_velocities(data(hovering, turning())).derived == {"u", "v", "w"}
     gaps = path.copy()
     gaps[:, ::10] = np.nan
     assert "u" not in with_velocities(data(gaps, turning())).flights["f"].channels
