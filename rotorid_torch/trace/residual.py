@@ -102,8 +102,7 @@ def left_over(
     """
     residuals, changes, columns, times, constants, tilts = [], [], [], [], [], []
     names: tuple[str, ...] = ()
-    rotor = model.effect("rotor")
-    flapping = FLAPPING if isinstance(rotor, Flapping) else ()
+    flapping = FLAPPING if isinstance(model.effect("rotor"), Flapping) else ()
     for k, name in enumerate(flights):
         seen = measured(model, dataset, reconstruction, name)
         dt = dataset.facts[name].dt
@@ -118,9 +117,7 @@ def left_over(
         residuals.append(_smooth(residual, width)[::every])
         changes.append([_smooth(one, width)[::every] for one in moved])
         columns.append(_smooth(signals, width)[::every])
-        if isinstance(rotor, Flapping):
-            drivers = [c for c in rotor.block.columns if c not in names]
-            tilts.append(_smooth(_stacked(seen.signals, drivers).nan_to_num(0.0), width)[::every])
+        tilts += [_smooth(_stacked(seen.signals, flapping).nan_to_num(0.0), width)[::every]] if flapping else []
         times.append(dt * torch.arange(len(signals), dtype=torch.float64)[::every])
         own = torch.zeros(len(columns[-1]), len(flights), dtype=torch.float64)
         own[:, k] = 1.0
@@ -203,9 +200,13 @@ def chance(left: LeftOver, seed: int) -> dict[str, Tensor]:
 
 
 def by_chance(left: LeftOver, seed: int) -> Tensor:
-    """Residuals of all flights that know nothing of the motion [N, rows, R]."""
+    """Residuals of all flights that know nothing of the motion [N, rows, R].
+
+    Of what linear terms leave: these take up no more than by chance of what is at another time.
+    """
     generator = torch.Generator().manual_seed(seed)
-    return torch.cat([turned(left.residual[left.flight == f], SHUFFLES, generator) for f in left.flight.unique()])
+    rest = torch.cat([left.beyond(left.residual[:, k, None], k) for k in range(len(left.rows))], dim=1)
+    return torch.cat([turned(rest[left.flight == f], SHUFFLES, generator) for f in left.flight.unique()])
 
 
 def _tried(left: LeftOver) -> tuple[list[Named], Tensor]:
