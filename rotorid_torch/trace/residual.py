@@ -124,7 +124,7 @@ def left_over(
         constants.append(own)
     signals, residual, own = torch.cat(columns), torch.cat(residuals), torch.cat(constants)
     named = [torch.cat(one) for one in zip(*changes, strict=True)]
-    return LeftOver(
+    left = LeftOver(
         (*FORCES, *MOMENTS, *flapping),
         residual,
         names,
@@ -134,6 +134,9 @@ def left_over(
         own.argmax(dim=1),
         torch.stack(named, dim=-1) if named else residual.new_zeros(*residual.shape, 0),
     )
+    for k in range(len(FORCES) + len(MOMENTS), len(left.rows)):  # fitted as angles: linear terms of the rates are rough
+        left.residual[:, k] = left.beyond(residual[:, k, None], k)[:, 0]
+    return left
 
 
 def _moved(model: Model, effects: Sequence[str]) -> Iterator[None]:
@@ -200,13 +203,9 @@ def chance(left: LeftOver, seed: int) -> dict[str, Tensor]:
 
 
 def by_chance(left: LeftOver, seed: int) -> Tensor:
-    """Residuals of all flights that know nothing of the motion [N, rows, R].
-
-    Of what linear terms leave: these take up no more than by chance of what is at another time.
-    """
+    """Residuals of all flights that know nothing of the motion [N, rows, R]."""
     generator = torch.Generator().manual_seed(seed)
-    rest = torch.cat([left.beyond(left.residual[:, k, None], k) for k in range(len(left.rows))], dim=1)
-    return torch.cat([turned(rest[left.flight == f], SHUFFLES, generator) for f in left.flight.unique()])
+    return torch.cat([turned(left.residual[left.flight == f], SHUFFLES, generator) for f in left.flight.unique()])
 
 
 def _tried(left: LeftOver) -> tuple[list[Named], Tensor]:
