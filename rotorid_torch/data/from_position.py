@@ -63,7 +63,7 @@ def _noise(dataset: Dataset, flights: Mapping[str, Flight]) -> dict[str, Channel
     for flight in (flights[name] for name in dataset.some(FEW)):
         half = _half(flight.dt)
         fit = _cubic(flight.dt, half)
-        pieces = np.lib.stride_tricks.sliding_window_view(flight.stack(POSITIONS).numpy(), 2 * half + 1, axis=0)
+        pieces = _pieces(flight.stack(POSITIONS).numpy(), half)
         left.append(np.nanmean((pieces[..., half] - pieces @ fit[0]) ** 2, axis=0) / (1.0 - fit[0, half]))
         gains.append(float(np.linalg.norm(fit[1])))
         squares.append(float(flight.stack(VELOCITIES).square().sum(dim=-1).nanmean()))
@@ -88,6 +88,11 @@ def _half(dt: float) -> int:
     return max(2, round(HALF / dt))
 
 
+def _pieces(position: np.ndarray, half: int) -> np.ndarray:
+    """Records [T, 3] about each sample that has as many on either side [T - 2 half, 3, 2 half + 1]."""
+    return np.lib.stride_tricks.sliding_window_view(position, 2 * half + 1, axis=0)
+
+
 def _cubic(dt: float, half: int) -> np.ndarray:
     """Weights [4, 2 half + 1] of the samples about one in the coefficients of the cubic through them: value, slope."""
     time = dt * np.arange(-half, half + 1)
@@ -100,8 +105,7 @@ def _with_velocities(flight: Flight) -> Flight:
     position = flight.stack(POSITIONS).numpy()
     moving = np.full_like(position, math.nan)
     if len(position) > 2 * half:
-        pieces = np.lib.stride_tricks.sliding_window_view(position, 2 * half + 1, axis=0)
-        moving[half:-half] = pieces @ _cubic(flight.dt, half)[1]
+        moving[half:-half] = _pieces(position, half) @ _cubic(flight.dt, half)[1]
     axes = torch.eye(3, dtype=torch.float64)[:, None]
     turned = rigid.position_rates(axes, flight.stack(ATTITUDES))  # [3, T, 3]: what each body axis' unit speed does
     velocity = torch.einsum("itk,tk->it", turned, torch.from_numpy(moving))

@@ -45,6 +45,9 @@ from rotorid_torch.trace.network import learn
 from rotorid_torch.trace.stochastic import stochastic_findings
 from rotorid_torch.trace.verdict import statement
 
+WORSE = "it describes segments of flights, but identified again with it, the model's free runs are no better"
+IMITATES = "what is left over beside it, without a name, is larger than what it explains: it may imitate that"
+
 
 @dataclass(frozen=True, eq=False)
 class Loop(Run):
@@ -254,10 +257,6 @@ def _without(spec: ModelSpec, effects: Sequence[str]) -> ModelSpec:
     return msgspec.structs.replace(spec, effects=tuple(e for e in spec.effects if e not in effects))
 
 
-WORSE = "it describes segments of flights, but identified again with it, the model's free runs are no better"
-IMITATES = "what is left over beside it, without a name, is larger than what it explains: it may imitate that"
-
-
 def _objection(without: Run, after: Run, missing: bool) -> str | None:
     """Why effects that were accepted are no finding, or None; missing: something without a name is left over.
 
@@ -277,9 +276,8 @@ def _beyond_noise(run: Run) -> float:
 def _refused(tracing: Tracing, said: str) -> Tracing:
     """The tracing without the undeclared effects that it accepted, for a reason."""
     members = {e for others in tracing.groups.values() for e in others} | set(tracing.accepted)
-    findings, left = tuple(_rejected(tracing.findings, members, said)), tracing.unknown_before
-    if said == IMITATES:
-        left = left or tracing.unknown
+    findings = tuple(_rejected(tracing.findings, members, said))
+    left = tracing.unknown_before or (tracing.unknown if said is IMITATES else None)
     return replace(tracing, final=tracing.null, accepted=(), groups={}, findings=findings, unknown=left)
 
 

@@ -15,14 +15,17 @@ from rotorid_torch.trace.finding import Unknown
 from rotorid_torch.trace.floor import FALSE_ALARMS
 from rotorid_torch.trace.residual import LeftOver, Trace, by_chance, column
 
+HELD = 0.5
+"""Share of what a trace explains of the flights it was found on that it must explain of unseen ones."""
+
 
 def unknown(
     traces: Mapping[str, Trace], floors: Mapping[str, float], left: LeftOver, unseen: LeftOver, seed: int = 0
 ) -> Unknown | None:
     """The equation best described by its trace, of those that stand above clean aircraft, flapping first; or None.
 
-    Flights that no fit has seen must be better described with the trace at the size at which it was found, by more than
-    chance allows: the best of hundreds of traces that mean nothing explains nothing of them.
+    Flights that no fit has seen must be better described with the trace as it was found, by more than chance allows and
+    half as well as those it was found on: the best of hundreds of traces that mean nothing explains less of them.
     """
     above = [row for row, trace in traces.items() if trace.weight > floors.get(row, math.inf)]
     standing = [row for row in above if _holds(traces[row], row, left, unseen, seed)]
@@ -41,17 +44,19 @@ def unknown(
 
 
 def _holds(trace: Trace, row: str, left: LeftOver, unseen: LeftOver, seed: int) -> bool:
-    """Whether flights that no fit has seen lose more by a trace of the size that `left` gave it than by chance.
+    """Whether flights that no fit has seen lose enough by a trace of the size that `left` gave it.
 
-    Each side keeps linear terms of its own. Chance: what the same trace takes from the residuals turned in time.
+    Each side keeps linear terms of its own. More than the same trace takes from the residuals turned in time by chance.
     """
     k = left.rows.index(row)
     tried, known = left.beyond(torch.stack([column(trace, left, left.usual), left.residual[:, k]], dim=-1), k).mT
     size = (tried @ known) / (tried @ tried)
     new = size * unseen.beyond(column(trace, unseen, left.usual)[:, None], k)[:, 0]
     residuals = torch.cat([unseen.residual[:, k, None], by_chance(unseen, seed)[:, k]], dim=-1)
-    lost = 2.0 * new @ unseen.beyond(residuals, k) - new @ new
-    return bool(lost[0] > lost[1:].quantile(1.0 - FALSE_ALARMS).clamp_min(0.0))
+    before = unseen.beyond(residuals, k)
+    lost = 2.0 * new @ before - new @ new
+    enough = HELD * trace.share * before[:, 0].square().sum()
+    return bool(lost[0] > torch.maximum(lost[1:].quantile(1.0 - FALSE_ALARMS), enough))
 
 
 def _band(left: LeftOver, row: str) -> tuple[float, float]:

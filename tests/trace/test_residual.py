@@ -93,7 +93,7 @@ def test_what_unseen_flights_do_not_show_is_not_told(signals: Tensor):
     over = left("L", product)
     told = unknown(scan(over), dict.fromkeys(ROWS, 0.3), over, left("L", 0.8 * product))
     assert told is not None
-    for other in (left("L", None), left("L", -product), left("L", product, noise=60.0)):
+    for other in (left("L", None), left("L", -product), left("L", product, noise=3.0)):
         assert unknown(scan(over), dict.fromkeys(ROWS, 0.3), over, other) is None
 
 
