@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor
+from torch.autograd.functional import jacobian
 
 from rotorid_torch.core.names import ATTITUDES, FORCES, MOMENTS, POSITIONS, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
@@ -61,9 +62,9 @@ def seen(motion: Motion, at: Tensor) -> frozenset[str]:
     """
     u = motion.inputs(torch.ones(1, dtype=torch.float64))[0, 0]
     size = torch.tensor([SIZES.get(name, 1.0) for name in motion.states], dtype=torch.float64)
-    A = torch.func.jacrev(motion.rates)(at, u) * size / size[:, None]
+    A = jacobian(lambda x: motion.rates(x, u), at) * size / size[:, None]
     A[[motion.states.index(axis) for axis in motion.axes]] = 0.0
-    stacked = [torch.func.jacrev(motion.measure)(at, u) * size]
+    stacked = [jacobian(lambda x: motion.measure(x, u), at) * size]
     for _ in motion.states[1:]:
         stacked.append(stacked[-1] @ A)
     rows = torch.cat(stacked)
