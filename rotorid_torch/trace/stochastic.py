@@ -1,6 +1,7 @@
 """Effects that no trajectory can show, because their phase is unknown: turbulence and vibration.
 
-Turbulence: before the pilot acts all flights are alike, so what differs between them beyond sensor noise is the air.
+Turbulence: before the pilot acts all flights are alike, or drift slowly where they are not quite in trim; what differs
+between them beyond that and sensor noise is the air.
 Vibration: lines in accelerations and rates at multiples of the rotor speed.
 """
 
@@ -25,6 +26,8 @@ FALSE_ALARMS = 1e-3
 BLOCK_S = 0.1
 """Quiet records are averaged over this: gusts are slower, sensor noise averages out."""
 LEAST_FLIGHTS, LEAST_BLOCKS = 4, 5
+DRIFT = 2
+"""Order of the polynomial that a flight's beginning follows where it is not quite in trim: no gust."""
 STILL = 0.2
 """Share of its later motion that a control or a rate may make in gusts before the pilot acts."""
 NEAR = 0.1
@@ -92,10 +95,16 @@ def _pilot_acts(dataset: Dataset, names: Sequence[str]) -> bool:
 
 
 def _between(means: np.ndarray) -> np.ndarray:
-    """Mean square by channel of what is neither a flight's own constant nor common to all flights."""
-    flights, blocks, _ = means.shape
-    own = means - means.mean(axis=1, keepdims=True) - means.mean(axis=0) + means.mean(axis=(0, 1))
-    return (own**2).sum(axis=(0, 1)) / max((flights - 1) * (blocks - 1), 1)
+    """Mean square by channel of what is neither a flight's own drift nor common to all flights."""
+    drift = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, means.shape[1]), DRIFT + 1))[0]
+    own = means - means.mean(axis=0)
+    own = own - np.einsum("bk,ck,fcn->fbn", drift, drift, own)
+    return (own**2).sum(axis=(0, 1)) / _freedom(means.shape)
+
+
+def _freedom(shape: tuple[int, ...]) -> int:
+    """Independent values [flight, block] beyond each flight's own drift and what is common to all."""
+    return max((shape[0] - 1) * (shape[1] - DRIFT - 1), 1)
 
 
 def _floor(shape: tuple[int, ...], alarms: float) -> float:
@@ -103,7 +112,7 @@ def _floor(shape: tuple[int, ...], alarms: float) -> float:
 
     Source: Wilson and Hilferty, PNAS 17 (1931), 684.
     """
-    freedom = 2.0 / (9.0 * max((shape[0] - 1) * (shape[1] - 1), 1))
+    freedom = 2.0 / (9.0 * _freedom(shape))
     return (1.0 - freedom + normal_quantile(alarms) * math.sqrt(freedom)) ** 3
 
 

@@ -16,7 +16,7 @@ NOISE = {"p": 0.002, "q": 0.002, "r": 0.002, "ax": 0.05, "ay": 0.05, "az": 0.05}
 SPEED = HELICOPTER.rotor.speed if HELICOPTER.rotor is not None else 27.0
 
 
-def flights(gust: float = 0.0, line: float = 0.0, seed: int = 0) -> Dataset:
+def flights(gust: float = 0.0, line: float = 0.0, seed: int = 0, off_trim: float = 0.0) -> Dataset:
     rng, time = np.random.default_rng(seed), DT * np.arange(round(SECONDS / DT))
     made = {}
     for k in range(8):
@@ -24,7 +24,7 @@ def flights(gust: float = 0.0, line: float = 0.0, seed: int = 0) -> Dataset:
         shake = lfilter([1.0], [1.0, -0.98], rng.standard_normal(len(time))) * 0.2
         phase = rng.uniform(0.0, 2.0 * np.pi)
         values = {"p": 8.0 * stick, "q": 3.0 * stick, "r": stick, "ax": 5.0 * stick, "ay": stick, "az": -9.8 + stick}
-        values["p"] = values["p"] + gust * shake
+        values["p"] = values["p"] + gust * shake + off_trim * NOISE["p"] * (-1) ** k * np.exp(-time)
         values["az"] = values["az"] + line * np.sin(4.0 * SPEED * time + phase)
         measured = {c: v + NOISE[c] * rng.standard_normal(len(time)) for c, v in values.items()}
         made[f"f{k}"] = {"time": time, "lat": stick + 1e-5 * rng.standard_normal(len(time)), **measured}
@@ -49,6 +49,12 @@ def test_turbulence_is_seen_before_the_pilot_acts():
     told = found(flights(gust=0.01))["environment.turbulence"]
     assert told.verdict == "accepted"
     assert " p " in told.reason
+
+
+def test_flights_that_begin_out_of_trim_are_in_calm_air():
+    """What an aircraft does that was let go before it had settled is smooth; gusts are not."""
+    assert found(flights(off_trim=2.0))["environment.turbulence"].verdict == "below floor"
+    assert found(flights(off_trim=2.0, gust=0.01))["environment.turbulence"].verdict == "accepted"
 
 
 def test_a_line_at_blade_passage_is_vibration():
