@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import torch
 from torch import Tensor
@@ -46,10 +46,9 @@ def observable(dataset: Dataset) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return motion.states, motion.outputs
 
 
-def left_out(dataset: Dataset) -> tuple[str, ...]:
-    """States that the channels do not tell: velocities, attitude, forces, and others where a channel is there."""
+def left_out(dataset: Dataset, states: Collection[str]) -> tuple[str, ...]:
+    """Beside the states that the channels tell: velocities, attitude, forces, and others where a channel is there."""
     usual = (*VELOCITIES, *ATTITUDES[:2], *FORCES)
-    states = observable(dataset)[0]
     every = (name for group in GROUPS for name in group)
     return tuple(name for name in every if name not in states and (name in usual or _recorded(dataset, name)))
 

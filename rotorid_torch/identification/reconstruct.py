@@ -6,7 +6,7 @@ of the forces are those of `gauss_markov`, found on the identify flights and hel
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
@@ -162,7 +162,7 @@ def reconstruct(
 
     for flight in ranks.exchange(in_groups(ranks.mine(tuple(dataset.flights)))):
         made.keep(flight.name, flight)
-    return Reconstruction(made, _units(dataset), noise, hertz, _notes(dataset, noise, biases, lines))
+    return Reconstruction(made, _units(dataset), noise, hertz, _notes(dataset, states, noise, biases, lines))
 
 
 def _groups(dataset: Dataset, names: Iterable[str], most: int) -> Iterator[list[str]]:
@@ -342,7 +342,11 @@ def _units(dataset: Dataset) -> dict[str, str]:
 
 
 def _notes(
-    dataset: Dataset, noise: ForceNoise, biases: Biases, lines: Mapping[str, tuple[float, float]]
+    dataset: Dataset,
+    states: Collection[str],
+    noise: ForceNoise,
+    biases: Biases,
+    lines: Mapping[str, tuple[float, float]],
 ) -> tuple[str, ...]:
     """What a reader of the result must know, in plain words."""
     notes = []
@@ -350,7 +354,7 @@ def _notes(
         notes.append("no mass declared: X Y Z are specific forces, m/s²; declare vehicle.mass for newtons")
     if dataset.vehicle.inertia is None:
         notes.append("no inertia declared: L M N are angular accelerations, rad/s²; declare vehicle.inertia for N m")
-    untold = left_out(dataset)
+    untold = left_out(dataset, states)
     if untold:
         notes.append(f"the channels do not tell {' '.join(untold)}: left out of the reconstruction")
     if lines:

@@ -185,7 +185,10 @@ def _store(model: Model, theta: Tensor, effect: str, row: str, names: Sequence[s
 
 
 def measured(model: Model, dataset: Dataset, reconstruction: Reconstruction, name: str) -> Measured:
-    """A flight's signals and what the declared physics beyond the derivatives gives on them."""
+    """A flight's signals and what the declared physics beyond the derivatives gives on them.
+
+    Flapping that this flight does not measure stands still where physics asks for it, and is no signal.
+    """
     flight, step1 = dataset.flights[name], reconstruction.flights[name]
     names = tuple(dict.fromkeys((*(s for s in model.layout.names), *FLAPPING, *model.body.controls)))
     present = [n for n in names if flight.has(n)]
@@ -196,6 +199,8 @@ def measured(model: Model, dataset: Dataset, reconstruction: Reconstruction, nam
     given = {s.name: s.channel for s in model.layout.states if s.channel is not None and flight.has(s.channel)}
     signals |= {name: flight.bridged([channel])[:, 0] for name, channel in given.items()}
     rates = {n: torch.gradient(signals[n], spacing=flight.dt)[0] for n in FLAPPING if n in present}
+    unseen = [n for n in FLAPPING if n in model.layout.names and n not in present]
+    signals |= {n: torch.full_like(flight.time, model.reference.get(n, 0.0)) for n in unseen}
     specific = step1.specific.nan_to_num(0.0)
     theta = model.theta.detach()
     frame = Frame(signals, force=specific[:, :3], moment=torch.zeros_like(specific[:, 3:]), rates=rates)
@@ -212,7 +217,8 @@ def measured(model: Model, dataset: Dataset, reconstruction: Reconstruction, nam
         frame, _ = effect(frame, own, values)
     assert frame.force is not None
     assert frame.moment is not None
-    return Measured(frame.signals, torch.cat([frame.force - specific[:, :3], frame.moment], dim=-1), specific)
+    seen = {n: signal for n, signal in frame.signals.items() if n not in unseen}
+    return Measured(seen, torch.cat([frame.force - specific[:, :3], frame.moment], dim=-1), specific)
 
 
 def _followed(effect: Effect, frame: Frame, values: Values, dt: float) -> Tensor:

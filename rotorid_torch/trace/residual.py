@@ -152,11 +152,13 @@ def _moved(model: Model, effects: Sequence[str]) -> Iterator[None]:
 
 
 def _residual(model: Model, seen: Measured, flapping: Sequence[str], dt: float) -> Tensor:
-    """Forces and moments that step 1 found, and flapping rates, less the model's [T, rows]; zero where unseen."""
-    loads, rates = _modelled(model, seen.signals, flapping)
-    found = [seen.specific - loads]
+    """Forces and moments that step 1 found less the model's, and flapping rates [T, rows]; zero where unseen.
+
+    Flapping's own law is linear in what acts on it: what linear terms take up.
+    """
+    found = [seen.specific - _modelled(model, seen.signals)]
     if flapping:
-        found.append(torch.gradient(_stacked(seen.signals, flapping), spacing=dt, dim=0)[0] - rates)
+        found.append(torch.gradient(_stacked(seen.signals, flapping), spacing=dt, dim=0)[0])
     return torch.cat(found, dim=-1).nan_to_num(0.0)
 
 
@@ -165,11 +167,8 @@ def _stacked(signals: Mapping[str, Tensor], names: Sequence[str]) -> Tensor:
     return torch.stack([signals.get(n, torch.full_like(signals["p"], torch.nan)) for n in names], dim=-1)
 
 
-def _modelled(model: Model, signals: Mapping[str, Tensor], flapping: Sequence[str]) -> tuple[Tensor, Tensor]:
-    """Specific forces and angular accelerations by the external moment [T, 6], rates of the flapping [T, 0 or 3].
-
-    On measured signals; their own states are those signals too.
-    """
+def _modelled(model: Model, signals: Mapping[str, Tensor]) -> Tensor:
+    """Specific forces and angular accelerations by the external moment [T, 6], on measured signals as states."""
     names, controls = model.layout.names, model.body.controls
     usual = torch.tensor([model.reference.get(n, 0.0) for n in names], dtype=torch.float64)
     x, u = _stacked(signals, names), _stacked(signals, controls)
@@ -178,8 +177,7 @@ def _modelled(model: Model, signals: Mapping[str, Tensor], flapping: Sequence[st
         frame, _ = model.frame(model.theta, x, u)
     none = torch.zeros(len(x), 3, dtype=torch.float64)
     force = none if frame.force is None else frame.force
-    loads = torch.cat([force, none if frame.moment is None else frame.moment], dim=-1)
-    return loads, torch.stack([frame.rates[n] for n in flapping], dim=-1) if flapping else none[:, :0]
+    return torch.cat([force, none if frame.moment is None else frame.moment], dim=-1)
 
 
 def _smooth(records: Tensor, width: int) -> Tensor:

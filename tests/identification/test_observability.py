@@ -48,7 +48,8 @@ def test_states_that_the_channels_tell_stay_and_the_others_are_named(
     found, outputs = observable(data(*channels))
     assert set(found) == set(states)
     assert set(outputs) <= {*RATES, *channels}
-    assert set(left_out(data(*channels))) == set(untold)
+    dataset = data(*channels)
+    assert set(left_out(dataset, observable(dataset)[0])) == set(untold)
 
 
 def test_what_the_rank_leaves_open_no_record_tells_apart():

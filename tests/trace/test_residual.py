@@ -11,6 +11,7 @@ from torch import Tensor
 
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES, STICKS, VELOCITIES
 from rotorid_torch.data import Dataset
+from rotorid_torch.effects.spec import RotorSpec
 from rotorid_torch.identification.reconstruct import reconstruct
 from rotorid_torch.trace.residual import LeftOver, chance, left_over, scan
 from rotorid_torch.trace.unexplained import unknown
@@ -123,13 +124,18 @@ def test_chance_reaches_what_nothing_explains_and_falls_short_of_what_something_
     assert all(torch.equal(a, b) for a, b in zip(chance(over, 3).values(), chance(over, 3).values(), strict=True))
 
 
-def test_a_slipped_control_run_shows_in_the_flapping_that_follows_it():
-    """Half of the lateral cyclic's deviation is lost from 5 s on; the moments follow the measured flapping."""
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_slipped_control_run_shows_in_the_flapping_that_follows_it(order: int):
+    """Half of the lateral cyclic's deviation is lost from 5 s on; the moments follow the measured flapping.
+
+    A model with second-order flapping takes the measured rates as its own: still they show what its drivers lack.
+    """
     columns = (*VELOCITIES, *RATES, *STICKS, *FLAPPING)
     patterns = dict.fromkeys((*FORCES, *MOMENTS, *FLAPPING), columns)
     reference = {**body_spec().reference, **dict.fromkeys(FLAPPING, 0.0)}
     outputs = (*BODY, "ax", "ay", "az", *FLAPPING)
-    model = linear_vehicle(flapping="first order", patterns=patterns, reference=reference, outputs=outputs)
+    kind = {"flapping": "first order", "patterns": patterns, "reference": reference, "outputs": outputs}
+    model = linear_vehicle(**kind)
     tilts = {f"rotor.{n}.{n}": -8.0 for n in FLAPPING} | {"rotor.a1.lon": 8.0, "rotor.b1.lat": 8.0, "rotor.a0.col": 4.0}
     hubs = {"forces.L.lat": 0.0, "forces.L.b1": 30.0, "forces.M.lon": 0.0, "forces.M.a1": 15.0}
     with_values(model, {**tilts, **hubs})
@@ -140,6 +146,10 @@ def test_a_slipped_control_run_shows_in_the_flapping_that_follows_it():
     data = flown(model, came, 0.02, noise=0.005)
     told = {n: {**f.channels, "lat": asked[n][:, STICKS.index("lat")]} for n, f in data.flights.items()}
     data = Dataset.from_arrays(told, identify=data.identify, channels=data.channel_specs)
+    if order == 2:
+        rotor = RotorSpec(speed=27.0, blades=4, radius=8.0, chord=0.5)
+        richer = linear_vehicle(**kind, rotor=rotor, effects=("rotor.flap_second_order",))
+        model = with_values(richer, {**model.named_values, "rotor.flap_second_order.share": 1.0})
     over = left_over(model, data, reconstruct(data), data.identify)
     assert over.rows == (*ROWS, *FLAPPING)
     found = scan(over)
