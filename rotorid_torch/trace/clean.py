@@ -97,13 +97,19 @@ def clean_floors(
         for number in known.keys() & set(missing) if ranks.first else ():
             _keep(folder, number, known[number])
     found = [known[n] for n in range(draws) if n in known]
-    told = [f for f in found if f["alike"] and set(f["gains"]) >= set(effects)]
+    flown = [f for f in found if set(f["gains"]) >= set(effects)]
+    alike = [f for f in flown if f["alike"]]
+    told, note = alike, f"floors come from {len(alike)} clean aircraft drawn in the likeness of this one"
+    if len(alike) < FEWEST:  # those that come nearest are other aircraft of the kind, and as clean
+        kept = f"only {len(alike)} of {draws} drawn aircraft resemble the data"
+        told, note = flown, f"{kept}: floors come from the {len(flown)} that come nearest"
     if len(told) < FEWEST:
-        kept = f"only {len(told)} of {draws} drawn aircraft resemble the data"
-        return Floors({}, f"floors come from shuffled residuals alone: {kept}")
+        return Floors(
+            {}, f"floors come from shuffled residuals alone: {len(told)} of {draws} drawn aircraft could be flown"
+        )
     gains = {e: torch.tensor([f["gains"][e] for f in told], dtype=torch.float64) for e in effects}
     traces = {r: torch.tensor([f["traces"][r] for f in told], dtype=torch.float64) for r in told[0]["traces"]}
-    return Floors(gains, f"floors come from {len(told)} clean aircraft drawn in the likeness of this one", traces)
+    return Floors(gains, note, traces)
 
 
 def _file(folder: Path, number: int) -> Path:
@@ -186,6 +192,7 @@ def _fly(
                 "seed": seed,
                 "numbers": list(numbers[k::count]),
                 "folder": str(folder),
+                "parent": os.getpid(),
             }
             file = Path(place) / f"request-{k}.json"
             file.write_text(json.dumps(request))
@@ -221,7 +228,7 @@ def _written(dataset: Dataset, place: Path) -> None:
 
 
 def _work(request: Mapping[str, object]) -> None:
-    """Draws of one process: one file for each, whole or absent."""
+    """Draws of one process: one file for each, whole or absent; no more once nobody waits for them."""
     from rotorid_torch.fly.drawn import clean_flights
 
     dataset, folder = load(str(request["dataset"])), Path(str(request["folder"]))
@@ -230,6 +237,8 @@ def _work(request: Mapping[str, object]) -> None:
     effects = msgspec.convert(request["effects"], list[str])
     numbers = msgspec.convert(request["numbers"], list[int])
     for drawn in clean_flights(dataset, msgspec.convert(request["seed"], int), tuple(numbers)):
+        if os.getppid() != request["parent"]:
+            return
         try:
             gains, traces = gains_on(drawn.dataset, null, effects)
         except (ValueError, RuntimeError):  # no fit from here; the next data set of the vehicle starts elsewhere

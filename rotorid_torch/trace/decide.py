@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
+from rotorid_torch.effects.base import Stage
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.model.model import Model
 from rotorid_torch.trace.finding import Finding
@@ -63,6 +64,9 @@ def objection(
     ]
     if not any(steady):
         return "its size differs from flight to flight"
+    short = too_short(candidate, effect)
+    if short is not None:
+        return short
     better = unseen_gain(null, candidate)
     if not helps(better):
         return f"it does not help on flights that no fit has seen ({int((better > 0).sum())} of {len(better)} better)"
@@ -72,6 +76,25 @@ def objection(
     ):  # less sharp than segments, for they drift: they may only speak against it
         return f"free runs of flights that no fit has seen are worse by it ({int((runs < 0).sum())} of {len(runs)})"
     return None
+
+
+def too_short(candidate: Fitted, effect: str) -> str | None:
+    """Why a time beside another effect of the control path cannot be told: shorter than what the fits see; else None.
+
+    A delay and a lag that are shorter than the interval of the records smooth the noise of the measured controls, and
+    so stand in for each other and for nothing.
+    """
+    path = [e for e in candidate.spec.effects if registered()[e].stage is Stage.CONTROL]
+    times = [
+        p.name for p in candidate.model.parameter_set.parameters if p.name.startswith(f"{effect}.") and p.unit == "s"
+    ]
+    interval, longest = candidate.fit.likelihood.records.dt, max((candidate.values[n] for n in times), default=math.inf)
+    if effect not in path or len(path) < 2 or longest >= interval:
+        return None
+    others = " and ".join(e for e in path if e != effect)
+    return (
+        f"{longest:.2g} s beside {others} is shorter than the interval of the records that are fitted, {interval:.2g} s"
+    )
 
 
 def at_edge(model: Model, effect: str) -> str | None:

@@ -46,9 +46,11 @@ def test_the_smallest_visible_size_grows_with_the_root_of_the_floor():
 def fitted(cost: float, free_runs: tuple[float, ...], error: float = 0.01, value: float = 0.05) -> Any:
     """A fit as decisions see it; its segments of unseen flights fit better the less it costs."""
     size = torch.full((len(free_runs), 1), cost, dtype=torch.float64)
-    parameter = SimpleNamespace(name="forces.drag.x", value=0.0, bounds=(0.0, 1.0), free=True)
+    parameter = SimpleNamespace(name="forces.drag.x", value=0.0, bounds=(0.0, 1.0), free=True, unit="s")
     values = {"forces.drag.x": value}
     return SimpleNamespace(
+        spec=SimpleNamespace(effects=("forces.drag",)),
+        fit=SimpleNamespace(likelihood=SimpleNamespace(records=SimpleNamespace(dt=0.02))),
         cost=cost,
         per_sample=1.0,
         values=values,
@@ -85,3 +87,29 @@ def test_flights_without_a_free_run_are_left_out():
     nan = float("nan")
     found = free_run_gain(fitted(1.0, (0.2, nan)), fitted(1.0, (0.1, nan)))
     assert found.tolist() == pytest.approx([0.6931], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("effects", "lag", "told"),
+    [
+        (("control.delay", "control.lag"), 0.011, True),
+        (("control.delay", "control.lag"), 0.025, False),
+        (("control.lag",), 0.011, False),
+        (("forces.drag", "control.lag"), 0.011, False),
+    ],
+)
+def test_a_lag_shorter_than_the_records_interval_is_no_finding_beside_a_delay(
+    effects: tuple[str, ...], lag: float, told: bool
+):
+    candidate = fitted(1.0, (0.08, 0.09))
+    candidate.spec.effects = effects
+    parameter = SimpleNamespace(name="control.lag.common", value=0.0, bounds=(0.0, 1.0), free=True, unit="s")
+    candidate.model.parameter_set.parameters = (parameter,)
+    candidate.values = candidate.model.named_values = {"control.lag.common": lag}
+    own = SimpleNamespace(effect="control.lag", parameter="control.lag.common", null=0.0)
+    screened = SimpleNamespace(signatures=(own,))
+    candidate.error = lambda name: 0.001
+    said = objection(fitted(2.0, (0.1, 0.1)), candidate, "control.lag", 0.1, screened, {"control.lag.common": 0.001})
+    assert (said is not None) == told
+    if told:
+        assert "0.011 s beside control.delay is shorter than the interval of the records" in (said or "")
