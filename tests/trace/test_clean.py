@@ -1,0 +1,65 @@
+"""Floors come from clean aircraft that resemble the data; where too few do, from those that come nearest."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from rotorid_torch.trace import clean
+from rotorid_torch.trace.floor import Floors, Null
+from tests.known_models import body_spec, flown, linear_vehicle, manoeuvres, written
+
+DRAWS = 24
+
+
+def floors(monkeypatch: pytest.MonkeyPatch, place: Path, alike: int, flew: int) -> Floors:
+    """Of draws of which some resemble the data and some do not fly."""
+
+    def fly(*request: Any) -> None:
+        numbers: Sequence[int] = request[4]
+        folder: Path = request[5]
+        for n in numbers:
+            gains = {"control.delay": 0.001 * n} if n < flew else {}
+            clean._keep(folder, n, {"gains": gains, "traces": {"X": 0.1} if gains else {}, "alike": n < alike})
+
+    monkeypatch.setattr("rotorid_torch.fly.drawn.undrawable", lambda dataset: None)
+    monkeypatch.setattr(clean, "cache_folder", lambda: place)
+    monkeypatch.setattr(clean, "_fly", fly)
+    dataset = flown(linear_vehicle(), manoeuvres(4.0, 0.02), 0.02, noise=0.01)
+    return clean.clean_floors(dataset, Null(body_spec(), {}), ["control.delay"], draws=DRAWS)
+
+
+@pytest.mark.parametrize(
+    ("alike", "flew", "counted", "said"),
+    [
+        (24, 24, 24, "floors come from 24 clean aircraft drawn in the likeness of this one"),
+        (22, 24, 22, "floors come from 22 clean aircraft drawn in the likeness of this one"),
+        (3, 23, 23, "only 3 of 24 drawn aircraft resemble the data: floors come from the 23 that come nearest"),
+        (3, 19, 0, "floors come from shuffled residuals alone: 19 of 24 drawn aircraft could be flown"),
+    ],
+)
+def test_of_which_aircraft_floors_are_made(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, alike: int, flew: int, counted: int, said: str
+):
+    found = floors(monkeypatch, tmp_path, alike, flew)
+    assert found.note == said
+    assert len(found.gains.get("control.delay", ())) == counted
+
+
+@pytest.mark.parametrize("waited_for", [True, False])
+def test_who_draws_for_a_process_that_is_gone_stops(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, waited_for: bool):
+    drawn = [SimpleNamespace(number=n, dataset=None, alike=True, misfit=1.0, rotor="") for n in range(3)]
+    monkeypatch.setattr("rotorid_torch.fly.drawn.clean_flights", lambda dataset, seed, numbers: iter(drawn))
+    monkeypatch.setattr(clean, "gains_on", lambda dataset, null, effects: ({"control.delay": 0.1}, {}))
+    data = written(flown(linear_vehicle(), manoeuvres(4.0, 0.02), 0.02, noise=0.01), tmp_path / "data")
+    place = tmp_path / "floors"
+    place.mkdir()
+    plain = {"dataset": str(data), "spec": body_spec().plain(), "values": {}, "held": [], "effects": ["control.delay"]}
+    parent = os.getppid() if waited_for else -1
+    clean._work({**plain, "seed": 0, "numbers": [0, 1, 2], "folder": str(place), "parent": parent})
+    assert len(list(place.glob("*.json"))) == (3 if waited_for else 0)
