@@ -264,8 +264,8 @@ def _rolled(record: Tensor, turn: tuple[float, float]) -> Tensor:
 
 def _turned_over(over: LeftOver, turns: Sequence[tuple[float, float]]) -> LeftOver:
     """The equations' residual turned flight by flight."""
-    own = over.linear[:, len(over.names) :].bool()
     residual = over.residual.clone()
-    for mine, turn in zip(own.mT, turns, strict=True):
+    for f, turn in enumerate(turns):
+        mine = over.flight == f
         residual[mine] = _rolled(over.residual[mine], turn)
     return replace(over, residual=residual)

@@ -85,6 +85,19 @@ def test_a_turned_residual_keeps_its_size_and_loses_its_meaning():
     assert torch.equal(true.isnan(), shuffled.isnan())
 
 
+def test_equations_residuals_are_turned_flight_by_flight_whatever_linear_terms_they_have():
+    """Where flapping is measured, its tilts are linear terms beside the flights' constants."""
+    fitted = physics(HIDDEN)
+    data, found = fitted.flights.dataset, fitted.flights.reconstruction
+    over = left_over(fitted.model, data, found, data.identify)
+    tilted = replace(over, linear=torch.cat([over.linear, over.signals[:, :3] ** 2], dim=1))
+    turns = [(0.3, -1.0)] * len(data.identify)
+    for f in range(len(data.identify)):
+        mine = over.flight == f
+        rolled = -over.residual[mine].roll(round(0.3 * int(mine.sum())), dims=0)
+        assert torch.equal(network._turned_over(tilted, turns).residual[mine], rolled)
+
+
 def test_weights_of_the_equations_repeat_by_seed():
     fitted = physics(HIDDEN)
     data, found = fitted.flights.dataset, fitted.flights.reconstruction
