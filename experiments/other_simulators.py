@@ -2,7 +2,8 @@
 
 Data sets of helicopters flown by J-GenHel, JSBSim and helisim: some hide nothing, one has its controls recorded early,
 some do not tell. One JSON line per set; sets that have a line are not run again. `--report` writes the table into
-docs/closed-loop.md.
+docs/closed-loop.md. `--late` hides a control delay in each of them: what the controls do is moved forward in their
+record.
 
 Expected: nothing undeclared on uh60-hover, uh60-60kt, ah1-hover, uh60b-hover; on uh60-delay control.delay, alone or in
 a group with control.lag, 60 ms within three of its standard errors.
@@ -25,12 +26,15 @@ from loop_runs import over_sets, sets_left
 from loop_tables import markdown, number, write_between
 
 import rotorid_torch as rotorid
+from rotorid_torch.trace.sensor_correction import without_errors
 
 ROOT = Path(__file__).parents[1]
+DELAY = "control.delay"
+COMMON = f"{DELAY}.common"
 HIDES: dict[str, tuple[str, ...] | None] = {
     "uh60-hover": (),
     "uh60-60kt": (),
-    "uh60-delay": ("control.delay",),
+    "uh60-delay": (DELAY,),
     "ah1-hover": (),
     "uh60b-hover": (),
     "uh60-x1": None,
@@ -39,7 +43,7 @@ HIDES: dict[str, tuple[str, ...] | None] = {
     "ah1-x1": None,
 }
 """What the sets are known to hide; None: not told."""
-TRUE = {"uh60-delay": {"control.delay.common": 0.06}}
+TRUE = {"uh60-delay": {COMMON: 0.06}}
 
 
 @dataclass
@@ -56,6 +60,8 @@ class Args:
     """Run nothing; turn the lines into the table."""
     page: Path = ROOT / "docs" / "closed-loop.md"
     """Page that holds the table, between its markers."""
+    late: float = 0.0
+    """s by which the controls are made to act late; lines in a folder and a table of their own."""
     processes: int = 1
     """Sets at the same time."""
     seed: int = 0
@@ -63,16 +69,21 @@ class Args:
     """Lines (runs.jsonl), one RUN per set, and TensorBoard records."""
 
 
-def run_set(place: Path, out: Path, seed: int) -> dict:
-    """Close the loop on one set; its RUN stays, with the report."""
+def run_set(place: Path, out: Path, seed: int, late: float = 0.0) -> dict:
+    """Close the loop on one set, its controls made to act late by so many seconds; its RUN stays, with the report."""
     torch.set_num_threads(1)
     name, began = place.name, time.perf_counter()
-    hides = HIDES.get(name)
+    hides, true = HIDES.get(name), TRUE.get(name)
+    if late and hides is not None:
+        hides, true = tuple(dict.fromkeys((*hides, DELAY))), {COMMON: late + (true or {}).get(COMMON, 0.0)}
     line = {"case": name, "hidden": hides}
     out.mkdir(parents=True, exist_ok=True)
     try:
-        loop = rotorid.close_loop(rotorid.load(place), out=out / name, seed=seed)
-        line |= loop_line(loop, hides or (), TRUE.get(name))
+        dataset = rotorid.load(place)
+        if late:
+            dataset = without_errors(dataset, {"delay.controls": late})
+        loop = rotorid.close_loop(dataset, out=out / name, seed=seed)
+        line |= loop_line(loop, hides or (), true)
     except (ValueError, RuntimeError) as error:
         line |= failure(error)
     return line | {"seconds": round(time.perf_counter() - began, 1)}
@@ -97,7 +108,8 @@ def table(lines: Sequence[dict]) -> str:
 def study(args: Args, file: Path) -> dict:
     """Run the sets that are there and have no line yet; those that are not are named with the reason."""
     left, skipped = sets_left(args.data, args.sets, args.quick, file)
-    given = [(args.data / name, args.out / "runs", args.seed) for name in left]
+    late = (args.late,) if args.late else ()
+    given = [(args.data / name, args.out / "runs", args.seed, *late) for name in left]
     return {"runs": over_sets(run_set, given, args.processes, file, asdict(args)), "skipped": skipped}
 
 
@@ -111,7 +123,8 @@ def main(args: Args) -> None:
     result = {} if args.report else study(args, file)
     lines = read_lines(file)
     if args.report:
-        write_between(args.page, "other simulators", table(lines) if lines else "No runs yet.")
+        marker = "other simulators, late" if args.late else "other simulators"
+        write_between(args.page, marker, table(lines) if lines else "No runs yet.")
     verdicts = {one["case"]: one.get("verdict", "failed") for one in lines}
     print(json.dumps(result | {"verdicts": verdicts}))
 

@@ -5,8 +5,10 @@ import json
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from rotorid_torch.data import Dataset
 from rotorid_torch.run.folder import run_folder
 from tests.experiments.test_experiments import quick
 from tests.helpers import shared
@@ -57,6 +59,27 @@ def test_a_set_is_closed_into_a_run_of_its_own(tmp_path: Path, monkeypatch: pyte
     found = module.run_set(tmp_path / "uh60-x1", tmp_path / "out" / "runs", 5)
     assert found["failed"] == "ValueError: uh60-x1 5"
     assert (tmp_path / "out" / "runs" / "uh60-x1" / "report.json").exists()
+
+
+def test_controls_are_made_to_act_late(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    module, seen = import_module("other_simulators"), []
+    time = np.arange(0.0, 4.0, 0.01)
+    channels = {"time": time, "lat": np.sin(time), "p": np.cos(time)}
+    data = Dataset.from_arrays({"f": channels}, identify=["f"], controls={"lat": {"unit": "rad"}})
+
+    def close_loop(dataset: Dataset, out: Path, seed: int) -> None:
+        seen.append(dataset.flights["f"])
+        raise ValueError("seen")
+
+    monkeypatch.setattr(module.rotorid, "close_loop", close_loop)
+    monkeypatch.setattr(module.rotorid, "load", lambda place: data)
+    found = module.run_set(tmp_path / "uh60-hover", tmp_path / "out", 5, 0.06)
+    assert found["hidden"] == ("control.delay",)
+    assert found["failed"] == "ValueError: seen"
+    early, held = seen[0].channels["lat"].numpy(), seen[0].channels["p"].numpy()
+    assert np.nanmax(np.abs(early - np.sin(time + 0.06))) < 1e-4
+    assert np.isnan(early).sum() < 12
+    assert np.array_equal(held, np.cos(time))
 
 
 def test_table_has_a_row_for_each_set_in_their_order(tmp_path: Path) -> None:
