@@ -102,7 +102,8 @@ def clean_floors(
     told, note = alike, f"floors come from {len(alike)} clean aircraft drawn in the likeness of this one"
     if len(alike) < FEWEST:  # those that come nearest are other aircraft of the kind, and as clean
         kept = f"only {len(alike)} of {draws} drawn aircraft resemble the data"
-        told, note = flown, f"{kept}: floors come from the {len(flown)} that come nearest"
+        told = sorted(flown, key=lambda f: f["misfit"])[:FEWEST]
+        note = f"{kept}: floors come from the {len(told)} that come nearest"
     if len(told) < FEWEST:
         return Floors(
             {}, f"floors come from shuffled residuals alone: {len(told)} of {draws} drawn aircraft could be flown"

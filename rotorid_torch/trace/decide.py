@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
-from rotorid_torch.effects.base import Stage
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.model.model import Model
 from rotorid_torch.trace.finding import Finding
@@ -20,6 +19,8 @@ SURE = 3.0
 """Standard errors from its null beyond which a parameter is believed."""
 CLEARLY = 0.05
 """Mean log ratio of J by which free runs must be worse to speak against an effect: they scatter by as much."""
+TIMES = frozenset({"control.delay", "control.lag"})
+"""Effects that stand in for each other where they are short."""
 STEADY = 2.0
 """Jackknife standard errors over flights that a size must reach to be the same in all flights."""
 
@@ -79,21 +80,19 @@ def objection(
 
 
 def too_short(candidate: Fitted, effect: str) -> str | None:
-    """Why a time beside another effect of the control path cannot be told: shorter than what the fits see; else None.
+    """Why a delay beside a lag, or a lag beside a delay, cannot be told: shorter than what the fits see; else None.
 
-    A delay and a lag that are shorter than the interval of the records smooth the noise of the measured controls, and
-    so stand in for each other and for nothing.
+    Both together smooth the noise of the measured controls, and so the shorter stands for nothing that acts.
     """
-    path = [e for e in candidate.spec.effects if registered()[e].stage is Stage.CONTROL]
-    times = [
-        p.name for p in candidate.model.parameter_set.parameters if p.name.startswith(f"{effect}.") and p.unit == "s"
-    ]
-    interval, longest = candidate.fit.likelihood.records.dt, max((candidate.values[n] for n in times), default=math.inf)
-    if effect not in path or len(path) < 2 or longest >= interval:
+    if effect not in TIMES or not TIMES <= set(candidate.spec.effects):
         return None
-    others = " and ".join(e for e in path if e != effect)
+    interval = candidate.fit.likelihood.records.dt
+    longest = max(v for n, v in candidate.values.items() if n.startswith(f"{effect}."))
+    if longest >= interval:
+        return None
+    other = next(iter(TIMES - {effect}))
     return (
-        f"{longest:.2g} s beside {others} is shorter than the interval of the records that are fitted, {interval:.2g} s"
+        f"{longest:.2g} s beside {other} is shorter than the interval of the records that are fitted, {interval:.2g} s"
     )
 
 

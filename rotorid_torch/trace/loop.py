@@ -26,6 +26,7 @@ from rotorid_torch.trace.decide import (
     objection,
     rivals,
     smallest_visible,
+    too_short,
     unseen_gain,
 )
 from rotorid_torch.trace.finding import Finding, Unknown
@@ -273,8 +274,11 @@ class _Search:
             spec = msgspec.structs.replace(final.spec, effects=others)
             least = floors.get(effect, 0.0)
             without = self.settled(refit(spec, self.flights, final.values, self.held, near=final), least)
+            why = too_short(final, effect)
             if gain(without, final) <= least:
-                self.rejected[effect] = ("beside the others it explains nothing more", gain(without, final), {})
+                why = "beside the others it explains nothing more"
+            if why is not None:
+                self.rejected[effect] = (why, gain(without, final), {})
                 accepted.remove(effect)
                 final = without
         return final, accepted

@@ -1,8 +1,9 @@
 """What no named effect explains: in which equation, with what it goes, since when, in which band. Never a name.
 
-Forces and moments that step 1 found, less those of the model on the measured motion. What linear terms could still take
-up is projected out of both sides; what is left is compared with products of the motion and controls, with what grows
-faster than its channel or levels off, and with everything linear that begins at some time.
+Forces and moments that step 1 found, and measured flapping's rates, less those of the model on the measured motion.
+What linear terms could still take up is projected out of both sides; what is left is compared with products of the
+motion and controls, with what grows faster than its channel or levels off, and with everything linear that begins at
+some time.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from torch import Tensor
 
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.effects.base import Frame
 from rotorid_torch.identification.reconstruct import Reconstruction
 from rotorid_torch.identification.step2 import Measured, measured
 from rotorid_torch.model.flapping import Flapping
@@ -32,6 +34,8 @@ SMOOTH_S = 0.4
 """Width of the smoothing of all records, s: rates differentiated are noise, and lines of the rotor would fold."""
 ALIKE_S = SMOOTH_S / 1.5
 """What smoothing makes one sample of, s: a Hann window's noise bandwidth is 1.5 over its width."""
+SECOND_ORDER = "rotor.flap_second_order.share"
+"""Without it flapping's rates are what first-order flapping makes them: second order keeps that for slow motion."""
 MOVED = 1e-2
 """Share of its typical size by which a parameter is moved for what the residuals change by."""
 SHUFFLES = 60
@@ -102,8 +106,11 @@ def left_over(
     """
     residuals, changes, columns, times, constants, tilts = [], [], [], [], [], []
     names: tuple[str, ...] = ()
-    flapping = FLAPPING if isinstance(model.effect("rotor"), Flapping) else ()
+    told = [name for name in flights if dataset.facts[name].has(*FLAPPING)]
+    flapping = FLAPPING if told and isinstance(model.effect("rotor"), Flapping) else ()
     for k, name in enumerate(flights):
+        if flapping and name not in told:  # neither the disc nor what it does to the body is known
+            continue
         seen = measured(model, dataset, reconstruction, name)
         dt = dataset.facts[name].dt
         every, width = max(1, round(1.0 / (dt * RATE))), max(1, round(SMOOTH_S / dt))
@@ -130,7 +137,7 @@ def left_over(
         names,
         signals,
         torch.cat(times),
-        torch.cat([signals, own, *([torch.cat(tilts)] if tilts else [])], dim=1),
+        torch.cat([signals, own[:, own.any(dim=0)], *([torch.cat(tilts)] if tilts else [])], dim=1),
         own.argmax(dim=1),
         torch.stack(named, dim=-1) if named else residual.new_zeros(*residual.shape, 0),
     )
@@ -152,13 +159,12 @@ def _moved(model: Model, effects: Sequence[str]) -> Iterator[None]:
 
 
 def _residual(model: Model, seen: Measured, flapping: Sequence[str], dt: float) -> Tensor:
-    """Forces and moments that step 1 found less the model's, and flapping rates [T, rows]; zero where unseen.
-
-    Flapping's own law is linear in what acts on it: what linear terms take up.
-    """
-    found = [seen.specific - _modelled(model, seen.signals)]
+    """Forces and moments that step 1 found, and flapping rates, less the model's [T, rows]; zero where unseen."""
+    found = [seen.specific - _loads(_on_measured(model, seen.signals))]
     if flapping:
-        found.append(torch.gradient(_stacked(seen.signals, flapping), spacing=dt, dim=0)[0])
+        law = _on_measured(model, seen.signals, {SECOND_ORDER: 0.0})  # whose rates are states would follow the measured
+        rates = torch.stack([law.rates[n] for n in flapping], dim=-1)
+        found.append(torch.gradient(_stacked(seen.signals, flapping), spacing=dt, dim=0)[0] - rates)
     return torch.cat(found, dim=-1).nan_to_num(0.0)
 
 
@@ -167,15 +173,23 @@ def _stacked(signals: Mapping[str, Tensor], names: Sequence[str]) -> Tensor:
     return torch.stack([signals.get(n, torch.full_like(signals["p"], torch.nan)) for n in names], dim=-1)
 
 
-def _modelled(model: Model, signals: Mapping[str, Tensor]) -> Tensor:
-    """Specific forces and angular accelerations by the external moment [T, 6], on measured signals as states."""
+def _on_measured(model: Model, signals: Mapping[str, Tensor], other: Mapping[str, float] | None = None) -> Frame:
+    """What a model makes of measured signals, its own states being those signals too; with other values of some."""
     names, controls = model.layout.names, model.body.controls
     usual = torch.tensor([model.reference.get(n, 0.0) for n in names], dtype=torch.float64)
     x, u = _stacked(signals, names), _stacked(signals, controls)
     x = torch.where(x.isnan(), usual, x)
+    theta = model.theta.detach().clone()
+    for name, value in (other or {}).items():
+        if name in model.parameter_set.names:
+            theta[model.parameter_set.index(name)] = value
     with torch.no_grad():
-        frame, _ = model.frame(model.theta, x, u)
-    none = torch.zeros(len(x), 3, dtype=torch.float64)
+        return model.frame(theta, x, u)[0]
+
+
+def _loads(frame: Frame) -> Tensor:
+    """Specific forces and angular accelerations by the external moment [T, 6]."""
+    none = torch.zeros(len(frame.signals["p"]), 3, dtype=torch.float64)
     force = none if frame.force is None else frame.force
     return torch.cat([force, none if frame.moment is None else frame.moment], dim=-1)
 

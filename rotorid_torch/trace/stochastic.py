@@ -71,11 +71,13 @@ def _turbulence(dataset: Dataset, spec: ModelSpec, values: Mapping[str, float]) 
     beyond = np.sqrt(np.maximum(_between(means) - noise**2, 0.0))
     said = (
         f"before the pilot acts the flights differ by more than their sensors' noise, in {channels[worst]} most;"
-        " output error takes gusts for noise: derivatives are biased, fly in calmer air"
+        " output error takes gusts for noise: derivatives are biased, fly in calmer air; gusts slower than these"
+        " moments are not in the size"
     )
     moved = np.array(_by_gusts(values, channels))
     most = int(np.argmax(np.where(moved > 0.0, ratio, 0.0)))
-    size = {f"{TURBULENCE}.intensity": (float(beyond[most] / moved[most]), 0.0)} if moved[most] > 0.0 else {}
+    shows = moved[most] > 0.0 and ratio[most] > floor
+    size = {f"{TURBULENCE}.intensity": (float(beyond[most] / moved[most]), 0.0)} if shows else {}
     return Finding(TURBULENCE, "undeclared", "accepted", said, **keep, values=size)
 
 

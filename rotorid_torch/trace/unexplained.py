@@ -27,7 +27,7 @@ def unknown(
     Flights that no fit has seen must be better described with the trace as it was found, by more than chance allows and
     half as well as those it was found on: the best of hundreds of traces that mean nothing explains less of them.
     """
-    above = [row for row, trace in traces.items() if trace.weight > floors.get(row, math.inf)]
+    above = [r for r, trace in traces.items() if r in unseen.rows and trace.weight > floors.get(r, math.inf)]
     standing = [row for row in above if _holds(traces[row], row, left, unseen, seed)]
     if not standing:
         return None

@@ -96,6 +96,7 @@ def test_flights_without_a_free_run_are_left_out():
         (("control.delay", "control.lag"), 0.025, False),
         (("control.lag",), 0.011, False),
         (("forces.drag", "control.lag"), 0.011, False),
+        (("control.backlash", "control.lag"), 0.011, False),
     ],
 )
 def test_a_lag_shorter_than_the_records_interval_is_no_finding_beside_a_delay(
