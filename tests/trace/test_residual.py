@@ -94,7 +94,7 @@ def test_what_unseen_flights_do_not_show_is_not_told(signals: Tensor):
     over = left("L", product)
     told = unknown(scan(over), dict.fromkeys(ROWS, 0.3), over, left("L", 0.8 * product))
     assert told is not None
-    for other in (left("L", None), left("L", -product), left("L", product, noise=3.0)):
+    for other in (left("L", None), left("L", -product), left("L", product, noise=3.0), left("L", product, noise=60.0)):
         assert unknown(scan(over), dict.fromkeys(ROWS, 0.3), over, other) is None
 
 
@@ -144,8 +144,8 @@ def test_a_slipped_control_run_shows_in_the_flapping_that_follows_it(order: int)
     asked = {n: c + 0.02 * np.sin(0.05 * np.arange(len(c)))[:, None] for n, c in asked.items()}
     came = {n: np.where(late[:, None] & (np.arange(4) == STICKS.index("lat")), 0.5 * c, c) for n, c in asked.items()}
     data = flown(model, came, 0.02, noise=0.005)
-    told = {n: {**f.channels, "lat": asked[n][:, STICKS.index("lat")]} for n, f in data.flights.items()}
-    data = Dataset.from_arrays(told, identify=data.identify, channels=data.channel_specs)
+    asked_for = {n: {**f.channels, "lat": asked[n][:, STICKS.index("lat")]} for n, f in data.flights.items()}
+    data = Dataset.from_arrays(asked_for, identify=data.identify, channels=data.channel_specs)
     if order == 2:
         rotor = RotorSpec(speed=27.0, blades=4, radius=8.0, chord=0.5)
         richer = linear_vehicle(**kind, rotor=rotor, effects=("rotor.flap_second_order",))
@@ -156,7 +156,17 @@ def test_a_slipped_control_run_shows_in_the_flapping_that_follows_it(order: int)
     assert (found["b1"].goes_with, found["b1"].since_s) == ("lat", pytest.approx(5.0, abs=0.5))
     assert found["b1"].share > 0.5
     assert found["L"].size < 0.1 * found["b1"].size * 30.0
-    some = {n: {c: v for c, v in f.items() if n != "f_ped" or c not in FLAPPING} for n, f in told.items()}
+    some = {n: {c: v for c, v in f.items() if n != "f_ped" or c not in FLAPPING} for n, f in asked_for.items()}
     lacking = Dataset.from_arrays(some, identify=data.identify, channels=data.channel_specs)
-    again = scan(left_over(model, lacking, reconstruct(lacking), data.identify))
+    partly = left_over(model, lacking, reconstruct(lacking), data.identify)
+    again = scan(partly)
     assert (again["b1"].goes_with, again["b1"].since_s) == ("lat", pytest.approx(5.0, abs=0.5))
+    assert again["L"].size < 0.1 * again["b1"].size * 30.0
+    low = dict.fromkeys(over.rows, 1e-3)
+    for unseen in (over, partly):  # a flight whose disc nobody saw speaks neither for it nor against it
+        told = unknown({"b1": found["b1"]}, low, over, unseen)
+        assert told is not None
+        assert told.where == "b1"
+    bare = {n: {c: v for c, v in f.items() if c not in FLAPPING} for n, f in asked_for.items()}
+    blind = Dataset.from_arrays(bare, identify=data.identify, channels=data.channel_specs)
+    assert unknown({"b1": found["b1"]}, low, over, left_over(model, blind, reconstruct(blind), data.identify)) is None
