@@ -108,8 +108,7 @@ def table(lines: Sequence[dict]) -> str:
 def study(args: Args, file: Path) -> dict:
     """Run the sets that are there and have no line yet; those that are not are named with the reason."""
     left, skipped = sets_left(args.data, args.sets, args.quick, file)
-    late = (args.late,) if args.late else ()
-    given = [(args.data / name, args.out / "runs", args.seed, *late) for name in left]
+    given = [(args.data / name, args.out / "runs", args.seed, args.late) for name in left]
     return {"runs": over_sets(run_set, given, args.processes, file, asdict(args)), "skipped": skipped}
 
 

@@ -28,7 +28,7 @@ def test_missing_sets_are_skipped_and_finished_ones_not_repeated(
 ) -> None:
     module, calls = import_module("other_simulators"), []
 
-    def run(place: Path, out: Path, seed: int) -> dict:
+    def run(place: Path, out: Path, seed: int, late: float) -> dict:
         calls.append(place.name)
         return line(place.name) if len(calls) > 1 else {"case": place.name, "hidden": None, "failed": "no fit"}
 

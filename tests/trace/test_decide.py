@@ -46,7 +46,7 @@ def test_the_smallest_visible_size_grows_with_the_root_of_the_floor():
 def fitted(cost: float, free_runs: tuple[float, ...], error: float = 0.01, value: float = 0.05) -> Any:
     """A fit as decisions see it; its segments of unseen flights fit better the less it costs."""
     size = torch.full((len(free_runs), 1), cost, dtype=torch.float64)
-    parameter = SimpleNamespace(name="forces.drag.x", value=0.0, bounds=(0.0, 1.0), free=True, unit="s")
+    parameter = SimpleNamespace(name="forces.drag.x", value=0.0, bounds=(0.0, 1.0), free=True)
     values = {"forces.drag.x": value}
     return SimpleNamespace(
         spec=SimpleNamespace(effects=("forces.drag",)),
@@ -104,7 +104,7 @@ def test_a_lag_shorter_than_the_records_interval_is_no_finding_beside_a_delay(
 ):
     candidate = fitted(1.0, (0.08, 0.09))
     candidate.spec.effects = effects
-    parameter = SimpleNamespace(name="control.lag.common", value=0.0, bounds=(0.0, 1.0), free=True, unit="s")
+    parameter = SimpleNamespace(name="control.lag.common", value=0.0, bounds=(0.0, 1.0), free=True)
     candidate.model.parameter_set.parameters = (parameter,)
     candidate.values = candidate.model.named_values = {"control.lag.common": lag}
     own = SimpleNamespace(effect="control.lag", parameter="control.lag.common", null=0.0)
