@@ -34,6 +34,7 @@ from rotorid_torch.run.records import (
     UnknownRecord,
     VerdictRecord,
 )
+from rotorid_torch.run.summary import failing
 from rotorid_torch.run.write import write_report
 from rotorid_torch.trace.clean import clean_floors
 from rotorid_torch.trace.clocks import sensor_findings
@@ -344,7 +345,8 @@ def _with_sensors(spec: ModelSpec, model: Model, sensors: Mapping[str, float]) -
 
 
 def _loop(before: Run, after: Run | None, findings: Sequence[Finding], monitor: Monitor, tracing: Tracing) -> Loop:
-    run, told = after or before, statement([as_fitted(f, after) for f in findings], tracing.unknown)
+    run = after or before
+    told = statement([as_fitted(f, after) for f in findings], tracing.unknown, failing(run.fit))
     record = Report(
         command="close-loop",
         dataset=run.record.dataset,

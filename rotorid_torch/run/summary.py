@@ -89,6 +89,17 @@ def headline(report: Report) -> str:
     )
 
 
+def failing(fit: FitRecord) -> str:
+    """How badly a model does on flights that no fit has seen; nothing where it is of use, or no free run tells."""
+    useless = (GRADES[-1][1], WORSE_THAN_TRIM)
+    for summary in () if short_horizon(fit) else list_summaries(fit):
+        if summary.name != "identify" and summary.grade in useless:
+            share = 100.0 * (summary.explained or 0.0)
+            how = summary.grade if share < 0.0 else f"good for {share:.0f} % of the motion alone"
+            return f"on the {summary.name} flights the model is {how}"
+    return ""
+
+
 def next_steps(report: Report) -> list[str]:
     """What an engineer would look at next, most important first; never empty."""
     if report.fit is None:

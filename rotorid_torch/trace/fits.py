@@ -92,6 +92,11 @@ class Fitted:
             return math.inf
         return float(self.fit.errors[self.names.index(name)])
 
+    def scatter(self, effect: str) -> dict[str, float]:
+        """Standard errors of an effect's free parameters by leaving out one flight in turn; zero where none is told."""
+        variances = zip(self.names, self.fit.uncertainty.jackknife.nan_to_num(0.0).tolist(), strict=True)
+        return {name: math.sqrt(v) for name, v in variances if name.startswith(f"{effect}.")}
+
     @cached_property
     def unseen(self) -> Residual:
         """The flights that decide, under this model."""

@@ -203,7 +203,7 @@ class _Search:
             fitted = self.with_each(null, {best: screened.starts(best)}, floors)[best]
             null = self.improved(null, {best: fitted}, floors[best])
             rest.remove(best)
-            against = objection(null, fitted, best, floors[best], screened, screened.scatter(best))
+            against = objection(null, fitted, best, floors[best], screened, fitted.scatter(best))
             self.say(f"structure: {best}, gain {gain(null, fitted):.3g} per sample: {against or 'joins'}")
             if against is None:
                 null = fitted
@@ -240,13 +240,13 @@ class _Search:
     ) -> str | None:
         """The effect that joins in this round, and in its group those that explain as much."""
         against = self.ranks.share(
-            list(fitted), lambda e: objection(null, fitted[e], e, floors[e], screened, screened.scatter(e))
+            list(fitted), lambda e: objection(null, fitted[e], e, floors[e], screened, fitted[e].scatter(e))
         )
         why = dict(zip(fitted, against, strict=True))
         for e, reason in why.items():
             self.say(f"{e}: gain {gain(null, fitted[e]):.3g}, floor {floors[e]:.3g}: {reason or 'stands'}")
             if reason is not None:
-                self.rejected[e] = (reason, gain(null, fitted[e]), errors(fitted[e], e, screened.scatter(e)))
+                self.rejected[e] = (reason, gain(null, fitted[e]), errors(fitted[e], e, fitted[e].scatter(e)))
         sane = [e for e, reason in why.items() if reason is None]
         if not sane:
             return None
@@ -256,7 +256,7 @@ class _Search:
         if same:
             self.groups[best] = same
         self.gained[best] = gain(null, fitted[best])
-        self.spread.update(screened.scatter(best))
+        self.spread.update(fitted[best].scatter(best))
         self.say(f"{best} joins" + (f", in a group with {', '.join(same)}" if same else ""))
         return best
 

@@ -173,17 +173,6 @@ class Screen:
         inverse = torch.where(values > DEPENDENT, 1.0 / values.clamp_min(DEPENDENT), 0.0)
         return (vectors @ (inverse * (vectors.mT @ (d / scale)))) / scale
 
-    def scatter(self, effect: str) -> dict[str, float]:
-        """Jackknife over flights: standard error of each parameter of the effect."""
-        which, count = self.places([effect]), len(self.products)
-        chosen = [self.signatures[i] for i in which]
-        if count < 2:
-            return {s.parameter: 0.0 for s in chosen}
-        column = len(self.signatures)
-        without = torch.stack([self._solved(self.total - one, which, column) for one in self.products])
-        spread = ((count - 1) / count * (without - without.mean(0)).square().sum(0)).sqrt()
-        return {s.parameter: abs(s.step) * float(e) for s, e in zip(chosen, spread, strict=True)}
-
 
 def signatures(model: Model, effects: Sequence[str]) -> tuple[Signature, ...]:
     """Free parameters of these effects that have a size to be met with, at each start of the others."""

@@ -17,12 +17,16 @@ class Statement:
     sentence: str
 
 
-def statement(findings: Sequence[Finding], unknown: Unknown | None) -> Statement:
+def statement(findings: Sequence[Finding], unknown: Unknown | None, failing: str = "") -> Statement:
     """What the findings come to.
 
     An effect is named where it is accepted; a group where only its members fit and the data cannot tell which.
+    failing : how badly the model does, where it does: then nothing found does not say that nothing is missing.
     """
     said = _stated(findings, unknown)
+    if failing and said.kind in ("nothing undeclared", "structure"):
+        missing = f"Yet something is missing that was neither named nor localised: {failing}."
+        said = replace(said, sentence=f"{said.sentence} {missing}")
     if not any(f.role == "learnt" and f.verdict == "accepted" for f in findings):
         return said
     return replace(said, sentence=f"{said.sentence} A network takes what is left; it is no name for it.")

@@ -113,6 +113,19 @@ def test_headline_grades_the_flights_not_seen(report: records.Report, fit: recor
     assert word in summary.headline(msgspec.structs.replace(report, before=with_list(fit, J)))
 
 
+@pytest.mark.parametrize(
+    ("J", "said"),
+    [
+        (0.1, ""),
+        (0.5, ""),
+        (0.8, "on the validate flights the model is good for 36 % of the motion alone"),
+        (1.5, "on the validate flights the model is worse than holding trim"),
+    ],
+)
+def test_a_model_that_is_of_no_use_on_unseen_flights_is_told(fit: records.FitRecord, J: float, said: str):
+    assert summary.failing(with_list(fit, J)) == said
+
+
 def test_next_steps_name_what_is_wrong(report: records.Report, fit: records.FitRecord):
     steps = "\n".join(summary.next_steps(msgspec.structs.replace(report, before=with_list(fit, 7.0))))
     assert "worse than holding trim on the acid flights" in steps

@@ -10,7 +10,7 @@ from rotorid_torch.run import records, remarks
 from rotorid_torch.run.html import render
 from rotorid_torch.run.scorecard import scorecard
 from rotorid_torch.run.short_horizon import FREE_RUN, explained, short_horizon
-from rotorid_torch.run.summary import headline, next_steps
+from rotorid_torch.run.summary import failing, headline, next_steps
 
 
 def response(rmse: float, r2: float) -> records.ResponseRecord:
@@ -49,6 +49,7 @@ def test_an_axis_that_a_flight_leaves_alone_counts_for_little(flown: records.Rep
 def test_free_runs_are_told_to_mean_nothing_and_do_not_lead(flown: records.Report):
     assert flown.before is not None
     assert headline(flown).startswith("On the acid flights, which it has not seen, the model explains (R²")
+    assert failing(flown.before) == ""
     assert not any("worse than holding trim" in step for step in next_steps(flown))
     console = Console(width=200, record=True)
     console.print(scorecard(flown))

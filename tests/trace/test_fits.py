@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import msgspec
 import pytest
 import torch
@@ -38,3 +40,18 @@ def test_trajectories_from_which_runs_diverge_are_not_begun_from(null: Fitted, m
     )
     again, afresh = (refit(null.spec, null.flights, null.values, near=near) for near in (null, None))
     assert again.fit.minimum.history == afresh.fit.minimum.history
+
+
+def test_the_scatter_of_an_effect_is_that_of_fits_without_one_flight_each(null: Fitted):
+    spec = msgspec.structs.replace(null.spec, effects=("control.lag",))
+    whole = refit(spec, null.flights, null.values, near=null)
+    listed, found = null.flights.dataset.identify, []
+    for name in listed:
+        rest = replace(null.flights.dataset, identify=tuple(n for n in listed if n != name))
+        found.append(refit(spec, replace(null.flights, dataset=rest), whole.values).values)
+    scatter = whole.scatter("control.lag")
+    assert set(scatter) >= {"control.lag.common"}
+    for name, error in scatter.items():
+        each = torch.tensor([values[name] for values in found], dtype=torch.float64)
+        exact = ((len(each) - 1) * each.var(correction=0)).sqrt()
+        assert error == pytest.approx(float(exact), rel=0.3)

@@ -49,6 +49,16 @@ def test_nothing_points_at_the_list_of_what_could_have_been_seen():
     assert "1 effects were tested" in told.sentence or "1 effect" in told.sentence
 
 
+def test_nothing_found_is_no_clean_bill_where_the_model_fails():
+    poor = "on the validate flights the model is worse than holding trim"
+    for findings in ([QUIET], [LAG_MODE, QUIET]):
+        told = statement(findings, None, poor)
+        assert told.kind == statement(findings, None).kind
+        assert told.sentence.endswith(f"something is missing that was neither named nor localised: {poor}.")
+    for findings, unknown in (([DELAY], None), ([QUIET], MISSING)):
+        assert statement(findings, unknown, poor) == statement(findings, unknown)
+
+
 def test_a_network_that_stays_is_told_and_changes_no_verdict():
     network = Finding("neural.forces", "learnt", "accepted", "")
     told, without = statement([QUIET, network], MISSING), statement([QUIET], MISSING)
