@@ -31,6 +31,7 @@ from rotorid_torch.identification.reconstruct import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.trace.fits import Flights, refit
 from rotorid_torch.trace.floor import Floors, Null
+from rotorid_torch.trace.forces import seen_in_forces
 from rotorid_torch.trace.residual import left_over, scan
 from rotorid_torch.trace.screen import screen
 
@@ -48,21 +49,27 @@ SAME = ("flapping", "flapping_doubtful", "patterns", "inflow", "cyclic_inflow", 
 """Structure that a drawn aircraft's model shares with the data's."""
 
 
-def gains_on(clean: Dataset, null: Null, effects: Sequence[str]) -> tuple[dict[str, float], dict[str, float]]:
+def gains_on(clean: Dataset, null: Null, effects: Sequence[str]) -> dict[str, dict[str, float]]:
     """Gain of each effect on a clean aircraft's flights, its model having the structure of the null.
 
-    Beside it the weight in each equation of what looks most like something unknown.
+    Beside it what those that are looked for in forces explain there, and the weight in each equation of what looks most
+    like something unknown.
     """
-    seen = at_one_rate(clean)
-    found = reconstruct(seen)
-    own = propose(seen, found, ())
+    flown = at_one_rate(clean)
+    found = reconstruct(flown)
+    own = propose(flown, found, ())
     own = msgspec.structs.replace(own, **{name: getattr(null.spec, name) for name in SAME})
     # an aircraft in the data's likeness lies near the data's values: from its own regression few fits find their end
-    fitted = refit(own, Flights(seen, found), null.values, null.held)
+    fitted = refit(own, Flights(flown, found), null.values, null.held)
     screened = screen(fitted, effects, shuffles=CHANCES)
-    traces = scan(left_over(fitted.model, seen, found, seen.identify))
+    traces = scan(left_over(fitted.model, flown, found, flown.identify))
     gains = {e: max(screened.gain([e]), float(screened.by_chance(e).max())) for e in effects}
-    return gains, {row: t.weight for row, t in traces.items()}
+    seen = seen_in_forces(fitted, (), effects, 0)
+    return {
+        "gains": gains,
+        "forces": {e: one.gain for e, one in seen.items()},
+        "traces": {row: t.weight for row, t in traces.items()},
+    }
 
 
 def clean_floors(
@@ -108,9 +115,11 @@ def clean_floors(
         return Floors(
             {}, f"floors come from shuffled residuals alone: {len(told)} of {draws} drawn aircraft could be flown"
         )
-    gains = {e: torch.tensor([f["gains"][e] for f in told], dtype=torch.float64) for e in effects}
-    traces = {r: torch.tensor([f["traces"][r] for f in told], dtype=torch.float64) for r in told[0]["traces"]}
-    return Floors(gains, note, traces)
+    gains, traces, forces = (
+        {key: torch.tensor([f[kind][key] for f in told], dtype=torch.float64) for key in told[0][kind]}
+        for kind in ("gains", "traces", "forces")
+    )
+    return Floors(gains, note, traces, forces)
 
 
 def _file(folder: Path, number: int) -> Path:
@@ -163,7 +172,7 @@ def _code() -> str:
         for file in sorted((root / chapter).rglob("*")):
             if file.suffix in (".py", ".h", ".toml"):
                 digest.update(file.read_bytes())
-    for name in ("fits.py", "screen.py", "residual.py", "significance.py", "clean.py"):
+    for name in ("fits.py", "screen.py", "residual.py", "significance.py", "forces.py", "clean.py"):
         digest.update((Path(__file__).parent / name).read_bytes())
     return digest.hexdigest()
 
@@ -241,14 +250,14 @@ def _work(request: Mapping[str, object]) -> None:
         if os.getppid() != request["parent"]:
             return
         try:
-            gains, traces = gains_on(drawn.dataset, null, effects)
+            gained = gains_on(drawn.dataset, null, effects)
         except (ValueError, RuntimeError):  # no fit from here; the next data set of the vehicle starts elsewhere
             numbers.remove(drawn.number)
             continue
-        found = {"gains": gains, "traces": traces, "alike": drawn.alike, "misfit": drawn.misfit, "rotor": drawn.rotor}
+        found = {**gained, "alike": drawn.alike, "misfit": drawn.misfit, "rotor": drawn.rotor}
         _keep(folder, drawn.number, found)
     for number in numbers:  # aircraft that flew away are not flown again next time
-        _keep(folder, number, {"gains": {}, "traces": {}, "alike": False})
+        _keep(folder, number, {"gains": {}, "alike": False})
 
 
 if __name__ == "__main__":

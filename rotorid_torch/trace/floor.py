@@ -34,15 +34,21 @@ class Floors:
     The gain of a clean aircraft is at least what chance gives: that of its residual once its time has been shuffled.
 
     note : how many were drawn, or why none. traces : weight by equation of what looks like something unknown [D].
+    in_forces : what effects explain there of forces and moments on the measured motion, by effect [D].
     """
 
     gains: Mapping[str, Tensor]
     note: str
     traces: Mapping[str, Tensor] = field(default_factory=dict)
+    in_forces: Mapping[str, Tensor] = field(default_factory=dict)
 
     def of_traces(self) -> dict[str, float]:
         """Floor of each equation; empty where no aircraft was drawn, for then nothing tells how much is ordinary."""
         return family_wise(self.traces)
+
+    def of_forces(self) -> dict[str, float]:
+        """Floor of what each effect explains of forces; empty where no aircraft was drawn."""
+        return family_wise(self.in_forces)
 
     def of(self, screened: Screen, effects: Sequence[str]) -> dict[str, float]:
         """Floor of each effect: that of clean aircraft; without any, that of the data's own shuffled residual."""

@@ -7,7 +7,8 @@ over. On the measured motion the derivatives are found anew beside the effect, i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import groupby
 
 import msgspec
@@ -16,14 +17,25 @@ from torch import Tensor
 
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.fits import Fitted
+from rotorid_torch.trace.floor import FALSE_ALARMS
 from rotorid_torch.trace.residual import LeftOver, by_chance, left_over
 from rotorid_torch.trace.screen import Signature, signatures, sized
 
 
-def seen_in_forces(
-    null: Fitted, accepted: Sequence[str], effects: Sequence[str], seed: int
-) -> dict[str, dict[str, float]]:
-    """Effects with parameters that are tried at several values which explain more than chance, and their best values.
+@dataclass(frozen=True)
+class Seen:
+    """What an effect explains of forces and moments on the measured motion, where it is best, and its values there.
+
+    chance : what residuals that know nothing of the motion let it explain in at most 5 % of cases.
+    """
+
+    gain: float
+    chance: float
+    start: Mapping[str, float]
+
+
+def seen_in_forces(null: Fitted, accepted: Sequence[str], effects: Sequence[str], seed: int) -> dict[str, Seen]:
+    """What those of these effects that have parameters which are tried at several values explain in forces.
 
     accepted : effects of the null that have a name. seed : of the residuals that know nothing of the motion.
     """
@@ -37,18 +49,20 @@ def seen_in_forces(
             continue
         listed = flights.dataset, flights.reconstruction, flights.dataset.identify
         over = over or left_over(null.model, *listed, accepted)
-        worth = {}
+        gains, starts = [], []
         for beside, together in groupby(own, key=lambda one: one.beside):
             variant, changes = tuple(together), []
             for one in variant:
                 with sized(model, one):
                     changes.append(over.residual - left_over(model, *listed).residual)
-            gains, sizes = _explained(over, torch.stack(changes, dim=-1), variant, seed)
-            if float(gains[0]) > float(gains[1:].max()):
-                values = {s.parameter: s.null + a * s.step for s, a in zip(variant, sizes.tolist(), strict=True)}
-                worth[float(gains[0])] = {**dict(beside), **values}
-        if worth:
-            found[effect] = worth[max(worth)]
+            gained, sizes = _explained(over, torch.stack(changes, dim=-1), variant, seed)
+            values = {s.parameter: s.null + a * s.step for s, a in zip(variant, sizes.tolist(), strict=True)}
+            gains.append(gained)
+            starts.append({**dict(beside), **values})
+        table = torch.stack(gains)
+        best = int(table[:, 0].argmax())
+        by_chance = torch.quantile(table[:, 1:].amax(dim=0), 1.0 - FALSE_ALARMS, interpolation="higher")
+        found[effect] = Seen(float(table[best, 0]), float(by_chance), starts[best])
     return found
 
 

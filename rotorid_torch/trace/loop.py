@@ -217,7 +217,7 @@ class _Search:
             screened = self.screened(null, rest)
             floors = self.floors.of(screened, rest)
             promising = sorted((e for e in rest if screened.gain([e]) > floors[e]), key=lambda e: -screened.gain([e]))
-            seen = seen_in_forces(null, accepted, rest, self.seed)
+            seen = self.seen_in_forces(null, accepted, rest)
             self.hot.update((*promising, *seen))
             starts = {e: screened.starts(e) for e in promising[:FEW]}
             starts |= {e: [*starts.get(e, []), start] for e, start in seen.items()}
@@ -234,6 +234,13 @@ class _Search:
                 null = fitted[joined]
                 accepted.append(joined)
         return null, accepted
+
+    def seen_in_forces(
+        self, null: Fitted, accepted: Sequence[str], effects: Sequence[str]
+    ) -> dict[str, Mapping[str, float]]:
+        """Starts of effects that explain more of forces than by chance, and than on clean aircraft."""
+        seen, usual = seen_in_forces(null, accepted, effects, self.seed), self.floors.of_forces()
+        return {e: one.start for e, one in seen.items() if one.gain > max(one.chance, usual.get(e, 0.0))}
 
     def _joining(
         self, null: Fitted, fitted: Mapping[str, Fitted], floors: Mapping[str, float], screened: Screen

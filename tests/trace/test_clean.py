@@ -25,7 +25,8 @@ def floors(monkeypatch: pytest.MonkeyPatch, place: Path, alike: int, flew: int) 
         folder: Path = request[5]
         for n in numbers:
             gains = {"control.delay": 0.001 * n} if n < flew else {}
-            said = {"gains": gains, "traces": {"X": 0.1} if gains else {}, "alike": n < alike}
+            rest = {"traces": {"X": 0.1}, "forces": {"mass.slung_load": 0.01 * n}} if gains else {}
+            said = {"gains": gains, "alike": n < alike, **rest}
             clean._keep(folder, n, said | {"misfit": 1.0 + n})
 
     monkeypatch.setattr("rotorid_torch.fly.drawn.undrawable", lambda dataset: None)
@@ -50,13 +51,14 @@ def test_of_which_aircraft_floors_are_made(
     found = floors(monkeypatch, tmp_path, alike, flew)
     assert found.note == said
     assert sorted(found.gains.get("control.delay", [])) == pytest.approx([0.001 * n for n in range(counted)])
+    assert sorted(found.in_forces.get("mass.slung_load", [])) == pytest.approx([0.01 * n for n in range(counted)])
 
 
 @pytest.mark.parametrize("waited_for", [True, False])
 def test_who_draws_for_a_process_that_is_gone_stops(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, waited_for: bool):
     drawn = [SimpleNamespace(number=n, dataset=None, alike=True, misfit=1.0, rotor="") for n in range(3)]
     monkeypatch.setattr("rotorid_torch.fly.drawn.clean_flights", lambda dataset, seed, numbers: iter(drawn))
-    monkeypatch.setattr(clean, "gains_on", lambda dataset, null, effects: ({"control.delay": 0.1}, {}))
+    monkeypatch.setattr(clean, "gains_on", lambda dataset, null, effects: {"gains": {"control.delay": 0.1}})
     data = written(flown(linear_vehicle(), manoeuvres(4.0, 0.02), 0.02, noise=0.01), tmp_path / "data")
     place = tmp_path / "floors"
     place.mkdir()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import msgspec
@@ -13,7 +14,9 @@ from rotorid_torch.identification.step2 import regress_model
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.fits import Fitted, Flights, refit
+from rotorid_torch.trace.floor import Floors
 from rotorid_torch.trace.forces import _explained, seen_in_forces
+from rotorid_torch.trace.loop import _Search
 from rotorid_torch.trace.residual import left_over
 from rotorid_torch.trace.screen import signatures
 from tests.known_models import flown, linear_vehicle, manoeuvres, with_values
@@ -35,8 +38,21 @@ def without_load(ratio: float) -> Fitted:
 def test_a_load_is_seen_with_its_cable_and_about_its_size():
     found = seen_in_forces(without_load(0.1), (), [LOAD, "control.delay"], 0)
     assert set(found) == {LOAD}
-    assert found[LOAD][f"{LOAD}.length"] == 6.0
-    assert found[LOAD][f"{LOAD}.ratio"] == pytest.approx(0.1, rel=0.4)
+    assert found[LOAD].gain > 3.0 * found[LOAD].chance
+    assert found[LOAD].start[f"{LOAD}.length"] == 6.0
+    assert found[LOAD].start[f"{LOAD}.ratio"] == pytest.approx(0.1, rel=0.4)
+
+
+def test_what_clean_aircraft_show_in_forces_too_is_not_tried():
+    null = without_load(0.1)
+    gain = seen_in_forces(null, (), [LOAD], 0)[LOAD].gain
+
+    def tried(clean: float) -> Sequence[str]:
+        floors = Floors({}, "", in_forces={LOAD: torch.full((24,), clean, dtype=torch.float64)})
+        return list(_Search(null.flights, (), floors, lambda line: None, 0).seen_in_forces(null, (), [LOAD]))
+
+    assert tried(0.9 * gain) == [LOAD]
+    assert tried(1.1 * gain) == []
 
 
 def test_equations_in_which_nothing_moves_tell_nothing():
@@ -53,4 +69,5 @@ def test_equations_in_which_nothing_moves_tell_nothing():
 
 
 def test_no_load_is_seen_where_there_is_none():
-    assert seen_in_forces(without_load(0.0), (), [LOAD], 0) == {}
+    seen = seen_in_forces(without_load(0.0), (), [LOAD], 0)[LOAD]
+    assert seen.gain <= seen.chance
