@@ -14,6 +14,7 @@ from rotorid_torch.core.device import moved, working_on
 from rotorid_torch.core.names import RATES
 from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.identification.fourier import noise_floor, smoothed
 from rotorid_torch.identification.gauss_newton import Options
 from rotorid_torch.identification.reconstruct import ReconstructedFlight, Reconstruction
 from rotorid_torch.identification.segments import Records, records_from
@@ -140,7 +141,7 @@ def _record(model: Model, dataset: Dataset, reconstruction: Reconstruction, name
         [
             {
                 "time": averaged(flight.time, every),
-                "controls": averaged(flight.bridged(model.body.controls), every),
+                "controls": averaged(_controls(model, dataset, name), every),
                 "outputs": _compared(
                     model, averaged(flight.stack(model.body.outputs) - _biases(model, step1), every), every
                 ),
@@ -148,6 +149,19 @@ def _record(model: Model, dataset: Dataset, reconstruction: Reconstruction, name
             }
         ]
     )
+
+
+def _controls(model: Model, dataset: Dataset, name: str) -> Tensor:
+    """Controls (T, nu) of a flight as they acted, less what noise the sensors of a helicopter's controls add.
+
+    Trajectories take them for exact: their noise would make delays short, and play in a linkage wide. A multirotor's
+    commands are numbers that its controller has sent.
+    """
+    controls = dataset.flights[name].bridged(model.body.controls)
+    if model.effect("rotors") is not None:
+        return controls
+    declared = torch.tensor([dataset.noise(c) for c in model.body.controls], dtype=torch.float64)
+    return smoothed(controls.mT, torch.minimum(declared, noise_floor(controls.mT))).mT
 
 
 def _compared(model: Model, outputs: Tensor, every: int) -> Tensor:

@@ -1,11 +1,14 @@
-"""Finite transforms against exact integrals; nuisance columns, noise floor and gaps."""
+"""Finite transforms against exact integrals; nuisance columns, noise floor, smoothing and gaps."""
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 import torch
+from scipy.fft import dct, idct
+from scipy.ndimage import uniform_filter1d
 
 from rotorid_torch.identification.fourier import (
     as_rows,
@@ -18,6 +21,7 @@ from rotorid_torch.identification.fourier import (
     noise_floor,
     noise_floor_scatter,
     nuisance_basis,
+    smoothed,
 )
 
 
@@ -93,6 +97,43 @@ def test_noise_floor_of_noise_on_a_manoeuvre_with_edges() -> None:
     assert float(power.mean()) == pytest.approx(1.0, abs=0.04)  # the edges leave a little
     assert float(power.std()) == pytest.approx(noise_floor_scatter(2311), rel=0.15)
     assert float(noise_floor(torch.sin(6.0 * times))) < 1e-9
+
+
+def manoeuvre(noise: float, seed: int = 3) -> tuple[torch.Tensor, torch.Tensor]:
+    """A 3-2-1-1 by a hand that takes 0.2 s for each step, sampled at 154 Hz, and the same with noise."""
+    times = torch.arange(2311, dtype=torch.float64) / 154.0
+    moves = torch.zeros_like(times)
+    for at, size in ((2.0, 1.0), (5.0, -2.0), (7.0, 2.0), (8.0, -2.0), (9.0, 1.0)):
+        moves += size * 0.5 * (1.0 + torch.tanh((times - at) / 0.1))
+    exact = 0.05 * moves + 0.01 * torch.sin(times)
+    return exact, exact + noise * torch.randn(2311, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+def test_smoothing_is_the_wiener_filter_of_the_records_cosines() -> None:
+    record = manoeuvre(0.002)[1].numpy()
+    lines = np.append(np.asarray(dct(record - record.mean(), norm="ortho")), 0.0)
+    averaged = uniform_filter1d(lines**2, 9, mode="mirror")
+    share = np.clip(1.0 - 0.002**2 / averaged, 0.0, None)
+    expected = record.mean() + idct((share * lines)[:-1], norm="ortho")
+    found = smoothed(torch.from_numpy(record), torch.tensor(0.002, dtype=torch.float64))
+    assert np.abs(found.numpy() - expected).max() < 1e-12
+
+
+def test_smoothing_takes_noise_away_without_phase_and_nothing_from_what_has_no_noise() -> None:
+    exact, record = manoeuvre(0.002)
+    noise = torch.tensor(0.002, dtype=torch.float64)
+    found = smoothed(record, noise)
+    assert float((found - exact).square().mean().sqrt()) < 0.5 * 0.002
+    assert float((found[:200] - exact[:200]).abs().max()) < 0.002
+    torch.testing.assert_close(smoothed(record.flip(0), noise).flip(0), found, rtol=0.0, atol=1e-12)
+    torch.testing.assert_close(smoothed(exact, torch.zeros((), dtype=torch.float64)), exact, rtol=0.0, atol=1e-12)
+    both = smoothed(torch.stack([record, exact]), torch.stack([noise, torch.zeros_like(noise)]))
+    torch.testing.assert_close(both, torch.stack([found, exact]), rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("samples", [1, 2, 5])
+def test_short_records_are_smoothed_too(samples: int) -> None:
+    assert smoothed(torch.ones(samples, dtype=torch.float64), torch.ones((), dtype=torch.float64)).isfinite().all()
 
 
 def test_kinks_are_the_edges_of_a_manoeuvre_and_nothing_smooth() -> None:
