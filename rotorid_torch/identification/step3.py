@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -141,7 +141,7 @@ def _record(model: Model, dataset: Dataset, reconstruction: Reconstruction, name
         [
             {
                 "time": averaged(flight.time, every),
-                "controls": averaged(_controls(model, dataset, name), every),
+                "controls": averaged(_controls(dataset, name, model.body.controls), every),
                 "outputs": _compared(
                     model, averaged(flight.stack(model.body.outputs) - _biases(model, step1), every), every
                 ),
@@ -151,17 +151,15 @@ def _record(model: Model, dataset: Dataset, reconstruction: Reconstruction, name
     )
 
 
-def _controls(model: Model, dataset: Dataset, name: str) -> Tensor:
-    """Controls (T, nu) of a flight as they acted, less what noise the sensors of a helicopter's controls add.
+def _controls(dataset: Dataset, name: str, controls: Sequence[str]) -> Tensor:
+    """Controls (T, nu) of a flight as they acted: without the noise that their sensors are declared to have.
 
-    Trajectories take them for exact: their noise would make delays short, and play in a linkage wide. A multirotor's
-    commands are numbers that its controller has sent.
+    Trajectories take them for exact: noise would make delays short, and play in a linkage wide. Where no noise is
+    declared nothing tells it from what an autopilot or the motors' controller sent, and all of it acted.
     """
-    controls = dataset.flights[name].bridged(model.body.controls)
-    if model.effect("rotors") is not None:
-        return controls
-    declared = torch.tensor([dataset.noise(c) for c in model.body.controls], dtype=torch.float64)
-    return smoothed(controls.mT, torch.minimum(declared, noise_floor(controls.mT))).mT
+    measured = dataset.flights[name].bridged(controls).mT
+    declared = torch.tensor([dataset.control_specs[c].noise or 0.0 for c in controls], dtype=torch.float64)
+    return smoothed(measured, torch.minimum(declared, noise_floor(measured))).mT
 
 
 def _compared(model: Model, outputs: Tensor, every: int) -> Tensor:

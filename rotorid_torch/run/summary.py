@@ -90,10 +90,10 @@ def headline(report: Report) -> str:
 
 
 def failing(fit: FitRecord) -> str:
-    """How badly a model does on flights that no fit has seen; nothing where it is of use, or no free run tells."""
-    useless = (GRADES[-1][1], WORSE_THAN_TRIM)
-    for summary in () if short_horizon(fit) else list_summaries(fit):
-        if summary.name != "identify" and summary.grade in useless:
+    """How badly a model does on the flights that decide; nothing where it is of use, or no free run tells."""
+    decide = [s for s in list_summaries(fit) if s.name != "identify" and s.grade != "not scored"][:1]
+    for summary in () if short_horizon(fit) else decide:
+        if summary.grade in (GRADES[-1][1], WORSE_THAN_TRIM):
             share = 100.0 * (summary.explained or 0.0)
             how = summary.grade if share < 0.0 else f"good for {share:.0f} % of the motion alone"
             return f"on the {summary.name} flights the model is {how}"

@@ -65,13 +65,6 @@ def objection(
     ]
     if not any(steady):
         return "its size differs from flight to flight"
-    least = screened.visible(effect, floor)
-    if least and all(abs(values[s.parameter] - s.null) < least.get(s.parameter, math.inf) for s in own):
-        name = min(least, key=lambda n: least[n])
-        return (
-            f"{name} = {values[name]:.3g} is less than these flights would show ({least[name]:.3g}): what the fit gains"
-            " by it is not its own"
-        )
     short = too_short(candidate, effect)
     if short is not None:
         return short

@@ -7,7 +7,6 @@ the gain that the candidate would bring, its size, and the smallest size that th
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -134,15 +133,6 @@ class Screen:
     def shown(self, effect: str) -> float:
         """Gain per sample that the effect at its typical size would bring, in its least visible direction."""
         return 0.5 * float(self.total.diagonal()[self.places([effect])].min()) / self.samples
-
-    def visible(self, effect: str, floor: float) -> dict[str, float]:
-        """Distance from nothing at which each parameter of an effect alone would gain a floor, by its straight line."""
-        least = {}
-        for i in self.places([effect]):
-            shown = 0.5 * float(self.total[i, i]) / self.samples
-            size = abs(self.signatures[i].step) * math.sqrt(floor / shown) if shown > 0.0 else math.inf
-            least[self.signatures[i].parameter] = size
-        return least
 
     def left(self, effect: str) -> float:
         """Share of the signature that initial states, trims and derivatives cannot imitate."""

@@ -25,8 +25,8 @@ def statement(findings: Sequence[Finding], unknown: Unknown | None, failing: str
     """
     said = _stated(findings, unknown)
     if failing and said.kind in ("nothing undeclared", "structure"):
-        missing = f"Yet something is missing that was neither named nor localised: {failing}."
-        said = replace(said, sentence=f"{said.sentence} {missing}")
+        doubt = f"That does not say that nothing is missing: {failing}."
+        said = replace(said, sentence=f"{said.sentence} {doubt}")
     if not any(f.role == "learnt" and f.verdict == "accepted" for f in findings):
         return said
     return replace(said, sentence=f"{said.sentence} A network takes what is left; it is no name for it.")

@@ -13,9 +13,7 @@ from torch import Tensor
 
 from rotorid_torch.data import Dataset
 from rotorid_torch.effects.base import Frame, Values
-from rotorid_torch.effects.examples import MULTIROTOR
 from rotorid_torch.effects.registry import EFFECTS
-from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.reconstruct import reconstruct
 from rotorid_torch.identification.segments import Records
 from rotorid_torch.identification.step2 import Step2, measured, regress_model
@@ -24,7 +22,7 @@ from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from tests.effects.own_effects import OWN, OwnLag
-from tests.known_models import DERIVATIVES, body_spec, flown, linear_vehicle, manoeuvres, rate_vehicle, with_values
+from tests.known_models import DERIVATIVES, flown, linear_vehicle, manoeuvres, rate_vehicle, with_values
 
 DT = 0.02
 
@@ -162,17 +160,17 @@ def test_fast_records_are_averaged():
     assert bool(averaged(record, 3)[1, 1].isnan())
 
 
-@pytest.mark.parametrize("spec", [body_spec(), MULTIROTOR], ids=["helicopter", "multirotor"])
-def test_helicopters_controls_lose_their_noise_and_a_multirotors_commands_stay(spec: ModelSpec):
-    names = build(spec).body.controls
+@pytest.mark.parametrize("declared", [None, 0.0, 0.004, 0.02])
+def test_controls_lose_the_noise_that_is_declared_and_nothing_else(declared: float | None):
     time = DT * torch.arange(600, dtype=torch.float64)
-    acted = torch.stack([0.1 * torch.sin((1.0 + k) * time) for k in range(len(names))], dim=-1)
+    acted = torch.stack([0.1 * torch.sin((1.0 + k) * time) for k in range(2)], dim=-1)
     noise = torch.randn(acted.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     recorded = acted + 0.004 * noise
-    dataset: Any = SimpleNamespace(flights={"a": SimpleNamespace(bridged=lambda which: recorded)}, noise=lambda c: 0.02)
-    found = _controls(build(spec), dataset, "a")
-    if spec is MULTIROTOR:
-        assert torch.equal(found, recorded)
+    spec, record = SimpleNamespace(noise=declared), SimpleNamespace(bridged=lambda which: recorded)
+    dataset: Any = SimpleNamespace(flights={"a": record}, control_specs={"lon": spec, "lat": spec})
+    found = _controls(dataset, "a", ("lon", "lat"))
+    if not declared:
+        torch.testing.assert_close(found, recorded, rtol=0.0, atol=1e-12)
     else:  # what is declared five times too large takes no more than the noise that is there
         assert float((found - acted).square().mean().sqrt()) < 0.5 * 0.004
 

@@ -16,7 +16,8 @@ from rotorid_torch.data import Dataset
 from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR
 from rotorid_torch.model.save import load
 from rotorid_torch.run import limits
-from rotorid_torch.run.closing import _before_and_after, _best
+from rotorid_torch.run.closing import _before_and_after, _best, _loop
+from rotorid_torch.run.monitor import Monitor
 from rotorid_torch.run.records import read_report
 from rotorid_torch.trace.finding import Finding, Unknown
 from rotorid_torch.trace.loop import Tracing
@@ -63,6 +64,17 @@ def test_the_report_names_the_delay_with_its_error(closed: tuple[rotorid.Loop, P
     assert {e.verdict for e in report.effects} >= {"accepted", "not testable"}
     assert report.time_s.trace is not None
     assert loop.verdict == report.verdict
+
+
+def test_nothing_found_is_no_clean_bill_for_a_model_that_fails(
+    closed: tuple[rotorid.Loop, Path], monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("rotorid_torch.run.closing.failing", lambda fit: "on the validate flights the model is poor")
+    loop, _ = closed
+    tracing = replace(loop.tracing or pytest.fail("nothing was traced"), unknown=None)
+    told = _loop(loop, None, [], Monitor(), tracing).record.verdict
+    assert told is not None
+    assert told.sentence.endswith("does not say that nothing is missing: on the validate flights the model is poor.")
 
 
 def test_unseen_flights_are_better_after_than_before(closed: tuple[rotorid.Loop, Path]):

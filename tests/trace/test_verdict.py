@@ -54,7 +54,7 @@ def test_nothing_found_is_no_clean_bill_where_the_model_fails():
     for findings in ([QUIET], [LAG_MODE, QUIET]):
         told = statement(findings, None, poor)
         assert told.kind == statement(findings, None).kind
-        assert told.sentence.endswith(f"something is missing that was neither named nor localised: {poor}.")
+        assert told.sentence.endswith(f"That does not say that nothing is missing: {poor}.")
     for findings, unknown in (([DELAY], None), ([QUIET], MISSING)):
         assert statement(findings, unknown, poor) == statement(findings, unknown)
 
