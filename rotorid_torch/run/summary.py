@@ -76,7 +76,7 @@ def headline(report: Report) -> str:
     short = short_horizon(report.fit)
     if short:
         return explained(short[-1])
-    unseen = [s for s in list_summaries(report.fit) if s.name != "identify" and s.explained is not None]
+    unseen = _unseen(report.fit)
     if not unseen:
         return "No flight was kept back, so nothing is known about flights the model has not seen."
     best_known = unseen[-1]
@@ -91,13 +91,17 @@ def headline(report: Report) -> str:
 
 def failing(fit: FitRecord) -> str:
     """How badly a model does on the flights that decide; nothing where it is of use, or no free run tells."""
-    decide = [s for s in list_summaries(fit) if s.name != "identify" and s.grade != "not scored"][:1]
-    for summary in () if short_horizon(fit) else decide:
-        if summary.grade in (GRADES[-1][1], WORSE_THAN_TRIM):
-            share = 100.0 * (summary.explained or 0.0)
-            how = summary.grade if share < 0.0 else f"good for {share:.0f} % of the motion alone"
-            return f"on the {summary.name} flights the model is {how}"
-    return ""
+    usable, unseen = GRADES[-2][0], [] if short_horizon(fit) else _unseen(fit)
+    share = unseen[0].explained if unseen else None
+    if share is None or share >= usable:
+        return ""
+    how = WORSE_THAN_TRIM if share < 0.0 else f"good for {100.0 * share:.0f} % of the motion alone"
+    return f"on the {unseen[0].name} flights the model is {how}"
+
+
+def _unseen(fit: FitRecord) -> list[ListSummary]:
+    """Scored lists that no fit has seen: validate first, which decides, then acid."""
+    return [s for s in list_summaries(fit) if s.name != "identify" and s.explained is not None]
 
 
 def next_steps(report: Report) -> list[str]:
