@@ -13,16 +13,16 @@ from rotorid_torch.model.model import Model
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.fits import Fitted, Residual
 from rotorid_torch.trace.screen import Screen
-from rotorid_torch.trace.significance import helps
+from rotorid_torch.trace.significance import helps, student_quantile
 
 SURE = 3.0
 """Standard errors from its null beyond which a parameter is believed."""
+STEADY = 2.0
+"""The same for scatter over flights alone, as a normal deviate: so few flights have Student's quantile of it."""
 CLEARLY = 0.05
 """Mean log ratio of J by which free runs must be worse to speak against an effect: they scatter by as much."""
 TIMES = frozenset({"control.delay", "control.lag"})
 """Effects that stand in for each other where they are short."""
-STEADY = 2.0
-"""Jackknife standard errors over flights that a size must reach to be the same in all flights."""
 
 
 def unseen_gain(null: Fitted, candidate: Fitted) -> Tensor:
@@ -47,7 +47,7 @@ def objection(
 ) -> str | None:
     """Why a fitted candidate is not a finding; None where nothing speaks against it.
 
-    spread : standard errors of its parameters by their scatter over flights.
+    spread : standard errors of its parameters by their scatter over flights, zero where there are too few to tell.
     """
     if gain(null, candidate) <= floor:
         return "fitted in full, it explains no more than clean aircraft let any candidate explain"
@@ -60,9 +60,8 @@ def objection(
     if max(away.values()) < SURE:
         name = max(away, key=lambda n: away[n])
         return f"{name} = {values[name]:.3g} lies within {SURE:g} of its standard errors from nothing"
-    steady = [
-        abs(values[s.parameter] - s.null) > STEADY * spread[s.parameter] for s in own if away[s.parameter] >= SURE
-    ]
+    few = student_quantile(STEADY, max(len(candidate.flights.dataset.identify) - 1, 1))
+    steady = [abs(values[s.parameter] - s.null) > few * spread[s.parameter] for s in own if away[s.parameter] >= SURE]
     if not any(steady):
         return "its size differs from flight to flight"
     short = too_short(candidate, effect)

@@ -43,7 +43,9 @@ def test_the_smallest_visible_size_grows_with_the_root_of_the_floor():
     assert smallest_visible(screened(0.0, 0.0), "forces.drag", 0.0001) is None
 
 
-def fitted(cost: float, free_runs: tuple[float, ...], error: float = 0.01, value: float = 0.05) -> Any:
+def fitted(
+    cost: float, free_runs: tuple[float, ...], error: float = 0.01, value: float = 0.05, flights: int = 8
+) -> Any:
     """A fit as decisions see it; its segments of unseen flights fit better the less it costs."""
     size = torch.full((len(free_runs), 1), cost, dtype=torch.float64)
     parameter = SimpleNamespace(name="forces.drag.x", value=0.0, bounds=(0.0, 1.0), free=True)
@@ -51,6 +53,7 @@ def fitted(cost: float, free_runs: tuple[float, ...], error: float = 0.01, value
     return SimpleNamespace(
         spec=SimpleNamespace(effects=("forces.drag",)),
         fit=SimpleNamespace(likelihood=SimpleNamespace(records=SimpleNamespace(dt=0.02))),
+        flights=SimpleNamespace(dataset=SimpleNamespace(identify=tuple(str(f) for f in range(flights)))),
         cost=cost,
         per_sample=1.0,
         values=values,
@@ -81,6 +84,18 @@ def screening(parameter: str = "forces.drag.x") -> Any:
 def test_free_runs_of_unseen_flights_decide_too(candidate: Any, reason: str | None):
     said = objection(fitted(2.0, (0.1, 0.1)), candidate, "forces.drag", 0.1, screening(), {"forces.drag.x": 0.001})
     assert (said is None) if reason is None else reason in (said or "")
+
+
+@pytest.mark.parametrize(
+    ("flights", "scatter", "differs"),
+    [(8, 0.018, False), (8, 0.022, True), (40, 0.022, False), (4, 0.018, True), (4, 0.01, False), (2, 0.0, False)],
+)
+def test_a_size_must_be_the_same_in_all_flights_as_far_as_so_few_of_them_tell(
+    flights: int, scatter: float, differs: bool
+):
+    candidate = fitted(1.0, (0.08, 0.09), flights=flights)
+    said = objection(fitted(2.0, (0.1, 0.1)), candidate, "forces.drag", 0.1, screening(), {"forces.drag.x": scatter})
+    assert said == ("its size differs from flight to flight" if differs else None)
 
 
 def test_flights_without_a_free_run_are_left_out():
