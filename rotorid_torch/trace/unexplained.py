@@ -16,7 +16,7 @@ from rotorid_torch.trace.floor import FALSE_ALARMS
 from rotorid_torch.trace.residual import LeftOver, Trace, by_chance, column
 
 HELD = 0.5
-"""Share of what a trace explains of the flights it was found on that it must explain of unseen ones."""
+"""Part of what a trace should explain of unseen flights, by its size and the rest where it was found, that it must."""
 
 
 def unknown(
@@ -25,7 +25,7 @@ def unknown(
     """The equation best described by its trace, of those that stand above clean aircraft, flapping first; or None.
 
     Flights that no fit has seen must be better described with the trace as it was found, by more than chance allows and
-    half as well as those it was found on: the best of hundreds of traces that mean nothing explains less of them.
+    half as well as it would be with nothing new there: the best of hundreds of traces that mean nothing explains less.
     """
     above = [r for r, trace in traces.items() if r in unseen.rows and trace.weight > floors.get(r, math.inf)]
     standing = [row for row in above if _holds(traces[row], row, left, unseen, seed)]
@@ -47,6 +47,7 @@ def _holds(trace: Trace, row: str, left: LeftOver, unseen: LeftOver, seed: int) 
     """Whether flights that no fit has seen lose enough by a trace of the size that `left` gave it.
 
     Each side keeps linear terms of its own. More than the same trace takes from the residuals turned in time by chance.
+    Flights that excite it less than those it was found on have less to lose beside the rest, which all flights have.
     """
     k = left.rows.index(row)
     tried, known = left.beyond(torch.stack([column(trace, left, left.usual), left.residual[:, k]], dim=-1), k).mT
@@ -55,7 +56,8 @@ def _holds(trace: Trace, row: str, left: LeftOver, unseen: LeftOver, seed: int) 
     residuals = torch.cat([unseen.residual[:, k, None], by_chance(unseen, seed)[:, k]], dim=-1)
     before = unseen.beyond(residuals, k)
     lost = 2.0 * new @ before - new @ new
-    enough = HELD * trace.share * before[:, 0].square().sum()
+    rest = (known - size * tried).square().mean() * len(new)
+    enough = HELD * (new @ new) / (new @ new + rest).clamp_min(1e-300) * before[:, 0].square().sum()
     return bool(lost[0] > torch.maximum(lost[1:].quantile(1.0 - FALSE_ALARMS), enough))
 
 

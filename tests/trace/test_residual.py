@@ -98,6 +98,24 @@ def test_what_unseen_flights_do_not_show_is_not_told(signals: Tensor):
         assert unknown(scan(over), dict.fromkeys(ROWS, 0.3), over, other) is None
 
 
+def test_unseen_flights_that_excite_it_less_confirm_as_much_as_they_can(signals: Tensor):
+    product = signals[:, 1] * signals[:, 3]
+    over = left("L", product, noise=0.6)
+    calm = 0.5 * signals
+    rest = left("L", None, noise=0.6)
+
+    def unseen(size: float) -> LeftOver:
+        residual = rest.residual.flip(0)
+        residual[:, ROWS.index("L")] += size * calm[:, 1] * calm[:, 3]
+        return replace(rest, signals=calm, residual=residual)
+
+    told = unknown(scan(over), dict.fromkeys(ROWS, 0.3), over, unseen(1.0))
+    assert told is not None
+    assert (told.where, told.goes_with) == ("L", "p col")
+    for size in (0.0, -1.0, 0.3):
+        assert unknown(scan(over), dict.fromkeys(ROWS, 0.3), over, unseen(size)) is None
+
+
 def test_what_begins_after_the_end_of_unseen_flights_cannot_be_told(signals: Tensor):
     time = STEP * torch.arange(SAMPLES, dtype=torch.float64).repeat(FLIGHTS)
     over = left("M", signals[:, 2] * (time >= 6.0))
