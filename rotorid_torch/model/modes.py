@@ -1,4 +1,4 @@
-"""Modes of the model linearised at its reference, with the field's names for them."""
+"""The model linearised at its reference: its modes, with the field's names for them, and what gusts do to it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.names import FLAPPING
+from rotorid_torch.core.names import FLAPPING, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.model.inflow import INDUCED
 from rotorid_torch.model.model import Model
 
@@ -37,6 +37,25 @@ def state_matrix(model: Model) -> Tensor:
     by_state = torch.autograd.functional.jacobian(lambda a: model.rates(theta, a, u), x)
     assert isinstance(by_state, Tensor)
     return by_state
+
+
+def gust_response(model: Model) -> dict[str, float]:
+    """What a gust of 1 m/s along its axis does to each accelerometer of the model, m/s2.
+
+    Before the body moves, with the rotor's own motion settled: flapping and inflow follow within tenths of a second.
+    """
+    x, u = reference_point(model)
+    theta, n, names = model.theta.detach(), len(model.body.states), model.layout.names
+    output = torch.autograd.functional.jacobian(lambda a: model.outputs_at(theta, a, u), x)
+    assert isinstance(output, Tensor)
+    matrix = state_matrix(model)
+    settled = output[:, :n] - output[:, n:] @ torch.linalg.pinv(matrix[n:, n:]) @ matrix[n:, :n]
+    along = dict(zip(SPECIFIC_FORCES, VELOCITIES, strict=True))
+    return {
+        c: abs(float(settled[k, names.index(along[c])]))
+        for k, c in enumerate(model.body.outputs)
+        if c in along and along[c] in names[:n]
+    }
 
 
 def modes(model: Model, sizes: dict[str, float]) -> list[Mode]:

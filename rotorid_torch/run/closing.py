@@ -19,6 +19,7 @@ from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.effects.neural import NeuralForces
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model
+from rotorid_torch.model.modes import gust_response
 from rotorid_torch.model.nominal import build
 from rotorid_torch.run.checkpoint import Checkpoint, Steps
 from rotorid_torch.run.figures import Overlay
@@ -134,7 +135,7 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
     flights = Flights(right, base.reconstruction)
     with monitor.step("trace"):
         tracing = (_rotors_traced if base.spec.motors else _traced)(base, flights, seed, steps)
-        shaken = stochastic_findings(right, base.spec, base.model.named_values)
+        shaken = stochastic_findings(right, base.spec, gust_response(base.model))
     again = partial(_again, dataset=dataset, steps=steps)
     wrong = partial(again, first, seen=at_one_rate(dataset), sensors={})
     rerun = partial(again, base, seen=right, sensors=sensors.values)

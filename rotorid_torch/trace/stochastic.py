@@ -34,17 +34,17 @@ NEAR = 0.1
 """A line belongs to a multiple of the rotor speed within this share of it: about one line of a 3-s spectrum."""
 
 
-def stochastic_findings(dataset: Dataset, spec: ModelSpec, values: Mapping[str, float]) -> list[Finding]:
+def stochastic_findings(dataset: Dataset, spec: ModelSpec, response: Mapping[str, float]) -> list[Finding]:
     """Findings of turbulence and vibration.
 
     Parameters
     ----------
-    values : the model's parameters; derivatives by velocity turn accelerations into gusts.
+    response : what a gust of 1 m/s along its axis does to each accelerometer, m/s2; turns accelerations into gusts.
     """
-    return [_turbulence(dataset, spec, values), _vibration(dataset, spec)]
+    return [_turbulence(dataset, spec, response), _vibration(dataset, spec)]
 
 
-def _turbulence(dataset: Dataset, spec: ModelSpec, values: Mapping[str, float]) -> Finding:
+def _turbulence(dataset: Dataset, spec: ModelSpec, response: Mapping[str, float]) -> Finding:
     why = registered()[TURBULENCE].untestable(spec)
     names = [n for n in (*dataset.identify, *dataset.validate)]
     channels = [c for c in (*SPECIFIC_FORCES, *RATES) if all(dataset.facts[n].has(c) for n in names)]
@@ -62,7 +62,7 @@ def _turbulence(dataset: Dataset, spec: ModelSpec, values: Mapping[str, float]) 
     ratio = _between(means) / noise**2
     worst = int(np.argmax(ratio))
     found, floor = float(ratio[worst]), _floor(means.shape, FALSE_ALARMS / len(channels))
-    keep = {"gain": found, "floor": floor, "smallest_visible": _visible(values, noise, channels, floor)}
+    keep = {"gain": found, "floor": floor, "smallest_visible": _visible(response, noise, channels, floor)}
     if found <= floor:
         return Finding(TURBULENCE, "undeclared", "below floor", "before the pilot acts all flights are alike", **keep)
     without = [(_between(np.delete(means, k, axis=0)) / noise**2)[worst] for k in range(len(means))]
@@ -74,8 +74,8 @@ def _turbulence(dataset: Dataset, spec: ModelSpec, values: Mapping[str, float]) 
         " output error takes gusts for noise: derivatives are biased, fly in calmer air; gusts slower than these"
         " moments are not in the size"
     )
-    moved = np.array(_by_gusts(values, channels))
-    most = int(np.argmax(np.where(moved > 0.0, ratio, 0.0)))
+    moved = np.array([response.get(c, 0.0) for c in channels])
+    most = int(np.argmax(np.where(ratio > floor, moved, 0.0)))  # the others tell of attitudes that gusts upset
     shows = moved[most] > 0.0 and ratio[most] > floor
     size = {f"{TURBULENCE}.intensity": (float(beyond[most] / moved[most]), 0.0)} if shows else {}
     return Finding(TURBULENCE, "undeclared", "accepted", said, **keep, values=size)
@@ -121,18 +121,12 @@ def _floor(shape: tuple[int, ...], alarms: float) -> float:
 
 
 def _visible(
-    values: Mapping[str, float], noise: np.ndarray, channels: Sequence[str], floor: float
+    response: Mapping[str, float], noise: np.ndarray, channels: Sequence[str], floor: float
 ) -> tuple[float, str] | None:
-    """Gusts that would show in the accelerometer that they shake most, as far as the derivatives by velocity tell."""
+    """Gusts that would show in the accelerometer that they shake most beside its noise."""
     least = noise * math.sqrt(max(floor - 1.0, 0.0))
-    sizes = [b / d for b, d in zip(least, _by_gusts(values, channels), strict=True) if d > 0.0]
+    sizes = [b / response[c] for b, c in zip(least, channels, strict=True) if response.get(c, 0.0) > 0.0]
     return (min(sizes), "m/s") if sizes else None
-
-
-def _by_gusts(values: Mapping[str, float], channels: Sequence[str]) -> list[float]:
-    """What a gust of 1 m/s does to each channel at once, m/s2; zero where no derivative tells."""
-    along = {"ax": "forces.X.u", "ay": "forces.Y.v", "az": "forces.Z.w"}
-    return [abs(values.get(along.get(c, ""), 0.0)) for c in channels]
 
 
 def _vibration(dataset: Dataset, spec: ModelSpec) -> Finding:

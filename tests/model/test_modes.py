@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from rotorid_torch.model.modes import modes, reference_point, state_matrix
+from rotorid_torch.model.modes import gust_response, modes, reference_point, state_matrix
 from tests.known_models import BODY, helicopter, linear_vehicle
 
 G = 9.80665
@@ -64,3 +64,24 @@ def test_reference_point_is_the_model_s():
     assert x.dtype == u.dtype == torch.float64
     assert x[: len(BODY)].tolist() == [model.reference[n] for n in BODY]
     assert u.tolist() == [model.reference[n] for n in model.body.controls]
+
+
+def test_gusts_shake_the_accelerometers_by_the_derivatives_where_there_is_no_rotor():
+    found = gust_response(linear_vehicle(imu=(0.0, 0.0, 0.0)))
+    assert found == pytest.approx({"ax": 0.05, "ay": 0.1, "az": 0.5}, abs=1e-9)
+
+
+def test_gusts_shake_the_accelerometers_when_the_rotor_has_settled():
+    """Against a run with the body held in the gust."""
+    model = helicopter()
+    x, u = reference_point(model)
+    n, theta, gust, dt = len(model.body.states), model.theta.detach(), 1e-3, 5e-3
+    for axis, channel in zip(("u", "v", "w"), ("ax", "ay", "az"), strict=True):
+        ends = []
+        for sign in (-1.0, 1.0):
+            now = x.clone()
+            now[model.layout.names.index(axis)] += sign * gust
+            for _ in range(800):
+                now[n:] += dt * model.rates(theta, now, u)[n:].detach()
+            ends.append(model.outputs_at(theta, now, u)[model.body.outputs.index(channel)])
+        assert gust_response(model)[channel] == pytest.approx(abs(float(ends[1] - ends[0])) / (2.0 * gust), rel=5e-3)
