@@ -127,10 +127,11 @@ def _no_flapping(spec: ModelSpec) -> str | None:
 class FlapSecondOrder(Effect):
     """Flapping of second order: its rates are states, with the regressive and the advancing mode.
 
-    With F the rates of first-order flapping, v the flapping rates: d(flapping)/dt = (1 - k) F + k v;
-    dv0/dt = (F0 - v0)/tau; d(va, vb)/dt = C (F - v), C = [[1/tau, c], [-c, 1/tau]]. tau = 8/(Lock number x speed), half
-    the time constant of the flapping modes, c = 2 speed; slow motion keeps first-order flapping exactly. k is one in
-    the physics and zero in the nominal model.
+    With F the rates of first-order flapping, w = (0, q, spin p) those of the hub, v the flapping rates in space:
+    d(flapping)/dt = (1 - k) F + k (v - w); dv0/dt = (F0 - v0)/tau; d(va, vb)/dt = C (F + w - v), C = [[1/tau, c],
+    [-c, 1/tau]]. tau = 8/(Lock number x speed), half the time constant of the flapping modes, c = 2 speed; slow motion
+    keeps first-order flapping exactly, and a hub that turns at once leaves the blades where they are. k is one in the
+    physics and zero in the nominal model.
 
     Source: Chen, NASA TM-81169 (1980), eq. 1; Padfield, Helicopter Flight Dynamics, eq. 3.63 ff.
     """
@@ -155,8 +156,9 @@ class FlapSecondOrder(Effect):
                     typical=coupling,
                 ),
             ),
-            tuple(State(f"{n}_rate", "rad/s", f"rate of {n}", spread=KNOWN * rotor.speed) for n in FLAPPING),
+            tuple(State(f"{n}_rate", "rad/s", f"rate of {n} in space", spread=KNOWN * rotor.speed) for n in FLAPPING),
         )
+        self.spin = rotor.spin
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> FlapSecondOrder:
@@ -172,24 +174,32 @@ class FlapSecondOrder(Effect):
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Replaces the rates of flapping; the flapping accelerations."""
         F = torch.stack(torch.broadcast_tensors(*(frame.rate(n) for n in FLAPPING)), dim=-1)
+        q, p_spin = _turning(frame, self.spin)
+        turning = vec(torch.zeros_like(q), q, p_spin)
         share = p["share"].unsqueeze(-1)
-        mixed = (1.0 - share) * F + share * x
-        behind, damping = F - x, 1.0 / p["tau"]
+        mixed = (1.0 - share) * F + share * (x - turning)
+        behind, damping = F + turning - x, 1.0 / p["tau"]
         cone, a, b = behind.unbind(-1)
         rates = vec(damping * cone, damping * a + p["coupling"] * b, damping * b - p["coupling"] * a)
         return frame.with_rates(**dict(zip(FLAPPING, mixed.unbind(-1), strict=True))), rates
+
+
+def _turning(frame: Frame, spin: float) -> tuple[Tensor, Tensor]:
+    """What the hub's pitch and roll rates add to the rates of a1 and b1, for those in space."""
+    return frame.signals["q"], spin * frame.signals["p"]
 
 
 @register
 class LeadLag(Effect):
     """Lead-lag: the regressing and the advancing lag mode shake the body after each step, the collective mode its yaw.
 
-    Complex lag s = x + i y: s'' = (l1 + l2) s' - l1 l2 s + speed (da1/dt + i db1/dt), the Coriolis moments of flapping,
-    with l = -damping + i frequency of each mode. The hub is pulled by c = e^(i phase) s': X += X re c, M += M re c,
-    Y += Y im c, L += L im c. Without flapping states the cyclic controls drive it. The frequencies start at speed -+
-    lag frequency, which is speed sqrt(1.5 e/(R - e)) for hinges at e. All blades together lag by z behind the
-    collective, z'' = -2 damping z' + (damping^2 + f^2) (col - z) with f half the difference of the two frequencies
-    (half their sum where blades lag faster than they turn): torque reaches the hub late, N += N (z - col).
+    Complex lag s = x + i y: s'' = (l1 + l2) s' - l1 l2 s + speed (da1/dt + q + i (db1/dt + spin p)), the Coriolis
+    moments of flapping in space, with l = -damping + i frequency of each mode. The hub is pulled by c = e^(i phase) s':
+    X += X re c, M += M re c, Y += Y im c, L += L im c. Without flapping states the cyclic controls drive it. The
+    frequencies start at speed -+ lag frequency, which is speed sqrt(1.5 e/(R - e)) for hinges at e. All blades together
+    lag by z behind the collective, z'' = -2 damping z' + (damping^2 + f^2) (col - z) with f half the difference of the
+    two frequencies (half their sum where blades lag faster than they turn): torque reaches the hub late, N += N (z -
+    col).
 
     Source: Johnson, Helicopter Theory, sec. 12-1 (lag dynamics in multiblade coordinates); Bramwell, ch. 9.
     """
@@ -235,7 +245,7 @@ class LeadLag(Effect):
                 for n, axis in zip(names, ("longitudinal", "lateral", "collective"), strict=True)
             ),
         )
-        self.speed, self.drivers, self.zero, self.of_rates = rotor.speed, drivers, zero, of_rates
+        self.speed, self.spin, self.drivers, self.zero, self.of_rates = rotor.speed, rotor.spin, drivers, zero, of_rates
         self.collective, self.regressing = collective, -1.0 if lag < 1.0 else 1.0
 
     @classmethod
@@ -256,10 +266,10 @@ class LeadLag(Effect):
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds the pull at the hub; the lag motion's rates."""
-        a, b = (
-            frame.rate(n) if self.of_rates else frame.signals[n] - z
-            for n, z in zip(self.drivers, self.zero, strict=True)
-        )
+        if self.of_rates:
+            a, b = (frame.rate(n) + w for n, w in zip(self.drivers, _turning(frame, self.spin), strict=True))
+        else:
+            a, b = (frame.signals[n] - z for n, z in zip(self.drivers, self.zero, strict=True))
         along, side, late, along_rate, side_rate, late_rate = x.unbind(-1)
         total, twice = p["regressing"] + p["advancing"], 2.0 * p["damping"]
         spring, turned = p["damping"].square() - p["regressing"] * p["advancing"], p["damping"] * total

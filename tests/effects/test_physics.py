@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from scipy import signal
+from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
@@ -212,6 +213,67 @@ def test_slow_flapping_stays_first_order():
     found = rates(model, own, lon=0.01)
     assert found["rotor.flap_second_order.a1_rate"] == pytest.approx(0.05 / float(model.theta.detach()[
         model.parameter_set.index("rotor.flap_second_order.tau")]))  # fmt: skip
+
+
+@pytest.mark.parametrize("direction", ["ccw", "cw"])
+def test_second_order_flapping_on_a_turning_hub_is_that_of_single_blades(direction: str):
+    """Against four blades, each by its own flap equation in rotating axes (Padfield, eq. 3.60), SciPy's integrator.
+
+    Hinges in the shaft, hover, no inflow dynamics; the hub is turned faster than a body would, with nothing else. To
+    the hub of a rotor that turns the other way a roll is one to the other side.
+    """
+    speed, g = 27.0, 8.2 * 27.0 / 8.0
+    spin, places = (1.0 if direction == "ccw" else -1.0), 0.5 * np.pi * np.arange(4)
+    hub = lambda t: np.array([0.3 * np.sin(9.0 * t), 0.2 * np.sin(6.0 * t + 1.0)])  # noqa: E731 p and q
+    accelerated = lambda t: np.array([2.7 * np.cos(9.0 * t), 1.2 * np.cos(6.0 * t + 1.0)])  # noqa: E731
+
+    def blades(t: float, y: np.ndarray) -> np.ndarray:
+        (p, q), (dp, dq), psi = hub(t) * [spin, 1.0], accelerated(t) * [spin, 1.0], speed * t + places
+        turned = 2.0 * speed * (p * np.cos(psi) - q * np.sin(psi)) + dq * np.cos(psi) + dp * np.sin(psi)
+        lift = -g * (y[4:] - q * np.cos(psi) - p * np.sin(psi))
+        return np.concatenate([y[4:], turned + lift - speed**2 * y[:4]])
+
+    time = np.linspace(0.0, 3.0, 61)
+    flown = solve_ivp(blades, (0.0, 3.0), np.zeros(8), t_eval=time, rtol=1e-9, atol=1e-12).y[:4]
+    psi = speed * time + places[:, None]
+    wanted = np.stack([-0.5 * (flown * np.cos(psi)).sum(0), -0.5 * (flown * np.sin(psi)).sum(0)], axis=-1)
+
+    damping = torch.tensor([[g, 2 * speed], [-2 * speed, g]], dtype=torch.float64)
+    slow = -torch.linalg.solve(damping, torch.tensor([[0.0, g * speed], [-g * speed, 0.0]], dtype=torch.float64))
+    columns = ("a1", "b1")
+    values = {f"rotor.{r}.{c}": float(slow[i, j]) for i, r in enumerate(columns) for j, c in enumerate(columns)}
+    values |= {"rotor.a0.a0": -20.0, "rotor.a1.q": -1.0, "rotor.b1.p": -spin}
+    assert HELICOPTER.rotor is not None
+    rotor = msgspec.structs.replace(HELICOPTER.rotor, direction=direction)
+    spec = msgspec.structs.replace(HELICOPTER, rotor=rotor, effects=("rotor.flap_second_order",))
+    own = {"share": 1.0, "tau": 1.0 / g, "coupling": 2.0 * speed}
+    model = with_values(build(spec), values | {f"rotor.flap_second_order.{n}": v for n, v in own.items()})
+    names = [n for n in model.layout.names if n in ("a0", "a1", "b1") or n.startswith("rotor.")]
+    rest, u = points(model, 1, spread=0.0)
+    rotor_at, hub_at = model.layout.places(names), model.layout.places(["p", "q"])
+    rates_of = [names.index(f"rotor.flap_second_order.{n}_rate") for n in columns]
+
+    def disc(t: float, y: np.ndarray) -> np.ndarray:
+        x = rest[0].clone()
+        x[rotor_at], x[hub_at] = torch.from_numpy(y), torch.from_numpy(hub(t))
+        return model.rates(model.theta.detach(), x, u[0])[rotor_at].numpy()
+
+    start = rest[0][rotor_at].numpy().copy()
+    start[rates_of] = hub(0.0)[::-1] * [1.0, spin]  # blades at rest on a hub that turns
+    found = solve_ivp(disc, (0.0, 3.0), start, t_eval=time, rtol=1e-8, atol=1e-11).y
+    np.testing.assert_allclose(found[[names.index(n) for n in columns]].T, wanted, atol=2e-6)
+    assert np.abs(wanted).max() > 0.01
+
+
+def test_a_hub_that_turns_under_a_disc_at_rest_does_not_make_blades_lag():
+    model = with_values(
+        build(msgspec.structs.replace(HELICOPTER, effects=("rotor.lead_lag",))),
+        {"rotor.a1.q": -1.0, "rotor.b1.p": -1.0, "rotor.a0.a0": -8.0},
+    )
+    found = rates(model, tuple(0.0 for _ in model.own_states), p=0.3, q=-0.2)
+    assert (found["a1"], found["b1"]) == pytest.approx((0.2, -0.3))
+    assert found["rotor.lead_lag.x_rate"] == pytest.approx(0.0, abs=1e-12)
+    assert found["rotor.lead_lag.y_rate"] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_lag_motion_rings_at_its_frequencies():
