@@ -116,6 +116,14 @@ def test_unseen_flights_that_excite_it_less_confirm_as_much_as_they_can(signals:
         assert unknown(scan(over), dict.fromkeys(ROWS, 0.3), over, unseen(size)) is None
 
 
+@pytest.mark.parametrize(("noise", "told"), [(1.2, True), (4.0, False)])
+def test_one_of_many_imperfections_is_not_what_is_missing(signals: Tensor, noise: float, told: bool):
+    over = left("L", signals[:, 1] * signals[:, 3], noise)
+    found = scan(over)
+    assert (found["L"].goes_with, found["L"].share > 0.2) == ("p col", told)
+    assert (unknown(found, dict.fromkeys(ROWS, 0.1), over, over) is not None) == told
+
+
 def test_what_begins_after_the_end_of_unseen_flights_cannot_be_told(signals: Tensor):
     time = STEP * torch.arange(SAMPLES, dtype=torch.float64).repeat(FLIGHTS)
     over = left("M", signals[:, 2] * (time >= 6.0))
