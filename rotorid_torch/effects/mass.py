@@ -176,7 +176,7 @@ class SlungLoad(Effect):
     """Load on a cable: a pendulum below the hook that pulls the vehicle about.
 
     Small angles (x, y) of the cable in level axes that turn with the heading: l x'' = -g x - a_x - 2 damping sqrt(g l)
-    x' and the frame's turning, likewise y, a the vehicle's acceleration. The tension ratio x mass x g along the cable
+    x' and the frame's turning, likewise y, a the acceleration of the hook. The tension ratio x mass x g along the cable
     acts at the hook; ratio is load over declared mass. What it is at trim belongs to the trims.
 
     Source: Fusato, Guglieri and Celi (2001), J. American Helicopter Society 46; Cicolani and Kanning, NASA TP-3280.
@@ -238,13 +238,18 @@ class SlungLoad(Effect):
             vec(along * ct - st, along * sp * st + side * cp + sp * ct, along * cp * st - side * sp + cp * ct) * g
         )  # the cable's direction in body axes, times g
         force = p["ratio"].unsqueeze(-1) * (pull - self.hang)
-        moment = None
-        if self.inverse is not None:
+        if self.inverse is None:
+            frame = frame.add(force, None)
+            felt = frame.force
+        else:
             zero = torch.zeros_like(p["hook"])
-            moment = times(self.inverse, cross(vec(zero, zero, p["hook"]), force))
-        frame = frame.add(force, moment)
-        assert frame.force is not None
-        fx, fy, fz = frame.force.unbind(-1)
+            arm = vec(zero, zero, p["hook"])
+            frame = frame.add(force, times(self.inverse, cross(arm, force)))
+            assert frame.force is not None
+            assert frame.moment is not None
+            felt = frame.force + cross(frame.moment, arm)
+        assert felt is not None
+        fx, fy, fz = felt.unbind(-1)
         level = fx * ct + (fy * sp + fz * cp) * st, fy * cp - fz * sp
         turn = (signals["q"] * sp + signals["r"] * cp) / ct
         calm = 2.0 * p["damping"] * torch.sqrt(g / p["length"])

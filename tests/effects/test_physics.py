@@ -145,6 +145,29 @@ def test_the_load_and_the_vehicle_keep_their_common_centre():
     assert float((states[:, 0] + 0.2 * load).abs().max()) < 2e-4 * float(load.abs().max())
 
 
+def test_a_load_swings_with_a_body_that_pitches_under_its_hook():
+    """Against Lagrange's equations of a body in hover and a point mass on a rigid cable, small and in one plane."""
+    ratio, length, hook = 0.2, 6.0, 1.5
+    model = made("mass.slung_load", ratio=ratio, length=length, damping=0.0, hook=hook)
+    assert RIGID.mass is not None
+    assert RIGID.inertia is not None
+    m, load, inertia = RIGID.mass, ratio * RIGID.mass, float(np.array(RIGID.inertia)[1, 1])
+    at_load = np.array([1.0, hook, length])  # the load's speed by those of place, pitch and cable
+    mass = np.diag([m, inertia, 0.0]) + load * np.outer(at_load, at_load)
+    stiff = np.diag([0.0, load * G * hook, load * G * length])
+    stiff[0, 1] = (m + load) * G  # thrust stays with the body
+    second = -np.linalg.solve(mass, stiff)
+    time = np.linspace(0.0, 2.5, 126)
+    moved = lambda t, y: np.concatenate([y[3:], second @ y[:3]])  # noqa: E731
+    wanted = solve_ivp(moved, (0.0, 2.5), [0.0, 0.0, 0.002, 0.0, 0.0, 0.0], t_eval=time, rtol=1e-9, atol=1e-12).y
+    names = model.layout.names
+    x0 = torch.zeros(len(names), dtype=torch.float64)
+    x0[names.index("mass.slung_load.x")] = 0.002
+    found = simulate(model, x0, torch.zeros(126, 4, dtype=torch.float64), 0.02).detach().numpy()
+    for name, k in (("theta", 1), ("mass.slung_load.x", 2)):
+        np.testing.assert_allclose(found[:, names.index(name)], wanted[k], atol=0.005 * np.abs(wanted[k]).max())
+
+
 def test_a_shifted_centre_of_gravity_turns_the_body_by_force_times_arm():
     d = msgspec.structs.replace(RIGID, patterns={**RIGID.patterns, "Z": ("col",)})
     model = with_values(made("mass.cg", d, x=0.2), {"forces.Z.col": -80.0})
