@@ -32,7 +32,7 @@ def unknown(
     """The equation best described by its trace, of those that stand above clean aircraft, flapping first; or None.
 
     Flights that no fit has seen must be better described with the trace as it was found, by more than chance allows and
-    half as well as it would be with nothing new there: the best of hundreds of traces that mean nothing explains less.
+    half as well as it should be there: the best of hundreds of traces that mean nothing explains less.
     """
     above = [
         row
@@ -58,7 +58,8 @@ def _holds(trace: Trace, row: str, left: LeftOver, unseen: LeftOver, seed: int) 
     """Whether flights that no fit has seen lose enough by a trace of the size that `left` gave it.
 
     Each side keeps linear terms of its own. More than the same trace takes from the residuals turned in time by chance.
-    Flights that excite it less than those it was found on have less to lose beside the rest, which all flights have.
+    Flights that excite it less than those it was found on have less to lose beside the rest, which all flights have;
+    those that hardly excite it can confirm nothing.
     """
     k = left.rows.index(row)
     tried, known = left.beyond(torch.stack([column(trace, left, left.usual), left.residual[:, k]], dim=-1), k).mT
@@ -68,7 +69,8 @@ def _holds(trace: Trace, row: str, left: LeftOver, unseen: LeftOver, seed: int) 
     before = unseen.beyond(residuals, k)
     lost = 2.0 * new @ before - new @ new
     rest = (known - size * tried).square().mean() * len(new)
-    enough = HELD * (new @ new) / (new @ new + rest).clamp_min(1e-300) * before[:, 0].square().sum()
+    share = float((new @ new) / (new @ new + rest).clamp_min(1e-300))
+    enough = HELD * max(share, MAIN) * before[:, 0].square().sum()
     return bool(lost[0] > torch.maximum(lost[1:].quantile(1.0 - FALSE_ALARMS), enough))
 
 
