@@ -176,8 +176,9 @@ class SlungLoad(Effect):
     """Load on a cable: a pendulum below the hook that pulls the vehicle about.
 
     Small angles (x, y) of the cable in level axes that turn with the heading: l x'' = -g x - a_x - 2 damping sqrt(g l)
-    x' and the frame's turning, likewise y, a the acceleration of the hook. The tension ratio x mass x g along the cable
-    acts at the hook; ratio is load over declared mass. What it is at trim belongs to the trims.
+    x' and the frame's turning, likewise y, a the acceleration of the hook, or of the centre of gravity where no inertia
+    is declared; centripetal parts are small. The tension ratio x mass x g along the cable acts at the hook; ratio is
+    load over declared mass. What it is at trim belongs to the trims.
 
     Source: Fusato, Guglieri and Celi (2001), J. American Helicopter Society 46; Cicolani and Kanning, NASA TP-3280.
     """
