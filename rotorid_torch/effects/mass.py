@@ -239,17 +239,14 @@ class SlungLoad(Effect):
             vec(along * ct - st, along * sp * st + side * cp + sp * ct, along * cp * st - side * sp + cp * ct) * g
         )  # the cable's direction in body axes, times g
         force = p["ratio"].unsqueeze(-1) * (pull - self.hang)
-        if self.inverse is None:
-            frame = frame.add(force, None)
-            felt = frame.force
-        else:
+        moment, arm = None, None
+        if self.inverse is not None:
             zero = torch.zeros_like(p["hook"])
             arm = vec(zero, zero, p["hook"])
-            frame = frame.add(force, times(self.inverse, cross(arm, force)))
-            assert frame.force is not None
-            assert frame.moment is not None
-            felt = frame.force + cross(frame.moment, arm)
-        assert felt is not None
+            moment = times(self.inverse, cross(arm, force))
+        frame = frame.add(force, moment)
+        assert frame.force is not None
+        felt = frame.force if arm is None or frame.moment is None else frame.force + cross(frame.moment, arm)
         fx, fy, fz = felt.unbind(-1)
         level = fx * ct + (fy * sp + fz * cp) * st, fy * cp - fz * sp
         turn = (signals["q"] * sp + signals["r"] * cp) / ct

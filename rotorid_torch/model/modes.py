@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -30,13 +31,18 @@ def reference_point(model: Model) -> tuple[Tensor, Tensor]:
     return at(model.layout.names), at(model.body.controls)
 
 
-def state_matrix(model: Model) -> Tensor:
-    """A [nx, nx] of dx/dt = A (x - x0) at the reference."""
+def _by_state(model: Model, of: Callable[[Tensor, Tensor, Tensor], Tensor]) -> Tensor:
+    """Derivatives by the states, at the reference, of what the model makes of theta, states and controls."""
     x, u = reference_point(model)
     theta = model.theta.detach()
-    by_state = torch.autograd.functional.jacobian(lambda a: model.rates(theta, a, u), x)
-    assert isinstance(by_state, Tensor)
-    return by_state
+    found = torch.autograd.functional.jacobian(lambda a: of(theta, a, u), x)
+    assert isinstance(found, Tensor)
+    return found
+
+
+def state_matrix(model: Model) -> Tensor:
+    """A [nx, nx] of dx/dt = A (x - x0) at the reference."""
+    return _by_state(model, model.rates)
 
 
 def gust_response(model: Model) -> dict[str, float]:
@@ -44,11 +50,8 @@ def gust_response(model: Model) -> dict[str, float]:
 
     Before the body moves, with the rotor's own motion settled: flapping and inflow follow within tenths of a second.
     """
-    x, u = reference_point(model)
-    theta, n, names = model.theta.detach(), len(model.body.states), model.layout.names
-    output = torch.autograd.functional.jacobian(lambda a: model.outputs_at(theta, a, u), x)
-    assert isinstance(output, Tensor)
-    matrix = state_matrix(model)
+    n, names = len(model.body.states), model.layout.names
+    output, matrix = _by_state(model, model.outputs_at), state_matrix(model)
     settled = output[:, :n] - output[:, n:] @ torch.linalg.pinv(matrix[n:, n:]) @ matrix[n:, :n]
     along = dict(zip(SPECIFIC_FORCES, VELOCITIES, strict=True))
     return {

@@ -31,6 +31,7 @@ def unknown(
 ) -> Unknown | None:
     """The equation best described by its trace, of those that stand above clean aircraft, flapping first; or None.
 
+    A trace describes a fair part of what its equation leaves over.
     Flights that no fit has seen must be better described with the trace as it was found, by more than chance allows and
     half as well as it should be there: the best of hundreds of traces that mean nothing explains less.
     """

@@ -210,15 +210,17 @@ def flapping_matrix(model: Model) -> Tensor:
     return torch.func.jacfwd(lambda a: model.rates(model.theta.detach(), a, u[0]))(x[0])[places][:, places]
 
 
+def first_order(speed: float, g: float) -> dict[str, float]:
+    """Tilt's own law in hover, hinges in the shaft: what the flap equation in fixed axes leaves of slow motion."""
+    damping = torch.tensor([[g, 2 * speed], [-2 * speed, g]], dtype=torch.float64)
+    slow = -torch.linalg.solve(damping, torch.tensor([[0.0, g * speed], [-g * speed, 0.0]], dtype=torch.float64))
+    return {f"rotor.{r}.{c}": float(slow[i, j]) for i, r in enumerate(("a1", "b1")) for j, c in enumerate(("a1", "b1"))}
+
+
 def test_second_order_flapping_has_the_rotor_s_modes():
     """In hover, hinges in the shaft, no coupling with the body: modes of the flap equation in fixed axes."""
     speed, g = 27.0, 8.2 * 27.0 / 8.0
-    damping = torch.tensor([[g, 2 * speed], [-2 * speed, g]], dtype=torch.float64)
-    stiffness = torch.tensor([[0.0, g * speed], [-g * speed, 0.0]], dtype=torch.float64)
-    slow = -torch.linalg.solve(damping, stiffness)
-    columns = ("a1", "b1")
-    values = {f"rotor.{r}.{c}": float(slow[i, j]) for i, r in enumerate(columns) for j, c in enumerate(columns)}
-    values |= {"rotor.a0.a0": -20.0}
+    values = first_order(speed, g) | {"rotor.a0.a0": -20.0}
     free = msgspec.structs.replace(HELICOPTER, effects=("rotor.flap_second_order",))
     own = {"share": 1.0, "tau": 1.0 / g, "coupling": 2.0 * speed}
     model = with_values(build(free), values | {f"rotor.flap_second_order.{n}": v for n, v in own.items()})
@@ -261,11 +263,8 @@ def test_second_order_flapping_on_a_turning_hub_is_that_of_single_blades(directi
     psi = speed * time + places[:, None]
     wanted = np.stack([-0.5 * (flown * np.cos(psi)).sum(0), -0.5 * (flown * np.sin(psi)).sum(0)], axis=-1)
 
-    damping = torch.tensor([[g, 2 * speed], [-2 * speed, g]], dtype=torch.float64)
-    slow = -torch.linalg.solve(damping, torch.tensor([[0.0, g * speed], [-g * speed, 0.0]], dtype=torch.float64))
     columns = ("a1", "b1")
-    values = {f"rotor.{r}.{c}": float(slow[i, j]) for i, r in enumerate(columns) for j, c in enumerate(columns)}
-    values |= {"rotor.a0.a0": -20.0, "rotor.a1.q": -1.0, "rotor.b1.p": -spin}
+    values = first_order(speed, g) | {"rotor.a0.a0": -20.0, "rotor.a1.q": -1.0, "rotor.b1.p": -spin}
     assert HELICOPTER.rotor is not None
     rotor = msgspec.structs.replace(HELICOPTER.rotor, direction=direction)
     spec = msgspec.structs.replace(HELICOPTER, rotor=rotor, effects=("rotor.flap_second_order",))
@@ -327,13 +326,8 @@ def test_yaw_by_the_collective_is_late_with_the_collective_lag():
 def test_a_curved_wake_turns_the_tilt_against_the_off_axis_response():
     """In steady pitching the tilt is b1 = K_R q/speed, and none across; a rotor without hinge offset."""
     speed, g = 27.0, 8.2 * 27.0 / 8.0
-    damping = torch.tensor([[g, 2 * speed], [-2 * speed, g]], dtype=torch.float64)
-    slow = -torch.linalg.solve(damping, torch.tensor([[0.0, g * speed], [-g * speed, 0.0]], dtype=torch.float64))
-    values = {
-        f"rotor.{r}.{c}": float(slow[i, j]) for i, r in enumerate(("a1", "b1")) for j, c in enumerate(("a1", "b1"))
-    }
     spec = msgspec.structs.replace(HELICOPTER, effects=("rotor.wake_distortion",))
-    model = with_values(build(spec), {**values, "rotor.wake_distortion.K_R": 1.2})
+    model = with_values(build(spec), {**first_order(speed, g), "rotor.wake_distortion.K_R": 1.2})
     at = {s.name: 0.0 for s in model.own_states}
     at |= {"b1": 1.2 * 0.3 / speed, "rotor.wake_distortion.q": 0.3}
     found = rates(model, (), q=0.3, **at)
