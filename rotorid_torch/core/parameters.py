@@ -16,8 +16,9 @@ class Parameter:
 
     `prior_sd` is the standard deviation (in the parameter's unit) by which the data may move it away from `value`
     before the physics behind `value` objects; infinite where there is no such physics. `typical` is a size at which an
-    effect is usually met: where tracing starts. `tried`: values that it starts from, where one start does not lead to
-    another (the length of a pendulum).
+    effect is usually met: where tracing starts; `met`: other sizes it is met at, where a little of it does nothing and
+    twice as much is not twice the change (a rate limit). `tried`: values that it starts from, where one start does not
+    lead to another (the length of a pendulum).
     """
 
     name: str
@@ -28,6 +29,7 @@ class Parameter:
     free: bool = True
     doc: str = ""
     typical: float = 0.0
+    met: tuple[float, ...] = ()
     tried: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:

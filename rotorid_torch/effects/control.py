@@ -114,6 +114,7 @@ class RateLimit(Effect):
             (0.0, 2.0 / size),
             doc="one over the greatest rate of every control",
             typical=0.1 / size,
+            met=(0.025 / size,),
         )
         super().__init__(_each(common, controls))
 

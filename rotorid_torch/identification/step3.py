@@ -71,7 +71,7 @@ def estimate_model(
     """
     names = tuple(n for n in model.parameter_set.free if n not in start.held)
     with torch.no_grad():
-        model.theta.copy_(start.theta)
+        model.theta.copy_(begun(model, start.theta))
     places = [model.parameter_set.index(n) for n in names]
     settings = Settings(
         floor=sensor_noise(model, dataset),
@@ -89,6 +89,18 @@ def estimate_model(
     with torch.no_grad():
         model.theta[places] = found.theta
     return Step3(found, names)
+
+
+def begun(model: Model, theta: Tensor) -> Tensor:
+    """Parameters [P] to begin from: not from nothing where a little of an effect does nothing, for no slope leads away.
+
+    From there a smaller effect is found too: the least of the sizes that it is met at still acts.
+    """
+    theta = theta.clone()
+    for i, p in enumerate(model.parameter_set.parameters):
+        if p.met and p.free and float(theta[i]) == p.value:
+            theta[i] = min(p.met, key=lambda size: abs(size - p.value))
+    return theta
 
 
 def initial_spread(model: Model) -> Tensor:

@@ -40,7 +40,7 @@ DEPENDENT = 1e-10
 class Signature:
     """One direction of one candidate: its parameter's full name, null, the size it was simulated at, and its bounds.
 
-    beside : other parameters of the effect, and where they were.
+    beside : other parameters of the effect, and where they were. size : which of the sizes it is met at this one is.
     """
 
     effect: str
@@ -50,11 +50,17 @@ class Signature:
     bounds: tuple[float, float]
     unit: str
     beside: tuple[tuple[str, float], ...] = ()
+    size: int = 0
 
     @property
     def step(self) -> float:
         """From null to typical size."""
         return self.typical - self.null
+
+    @property
+    def kind(self) -> tuple[object, ...]:
+        """The same for signatures of an effect that go together."""
+        return self.beside, self.size
 
     @property
     def reach(self) -> tuple[float, float]:
@@ -81,14 +87,14 @@ class Screen:
     _chosen: dict[str, list[int]] = field(default_factory=dict, repr=False)
 
     def places(self, effects: Sequence[str]) -> list[int]:
-        """Signatures of these effects, each with its other parameters where they explain most."""
+        """Signatures of these effects, each at the size and with its other parameters where they explain most."""
         return [i for e in dict.fromkeys(effects) for i in self._best(e)]
 
     def _variants(self, effect: str) -> list[list[int]]:
         """Signatures of an effect that go together."""
         own = [i for i, s in enumerate(self.signatures) if s.effect == effect]
-        kinds = dict.fromkeys(self.signatures[i].beside for i in own)
-        return [[i for i in own if self.signatures[i].beside == kind] for kind in kinds]
+        kinds = dict.fromkeys(self.signatures[i].kind for i in own)
+        return [[i for i in own if self.signatures[i].kind == kind] for kind in kinds]
 
     def _best(self, effect: str) -> list[int]:
         if effect not in self._chosen:
@@ -122,11 +128,11 @@ class Screen:
     def starts(self, effect: str) -> list[dict[str, float]]:
         """Values from which a full fit of an effect may begin.
 
-        The best by the straight line; and where its other parameters are tried at several values, its typical size at
-        each, for there a line from nothing says little of what lies beyond.
+        The best by the straight line; and where its other parameters are tried at several values, or itself at several
+        sizes, its typical size at each, for there a line from nothing says little of what lies beyond.
         """
-        variants = self._variants(effect) if any(s.beside for s in self.signatures if s.effect == effect) else []
-        own = [[self.signatures[i] for i in which] for which in variants]
+        variants = self._variants(effect)
+        own = [[self.signatures[i] for i in which] for which in variants] if len(variants) > 1 else []
         typical = [{**dict(one[0].beside), **{s.parameter: s.typical for s in one}} for one in own]
         return [self.sizes([effect]), *typical]
 
@@ -175,7 +181,7 @@ class Screen:
 
 
 def signatures(model: Model, effects: Sequence[str]) -> tuple[Signature, ...]:
-    """Free parameters of these effects that have a size to be met with, at each start of the others."""
+    """Free parameters of these effects that have sizes to be met with, at each and at each start of the others."""
     found = []
     for effect in effects:
         own = [p for p in model.parameter_set.parameters if p.name.startswith(f"{effect}.") and p.free]
@@ -184,9 +190,10 @@ def signatures(model: Model, effects: Sequence[str]) -> tuple[Signature, ...]:
             for values in product(*(p.tried for p in own if p.tried))
         ]
         found += [
-            Signature(effect, p.name, p.value, p.typical, p.bounds, p.unit, beside)
+            Signature(effect, p.name, p.value, typical, p.bounds, p.unit, beside, size)
             for beside in starts
             for p in own
+            for size, typical in enumerate((p.typical, *p.met))
             if p.typical not in (0.0, p.value) and not p.tried
         ]
     return tuple(found)

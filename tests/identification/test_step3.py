@@ -99,6 +99,23 @@ def test_a_delay_that_is_not_there_is_found_at_zero(rates: Dataset):
     assert bound == (value == 0.0)
 
 
+@pytest.mark.parametrize("inverse", [1.2, 4.0])
+def test_a_rate_limit_comes_back_from_a_model_that_has_none(inverse: float):
+    """At no limit there is no slope that leads to one."""
+    truth = with_values(rate_vehicle(effects=("control.rate_limit",)), {"control.rate_limit.inverse": inverse})
+    data = flown(truth, manoeuvres(8.0, DT), DT, noise=0.02, seed=4)
+    found, model, _ = estimated(data, "control.rate_limit")
+    assert model.named_values["control.rate_limit.inverse"] == pytest.approx(inverse, rel=0.1)
+    off = deviations(found, model, truth.named_values)
+    assert abs(off["control.rate_limit.inverse"]) < 3.5
+
+
+def test_a_rate_limit_that_is_not_there_is_found_to_do_nothing(rates: Dataset):
+    (found, _, _), (without, _, _) = estimated(rates, "control.rate_limit"), estimated(rates)
+    assert found.fit.minimum.converged
+    assert abs(found.fit.minimum.point.cost - without.fit.minimum.point.cost) < 3.0
+
+
 def test_an_own_effect_with_a_state_comes_back():
     truth = with_values(
         rate_vehicle(effects=("own.lag",)), {"own.lag.L": 20.0, "own.lag.tau": 0.4, "forces.L.lat": 10.0}

@@ -18,6 +18,7 @@ def screened(gain: float, shown: float, imitators: tuple[str, ...] = ()) -> Any:
         shown=lambda effect: shown,
         imitators=lambda effect: imitators,
         signatures=(signature,),
+        places=lambda effects: [0],
     )
 
 

@@ -55,6 +55,23 @@ def test_the_screen_sees_the_size_of_a_delay():
     assert seen.gain(["control.delay"]) > 10.0 * float(seen.by_chance("control.delay").max())
 
 
+@pytest.mark.parametrize("inverse", [1.2, 6.0])
+def test_the_screen_sees_fast_and_slow_rate_limits_where_they_act(inverse: float):
+    """A limit that steps hardly meet is no small share of one that hardly lets them through."""
+    _, null = started(flights("control.rate_limit", control__rate_limit__inverse=inverse))
+    seen = screen(null, ("control.rate_limit", *SUSPECTS))
+    assert seen.gain(["control.rate_limit"]) > max(seen.gain([e]) for e in SUSPECTS)
+    starts = [one["control.rate_limit.inverse"] for one in seen.starts("control.rate_limit")]
+    assert any(0.5 * inverse < start < 2.0 * inverse for start in starts)
+
+
+def test_a_hidden_rate_limit_is_told_from_a_delay():
+    found = traced(flights("control.rate_limit", control__rate_limit__inverse=1.2))
+    assert found.accepted == ("control.rate_limit",)
+    value, error = next(f for f in found.findings if f.id == "control.rate_limit").values["control.rate_limit.inverse"]
+    assert abs(value - 1.2) < 3.0 * error
+
+
 def test_fits_go_on_while_they_gain_what_matters_to_each(monkeypatch: pytest.MonkeyPatch):
     known, null = started(flights())
     rough = refit(null.spec, known, {}, options=replace(CAREFUL, max_iterations=1))
