@@ -66,6 +66,14 @@ class Named(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Point:
+    """A structure, and values to begin from."""
+
+    spec: ModelSpec
+    values: dict[str, float]
+
+
 @dataclass(frozen=True, eq=False)
 class Tracing:
     """What was traced.
@@ -74,6 +82,7 @@ class Tracing:
     groups : for an accepted effect the others that explain as much. findings : one of each effect that was tested.
     unknown : what is left over without a name; unknown_before : what is by the null.
     spread : standard errors of the accepted effects' parameters by their scatter over flights and controls.
+    scatter : the same by flights alone.
     """
 
     null: Named
@@ -86,6 +95,23 @@ class Tracing:
     unknown: Unknown | None = None
     unknown_before: Unknown | None = None
     spread: Mapping[str, float] = field(default_factory=dict)
+    scatter: Mapping[str, float] = field(default_factory=dict)
+
+    def without(self, doubts: Mapping[str, str]) -> Tracing:
+        """The tracing without some of the effects that it accepted, each with those in its group, for these reasons."""
+        out = {e: why for best, why in doubts.items() for e in (best, *self.groups.get(best, ()))}
+        findings = tuple(
+            replace(f, verdict="rejected", reason=out[f.id], group=()) if f.id in out else f for f in self.findings
+        )
+        accepted = tuple(e for e in self.accepted if e not in out)
+        if not accepted:
+            return replace(
+                self, final=self.null, accepted=(), groups={}, findings=findings, unknown=self.unknown_before
+            )
+        effects = tuple(e for e in self.final.spec.effects if e not in out)
+        final = Point(msgspec.structs.replace(self.final.spec, effects=effects), self.final.values)
+        groups = {best: others for best, others in self.groups.items() if best not in out}
+        return replace(self, final=final, accepted=accepted, groups=groups, findings=findings)
 
 
 @dataclass
@@ -339,6 +365,7 @@ def trace(
     if placed:  # the model before has the same structure
         without = tuple(e for e in null.spec.effects if e not in placed)
         null = refit(msgspec.structs.replace(null.spec, effects=without), flights, null.values, held, near=null)
+    scatter = dict(search.spread)
     search.compare_controls(final, accepted)
     missing = _missing(final, accepted, flights, search.floors, seed)
     before = _missing(null, (), flights, search.floors, seed)
@@ -354,6 +381,7 @@ def trace(
         missing,
         before,
         search.spread,
+        scatter,
     )
 
 

@@ -194,7 +194,7 @@ def signatures(model: Model, effects: Sequence[str]) -> tuple[Signature, ...]:
             for beside in starts
             for p in own
             for size, typical in enumerate((p.typical, *p.met))
-            if p.typical not in (0.0, p.value) and not p.tried
+            if p.sized
         ]
     return tuple(found)
 
