@@ -78,7 +78,7 @@ def estimate_model(
         lengths=lengths(model),
         prior_mean=model.parameter_set.values[places],
         prior_sd=model.parameter_set.prior_sd[places],
-        x0_sd=initial_spread(model),
+        x0_sd=initial_spread(model, dataset),
         options=ENOUGH,
         engine=None if device == "cpu" else "reference",
     )
@@ -103,9 +103,16 @@ def begun(model: Model, theta: Tensor) -> Tensor:
     return theta
 
 
-def initial_spread(model: Model) -> Tensor:
-    """Prior of the initial states about those that are followed [nx], infinite where there is none."""
-    return torch.tensor([s.spread for s in model.layout.states], dtype=torch.float64)
+def initial_spread(model: Model, dataset: Dataset) -> Tensor:
+    """Prior of the initial states about those that are followed [nx], infinite where there is none.
+
+    What a channel tells is known as well as it is measured: more freedom would give each segment a nuisance of its own.
+    """
+    spreads = [
+        s.spread if s.channel is None or math.isinf(s.spread) else min(s.spread, dataset.noise(s.channel))
+        for s in model.layout.states
+    ]
+    return torch.tensor(spreads, dtype=torch.float64)
 
 
 def sensor_noise(model: Model, dataset: Dataset) -> Tensor:

@@ -152,7 +152,7 @@ def refit(
         lengths=lengths,
         prior_mean=numbers.values[places],
         prior_sd=numbers.prior_sd[places],
-        x0_sd=initial_spread(model),
+        x0_sd=initial_spread(model, flights.dataset),
         options=options,
     )
     known = flights.records(model, flights.dataset.identify)
@@ -190,7 +190,7 @@ def _unseen(fitted: Fitted) -> Residual:
         noise=Noise("held", own.noise.floor, fitted.fit.minimum.point.covariance),
         x0=filled(guess, known, segments),
         x0_mean=guess.nan_to_num(0.0),
-        x0_sd=torch.where(guess.isnan(), math.inf, initial_spread(fitted.model)),
+        x0_sd=torch.where(guess.isnan(), math.inf, initial_spread(fitted.model, fitted.flights.dataset)),
         prior_mean=theta,
         prior_sd=torch.full_like(theta, math.inf),
         bias_sd=torch.zeros(known.outputs.shape[-1], dtype=torch.float64),

@@ -17,12 +17,12 @@ from rotorid_torch.effects.registry import EFFECTS
 from rotorid_torch.identification.reconstruct import reconstruct
 from rotorid_torch.identification.segments import Records
 from rotorid_torch.identification.step2 import Step2, measured, regress_model
-from rotorid_torch.identification.step3 import Step3, _controls, averaged, estimate_model, records
+from rotorid_torch.identification.step3 import Step3, _controls, averaged, estimate_model, initial_spread, records
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from tests.effects.own_effects import OWN, OwnLag
-from tests.known_models import DERIVATIVES, flown, linear_vehicle, manoeuvres, rate_vehicle, with_values
+from tests.known_models import DERIVATIVES, body_spec, flown, linear_vehicle, manoeuvres, rate_vehicle, with_values
 
 DT = 0.02
 
@@ -139,6 +139,18 @@ def test_states_of_effects_follow_the_record_to_start_from():
     torch.testing.assert_close(late, torch.tensor(wanted).double(), atol=3e-3, rtol=0)
     known = records(model, data, step1).states[..., -1]
     assert bool(known.isfinite().all())
+
+
+@pytest.mark.parametrize(("declared", "known"), [(0.002, 0.002), (0.5, 0.02)])
+def test_what_a_channel_tells_is_no_freer_than_it_is_measured(declared: float, known: float):
+    """A heading that is free by degrees would give every segment a sideslip of its own, in any wind."""
+    data = flown(linear_vehicle(), manoeuvres(3.0, DT), DT)
+    heading = {n: {**f.channels, "psi": torch.zeros_like(f.time)} for n, f in data.flights.items()}
+    data = Dataset.from_arrays(heading, identify=data.identify, channels={"psi": {"noise": declared}})
+    model = linear_vehicle(effects=("environment.wind",), reference={**body_spec().reference, "psi": 0.0})
+    spread = dict(zip(model.layout.names, initial_spread(model, data).tolist(), strict=True))
+    assert spread["environment.wind.psi"] == known
+    assert spread["v"] == float("inf")
 
 
 def test_an_effect_that_integrates_starts_at_zero(monkeypatch: pytest.MonkeyPatch):
