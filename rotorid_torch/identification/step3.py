@@ -27,6 +27,8 @@ RATE = 50.0
 """Hz: records are averaged down to no less than this; body, flapping and inflow are slower than a fifth of it."""
 ENOUGH = Options(tolerance=1e-5, absolute=0.05)
 """The search ends where a step could change the log-likelihood by no more than this: less than a standard error."""
+TOLD = 4.5
+"""Fall of minus log-likelihood by which a size must be better than none: three standard errors of one number."""
 LENGTHS = (2.0, 5.0)
 """s: segments of the two stages; an unstable vehicle's slow modes show in the second, its fast ones set the first."""
 ROTORS_RATE, ROTORS_LENGTHS = 200.0, (0.25,)
@@ -71,7 +73,7 @@ def estimate_model(
     """
     names = tuple(n for n in model.parameter_set.free if n not in start.held)
     with torch.no_grad():
-        model.theta.copy_(begun(model, start.theta))
+        model.theta.copy_(start.theta)
     places = [model.parameter_set.index(n) for n in names]
     settings = Settings(
         floor=sensor_noise(model, dataset),
@@ -85,22 +87,25 @@ def estimate_model(
     flights, settings = moved((records(model, dataset, reconstruction, ranks), settings), device)
     with working_on(device):
         found = fit(System(model, names), flights, settings=settings, monitor=monitor, ranks=ranks).estimate()
+        if acting := {names.index(n): size for n, size in idle(model).items() if n in names}:
+            place = found.theta.clone()
+            place[list(acting)] = place.new_tensor(list(acting.values()))
+            other = fit(System(model, names), flights, place, settings, monitor, ranks).estimate()
+            found = other if other.minimum.point.cost < found.minimum.point.cost - TOLD else found
     found = moved(found, "cpu")
     with torch.no_grad():
         model.theta[places] = found.theta
     return Step3(found, names)
 
 
-def begun(model: Model, theta: Tensor) -> Tensor:
-    """Parameters [P] to begin from: not from nothing where a little of an effect does nothing, for no slope leads away.
+def idle(model: Model) -> dict[str, float]:
+    """Free parameters at nothing where a little of them does nothing, with the least of the sizes they are met at.
 
-    From there a smaller effect is found too: the least of the sizes that it is met at still acts.
+    From nothing no slope leads to them; from there a smaller size is found too.
     """
-    theta = theta.clone()
-    for i, p in enumerate(model.parameter_set.parameters):
-        if p.met and p.free and float(theta[i]) == p.value:
-            theta[i] = min(p.met, key=lambda size: abs(size - p.value))
-    return theta
+    known, values = model.parameter_set.parameters, model.named_values
+    resting = [p for p in known if p.met and p.free and values[p.name] == p.value]
+    return {p.name: min(p.met, key=lambda size: abs(size - p.value)) for p in resting}
 
 
 def initial_spread(model: Model, dataset: Dataset) -> Tensor:

@@ -39,7 +39,7 @@ from rotorid_torch.run.summary import failing
 from rotorid_torch.run.write import write_report
 from rotorid_torch.trace.clean import clean_floors
 from rotorid_torch.trace.clocks import sensor_findings
-from rotorid_torch.trace.decide import Size, doubtful
+from rotorid_torch.trace.decide import Size, at_edge, doubtful
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.fits import Fitted, Flights, refit
 from rotorid_torch.trace.loop import Tracing, trace
@@ -206,7 +206,8 @@ def _doubts(tracing: Tracing, after: Run, flights: int) -> dict[str, str]:
     }
     own = {e: {n: s for n, s in sizes.items() if n.startswith(f"{e}.")} for e in tracing.accepted}
     found = {e: doubtful(its, flights) for e, its in own.items() if its}
-    return {e: f"identified again by all steps, {why}" for e, why in found.items() if why is not None}
+    doubts = {e: at_edge(after.model, e) or why for e, why in found.items() if why is not None}
+    return {e: f"identified again by all steps, {why}" for e, why in doubts.items()}
 
 
 def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:

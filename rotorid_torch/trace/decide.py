@@ -157,7 +157,7 @@ def _gains(before: Residual, after: Residual) -> Tensor:
 
 def smallest_visible(screened: Screen, effect: str, floor: float) -> tuple[float, str] | None:
     """Size at which the effect would reach its floor, in the unit of its first parameter."""
-    own = [screened.signatures[i] for i in screened.places([effect])]
+    own = [s for s in screened.signatures if s.effect == effect]
     shown = screened.shown(effect)
     if not own or shown <= 0.0:
         return None

@@ -98,20 +98,27 @@ class Tracing:
     scatter: Mapping[str, float] = field(default_factory=dict)
 
     def without(self, doubts: Mapping[str, str]) -> Tracing:
-        """The tracing without some of the effects that it accepted, each with those in its group, for these reasons."""
-        out = {e: why for best, why in doubts.items() for e in (best, *self.groups.get(best, ()))}
-        findings = tuple(
-            replace(f, verdict="rejected", reason=out[f.id], group=()) if f.id in out else f for f in self.findings
-        )
-        accepted = tuple(e for e in self.accepted if e not in out)
+        """The tracing without some effects that it accepted, for these reasons; who stood for them alone leaves too."""
+        accepted = tuple(e for e in self.accepted if e not in doubts)
+        left = {best: tuple(e for e in self.groups.get(best, ()) if e not in doubts) for best in accepted}
+        stay = {*accepted, *(e for others in left.values() for e in others)}
+        gone = {e: why for best, why in doubts.items() for e in (best, *self.groups.get(best, ())) if e not in stay}
+        kept = replace(self, accepted=accepted, groups={best: others for best, others in left.items() if others})
+        findings = tuple(_left(f, gone) for f in self.findings)
         if not accepted:
-            return replace(
-                self, final=self.null, accepted=(), groups={}, findings=findings, unknown=self.unknown_before
-            )
-        effects = tuple(e for e in self.final.spec.effects if e not in out)
+            return replace(kept, final=self.null, findings=findings, unknown=self.unknown_before)
+        effects = tuple(e for e in self.final.spec.effects if e not in doubts)
         final = Point(msgspec.structs.replace(self.final.spec, effects=effects), self.final.values)
-        groups = {best: others for best, others in self.groups.items() if best not in out}
-        return replace(self, final=final, accepted=accepted, groups=groups, findings=findings)
+        return replace(kept, final=final, findings=findings)
+
+
+def _left(finding: Finding, gone: Mapping[str, str]) -> Finding:
+    """A finding where these effects are gone: rejected with its reason, or no longer in a group with them."""
+    if finding.id in gone:
+        return replace(finding, verdict="rejected", reason=gone[finding.id], group=())
+    group = tuple(e for e in finding.group if e not in gone)
+    alone = bool(finding.group) and not group
+    return replace(finding, verdict="accepted" if alone else finding.verdict, group=group)
 
 
 @dataclass
@@ -380,8 +387,8 @@ def trace(
         (search.floors.note, *untried(flights.dataset)),
         missing,
         before,
-        search.spread,
-        scatter,
+        spread=search.spread,
+        scatter=scatter,
     )
 
 

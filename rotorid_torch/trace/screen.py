@@ -136,18 +136,23 @@ class Screen:
         typical = [{**dict(one[0].beside), **{s.parameter: s.typical for s in one}} for one in own]
         return [self.sizes([effect]), *typical]
 
+    def _usual(self, effect: str) -> list[int]:
+        """Signatures of an effect at its typical size: what flights show of it does not hang on what they hold."""
+        typical = [which for which in self._variants(effect) if self.signatures[which[0]].size == 0]
+        return max(typical, key=self._explained, default=[])
+
     def shown(self, effect: str) -> float:
         """Gain per sample that the effect at its typical size would bring, in its least visible direction."""
-        return 0.5 * float(self.total.diagonal()[self.places([effect])].min()) / self.samples
+        return 0.5 * float(self.total.diagonal()[self._usual(effect)].min()) / self.samples
 
     def left(self, effect: str) -> float:
         """Share of the signature that initial states, trims and derivatives cannot imitate."""
-        which = self.places([effect])
+        which = self._usual(effect)
         return float((self.total.diagonal()[which] / self.raw[which].clamp_min(1e-300)).clamp(0.0, 1.0).sqrt().max())
 
     def imitators(self, effect: str) -> tuple[str, ...]:
         """Parameters of the fitted model that take the effect's place."""
-        return tuple(dict.fromkeys(n for i in self.places([effect]) for n in self.absorbed[i]))
+        return tuple(dict.fromkeys(n for i in self._usual(effect) for n in self.absorbed[i]))
 
     def _explained(self, which: list[int], column: int | None = None) -> float:
         if not which:

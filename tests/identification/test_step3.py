@@ -111,9 +111,10 @@ def test_a_rate_limit_comes_back_from_a_model_that_has_none(inverse: float):
 
 
 def test_a_rate_limit_that_is_not_there_is_found_to_do_nothing(rates: Dataset):
-    (found, _, _), (without, _, _) = estimated(rates, "control.rate_limit"), estimated(rates)
+    (found, model, _), (without, _, _) = estimated(rates, "control.rate_limit"), estimated(rates)
     assert found.fit.minimum.converged
-    assert abs(found.fit.minimum.point.cost - without.fit.minimum.point.cost) < 3.0
+    assert model.named_values["control.rate_limit.inverse"] == 0.0
+    assert found.fit.minimum.point.cost == pytest.approx(without.fit.minimum.point.cost, abs=0.1)
 
 
 def test_an_own_effect_with_a_state_comes_back():

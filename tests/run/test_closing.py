@@ -256,6 +256,23 @@ def test_effects_that_are_doubted_leave_with_their_groups_and_the_others_stay():
     assert {f.id for f in prompt.findings if f.verdict == "rejected"} == {"control.delay", "control.lag"}
     assert (prompt.accepted, prompt.groups) == (("environment.wind",), {})
     assert calm.without({"control.delay": "prompt"}).final is whole.null
+    both = replace(whole, accepted=("control.delay", "control.lag"), groups={"control.delay": ("control.lag",)})
+    assert both.without({"control.delay": "prompt"}).accepted == ("control.lag",)
+    assert {f.id for f in both.without({"control.delay": "prompt"}).findings if f.verdict == "rejected"} == {
+        "control.delay"
+    }
+    lone = both.without({"control.lag": "swift"})
+    assert (lone.accepted, lone.groups) == (("control.delay",), {})
+
+
+def test_what_is_doubted_is_not_in_the_model_after(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("rotorid_torch.run.closing.doubtful", lambda sizes, flights: "said so")
+    loop = rotorid.close_loop(late(0.06))
+    assert loop.verdict is not None
+    assert loop.verdict.kind != "undeclared"
+    assert "control.delay" not in loop.spec.effects
+    told = next(e for e in loop.effects if e.id == "control.delay")
+    assert (told.verdict, told.reason) == ("rejected", "identified again by all steps, said so")
 
 
 def run_with(J: float | None) -> Any:

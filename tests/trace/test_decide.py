@@ -18,7 +18,6 @@ def screened(gain: float, shown: float, imitators: tuple[str, ...] = ()) -> Any:
         shown=lambda effect: shown,
         imitators=lambda effect: imitators,
         signatures=(signature,),
-        places=lambda effects: [0],
     )
 
 

@@ -13,7 +13,7 @@ from rotorid_torch.identification.reconstruct import reconstruct
 from rotorid_torch.identification.step2 import regress_model
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build
-from rotorid_torch.trace.decide import gain
+from rotorid_torch.trace.decide import gain, smallest_visible
 from rotorid_torch.trace.fits import CAREFUL, Fitted, Flights, refit
 from rotorid_torch.trace.floor import Floors
 from rotorid_torch.trace.loop import Tracing, _Search, trace
@@ -65,6 +65,15 @@ def test_the_screen_sees_fast_and_slow_rate_limits_where_they_act(inverse: float
     assert any(0.5 * inverse < start < 2.0 * inverse for start in starts)
 
 
+def test_what_flights_show_of_an_effect_does_not_hang_on_what_they_hold():
+    """Its usual size, not the one at which chance explains most."""
+    seen = [screen(started(flights(seed=seed))[1], ("control.rate_limit",)) for seed in range(3, 7)]
+    visible = [smallest_visible(one, "control.rate_limit", 1e-3) for one in seen]
+    sizes = [size for size, _ in filter(None, visible)]
+    assert len(sizes) == len(seen)
+    assert max(sizes) < 1.1 * min(sizes)
+
+
 def test_a_hidden_rate_limit_is_told_from_a_delay():
     found = traced(flights("control.rate_limit", control__rate_limit__inverse=1.2))
     assert found.accepted == ("control.rate_limit",)
@@ -93,6 +102,8 @@ def test_a_hidden_delay_is_named_with_its_size():
     assert told.gain == pytest.approx(gain(found.null, found.final), rel=0.01)
     assert abs(value - 0.06) < 3.0 * error
     assert error < 0.01
+    assert found.scatter == found.final.scatter("control.delay")
+    assert found.spread["control.delay.common"] >= found.scatter["control.delay.common"] > 0.0
 
 
 def test_a_hidden_lag_is_told_from_a_delay():
