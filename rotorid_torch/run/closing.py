@@ -39,7 +39,6 @@ from rotorid_torch.run.summary import failing
 from rotorid_torch.run.write import write_report
 from rotorid_torch.trace.clean import clean_floors
 from rotorid_torch.trace.clocks import sensor_findings
-from rotorid_torch.trace.decide import Size, at_edge, doubtful
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.fits import Fitted, Flights, refit
 from rotorid_torch.trace.loop import Tracing, trace
@@ -141,9 +140,6 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
     wrong = partial(again, first, seen=at_one_rate(dataset), sensors={})
     rerun = partial(again, base, seen=right, sensors=sensors.values)
     before, after, tracing = _before_and_after(first, tracing, bool(sensors.effects), wrong, rerun)
-    while after is not None and (doubts := _doubts(tracing, after, len(right.identify))):
-        tracing = tracing.without(doubts)
-        before, after, tracing = _before_and_after(first, tracing, bool(sensors.effects), wrong, rerun)
     stays = after is not None and set(tracing.structure) <= set(after.spec.effects)
     traced = tracing.findings if stays else _dropped(tracing)
     findings = [*map(of_sensors, sensors.findings), *_replaced(traced, shaken)]
@@ -190,24 +186,6 @@ def _before_and_after(
     if sensors:
         return plain, best(final.spec, final.values), tracing
     return first, None if plain is first else plain, tracing
-
-
-def _doubts(tracing: Tracing, after: Run, flights: int) -> dict[str, str]:
-    """Why accepted effects are no finding whose sizes, identified again by all steps, cannot be told from nothing.
-
-    flights : number of those that they were identified on.
-    """
-    errors = {p.name: p.se or math.inf for p in after.fit.parameters}
-    known = zip(after.model.parameter_set.parameters, after.model.named_values.items(), strict=True)
-    sizes = {
-        name: Size(value, p.value, errors[name], tracing.scatter[name])
-        for p, (name, value) in known
-        if p.sized and name in errors and name in tracing.scatter
-    }
-    own = {e: {n: s for n, s in sizes.items() if n.startswith(f"{e}.")} for e in tracing.accepted}
-    found = {e: doubtful(its, flights) for e, its in own.items() if its}
-    doubts = {e: at_edge(after.model, e) or why for e, why in found.items() if why is not None}
-    return {e: f"identified again by all steps, {why}" for e, why in doubts.items()}
 
 
 def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
@@ -299,8 +277,10 @@ def _beyond_noise(run: Run) -> float:
 
 def _refused(tracing: Tracing, said: str) -> Tracing:
     """The tracing without the undeclared effects that it accepted, for a reason."""
-    refused = tracing.without(dict.fromkeys(tracing.accepted, said))
-    return replace(refused, unknown=refused.unknown or (tracing.unknown if said is IMITATES else None))
+    members = {e for others in tracing.groups.values() for e in others} | set(tracing.accepted)
+    findings = tuple(_rejected(tracing.findings, members, said))
+    left = tracing.unknown_before or (tracing.unknown if said is IMITATES else None)
+    return replace(tracing, final=tracing.null, accepted=(), groups={}, findings=findings, unknown=left)
 
 
 def _dropped(tracing: Tracing) -> list[Finding]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -55,14 +54,16 @@ def objection(
     edge = at_edge(candidate.model, effect)
     if edge is not None:
         return edge
-    sizes = {
-        s.parameter: Size(candidate.values[s.parameter], s.null, candidate.error(s.parameter), spread[s.parameter])
-        for s in screened.signatures
-        if s.effect == effect
-    }
-    doubt = doubtful(sizes, len(candidate.flights.dataset.identify))
-    if doubt is not None:
-        return doubt
+    own = [s for s in screened.signatures if s.effect == effect]
+    values = candidate.values
+    away = {s.parameter: abs(values[s.parameter] - s.null) / max(candidate.error(s.parameter), 1e-300) for s in own}
+    if max(away.values()) < SURE:
+        name = max(away, key=lambda n: away[n])
+        return f"{name} = {values[name]:.3g} lies within {SURE:g} of its standard errors from nothing"
+    few = student_quantile(STEADY, max(len(candidate.flights.dataset.identify) - 1, 1))
+    steady = [abs(values[s.parameter] - s.null) > few * spread[s.parameter] for s in own if away[s.parameter] >= SURE]
+    if not any(steady):
+        return "its size differs from flight to flight"
     short = too_short(candidate, effect)
     if short is not None:
         return short
@@ -74,27 +75,6 @@ def objection(
         len(runs) and float(runs.mean()) < -CLEARLY and helps(-runs)
     ):  # less sharp than segments, for they drift: they may only speak against it
         return f"free runs of flights that no fit has seen are worse by it ({int((runs < 0).sum())} of {len(runs)})"
-    return None
-
-
-class Size(NamedTuple):
-    """How large an effect is: where it would be nothing, and standard errors by the fit and by scatter over flights."""
-
-    value: float
-    null: float
-    error: float
-    scatter: float
-
-
-def doubtful(sizes: Mapping[str, Size], flights: int) -> str | None:
-    """Why none of an effect's sizes, by parameter, can be told from nothing; None where one can."""
-    away = {name: abs(s.value - s.null) / max(s.error, 1e-300) for name, s in sizes.items()}
-    if max(away.values()) < SURE:
-        name = max(away, key=lambda n: away[n])
-        return f"{name} = {sizes[name].value:.3g} lies within {SURE:g} of its standard errors from nothing"
-    few = student_quantile(STEADY, max(flights - 1, 1))
-    if not any(abs(s.value - s.null) > few * s.scatter for name, s in sizes.items() if away[name] >= SURE):
-        return "its size differs from flight to flight"
     return None
 
 

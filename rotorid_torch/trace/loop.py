@@ -66,14 +66,6 @@ class Named(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class Point:
-    """A structure, and values to begin from."""
-
-    spec: ModelSpec
-    values: dict[str, float]
-
-
 @dataclass(frozen=True, eq=False)
 class Tracing:
     """What was traced.
@@ -82,7 +74,6 @@ class Tracing:
     groups : for an accepted effect the others that explain as much. findings : one of each effect that was tested.
     unknown : what is left over without a name; unknown_before : what is by the null.
     spread : standard errors of the accepted effects' parameters by their scatter over flights and controls.
-    scatter : the same by flights alone.
     """
 
     null: Named
@@ -95,30 +86,6 @@ class Tracing:
     unknown: Unknown | None = None
     unknown_before: Unknown | None = None
     spread: Mapping[str, float] = field(default_factory=dict)
-    scatter: Mapping[str, float] = field(default_factory=dict)
-
-    def without(self, doubts: Mapping[str, str]) -> Tracing:
-        """The tracing without some effects that it accepted, for these reasons; who stood for them alone leaves too."""
-        accepted = tuple(e for e in self.accepted if e not in doubts)
-        left = {best: tuple(e for e in self.groups.get(best, ()) if e not in doubts) for best in accepted}
-        stay = {*accepted, *(e for others in left.values() for e in others)}
-        gone = {e: why for best, why in doubts.items() for e in (best, *self.groups.get(best, ())) if e not in stay}
-        kept = replace(self, accepted=accepted, groups={best: others for best, others in left.items() if others})
-        findings = tuple(_left(f, gone) for f in self.findings)
-        if not accepted:
-            return replace(kept, final=self.null, findings=findings, unknown=self.unknown_before)
-        effects = tuple(e for e in self.final.spec.effects if e not in doubts)
-        final = Point(msgspec.structs.replace(self.final.spec, effects=effects), self.final.values)
-        return replace(kept, final=final, findings=findings)
-
-
-def _left(finding: Finding, gone: Mapping[str, str]) -> Finding:
-    """A finding where these effects are gone: rejected with its reason, or no longer in a group with them."""
-    if finding.id in gone:
-        return replace(finding, verdict="rejected", reason=gone[finding.id], group=())
-    group = tuple(e for e in finding.group if e not in gone)
-    alone = bool(finding.group) and not group
-    return replace(finding, verdict="accepted" if alone else finding.verdict, group=group)
 
 
 @dataclass
@@ -372,7 +339,6 @@ def trace(
     if placed:  # the model before has the same structure
         without = tuple(e for e in null.spec.effects if e not in placed)
         null = refit(msgspec.structs.replace(null.spec, effects=without), flights, null.values, held, near=null)
-    scatter = dict(search.spread)
     search.compare_controls(final, accepted)
     missing = _missing(final, accepted, flights, search.floors, seed)
     before = _missing(null, (), flights, search.floors, seed)
@@ -387,8 +353,7 @@ def trace(
         (search.floors.note, *untried(flights.dataset)),
         missing,
         before,
-        spread=search.spread,
-        scatter=scatter,
+        search.spread,
     )
 
 

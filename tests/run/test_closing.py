@@ -8,7 +8,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -17,7 +16,7 @@ from rotorid_torch.data import Dataset
 from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR
 from rotorid_torch.model.save import load
 from rotorid_torch.run import limits
-from rotorid_torch.run.closing import _before_and_after, _best, _doubts, _loop
+from rotorid_torch.run.closing import _before_and_after, _best, _loop
 from rotorid_torch.run.monitor import Monitor
 from rotorid_torch.run.records import read_report
 from rotorid_torch.trace.finding import Finding, Unknown
@@ -215,64 +214,6 @@ def test_where_an_effect_is_refused_records_stay_right_and_the_null_stands():
     before, after, told = _before_and_after(first, tracing, True, pytest.fail, lambda spec, v: right[v["from"]])
     assert (before, after) == (first, right[0.0])
     assert (told.accepted, told.final) == ((), tracing.null)
-
-
-@pytest.mark.parametrize(
-    ("value", "error", "scatter", "doubt"),
-    [
-        (0.05, 0.01, 0.02, None),
-        (0.05, 0.02, 0.01, "control.delay.common = 0.05 lies within 3 of its standard errors from nothing"),
-        (0.05, None, 0.01, "control.delay.common = 0.05 lies within 3 of its standard errors from nothing"),
-        (0.05, 0.01, 0.03, "its size differs from flight to flight"),
-    ],
-)
-def test_a_size_that_all_steps_together_cannot_tell_from_nothing_is_no_finding(
-    value: float, error: float | None, scatter: float, doubt: str | None
-):
-    model = with_values(rate_vehicle(effects=("control.delay",)), {"control.delay.common": value})
-    told = [SimpleNamespace(name="control.delay.common", se=error), SimpleNamespace(name="forces.L.p", se=0.1)]
-    after: Any = SimpleNamespace(model=model, fit=SimpleNamespace(parameters=told))
-    tracing = replace(tracing_of("control.delay"), scatter={"control.delay.common": scatter})
-    found = _doubts(tracing, after, flights=8)
-    assert found == ({} if doubt is None else {"control.delay": f"identified again by all steps, {doubt}"})
-
-
-def test_effects_that_are_doubted_leave_with_their_groups_and_the_others_stay():
-    effects = ("control.delay", "environment.wind")
-    names = (*effects, "control.lag", "forces.drag")
-    findings = tuple(Finding(e, "undeclared", "accepted", "", group=("x",)) for e in names)
-    whole = replace(
-        tracing_of(*effects, structure=("rotor.lead_lag",)), findings=findings, groups={effects[0]: ("control.lag",)}
-    )
-    spec = msgspec.structs.replace(HELICOPTER, effects=("rotor.lead_lag", *effects))
-    whole = replace(whole, final=SimpleNamespace(spec=spec, values={"from": 1.0}))
-    calm = whole.without({"environment.wind": "calm"})
-    assert (calm.accepted, calm.groups, calm.structure) == (effects[:1], whole.groups, whole.structure)
-    assert (calm.final.spec.effects, calm.final.values) == (("rotor.lead_lag", "control.delay"), {"from": 1.0})
-    assert {f.id: (f.verdict, f.reason) for f in calm.findings if f.id == "environment.wind"} == {
-        "environment.wind": ("rejected", "calm")
-    }
-    prompt = whole.without({"control.delay": "prompt"})
-    assert {f.id for f in prompt.findings if f.verdict == "rejected"} == {"control.delay", "control.lag"}
-    assert (prompt.accepted, prompt.groups) == (("environment.wind",), {})
-    assert calm.without({"control.delay": "prompt"}).final is whole.null
-    both = replace(whole, accepted=("control.delay", "control.lag"), groups={"control.delay": ("control.lag",)})
-    assert both.without({"control.delay": "prompt"}).accepted == ("control.lag",)
-    assert {f.id for f in both.without({"control.delay": "prompt"}).findings if f.verdict == "rejected"} == {
-        "control.delay"
-    }
-    lone = both.without({"control.lag": "swift"})
-    assert (lone.accepted, lone.groups) == (("control.delay",), {})
-
-
-def test_what_is_doubted_is_not_in_the_model_after(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("rotorid_torch.run.closing.doubtful", lambda sizes, flights: "said so")
-    loop = rotorid.close_loop(late(0.06))
-    assert loop.verdict is not None
-    assert loop.verdict.kind != "undeclared"
-    assert "control.delay" not in loop.spec.effects
-    told = next(e for e in loop.effects if e.id == "control.delay")
-    assert (told.verdict, told.reason) == ("rejected", "identified again by all steps, said so")
 
 
 def run_with(J: float | None) -> Any:
