@@ -37,11 +37,6 @@ class Parameter:
         if not low <= self.value <= high:
             raise ValueError(f"{self.name}: {self.value} lies outside its bounds {low} to {high}")
 
-    @property
-    def sized(self) -> bool:
-        """Whether an effect is met with a size of it: at its declared value it is nothing."""
-        return self.typical not in (0.0, self.value) and not self.tried
-
 
 @dataclass(frozen=True)
 class ParameterSet:

@@ -199,7 +199,7 @@ def signatures(model: Model, effects: Sequence[str]) -> tuple[Signature, ...]:
             for beside in starts
             for p in own
             for size, typical in enumerate((p.typical, *p.met))
-            if p.sized
+            if p.typical not in (0.0, p.value) and not p.tried
         ]
     return tuple(found)
 
