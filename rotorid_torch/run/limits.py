@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from rotorid_torch.core.names import ATTITUDES, FLAPPING, MOMENTS, VELOCITIES
@@ -14,6 +15,9 @@ from rotorid_torch.run.records import FitRecord
 AXES = dict(zip(MOMENTS, ("x", "y", "z"), strict=True))
 AGREES = 0.15
 """Relative difference from the declared control power that is not worth a sentence."""
+SLOWER, SURE = 4.0, 2.0
+"""Times that a disc tilts more slowly than it cones (2 to 3.5 where one Lock number rules), and by standard errors."""
+CYCLIC = {"a1": "lon", "b1": "lat"}
 
 
 def of_channels(dataset: Dataset, spec: ModelSpec) -> Iterator[str]:
@@ -82,4 +86,18 @@ def of_rotors(spec: ModelSpec, fit: FitRecord) -> Iterator[str]:
                 f"control power of {row} is {found:.2f} of what is declared; an inertia about {AXES[row]} of"
                 f" {declared / found:.3g} kg m² ({100 * (1 / found - 1):+.0f} %) would explain it, if mass and arms are"
                 " right and no lag is missing"
+            )
+
+
+def of_flapping(fit: FitRecord) -> Iterator[str]:
+    """The disc's tilt against its coning: the blades' Lock number makes both late."""
+    lags = {p.name: (-p.value, SURE * p.se) for p in fit.parameters if p.value is not None and p.se}
+    cone, error = lags.get("rotor.a0.a0", (0.0, 0.0))
+    for row, control in CYCLIC.items():
+        tilt, doubt = lags.get(f"rotor.{row}.{row}", (math.inf, 0.0))
+        if tilt > 0.0 and cone - error > SLOWER * (tilt + doubt):
+            yield (
+                f"{row} follows {control} within {1.0 / tilt:.2g} s, the coning follows col within {1.0 / cone:.2g} s:"
+                f" blades that cone so fast tilt as fast; what makes {row} late may lie before the blades, a lag or"
+                f" delay of {control} that the flapping's own lag takes up here"
             )

@@ -195,6 +195,7 @@ def remarks_on(
         *remarks.of_estimate(estimate, fit),
         *limits.of_channels(seen, spec),
         *limits.of_rotors(spec, fit),
+        *limits.of_flapping(fit),
     ]
 
 

@@ -1,9 +1,11 @@
 """What cannot be told is named: missing channels, sticks, wind, control powers that no inertia explains."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import msgspec
 import numpy as np
+import pytest
 
 from rotorid_torch.data import Dataset
 from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR
@@ -78,3 +80,27 @@ def test_control_powers_are_told_as_inertia_as_far_as_that_is_credible():
 def test_moments_that_commands_do_not_explain_are_not_testable():
     (said,) = limits.of_rotors(MULTIROTOR, powers(L=None, M=None, N=None))  # pyright: ignore[reportArgumentType]
     assert said.startswith("L M N not testable")
+
+
+@pytest.mark.parametrize(
+    ("cone", "tilt", "doubt", "told"),
+    [
+        (100.0, 12.0, 1.0, True),  # coning at once, tilt late
+        (100.0, 12.0, 8.0, False),  # perhaps not late
+        (34.0, 11.6, 0.5, False),  # a UH-60's blades, J-GenHel
+        (140.0, 140.0, 2.0, False),  # both at once, helisim
+        (100.0, -0.5, 0.1, False),  # no lag at all
+    ],
+)
+def test_a_disc_that_cones_at_once_and_tilts_late_is_remarked_upon(cone: float, tilt: float, doubt: float, told: bool):
+    poles = {"rotor.a0.a0": (-cone, 5.0), "rotor.a1.a1": (-tilt, doubt), "rotor.b1.b1": (-cone, 3.0)}
+    fit: Any = SimpleNamespace(parameters=[SimpleNamespace(name=n, value=v, se=e) for n, (v, e) in poles.items()])
+    found = list(limits.of_flapping(fit))
+    assert len(found) == told
+    if told:
+        assert found[0].startswith("a1 follows lon within 0.083 s, the coning follows col within 0.01 s")
+
+
+def test_a_rotor_without_flapping_states_is_not_remarked_upon():
+    fit: Any = SimpleNamespace(parameters=[SimpleNamespace(name="forces.L.p", value=-1.0, se=None)])
+    assert list(limits.of_flapping(fit)) == []
