@@ -253,10 +253,7 @@ def _tried(equations: RotorEquations, theta: Tensor, memory: Sequence[str], line
     """Theta with the parameters with memory where all equations together fit best, one after the other on a grid."""
     known = equations.model.parameter_set
     declared = [known.parameters[known.index(name)] for name in memory]
-    shares = [[share * met for met in (*p.met, p.typical) for share in TRIED] for p in declared]
-    grids = [
-        [min(max(value, p.bounds[0]), p.bounds[1]) for value in own] for p, own in zip(declared, shares, strict=True)
-    ]
+    grids = [[min(max(share * p.typical, p.bounds[0]), p.bounds[1]) for share in TRIED] for p in declared]
     misfits = dict[tuple[float, ...], float]()
 
     def at(values: tuple[float, ...]) -> Tensor:

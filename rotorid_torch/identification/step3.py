@@ -87,7 +87,7 @@ def estimate_model(
     flights, settings = moved((records(model, dataset, reconstruction, ranks), settings), device)
     with working_on(device):
         found = fit(System(model, names), flights, settings=settings, monitor=monitor, ranks=ranks).estimate()
-        if acting := {names.index(n): size for n, size in idle(model).items() if n in names}:
+        if acting := {names.index(n): size for n, size in _idle(model).items() if n in names}:
             place = found.theta.clone()
             place[list(acting)] = place.new_tensor(list(acting.values()))
             other = fit(System(model, names), flights, place, settings, monitor, ranks).estimate()
@@ -96,16 +96,6 @@ def estimate_model(
     with torch.no_grad():
         model.theta[places] = found.theta
     return Step3(found, names)
-
-
-def idle(model: Model) -> dict[str, float]:
-    """Free parameters at nothing where a little of them does nothing, with the least of the sizes they are met at.
-
-    From nothing no slope leads to them; from there a smaller size is found too.
-    """
-    known, values = model.parameter_set.parameters, model.named_values
-    resting = [p for p in known if p.met and p.free and values[p.name] == p.value]
-    return {p.name: min(p.met, key=lambda size: abs(size - p.value)) for p in resting}
 
 
 def initial_spread(model: Model, dataset: Dataset) -> Tensor:
@@ -146,6 +136,16 @@ def records(model: Model, dataset: Dataset, reconstruction: Reconstruction, rank
 def lengths(model: Model) -> tuple[float, ...]:
     """Lengths of the segments that a model's parameters are estimated on, s, stage by stage."""
     return LENGTHS if model.effect("rotors") is None else ROTORS_LENGTHS
+
+
+def _idle(model: Model) -> dict[str, float]:
+    """Free parameters at nothing where a little of them does nothing, with the least of the sizes they are met at.
+
+    From nothing no slope leads to them; from there a smaller size is found too.
+    """
+    known, values = model.parameter_set.parameters, model.named_values
+    resting = [p for p in known if p.met and p.free and values[p.name] == p.value]
+    return {p.name: min(p.met, key=lambda size: abs(size - p.value)) for p in resting}
 
 
 def _every(model: Model, dt: float) -> int:

@@ -15,8 +15,10 @@ from rotorid_torch.run.records import FitRecord
 AXES = dict(zip(MOMENTS, ("x", "y", "z"), strict=True))
 AGREES = 0.15
 """Relative difference from the declared control power that is not worth a sentence."""
-SLOWER, SURE = 4.0, 2.0
-"""Times that a disc tilts more slowly than it cones (2 to 3.5 where one Lock number rules), and by standard errors."""
+SLOWER = 4.0
+"""Times by which a disc that tilts more slowly than it cones is worth a sentence; one Lock number makes it 2 to 3.5."""
+SURE = 2.0
+"""Standard errors by which it must be so."""
 CYCLIC = {"a1": "lon", "b1": "lat"}
 
 

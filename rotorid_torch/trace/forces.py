@@ -50,7 +50,7 @@ def seen_in_forces(null: Fitted, accepted: Sequence[str], effects: Sequence[str]
         listed = flights.dataset, flights.reconstruction, flights.dataset.identify
         over = over or left_over(null.model, *listed, accepted)
         gains, starts = [], []
-        for beside, together in groupby(own, key=lambda one: one.beside):
+        for _, together in groupby(own, key=lambda one: one.kind):
             variant, changes = tuple(together), []
             for one in variant:
                 with sized(model, one):
@@ -58,7 +58,7 @@ def seen_in_forces(null: Fitted, accepted: Sequence[str], effects: Sequence[str]
             gained, sizes = _explained(over, torch.stack(changes, dim=-1), variant, seed)
             values = {s.parameter: s.null + a * s.step for s, a in zip(variant, sizes.tolist(), strict=True)}
             gains.append(gained)
-            starts.append({**dict(beside), **values})
+            starts.append({**dict(variant[0].beside), **values})
         table = torch.stack(gains)
         best = int(table[:, 0].argmax())
         by_chance = torch.quantile(table[:, 1:].amax(dim=0), 1.0 - FALSE_ALARMS, interpolation="higher")

@@ -59,7 +59,7 @@ class Signature:
 
     @property
     def kind(self) -> tuple[object, ...]:
-        """The same for signatures of an effect that go together."""
+        """The same for signatures of an effect that go together, which stand beside each other."""
         return self.beside, self.size
 
     @property
@@ -194,12 +194,14 @@ def signatures(model: Model, effects: Sequence[str]) -> tuple[Signature, ...]:
             tuple((p.name, value) for p, value in zip([p for p in own if p.tried], values, strict=True))
             for values in product(*(p.tried for p in own if p.tried))
         ]
+        sized = [p for p in own if p.typical not in (0.0, p.value) and not p.tried]
         found += [
-            Signature(effect, p.name, p.value, typical, p.bounds, p.unit, beside, size)
+            Signature(
+                effect, p.name, p.value, (p.typical, *p.met)[min(size, len(p.met))], p.bounds, p.unit, beside, size
+            )
             for beside in starts
-            for p in own
-            for size, typical in enumerate((p.typical, *p.met))
-            if p.typical not in (0.0, p.value) and not p.tried
+            for size in range(1 + max((len(p.met) for p in sized), default=0))
+            for p in sized
         ]
     return tuple(found)
 

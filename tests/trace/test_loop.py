@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import groupby
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -17,7 +19,7 @@ from rotorid_torch.trace.decide import gain, smallest_visible
 from rotorid_torch.trace.fits import CAREFUL, Fitted, Flights, refit
 from rotorid_torch.trace.floor import Floors
 from rotorid_torch.trace.loop import Tracing, _Search, trace
-from rotorid_torch.trace.screen import screen
+from rotorid_torch.trace.screen import screen, signatures
 from tests.known_models import flown, manoeuvres, rate_vehicle, with_values
 
 DT = 0.02
@@ -63,6 +65,20 @@ def test_the_screen_sees_fast_and_slow_rate_limits_where_they_act(inverse: float
     assert seen.gain(["control.rate_limit"]) > max(seen.gain([e]) for e in SUSPECTS)
     starts = [one["control.rate_limit.inverse"] for one in seen.starts("control.rate_limit")]
     assert any(0.5 * inverse < start < 2.0 * inverse for start in starts)
+
+
+def test_an_effect_is_screened_whole_at_every_size_that_one_of_its_parameters_is_met_at():
+    model = rate_vehicle(effects=("forces.quadratic_damping",))
+    kinds = {"forces.quadratic_damping.L": (0.1, 0.01)}
+    known = [replace(p, met=kinds.get(p.name, ())) for p in model.parameter_set.parameters]
+    seen = signatures(SimpleNamespace(parameter_set=SimpleNamespace(parameters=known)), ["forces.quadratic_damping"])  # pyright: ignore[reportArgumentType]
+    names = {s.parameter for s in seen}
+    assert len(names) == 3
+    groups = [list(together) for _, together in groupby(seen, key=lambda one: one.kind)]
+    assert [{s.parameter for s in one} for one in groups] == [names] * 3
+    sizes = {name: [s.typical for s in seen if s.parameter == name] for name in names}
+    assert sizes["forces.quadratic_damping.L"][1:] == [0.1, 0.01]
+    assert len(set(sizes["forces.quadratic_damping.M"])) == 1
 
 
 def test_what_flights_show_of_an_effect_does_not_hang_on_what_they_hold():
