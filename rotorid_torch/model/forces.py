@@ -14,6 +14,7 @@ from torch import Tensor
 from rotorid_torch.core.names import FORCES
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.core.rigid import cross, vec
+from rotorid_torch.core.state import State
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
 from rotorid_torch.model.linear import LinearBlock
 
@@ -22,6 +23,11 @@ TAIL_UNITS = {
     "L": {"pedal_speed": "1/(m s)", "speed_speed": "rad/m2", "pedal_pedal": "1/(s2 rad)"},
     "N": {"pedal_speed": "1/(m s)", "speed_speed": "rad/m2", "pedal_pedal": "1/(s2 rad)"},
 }
+TAIL_LAG, TAIL_LAGS = 0.04, (0.02, 0.3)
+"""s: apparent mass of the air that a tail rotor of a fifth of the main rotor's size moves, over the flow through it."""
+FOLLOWED = "pedal_late"
+LATE = 0.2
+"""What the motion before does not tell of a followed pedal where a segment begins, over the pedal's rms excursion."""
 
 
 class LinearForces(Effect):
@@ -118,6 +124,37 @@ class TailRotor(Effect):
         y, roll, yaw = (terms.unsqueeze(-2) * rows).sum(-1).unbind(-1)
         zero = torch.zeros_like(y)
         return frame.add(vec(zero, y, zero), vec(roll, zero, yaw)), x
+
+
+class TailInflow(Effect):
+    """The tail rotor's inflow, which follows its pitch: until it has built up, a pedal does more than it does later.
+
+    tau dx/dt = (ped - ped0) - x; forces and moments are driven by ped + overshoot (ped - ped0 - x) in place of ped, so
+    that the derivatives by the pedal stay those of slow motion. By momentum theory the overshoot in hover is solidity
+    times lift slope over 16 times the inflow ratio, near 0.8; in forward flight it is less.
+
+    Source: Carpenter and Fridovich, NACA TN 3044 (1953), thrust after a sudden pitch; Padfield, Helicopter Flight
+    Dynamics, sec. 3.2 (tail rotor inflow).
+    """
+
+    id, stage, role = "tail_inflow", Stage.ROTOR, Role.NOMINAL
+
+    def __init__(self, reference: dict[str, float], sizes: dict[str, float], unit: str) -> None:
+        spread = LATE * max(sizes.get("ped", 1.0), 1e-12)
+        super().__init__(
+            (
+                Parameter("tau", TAIL_LAG, "s", TAIL_LAGS, TAIL_LAG, doc="time constant of the tail rotor's inflow"),
+                Parameter("overshoot", 0.0, "1", (0.0, 3.0), 1.0, doc="what a pedal does more at once than later"),
+            ),
+            (State(FOLLOWED, unit, "pedal that the tail rotor's inflow has followed", spread=spread),),
+        )
+        self.ped = reference["ped"]
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """The pedal as forces and moments feel it; the rate of the state."""
+        pedal = frame.signals["ped"]
+        ahead = pedal - self.ped - x[..., 0]
+        return frame.with_signals(ped=pedal + p["overshoot"] * ahead), (ahead / p["tau"]).unsqueeze(-1)
 
 
 class Tailplane(Effect):

@@ -9,11 +9,13 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.names import FLAPPING, SPECIFIC_FORCES, VELOCITIES
+from rotorid_torch.model.forces import FOLLOWED
 from rotorid_torch.model.inflow import INDUCED
 from rotorid_torch.model.model import Model
 
 SLOW = 1.0
 """rad/s: a longitudinal oscillation slower than this is the phugoid, a faster one the short period."""
+INFLOWS = {INDUCED: "inflow", FOLLOWED: "tail rotor's inflow"}
 LONGITUDINAL, LATERAL = ("u", "w", "q", "theta"), ("v", "p", "r", "phi")
 
 
@@ -80,7 +82,7 @@ def modes(model: Model, sizes: dict[str, float]) -> list[Mode]:
 def _name(value: complex, share: dict[str, float]) -> str:
     most = max(share, key=lambda n: share[n])
     if most in FLAPPING or most not in (*LONGITUDINAL, *LATERAL):
-        return "flapping" if most in FLAPPING else "inflow" if most == INDUCED else most
+        return "flapping" if most in FLAPPING else INFLOWS.get(most, most)
     total = lambda names: sum(share.get(n, 0.0) for n in names)  # noqa: E731
     lateral = total(LATERAL) > total(LONGITUDINAL)
     if abs(value.imag) > 1e-6 * (1.0 + abs(value)):

@@ -15,7 +15,7 @@ from rotorid_torch.effects.registry import make
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError
 from rotorid_torch.model.flapping import AlgebraicFlapping, Flapping, reference_vector
-from rotorid_torch.model.forces import LinearForces, Tailplane, TailRotor, ThrustTilt
+from rotorid_torch.model.forces import LinearForces, TailInflow, Tailplane, TailRotor, ThrustTilt
 from rotorid_torch.model.inflow import CYCLIC, INDUCED, CyclicInflow, Inflow
 from rotorid_torch.model.linear import LinearBlock
 from rotorid_torch.model.model import Body, Model
@@ -130,6 +130,7 @@ def _physics(spec: ModelSpec) -> list[Effect]:
         made.append(CyclicInflow(rotor, spec.reference))
     if "ped" in spec.controls:
         made.append(TailRotor(TAIL_ARM * rotor.radius, spec.reference, spec.sizes))
+        made.append(TailInflow(spec.reference, spec.sizes, spec.control_units.get("ped", "rad")))
         made.append(Tailplane(TAILPLANE_ARM * rotor.radius, spec.reference, spec.sizes))
     return made
 

@@ -39,8 +39,9 @@ def made(effect: str, spec: ModelSpec = RIGID, **values: float) -> Model:
 
 
 def rates(model: Model, own: tuple[float, ...] = (), /, **signals: float) -> dict[str, float]:
-    """Rates by name at the reference but for these signals."""
-    at = {**model.reference, **signals, **dict(zip((s.name for s in model.own_states), own, strict=False))}
+    """Rates by name at the reference but for these signals and the effect's own states."""
+    added = [s.name for s in model.own_states if "." in s.name]  # not those of the nominal model
+    at = {**model.reference, **signals, **dict(zip(added, own, strict=False))}
     vector = lambda names: torch.tensor([at.get(n, 0.0) for n in names], dtype=torch.float64)  # noqa: E731
     found = model(torch.tensor(0.0), vector(model.layout.names), vector(model.body.controls)).detach()
     return dict(zip(model.layout.names, found.tolist(), strict=True))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 
 from rotorid_torch.effects.base import Frame, Values
-from rotorid_torch.model.forces import TailRotor, ThrustTilt
+from rotorid_torch.model.forces import TailInflow, TailRotor, ThrustTilt
 from tests.known_models import INERTIA
 
 HUB, MASS = (0.1, 0.05, -2.1), 7257.0
@@ -58,3 +60,17 @@ def test_tail_rotor_s_quadratic_terms():
     side = 0.1 * speed + 2.0 * speed * abs(speed) + 3.0 * 0.01
     assert after.force.tolist() == pytest.approx([0.0, side, 0.0])
     assert after.moment.tolist() == pytest.approx([4.0 * 0.01, 0.0, 5.0 * 0.1 * speed])
+
+
+def test_a_pedal_does_more_until_the_tail_s_inflow_has_followed():
+    """After a step of the pedal what is added decays as the inflow builds up, and nothing is left of it."""
+    effect = TailInflow(REFERENCE, {}, "rad")
+    values = Values(tensor([0.05, 0.8]), ("tau", "overshoot"))
+    step, dt, x = 0.1, 1e-4, tensor([0.0])
+    frame = Frame({"ped": tensor(REFERENCE["ped"] + step)})
+    for k in range(2001):
+        after, rate = effect(frame, x, values)
+        if k in (0, 500, 2000):
+            more = 0.8 * step * math.exp(-k * dt / 0.05)
+            assert float(after.signals["ped"]) == pytest.approx(REFERENCE["ped"] + step + more, rel=1e-3)
+        x = x + dt * rate

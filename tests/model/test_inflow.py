@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from torch import Tensor
 
+from rotorid_torch.model.forces import FOLLOWED
 from rotorid_torch.model.inflow import CYCLIC, INDUCED, Inflow, induced_velocity, trim_velocity
 from tests.known_models import INERTIA, ROTOR, helicopter, points, with_values
 
@@ -74,7 +75,8 @@ def test_state_tends_to_the_velocity_of_the_thrust():
     disc = 7257.0 / (2.0 * 1.225 * math.pi * 8.18**2)
     rest = induced_velocity(-disc * frame.force[:, 2], *x[:, :3].unbind(-1))
     tau = model.theta.detach()[model.parameter_set.index("inflow.tau")]
-    torch.testing.assert_close(model(torch.tensor(0.0), x, u)[:, -1].detach(), (rest - x[:, -1]) / tau)
+    at = model.layout.names.index(INDUCED)
+    torch.testing.assert_close(model(torch.tensor(0.0), x, u)[:, at].detach(), (rest - x[:, at]) / tau)
 
 
 def test_more_thrust_in_climb_turns_the_nose_against_the_rotor():
@@ -96,5 +98,5 @@ def test_more_thrust_in_climb_turns_the_nose_against_the_rotor():
 def test_states_that_no_channel_tells_are_known_from_the_motion_before():
     model = helicopter(cyclic_inflow=True)
     unmeasured = [s for s in model.layout.states if s.name not in model.body.outputs]
-    assert {s.name for s in unmeasured} == {INDUCED, *CYCLIC}
+    assert {s.name for s in unmeasured} == {INDUCED, *CYCLIC, FOLLOWED}
     assert all(math.isfinite(s.spread) for s in unmeasured)

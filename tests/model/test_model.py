@@ -8,6 +8,7 @@ from torch.fx.experimental.proxy_tensor import make_fx
 
 from rotorid_torch.core.names import FLAPPING, RATES, STICKS, VELOCITIES
 from rotorid_torch.effects.spec import FlappingKind
+from rotorid_torch.model.forces import FOLLOWED
 from rotorid_torch.model.inflow import INDUCED
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.modes import reference_point
@@ -113,7 +114,7 @@ def test_a_tracer_follows_the_rates(kind: FlappingKind):
 
 def tangent(model: Model) -> torch.Tensor:
     """Derivatives of all rates by states and controls at the reference [nx, nx + nu]."""
-    at = torch.tensor([model.reference[n] for n in (*model.layout.names, *STICKS)], dtype=torch.float64)
+    at = torch.tensor([model.reference.get(n, 0.0) for n in (*model.layout.names, *STICKS)], dtype=torch.float64)
     n, theta = len(model.layout), model.theta.detach()
     return torch.func.jacfwd(lambda z: model.rates(theta, z[:n], z[n:]))(at)
 
@@ -123,7 +124,7 @@ def test_declared_physics_stays_out_of_the_tangent(kind: FlappingKind):
     model = helicopter(kind)
     before = tangent(model)
     for name in model.parameter_set.names:
-        if name.startswith(("rotor.tilt.", "tail")) or name == "inflow.N":
+        if name.startswith(("rotor.tilt.", "tail.", "tailplane.")) or name == "inflow.N":
             model.theta.data[model.parameter_set.index(name)] += 2.0
     assert any(n.startswith("tailplane.") for n in model.parameter_set.names)
     torch.testing.assert_close(tangent(model), before, atol=1e-9, rtol=0)
@@ -139,7 +140,9 @@ def test_tangent_of_body_and_flapping_are_the_derivatives():
         for row, place in rows.items():
             for column in (*VELOCITIES, *RATES, *FLAPPING, *STICKS, INDUCED):
                 value = float(model.theta.detach()[model.parameter_set.index(f"{effect}.{row}.{column}")])
-                assert float(found[place, names.index(column)]) == pytest.approx(value, abs=1e-9)
+                slow = float(found[place, names.index(column)])
+                slow += float(found[place, names.index(FOLLOWED)]) if column == "ped" else 0.0
+                assert slow == pytest.approx(value, abs=1e-9)
 
 
 def test_physics_beyond_the_tangent_is_there():
@@ -162,7 +165,7 @@ def test_state_dict_goes_round():
 
 def test_names_and_slices_agree():
     model = helicopter()
-    assert model.layout.names == (*BODY, *FLAPPING, INDUCED)
+    assert model.layout.names == (*BODY, *FLAPPING, FOLLOWED, INDUCED)
     assert len(model.parameter_set) == len(model.theta)
     assert [e.stage for e in model.chain] == sorted(e.stage for e in model.chain)
     for k, effect in enumerate(model.chain):

@@ -36,10 +36,10 @@ def test_unit_of_a_derivative(above: str, below: str, unit: str):
 def test_what_is_declared_decides_on_the_physics():
     ids = lambda spec: [e.id for e in build(spec).chain]  # noqa: E731
     assert ids(body_spec()) == ["forces"]
-    assert ids(helicopter_spec()) == ["rotor", "forces", "rotor.tilt", "inflow", "tail", "tailplane"]
+    assert ids(helicopter_spec()) == ["rotor", "tail_inflow", "forces", "rotor.tilt", "inflow", "tail", "tailplane"]
     assert ids(helicopter_spec(mass=None, inflow=False)) == ["rotor", "forces"]
-    assert ids(helicopter_spec(hub=None)) == ["rotor", "forces", "inflow", "tail", "tailplane"]
-    assert ids(helicopter_spec("none")) == ["forces", "inflow", "tail", "tailplane"]
+    assert ids(helicopter_spec(hub=None)) == ["rotor", "tail_inflow", "forces", "inflow", "tail", "tailplane"]
+    assert ids(helicopter_spec("none")) == ["tail_inflow", "forces", "inflow", "tail", "tailplane"]
 
 
 def test_priors_scale_with_the_excursions_of_row_and_regressor():
