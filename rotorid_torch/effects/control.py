@@ -1,10 +1,12 @@
 """Effects of the control path: what lies between the recorded control and the swashplate.
 
 Each acts on all controls alike through one parameter, and on each alone through one of its own that adds to it; those
-are held at zero unless they are freed.
+are held at zero unless they are freed, or the spec has the effect act on each control by itself.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -34,13 +36,11 @@ def excursion(spec: ModelSpec) -> float:
     return sum(spec.sizes.get(c, EXCURSION) for c in spec.controls) / len(spec.controls)
 
 
-def _each(common: Parameter, controls: tuple[str, ...], least: float = 0.0) -> tuple[Parameter, ...]:
-    bounds = least, common.bounds[1]
-    own = (
-        Parameter(c, 0.0, common.unit, bounds, free=False, doc=f"{common.doc}: {c}, added", typical=common.typical)
-        for c in controls
-    )
-    return (common, *own)
+def _each(common: Parameter, controls: tuple[str, ...], alone: bool, least: float = 0.0) -> tuple[Parameter, ...]:
+    """The parameter of all controls and each one's own: the former free, or where they act alone the latter."""
+    bounds = 0.0 if alone else least, common.bounds[1]
+    own = (replace(common, name=c, bounds=bounds, free=alone, doc=f"{common.doc}: {c}, added") for c in controls)
+    return (replace(common, free=not alone), *own)
 
 
 @register
@@ -54,15 +54,15 @@ class ControlDelay(Effect):
 
     id, stage, role = "control.delay", Stage.CONTROL, Role.UNDECLARED
 
-    def __init__(self, controls: tuple[str, ...] = ()) -> None:
+    def __init__(self, controls: tuple[str, ...] = (), alone: bool = False) -> None:
         common = Parameter("common", 0.0, "s", (0.0, LONGEST), doc="delay of every control", typical=0.06)
         # a control may be less late than the others, or in a model that lacks something lead
-        super().__init__(_each(common, controls, -LONGEST))
+        super().__init__(_each(common, controls, alone, -LONGEST))
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> ControlDelay:
         """With the controls of the vehicle."""
-        return cls(spec.controls)
+        return cls(spec.controls, cls.id in spec.each_control)
 
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Controls [..., T, nu], each later by its delay."""
@@ -80,14 +80,14 @@ class ControlLag(Effect):
 
     id, stage, role = "control.lag", Stage.CONTROL, Role.UNDECLARED
 
-    def __init__(self, controls: tuple[str, ...] = ()) -> None:
+    def __init__(self, controls: tuple[str, ...] = (), alone: bool = False) -> None:
         common = Parameter("common", 0.0, "s", (0.0, 2 * LONGEST), doc="time constant of every control", typical=0.06)
-        super().__init__(_each(common, controls))
+        super().__init__(_each(common, controls, alone))
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> ControlLag:
         """With the controls of the vehicle."""
-        return cls(spec.controls)
+        return cls(spec.controls, cls.id in spec.each_control)
 
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Controls [..., T, nu], each behind its lag."""
@@ -105,7 +105,9 @@ class RateLimit(Effect):
 
     id, stage, role = "control.rate_limit", Stage.CONTROL, Role.UNDECLARED
 
-    def __init__(self, controls: tuple[str, ...] = (), size: float = EXCURSION, unit: str = "rad") -> None:
+    def __init__(
+        self, controls: tuple[str, ...] = (), size: float = EXCURSION, unit: str = "rad", alone: bool = False
+    ) -> None:
         per = {"rad": "s/rad", "m": "s/m"}.get(unit, "s")
         common = Parameter(
             "inverse",
@@ -116,12 +118,13 @@ class RateLimit(Effect):
             typical=0.1 / size,
             met=(0.025 / size,),
         )
-        super().__init__(_each(common, controls))
+        super().__init__(_each(common, controls, alone))
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> RateLimit:
         """With the controls of the vehicle; scaled by their excursions."""
-        return cls(spec.controls, excursion(spec), spec.control_units.get(spec.controls[0], "rad"))
+        unit = spec.control_units.get(spec.controls[0], "rad")
+        return cls(spec.controls, excursion(spec), unit, cls.id in spec.each_control)
 
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Controls [..., T, nu], each followed no faster than its limit."""
@@ -139,15 +142,18 @@ class Backlash(Effect):
 
     id, stage, role = "control.backlash", Stage.CONTROL, Role.UNDECLARED
 
-    def __init__(self, controls: tuple[str, ...] = (), size: float = EXCURSION, unit: str = "rad") -> None:
+    def __init__(
+        self, controls: tuple[str, ...] = (), size: float = EXCURSION, unit: str = "rad", alone: bool = False
+    ) -> None:
         own = unit if unit in ("rad", "m") else "1"
         common = Parameter("width", 0.0, own, (0.0, 2.0 * size), doc="play of every control", typical=0.4 * size)
-        super().__init__(_each(common, controls))
+        super().__init__(_each(common, controls, alone))
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> Backlash:
         """With the controls of the vehicle; scaled by their excursions."""
-        return cls(spec.controls, excursion(spec), spec.control_units.get(spec.controls[0], "rad"))
+        unit = spec.control_units.get(spec.controls[0], "rad")
+        return cls(spec.controls, excursion(spec), unit, cls.id in spec.each_control)
 
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Controls [..., T, nu], each through its play."""

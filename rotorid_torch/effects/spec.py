@@ -53,6 +53,7 @@ class ModelSpec(msgspec.Struct, frozen=True, kw_only=True):
     inputs : measured quantities beyond the controls that drive the model: rotor speeds, battery voltage.
     motors : a multirotor's, one per motor command; none where they are not declared.
     spins : of a multirotor's rotors, +1 for counter-clockwise seen from above.
+    each_control : ids of effects of the control path whose parameter every control has for itself.
     free, values : by full parameter name, whether it is estimated, and where it starts, other than the effect declares.
     ranges : smallest and largest value of every signal in the identify flights.
     """
@@ -81,6 +82,7 @@ class ModelSpec(msgspec.Struct, frozen=True, kw_only=True):
     motors: tuple[MotorSpec, ...] = ()
     spins: tuple[float, ...] = ()
     effects: tuple[str, ...] = ()
+    each_control: tuple[str, ...] = ()
     free: dict[str, bool] = {}
     values: dict[str, float] = {}
 

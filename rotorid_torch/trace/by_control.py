@@ -55,14 +55,14 @@ class ByControl:
 
 
 def by_control(final: Fitted, effect: str, held: Sequence[str]) -> ByControl | None:
-    """The effect's parameter for each control, the rest fitted again; None where the effect has none of its own.
+    """The effect's parameter for each control, the rest fitted again; None where not all controls have one in common.
 
     final : a model with the effect. held : parameters that keep their values.
     """
     declared = [p for p in final.model.parameter_set.parameters if p.name.startswith(f"{effect}.")]
     own = {c: f"{effect}.{c}" for c in final.spec.controls if f"{effect}.{c}" in {p.name for p in declared}}
     common = next((p for p in declared if p.name not in own.values()), None)
-    if len(own) < 2 or common is None:
+    if len(own) < 2 or common is None or common.name not in final.names:
         return None
     free = {**final.spec.free, common.name: False, **dict.fromkeys(own.values(), True)}
     start = {**final.values, common.name: common.value, **dict.fromkeys(own.values(), final.values[common.name])}

@@ -26,14 +26,16 @@ from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset, load
 from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.data.write import write_dataset
+from rotorid_torch.effects.base import Stage
+from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.reconstruct import reconstruct
 from rotorid_torch.identification.structure import propose
-from rotorid_torch.trace.fits import Flights, refit
+from rotorid_torch.trace.fits import Flights, control_by_control, refit
 from rotorid_torch.trace.floor import Floors, Null
 from rotorid_torch.trace.forces import seen_in_forces
 from rotorid_torch.trace.residual import left_over, scan
-from rotorid_torch.trace.screen import screen
+from rotorid_torch.trace.screen import Screen, screen
 
 DRAWS = 24
 """Clean aircraft that are drawn: one of them may pass a floor that 5 % may pass."""
@@ -63,13 +65,20 @@ def gains_on(clean: Dataset, null: Null, effects: Sequence[str]) -> dict[str, di
     fitted = refit(own, Flights(flown, found), null.values, null.held)
     screened = screen(fitted, effects, shuffles=CHANCES)
     traces = scan(left_over(fitted.model, flown, found, flown.identify))
-    gains = {e: max(screened.gain([e]), float(screened.by_chance(e).max())) for e in effects}
+    alone = [e for e in effects if registered()[e].stage is Stage.CONTROL]
+    apart = screen(control_by_control(fitted, alone), alone, shuffles=CHANCES)
     seen = seen_in_forces(fitted, (), effects, 0)
     return {
-        "gains": gains,
+        "gains": _gains(screened, effects),
+        "each_control": _gains(apart, alone),
         "forces": {e: one.gain for e, one in seen.items()},
         "traces": {row: t.weight for row, t in traces.items()},
     }
+
+
+def _gains(screened: Screen, effects: Sequence[str]) -> dict[str, float]:
+    """Gain of each effect, at least what chance gives."""
+    return {e: max(screened.gain([e]), float(screened.by_chance(e).max())) for e in effects}
 
 
 def clean_floors(
@@ -115,11 +124,11 @@ def clean_floors(
         return Floors(
             {}, f"floors come from shuffled residuals alone: {len(told)} of {draws} drawn aircraft could be flown"
         )
-    gains, traces, forces = (
+    gains, traces, forces, each_control = (
         {key: torch.tensor([f[kind][key] for f in told], dtype=torch.float64) for key in told[0][kind]}
-        for kind in ("gains", "traces", "forces")
+        for kind in ("gains", "traces", "forces", "each_control")
     )
-    return Floors(gains, note, traces, forces)
+    return Floors(gains, note, traces, forces, each_control)
 
 
 def _file(folder: Path, number: int) -> Path:

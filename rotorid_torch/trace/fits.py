@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import msgspec
 import torch
 from torch import Tensor
 
@@ -161,6 +162,18 @@ def refit(
     with torch.no_grad():
         model.theta[places] = found.theta
     return Fitted(spec, model, names, found, flights)
+
+
+def control_by_control(fitted: Fitted, effects: Sequence[str]) -> Fitted:
+    """The same fit; should these effects of the control path join it, each control has a size of its own."""
+    each = (*fitted.spec.each_control, *effects)
+    return replace(fitted, spec=msgspec.structs.replace(fitted.spec, each_control=each))
+
+
+def settled_controls(fitted: Fitted) -> Fitted:
+    """The same fit; controls have sizes of their own in the effects that it has, should others join they do not."""
+    each = tuple(e for e in fitted.spec.each_control if e in fitted.spec.effects)
+    return replace(fitted, spec=msgspec.structs.replace(fitted.spec, each_control=each))
 
 
 def _followed(near: Fitted, model: Model, states: Tensor) -> Tensor:

@@ -17,6 +17,8 @@ from rotorid_torch.trace.screen import Screen
 FALSE_ALARMS = 0.05
 """Family-wise: share of clean vehicles on which any candidate at all may pass its floor."""
 
+EACH = " of each control"
+
 
 @dataclass(frozen=True)
 class Null:
@@ -33,6 +35,7 @@ class Floors:
 
     The gain of a clean aircraft is at least what chance gives: that of its residual once its time has been shuffled.
 
+    each_control : the same of effects of the control path, each control by itself.
     note : how many were drawn, or why none. traces : weight by equation of what looks like something unknown [D].
     in_forces : what effects explain there of forces and moments on the measured motion, by effect [D].
     """
@@ -41,6 +44,7 @@ class Floors:
     note: str
     traces: Mapping[str, Tensor] = field(default_factory=dict)
     in_forces: Mapping[str, Tensor] = field(default_factory=dict)
+    each_control: Mapping[str, Tensor] = field(default_factory=dict)
 
     def of_traces(self) -> dict[str, float]:
         """Floor of each equation; empty where no aircraft was drawn, for then nothing tells how much is ordinary."""
@@ -52,7 +56,17 @@ class Floors:
 
     def of(self, screened: Screen, effects: Sequence[str]) -> dict[str, float]:
         """Floor of each effect: that of clean aircraft; without any, that of the data's own shuffled residual."""
-        return family_wise(self.gains) if self.gains else self.chance(screened, effects)
+        return self._levels(False) if self.gains else self.chance(screened, effects)
+
+    def of_each_control(self, screened: Screen, effects: Sequence[str]) -> dict[str, float]:
+        """The same where each control may have a size of its own."""
+        return self._levels(True) if self.gains else self.chance(screened, effects)
+
+    def _levels(self, each: bool) -> dict[str, float]:
+        """Floors of effects on all controls alike, or of those on each; both together are one family."""
+        levels = family_wise({**self.gains, **{f"{e}{EACH}": gained for e, gained in self.each_control.items()}})
+        wanted = {f"{e}{EACH}": e for e in self.each_control} if each else {e: e for e in self.gains}
+        return {e: levels[key] for key, e in wanted.items()}
 
     @staticmethod
     def chance(screened: Screen, effects: Sequence[str]) -> dict[str, float]:

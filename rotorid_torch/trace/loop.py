@@ -14,7 +14,7 @@ from typing import Protocol
 import msgspec
 
 from rotorid_torch.core.ranks import ALONE, Ranks
-from rotorid_torch.effects.base import Role
+from rotorid_torch.effects.base import Role, Stage
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.by_control import by_control
@@ -30,7 +30,7 @@ from rotorid_torch.trace.decide import (
     unseen_gain,
 )
 from rotorid_torch.trace.finding import Finding, Unknown
-from rotorid_torch.trace.fits import BEGINNING, CAREFUL, Fitted, Flights, refit
+from rotorid_torch.trace.fits import BEGINNING, CAREFUL, Fitted, Flights, control_by_control, refit, settled_controls
 from rotorid_torch.trace.floor import Floors, Null, family_wise
 from rotorid_torch.trace.forces import seen_in_forces
 from rotorid_torch.trace.places import explained_trims
@@ -46,6 +46,9 @@ ROUNDS = 4
 """Undeclared effects that may join, at most."""
 LONGEST = 4
 """Times that a fit may go on, at most."""
+ALIKE = 0.5
+"""Share of what controls explain one by one that all of them alike explain at least where they are alike; two late
+controls of four like ones explain half of it so, one of four a quarter."""
 ROTOR = ("rotor.flap_second_order", "rotor.lead_lag")
 """Structure that every rotor has where it can be tested: in the null of all candidates from the start."""
 UNDRAWN = "floors come from shuffled residuals alone: clean aircraft are drawn in still air, far from the ground"
@@ -96,7 +99,7 @@ class _Search:
     ranks : among which fits and tests of several candidates are spread; everything else is the same at each.
     apart : for an accepted effect of the control path what it is for each control.
     placed : gain and floor of effects of where the vehicle flies that explain what trims differ by; they join first.
-    gained : by effects that joined later, fitted in full.
+    gained : gain and floor of effects that joined later, fitted in full.
     """
 
     flights: Flights
@@ -112,7 +115,7 @@ class _Search:
     spread: dict[str, float] = field(default_factory=dict)
     apart: dict[str, str] = field(default_factory=dict)
     placed: dict[str, tuple[float, float]] = field(default_factory=dict)
-    gained: dict[str, float] = field(default_factory=dict)
+    gained: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def screened(self, null: Fitted, effects: Sequence[str]) -> Screen:
         """These effects against what a model leaves over."""
@@ -214,26 +217,45 @@ class _Search:
         accepted: list[str] = []
         for _ in range(ROUNDS):
             rest = [e for e in candidates if e not in accepted]
-            screened = self.screened(null, rest)
-            floors = self.floors.of(screened, rest)
-            promising = sorted((e for e in rest if screened.gain([e]) > floors[e]), key=lambda e: -screened.gain([e]))
+            screens, floors, each = self._tested(null, accepted, rest)
+            by_screen = {e: one.gain([e]) for e, one in screens.items()}
+            promising = sorted((e for e in rest if by_screen[e] > floors[e]), key=lambda e: -by_screen[e])
             seen = self.seen_in_forces(null, accepted, rest)
             self.hot.update((*promising, *seen))
-            starts = {e: screened.starts(e) for e in promising[:FEW]}
+            starts = {e: screens[e].starts(e) for e in promising[:FEW]}
             starts |= {e: [*starts.get(e, []), start] for e, start in seen.items()}
             if starts:  # what the null may still gain by itself is no candidate's
                 null = self.settled(null, min(floors[e] for e in starts))
-            fitted = self.with_each(null, starts, floors)
+            fitted = self.with_each(control_by_control(null, each), starts, floors)
             least = min(floors.values(), default=0.0)
             better = self.improved(null, fitted, least)
-            joined = self._joining(better, fitted, floors, screened)
+            joined = self._joining(better, fitted, floors, screens)
             if joined is None and gain(null, better) <= least:
                 return better, accepted
             null = better
             if joined is not None:
-                null = fitted[joined]
+                null = settled_controls(fitted[joined])
                 accepted.append(joined)
         return null, accepted
+
+    def _tested(
+        self, null: Fitted, accepted: Sequence[str], effects: Sequence[str]
+    ) -> tuple[dict[str, Screen], dict[str, float], list[str]]:
+        """Screen and floor of each effect, and those of the control path that are tried on each control by itself.
+
+        That is where some of them are late, slow or loose and all controls alike are not, or explain little of it.
+        Beside an effect that they have in common, another one of each would only stand for how that differs.
+        """
+        common = self.screened(null, effects)
+        screens, floors = dict.fromkeys(effects, common), self.floors.of(common, effects)
+        if any(_of_controls(e) for e in accepted):
+            return screens, floors, []
+        path = [e for e in effects if _of_controls(e)]
+        alone = self.screened(control_by_control(null, path), path)
+        own, gained = self.floors.of_each_control(alone, path), {e: alone.gain([e]) for e in path}
+        least = {e: max(floors[e], ALIKE * gained[e]) for e in path}
+        each = [e for e in path if gained[e] > own[e] and common.gain([e]) < least[e]]
+        return screens | dict.fromkeys(each, alone), floors | {e: own[e] for e in each}, each
 
     def seen_in_forces(
         self, null: Fitted, accepted: Sequence[str], effects: Sequence[str]
@@ -243,11 +265,11 @@ class _Search:
         return {e: one.start for e, one in seen.items() if one.gain > max(one.chance, usual.get(e, 0.0))}
 
     def _joining(
-        self, null: Fitted, fitted: Mapping[str, Fitted], floors: Mapping[str, float], screened: Screen
+        self, null: Fitted, fitted: Mapping[str, Fitted], floors: Mapping[str, float], screens: Mapping[str, Screen]
     ) -> str | None:
         """The effect that joins in this round, and in its group those that explain as much."""
         against = self.ranks.share(
-            list(fitted), lambda e: objection(null, fitted[e], e, floors[e], screened, fitted[e].scatter(e))
+            list(fitted), lambda e: objection(null, fitted[e], e, floors[e], screens[e], fitted[e].scatter(e))
         )
         why = dict(zip(fitted, against, strict=True))
         for e, reason in why.items():
@@ -262,7 +284,7 @@ class _Search:
         same = tuple(e for e, one in zip(near, alike, strict=True) if one)
         if same:
             self.groups[best] = same
-        self.gained[best] = gain(null, fitted[best])
+        self.gained[best] = gain(null, fitted[best]), floors[best]
         self.spread.update(fitted[best].scatter(best))
         self.say(f"{best} joins" + (f", in a group with {', '.join(same)}" if same else ""))
         return best
@@ -334,7 +356,7 @@ def trace(
     first = search.screened(null, undeclared)
     usual = search.floors.of(first, undeclared)
     final, joined = search.undeclared(null, undeclared)
-    known = usual | {e: floor for e, (_, floor) in search.placed.items()}
+    known = {e: floor for e, (_, floor) in (search.placed | search.gained).items()}
     final, accepted = search.confirmed(final, [*placed, *joined], known)
     if placed:  # the model before has the same structure
         without = tuple(e for e in null.spec.effects if e not in placed)
@@ -360,6 +382,11 @@ def trace(
 def _of_effects(values: Mapping[str, float], effects: Collection[str]) -> dict[str, float]:
     """The parameters of these effects alone."""
     return {n: v for n, v in values.items() if any(n.startswith(f"{e}.") for e in effects)}
+
+
+def _of_controls(effect: str) -> bool:
+    """Whether an effect acts on the control path."""
+    return registered()[effect].stage is Stage.CONTROL
 
 
 def _missing(fitted: Fitted, accepted: Sequence[str], flights: Flights, floors: Floors, seed: int) -> Unknown | None:
@@ -401,11 +428,8 @@ def _told(
         found.append(Finding(effect, "undeclared", verdict, said, gain=gained, floor=floor, values=values))
     for effect in undeclared:
         visible = smallest_visible(first, effect, floors[effect])
-        keep = {
-            "gain": search.gained.get(effect, first.gain([effect])),
-            "floor": floors[effect],
-            "smallest_visible": visible,
-        }
+        gained, floor = search.gained.get(effect, (first.gain([effect]), floors[effect]))
+        keep = {"gain": gained, "floor": floor, "smallest_visible": visible}
         if effect in accepted and effect in search.groups:
             names = ", ".join(search.groups[effect])
             said = f"something of this kind acts, but these flights cannot tell it from {names}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import pytest
 import torch
 from hypothesis import given
@@ -9,7 +10,8 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from rotorid_torch.effects.base import Values
-from rotorid_torch.effects.control import LONGEST, ControlDelay
+from rotorid_torch.effects.control import LONGEST, ControlDelay, ControlLag
+from tests.known_models import body_spec
 
 DT = 0.02
 
@@ -28,6 +30,15 @@ def smooth(time: Tensor) -> Tensor:
 
 
 TIME = DT * torch.arange(300, dtype=torch.float64)
+
+
+def test_a_spec_lets_every_control_have_a_size_of_its_own():
+    plain, alone = body_spec(), msgspec.structs.replace(body_spec(), each_control=("control.delay",))
+    for spec, free in ((plain, {"common"}), (alone, set(plain.controls))):
+        delay, lag = ControlDelay.from_spec(spec), ControlLag.from_spec(spec)
+        assert {p.name for p in delay.declared if p.free} == free
+        assert {p.name for p in lag.declared if p.free} == {"common"}
+    assert all(p.bounds[0] == 0.0 for p in ControlDelay.from_spec(alone).declared)  # by itself no control leads
 
 
 def test_no_delay_is_the_record_itself():

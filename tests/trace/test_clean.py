@@ -25,7 +25,8 @@ def floors(monkeypatch: pytest.MonkeyPatch, place: Path, alike: int, flew: int) 
         folder: Path = request[5]
         for n in numbers:
             gains = {"control.delay": 0.001 * n} if n < flew else {}
-            rest = {"traces": {"X": 0.1}, "forces": {"mass.slung_load": 0.01 * n}} if gains else {}
+            others = {"traces": {"X": 0.1}, "forces": {"mass.slung_load": 0.01 * n}, "each_control": gains}
+            rest = others if gains else {}
             said = {"gains": gains, "alike": n < alike, **rest}
             clean._keep(folder, n, said | {"misfit": 1.0 + n})
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import torch
 
-from rotorid_torch.trace.floor import family_wise
+from rotorid_torch.trace.floor import Floors, family_wise
+from rotorid_torch.trace.screen import Screen
 
 
 def test_five_per_cent_of_clean_vehicles_pass_any_floor():
@@ -24,6 +25,19 @@ def test_a_candidate_that_never_gains_has_no_floor_of_its_own():
     floors = family_wise({"never": none, "often": some})
     assert floors["never"] < 1e-200
     assert floors["often"] > float(some.mean())
+
+
+def test_effects_of_all_controls_and_of_each_are_one_family():
+    """Five per cent of clean vehicles pass any floor at all, whether a size is common or each control's own."""
+    chance = torch.Generator().manual_seed(4)
+    common, each = torch.rand(2, 400, dtype=torch.float64, generator=chance)
+    nothing = Screen((), torch.zeros(1, 1, 1), torch.zeros(0), 1.0, ())
+    floors = Floors({"control.delay": common, "mass.cg": 0.5 * common}, "", each_control={"control.delay": each})
+    shared, own = floors.of(nothing, ["control.delay"]), floors.of_each_control(nothing, ["control.delay"])
+    assert set(shared) == {"control.delay", "mass.cg"}
+    assert set(own) == {"control.delay"}
+    passing = (common > shared["control.delay"]) | (each > own["control.delay"])
+    assert 0.03 < float(passing.double().mean()) <= 0.05
 
 
 def test_nothing_drawn_gives_no_floor():

@@ -97,6 +97,23 @@ def test_a_hidden_rate_limit_is_told_from_a_delay():
     assert abs(value - 1.2) < 3.0 * error
 
 
+def test_one_late_control_is_found_where_all_together_are_not_late():
+    """What the model lacks makes the other one lead by as much."""
+    late = {"control__delay__lat": 0.06, "control__delay__lon": -0.06}
+    found = traced(flights("control.delay", **late))
+    assert found.accepted == ("control.delay",)
+    finding = next(f for f in found.findings if f.id == "control.delay")
+    assert finding.gain is not None
+    assert finding.floor is not None
+    assert finding.gain > finding.floor
+    value, error = finding.values["control.delay.lat"]
+    assert abs(value - 0.06) < 3.0 * error + 2e-3
+    assert finding.values["control.delay.lon"][0] == 0.0
+    assert finding.values["control.delay.common"][0] == 0.0
+    assert found.final.spec.each_control == ("control.delay",)
+    assert build(found.null.spec).parameter_set.names  # and the model without it is whole
+
+
 def test_fits_go_on_while_they_gain_what_matters_to_each(monkeypatch: pytest.MonkeyPatch):
     known, null = started(flights())
     rough = refit(null.spec, known, {}, options=replace(CAREFUL, max_iterations=1))
