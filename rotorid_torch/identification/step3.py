@@ -141,10 +141,13 @@ def lengths(model: Model) -> tuple[float, ...]:
 def _idle(model: Model) -> dict[str, float]:
     """Free parameters at nothing where a little of them does nothing, with the least of the sizes they are met at.
 
-    From nothing no slope leads to them; from there a smaller size is found too.
+    Those of effects that act already are left out. From nothing no slope leads to them; from there a smaller size is
+    found too.
     """
     known, values = model.parameter_set.parameters, model.named_values
-    resting = [p for p in known if p.met and p.free and values[p.name] == p.value]
+    acting = {p.name.rpartition(".")[0] for p in known if p.met and values[p.name] != p.value}
+    idle = [p for p in known if p.met and p.free and values[p.name] == p.value]
+    resting = [p for p in idle if p.name.rpartition(".")[0] not in acting]
     return {p.name: min(p.met, key=lambda size: abs(size - p.value)) for p in resting}
 
 

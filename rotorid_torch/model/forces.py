@@ -25,7 +25,7 @@ TAIL_UNITS = {
 }
 TAIL_LAG, TAIL_LAGS = 0.04, (0.02, 0.3)
 """s: apparent mass of the air that a tail rotor of a fifth of the main rotor's size moves, over the flow through it."""
-FOLLOWED = "pedal_late"
+FOLLOWED, FELT = "pedal_late", "pedal_felt"
 LATE = 0.2
 """What the motion before does not tell of a followed pedal where a segment begins, over the pedal's rms excursion."""
 
@@ -47,7 +47,8 @@ class LinearForces(Effect):
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds the linear forces and moments."""
-        rows = self.block(frame.stack(self.block.columns) - self.reference, p)
+        felt = frame.with_signals(ped=frame.signals[FELT]) if FELT in frame.signals else frame
+        rows = self.block(felt.stack(self.block.columns) - self.reference, p)
         n = len(self.forces)
         return frame.add(rows[..., :n] if n else None, rows[..., n:] if n < rows.shape[-1] else None), x
 
@@ -129,9 +130,9 @@ class TailRotor(Effect):
 class TailInflow(Effect):
     """The tail rotor's inflow, which follows its pitch: until it has built up, a pedal does more than it does later.
 
-    tau dx/dt = (ped - ped0) - x; forces and moments are driven by ped + overshoot (ped - ped0 - x) in place of ped, so
-    that the derivatives by the pedal stay those of slow motion. By momentum theory the overshoot in hover is solidity
-    times lift slope over 16 times the inflow ratio, near 0.8; in forward flight it is less.
+    tau dx/dt = (ped - ped0) - x; the linear forces and moments feel ped + overshoot (ped - ped0 - x) in place of
+    ped, so that derivatives by the pedal stay those of slow motion. By momentum theory the overshoot in hover is
+    solidity times lift slope over 16 times the inflow ratio, near 0.8; in forward flight it is less.
 
     Source: Carpenter and Fridovich, NACA TN 3044 (1953), thrust after a sudden pitch; Padfield, Helicopter Flight
     Dynamics, sec. 3.2 (tail rotor inflow).
@@ -154,7 +155,7 @@ class TailInflow(Effect):
         """The pedal as forces and moments feel it; the rate of the state."""
         pedal = frame.signals["ped"]
         ahead = pedal - self.ped - x[..., 0]
-        return frame.with_signals(ped=pedal + p["overshoot"] * ahead), (ahead / p["tau"]).unsqueeze(-1)
+        return frame.with_signals(**{FELT: pedal + p["overshoot"] * ahead}), (ahead / p["tau"]).unsqueeze(-1)
 
 
 class Tailplane(Effect):

@@ -13,7 +13,7 @@ from rotorid_torch.identification.step2 import Step2
 from rotorid_torch.identification.step3 import Step3
 from rotorid_torch.run.records import FitRecord
 from rotorid_torch.run.short_horizon import FREE_RUN, short_horizon
-from rotorid_torch.run.summary import WORSE_THAN_TRIM, list_summaries
+from rotorid_torch.run.summary import WORSE_THAN_TRIM, at_an_edge, list_summaries
 
 OWN_SHARE = 0.1
 """Share of a control's own motion below which its derivatives and the states' are told only together."""
@@ -100,7 +100,7 @@ def of_estimate(step3: Step3, fit: FitRecord) -> Iterator[str]:
                 f"on the {summary.name} flights the model is {WORSE_THAN_TRIM} (J {summary.J:.3g} against"
                 f" {summary.J_trim:.3g}): do not use it; look at the data with rotorid check first"
             )
-    bound = [p.name for p in fit.parameters if p.at_bound]
+    bound = at_an_edge(fit.parameters)
     if bound:
         yield (
             f"at a bound: {listed(bound)}; the value is the bound's, not the data's: check units, signs of the"

@@ -190,9 +190,14 @@ def _steps_of_responses(fit: FitRecord, traced: bool) -> Iterator[str]:
         yield f"{_listed(list(poor))}: held values are nearer than the model's predictions. Do not use it for these."
 
 
+def at_an_edge(parameters: Iterable[ParameterRecord]) -> list[str]:
+    """Parameters on a bound, but for what is not there: none of something is a limit of physics, not of a range."""
+    return [p.name for p in parameters if p.at_bound and not p.value == p.bounds[0] == 0.0]
+
+
 def _steps_of_parameters(parameters: Iterable[ParameterRecord]) -> Iterator[str]:
     parameters = list(parameters)
-    bound = [p.name for p in parameters if p.at_bound]
+    bound = at_an_edge(parameters)
     if bound:
         yield (
             f"{_listed(bound)} at a bound: the value is the bound's, not the data's. Check the declared vehicle,"

@@ -18,6 +18,7 @@ FALSE_ALARMS = 0.05
 """Family-wise: share of clean vehicles on which any candidate at all may pass its floor."""
 
 EACH = " of each control"
+"""After the ids of effects that are tried on each control."""
 
 
 @dataclass(frozen=True)
@@ -56,22 +57,29 @@ class Floors:
 
     def of(self, screened: Screen, effects: Sequence[str]) -> dict[str, float]:
         """Floor of each effect: that of clean aircraft; without any, that of the data's own shuffled residual."""
-        return self._levels(False) if self.gains else self.chance(screened, effects)
+        return _one_family(self.gains, self.each_control)[0] if self.gains else self.chance(screened, effects)
 
-    def of_each_control(self, screened: Screen, effects: Sequence[str]) -> dict[str, float]:
-        """The same where each control may have a size of its own."""
-        return self._levels(True) if self.gains else self.chance(screened, effects)
+    def with_each_control(
+        self, screened: Screen, effects: Sequence[str], alone: Screen, path: Sequence[str]
+    ) -> tuple[dict[str, float], dict[str, float]]:
+        """The same, and beside it those of effects of the control path where each control has a size of its own.
 
-    def _levels(self, each: bool) -> dict[str, float]:
-        """Floors of effects on all controls alike, or of those on each; both together are one family."""
-        levels = family_wise({**self.gains, **{f"{e}{EACH}": gained for e, gained in self.each_control.items()}})
-        wanted = {f"{e}{EACH}": e for e in self.each_control} if each else {e: e for e in self.gains}
-        return {e: levels[key] for key, e in wanted.items()}
+        alone : the latter's screen. path : their ids.
+        """
+        if self.gains:
+            return _one_family(self.gains, self.each_control)
+        return _one_family({e: screened.by_chance(e) for e in effects}, {e: alone.by_chance(e) for e in path})
 
     @staticmethod
     def chance(screened: Screen, effects: Sequence[str]) -> dict[str, float]:
         """Floors by the data's own shuffled residual alone."""
         return family_wise({e: screened.by_chance(e) for e in effects})
+
+
+def _one_family(common: Mapping[str, Tensor], each: Mapping[str, Tensor]) -> tuple[dict[str, float], dict[str, float]]:
+    """Floors of effects on all controls alike, and of those on each control: one family."""
+    levels = family_wise({**common, **{f"{e}{EACH}": gained for e, gained in each.items()}})
+    return {e: levels[e] for e in common}, {e: levels[f"{e}{EACH}"] for e in each}
 
 
 def family_wise(gains: Mapping[str, Tensor]) -> dict[str, float]:

@@ -100,6 +100,7 @@ class _Search:
     apart : for an accepted effect of the control path what it is for each control.
     placed : gain and floor of effects of where the vehicle flies that explain what trims differ by; they join first.
     gained : gain and floor of effects that joined later, fitted in full.
+    alone : floors of effects that were tried on each control by itself.
     """
 
     flights: Flights
@@ -116,6 +117,7 @@ class _Search:
     apart: dict[str, str] = field(default_factory=dict)
     placed: dict[str, tuple[float, float]] = field(default_factory=dict)
     gained: dict[str, tuple[float, float]] = field(default_factory=dict)
+    alone: dict[str, float] = field(default_factory=dict)
 
     def screened(self, null: Fitted, effects: Sequence[str]) -> Screen:
         """These effects against what a model leaves over."""
@@ -244,17 +246,18 @@ class _Search:
         """Screen and floor of each effect, and those of the control path that are tried on each control by itself.
 
         That is where some of them are late, slow or loose and all controls alike are not, or explain little of it.
-        Beside an effect that they have in common, another one of each would only stand for how that differs.
+        Beside another effect of the control path, one of each control would only stand for how controls differ in that.
         """
         common = self.screened(null, effects)
-        screens, floors = dict.fromkeys(effects, common), self.floors.of(common, effects)
-        if any(_of_controls(e) for e in accepted):
-            return screens, floors, []
-        path = [e for e in effects if _of_controls(e)]
+        screens, path = dict.fromkeys(effects, common), [e for e in effects if _of_controls(e)]
+        if not path or len(null.spec.controls) < 2 or any(_of_controls(e) for e in accepted):
+            return screens, self.floors.of(common, effects), []
         alone = self.screened(control_by_control(null, path), path)
-        own, gained = self.floors.of_each_control(alone, path), {e: alone.gain([e]) for e in path}
+        floors, own = self.floors.with_each_control(common, effects, alone, path)
+        gained = {e: alone.gain([e]) for e in path}
         least = {e: max(floors[e], ALIKE * gained[e]) for e in path}
         each = [e for e in path if gained[e] > own[e] and common.gain([e]) < least[e]]
+        self.alone.update({e: own[e] for e in each})
         return screens | dict.fromkeys(each, alone), floors | {e: own[e] for e in each}, each
 
     def seen_in_forces(
@@ -309,7 +312,7 @@ class _Search:
             if why is not None:
                 self.rejected[effect] = (why, gain(without, final), {})
                 accepted.remove(effect)
-                final = without
+                final = settled_controls(without)
         return final, accepted
 
     def compare_controls(self, final: Fitted, accepted: Sequence[str]) -> None:
@@ -418,6 +421,11 @@ def _told(
     """One finding for each effect that was tested."""
     found = [Finding(e, "structure", "accepted", search.why(e), values=errors(final, e, {})) for e in structure]
     last = search.screened(final, [e for e in undeclared if e not in accepted])
+    alone = [e for e in search.alone if e not in accepted]
+    left = dict.fromkeys(undeclared, last)
+    if alone:
+        left |= dict.fromkeys(alone, search.screened(control_by_control(final, alone), alone))
+    tried = {**floors, **search.alone}
     joined = [e for e in accepted if e not in search.placed]
     grouped = {e: best for best, others in search.groups.items() if best in accepted for e in others}
     for effect, (gained, floor) in search.placed.items():
@@ -456,9 +464,10 @@ def _told(
             group = (best, *(e for e in search.groups[best] if e != effect))
             said = f"these flights cannot tell it from {best}"
             found.append(Finding(effect, "undeclared", "indistinguishable", said, **keep, group=group))
-        elif effect in search.rejected and last.gain([effect]) > floors[effect]:
+        elif effect in search.rejected and left[effect].gain([effect]) > tried[effect]:
             reason, got, values = search.rejected[effect]
-            found.append(Finding(effect, "undeclared", "rejected", reason, **{**keep, "gain": got}, values=values))
+            known = {**keep, "gain": got, "floor": tried[effect]}
+            found.append(Finding(effect, "undeclared", "rejected", reason, **known, values=values))
         else:
             found.append(not_joined(last, effect, floors[effect], joined, effect in search.hot))
     return found

@@ -7,6 +7,9 @@ from dataclasses import dataclass, replace
 
 from rotorid_torch.trace.finding import Finding, Kind, Unknown
 
+MOST = 3
+"""Sizes of one effect in a sentence, those that are surest."""
+
 
 @dataclass(frozen=True)
 class Statement:
@@ -61,8 +64,9 @@ def _listed(findings: Sequence[Finding]) -> str:
 
 
 def _sizes(finding: Finding) -> str:
-    """Largest parameters with their errors, where they were fitted."""
+    """The surest parameters with their errors, where they were fitted."""
     told = [(n, v, e) for n, (v, e) in finding.values.items() if e > 0.0 and abs(v) > 2.0 * e]
+    told = sorted(told, key=lambda one: abs(one[1]) / one[2], reverse=True) if len(told) > MOST else told
     if not told:
         return ""
-    return " (" + ", ".join(f"{n.removeprefix(finding.id + '.')} {v:.3g} ± {e:.1g}" for n, v, e in told[:3]) + ")"
+    return " (" + ", ".join(f"{n.removeprefix(finding.id + '.')} {v:.3g} ± {e:.1g}" for n, v, e in told[:MOST]) + ")"

@@ -17,7 +17,15 @@ from rotorid_torch.effects.registry import EFFECTS
 from rotorid_torch.identification.reconstruct import reconstruct
 from rotorid_torch.identification.segments import Records
 from rotorid_torch.identification.step2 import Step2, measured, regress_model
-from rotorid_torch.identification.step3 import Step3, _controls, averaged, estimate_model, initial_spread, records
+from rotorid_torch.identification.step3 import (
+    Step3,
+    _controls,
+    _idle,
+    averaged,
+    estimate_model,
+    initial_spread,
+    records,
+)
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
@@ -115,6 +123,12 @@ def test_a_rate_limit_that_is_not_there_is_found_to_do_nothing(rates: Dataset):
     assert found.fit.minimum.converged
     assert model.named_values["control.rate_limit.inverse"] == 0.0
     assert found.fit.minimum.point.cost == pytest.approx(without.fit.minimum.point.cost, abs=0.1)
+
+
+def test_beside_one_control_s_limit_no_other_control_is_begun_at_one():
+    model = rate_vehicle(effects=("control.rate_limit",), each_control=("control.rate_limit",))
+    assert set(_idle(model)) == {f"control.rate_limit.{c}" for c in model.body.controls}
+    assert _idle(with_values(model, {"control.rate_limit.lat": 1.2})) == {}
 
 
 def test_an_own_effect_with_a_state_comes_back():

@@ -6,7 +6,8 @@ import msgspec
 import numpy as np
 
 from rotorid_torch.data import Dataset
-from rotorid_torch.run import remarks
+from rotorid_torch.run import records, remarks
+from rotorid_torch.run.summary import at_an_edge
 from tests.helpers import small_flight
 
 
@@ -87,3 +88,11 @@ def test_a_model_worse_than_holding_trim_is_told(fit):
 
 def test_many_names_end_in_their_number():
     assert remarks.listed([f"p{i}" for i in range(9)]) == "p0, p1, p2, p3, p4, p5 and 3 more"
+
+
+def test_nothing_of_an_effect_is_no_edge_of_its_range():
+    known = {"se": 0.1, "unit": "s", "at_bound": True}
+    absent = records.ParameterRecord(name="control.delay.lon", value=0.0, bounds=(0.0, 0.25), **known)
+    longest = records.ParameterRecord(name="control.delay.lat", value=0.25, bounds=(0.0, 0.25), **known)
+    undamped = records.ParameterRecord(name="forces.L.p", value=0.0, bounds=(-50.0, 0.0), **known)
+    assert at_an_edge([absent, longest, undamped]) == ["control.delay.lat", "forces.L.p"]

@@ -33,7 +33,8 @@ def test_effects_of_all_controls_and_of_each_are_one_family():
     common, each = torch.rand(2, 400, dtype=torch.float64, generator=chance)
     nothing = Screen((), torch.zeros(1, 1, 1), torch.zeros(0), 1.0, ())
     floors = Floors({"control.delay": common, "mass.cg": 0.5 * common}, "", each_control={"control.delay": each})
-    shared, own = floors.of(nothing, ["control.delay"]), floors.of_each_control(nothing, ["control.delay"])
+    shared, own = floors.with_each_control(nothing, ["control.delay"], nothing, ["control.delay"])
+    assert floors.of(nothing, ["control.delay"]) == shared
     assert set(shared) == {"control.delay", "mass.cg"}
     assert set(own) == {"control.delay"}
     passing = (common > shared["control.delay"]) | (each > own["control.delay"])

@@ -21,6 +21,12 @@ def test_an_accepted_effect_is_named_with_its_size():
     assert "0.06 ± 0.004" in told.sentence
 
 
+def test_of_many_sizes_the_surest_are_told():
+    values = {f"control.delay.{c}": (0.005, 0.002) for c in ("lon", "lat", "col")}
+    late = Finding("control.delay", "undeclared", "accepted", "", values={**values, "control.delay.ped": (0.06, 0.002)})
+    assert "ped 0.06 ± 0.002" in statement([late], None).sentence
+
+
 def test_members_of_a_group_are_all_named_and_none_alone():
     told = statement([GROUP, MEMBER, QUIET], None)
     assert told.kind == "group"
