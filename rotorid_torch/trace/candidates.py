@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.effects.base import Role, Showing
+from rotorid_torch.effects.base import Role, Showing, Stage
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.finding import Finding
@@ -18,6 +20,11 @@ def untried(dataset: Dataset) -> tuple[str, ...]:
         "no validate flights: where this report speaks of flights that no fit has seen, the identify flights stand in"
     )
     return () if dataset.validate else (f"{said}; give it some to tell effects from what a fit makes of noise",)
+
+
+def of_control_path(effects: Iterable[str]) -> list[str]:
+    """Those of these effects that act on the control path: on all controls alike, or on each by itself."""
+    return [e for e in effects if registered()[e].stage is Stage.CONTROL]
 
 
 def candidates(spec: ModelSpec) -> tuple[list[str], list[Finding]]:

@@ -26,11 +26,10 @@ from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset, load
 from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.data.write import write_dataset
-from rotorid_torch.effects.base import Stage
-from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.reconstruct import reconstruct
 from rotorid_torch.identification.structure import propose
+from rotorid_torch.trace.candidates import of_control_path
 from rotorid_torch.trace.fits import Flights, control_by_control, refit
 from rotorid_torch.trace.floor import Floors, Null
 from rotorid_torch.trace.forces import seen_in_forces
@@ -65,7 +64,7 @@ def gains_on(clean: Dataset, null: Null, effects: Sequence[str]) -> dict[str, di
     fitted = refit(own, Flights(flown, found), null.values, null.held)
     screened = screen(fitted, effects, shuffles=CHANCES)
     traces = scan(left_over(fitted.model, flown, found, flown.identify))
-    alone = [e for e in effects if registered()[e].stage is Stage.CONTROL]
+    alone = of_control_path(effects)
     apart = screen(control_by_control(fitted, alone), alone, shuffles=CHANCES)
     seen = seen_in_forces(fitted, (), effects, 0)
     return {

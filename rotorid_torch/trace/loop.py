@@ -14,11 +14,11 @@ from typing import Protocol
 import msgspec
 
 from rotorid_torch.core.ranks import ALONE, Ranks
-from rotorid_torch.effects.base import Role, Stage
+from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.by_control import by_control
-from rotorid_torch.trace.candidates import candidates, untried
+from rotorid_torch.trace.candidates import candidates, of_control_path, untried
 from rotorid_torch.trace.decide import (
     errors,
     gain,
@@ -249,8 +249,8 @@ class _Search:
         Beside another effect of the control path, one of each control would only stand for how controls differ in that.
         """
         common = self.screened(null, effects)
-        screens, path = dict.fromkeys(effects, common), [e for e in effects if _of_controls(e)]
-        if not path or len(null.spec.controls) < 2 or any(_of_controls(e) for e in accepted):
+        screens, path = dict.fromkeys(effects, common), of_control_path(effects)
+        if not path or len(null.spec.controls) < 2 or of_control_path(accepted):
             return screens, self.floors.of(common, effects), []
         alone = self.screened(control_by_control(null, path), path)
         floors, own = self.floors.with_each_control(common, effects, alone, path)
@@ -385,11 +385,6 @@ def trace(
 def _of_effects(values: Mapping[str, float], effects: Collection[str]) -> dict[str, float]:
     """The parameters of these effects alone."""
     return {n: v for n, v in values.items() if any(n.startswith(f"{e}.") for e in effects)}
-
-
-def _of_controls(effect: str) -> bool:
-    """Whether an effect acts on the control path."""
-    return registered()[effect].stage is Stage.CONTROL
 
 
 def _missing(fitted: Fitted, accepted: Sequence[str], flights: Flights, floors: Floors, seed: int) -> Unknown | None:
