@@ -185,7 +185,8 @@ def _controls(dataset: Dataset, name: str, controls: Sequence[str]) -> Tensor:
     declared nothing tells it from what an autopilot or the motors' controller sent, and all of it acted.
     """
     measured = dataset.flights[name].bridged(controls).mT
-    declared = torch.tensor([dataset.control_specs[c].noise or 0.0 for c in controls], dtype=torch.float64)
+    specs = [dataset.control_specs.get(c) or dataset.channel_specs.get(c) for c in controls]  # rotors turn on record
+    declared = torch.tensor([(s.noise if s else None) or 0.0 for s in specs], dtype=torch.float64)
     return smoothed(measured, torch.minimum(declared, noise_floor(measured))).mT
 
 

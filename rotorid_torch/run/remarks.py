@@ -13,7 +13,7 @@ from rotorid_torch.identification.step2 import Step2
 from rotorid_torch.identification.step3 import Step3
 from rotorid_torch.run.records import FitRecord
 from rotorid_torch.run.short_horizon import FREE_RUN, short_horizon
-from rotorid_torch.run.summary import WORSE_THAN_TRIM, at_an_edge, list_summaries
+from rotorid_torch.run.summary import WORSE_THAN_TRIM, at_an_edge, at_once, list_summaries
 
 OWN_SHARE = 0.1
 """Share of a control's own motion below which its derivatives and the states' are told only together."""
@@ -106,6 +106,9 @@ def of_estimate(step3: Step3, fit: FitRecord) -> Iterator[str]:
             f"at a bound: {listed(bound)}; the value is the bound's, not the data's: check units, signs of the"
             " controls and the declared vehicle"
         )
+    fast = at_once(fit.parameters)
+    if fast:
+        yield f"shorter than these records resolve: {listed(fast)}; what it stands for acts as good as at once"
     blind = [p.name for p in fit.parameters if p.status == "not identifiable"]
     if blind:
         yield (

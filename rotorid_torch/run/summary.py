@@ -191,8 +191,17 @@ def _steps_of_responses(fit: FitRecord, traced: bool) -> Iterator[str]:
 
 
 def at_an_edge(parameters: Iterable[ParameterRecord]) -> list[str]:
-    """Parameters on a bound, but for what is not there: none of something is a limit of physics, not of a range."""
-    return [p.name for p in parameters if p.at_bound and not p.value == p.bounds[0] == 0.0]
+    """Parameters on a bound of their range; nothing of something and a time too short to be seen are no such bounds."""
+    return [p.name for p in parameters if p.at_bound and not (_least(p) and (p.value == 0.0 or p.unit == "s"))]
+
+
+def at_once(parameters: Iterable[ParameterRecord]) -> list[str]:
+    """Time constants that are shorter than the records resolve."""
+    return [p.name for p in parameters if p.at_bound and _least(p) and p.value != 0.0 and p.unit == "s"]
+
+
+def _least(parameter: ParameterRecord) -> bool:
+    return parameter.value == parameter.bounds[0]
 
 
 def _steps_of_parameters(parameters: Iterable[ParameterRecord]) -> Iterator[str]:

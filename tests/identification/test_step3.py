@@ -211,12 +211,20 @@ def test_controls_lose_the_noise_that_is_declared_and_nothing_else(declared: flo
     noise = torch.randn(acted.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     recorded = acted + 0.004 * noise
     spec, record = SimpleNamespace(noise=declared), SimpleNamespace(bridged=lambda which: recorded)
-    dataset: Any = SimpleNamespace(flights={"a": record}, control_specs={"lon": spec, "lat": spec})
-    found = _controls(dataset, "a", ("lon", "lat"))
+    specs = {"control_specs": {"lon": spec}, "channel_specs": {"omega1": spec}}  # a rotor that turns on record
+    dataset: Any = SimpleNamespace(flights={"a": record}, **specs)
+    found = _controls(dataset, "a", ("lon", "omega1"))
     if not declared:
         torch.testing.assert_close(found, recorded, rtol=0.0, atol=1e-12)
     else:  # what is declared five times too large takes no more than the noise that is there
         assert float((found - acted).square().mean().sqrt()) < 0.5 * 0.004
+
+
+def test_a_rotor_speed_of_which_nothing_is_declared_acts_as_recorded():
+    recorded = 2000.0 + torch.randn(60, 1, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    record = SimpleNamespace(bridged=lambda which: recorded)
+    dataset: Any = SimpleNamespace(flights={"a": record}, control_specs={}, channel_specs={})
+    torch.testing.assert_close(_controls(dataset, "a", ("omega1",)), recorded)
 
 
 def test_records_are_at_fifty_hertz_at_least():

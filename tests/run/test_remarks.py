@@ -7,7 +7,7 @@ import numpy as np
 
 from rotorid_torch.data import Dataset
 from rotorid_torch.run import records, remarks
-from rotorid_torch.run.summary import at_an_edge
+from rotorid_torch.run.summary import at_an_edge, at_once
 from tests.helpers import small_flight
 
 
@@ -95,4 +95,6 @@ def test_nothing_of_an_effect_is_no_edge_of_its_range():
     absent = records.ParameterRecord(name="control.delay.lon", value=0.0, bounds=(0.0, 0.25), **known)
     longest = records.ParameterRecord(name="control.delay.lat", value=0.25, bounds=(0.0, 0.25), **known)
     undamped = records.ParameterRecord(name="forces.L.p", value=0.0, bounds=(-50.0, 0.0), **known)
-    assert at_an_edge([absent, longest, undamped]) == ["control.delay.lat", "forces.L.p"]
+    swift = records.ParameterRecord(name="inflow.tau", value=0.02, bounds=(0.02, 0.6), **known)
+    assert at_an_edge([absent, longest, undamped, swift]) == ["control.delay.lat", "forces.L.p"]
+    assert at_once([absent, longest, undamped, swift]) == ["inflow.tau"]
