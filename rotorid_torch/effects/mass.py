@@ -178,7 +178,8 @@ class SlungLoad(Effect):
     Small angles (x, y) of the cable in level axes that turn with the heading: l x'' = -g x - a_x - 2 damping sqrt(g l)
     x' and the frame's turning, likewise y, a the acceleration of the hook, or of the centre of gravity where no inertia
     is declared; centripetal parts are small. The tension ratio x mass x g along the cable acts at the hook; ratio is
-    load over declared mass. What it is at trim belongs to the trims.
+    load over declared mass. What it is at trim belongs to the trims. Vehicles smaller than a helicopter (radius of
+    gyration below 1 m) have hooks and cables that are shorter in proportion.
 
     Source: Fusato, Guglieri and Celi (2001), J. American Helicopter Society 46; Cicolani and Kanning, NASA TP-3280.
     """
@@ -188,21 +189,17 @@ class SlungLoad(Effect):
     inverse: Tensor | None
 
     def __init__(self, gravity: float, trim: Tensor, inverse: Tensor | None) -> None:
-        hook = (
-            ()
-            if inverse is None
-            else (
-                Parameter(
-                    "hook", 1.0, "m", (0.0, 4.0), 0.5, doc="of the hook below the centre of gravity", typical=1.0
-                ),
-            )
-        )
+        size = 1.0 if inverse is None else min(1.0, float((3.0 / inverse.trace()).sqrt()))
+        depth, below = (0.0, 4.0 * size), "of the hook below the centre of gravity"
+        hook = Parameter("hook", size, "m", depth, 0.5 * size, doc=below, typical=size)
+        long, cables = 8.0 * size, tuple(size * cable for cable in CABLES)
+        lengths, spread = (size, 60.0 * size), 5.0 * size
         super().__init__(
             (
                 Parameter("ratio", 0.0, "1", (0.0, 0.8), doc="mass of the load over the vehicle's", typical=0.12),
-                Parameter("length", 8.0, "m", (1.0, 60.0), 5.0, doc="of the cable", typical=8.0, tried=CABLES),
+                Parameter("length", long, "m", lengths, spread, doc="of the cable", typical=long, tried=cables),
                 Parameter("damping", 0.08, "1", (0.0, 0.7), 0.08, doc="of the pendulum, of critical", typical=0.08),
-                *hook,
+                *(() if inverse is None else (hook,)),
             ),
             (
                 State("x", "rad", "cable forward of the vertical", spread=SWAY),

@@ -169,9 +169,10 @@ def _told(A: Tensor, norms: Tensor, span: Tensor, mask: Tensor) -> tuple[Tensor,
 
     A direction cannot be told where its standard error exceeds the bounds' range, without finite bounds where it is
     singular to working precision. The parameter with the largest part in it is held, the others follow from it.
+    A column that explodes counts no more than rounding allows, lest its rounding tell what nothing does.
     """
     mask, named = mask.clone(), torch.zeros_like(mask)
-    size = torch.where(torch.isfinite(span), span, 1e9 / norms)
+    size = torch.where(torch.isfinite(span), torch.minimum(span, 1e12 / norms), 1e9 / norms)
     while bool(mask.any()):
         place = mask.nonzero()[:, 0]
         if _surely_told((A * size)[:, mask]):

@@ -117,6 +117,14 @@ def test_names_what_the_data_cannot_tell() -> None:
     assert float(theta[0]) == 0.5 or float(theta[1]) == 0.1  # one is held, the other follows
 
 
+def test_what_explodes_tells_nothing_by_its_rounding() -> None:
+    A = torch.tensor(np.random.default_rng(3).standard_normal((30, 3)))
+    A[:, 0] *= 1e25  # one unstable motion in two parameters, far beyond working precision
+    A[:, 1] = 0.3 * A[:, 0]
+    found = solve(lambda th: 100.0 * (A @ th), tensor(0.0, 0.0, 0.0), tensor(-4, -4, -4), tensor(4, 4, 4))
+    assert found.not_identifiable.tolist() == [True, True, False]
+
+
 def test_a_failed_trial_costs_no_jacobian_and_the_monitor_sees_accepted_steps() -> None:
     jacobians, seen = [], []
 
