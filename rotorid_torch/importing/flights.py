@@ -25,6 +25,8 @@ PAUSE_S = 10.0
 """A longer pause of all controls and rates ends a flight and begins another."""
 LEAST_S = 1.5
 """Shortest flight that an identification can use."""
+BEYOND_S = 5.0
+"""What is looked at before and after a flight: its ends lie between samples of slow channels."""
 SLOW = 0.5
 """Controls recorded at less than this share of the body rates' rate are told."""
 Arrays = dict[str, np.ndarray]
@@ -125,7 +127,7 @@ def _spans(record: Record) -> tuple[list[tuple[float, float]], list[str]]:
     starts, stops = clock[np.concatenate([[0], edges + 1])], clock[np.concatenate([edges, [len(clock) - 1]])]
     spans, short = [], 0
     for start, stop in zip(starts, stops, strict=True):
-        inside = [time[(time >= start - 1.0) & (time <= stop + 1.0)] for time in known.values()]
+        inside = [time[_between(time, start, stop, 1.0)] for time in known.values()]
         low = max((time[0] for time in inside if len(time)), default=stop)
         high = min((time[-1] for time in inside if len(time)), default=start)
         whole = all(map(len, inside)) and high - low >= LEAST_S
@@ -144,13 +146,19 @@ def _spans(record: Record) -> tuple[list[tuple[float, float]], list[str]]:
     raise InputError(record.file, "time", told, "controls and body rates on one clock")
 
 
+def _between(time: np.ndarray, start: float, stop: float, beyond: float) -> slice:
+    """Samples between two times and so many seconds beyond: no flight has to go through the whole record."""
+    return slice(*np.searchsorted(time, (start - beyond, stop + beyond)))
+
+
 def _gridded(record: Record, start: float, stop: float, hertz: float) -> tuple[Arrays, str]:
     """Channels on the grid between two times, with what is computed there; a sentence where something could not be."""
     count = int((stop - start) * hertz + 1e-6) + 1
     if count > SAMPLES:
         raise InputError(record.file, "time", f"makes {count} samples at {hertz:g} Hz", f"at most {SAMPLES}")
     grid = start + np.arange(count) / hertz
-    arrays = {name: on_grid(s.time, s.values, grid) for name, s in record.signals.items()}
+    parts = {name: (s, _between(s.time, start, stop, BEYOND_S)) for name, s in record.signals.items()}
+    arrays = {name: on_grid(s.time[part], s.values[part], grid) for name, (s, part) in parts.items()}
     arrays, sentence = body_velocity(arrays)
     there = {name: values for name, values in arrays.items() if np.isfinite(values).any()}
     return {"time": np.arange(count) / hertz, **there}, sentence

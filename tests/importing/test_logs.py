@@ -13,7 +13,9 @@ import rotorid_torch as rotorid
 from rotorid_torch import cli
 from rotorid_torch.data.check import check
 from rotorid_torch.errors import InputError
+from rotorid_torch.importing import flights
 from rotorid_torch.importing.csv import read_csv
+from rotorid_torch.importing.resample import on_grid
 from tests.helpers import shared
 from tests.importing.log_writers import motion, px4_topics, write_dataflash, write_ulog
 
@@ -276,6 +278,20 @@ def test_a_long_pause_makes_two_flights(tmp_path: Path):
     columns["time"] = columns["time"] + 1e6 * (columns["time"] >= 12.0)
     done = rotorid.import_logs(csv(tmp_path / "two.csv", columns), tmp_path / "set")
     assert {name: round(seconds) for name, (seconds, _) in done.flights.items()} == {"two_1": 12, "two_2": 8}
+
+
+def test_a_flight_among_many_goes_through_its_own_samples_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    columns, seen = table(40.0), []
+    columns["time"] = columns["time"] + 100.0 * np.floor(columns["time"] / 4.0)
+
+    def counted(time: np.ndarray, values: np.ndarray, grid: np.ndarray) -> np.ndarray:
+        seen.append(len(time))
+        return on_grid(time, values, grid)
+
+    monkeypatch.setattr(flights, "on_grid", counted)
+    done = rotorid.import_logs(csv(tmp_path / "ten.csv", columns), tmp_path / "set")
+    assert len(done.flights) == 10
+    assert max(seen) == 400
 
 
 def test_split_finds_the_manoeuvres_and_shares_them_out(tmp_path: Path):
