@@ -15,7 +15,7 @@ from itertools import combinations_with_replacement
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS
+from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.base import Frame
 from rotorid_torch.identification.reconstruct import Reconstruction
@@ -177,7 +177,8 @@ def _on_measured(model: Model, signals: Mapping[str, Tensor], other: Mapping[str
     """What a model makes of measured signals, its own states being those signals too; with other values of some."""
     names, controls = model.layout.names, model.body.controls
     usual = torch.tensor([model.reference.get(n, 0.0) for n in names], dtype=torch.float64)
-    x, u = _stacked(signals, names), _stacked(signals, controls)
+    ground = {n: signals[f"ground.{n}"] for n in VELOCITIES if f"ground.{n}" in signals}  # a wind is blown once
+    x, u = _stacked({**signals, **ground}, names), _stacked(signals, controls)
     x = torch.where(x.isnan(), usual, x)
     theta = model.theta.detach().clone()
     for name, value in (other or {}).items():

@@ -19,6 +19,7 @@ from rotorid_torch.trace.fits import Flights
 from rotorid_torch.trace.floor import Floors
 from rotorid_torch.trace.loop import trace
 from rotorid_torch.trace.places import explained_trims
+from rotorid_torch.trace.residual import left_over
 from tests.known_models import BODY, body_spec, flown, linear_vehicle, manoeuvres, with_values
 
 DT = 0.02
@@ -136,3 +137,13 @@ def test_the_loop_names_the_wind_before_anything_else(windy: Flights):
     assert told.gain > told.floor
     assert "still air" in found.notes[0]
     assert torch.tensor([v for v, _ in told.values.values()]).isfinite().all()
+
+
+def test_a_wind_in_the_model_blows_once_on_what_is_left_over(windy: Flights):
+    known = {"reference": {**body_spec().reference, "psi": 0.0}, "imu": (0.0, 0.0, 0.0)}
+    told = linear_vehicle(effects=("environment.wind",), **known)
+    with_values(told, {"environment.wind.north": NORTH, "environment.wind.east": EAST})
+    names = windy.dataset.identify
+    over, still = (left_over(m, windy.dataset, windy.reconstruction, names) for m in (told, linear_vehicle(**known)))
+    x = list(over.rows).index("X")
+    assert float(over.residual[:, x].square().mean()) < 0.1 * float(still.residual[:, x].square().mean())
