@@ -30,7 +30,16 @@ from rotorid_torch.trace.decide import (
     unseen_gain,
 )
 from rotorid_torch.trace.finding import Finding, Unknown
-from rotorid_torch.trace.fits import BEGINNING, CAREFUL, Fitted, Flights, control_by_control, refit, settled_controls
+from rotorid_torch.trace.fits import (
+    BEGINNING,
+    CAREFUL,
+    Fitted,
+    Flights,
+    control_by_control,
+    refit,
+    with_effect,
+    without_effect,
+)
 from rotorid_torch.trace.floor import Floors, Null, family_wise
 from rotorid_torch.trace.forces import seen_in_forces
 from rotorid_torch.trace.places import explained_trims
@@ -124,10 +133,17 @@ class _Search:
         return screen(null, effects, seed=self.seed)
 
     def with_each(
-        self, null: Fitted, starts: Mapping[str, Sequence[Mapping[str, float]]], floors: Mapping[str, float]
+        self,
+        null: Fitted,
+        starts: Mapping[str, Sequence[Mapping[str, float]]],
+        floors: Mapping[str, float],
+        each_control: Sequence[str] = (),
     ) -> dict[str, Fitted]:
-        """The null with one more effect, for each of these, fitted in full; of several starts the best goes on."""
-        richer = {e: msgspec.structs.replace(null.spec, effects=(*null.spec.effects, e)) for e in starts}
+        """The null with one more effect, for each of these, fitted in full; of several starts the best goes on.
+
+        each_control : those of them that have a size for each control.
+        """
+        richer = {e: with_effect(null.spec, e, e in each_control) for e in starts}
         begun = [(e, Wanted(richer[e], {**null.values, **start}, null)) for e, own in starts.items() for start in own]
         fitted: dict[str, Fitted] = {}
         for (e, _), one in zip(begun, fits([w for _, w in begun], self.held, BEGINNING, self.ranks), strict=True):
@@ -173,7 +189,7 @@ class _Search:
             effect, one = next(iter(found.items()))
             rest = [e for e in found if e != effect]
             said = f"{effect} explains {100.0 * one.share:.0f} % of what trims of unseen flights differ by"
-            spec = msgspec.structs.replace(null.spec, effects=(*null.spec.effects, effect))
+            spec = with_effect(null.spec, effect)
             told = one.start if not self.placed else _of_effects(one.start, [effect])
             start = {n: v for n, v in told.items() if n not in self.held}
             fitted = refit(spec, self.flights, {**null.values, **start}, self.held, near=null)
@@ -228,7 +244,7 @@ class _Search:
             starts |= {e: [*starts.get(e, []), start] for e, start in seen.items()}
             if starts:  # what the null may still gain by itself is no candidate's
                 null = self.settled(null, min(floors[e] for e in starts))
-            fitted = self.with_each(control_by_control(null, each), starts, floors)
+            fitted = self.with_each(null, starts, floors, each)
             least = min(floors.values(), default=0.0)
             better = self.improved(null, fitted, least)
             joined = self._joining(better, fitted, floors, screens)
@@ -236,7 +252,7 @@ class _Search:
                 return better, accepted
             null = better
             if joined is not None:
-                null = settled_controls(fitted[joined])
+                null = fitted[joined]
                 accepted.append(joined)
         return null, accepted
 
@@ -302,9 +318,7 @@ class _Search:
     def confirmed(self, final: Fitted, accepted: list[str], floors: Mapping[str, float]) -> tuple[Fitted, list[str]]:
         """Each accepted effect tested again beside the others; those that explain nothing more are taken out."""
         for effect in list(accepted) if len(accepted) > 1 else []:
-            others = tuple(e for e in final.spec.effects if e != effect)
-            spec = msgspec.structs.replace(final.spec, effects=others)
-            least = floors.get(effect, 0.0)
+            least, spec = floors.get(effect, 0.0), without_effect(final.spec, effect)
             without = self.settled(refit(spec, self.flights, final.values, self.held, near=final), least)
             why = too_short(final, effect)
             if gain(without, final) <= least:
@@ -312,7 +326,7 @@ class _Search:
             if why is not None:
                 self.rejected[effect] = (why, gain(without, final), {})
                 accepted.remove(effect)
-                final = settled_controls(without)
+                final = without
         return final, accepted
 
     def compare_controls(self, final: Fitted, accepted: Sequence[str]) -> None:
