@@ -44,14 +44,19 @@ class Flight:
 
         A simulation needs its controls like this.
         """
-        columns = self.stack(names).clone()
-        for column in columns.T:
-            column.copy_(_bridge(column))
-        return columns
+        return bridged(self.stack(names))
 
     def lead(self, seconds: float = 0.5) -> slice:
         """Samples before `seconds`; at least one."""
         return slice(0, max(1, int((self.time < seconds).sum())))
+
+
+def bridged(columns: Tensor) -> Tensor:
+    """Columns (T, n) with missing samples bridged linearly and held at the ends; those of none stay missing."""
+    columns = columns.clone()
+    for column in columns.T:
+        column.copy_(_bridge(column))
+    return columns
 
 
 def _bridge(column: Tensor) -> Tensor:

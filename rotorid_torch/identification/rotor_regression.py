@@ -17,6 +17,7 @@ from torch import Tensor
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.core.rigid import cross, gravity_in_body
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.flight import bridged
 from rotorid_torch.effects.base import Role, Stage
 from rotorid_torch.identification.equation import Equation, fit_equation
 from rotorid_torch.identification.ftr import Regression
@@ -287,7 +288,7 @@ def _flights(model: Model, data: Records) -> Iterator[Seen]:
     body = model.body
     places = [(body.outputs.index(s), i) for i, s in enumerate(body.states) if s in body.outputs]
     for k, samples in enumerate(data.lengths.tolist()):
-        states, outputs = data.states[k, :samples].nan_to_num(0.0), data.outputs[k, :samples].clone()
+        states, outputs = bridged(data.states[k, :samples]).nan_to_num(0.0), bridged(data.outputs[k, :samples])
         for o, s in places:
             if body.outputs[o] not in RATES:  # those are smoothed anyway, and whole
                 states[:, s] = torch.where(outputs[:, o].isnan(), states[:, s], outputs[:, o])

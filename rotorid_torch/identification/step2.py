@@ -80,7 +80,7 @@ def regress_model(model: Model, dataset: Dataset, reconstruction: Reconstruction
         found[row] = fit_equation(equation)
         _store(model, theta, effect, row, found[row].selected, found[row].coefficients)
         own = _own_state(model, row)
-        if own is not None and _undamped(model, theta, f"{effect}.{row}.{own}", row):
+        if own in equation.names and _undamped(model, theta, f"{effect}.{row}.{own}", row):
             held += _follow(model, theta, effect, row, own, equation, flights)
         if row == MOMENTS[0]:
             shares = _own_shares(equation, model)
@@ -135,6 +135,8 @@ def _mean_rate(signal: Tensor, dt: float) -> Tensor:
 def _own_shares(equation: Equation, model: Model) -> dict[str, float]:
     """Share of each control's motion in the equation's band that is its own and not feedback of the body states."""
     states = [n for n in equation.names if n in model.body.states]
+    if not states:
+        return dict.fromkeys(model.body.controls, 1.0)
     return {b.name: b.share for b in beyond(equation, model.body.controls, states)}
 
 

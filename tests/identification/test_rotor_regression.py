@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -51,8 +52,12 @@ def flown(seed: int, samples: int = 1600) -> dict[str, np.ndarray]:
 
 @cache
 def dataset() -> Dataset:
-    vehicle = {"mass": MASS, "inertia": np.diag(INERTIA * 1.25).tolist(), "motors": MOTORS, "gravity": G}
-    flights = {name: flown(k) for k, name in enumerate(("one", "two", "three"))}
+    return recorded({name: flown(k) for k, name in enumerate(("one", "two", "three"))})
+
+
+def recorded(flights: dict[str, dict[str, np.ndarray]], vehicle: dict[str, Any] | None = None) -> Dataset:
+    declared = {"mass": MASS, "inertia": np.diag(INERTIA * 1.25).tolist(), "motors": MOTORS, "gravity": G}
+    vehicle = declared if vehicle is None else vehicle
     noise = {c: {"noise": sd} for c, sd in (("p", 0.01), ("q", 0.01), ("r", 0.01), ("az", 0.02))}
     return Dataset.from_arrays(
         flights, identify=["one", "two"], validate=["three"], kind="multirotor", vehicle=vehicle, channels=noise
@@ -93,3 +98,21 @@ def test_instant_motors_have_no_damping_to_hide_behind():
     run = rotorid.identify(dataset())
     assert {name.partition(".")[0] for name in run.model.parameter_set.names} == {"rotors"}
     assert all((p.value or 0.0) >= 0.0 for p in run.parameters if p.name.startswith("rotors.power"))
+
+
+def test_what_is_missing_for_a_moment_is_missing_for_a_moment():
+    flights = {name: flown(k) for k, name in enumerate(("one", "two", "three"))}
+    for channels in flights.values():
+        for c in ("p", "q", "r", "az"):
+            channels[c][400:460] = np.nan
+    run = rotorid.identify(recorded(flights), effects=EFFECTS)
+    known = {p.name: p.value for p in rotorid.identify(dataset(), effects=EFFECTS).parameters}
+    found = {p.name: p.value for p in run.parameters}
+    for name in ("propulsion.motor_lag.tau", "control.delay.common", "rotors.thrust.c2"):
+        assert found[name] == pytest.approx(known[name], rel=0.1)
+
+
+def test_motors_of_unknown_places_have_free_derivatives():
+    run = rotorid.identify(recorded({name: flown(k) for k, name in enumerate(("one", "two", "three"))}, vehicle={}))
+    assert {"forces.L.motor1", "forces.N.motor4"} <= set(run.model.parameter_set.names)
+    assert (run.scores["validate"] or np.inf) < 1.0
