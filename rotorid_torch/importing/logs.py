@@ -20,6 +20,10 @@ from rotorid_torch.importing.mapping import Map, read_map
 
 FASTEST_HZ = 250.0
 """Rate of the grid at most, unless one is asked for."""
+IMPORTED = "Imported from"
+"""What the description of an imported data set begins with."""
+BEFORE = "dataset.before.toml"
+"""Keeps what the data set that was replaced had declared."""
 RATES_HZ = (1.0, 10_000.0)
 """What may be asked for."""
 
@@ -68,7 +72,7 @@ def import_logs(
     Parameters
     ----------
     paths : PX4 ULog, ArduPilot or sdlog2 logs, MATLAB, CSV, Parquet or NPZ files.
-    out : folder of the data set; an earlier data set there is replaced whole.
+    out : folder of the data set; one that was imported earlier is replaced whole, what it declared is kept beside.
     mapping : a map (TOML file, or the same as a dict); without it the built-in one of the log's maker, and in tables
         the columns that are named as channels.
     rate : of the data set in Hz; without it that of the body rates, at most 250.
@@ -80,6 +84,7 @@ def import_logs(
     """
     place, files = Path(out), [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
     refuse_unless_free(place.absolute())
+    before = _before(place)
     if not files:
         raise InputError("import", "", "has no log", "at least one file")
     if rate is not None and not RATES_HZ[0] <= rate <= RATES_HZ[1]:
@@ -106,12 +111,26 @@ def import_logs(
         validate=lists["validate"],
         acid=lists["acid"],
         kind=kind,
-        description=f"Imported from {', '.join(f.name for f in files)} at {grid_hz:g} Hz.",
+        description=f"{IMPORTED} {', '.join(f.name for f in files)} at {grid_hz:g} Hz.",
         vehicle=(given.vehicle if given else None) or dict(records[0].plan.vehicle) or None,
         controls=_controls(records, flights),
     )
+    if before is not None and before != (place / "dataset.toml").read_text(encoding="utf-8"):
+        (place / BEFORE).write_text(before, encoding="utf-8")
+        told.append(f"{place.name}: the data set that was here is replaced; its dataset.toml is kept as {BEFORE}")
     durations = {name: (seconds[name], kinds[name]) for name in flights}
     return Imported(place, kind, grid_hz, durations, lists, channels, tuple(told))
+
+
+def _before(place: Path) -> str | None:
+    """Declaration of an imported data set that is to be replaced; another one's flights cannot be made again."""
+    file = place / "dataset.toml"
+    if not file.exists():
+        return None
+    text = file.read_text(encoding="utf-8", errors="replace")
+    if f'description = "{IMPORTED} ' not in text:
+        raise InputError(place, "", "is in the way and was not imported", "a new folder, or an imported data set")
+    return text
 
 
 def _records(files: Sequence[Path], given: Map | None) -> list[Record]:

@@ -245,10 +245,11 @@ def _with_network(
 
 
 def _best(runs: Sequence[Run]) -> Run:
-    """The run that describes best the flights which no fit has seen; without any, the last."""
+    """The run that describes best the flights which no fit has seen, without any the fitted ones; the last of equals."""
 
     def score(run: Run) -> float:
         J = run.scores["validate"]
+        J = run.scores["identify"] if J is None else J
         return math.inf if J is None or math.isnan(J) else J
 
     return min(reversed(runs), key=score)

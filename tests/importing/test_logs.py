@@ -16,7 +16,7 @@ from rotorid_torch.errors import InputError
 from rotorid_torch.importing import flights
 from rotorid_torch.importing.csv import read_csv
 from rotorid_torch.importing.resample import on_grid
-from tests.helpers import shared
+from tests.helpers import shared, small_folder
 from tests.importing.log_writers import motion, px4_topics, write_dataflash, write_ulog
 
 QUAD = {"MAV_TYPE": 2}
@@ -278,6 +278,25 @@ def test_a_long_pause_makes_two_flights(tmp_path: Path):
     columns["time"] = columns["time"] + 1e6 * (columns["time"] >= 12.0)
     done = rotorid.import_logs(csv(tmp_path / "two.csv", columns), tmp_path / "set")
     assert {name: round(seconds) for name, (seconds, _) in done.flights.items()} == {"two_1": 12, "two_2": 8}
+
+
+def test_what_was_declared_by_hand_survives_another_import(tmp_path: Path):
+    log, place = csv(tmp_path / "one.csv", table()), tmp_path / "set"
+    rotorid.import_logs(log, place)
+    assert not rotorid.import_logs(log, place).warnings
+    edited = (place / "dataset.toml").read_text(encoding="utf-8") + "\n# mine\n"
+    (place / "dataset.toml").write_text(edited, encoding="utf-8")
+    (told,) = rotorid.import_logs(log, place).warnings
+    assert told.endswith("its dataset.toml is kept as dataset.before.toml")
+    assert (place / "dataset.before.toml").read_text(encoding="utf-8") == edited
+
+
+def test_a_data_set_that_was_not_imported_stays(tmp_path: Path):
+    place = small_folder(tmp_path / "mine")
+    before = (place / "dataset.toml").read_text(encoding="utf-8")
+    with pytest.raises(InputError, match="in the way and was not imported"):
+        rotorid.import_logs(csv(tmp_path / "one.csv", table()), place)
+    assert (place / "dataset.toml").read_text(encoding="utf-8") == before
 
 
 def test_a_flight_among_many_goes_through_its_own_samples_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

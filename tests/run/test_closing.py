@@ -216,9 +216,11 @@ def test_where_an_effect_is_refused_records_stay_right_and_the_null_stands():
     assert (told.accepted, told.final) == ((), tracing.null)
 
 
-def run_with(J: float | None) -> Any:
+def run_with(J: float | None, identify: float | None = None) -> Any:
     flights = {"f": SimpleNamespace(list="validate", J=J, J_noise=0.05)}
-    return SimpleNamespace(scores={"validate": J}, spec=HELICOPTER, values={}, fit=SimpleNamespace(flights=flights))
+    return SimpleNamespace(
+        scores={"validate": J, "identify": identify}, spec=HELICOPTER, values={}, fit=SimpleNamespace(flights=flights)
+    )
 
 
 def test_a_run_without_a_score_is_not_the_best():
@@ -226,3 +228,9 @@ def test_a_run_without_a_score_is_not_the_best():
     assert _best([first, unknown]) is first
     assert _best([unknown, first]) is first
     assert _best([none, last := run_with(None)]) is last
+
+
+def test_without_unseen_flights_the_fitted_ones_tell_which_model_flies():
+    plain, astray = run_with(None, 0.6), run_with(None, 2e7)
+    assert _best([plain, astray]) is plain
+    assert _best([astray, plain]) is plain
