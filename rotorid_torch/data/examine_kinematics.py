@@ -115,7 +115,12 @@ def _drift(a: Agreement) -> Iterator[Finding]:
 
 def _scale(a: Agreement) -> Iterator[Finding]:
     left, right, (low, high) = a.pair.left_name, a.pair.right_name, a.bounds
-    if a.r2 > 0.9 and (low > 1.0 + SCALE or high < 1.0 - SCALE) and abs(a.scale - 1.0) > SURE * a.scale_se:
+    if a.r2 > 0.9 and high < 0.0:
+        told = (
+            f"the rate of {left} goes against what {right} says by kinematics ({a.scale:.3f} ± {a.scale_se:.3f} times):"
+        )
+        yield finding("error", left, told, f"one of the two has the wrong sign. Turn {left} or {right}.")
+    elif a.r2 > 0.9 and (low > 1.0 + SCALE or high < 1.0 - SCALE) and abs(a.scale - 1.0) > SURE * a.scale_se:
         told = f"the rate of {left} is {a.scale:.3f} (± {a.scale_se:.3f}) times what {right} says by kinematics:"
         cause = "a scale factor or unit of one of the two is off. Calibrate, or let sensors.scale be estimated."
         yield finding("warning", left, told, cause)

@@ -188,6 +188,7 @@ def remarks_on(
     """What people should know of the flights that the steps saw, of the steps, and of the fit they came to."""
     return [
         *remarks.of_reading(seen),
+        *remarks.of_check(seen),
         *reconstruction.notes,
         *remarks.of_clocks(seen),
         *remarks.of_controls(seen, regressions.own_share),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
+from rotorid_torch.data.check import check
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.examine_records import condensed
 from rotorid_torch.data.excitation import moves
@@ -18,7 +19,7 @@ from rotorid_torch.run.summary import WORSE_THAN_TRIM, at_an_edge, at_once, list
 OWN_SHARE = 0.1
 """Share of a control's own motion below which its derivatives and the states' are told only together."""
 COMPARED = 20
-"""Flights on which the clocks of controls and responses are compared."""
+"""Flights that are checked, and on which the clocks of controls and responses are compared."""
 SHOWN = 6
 """Names that a sentence lists; report.json's parameters hold all of them."""
 MEANINGS = {
@@ -43,6 +44,13 @@ def of_reading(dataset: Dataset) -> Iterator[str]:
     """What was changed or left out when the data set was read; all flights in one sentence."""
     for flight, sentence in condensed(dataset.warnings):
         yield f"flight {flight}: {sentence}" if flight else sentence
+
+
+def of_check(dataset: Dataset) -> Iterator[str]:
+    """What `rotorid check` calls an error, by the first identify flights."""
+    for found in check(replace(dataset, identify=dataset.identify[:COMPARED])).findings:
+        if found.severity == "error":
+            yield f"{found.channel}: {found.sentence}" if found.channel else found.sentence
 
 
 def of_clocks(dataset: Dataset) -> Iterator[str]:

@@ -86,6 +86,7 @@ def test_a_late_attitude_is_told_with_its_time(late):
 
 def test_scale_and_bias_of_a_gyro_are_told():
     assert any("scale factor" in s for s in sentences(dataset_of(scale=1.1), "warning"))
+    assert any("wrong sign" in s for s in sentences(dataset_of(scale=-1.0), "error"))
     assert any(
         "reads 0.05 rad/s" in s and "too high by the kinematics of phi" in s
         for s in sentences(dataset_of(bias=0.05), "warning")

@@ -8,7 +8,7 @@ import numpy as np
 from rotorid_torch.data import Dataset
 from rotorid_torch.run import records, remarks
 from rotorid_torch.run.summary import at_an_edge, at_once
-from tests.helpers import small_flight
+from tests.helpers import small_arrays, small_flight
 
 
 def test_a_control_at_rest_and_one_that_follows_the_states_are_told_apart():
@@ -98,3 +98,13 @@ def test_nothing_of_an_effect_is_no_edge_of_its_range():
     swift = records.ParameterRecord(name="inflow.tau", value=0.02, bounds=(0.02, 0.6), **known)
     assert at_an_edge([absent, longest, undamped, swift]) == ["control.delay.lat", "forces.L.p"]
     assert at_once([absent, longest, undamped, swift]) == ["inflow.tau"]
+
+
+def test_what_check_calls_an_error_is_warned_of():
+    arrays = small_arrays()
+    right = Dataset.from_arrays(arrays, identify=list(arrays))
+    turned = Dataset.from_arrays({n: {**a, "az": -a["az"]} for n, a in arrays.items()}, identify=list(arrays))
+    assert list(remarks.of_check(right)) == []
+    (said,) = remarks.of_check(turned)
+    assert said.startswith("az: reads 9.8")
+    assert said.endswith("Turn the axis: z points down.")
