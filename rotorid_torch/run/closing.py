@@ -245,7 +245,7 @@ def _with_network(
 
 
 def _best(runs: Sequence[Run]) -> Run:
-    """The run that describes best the flights which no fit has seen (without any the fitted ones); of equals the last."""
+    """The run that describes best the flights which no fit has seen, or without any the fitted; of equals the last."""
 
     def score(run: Run) -> float:
         J = run.scores["validate"]

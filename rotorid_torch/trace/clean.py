@@ -20,12 +20,17 @@ from typing import Any
 
 import msgspec
 import torch
+from torch import Tensor
 
+from rotorid_torch.core.names import VELOCITIES
 from rotorid_torch.core.native.build import cache_folder, threads
 from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset, load
+from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.data.write import write_dataset
+from rotorid_torch.effects.base import Frame, Values
+from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.reconstruct import reconstruct
 from rotorid_torch.identification.structure import propose
@@ -42,6 +47,7 @@ CHANCES = 4
 """Shuffled residuals of each: a candidate of which clean aircraft show nothing has the floor that chance gives."""
 FEWEST = 20
 """Draws below which no quantile of 5 % is told."""
+WIND = "environment.wind"
 FORMAT = 1
 """Of what is cached."""
 WATCH_S = 0.5
@@ -167,6 +173,7 @@ def _fingerprint(dataset: Dataset, null: Null, effects: Sequence[str], seed: int
         "reference": {c: round(0.5 * spec.reference.get(c, 0.0)) for c in ("u", "v", "w")},
         "structure": {name: msgspec.to_builtins(getattr(spec, name)) for name in SAME},
         "held": sorted(null.held),
+        "wind": {n: round(v) for n, v in null.values.items() if n.startswith(f"{WIND}.")},
         "effects": list(effects),
         "code": _code(),
     }
@@ -198,7 +205,7 @@ def _fly(
     count = min(threads(), len(numbers))
     with tempfile.TemporaryDirectory() as place:
         likeness = Path(place) / "likeness"
-        _written(dataset, likeness)
+        _written(dataset, null, likeness)
         workers = []
         for k in range(count):
             request = {
@@ -224,9 +231,20 @@ def _fly(
                 worker.kill()
 
 
-def _written(dataset: Dataset, place: Path) -> None:
+def _through_air(flight: Flight, null: Null) -> dict[str, Tensor]:
+    """Velocities of a flight through the air of the wind that the null's values tell; nothing where they tell none."""
+    told = {n.removeprefix(f"{WIND}."): v for n, v in null.values.items() if n.startswith(f"{WIND}.")}
+    if not told:
+        return {}
+    values = Values(torch.tensor(list(told.values()), dtype=torch.float64), tuple(told))
+    wind, psi = registered()[WIND].from_spec(null.spec), flight.channels["psi"].unsqueeze(-1)
+    return dict(zip(VELOCITIES, wind(Frame(flight.channels), psi, values)[0].stack(VELOCITIES).unbind(-1), strict=True))
+
+
+def _written(dataset: Dataset, null: Null, place: Path) -> None:
+    """The flights that drawn aircraft resemble, in still air: it is the motion through the air that they repeat."""
     flights = {
-        name: {"time": f.time.numpy(), **{c: v.numpy() for c, v in f.channels.items() if c != "time"}}
+        name: {c: v.numpy() for c, v in {"time": f.time, **f.channels, **_through_air(f, null)}.items()}
         for name, f in dataset.flights.items()
     }
     write_dataset(

@@ -60,7 +60,7 @@ ALIKE = 0.5
 controls of four like ones explain half of it so, one of four a quarter."""
 ROTOR = ("rotor.flap_second_order", "rotor.lead_lag")
 """Structure that every rotor has where it can be tested: in the null of all candidates from the start."""
-UNDRAWN = "floors come from shuffled residuals alone: clean aircraft are drawn in still air, far from the ground"
+STILL = "which fly in still air, far from the ground: what is left over without a name can not be judged by them"
 Say = Callable[[str], None]
 
 
@@ -369,7 +369,7 @@ def trace(
     placed = list(search.placed)
     structure = tuple(e for e in null.spec.effects if e not in (*spec.effects, *placed))
     undeclared = [e for e in tested if e not in placed]
-    search.floors = Floors({}, UNDRAWN) if placed else floors(Null(null.spec, null.values, search.held), undeclared)
+    search.floors = _in_still_air(null, placed, search.held, undeclared, floors)
     first = search.screened(null, undeclared)
     usual = search.floors.of(first, undeclared)
     final, joined = search.undeclared(null, undeclared)
@@ -399,6 +399,21 @@ def trace(
 def _of_effects(values: Mapping[str, float], effects: Collection[str]) -> dict[str, float]:
     """The parameters of these effects alone."""
     return {n: v for n, v in values.items() if any(n.startswith(f"{e}.") for e in effects)}
+
+
+def _in_still_air(
+    null: Fitted,
+    placed: Sequence[str],
+    held: Sequence[str],
+    effects: Sequence[str],
+    floors: Callable[[Null, Sequence[str]], Floors],
+) -> Floors:
+    """Floors by clean aircraft in still air far from the ground; what wind or ground leave over these cannot tell."""
+    spec = null.spec
+    for effect in placed:
+        spec = without_effect(spec, effect)
+    found = floors(Null(spec, null.values, tuple(held)), effects)
+    return replace(found, traces={}, note=f"{found.note}, {STILL}") if placed and found.gains else found
 
 
 def _missing(fitted: Fitted, accepted: Sequence[str], flights: Flights, floors: Floors, seed: int) -> Unknown | None:

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import torch
 
 from rotorid_torch.trace import clean
 from rotorid_torch.trace.floor import Floors, Null
@@ -67,3 +68,15 @@ def test_who_draws_for_a_process_that_is_gone_stops(monkeypatch: pytest.MonkeyPa
     parent = os.getppid() if waited_for else -1
     clean._work({**plain, "seed": 0, "numbers": [0, 1, 2], "folder": str(place), "parent": parent})
     assert len(list(place.glob("*.json"))) == (3 if waited_for else 0)
+
+
+def test_clean_aircraft_repeat_the_motion_through_the_air():
+    """Head wind of 4 m/s at heading zero, tail wind after half a turn, about a trim at heading zero."""
+    spec = body_spec(reference={**body_spec().reference, "psi": 0.0})
+    told = {"environment.wind.north": -4.0, "environment.wind.east": 0.0}
+    level = dict.fromkeys(("u", "v", "w", "p", "q", "r", "phi", "theta"), torch.zeros(2, dtype=torch.float64))
+    flight: Any = SimpleNamespace(channels={**level, "psi": torch.tensor([0.0, torch.pi], dtype=torch.float64)})
+    found = clean._through_air(flight, Null(spec, told))
+    torch.testing.assert_close(found["u"], torch.tensor([0.0, -8.0], dtype=torch.float64))
+    torch.testing.assert_close(found["v"], torch.zeros(2, dtype=torch.float64), atol=1e-12, rtol=0.0)
+    assert clean._through_air(flight, Null(spec, {})) == {}

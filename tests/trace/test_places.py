@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from rotorid_torch.identification.step2 import regress_model
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.fits import Flights
-from rotorid_torch.trace.floor import Floors
+from rotorid_torch.trace.floor import Floors, Null
 from rotorid_torch.trace.loop import trace
 from rotorid_torch.trace.places import explained_trims
 from rotorid_torch.trace.residual import left_over
@@ -121,8 +121,11 @@ def test_the_loop_names_the_wind_before_anything_else(windy: Flights):
     start = regress_model(model, windy.dataset, windy.reconstruction)
     values = dict(zip(model.parameter_set.names, start.theta.tolist(), strict=True))
 
-    def drawn(null: object, effects: object) -> Floors:
-        raise AssertionError("clean aircraft know no wind")
+    def drawn(null: Null, effects: Sequence[str]) -> Floors:
+        assert null.spec.effects == spec.effects  # clean aircraft know no wind
+        assert null.values["environment.wind.north"] == pytest.approx(NORTH, abs=0.3)
+        gains = {e: torch.full((20,), 1e-3, dtype=torch.float64) for e in effects}
+        return Floors(gains, "drawn", each_control=gains)
 
     said: list[str] = []
     found = trace(spec, values, start.held, windy, drawn, said.append)
@@ -135,7 +138,7 @@ def test_the_loop_names_the_wind_before_anything_else(windy: Flights):
     assert told.gain is not None
     assert told.floor is not None
     assert told.gain > told.floor
-    assert "still air" in found.notes[0]
+    assert found.notes[0].startswith("drawn, which fly in still air")
     assert torch.tensor([v for v, _ in told.values.values()]).isfinite().all()
 
 
