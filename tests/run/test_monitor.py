@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import io
 import re
+import subprocess
+import sys
 import warnings
 from pathlib import Path
 
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from rich.console import Console
@@ -70,3 +73,11 @@ def test_clock_adds_up_steps_of_one_name_and_goes_on_after_an_error():
 
 def test_peak_memory_is_that_of_a_process_with_torch():
     assert 20 < peak_memory_mb() < 1e5
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="told by /proc")
+def test_peak_memory_is_not_that_of_the_program_that_started_it():
+    large = np.ones(40_000_000)  # 320 MB, which a child's own count by the system would hold
+    child = "from rotorid_torch.run.monitor import peak_memory_mb; print(peak_memory_mb())"
+    told = subprocess.run([sys.executable, "-c", child], capture_output=True, text=True, check=True).stdout
+    assert float(told) < large.nbytes / 1024**2 < peak_memory_mb()
