@@ -115,8 +115,8 @@ class Tangent:
         return (
             f"enum {{ {upper}_A = {max(len(self.stored), 1)}, "
             f"{upper}_K = {max(len(self.pairs), 1) * self.columns.width} }};\n"
-            f"static const int {upper}_FIRST[] = {{{', '.join(map(str, first))}}};\n"
-            f"static const int {upper}_INTO[] = {{{', '.join(str(i) for _, i in self.pairs) or '0'}}};\n"
+            f"static constexpr int {upper}_FIRST[] = {{{', '.join(map(str, first))}}};\n"
+            f"static constexpr int {upper}_INTO[] = {{{', '.join(str(i) for _, i in self.pairs) or '0'}}};\n"
             f"static void {self.name}_linear(const double* x, const double* u, const double* c, double* out, "
             f"double* A, double* K) {{\n{straight_line(self.graph, assignments, self.constants.name, 'double')}\n}}\n"
             + self._map("by_state", "D", self.by_state)

@@ -62,10 +62,22 @@ struct Sensitivity {
   double x[NX];
 };
 
-// Adds to the tangents what the parameters of vector b do themselves, and the control path through the controls.
-static inline void direct(int b, const int* first, const int* into, const double* K, vd* out) {
-  if (b >= PARAMETER_VECTORS) return;
-  for (int k = first[b]; k < first[b + 1]; k++) out[into[k]] += *(const vd*)&K[k * W];
+// Adds to the tangents what the parameters of vector b do themselves, and the control path through the controls. Each
+// vector has straight-line code of its own: a loop of so few additions costs more than they do.
+template <const int* FIRST, const int* INTO, int B, int... K>
+static void add(const double* own, vd* out, std::integer_sequence<int, K...>) {
+  ((out[INTO[FIRST[B] + K]] += *(const vd*)&own[(FIRST[B] + K) * W]), ...);
+}
+template <const int* FIRST, const int* INTO, int B> static void add(const double* own, vd* out) {
+  add<FIRST, INTO, B>(own, out, std::make_integer_sequence<int, FIRST[B + 1] - FIRST[B]>());
+}
+template <const int* FIRST, const int* INTO, int... B>
+static inline void direct(int b, const double* own, vd* out, std::integer_sequence<int, B...>) {
+  static constexpr void (*ADD[])(const double*, vd*) = {add<FIRST, INTO, B>..., nullptr};
+  if (b < PARAMETER_VECTORS) ADD[b](own, out);
+}
+template <const int* FIRST, const int* INTO> static inline void direct(int b, const double* own, vd* out) {
+  direct<FIRST, INTO>(b, own, out, std::make_integer_sequence<int, PARAMETER_VECTORS>());
 }
 static inline bool on_path(int b) { return PATH && b >= LOOP / W && b < PARAMETER_VECTORS; }
 
@@ -75,7 +87,7 @@ static void tangent_step(int b, Sensitivity& s, const double* c, double dt) {
   for (int i = 0; i < NX; i++) X[i] = *(vd*)&s.S[i][W * b];
   auto slope = [&](const vd* D, int g, vd* k) {
     rates_by_state(s.A[g], c, D, k);
-    direct(b, RATES_FIRST, RATES_INTO, s.K[g], k);
+    direct<RATES_FIRST, RATES_INTO>(b, s.K[g], k);
     if (on_path(b)) {
       for (int j = 0; j < NU; j++) U[j] = s.path[g][j][b - LOOP / W];
       rates_by_control(s.A[g], c, U, k);
@@ -89,7 +101,7 @@ static void output_rows(int b, Sensitivity& s, const double* c) {
   vd D[NX], U[NU + 1], y[NY];
   for (int i = 0; i < NX; i++) D[i] = *(vd*)&s.S[i][W * b];
   outputs_by_state(s.C, c, D, y);
-  direct(b, OUTPUTS_FIRST, OUTPUTS_INTO, s.L, y);
+  direct<OUTPUTS_FIRST, OUTPUTS_INTO>(b, s.L, y);
   if (on_path(b)) {
     for (int j = 0; j < NU; j++) U[j] = s.path[0][j][b - LOOP / W];
     outputs_by_control(s.C, c, U, y);
