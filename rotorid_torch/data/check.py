@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from rotorid_torch.data import examine_controls, examine_kinematics, examine_records, examine_samples
@@ -25,7 +25,8 @@ class Check:
         return tuple(found for found in self.findings if found.severity == severity)
 
 
-EXAMINATIONS: tuple[Callable[[Dataset], Iterator[Finding]], ...] = (
+Examination = Callable[[Dataset], Iterator[Finding]]
+EXAMINATIONS: tuple[Examination, ...] = (
     examine_records.reading,
     examine_samples.stamps,
     examine_records.gaps,
@@ -46,7 +47,11 @@ EXAMINATIONS: tuple[Callable[[Dataset], Iterator[Finding]], ...] = (
 )
 
 
-def check(dataset: Dataset) -> Check:
+GRAVE = (examine_records.units, examine_records.gravity, examine_kinematics.kinematics)
+"""Those that may find an error."""
+
+
+def check(dataset: Dataset, examinations: Sequence[Examination] = EXAMINATIONS) -> Check:
     """Examine a data set: clocks, samples, units, kinematics, noise, controls, band, trim and length of the flights.
 
     Raises
@@ -55,7 +60,7 @@ def check(dataset: Dataset) -> Check:
     """
     if dataset.kind == "helicopter":
         dataset.require_rates()
-    found = [finding for examine in EXAMINATIONS for finding in examine(dataset)]
+    found = [finding for examine in examinations for finding in examine(dataset)]
     rank = {"error": 0, "warning": 1, "note": 2, "good": 3}
     found.sort(key=lambda finding: rank[finding.severity])
     return Check(dataset.name, all(f.severity != "error" for f in found), tuple(found))

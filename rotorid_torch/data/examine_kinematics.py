@@ -65,7 +65,7 @@ def time_base(seen: Sequence[Agreement]) -> tuple[float, float] | None:
     mean, error = float(weights @ ratios / weights.sum()), float(weights.sum() ** -0.5)
     beyond = all((a.bounds[0] > 1.0 + SCALE) if mean > 1.0 else (a.bounds[1] < 1.0 - SCALE) for a in seen)
     alike = bool(np.all(np.abs(ratios - mean) < np.maximum(SURE * errors, 0.03)))
-    return (mean, error) if beyond and alike and abs(mean - 1.0) > SURE * error else None
+    return (mean, error) if mean > 0.0 and beyond and alike and abs(mean - 1.0) > SURE * error else None
 
 
 def _wrong_base(base: tuple[float, float], dataset: Dataset) -> Finding:

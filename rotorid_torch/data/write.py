@@ -33,12 +33,13 @@ def write_dataset(
     channels: Any = None,
     model: Any = None,
     truth: Mapping[str, Mapping[str, Any]] | None = None,
+    kept: Mapping[str, str] | None = None,
 ) -> Path:
     """Write dataset.toml, flights/NAME.npz and, where given, truth/NAME.npz; returns the folder.
 
     The arguments are those of `Dataset.from_arrays`, which validates them before anything is written; `truth` holds
     arrays by flight and channel. float32 stays float32, all else is written as float64. An earlier data set at this
-    place is replaced whole.
+    place is replaced whole; of `kept`, texts by name of file, those that say something else stay beside it.
 
     Raises
     ------
@@ -75,6 +76,9 @@ def write_dataset(
     try:
         beside.chmod(0o755)
         (beside / "dataset.toml").write_text(to_toml(document), encoding="utf-8")
+        for file, text in (kept or {}).items():
+            if text != to_toml(document):
+                (beside / file).write_text(text, encoding="utf-8")
         _write_arrays(beside / "flights", {flight: flights[flight] for flight in (*identify, *validate, *acid)})
         if truth:
             _write_arrays(beside / "truth", truth)

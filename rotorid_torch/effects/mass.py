@@ -39,6 +39,8 @@ def times(matrix: Tensor, vector: Tensor) -> Tensor:
 
 CABLES = (3.0, 6.0, 12.0, 24.0)
 """m: pendulums of these lengths are far enough apart to be missed from each other, and near enough to be reached."""
+SMALLEST = 0.01
+"""m: radius of gyration of the smallest vehicle that carries a load."""
 SWAY = 0.02
 """rad, rad/s: a free swing of the load at the start of every segment would imitate any slow drift."""
 
@@ -178,8 +180,8 @@ class SlungLoad(Effect):
     Small angles (x, y) of the cable in level axes that turn with the heading: l x'' = -g x - a_x - 2 damping sqrt(g l)
     x' and the frame's turning, likewise y, a the acceleration of the hook, or of the centre of gravity where no inertia
     is declared; centripetal parts are small. The tension ratio x mass x g along the cable acts at the hook; ratio is
-    load over declared mass. What it is at trim belongs to the trims. Vehicles smaller than a helicopter (radius of
-    gyration below 1 m) have hooks and cables that are shorter in proportion.
+    load over declared mass. What it is at trim belongs to the trims. Vehicles with a radius of gyration below 1 m
+    have hooks and cables that are shorter in proportion.
 
     Source: Fusato, Guglieri and Celi (2001), J. American Helicopter Society 46; Cicolani and Kanning, NASA TP-3280.
     """
@@ -189,7 +191,7 @@ class SlungLoad(Effect):
     inverse: Tensor | None
 
     def __init__(self, gravity: float, trim: Tensor, inverse: Tensor | None) -> None:
-        size = 1.0 if inverse is None else min(1.0, float((3.0 / inverse.trace()).sqrt()))
+        size = 1.0 if inverse is None else min(1.0, max(SMALLEST, float((3.0 / inverse.trace()).sqrt())))
         depth, below = (0.0, 4.0 * size), "of the hook below the centre of gravity"
         hook = Parameter("hook", size, "m", depth, 0.5 * size, doc=below, typical=size)
         long, cables = 8.0 * size, tuple(size * cable for cable in CABLES)

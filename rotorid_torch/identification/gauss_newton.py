@@ -155,6 +155,7 @@ def _subproblem(
     """The bounded linear problem at a point, directions that the data cannot tell held; and the mask of those named."""
     A, b, own = linear
     norms = torch.linalg.vector_norm(A, dim=0)
+    A, norms = (torch.where(norms.isfinite(), part, 0.0) for part in (A, norms))  # what has exploded tells nothing
     zero = norms <= FLOOR
     gradient = -(A.mT @ b)
     inward = ~(((theta <= lower) & (gradient > 0)) | ((theta >= upper) & (gradient < 0)))

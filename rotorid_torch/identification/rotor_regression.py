@@ -288,12 +288,12 @@ def _flights(model: Model, data: Records) -> Iterator[Seen]:
     body = model.body
     places = [(body.outputs.index(s), i) for i, s in enumerate(body.states) if s in body.outputs]
     for k, samples in enumerate(data.lengths.tolist()):
-        states, outputs = bridged(data.states[k, :samples]).nan_to_num(0.0), bridged(data.outputs[k, :samples])
+        states, outputs = bridged(data.states[k, :samples]).nan_to_num(0.0), data.outputs[k, :samples].clone()
         for o, s in places:
             if body.outputs[o] not in RATES:  # those are smoothed anyway, and whole
                 states[:, s] = torch.where(outputs[:, o].isnan(), states[:, s], outputs[:, o])
             outputs[:, o] = states[:, s]
-        yield Seen(data.dt, data.controls[k, :samples], states, outputs)
+        yield Seen(data.dt, data.controls[k, :samples], states, bridged(outputs))
 
 
 def _moved(rows: Sequence[Tensor], columns: Mapping[str, Sequence[Tensor]], change: Tensor) -> list[Tensor]:

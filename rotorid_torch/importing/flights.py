@@ -26,7 +26,7 @@ PAUSE_S = 10.0
 LEAST_S = 1.5
 """Shortest flight that an identification can use."""
 BEYOND_S = 5.0
-"""What is looked at before and after a flight: its ends lie between samples of slow channels."""
+"""What is looked at before and after a flight at least: its ends lie between samples of slow channels."""
 SLOW = 0.5
 """Controls recorded at less than this share of the body rates' rate are told."""
 Arrays = dict[str, np.ndarray]
@@ -157,7 +157,8 @@ def _gridded(record: Record, start: float, stop: float, hertz: float) -> tuple[A
     if count > SAMPLES:
         raise InputError(record.file, "time", f"makes {count} samples at {hertz:g} Hz", f"at most {SAMPLES}")
     grid = start + np.arange(count) / hertz
-    parts = {name: (s, _between(s.time, start, stop, BEYOND_S)) for name, s in record.signals.items()}
+    reach = {name: max(BEYOND_S, 3.0 / s.hertz, 8.0 / hertz) for name, s in record.signals.items()}
+    parts = {name: (s, _between(s.time, start, stop, reach[name])) for name, s in record.signals.items()}
     arrays = {name: on_grid(s.time[part], s.values[part], grid) for name, (s, part) in parts.items()}
     arrays, sentence = body_velocity(arrays)
     there = {name: values for name, values in arrays.items() if np.isfinite(values).any()}

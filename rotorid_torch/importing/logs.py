@@ -22,8 +22,8 @@ FASTEST_HZ = 250.0
 """Rate of the grid at most, unless one is asked for."""
 IMPORTED = "Imported from"
 """What the description of an imported data set begins with."""
-BEFORE = "dataset.before.toml"
-"""Keeps what the data set that was replaced had declared."""
+BEFORE = "dataset.before"
+"""Beginning of the names of files that keep what data sets which were replaced had declared."""
 RATES_HZ = (1.0, 10_000.0)
 """What may be asked for."""
 
@@ -84,7 +84,7 @@ def import_logs(
     """
     place, files = Path(out), [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
     refuse_unless_free(place.absolute())
-    before = _before(place)
+    kept = _declared(place)
     if not files:
         raise InputError("import", "", "has no log", "at least one file")
     if rate is not None and not RATES_HZ[0] <= rate <= RATES_HZ[1]:
@@ -114,23 +114,29 @@ def import_logs(
         description=f"{IMPORTED} {', '.join(f.name for f in files)} at {grid_hz:g} Hz.",
         vehicle=(given.vehicle if given else None) or dict(records[0].plan.vehicle) or None,
         controls=_controls(records, flights),
+        kept=kept,
     )
-    if before is not None and before != (place / "dataset.toml").read_text(encoding="utf-8"):
-        (place / BEFORE).write_text(before, encoding="utf-8")
-        told.append(f"{place.name}: the data set that was here is replaced; its dataset.toml is kept as {BEFORE}")
+    if there := [file for file in kept if (place / file).exists()]:
+        told.append(
+            f"{place.name}: the data set that was here is replaced; what it declared is kept: {', '.join(there)}"
+        )
     durations = {name: (seconds[name], kinds[name]) for name in flights}
     return Imported(place, kind, grid_hz, durations, lists, channels, tuple(told))
 
 
-def _before(place: Path) -> str | None:
-    """Declaration of an imported data set that is to be replaced; another one's flights cannot be made again."""
+def _declared(place: Path) -> dict[str, str]:
+    """What an imported data set that is to be replaced declares, and those before it, by name of the file to keep it.
+
+    The flights of a data set that was not imported cannot be made again.
+    """
     file = place / "dataset.toml"
     if not file.exists():
-        return None
+        return {}
     text = file.read_text(encoding="utf-8", errors="replace")
-    if f'description = "{IMPORTED} ' not in text:
+    if IMPORTED not in text:
         raise InputError(place, "", "is in the way and was not imported", "a new folder, or an imported data set")
-    return text
+    known = {f.name: f.read_text(encoding="utf-8", errors="replace") for f in sorted(place.glob(f"{BEFORE}*.toml"))}
+    return known if text in known.values() else {**known, f"{BEFORE}{len(known) + 1}.toml": text}
 
 
 def _records(files: Sequence[Path], given: Map | None) -> list[Record]:

@@ -14,6 +14,8 @@ from rotorid_torch.run.short_horizon import NAMES, explained, short_horizon
 # Shares of the motion explained, from which on a model is called so.
 GRADES = ((0.97, "very good"), (0.90, "good"), (0.70, "usable with care"), (0.0, "poor"))
 WORSE_THAN_TRIM = "worse than holding trim"
+RESOLVED_S = 0.02
+"""Interval of the records that trajectories are fitted to: what is faster acts at once there."""
 MOSTLY = 0.7
 """R² of a response below which something is missing from the model."""
 SHOWN = 12
@@ -192,16 +194,17 @@ def _steps_of_responses(fit: FitRecord, traced: bool) -> Iterator[str]:
 
 def at_an_edge(parameters: Iterable[ParameterRecord]) -> list[str]:
     """Parameters on a bound of their range; nothing of something and a time too short to be seen are no such bounds."""
-    return [p.name for p in parameters if p.at_bound and not (_least(p) and (p.value == 0.0 or p.unit == "s"))]
+    return [p.name for p in parameters if p.at_bound and not (p.value == p.bounds[0] == 0.0 or _unresolved(p))]
 
 
 def at_once(parameters: Iterable[ParameterRecord]) -> list[str]:
     """Time constants that are shorter than the records resolve."""
-    return [p.name for p in parameters if p.at_bound and _least(p) and p.value != 0.0 and p.unit == "s"]
+    return [p.name for p in parameters if p.at_bound and _unresolved(p)]
 
 
-def _least(parameter: ParameterRecord) -> bool:
-    return parameter.value == parameter.bounds[0]
+def _unresolved(p: ParameterRecord) -> bool:
+    """Whether a time is no longer than the interval of the records that are fitted."""
+    return p.unit == "s" and p.value is not None and 0.0 < p.value <= RESOLVED_S
 
 
 def _steps_of_parameters(parameters: Iterable[ParameterRecord]) -> Iterator[str]:

@@ -47,7 +47,7 @@ CHANCES = 4
 """Shuffled residuals of each: a candidate of which clean aircraft show nothing has the floor that chance gives."""
 FEWEST = 20
 """Draws below which no quantile of 5 % is told."""
-WIND = "environment.wind"
+WIND, TURNING = "environment.wind", ("q", "r", "phi", "theta")
 FORMAT = 1
 """Of what is cached."""
 WATCH_S = 0.5
@@ -234,11 +234,13 @@ def _fly(
 def _through_air(flight: Flight, null: Null) -> dict[str, Tensor]:
     """Velocities of a flight through the air of the wind that the null's values tell; nothing where they tell none."""
     told = {n.removeprefix(f"{WIND}."): v for n, v in null.values.items() if n.startswith(f"{WIND}.")}
-    if not told:
+    if not told or not flight.has("psi", *TURNING, *VELOCITIES):
         return {}
     values = Values(torch.tensor(list(told.values()), dtype=torch.float64), tuple(told))
-    wind, psi = registered()[WIND].from_spec(null.spec), flight.channels["psi"].unsqueeze(-1)
-    return dict(zip(VELOCITIES, wind(Frame(flight.channels), psi, values)[0].stack(VELOCITIES).unbind(-1), strict=True))
+    signals = dict(zip(("psi", *TURNING), flight.bridged(("psi", *TURNING)).unbind(-1), strict=True))
+    frame = Frame(signals | {n: flight.channels[n] for n in VELOCITIES})
+    through, _ = registered()[WIND].from_spec(null.spec)(frame, signals["psi"].unsqueeze(-1), values)
+    return {n: through.signals[n] for n in VELOCITIES}
 
 
 def _written(dataset: Dataset, null: Null, place: Path) -> None:

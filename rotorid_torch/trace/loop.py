@@ -309,11 +309,13 @@ class _Search:
         return best
 
     def _alike(self, fitted: Mapping[str, Fitted], one: str, other: str, floors: Mapping[str, float]) -> bool:
-        """Whether either of two effects leaves nothing for the other to explain."""
-        return all(
-            self.screened(fitted[there], [asked]).gain([asked]) <= floors[asked]
-            for there, asked in ((one, other), (other, one))
-        )
+        """Whether either of two effects leaves nothing for the other, which may have a size for each control."""
+
+        def left(there: str, asked: str) -> float:
+            apart = [asked] if asked in fitted[asked].spec.each_control else []
+            return self.screened(control_by_control(fitted[there], apart), [asked]).gain([asked])
+
+        return left(one, other) <= floors[other] and left(other, one) <= floors[one]
 
     def confirmed(self, final: Fitted, accepted: list[str], floors: Mapping[str, float]) -> tuple[Fitted, list[str]]:
         """Each accepted effect tested again beside the others; those that explain nothing more are taken out."""

@@ -287,8 +287,10 @@ def test_what_was_declared_by_hand_survives_another_import(tmp_path: Path):
     edited = (place / "dataset.toml").read_text(encoding="utf-8") + "\n# mine\n"
     (place / "dataset.toml").write_text(edited, encoding="utf-8")
     (told,) = rotorid.import_logs(log, place).warnings
-    assert told.endswith("its dataset.toml is kept as dataset.before.toml")
-    assert (place / "dataset.before.toml").read_text(encoding="utf-8") == edited
+    assert told.endswith("what it declared is kept: dataset.before1.toml")
+    rotorid.import_logs(log, place)  # and another
+    assert (place / "dataset.before1.toml").read_text(encoding="utf-8") == edited
+    assert not (place / "dataset.before2.toml").exists()
 
 
 def test_a_data_set_that_was_not_imported_stays(tmp_path: Path):

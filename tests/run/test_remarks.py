@@ -96,8 +96,10 @@ def test_nothing_of_an_effect_is_no_edge_of_its_range():
     longest = records.ParameterRecord(name="control.delay.lat", value=0.25, bounds=(0.0, 0.25), **known)
     undamped = records.ParameterRecord(name="forces.L.p", value=0.0, bounds=(-50.0, 0.0), **known)
     swift = records.ParameterRecord(name="inflow.tau", value=0.02, bounds=(0.02, 0.6), **known)
-    assert at_an_edge([absent, longest, undamped, swift]) == ["control.delay.lat", "forces.L.p"]
-    assert at_once([absent, longest, undamped, swift]) == ["inflow.tau"]
+    slow = records.ParameterRecord(name="rotor.speed.tau", value=0.1, bounds=(0.1, 5.0), **known)
+    every = [absent, longest, undamped, swift, slow]
+    assert at_an_edge(every) == ["control.delay.lat", "forces.L.p", "rotor.speed.tau"]
+    assert at_once(every) == ["inflow.tau"]
 
 
 def test_what_check_calls_an_error_is_warned_of():

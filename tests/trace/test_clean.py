@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import torch
 
+from rotorid_torch.data.flight import Flight
 from rotorid_torch.trace import clean
 from rotorid_torch.trace.floor import Floors, Null
 from tests.known_models import body_spec, flown, linear_vehicle, manoeuvres, written
@@ -75,7 +76,9 @@ def test_clean_aircraft_repeat_the_motion_through_the_air():
     spec = body_spec(reference={**body_spec().reference, "psi": 0.0})
     told = {"environment.wind.north": -4.0, "environment.wind.east": 0.0}
     level = dict.fromkeys(("u", "v", "w", "p", "q", "r", "phi", "theta"), torch.zeros(2, dtype=torch.float64))
-    flight: Any = SimpleNamespace(channels={**level, "psi": torch.tensor([0.0, torch.pi], dtype=torch.float64)})
+    flight = Flight(
+        "f", 1.0, {"time": torch.arange(2.0), **level, "psi": torch.tensor([0.0, torch.pi], dtype=torch.float64)}
+    )
     found = clean._through_air(flight, Null(spec, told))
     torch.testing.assert_close(found["u"], torch.tensor([0.0, -8.0], dtype=torch.float64))
     torch.testing.assert_close(found["v"], torch.zeros(2, dtype=torch.float64), atol=1e-12, rtol=0.0)
