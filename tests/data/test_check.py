@@ -197,6 +197,13 @@ def test_a_wrong_time_base_is_told_with_the_right_interval():
     assert not any("a scale factor or unit" in s and "rate of p" in s for s in told)
 
 
+def test_rates_that_all_go_the_wrong_way_are_no_wrong_time_base():
+    flown = {f"f{seed}": rolling(seed) for seed in range(3)}
+    turned = {n: {c: -v if c in ("p", "q", "r") else v for c, v in f.items()} for n, f in flown.items()}
+    told = sentences(Dataset.from_arrays(turned, identify=list(turned)), "error")
+    assert any("wrong sign" in s for s in told)
+
+
 def test_one_gyro_off_scale_is_not_a_wrong_time_base():
     assert not any("time base" in s for s in sentences(dataset_of(scale=1.2)))
 

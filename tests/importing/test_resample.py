@@ -1,12 +1,15 @@
 """One grid for all: no phase, no aliases, gaps stay gaps; against sines and SciPy."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from rotorid_torch.importing import derive
+from rotorid_torch.importing import derive, flights
 from rotorid_torch.importing.resample import lowpass, on_grid
 
 
@@ -93,3 +96,11 @@ def test_north_and_east_of_latitude_and_longitude():
     assert north[1] == pytest.approx(1852.0 * 1.0027, rel=2e-3)
     assert east[1] == pytest.approx(926.0 * 1.0027, rel=3e-3)
     assert derive.unwrapped(np.array([3.1, np.nan, -3.1]))[2] == pytest.approx(2 * np.pi - 3.1)
+
+
+def test_a_slow_channel_reaches_from_before_a_flight_to_after_it():
+    times = {50.0: np.arange(0.0, 120.0, 0.02), 0.1: np.arange(0.0, 121.0, 10.0)}
+    fast, slow = (SimpleNamespace(time=t, values=0.01 * t, hertz=h) for h, t in times.items())
+    record: Any = SimpleNamespace(signals={"p": fast, "voltage": slow}, file="log")
+    found, _ = flights._gridded(record, 36.0, 44.0, 50.0)
+    np.testing.assert_allclose(found["voltage"], 0.01 * (36.0 + found["time"]), atol=1e-9)
