@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any, Literal
 
 import msgspec
@@ -91,6 +92,16 @@ class ModelSpec(msgspec.Struct, frozen=True, kw_only=True):
         """What a multirotor's rotors are driven by: their measured speeds, or the commands where these are missing."""
         speeds = tuple(name for name in self.inputs if name.startswith("omega"))
         return speeds or tuple(name for name in self.controls if name.startswith("motor"))
+
+    def with_effects(self, *effects: str, each_control: bool = False) -> ModelSpec:
+        """With more effects, of one size for all controls or of one for each."""
+        each = (*self.each_control, *effects) if each_control else self.each_control
+        return msgspec.structs.replace(self, effects=(*self.effects, *effects), each_control=each)
+
+    def without(self, effects: Collection[str]) -> ModelSpec:
+        """With these effects less, where it has them."""
+        kept, each = (tuple(e for e in own if e not in effects) for own in (self.effects, self.each_control))
+        return msgspec.structs.replace(self, effects=kept, each_control=each)
 
     def plain(self) -> dict[str, Any]:
         """As builtins, for model.pt."""

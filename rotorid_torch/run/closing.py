@@ -144,7 +144,7 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
     traced = tracing.findings if stays else _dropped(tracing)
     findings = [*map(of_sensors, sensors.findings), *_replaced(traced, shaken)]
     if hybrid:
-        spec = tracing.final.spec if stays else _without(tracing.final.spec, tracing.structure)
+        spec = tracing.final.spec if stays else tracing.final.spec.without(tracing.structure)
         held = base.regressions.held
         refitted = partial(refit, spec, flights, tracing.final.values, held)
         richer, learnt = _with_network(spec, refitted, held, after or before, rerun, seed, monitor)
@@ -166,7 +166,7 @@ def _before_and_after(
 
     def best(spec: ModelSpec, values: Mapping[str, float]) -> Run:
         """On right records, with the structure that was traced or without."""
-        shapes = [spec, *([_without(spec, tracing.structure)] if tracing.structure else [])]
+        shapes = [spec, *([spec.without(tracing.structure)] if tracing.structure else [])]
         return _best([right(shape, values) for shape in shapes])
 
     final, null = tracing.final, tracing.null
@@ -253,11 +253,6 @@ def _best(runs: Sequence[Run]) -> Run:
         return math.inf if J is None or math.isnan(J) else J
 
     return min(reversed(runs), key=score)
-
-
-def _without(spec: ModelSpec, effects: Sequence[str]) -> ModelSpec:
-    """The spec without these effects."""
-    return msgspec.structs.replace(spec, effects=tuple(e for e in spec.effects if e not in effects))
 
 
 def _objection(without: Run, after: Run, missing: bool) -> str | None:

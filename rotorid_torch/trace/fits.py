@@ -170,18 +170,6 @@ def control_by_control(fitted: Fitted, effects: Sequence[str]) -> Fitted:
     return replace(fitted, spec=msgspec.structs.replace(fitted.spec, each_control=each))
 
 
-def with_effect(spec: ModelSpec, effect: str, each_control: bool = False) -> ModelSpec:
-    """A spec with one more effect, of the same size for all controls or of one for each."""
-    each = (*spec.each_control, effect) if each_control else spec.each_control
-    return msgspec.structs.replace(spec, effects=(*spec.effects, effect), each_control=each)
-
-
-def without_effect(spec: ModelSpec, effect: str) -> ModelSpec:
-    """A spec with an effect less."""
-    effects, each = (tuple(e for e in own if e != effect) for own in (spec.effects, spec.each_control))
-    return msgspec.structs.replace(spec, effects=effects, each_control=each)
-
-
 def _followed(near: Fitted, model: Model, states: Tensor) -> Tensor:
     """States [F, T, nx] of a model's records, as a fit of another one follows them where both have them."""
     fit, own = near.fit, [s.name for s in near.model.layout.states]

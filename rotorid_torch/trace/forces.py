@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.model.nominal import build
-from rotorid_torch.trace.fits import Fitted, with_effect
+from rotorid_torch.trace.fits import Fitted
 from rotorid_torch.trace.floor import FALSE_ALARMS
 from rotorid_torch.trace.residual import LeftOver, by_chance, left_over
 from rotorid_torch.trace.screen import Signature, signatures, sized
@@ -41,7 +41,7 @@ def seen_in_forces(null: Fitted, accepted: Sequence[str], effects: Sequence[str]
     flights, found = null.flights, {}
     over: LeftOver | None = None
     for effect in effects:
-        model = build(with_effect(null.spec, effect))
+        model = build(null.spec.with_effects(effect))
         model.start_from(null.values)
         own = [one for one in signatures(model, [effect]) if one.beside]
         if not own:

@@ -11,8 +11,6 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
-import msgspec
-
 from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import registered
@@ -37,8 +35,6 @@ from rotorid_torch.trace.fits import (
     Flights,
     control_by_control,
     refit,
-    with_effect,
-    without_effect,
 )
 from rotorid_torch.trace.floor import Floors, Null, family_wise
 from rotorid_torch.trace.forces import seen_in_forces
@@ -143,7 +139,7 @@ class _Search:
 
         each_control : those of them that have a size for each control.
         """
-        richer = {e: with_effect(null.spec, e, e in each_control) for e in starts}
+        richer = {e: null.spec.with_effects(e, each_control=e in each_control) for e in starts}
         begun = [(e, Wanted(richer[e], {**null.values, **start}, null)) for e, own in starts.items() for start in own]
         fitted: dict[str, Fitted] = {}
         for (e, _), one in zip(begun, fits([w for _, w in begun], self.held, BEGINNING, self.ranks), strict=True):
@@ -189,7 +185,7 @@ class _Search:
             effect, one = next(iter(found.items()))
             rest = [e for e in found if e != effect]
             said = f"{effect} explains {100.0 * one.share:.0f} % of what trims of unseen flights differ by"
-            spec = with_effect(null.spec, effect)
+            spec = null.spec.with_effects(effect)
             told = one.start if not self.placed else _of_effects(one.start, [effect])
             start = {n: v for n, v in told.items() if n not in self.held}
             fitted = refit(spec, self.flights, {**null.values, **start}, self.held, near=null)
@@ -207,7 +203,7 @@ class _Search:
         """The null with the rotor's ordinary physics, and what other structure helps flights that no fit has seen."""
         rotor = [e for e in ROTOR if e in candidates]
         if rotor:
-            spec = msgspec.structs.replace(null.spec, effects=(*null.spec.effects, *rotor))
+            spec = null.spec.with_effects(*rotor)
             sizes = screen(null, rotor, shuffles=0).sizes(rotor)
             richer = refit(spec, self.flights, {**null.values, **sizes}, self.held, near=null)
             self.asked_for = helps(unseen_gain(null, richer))
@@ -320,7 +316,7 @@ class _Search:
     def confirmed(self, final: Fitted, accepted: list[str], floors: Mapping[str, float]) -> tuple[Fitted, list[str]]:
         """Each accepted effect tested again beside the others; those that explain nothing more are taken out."""
         for effect in list(accepted) if len(accepted) > 1 else []:
-            least, spec = floors.get(effect, 0.0), without_effect(final.spec, effect)
+            least, spec = floors.get(effect, 0.0), final.spec.without([effect])
             without = self.settled(refit(spec, self.flights, final.values, self.held, near=final), least)
             why = too_short(final, effect)
             if gain(without, final) <= least:
@@ -378,8 +374,7 @@ def trace(
     known = {e: floor for e, (_, floor) in (search.placed | search.gained).items()}
     final, accepted = search.confirmed(final, [*placed, *joined], known)
     if placed:  # the model before has the same structure
-        without = tuple(e for e in null.spec.effects if e not in placed)
-        null = refit(msgspec.structs.replace(null.spec, effects=without), flights, null.values, held, near=null)
+        null = refit(null.spec.without(placed), flights, null.values, held, near=null)
     search.compare_controls(final, accepted)
     missing = _missing(final, accepted, flights, search.floors, seed)
     before = _missing(null, (), flights, search.floors, seed)
@@ -411,10 +406,7 @@ def _in_still_air(
     floors: Callable[[Null, Sequence[str]], Floors],
 ) -> Floors:
     """Floors by clean aircraft in still air far from the ground; what wind or ground leave over these cannot tell."""
-    spec = null.spec
-    for effect in placed:
-        spec = without_effect(spec, effect)
-    found = floors(Null(spec, null.values, tuple(held)), effects)
+    found = floors(Null(null.spec.without(placed), null.values, tuple(held)), effects)
     return replace(found, traces={}, note=f"{found.note}, {STILL}") if placed and found.gains else found
 
 

@@ -116,10 +116,6 @@ def believed(models: Sequence[Identified]) -> tuple[str, ...]:
     return (*SPECIFIC_FORCES, *turns)
 
 
-def _with(spec: ModelSpec, effect: str) -> ModelSpec:
-    return msgspec.structs.replace(spec, effects=(*spec.effects, effect))
-
-
 def _told(found: Identified) -> tuple[dict[str, Any], Tensor, dict[str, float]]:
     """What travels between ranks."""
     return found.spec.plain(), found.model.theta.detach().clone(), dict(found.errors)
@@ -209,7 +205,7 @@ class _Search:
 
     def accompanied(self, fitted: Identified, companion: str) -> Identified:
         """The fit with the companion as well, where that gains above its floor and on unseen flights."""
-        both = self.fit(_with(fitted.spec, companion))
+        both = self.fit(fitted.spec.with_effects(companion))
         gain, floor = self.gain(fitted, both), self.floors(fitted, {companion: both})[companion]
         if gain <= floor:
             return fitted
@@ -220,7 +216,9 @@ class _Search:
     def joined(self, now: Identified, tried: Sequence[str], ranks: Ranks) -> Identified | None:
         """The model with the best of the candidates that stand, and its companion; None where none joins."""
         rest = [e for e in tried if e not in self.accepted]
-        fitted = dict(zip(rest, ranks.carry([_with(now.spec, e) for e in rest], self.fit, _told, _again), strict=True))
+        fitted = dict(
+            zip(rest, ranks.carry([now.spec.with_effects(e) for e in rest], self.fit, _told, _again), strict=True)
+        )
         self.rows = believed([now, *fitted.values()])
         floors = self.floors(now, fitted)
         for effect, companion in COMPANIONS.items():
@@ -278,8 +276,7 @@ class _Search:
     def confirmed(self, final: Identified) -> Identified:
         """Each accepted effect tested again beside the others; those that explain nothing more are taken out."""
         for effect in list(self.accepted) if len(self.accepted) > 1 else []:
-            others = tuple(e for e in final.spec.effects if e != effect)
-            without = self.fit(msgspec.structs.replace(final.spec, effects=others))
+            without = self.fit(final.spec.without([effect]))
             if self.gain(without, final) <= self.floors(without, {effect: final})[effect]:
                 self.accepted.remove(effect)
                 self.reasons[effect] = ("beside the others it explains nothing more", final)

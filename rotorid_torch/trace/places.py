@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import msgspec
 import torch
 from torch import Tensor
 
@@ -64,7 +63,7 @@ def explained_trims(
     known : parameters that regressions do not find, of effects that the spec has already.
     """
     other = [e for e in effects if registered()[e].showing is Showing.OTHER_FLIGHTS]
-    models = {e: build(msgspec.structs.replace(spec, effects=(*spec.effects, e))) for e in other}
+    models = {e: build(spec.with_effects(e)) for e in other}
     placed = {e: m for e, m in models.items() if any(_apart(flights.dataset, s.channel) for s in m.layout.states)}
     if not placed:
         return {}

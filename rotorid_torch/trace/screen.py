@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
 
-import msgspec
 import torch
 from torch import Tensor
 
@@ -212,7 +211,7 @@ def screen(null: Fitted, effects: Sequence[str], shuffles: int = SHUFFLES, seed:
 
     shuffles : residuals made by turning each flight's residual in time by a random stretch, with a random sign.
     """
-    richer = msgspec.structs.replace(null.spec, effects=(*null.spec.effects, *effects))
+    richer = null.spec.with_effects(*effects)
     model = build(richer)
     model.start_from(null.values)
     chosen = signatures(model, effects)
