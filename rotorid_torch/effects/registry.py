@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, TypeVar
@@ -38,11 +39,17 @@ def register(effect: E) -> E:
 
 def registered() -> dict[str, type[Effect]]:
     """All effects by id, those of other packages included."""
+    _import()
+    return EFFECTS
+
+
+@cache
+def _import() -> None:
+    """Modules register their effects when they are imported; which there are does not change while a process runs."""
     for name in LIBRARY:
-        import_module(f"rotorid_torch.effects.{name}")  # registers its effects
+        import_module(f"rotorid_torch.effects.{name}")
     for point in entry_points(group=ENTRY_POINTS):
         point.load()
-    return EFFECTS
 
 
 def predicted_by(names: Iterable[str]) -> tuple[str, ...]:

@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -234,14 +233,30 @@ def _followed(effect: Effect, frame: Frame, values: Values, dt: float) -> Tensor
     slope = torch.stack(
         [effect(frame, state + e, values)[1] - constant for e in torch.eye(len(effect.states), dtype=torch.float64)], -1
     )
-    x = (-torch.linalg.pinv(slope[0]) @ constant[0]).numpy()
     passed = torch.linalg.inv(torch.eye(len(effect.states), dtype=torch.float64) - dt * slope)
-    added = (passed @ (dt * constant).unsqueeze(-1)).squeeze(-1).numpy()
-    out = np.empty_like(added)
-    for k, (factor, push) in enumerate(zip(passed.numpy(), added, strict=True)):
-        out[k] = x
-        x = factor @ x + push
-    return torch.from_numpy(out)
+    steps = torch.nn.functional.pad(passed, (0, 1, 0, 1))  # of [x, 1]
+    steps[:, :-1, -1] = (passed @ (dt * constant).unsqueeze(-1)).squeeze(-1)
+    steps[:, -1, -1] = 1.0
+    rest = -torch.linalg.pinv(slope[0]) @ constant[0]
+    return chained(steps, torch.cat([rest, rest.new_ones(1)]))[:, :-1]
+
+
+def chained(steps: Tensor, start: Tensor) -> Tensor:
+    """States [T, n] before each of the linear steps [T, n, n]: in blocks, all at once, then over the blocks."""
+    samples, size = steps.shape[:2]
+    blocks = math.isqrt(samples) + 1
+    length = -(-samples // blocks)
+    still = torch.eye(size, dtype=steps.dtype)
+    padded = torch.cat([steps, still.expand(blocks * length - samples, size, size)])
+    since, inside = still.expand(blocks, size, size), []
+    for step in padded.unflatten(0, (blocks, length)).unbind(1):
+        inside.append(since)
+        since = step @ since
+    starts = [start]
+    for block in since[:-1]:
+        starts.append(block @ starts[-1])
+    states = torch.stack(inside, dim=1) @ torch.stack(starts)[:, None, :, None]
+    return states.flatten(0, 1)[:samples, :, 0]
 
 
 def _each(flights: Mapping[str, Measured], take: Callable[[str, Measured], Tensor]) -> Collection[Tensor]:
