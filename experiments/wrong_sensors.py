@@ -1,0 +1,221 @@
+"""Are sensor errors told apart on records that other people's simulators made? Named, in a group, silent or misnamed.
+
+Every data set gets an error of every kind in turn, of a channel or unit, size and sign drawn at random (0.5 to 2 times
+the typical size), put into its records by formulas of this file; then the sensors are compared with each other, which
+is the first thing that `rotorid close-loop` does. One JSON line per run; runs that have a line are not repeated.
+`--report` writes the table into docs/closed-loop.md.
+
+Expected: no false name; nothing on the sets as they are; silence only where an error is too small to show, as the
+scale of accelerometers along which a hovering vehicle hardly accelerates; short filters in a group with delays.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+import torch
+import tyro
+from loop_lines import read_lines
+from loop_runs import over_sets
+from loop_tables import OUTCOMES, markdown, share, write_between
+
+import rotorid_torch as rotorid
+from rotorid_torch.data import Dataset
+from rotorid_torch.data.facts import Facts
+from rotorid_torch.trace.kinematics import kinematic_findings
+
+ROOT = Path(__file__).parents[1]
+RATES, FORCES, BODY_AXES = ("p", "q", "r"), ("ax", "ay", "az"), ("x", "y", "z")
+UNITS = {"rates": RATES, "accelerations": FORCES, "attitude": ("phi", "theta", "psi"), "velocities": ("u", "v", "w")}
+MEMBERS: dict[str, dict[str, float]] = {
+    "bias": dict.fromkeys(RATES, 0.01) | dict.fromkeys(FORCES, 0.1),
+    "scale": dict.fromkeys((*RATES, *FORCES), 0.03),
+    "misalignment": dict.fromkeys(BODY_AXES, 0.015),
+    "lever_arm": dict.fromkeys(BODY_AXES, 0.5),
+    "delay": dict.fromkeys(UNITS, 0.05),
+    "filter": dict.fromkeys(UNITS, 0.05),
+}
+"""What may be wrong, by kind of error, and its typical size: rad/s and m/s², 1, rad, m, s."""
+ONE_SIGN = ("delay", "filter")
+SMOOTHED_S = 0.1
+"""Rates are smoothed over this before they are differentiated for an arm."""
+Records = dict[str, np.ndarray]
+
+
+@dataclass
+class Args:
+    """Which sets, and where they lie."""
+
+    data: Path = Path(os.environ.get("ROTORID_SHARED", str(ROOT.parent / "shared"))) / "flightdata"
+    """Folder of the data sets."""
+    sets: tuple[str, ...] = ("uh60-hover", "uh60-60kt", "ah1-hover", "uh60b-hover")
+    """Names of the sets; those that are not there are skipped."""
+    draws: int = 10
+    """Errors of each kind for each set."""
+    quick: bool = False
+    """One error of each kind, the first of the sets that is there."""
+    report: bool = False
+    """Run nothing; turn the lines into the table."""
+    page: Path = ROOT / "docs" / "closed-loop.md"
+    """Page that holds the table, between its markers."""
+    processes: int = 1
+    """Runs at the same time."""
+    seed: int = 0
+    out: Path = Path("runs/wrong_sensors")
+    """Lines (runs.jsonl) and TensorBoard records."""
+
+
+def _bias(records: Records, member: str, size: float, dt: float) -> Records:
+    return {member: records[member] + size}
+
+
+def _scale(records: Records, member: str, size: float, dt: float) -> Records:
+    return {member: records[member] * (1.0 + size)}
+
+
+def _misalignment(records: Records, member: str, size: float, dt: float) -> Records:
+    """The unit turned by an angle about an axis of the body, which it shares; it reads along its own axes."""
+    first, second = ((1, 2), (2, 0), (0, 1))[BODY_AXES.index(member)]
+    c, s, out = math.cos(size), math.sin(size), {}
+    for unit in (RATES, FORCES):
+        a, b = unit[first], unit[second]
+        out |= {a: c * records[a] + s * records[b], b: c * records[b] - s * records[a]}
+    return out
+
+
+def _lever_arm(records: Records, member: str, size: float, dt: float) -> Records:
+    """Accelerometers displaced along an axis of the body."""
+    arm = size * np.eye(3)[BODY_AXES.index(member)]
+    half = round(0.5 * SMOOTHED_S / dt)
+    window = np.hanning(2 * half + 3)[1:-1]
+    smooth = [np.convolve(np.pad(records[c], half, mode="edge"), window / window.sum(), "valid") for c in RATES]
+    rates = np.stack(smooth, axis=-1)
+    added = np.cross(np.gradient(rates, dt, axis=0), arm) + np.cross(rates, np.cross(rates, arm))
+    return {c: records[c] + added[:, k] for k, c in enumerate(FORCES)}
+
+
+def _delay(records: Records, member: str, size: float, dt: float) -> Records:
+    own = {c: records[c] for c in UNITS[member] if c in records}
+    when = dt * np.arange(len(next(iter(own.values()))))
+    return {c: np.interp(when - size, when, values) for c, values in own.items()}
+
+
+def _filter(records: Records, member: str, size: float, dt: float) -> Records:
+    """A first-order lag, the record straight between samples."""
+    decay = math.exp(-dt / size)
+    ramp = 1.0 - (1.0 - decay) * size / dt  # weight of the newer sample
+    out = {}
+    for channel in UNITS[member]:
+        if channel in records:
+            values = records[channel]
+            passed = [values[0]]
+            for before, now in pairwise(values):
+                passed.append(decay * passed[-1] + (1.0 - decay - ramp) * before + ramp * now)
+            out[channel] = np.array(passed)
+    return out
+
+
+WRONG: dict[str, Callable[[Records, str, float, float], Records]] = {
+    "bias": _bias,
+    "scale": _scale,
+    "misalignment": _misalignment,
+    "lever_arm": _lever_arm,
+    "delay": _delay,
+    "filter": _filter,
+}
+
+
+def with_error(dataset: Dataset, kind: str, member: str, size: float) -> Dataset:
+    """The data set with one sensor error in all its flights."""
+    flights = {}
+    for name, flight in dataset.flights.items():
+        records = {c: values.numpy() for c, values in flight.channels.items()}
+        wrong = {c: torch.from_numpy(v) for c, v in WRONG[kind](records, member, size, flight.dt).items()}
+        flights[name] = replace(flight, channels={**flight.channels, **wrong})
+    facts = {name: Facts.of(flight) for name, flight in flights.items()}
+    return replace(dataset, flights=flights, facts=facts)
+
+
+def run_one(place: Path, kind: str, number: int, seed: int) -> dict:
+    """Put one error into a set and ask the sensors; `kind` "nothing": the set as it is."""
+    torch.set_num_threads(1)
+    began, dataset = time.perf_counter(), rotorid.load(place)
+    told = {"case": f"{place.name} {kind} {number} seed {seed}", "hidden": [], "set": place.name, "kind": kind}
+    if kind != "nothing":
+        rng = np.random.default_rng([seed, number, list(MEMBERS).index(kind)])
+        member = str(rng.choice(list(MEMBERS[kind])))
+        size = MEMBERS[kind][member] * float(2.0 ** rng.uniform(-1.0, 1.0))
+        size *= 1.0 if kind in ONE_SIGN else float(rng.choice((-1.0, 1.0)))
+        dataset = with_error(dataset, kind, member, size)
+        told |= {"hidden": [f"sensors.{kind}"], "member": f"sensors.{kind}.{member}", "size": size}
+    found = kinematic_findings(dataset)
+    named = [f.id for f in found.findings if f.verdict == "accepted"]
+    group = [f.id for f in found.findings if f.verdict == "indistinguishable"]
+    own = [p for f in found.findings for p in f.parameters if p.name == told.get("member")]
+    told |= {"named": named, "group": group, "verdict": "undeclared" if named else "group" if group else "nothing"}
+    told |= {"found": own[0].value, "se": own[0].se} if own else {}
+    sentence = f"{', '.join(named) or 'nothing'}, {told.get('member', 'nothing')} hidden"
+    return told | {"sentence": sentence, "seconds": round(time.perf_counter() - began, 1)}
+
+
+def outcome(line: dict) -> str:
+    """What a run's answer is worth."""
+    hidden, named, group = (set(line[key]) for key in ("hidden", "named", "group"))
+    if named - hidden or (group and not group & hidden):
+        return "false name"
+    return "in a group" if group else "named" if named else "silent"
+
+
+def table(lines: Sequence[dict]) -> str:
+    """A row for each kind of error."""
+    rows = []
+    for kind in ("nothing", *MEMBERS):
+        own = [line for line in lines if line["kind"] == kind]
+        said = [outcome(line) for line in own]
+        right = [line for line in own if outcome(line) == "named" and "found" in line]
+        ratio = f"{median(line['found'] / line['size'] for line in right):.3f}" if right else ""
+        counts = [str(said.count(one)) if one in said else "" for one in OUTCOMES if one not in ("in part", "no name")]
+        rows.append((kind if kind == "nothing" else f"sensors.{kind}", str(len(own)), *counts, ratio))
+    hidden = [outcome(line) for line in lines if line["hidden"]]
+    head = ("wrong", "runs", "named", "in a group", "silent", "false name", "found / true, median")
+    summary = f"Named alone: {share(hidden.count('named'), len(hidden))}."
+    return markdown(head, rows) + f"\n\n{summary}"
+
+
+def study(args: Args, file: Path) -> dict:
+    """Run what has no line yet."""
+    there = [n for n in args.sets if (args.data / n / "dataset.toml").exists()]
+    skipped = {n: f"no data set in {args.data}" for n in args.sets if n not in there}
+    draws, sets = (1, there[:1]) if args.quick else (args.draws, there)
+    wanted = [(args.data / n, kind, k, args.seed) for n in sets for kind in MEMBERS for k in range(draws)]
+    wanted += [(args.data / n, "nothing", 0, args.seed) for n in sets]
+    done = {line["case"] for line in read_lines(file)}
+    left = [one for one in wanted if f"{one[0].name} {one[1]} {one[2]} seed {one[3]}" not in done]
+    return {"runs": over_sets(run_one, left, args.processes, file, asdict(args)), "skipped": skipped}
+
+
+def main(args: Args) -> None:
+    """Run the study or write its table, and end with one JSON line."""
+    torch.set_num_threads(1)
+    args.out.mkdir(parents=True, exist_ok=True)
+    file = args.out / "runs.jsonl"
+    result = {} if args.report else study(args, file)
+    lines = read_lines(file)
+    if args.report:
+        write_between(args.page, "wrong sensors", table(lines) if lines else "No runs yet.")
+    said = {what: [outcome(line) for line in lines if bool(line["hidden"]) == what] for what in (True, False)}
+    counts = {what: {one: own.count(one) for one in dict.fromkeys(own)} for what, own in said.items()}
+    print(json.dumps(result | {"wrong": counts[True], "right": counts[False]}))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))
