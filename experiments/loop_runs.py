@@ -38,12 +38,17 @@ def keep(lines: Iterable[dict], file: Path, total: int, writer: SummaryWriter) -
     return done
 
 
-def sets_left(data: Path, sets: Sequence[str], quick: bool, file: Path) -> tuple[list[str], dict[str, str]]:
-    """Data sets that are there and have no line yet, of the first one alone where it is quick; why others are not."""
+def sets_left(
+    data: Path, sets: Sequence[str], quick: bool, file: Path, beside: str = ""
+) -> tuple[list[str], dict[str, str]]:
+    """Data sets that are there and have no line yet, of the first one alone where it is quick; why others are not.
+
+    beside : what stands behind the sets' names in the lines.
+    """
     skipped = {n: f"no data set in {data}" for n in sets if not (data / n / "dataset.toml").exists()}
     done = {line["case"] for line in read_lines(file) if "failed" not in line}
     there = [n for n in sets if n not in skipped]
-    return [n for n in (there[:1] if quick else there) if n not in done], skipped
+    return [n for n in (there[:1] if quick else there) if f"{n} {beside}".strip() not in done], skipped
 
 
 def over_sets(run: Callable[..., dict], given: Sequence[tuple], processes: int, file: Path, settings: dict) -> int:

@@ -2,8 +2,7 @@
 
 Data sets of helicopters flown by J-GenHel, JSBSim and helisim: some hide nothing, one has its controls recorded early,
 some do not tell. One JSON line per set; sets that have a line are not run again. `--report` writes the table into
-docs/closed-loop.md. `--late` hides a control delay in each of them: what the controls do is moved forward in their
-record.
+docs/closed-loop.md. `--hide` puts a cause into the records of each of them (see `hidden_in_records`).
 
 Expected: nothing undeclared on uh60-hover, uh60-60kt, ah1-hover, uh60b-hover; on uh60-delay control.delay, alone or in
 a group with control.lag, 60 ms within three of its standard errors.
@@ -21,20 +20,18 @@ from pathlib import Path
 
 import torch
 import tyro
+from hidden_in_records import CAUSES
 from loop_lines import failure, loop_line, read_lines
 from loop_runs import over_sets, sets_left
 from loop_tables import markdown, number, write_between
 
 import rotorid_torch as rotorid
-from rotorid_torch.trace.sensor_correction import without_errors
 
 ROOT = Path(__file__).parents[1]
-DELAY = "control.delay"
-COMMON = f"{DELAY}.common"
 HIDES: dict[str, tuple[str, ...] | None] = {
     "uh60-hover": (),
     "uh60-60kt": (),
-    "uh60-delay": (DELAY,),
+    "uh60-delay": ("control.delay",),
     "ah1-hover": (),
     "uh60b-hover": (),
     "uh60-x1": None,
@@ -43,7 +40,7 @@ HIDES: dict[str, tuple[str, ...] | None] = {
     "ah1-x1": None,
 }
 """What the sets are known to hide; None: not told."""
-TRUE = {"uh60-delay": {COMMON: 0.06}}
+TRUE = {"uh60-delay": {"control.delay.common": 0.06}}
 
 
 @dataclass
@@ -60,8 +57,8 @@ class Args:
     """Run nothing; turn the lines into the table."""
     page: Path = ROOT / "docs" / "closed-loop.md"
     """Page that holds the table, between its markers."""
-    late: float = 0.0
-    """s by which the controls are made to act late; lines in a folder and a table of their own."""
+    hide: tuple[str, ...] = ()
+    """Causes that are put into the records, each of each set; their lines are in a table of their own."""
     processes: int = 1
     """Sets at the same time."""
     seed: int = 0
@@ -69,20 +66,21 @@ class Args:
     """Lines (runs.jsonl), one RUN per set, and TensorBoard records."""
 
 
-def run_set(place: Path, out: Path, seed: int, late: float = 0.0) -> dict:
-    """Close the loop on one set, its controls made to act late by so many seconds; its RUN stays, with the report."""
+def run_set(place: Path, out: Path, seed: int, hide: str = "") -> dict:
+    """Close the loop on one set, a cause put into its records where one is told; its RUN stays, with the report."""
     torch.set_num_threads(1)
     name, began = place.name, time.perf_counter()
-    hides, true = HIDES.get(name), TRUE.get(name)
-    if late and hides is not None:
-        hides, true = tuple(dict.fromkeys((*hides, DELAY))), {COMMON: late + (true or {}).get(COMMON, 0.0)}
-    line = {"case": name, "hidden": hides}
+    hides, true = HIDES.get(name), TRUE.get(name, {})
+    if hide and hides is not None:
+        hides = tuple(dict.fromkeys((*hides, hide)))
+    line = {"case": f"{name} {hide}".strip(), "hidden": hides}
     out.mkdir(parents=True, exist_ok=True)
     try:
         dataset = rotorid.load(place)
-        if late:
-            dataset = without_errors(dataset, {"delay.controls": late})
-        loop = rotorid.close_loop(dataset, out=out / name, seed=seed)
+        if hide:
+            made = CAUSES[hide](dataset)
+            dataset, true = made.dataset, {n: v + true.get(n, 0.0) for n, v in made.true.items()}
+        loop = rotorid.close_loop(dataset, out=out / line["case"].replace(" ", "-"), seed=seed)
         line |= loop_line(loop, hides or (), true)
     except (ValueError, RuntimeError) as error:
         line |= failure(error)
@@ -93,22 +91,31 @@ def table(lines: Sequence[dict]) -> str:
     """Verdict, and J on unseen flights before and after, beside that of the noise."""
     order = list(HIDES)
     rows = []
-    for line in sorted(lines, key=lambda one: order.index(one["case"]) if one["case"] in order else len(order)):
+    for line in sorted(lines, key=lambda one: order.index(_set(one)) if _set(one) in order else len(order)):
         hides = "not told" if line["hidden"] is None else ", ".join(line["hidden"]) or "nothing"
         if "failed" in line:
-            rows.append((line["case"], hides, line["failed"], *[""] * 7))
+            rows.append((_set(line), hides, line["failed"], *[""] * 7))
             continue
+        true = [number(p["true"]) for p in line["parameters"].values() if p["true"] is not None]
+        hides += f" ({', '.join(true)})" if true else ""
         j = line["J"]
         scores = [number(j[when][flights]) for flights in ("validate", "acid") for when in ("before", "after", "noise")]
-        rows.append((line["case"], hides, line["sentence"], *scores, f"{line['seconds']:.0f}"))
+        rows.append((_set(line), hides, line["sentence"], *scores, f"{line['seconds']:.0f}"))
     head = ("validate before", "after", "noise", "acid before", "after", "noise", "s")
     return markdown(("set", "hides", "what the loop says", *head), rows)
 
 
+def _set(line: dict) -> str:
+    """Name of the set that a line is of."""
+    return line["case"].split(" ")[0]
+
+
 def study(args: Args, file: Path) -> dict:
     """Run the sets that are there and have no line yet; those that are not are named with the reason."""
-    left, skipped = sets_left(args.data, args.sets, args.quick, file)
-    given = [(args.data / name, args.out / "runs", args.seed, args.late) for name in left]
+    given, skipped = [], {}
+    for hide in args.hide or ("",):
+        left, skipped = sets_left(args.data, args.sets, args.quick, file, hide)
+        given += [(args.data / name, args.out / "runs", args.seed, hide) for name in left]
     return {"runs": over_sets(run_set, given, args.processes, file, asdict(args)), "skipped": skipped}
 
 
@@ -120,9 +127,9 @@ def main(args: Args) -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     file = args.out / "runs.jsonl"
     result = {} if args.report else study(args, file)
-    lines = read_lines(file)
+    lines = [line for line in read_lines(file) if (" " in line["case"]) == bool(args.hide)]
     if args.report:
-        marker = "other simulators, late" if args.late else "other simulators"
+        marker = "other simulators, with a cause" if args.hide else "other simulators"
         write_between(args.page, marker, table(lines) if lines else "No runs yet.")
     verdicts = {one["case"]: one.get("verdict", "failed") for one in lines}
     print(json.dumps(result | {"verdicts": verdicts}))

@@ -20,6 +20,7 @@ pytest.importorskip("torch.utils.tensorboard")
 def line(name: str, **said: object) -> dict:
     scores = {"validate": 0.25, "acid": None}
     told = {"J": dict.fromkeys(("before", "after", "noise"), scores), "verdict": "structure", "sentence": "Inflow."}
+    told |= {"parameters": {}}
     return {"case": name, "hidden": None, "seconds": 61.2} | told | said
 
 
@@ -28,7 +29,7 @@ def test_missing_sets_are_skipped_and_finished_ones_not_repeated(
 ) -> None:
     module, calls = import_module("other_simulators"), []
 
-    def run(place: Path, out: Path, seed: int, late: float) -> dict:
+    def run(place: Path, out: Path, seed: int, hide: str) -> dict:
         calls.append(place.name)
         return line(place.name) if len(calls) > 1 else {"case": place.name, "hidden": None, "failed": "no fit"}
 
@@ -61,7 +62,7 @@ def test_a_set_is_closed_into_a_run_of_its_own(tmp_path: Path, monkeypatch: pyte
     assert (tmp_path / "out" / "runs" / "uh60-x1" / "report.json").exists()
 
 
-def test_controls_are_made_to_act_late(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cause_is_put_into_the_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     module, seen = import_module("other_simulators"), []
     time = np.arange(0.0, 4.0, 0.01)
     channels = {"time": time, "lat": np.sin(time), "p": np.cos(time)}
@@ -73,7 +74,8 @@ def test_controls_are_made_to_act_late(tmp_path: Path, monkeypatch: pytest.Monke
 
     monkeypatch.setattr(module.rotorid, "close_loop", close_loop)
     monkeypatch.setattr(module.rotorid, "load", lambda place: data)
-    found = module.run_set(tmp_path / "uh60-hover", tmp_path / "out", 5, 0.06)
+    found = module.run_set(tmp_path / "uh60-hover", tmp_path / "out", 5, "control.delay")
+    assert found["case"] == "uh60-hover control.delay"
     assert found["hidden"] == ("control.delay",)
     assert found["failed"] == "ValueError: seen"
     early, held = seen[0].channels["lat"].numpy(), seen[0].channels["p"].numpy()
