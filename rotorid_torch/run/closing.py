@@ -10,6 +10,8 @@ from functools import partial
 from pathlib import Path
 
 import msgspec
+import torch
+from torch import Tensor
 
 from rotorid_torch.core.names import MOMENTS
 from rotorid_torch.core.ranks import ALONE, Ranks
@@ -31,6 +33,7 @@ from rotorid_torch.run.pipeline import Run, estimated, identified, refuse, remar
 from rotorid_torch.run.records import (
     EffectRecord,
     FitRecord,
+    FlightRecord,
     Report,
     UnknownRecord,
     VerdictRecord,
@@ -39,6 +42,7 @@ from rotorid_torch.run.summary import failing
 from rotorid_torch.run.write import write_report
 from rotorid_torch.trace.clean import clean_floors
 from rotorid_torch.trace.clocks import sensor_findings
+from rotorid_torch.trace.decide import clearly_worse
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.fits import Fitted, Flights, refit
 from rotorid_torch.trace.loop import Tracing, trace
@@ -47,7 +51,7 @@ from rotorid_torch.trace.network import learn
 from rotorid_torch.trace.stochastic import stochastic_findings
 from rotorid_torch.trace.verdict import statement
 
-WORSE = "it describes segments of flights, but identified again with it, the model's free runs are no better"
+WORSE = "it describes segments of flights, but identified again with it, the model's free runs are clearly worse"
 IMITATES = "what is left over beside it, without a name, is larger than what it explains: it may imitate that"
 
 
@@ -260,15 +264,28 @@ def _objection(without: Run, after: Run, missing: bool) -> str | None:
 
     What explains less than what then stays without a name may be no more than its imitation.
     """
-    if _best([without, after]) is without:
+    if clearly_worse(_free_run_gain(without, after)):
         return WORSE
     return IMITATES if missing and _beyond_noise(after) > 0.5 * _beyond_noise(without) else None
 
 
+def _free_run_gain(without: Run, after: Run) -> Tensor:
+    """log(J without / J with) of each of these flights [F]; minus infinity where only the latter flies away."""
+    J = [[math.inf if f.J is None or math.isnan(f.J) else f.J for f in _deciding(run)] for run in (without, after)]
+    before, now = torch.tensor(J, dtype=torch.float64)
+    gained = before.log() - now.log()
+    return gained[~gained.isnan()]
+
+
 def _beyond_noise(run: Run) -> float:
-    """Mean of J² less what the sensors' noise makes of it, over the flights that no fit has seen, or all."""
-    flights = [f for f in run.fit.flights.values() if f.list == "validate"] or list(run.fit.flights.values())
+    """Mean of J² less what the sensors' noise makes of it, over these flights."""
+    flights = _deciding(run)
     return sum(max((f.J or 0.0) ** 2 - (f.J_noise or 0.0) ** 2, 0.0) for f in flights) / max(len(flights), 1)
+
+
+def _deciding(run: Run) -> list[FlightRecord]:
+    """Flights whose free runs decide: those that no fit has seen, without any all."""
+    return [f for f in run.fit.flights.values() if f.list == "validate"] or list(run.fit.flights.values())
 
 
 def _refused(tracing: Tracing, said: str) -> Tracing:

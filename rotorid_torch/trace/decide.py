@@ -21,6 +21,8 @@ STEADY = 2.0
 """The same for scatter over flights alone, as a normal deviate: so few flights have Student's quantile of it."""
 CLEARLY = 0.05
 """Mean log ratio of J by which free runs must be worse to speak against an effect: they scatter by as much."""
+AWAY = 1.0
+"""Log ratio of J of one flight by which a model flies away, whatever the other flights say."""
 TIMES = frozenset({"control.delay", "control.lag"})
 """Effects that stand in for each other where they are short."""
 
@@ -71,11 +73,17 @@ def objection(
     if not helps(better):
         return f"it does not help on flights that no fit has seen ({int((better > 0).sum())} of {len(better)} better)"
     runs = free_run_gain(null, candidate)
-    if (
-        len(runs) and float(runs.mean()) < -CLEARLY and helps(-runs)
-    ):  # less sharp than segments, for they drift: they may only speak against it
+    if clearly_worse(runs):
         return f"free runs of flights that no fit has seen are worse by it ({int((runs < 0).sum())} of {len(runs)})"
     return None
+
+
+def clearly_worse(runs: Tensor) -> bool:
+    """Whether free runs, by their log ratios of J [F], speak against an effect; none do not.
+
+    They drift, and are less sharp than segments: they may only speak against it.
+    """
+    return bool(len(runs)) and float(runs.mean()) < -CLEARLY and (helps(-runs) or float(runs.min()) < -AWAY)
 
 
 def too_short(candidate: Fitted, effect: str) -> str | None:

@@ -223,6 +223,25 @@ def run_with(J: float | None, identify: float | None = None) -> Any:
     )
 
 
+@pytest.mark.parametrize(
+    ("after", "stays"),
+    [
+        ((0.101, 0.103, 0.099, 0.102), True),  # as good as before
+        ((0.12, 0.11, 0.13, 0.12), False),
+        ((0.2, 0.08, 0.09, 0.1), True),  # no worse but for chance
+        ((0.09, 0.09, 0.09, 2e7), False),  # flies away
+        ((0.09, 0.09, 0.09, math.nan), False),
+    ],
+)
+def test_free_runs_speak_against_an_effect_only_where_they_are_clearly_worse(after: tuple[float, ...], stays: bool):
+    """Segments that no fit has seen gained by it; a free run drifts, and hides little of what they show."""
+    first, run = run_with(0.1), run_with(0.1)
+    for one, scores in ((first, [0.1] * 4), (run, after)):
+        one.fit.flights = {f"f{k}": SimpleNamespace(list="validate", J=J, J_noise=0.05) for k, J in enumerate(scores)}
+    _, _, found = _before_and_after(first, tracing_of("control.delay"), False, pytest.fail, lambda spec, values: run)
+    assert bool(found.accepted) is stays
+
+
 def test_a_run_without_a_score_is_not_the_best():
     first, unknown, none = run_with(0.12), run_with(math.nan), run_with(None)
     assert _best([first, unknown]) is first
