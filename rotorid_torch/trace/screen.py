@@ -7,9 +7,10 @@ the gain that the candidate would bring, its size, and the smallest size that th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 
@@ -31,6 +32,8 @@ IMITATORS = 3
 """Parameters named as those that take an effect's place."""
 SHUFFLES = 60
 """Shuffled residuals: the least gain that structured residuals bring by chance."""
+HALVINGS = 6
+"""Times that a typical size is halved, at most, where a trajectory with it leaves all that was measured."""
 DEPENDENT = 1e-10
 """Share of a signature's square that is nothing but rounding once the null has been projected out."""
 
@@ -221,14 +224,25 @@ def screen(null: Fitted, effects: Sequence[str], shuffles: int = SHUFFLES, seed:
     chance = torch.Generator().manual_seed(seed)
     found, raw = [], torch.zeros(len(chosen), dtype=torch.float64)
     tape, tapes = _tapes(model, problem.records, chosen)
+    most = _ranges(problem.records.outputs.flatten(0, 1))
+
+    def changed(one: Signature, start: Tensor, segments: Segments, base: Tensor) -> Tensor:
+        """Of the outputs; beyond all that was measured nothing is in proportion, so a smaller size speaks for it."""
+        tried, change = one, base
+        for k in range(HALVINGS + 1):
+            with sized(model, tried):
+                smaller = one in tapes and k > 0
+                own = model.tape(problem.records.controls, problem.records.dt) if smaller else tapes.get(one, tape)
+                change = 2.0**k * (run(start, segments.take(own), segments.dt)[1] - base)
+            if bool((change.abs() <= 2.0**k * most).all()):
+                break
+            tried = replace(one, typical=one.null + 0.5 ** (k + 1) * one.step)
+        return change
+
     for part, whitener, rows in problem.by_flight(place):
         start = _starts(model, null, part.segments, part.run.states[:, 0])
         base = run(start, part.segments.take(tape), part.segments.dt)[1]
-        change = []
-        for one in chosen:
-            with sized(model, one):
-                own = part.segments.take(tapes.get(one, tape))
-                change.append(run(start, own, part.segments.dt)[1] - base)
+        change = [changed(one, start, part.segments, base) for one in chosen]
         signature = _rows(whitener, torch.stack(change, dim=-1)) if change else rows[..., :0]
         raw += signature.square().sum((0, 1))
         nx = problem.locals_per_segment
@@ -271,6 +285,13 @@ def _tapes(model: Model, records: Records, chosen: Sequence[Signature]) -> tuple
             with sized(model, one):
                 tapes[one] = model.tape(records.controls, records.dt)
     return model.tape(records.controls, records.dt), tapes
+
+
+def _ranges(outputs: Tensor) -> Tensor:
+    """From the least to the largest value of each output [n, ny]; infinite for one that was never measured."""
+    missing = outputs.isnan()
+    low, high = outputs.masked_fill(missing, math.inf).amin(0), outputs.masked_fill(missing, -math.inf).amax(0)
+    return torch.where(high >= low, high - low, math.inf)
 
 
 def _largest(names: tuple[str, ...], shares: Tensor) -> tuple[str, ...]:

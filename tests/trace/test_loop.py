@@ -19,7 +19,7 @@ from rotorid_torch.trace.decide import gain, smallest_visible
 from rotorid_torch.trace.fits import CAREFUL, Fitted, Flights, refit
 from rotorid_torch.trace.floor import Floors
 from rotorid_torch.trace.loop import Tracing, _Search, trace
-from rotorid_torch.trace.screen import screen, signatures
+from rotorid_torch.trace.screen import Screen, screen, signatures
 from tests.known_models import flown, manoeuvres, rate_vehicle, with_values
 
 DT = 0.02
@@ -88,6 +88,25 @@ def test_what_flights_show_of_an_effect_does_not_hang_on_what_they_hold():
     sizes = [size for size, _ in filter(None, visible)]
     assert len(sizes) == len(seen)
     assert max(sizes) < 1.1 * min(sizes)
+
+
+def test_a_smaller_size_speaks_for_one_with_which_trajectories_leave_all_that_was_measured(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    """Quadratic damping saturates: the gain of little of it, in proportion, is that of its slope at nothing."""
+    damping = "forces.quadratic_damping"
+    _, null = started(flights(damping, forces__quadratic_damping__L=0.6))
+    usual = signatures(build(null.spec.with_effects(damping)), [damping])
+
+    def seen(part: float) -> Screen:
+        own = tuple(replace(s, typical=part * s.typical) for s in usual)
+        monkeypatch.setattr("rotorid_torch.trace.screen.signatures", lambda model, effects: own)
+        return screen(null, [damping])
+
+    slope, whole = (seen(part).sizes([damping])[f"{damping}.L"] for part in (2.0**-6, 8.0))
+    assert abs(whole / slope - 1.0) > 0.5  # at 16 1/rad nothing is in proportion
+    monkeypatch.setattr("rotorid_torch.trace.screen._ranges", lambda outputs: torch.full((), 1e-4))
+    assert seen(1.0).sizes([damping])[f"{damping}.L"] == pytest.approx(slope, rel=0.05)
 
 
 def test_a_hidden_rate_limit_is_told_from_a_delay():
