@@ -18,6 +18,7 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.by_control import by_control
 from rotorid_torch.trace.candidates import candidates, of_control_path, untried
 from rotorid_torch.trace.decide import (
+    TIMES,
     errors,
     gain,
     not_joined,
@@ -236,7 +237,10 @@ class _Search:
             promising = sorted((e for e in rest if by_screen[e] > floors[e]), key=lambda e: -by_screen[e])
             seen = self.seen_in_forces(null, accepted, rest)
             self.hot.update((*promising, *seen))
-            starts = {e: screens[e].starts(e) for e in promising[:FEW]}
+            few = promising[:FEW]
+            if TIMES & {*few}:  # rivals, of which the screen, a straight line, tells too little
+                few += [e for e in rest if e in TIMES and e not in few]
+            starts = {e: screens[e].starts(e) for e in few}
             starts |= {e: [*starts.get(e, []), start] for e, start in seen.items()}
             if starts:  # what the null may still gain by itself is no candidate's
                 null = self.settled(null, min(floors[e] for e in starts))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import groupby
 from types import SimpleNamespace
@@ -160,6 +161,19 @@ def test_a_hidden_lag_is_told_from_a_delay():
     found = traced(flights("control.lag", control__lag__common=0.08))
     assert found.accepted == ("control.lag",)
     assert next(f for f in found.findings if f.id == "control.delay").verdict == "rejected"
+
+
+def test_a_lag_that_is_promising_is_weighed_against_a_delay_whatever_the_screen_says_of_that():
+    known, null = started(flights("control.lag", control__lag__common=0.08))
+    level, said = torch.full((24,), 1e-4, dtype=torch.float64), []
+
+    def floors(model: object, effects: Sequence[str]) -> Floors:
+        each = {e: 1e6 * level for e in effects if e.startswith("control.")}
+        return Floors({e: 1e6 * level if e == "control.delay" else level for e in effects}, "", each_control=each)
+
+    found = trace(null.spec, null.values, (), known, floors, said.append)
+    assert found.accepted == ("control.lag",)
+    assert any(line.startswith("control.delay: gain ") for line in said)
 
 
 def test_where_nothing_is_hidden_nothing_is_named():
