@@ -168,18 +168,20 @@ def _before_and_after(
     values, on records as they are and on those without the sensors' errors. A multirotor's free runs decide nothing.
     """
 
-    def best(spec: ModelSpec, values: Mapping[str, float]) -> Run:
-        """On right records, with the structure that was traced or without."""
-        shapes = [spec, *([spec.without(tracing.structure)] if tracing.structure else [])]
-        return _best([right(shape, values) for shape in shapes])
+    def shapes(spec: ModelSpec, values: Mapping[str, float]) -> list[Run]:
+        """On right records, with the structure that was traced, and without."""
+        both = [spec, *([spec.without(tracing.structure)] if tracing.structure else [])]
+        return [right(shape, values) for shape in both]
 
     final, null = tracing.final, tracing.null
     if tracing.accepted:
         plain = _best([first, wrong(null.spec, null.values)]) if tracing.structure else first
-        after = best(final.spec, final.values)
+        # what ordinary physics is left out the named effect takes up, and its size is no longer its own
+        after, *bare = shapes(final.spec, final.values)
+        after = next((run for run in bare if clearly_worse(_free_run_gain(run, after))), after)
         if first.spec.motors:
             return plain, after, tracing
-        without = best(null.spec, null.values) if sensors else plain
+        without = _best(shapes(null.spec, null.values)) if sensors else plain
         why = _objection(without, after, tracing.unknown is not None)
         if why is None:
             return plain, after, tracing
@@ -188,7 +190,7 @@ def _before_and_after(
         return first, None if plain is first else plain, _refused(tracing, why)
     plain = _best([first, wrong(final.spec, final.values)]) if tracing.structure else first
     if sensors:
-        return plain, best(final.spec, final.values), tracing
+        return plain, _best(shapes(final.spec, final.values)), tracing
     return first, None if plain is first else plain, tracing
 
 

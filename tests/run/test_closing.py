@@ -242,6 +242,19 @@ def test_free_runs_speak_against_an_effect_only_where_they_are_clearly_worse(aft
     assert bool(found.accepted) is stays
 
 
+@pytest.mark.parametrize(("with_structure", "stays"), [(0.1, True), (0.103, True), (0.12, False)])
+def test_ordinary_physics_stays_beside_a_named_effect_unless_free_runs_are_clearly_worse(
+    with_structure: float, stays: bool
+):
+    """Without it the effect's size would take up what it explains."""
+    whole, bare = run_with(with_structure), run_with(0.102)
+    runs = iter((whole, bare))
+    tracing = tracing_of("control.delay", structure=("rotor.lead_lag",))
+    first = run_with(0.2)
+    _, after, _ = _before_and_after(first, tracing, False, lambda spec, values: first, lambda spec, values: next(runs))
+    assert after is (whole if stays else bare)
+
+
 def test_a_run_without_a_score_is_not_the_best():
     first, unknown, none = run_with(0.12), run_with(math.nan), run_with(None)
     assert _best([first, unknown]) is first
