@@ -17,7 +17,7 @@ EARLY_S = 0.01
 SURE_STICKS, SURE = 3.0, 4.0
 """Standard errors beyond which a response precedes: rates against sticks, accelerations against controls."""
 SEEN, FOLLOWED = 0.6, 0.7
-"""R² from which on a rate is compared with its stick, and from which on the stick commands it."""
+"""R² from which on a rate is compared with its stick, and from which on what is recorded commands the response."""
 SHARPEST_S = 1e-4
 """Least standard error of a lag: it is interpolated between steps a hundred times as long."""
 
@@ -70,7 +70,8 @@ def late_controls(dataset: Dataset) -> LateControls | None:
         answered = _answered(dataset) if first else ()
         early = tuple(a for a in first if a.pair.left_name not in answered and not _commands_attitude(a, flights))
         return _mean(early) if early else None
-    felt = tuple(r for r in known_responses(dataset) if r.lag_s < -max(SURE * r.lag_se, EARLY_S, sample))
+    known = [r for r in known_responses(dataset) if r.r2 > FOLLOWED]
+    felt = tuple(r for r in known if r.lag_s < -max(SURE * r.lag_se, EARLY_S, sample))
     if not felt:
         return None
     least = min(felt, key=lambda r: r.lag_s + SURE * r.lag_se)

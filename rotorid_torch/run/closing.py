@@ -38,7 +38,7 @@ from rotorid_torch.run.records import (
     UnknownRecord,
     VerdictRecord,
 )
-from rotorid_torch.run.summary import failing
+from rotorid_torch.run.summary import USABLE, failing
 from rotorid_torch.run.write import write_report
 from rotorid_torch.trace.clean import clean_floors
 from rotorid_torch.trace.clocks import sensor_findings
@@ -52,6 +52,10 @@ from rotorid_torch.trace.stochastic import stochastic_findings
 from rotorid_torch.trace.verdict import statement
 
 WORSE = "it describes segments of flights, but identified again with it, the model's free runs are clearly worse"
+NO_BETTER = "free runs of flights that no fit has seen are no better by it, and segments gain no more than by chance"
+FAILS = "the model with it still does not describe the flights: something else acts, or more than this"
+FLOWN_AWAY = 1e9
+"""J of a run that has none because its states left all bounds."""
 IMITATES = "what is left over beside it, without a name, is larger than what it explains: it may imitate that"
 
 
@@ -162,7 +166,7 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
 def _before_and_after(
     first: Run, tracing: Tracing, sensors: bool, wrong: Callable[..., Run], right: Callable[..., Run]
 ) -> tuple[Run, Run | None, Tracing]:
-    """The best run without what was traced, the best with it or none where nothing stays, and the tracing that stands.
+    """The best run without what was traced, that with it or none where nothing stays, and the tracing that stands.
 
     first : the nominal model. sensors : whether sensors err. wrong, right : the three steps again for a spec from
     values, on records as they are and on those without the sensors' errors. A multirotor's free runs decide nothing.
@@ -177,14 +181,16 @@ def _before_and_after(
     if tracing.accepted:
         plain = _best([first, wrong(null.spec, null.values)]) if tracing.structure else first
         # what ordinary physics is left out the named effect takes up, and its size is no longer its own
-        after, *bare = shapes(final.spec, final.values)
-        after = next((run for run in bare if clearly_worse(_free_run_gain(run, after))), after)
+        whole, *bare = shapes(final.spec, final.values)
+        tried = [*bare, whole] if any(clearly_worse(_free_run_gain(run, whole)) for run in bare) else [whole, *bare]
         if first.spec.motors:
-            return plain, after, tracing
+            return plain, whole, tracing
         without = _best(shapes(null.spec, null.values)) if sensors else plain
-        why = _objection(without, after, tracing.unknown is not None)
-        if why is None:
-            return plain, after, tracing
+        against = [_objection(without, run, tracing) for run in tried]
+        for run, why in zip(tried, against, strict=True):
+            if why is None:
+                return plain, run, tracing
+        why = against[0] or WORSE
         if sensors:
             return plain, without, _refused(tracing, why)
         return first, None if plain is first else plain, _refused(tracing, why)
@@ -261,33 +267,45 @@ def _best(runs: Sequence[Run]) -> Run:
     return min(reversed(runs), key=score)
 
 
-def _objection(without: Run, after: Run, missing: bool) -> str | None:
-    """Why effects that were accepted are no finding, or None; missing: something without a name is left over.
+def _objection(without: Run, after: Run, tracing: Tracing) -> str | None:
+    """Why effects that were accepted are no finding, or None.
 
     What explains less than what then stays without a name may be no more than its imitation.
     """
     if clearly_worse(_free_run_gain(without, after)):
         return WORSE
+    if not tracing.sure and _best([without, after]) is without:
+        return NO_BETTER
+    if _beyond_noise(after) > (1.0 - USABLE) * _moved(after):
+        return FAILS
+    missing = tracing.unknown is not None
     return IMITATES if missing and _beyond_noise(after) > 0.5 * _beyond_noise(without) else None
 
 
 def _free_run_gain(without: Run, after: Run) -> Tensor:
-    """log(J without / J with) of each of these flights [F]; minus infinity where only the latter flies away."""
-    J = [[math.inf if f.J is None or math.isnan(f.J) else f.J for f in _deciding(run)] for run in (without, after)]
-    before, now = torch.tensor(J, dtype=torch.float64)
-    gained = before.log() - now.log()
-    return gained[~gained.isnan()]
+    """log(J without / J with) of each flight that decides [F]; of two that fly away, or have no score, zero."""
+    J = [[FLOWN_AWAY if f.J is None or math.isnan(f.J) else f.J for f in _deciding(run)] for run in (without, after)]
+    before, now = torch.tensor(J, dtype=torch.float64).clamp(max=FLOWN_AWAY).log()
+    return before - now
 
 
 def _beyond_noise(run: Run) -> float:
-    """Mean of J² less what the sensors' noise makes of it, over these flights."""
+    """Mean of J² less what the sensors' noise makes of it, over the flights that decide."""
     flights = _deciding(run)
     return sum(max((f.J or 0.0) ** 2 - (f.J_noise or 0.0) ** 2, 0.0) for f in flights) / max(len(flights), 1)
 
 
+def _moved(run: Run) -> float:
+    """The same of a model that holds trim; infinite where it is not known."""
+    flights = _deciding(run)
+    known = [f.J_trim**2 - (f.J_noise or 0.0) ** 2 for f in flights if f.J_trim is not None]
+    return sum(max(one, 0.0) for one in known) / len(flights) if flights and len(known) == len(flights) else math.inf
+
+
 def _deciding(run: Run) -> list[FlightRecord]:
-    """Flights whose free runs decide: those that no fit has seen, without any all."""
-    return [f for f in run.fit.flights.values() if f.list == "validate"] or list(run.fit.flights.values())
+    """Flights whose free runs decide: those that no fit has seen, without any the fitted; never the acid ones."""
+    by_list = {name: [f for f in run.fit.flights.values() if f.list == name] for name in ("validate", "identify")}
+    return by_list["validate"] or by_list["identify"]
 
 
 def _refused(tracing: Tracing, said: str) -> Tracing:
@@ -300,7 +318,8 @@ def _refused(tracing: Tracing, said: str) -> Tracing:
 
 def _dropped(tracing: Tracing) -> list[Finding]:
     """Findings where the structure that was traced beside other effects does not stay in the model."""
-    said = "it describes the motion that was fitted, but free runs of flights that no fit has seen are no better by it"
+    than = "clearly worse with it" if tracing.accepted else "no better by it"
+    said = f"it describes the motion that was fitted, but free runs of flights that no fit has seen are {than}"
     return _rejected(tracing.findings, tracing.structure, said)
 
 

@@ -12,7 +12,8 @@ from rotorid_torch.run.records import LISTS, ChannelRecord, FitRecord, FlightRec
 from rotorid_torch.run.short_horizon import NAMES, explained, short_horizon
 
 # Shares of the motion explained, from which on a model is called so.
-GRADES = ((0.97, "very good"), (0.90, "good"), (0.70, "usable with care"), (0.0, "poor"))
+USABLE = 0.70
+GRADES = ((0.97, "very good"), (0.90, "good"), (USABLE, "usable with care"), (0.0, "poor"))
 WORSE_THAN_TRIM = "worse than holding trim"
 RESOLVED_S = 0.02
 """Interval of the records that trajectories are fitted to: what is faster acts at once there."""
@@ -93,9 +94,9 @@ def headline(report: Report) -> str:
 
 def failing(fit: FitRecord) -> str:
     """How badly a model does on the flights that decide; nothing where it is of use, or no free run tells."""
-    usable, unseen = GRADES[-2][0], [] if short_horizon(fit) else _unseen(fit)
+    unseen = [] if short_horizon(fit) else _unseen(fit)
     share = unseen[0].explained if unseen else None
-    if share is None or share >= usable:
+    if share is None or share >= USABLE:
         return ""
     how = WORSE_THAN_TRIM if share < 0.0 else f"good for {100.0 * share:.0f} % of the motion alone"
     return f"on the {unseen[0].name} flights the model is {how}"

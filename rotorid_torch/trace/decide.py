@@ -21,8 +21,8 @@ STEADY = 2.0
 """The same for scatter over flights alone, as a normal deviate: so few flights have Student's quantile of it."""
 CLEARLY = 0.05
 """Mean log ratio of J by which free runs must be worse to speak against an effect: they scatter by as much."""
-AWAY = 1.0
-"""Log ratio of J of one flight by which a model flies away, whatever the other flights say."""
+AWAY = math.log(10.0)
+"""Log ratio of J of one flight beyond which a model flies away, whatever the other flights say."""
 TIMES = frozenset({"control.delay", "control.lag"})
 """Effects that stand in for each other where they are short."""
 
@@ -81,9 +81,11 @@ def objection(
 def clearly_worse(runs: Tensor) -> bool:
     """Whether free runs, by their log ratios of J [F], speak against an effect; none do not.
 
-    They drift, and are less sharp than segments: they may only speak against it.
+    They drift, and are less sharp than segments: they may only speak against it, in the mean or by flying away in one.
     """
-    return bool(len(runs)) and float(runs.mean()) < -CLEARLY and (helps(-runs) or float(runs.min()) < -AWAY)
+    if not len(runs):
+        return False
+    return float(runs.min()) < -AWAY or (float(runs.mean()) < -CLEARLY and helps(-runs))
 
 
 def too_short(candidate: Fitted, effect: str) -> str | None:
@@ -127,13 +129,13 @@ def rivals(
     near = [
         e
         for e in sane
-        if e != best and (gains[best] - gains[e] < max(floors[best], floors[e]) or not _told(fitted[best], fitted[e]))
+        if e != best and (gains[best] - gains[e] < max(floors[best], floors[e]) or not told(fitted[best], fitted[e]))
     ]
     return best, near
 
 
-def _told(best: Fitted, other: Fitted) -> bool:
-    """Whether flight by flight, fitted or not, the best is better by more than chance."""
+def told(best: Fitted, other: Fitted) -> bool:
+    """Whether flight by flight, fitted or not, the first is better than the other by more than chance."""
     better = torch.cat([_gains(other.seen, best.seen), _gains(other.unseen, best.unseen)])
     return float(better.mean()) > SURE * float(better.std()) / math.sqrt(len(better))
 

@@ -25,6 +25,7 @@ from rotorid_torch.trace.decide import (
     objection,
     rivals,
     smallest_visible,
+    told,
     too_short,
     unseen_gain,
 )
@@ -83,6 +84,7 @@ class Tracing:
     groups : for an accepted effect the others that explain as much. findings : one of each effect that was tested.
     unknown : what is left over without a name; unknown_before : what is by the null.
     spread : standard errors of the accepted effects' parameters by their scatter over flights and controls.
+    sure : whether flight by flight the final model describes segments better than the null by more than chance.
     """
 
     null: Named
@@ -95,6 +97,7 @@ class Tracing:
     unknown: Unknown | None = None
     unknown_before: Unknown | None = None
     spread: Mapping[str, float] = field(default_factory=dict)
+    sure: bool = True
 
 
 @dataclass
@@ -236,12 +239,11 @@ class _Search:
             by_screen = {e: one.gain([e]) for e, one in screens.items()}
             promising = sorted((e for e in rest if by_screen[e] > floors[e]), key=lambda e: -by_screen[e])
             seen = self.seen_in_forces(null, accepted, rest)
-            self.hot.update((*promising, *seen))
-            few = promising[:FEW]
-            if TIMES & {*few}:  # rivals, of which the screen, a straight line, tells too little
-                few += [e for e in rest if e in TIMES and e not in few]
-            starts = {e: screens[e].starts(e) for e in few}
+            starts = {e: screens[e].starts(e) for e in promising[:FEW]}
+            if TIMES & starts.keys():  # rivals, of which the screen, a straight line, tells too little
+                starts |= {e: screens[e].starts(e, whole=True) for e in rest if e in TIMES - starts.keys()}
             starts |= {e: [*starts.get(e, []), start] for e, start in seen.items()}
+            self.hot.update((*promising, *starts))
             if starts:  # what the null may still gain by itself is no candidate's
                 null = self.settled(null, min(floors[e] for e in starts))
             fitted = self.with_each(null, starts, floors, each)
@@ -273,6 +275,8 @@ class _Search:
         gained = {e: alone.gain([e]) for e in path}
         least = {e: max(floors[e], ALIKE * gained[e]) for e in path}
         each = [e for e in path if gained[e] > own[e] and common.gain([e]) < least[e]]
+        if TIMES & {*each}:  # a delay of each control is no rival to one lag of all: as many sizes for both
+            each += [e for e in path if e in TIMES and e not in each]
         self.alone.update({e: own[e] for e in each})
         return screens | dict.fromkeys(each, alone), floors | {e: own[e] for e in each}, each
 
@@ -394,6 +398,7 @@ def trace(
         missing,
         before,
         search.spread,
+        not accepted or told(final, null),
     )
 
 

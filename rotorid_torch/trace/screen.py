@@ -1,6 +1,7 @@
 """All candidates at once: what each would do to the residual, and how much of that the fitted model can do itself.
 
-Every candidate is simulated at its typical size around the fitted model; the change of the outputs is its signature.
+Every candidate is simulated at its typical size around the fitted model; the change of the outputs is its signature
+(in proportion from a smaller size, where with the typical one a trajectory leaves all that was measured).
 What initial states, trims and derivatives can imitate is projected out of signature and residual. What is left tells
 the gain that the candidate would bring, its size, and the smallest size that the flights would show.
 """
@@ -34,6 +35,8 @@ SHUFFLES = 60
 """Shuffled residuals: the least gain that structured residuals bring by chance."""
 HALVINGS = 6
 """Times that a typical size is halved, at most, where a trajectory with it leaves all that was measured."""
+MOVED = 20.0
+"""Times its noise that an output must range over to say what is large; noise alone ranges over 6 to 10 times."""
 DEPENDENT = 1e-10
 """Share of a signature's square that is nothing but rounding once the null has been projected out."""
 
@@ -127,14 +130,16 @@ class Screen:
         sizes = {s.parameter: s.null + float(a) * s.step for s, a in zip(chosen, found, strict=True)}
         return {name: value for i in which for name, value in self.signatures[i].beside} | sizes
 
-    def starts(self, effect: str) -> list[dict[str, float]]:
+    def starts(self, effect: str, whole: bool = False) -> list[dict[str, float]]:
         """Values from which a full fit of an effect may begin.
 
         The best by the straight line; and where its other parameters are tried at several values, or itself at several
         sizes, its typical size at each, for there a line from nothing says little of what lies beyond.
+
+        whole : its typical size in any case.
         """
         variants = self._variants(effect)
-        own = [[self.signatures[i] for i in which] for which in variants] if len(variants) > 1 else []
+        own = [[self.signatures[i] for i in which] for which in variants] if whole or len(variants) > 1 else []
         typical = [{**dict(one[0].beside), **{s.parameter: s.typical for s in one}} for one in own]
         return [self.sizes([effect]), *typical]
 
@@ -224,20 +229,20 @@ def screen(null: Fitted, effects: Sequence[str], shuffles: int = SHUFFLES, seed:
     chance = torch.Generator().manual_seed(seed)
     found, raw = [], torch.zeros(len(chosen), dtype=torch.float64)
     tape, tapes = _tapes(model, problem.records, chosen)
-    most = _ranges(problem.records.outputs.flatten(0, 1))
+    noise = [null.flights.dataset.noise(c) for c in null.spec.outputs]
+    most = _ranges(problem.records.outputs.flatten(0, 1), torch.tensor(noise, dtype=torch.float64))
 
     def changed(one: Signature, start: Tensor, segments: Segments, base: Tensor) -> Tensor:
         """Of the outputs; beyond all that was measured nothing is in proportion, so a smaller size speaks for it."""
-        tried, change = one, base
         for k in range(HALVINGS + 1):
+            tried = replace(one, typical=one.null + 0.5**k * one.step) if k else one
             with sized(model, tried):
-                smaller = one in tapes and k > 0
-                own = model.tape(problem.records.controls, problem.records.dt) if smaller else tapes.get(one, tape)
-                change = 2.0**k * (run(start, segments.take(own), segments.dt)[1] - base)
-            if bool((change.abs() <= 2.0**k * most).all()):
-                break
-            tried = replace(one, typical=one.null + 0.5 ** (k + 1) * one.step)
-        return change
+                known = tapes.get(one, tape)
+                own = model.tape(problem.records.controls, problem.records.dt) if k and one in tapes else known
+                change = run(start, segments.take(own), segments.dt)[1] - base
+            if k == HALVINGS or bool((change.abs() <= most).all()):
+                return 2.0**k * change
+        raise AssertionError
 
     for part, whitener, rows in problem.by_flight(place):
         start = _starts(model, null, part.segments, part.run.states[:, 0])
@@ -287,11 +292,11 @@ def _tapes(model: Model, records: Records, chosen: Sequence[Signature]) -> tuple
     return model.tape(records.controls, records.dt), tapes
 
 
-def _ranges(outputs: Tensor) -> Tensor:
-    """From the least to the largest value of each output [n, ny]; infinite for one that was never measured."""
+def _ranges(outputs: Tensor, noise: Tensor) -> Tensor:
+    """From least to largest of each output [n, ny]; infinite for one that never moved beyond its noise [ny]."""
     missing = outputs.isnan()
     low, high = outputs.masked_fill(missing, math.inf).amin(0), outputs.masked_fill(missing, -math.inf).amax(0)
-    return torch.where(high >= low, high - low, math.inf)
+    return torch.where(high - low > MOVED * noise, high - low, math.inf)
 
 
 def _largest(names: tuple[str, ...], shares: Tensor) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -217,10 +218,22 @@ def test_where_an_effect_is_refused_records_stay_right_and_the_null_stands():
 
 
 def run_with(J: float | None, identify: float | None = None) -> Any:
-    flights = {"f": SimpleNamespace(list="validate", J=J, J_noise=0.05)}
+    flights = {"f": SimpleNamespace(list="validate", J=J, J_noise=0.05, J_trim=1.0)}
     return SimpleNamespace(
         scores={"validate": J, "identify": identify}, spec=HELICOPTER, values={}, fit=SimpleNamespace(flights=flights)
     )
+
+
+def over(list_: str, scores: Sequence[float]) -> dict[str, Any]:
+    """Free runs of flights of one list."""
+    return {f"{list_}{k}": SimpleNamespace(list=list_, J=J, J_noise=0.05, J_trim=1.0) for k, J in enumerate(scores)}
+
+
+def judged(before: dict[str, Any], after: dict[str, Any], tracing: Tracing) -> Tracing:
+    """What stands of the tracing where the model with its effects flies so."""
+    first, run = run_with(0.1), run_with(0.1)
+    first.fit.flights, run.fit.flights = before, after
+    return _before_and_after(first, tracing, False, pytest.fail, lambda spec, values: run)[2]
 
 
 @pytest.mark.parametrize(
@@ -229,17 +242,49 @@ def run_with(J: float | None, identify: float | None = None) -> Any:
         ((0.101, 0.103, 0.099, 0.102), True),  # as good as before
         ((0.12, 0.11, 0.13, 0.12), False),
         ((0.2, 0.08, 0.09, 0.1), True),  # no worse but for chance
-        ((0.09, 0.09, 0.09, 2e7), False),  # flies away
+        ((0.05, 0.05, 0.05, 3.0), False),  # flies away, and the rest is better
         ((0.09, 0.09, 0.09, math.nan), False),
     ],
 )
 def test_free_runs_speak_against_an_effect_only_where_they_are_clearly_worse(after: tuple[float, ...], stays: bool):
     """Segments that no fit has seen gained by it; a free run drifts, and hides little of what they show."""
-    first, run = run_with(0.1), run_with(0.1)
-    for one, scores in ((first, [0.1] * 4), (run, after)):
-        one.fit.flights = {f"f{k}": SimpleNamespace(list="validate", J=J, J_noise=0.05) for k, J in enumerate(scores)}
-    _, _, found = _before_and_after(first, tracing_of("control.delay"), False, pytest.fail, lambda spec, values: run)
+    found = judged(over("validate", [0.1] * 4), over("validate", after), tracing_of("control.delay"))
     assert bool(found.accepted) is stays
+
+
+def test_flights_that_flew_away_without_an_effect_do_not_hide_those_that_do_with_it():
+    before, after = ([0.1, 0.1, math.nan], [0.1, math.nan, 0.1])
+    assert not judged(over("validate", before), over("validate", after), tracing_of("control.delay")).accepted
+
+
+def test_acid_flights_decide_nothing():
+    before = over("identify", [0.1] * 4) | over("acid", [0.1])
+    after = over("identify", [0.098] * 4) | over("acid", [1.5])
+    assert judged(before, after, tracing_of("control.delay")).accepted
+
+
+@pytest.mark.parametrize(("sure", "after", "stays"), [(True, 0.102, True), (False, 0.102, False), (False, 0.098, True)])
+def test_an_effect_that_segments_hardly_show_must_make_free_runs_better(sure: bool, after: float, stays: bool):
+    tracing = replace(tracing_of("environment.wind"), sure=sure)
+    first, run = run_with(0.1), run_with(after)
+    found = _before_and_after(first, tracing, False, pytest.fail, lambda spec, values: run)[2]
+    assert bool(found.accepted) is stays
+
+
+@pytest.mark.parametrize(("after", "stays"), [(0.5, True), (0.6, False)])
+def test_a_model_that_still_does_not_describe_the_flights_earns_its_effects_no_name(after: float, stays: bool):
+    """Held trim scores 1: more than 30 % of the squared motion is left."""
+    found = judged(over("validate", [0.9] * 4), over("validate", [after] * 4), tracing_of("control.backlash"))
+    assert bool(found.accepted) is stays
+
+
+def test_a_good_effect_is_not_refused_for_the_structure_beside_it():
+    whole, bare, first = run_with(0.107), run_with(0.1025), run_with(0.1)
+    runs = iter((whole, bare))
+    tracing = tracing_of("control.delay", structure=("rotor.lead_lag",))
+    _, after, found = _before_and_after(first, tracing, False, lambda spec, v: first, lambda spec, v: next(runs))
+    assert after is bare
+    assert found.accepted
 
 
 @pytest.mark.parametrize(("with_structure", "stays"), [(0.1, True), (0.103, True), (0.12, False)])
