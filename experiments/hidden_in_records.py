@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import torch
@@ -58,7 +59,10 @@ def _smoothed(values: np.ndarray, dt: float) -> np.ndarray:
 
 
 def _backlash(data: Dataset) -> Made:
-    """The command leads what acts by half the play on the side to which it moves, and crosses it where that turns."""
+    """The command leads what acts by half the play on the side to which it moves, and crosses it where that turns.
+
+    The noise of the record stays; the play that is found is larger by some of it, for noise moves nothing behind it.
+    """
     scales = data.scales()
     width = WIDTH * float(np.mean([scales[c] for c in data.controls]))
 
@@ -83,6 +87,8 @@ def _backlash(data: Dataset) -> Made:
 
 def _wind(data: Dataset) -> Made:
     """A quarter turn more for each flight, and the air's motion added to that over ground."""
+    if any(data.facts[name].has(c) for name in data.flights for c in ("north", "east")):
+        raise ValueError("positions over ground would have to be carried along")
 
     def change(k: int, flight: Flight) -> Records:
         x = {c: v.numpy() for c, v in flight.channels.items()}
@@ -103,9 +109,8 @@ def _wind(data: Dataset) -> Made:
 def _vibration(data: Dataset) -> Made:
     """A line at the passing of the blades, felt where the sensors are mounted."""
     rotor = data.vehicle.rotor
-    assert rotor is not None
-    assert rotor.blades is not None
-    assert rotor.speed is not None
+    if rotor is None or rotor.blades is None or rotor.speed is None:
+        raise ValueError("no rotor is declared whose blades pass")
     passing = rotor.blades * rotor.speed
 
     def change(k: int, flight: Flight) -> Records:
@@ -131,7 +136,15 @@ def _slipped(data: Dataset) -> Made:
     return Made(_changed(data, change), {})
 
 
-CAUSES: dict[str, Callable[[Dataset], Made]] = {
+Cause = Literal[
+    "control.delay",
+    "control.lag",
+    "control.backlash",
+    "environment.wind",
+    "environment.vibration",
+    "outside.slipped_control",
+]
+CAUSES: dict[Cause, Callable[[Dataset], Made]] = {
     "control.delay": _delay,
     "control.lag": _lag,
     "control.backlash": _backlash,

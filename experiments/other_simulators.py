@@ -17,10 +17,11 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Literal
 
 import torch
 import tyro
-from hidden_in_records import CAUSES
+from hidden_in_records import CAUSES, Cause
 from loop_lines import failure, loop_line, read_lines
 from loop_runs import over_sets, sets_left
 from loop_tables import markdown, number, write_between
@@ -57,7 +58,7 @@ class Args:
     """Run nothing; turn the lines into the table."""
     page: Path = ROOT / "docs" / "closed-loop.md"
     """Page that holds the table, between its markers."""
-    hide: tuple[str, ...] = ()
+    hide: tuple[Cause, ...] = ()
     """Causes that are put into the records, each of each set; their lines are in a table of their own."""
     processes: int = 1
     """Sets at the same time."""
@@ -66,7 +67,7 @@ class Args:
     """Lines (runs.jsonl), one RUN per set, and TensorBoard records."""
 
 
-def run_set(place: Path, out: Path, seed: int, hide: str = "") -> dict:
+def run_set(place: Path, out: Path, seed: int, hide: Cause | Literal[""] = "") -> dict:
     """Close the loop on one set, a cause put into its records where one is told; its RUN stays, with the report."""
     torch.set_num_threads(1)
     name, began = place.name, time.perf_counter()
@@ -79,9 +80,9 @@ def run_set(place: Path, out: Path, seed: int, hide: str = "") -> dict:
         dataset = rotorid.load(place)
         if hide:
             made = CAUSES[hide](dataset)
-            dataset, true = made.dataset, {n: v + true.get(n, 0.0) for n, v in made.true.items()}
+            dataset, true = made.dataset, {**true, **{n: v + true.get(n, 0.0) for n, v in made.true.items()}}
         loop = rotorid.close_loop(dataset, out=out / line["case"].replace(" ", "-"), seed=seed)
-        line |= loop_line(loop, hides or (), true)
+        line |= loop_line(loop, hides or (), true) | {"true": dict(true)}
     except (ValueError, RuntimeError) as error:
         line |= failure(error)
     return line | {"seconds": round(time.perf_counter() - began, 1)}
@@ -91,12 +92,16 @@ def table(lines: Sequence[dict]) -> str:
     """Verdict, and J on unseen flights before and after, beside that of the noise."""
     order = list(HIDES)
     rows = []
-    for line in sorted(lines, key=lambda one: order.index(_set(one)) if _set(one) in order else len(order)):
+
+    def place(line: dict) -> tuple[int, str]:
+        return order.index(_set(line)) if _set(line) in order else len(order), line["case"]
+
+    for line in sorted(lines, key=place):
         hides = "not told" if line["hidden"] is None else ", ".join(line["hidden"]) or "nothing"
         if "failed" in line:
             rows.append((_set(line), hides, line["failed"], *[""] * 7))
             continue
-        true = [number(p["true"]) for p in line["parameters"].values() if p["true"] is not None]
+        true = [f"{n.rpartition('.')[2]} {v:.3g}" for n, v in line.get("true", {}).items()]
         hides += f" ({', '.join(true)})" if true else ""
         j = line["J"]
         scores = [number(j[when][flights]) for flights in ("validate", "acid") for when in ("before", "after", "noise")]

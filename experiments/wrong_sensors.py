@@ -1,9 +1,9 @@
 """Are sensor errors told apart on records that other people's simulators made? Named, in a group, silent or misnamed.
 
-Every data set gets an error of every kind in turn, of a channel or unit, size and sign drawn at random (0.5 to 2 times
-the typical size), put into its records by formulas of this file; then the sensors are compared with each other, which
-is the first thing that `rotorid close-loop` does. One JSON line per run; runs that have a line are not repeated.
-`--report` writes the table into docs/closed-loop.md.
+Every data set gets an error of every kind in turn, of each channel or unit in turn, size and sign drawn at random (0.5
+to 2 times the typical size), put into its records by formulas of this file; then the sensors are compared with each
+other and with the controls, which is the first thing that `rotorid close-loop` does. One JSON line per run; runs that
+have a line are not repeated. `--report` writes the table into docs/closed-loop.md.
 
 Expected: no false name; nothing on the sets as they are; silence only where an error is too small to show, as the
 scale of accelerometers along which a hovering vehicle hardly accelerates; short filters in a group with delays.
@@ -15,6 +15,7 @@ import json
 import math
 import os
 import time
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
@@ -31,7 +32,8 @@ from loop_tables import OUTCOMES, markdown, share, write_between
 import rotorid_torch as rotorid
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.facts import Facts
-from rotorid_torch.trace.kinematics import kinematic_findings
+from rotorid_torch.data.one_rate import at_one_rate
+from rotorid_torch.trace.clocks import sensor_findings
 
 ROOT = Path(__file__).parents[1]
 RATES, FORCES, BODY_AXES = ("p", "q", "r"), ("ax", "ay", "az"), ("x", "y", "z")
@@ -46,6 +48,7 @@ MEMBERS: dict[str, dict[str, float]] = {
 }
 """What may be wrong, by kind of error, and its typical size: rad/s and m/s², 1, rad, m, s."""
 ONE_SIGN = ("delay", "filter")
+WHOLE = ("misalignment", "lever_arm")  # three axes are told together
 SMOOTHED_S = 0.1
 """Rates are smoothed over this before they are differentiated for an arm."""
 Records = dict[str, np.ndarray]
@@ -151,26 +154,28 @@ def run_one(place: Path, kind: str, number: int, seed: int) -> dict:
     began, dataset = time.perf_counter(), rotorid.load(place)
     told = {"case": f"{place.name} {kind} {number} seed {seed}", "hidden": [], "set": place.name, "kind": kind}
     if kind != "nothing":
-        rng = np.random.default_rng([seed, number, list(MEMBERS).index(kind)])
-        member = str(rng.choice(list(MEMBERS[kind])))
+        rng = np.random.default_rng([seed, number, zlib.crc32(f"{place.name} {kind}".encode())])
+        member = list(MEMBERS[kind])[number % len(MEMBERS[kind])]
         size = MEMBERS[kind][member] * float(2.0 ** rng.uniform(-1.0, 1.0))
         size *= 1.0 if kind in ONE_SIGN else float(rng.choice((-1.0, 1.0)))
         dataset = with_error(dataset, kind, member, size)
         told |= {"hidden": [f"sensors.{kind}"], "member": f"sensors.{kind}.{member}", "size": size}
-    found = kinematic_findings(dataset)
+    found = sensor_findings(at_one_rate(dataset))
     named = [f.id for f in found.findings if f.verdict == "accepted"]
     group = [f.id for f in found.findings if f.verdict == "indistinguishable"]
-    own = [p for f in found.findings for p in f.parameters if p.name == told.get("member")]
-    told |= {"named": named, "group": group, "verdict": "undeclared" if named else "group" if group else "nothing"}
+    accepted = [p for f in found.findings for p in f.parameters if p.accepted]
+    own = [p for p in accepted if p.name == told.get("member")]
+    told |= {"named": named, "group": group, "accepted": [p.name for p in accepted]}
     told |= {"found": own[0].value, "se": own[0].se} if own else {}
     sentence = f"{', '.join(named) or 'nothing'}, {told.get('member', 'nothing')} hidden"
     return told | {"sentence": sentence, "seconds": round(time.perf_counter() - began, 1)}
 
 
 def outcome(line: dict) -> str:
-    """What a run's answer is worth."""
+    """What a run's answer is worth; the right effect of another channel, unit or axis is a false name."""
     hidden, named, group = (set(line[key]) for key in ("hidden", "named", "group"))
-    if named - hidden or (group and not group & hidden):
+    wrong = named and line["kind"] not in WHOLE and set(line["accepted"]) != {line["member"]}
+    if named - hidden or (group and not group & hidden) or wrong:
         return "false name"
     return "in a group" if group else "named" if named else "silent"
 
@@ -181,12 +186,14 @@ def table(lines: Sequence[dict]) -> str:
     for kind in ("nothing", *MEMBERS):
         own = [line for line in lines if line["kind"] == kind]
         said = [outcome(line) for line in own]
-        right = [line for line in own if outcome(line) == "named" and "found" in line]
-        ratio = f"{median(line['found'] / line['size'] for line in right):.3f}" if right else ""
+        off = sorted(abs(line["found"] - line["size"]) / line["se"] for line in own if "found" in line)
+        ratios = [line["found"] / line["size"] for line in own if "found" in line]
+        sizes = (f"{median(ratios):.3f}", f"{median(off):.1f}", f"{off[-1]:.1f}") if off else ("", "", "")
         counts = [str(said.count(one)) if one in said else "" for one in OUTCOMES if one not in ("in part", "no name")]
-        rows.append((kind if kind == "nothing" else f"sensors.{kind}", str(len(own)), *counts, ratio))
+        rows.append((kind if kind == "nothing" else f"sensors.{kind}", str(len(own)), *counts, *sizes))
     hidden = [outcome(line) for line in lines if line["hidden"]]
-    head = ("wrong", "runs", "named", "in a group", "silent", "false name", "found / true, median")
+    off = ("found / true, median", "standard errors off, median", "largest")
+    head = ("wrong", "runs", "named", "in a group", "silent", "false name", *off)
     summary = f"Named alone: {share(hidden.count('named'), len(hidden))}."
     return markdown(head, rows) + f"\n\n{summary}"
 

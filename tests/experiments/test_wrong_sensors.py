@@ -46,19 +46,23 @@ def test_a_turned_unit_reads_along_its_own_axes() -> None:
 
 def test_the_table_counts_what_was_said() -> None:
     module = import_module("wrong_sensors")
-    one = {"kind": "delay", "hidden": ["sensors.delay"], "group": [], "size": 0.05, "found": 0.06, "se": 0.001}
+    delay, late = "sensors.delay", "sensors.delay.rates"
+    one = {"kind": "delay", "hidden": [delay], "member": late, "accepted": [late], "group": [], "size": 0.05}
+    sized = {"found": 0.06, "se": 0.002}
     lines = [
-        one | {"named": ["sensors.delay"]},
-        one | {"named": [], "group": ["sensors.delay", "sensors.filter"]},
-        one | {"named": ["sensors.delay", "sensors.bias"]},
+        one | sized | {"named": [delay]},
+        one | {"named": [], "group": [delay, "sensors.filter"]},
+        one | {"named": [delay, "sensors.bias"]},
+        one | {"named": [delay], "accepted": ["sensors.delay.attitude"]},
         one | {"named": [], "group": ["sensors.filter", "sensors.scale"]},
         {"kind": "nothing", "hidden": [], "named": [], "group": []},
     ]
-    assert [module.outcome(line) for line in lines] == ["named", "in a group", "false name", "false name", "silent"]
+    said = ["named", "in a group", "false name", "false name", "false name", "silent"]
+    assert [module.outcome(line) for line in lines] == said
     text = module.table(lines)
-    assert "| sensors.delay | 4 | 1 | 1 |  | 2 | 1.200 |" in text
-    assert "| nothing | 1 |  |  | 1 |  |  |" in text
-    assert "Named alone: 1 of 4 (25 %;" in text
+    assert "| sensors.delay | 5 | 1 | 1 |  | 3 | 1.200 | 5.0 | 5.0 |" in text
+    assert "| nothing | 1 |  |  | 1 |  |  |  |  |" in text
+    assert "Named alone: 1 of 5 (20 %;" in text
 
 
 def test_errors_in_other_peoples_records_are_named(tmp_path: Path) -> None:

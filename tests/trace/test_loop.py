@@ -20,7 +20,7 @@ from rotorid_torch.trace.decide import gain, smallest_visible
 from rotorid_torch.trace.fits import CAREFUL, Fitted, Flights, refit
 from rotorid_torch.trace.floor import Floors
 from rotorid_torch.trace.loop import Tracing, _Search, trace
-from rotorid_torch.trace.screen import Screen, screen, signatures
+from rotorid_torch.trace.screen import Screen, _ranges, screen, signatures
 from tests.known_models import flown, manoeuvres, rate_vehicle, with_values
 
 DT = 0.02
@@ -106,8 +106,19 @@ def test_a_smaller_size_speaks_for_one_with_which_trajectories_leave_all_that_wa
 
     slope, whole = (seen(part).sizes([damping])[f"{damping}.L"] for part in (2.0**-6, 8.0))
     assert abs(whole / slope - 1.0) > 0.5  # at 16 1/rad nothing is in proportion
-    monkeypatch.setattr("rotorid_torch.trace.screen._ranges", lambda outputs: torch.full((), 1e-4))
+    monkeypatch.setattr("rotorid_torch.trace.screen._ranges", lambda outputs, noise: torch.full((), 1e-4))
     assert seen(1.0).sizes([damping])[f"{damping}.L"] == pytest.approx(slope, rel=0.05)
+
+
+def test_an_output_that_never_moved_says_nothing_of_what_is_large():
+    """Missing, still, noise alone, moving."""
+    noise = torch.tensor([0.1, 0.1, 0.1, 0.1], dtype=torch.float64)
+    moving = torch.linspace(-3.0, 5.0, 60, dtype=torch.float64)
+    chance = 0.1 * torch.randn(60, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    outputs = torch.stack([torch.full_like(moving, math.nan), torch.ones_like(moving), chance, moving], dim=-1)
+    outputs[::7, 3] = math.nan
+    assert _ranges(outputs, noise)[:3].isinf().all()
+    assert float(_ranges(outputs, noise)[3]) == pytest.approx(8.0, rel=0.05)
 
 
 def test_a_hidden_rate_limit_is_told_from_a_delay():
