@@ -9,14 +9,12 @@ after 6 s: a cause that no library holds.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass
 
 import numpy as np
-import torch
+from changed_records import Records, changed, smoothed
 
 from rotorid_torch.data import Dataset
-from rotorid_torch.data.facts import Facts
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.trace.sensor_correction import without_errors
 
@@ -25,7 +23,6 @@ NORTH, EAST = -4.6, -3.9  # m/s
 PASSING = {"ax": 0.3, "ay": 0.3, "az": 0.8, "p": 0.01, "q": 0.008, "r": 0.004}  # m/s² and rad/s
 SLIPPED, ONSET, LEFT, SLIP = "lat", 6.0, 0.5, 0.015  # s, part that arrives, shift as a part of the range
 TRIM_S, QUIET_S = 0.5, 0.06
-Records = Mapping[str, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -44,20 +41,6 @@ def _lag(data: Dataset) -> Made:
     return Made(without_errors(data, {"filter.controls": LAG}), {"control.lag.common": LAG})
 
 
-def _changed(data: Dataset, change: Callable[[int, Flight], Records]) -> Dataset:
-    flights = {}
-    for k, (name, flight) in enumerate(data.flights.items()):
-        new = {c: torch.from_numpy(np.ascontiguousarray(v)) for c, v in change(k, flight).items()}
-        flights[name] = replace(flight, channels={**flight.channels, **new})
-    return replace(data, flights=flights, facts={name: Facts.of(flight) for name, flight in flights.items()})
-
-
-def _smoothed(values: np.ndarray, dt: float) -> np.ndarray:
-    half = max(1, round(QUIET_S / dt))
-    window = np.hanning(2 * half + 3)[1:-1]
-    return np.convolve(np.pad(values, half, mode="edge"), window / window.sum(), "valid")
-
-
 def _backlash(data: Dataset) -> Made:
     """The command leads what acts by half the play on the side to which it moves, and crosses it where that turns.
 
@@ -69,7 +52,7 @@ def _backlash(data: Dataset) -> Made:
     def change(k: int, flight: Flight) -> Records:
         out = {}
         for c in data.controls:
-            acts = _smoothed(flight.channels[c].numpy(), flight.dt)
+            acts = smoothed(flight.channels[c].numpy(), max(1, round(QUIET_S / flight.dt)))
             side, turned = np.zeros_like(acts), 0  # where it went furthest to the side to which it moves
             for i, x in enumerate(acts):
                 side[i] = side[i - 1] if i else float(np.sign(acts[-1] - x)) or 1.0
@@ -82,7 +65,7 @@ def _backlash(data: Dataset) -> Made:
             out[c] = command + (flight.channels[c].numpy() - acts)
         return out
 
-    return Made(_changed(data, change), {"control.backlash.width": width})
+    return Made(changed(data, change), {"control.backlash.width": width})
 
 
 def _wind(data: Dataset) -> Made:
@@ -103,7 +86,7 @@ def _wind(data: Dataset) -> Made:
             "w": x["w"] - right * np.sin(phi) + down * np.cos(phi),
         }
 
-    return Made(_changed(data, change), {"environment.wind.north": NORTH, "environment.wind.east": EAST})
+    return Made(changed(data, change), {"environment.wind.north": NORTH, "environment.wind.east": EAST})
 
 
 def _vibration(data: Dataset) -> Made:
@@ -121,7 +104,7 @@ def _vibration(data: Dataset) -> Made:
             if c in flight.channels
         }
 
-    return Made(_changed(data, change), {})
+    return Made(changed(data, change), {})
 
 
 def _slipped(data: Dataset) -> Made:
@@ -133,18 +116,10 @@ def _slipped(data: Dataset) -> Made:
         command = trim + (acts - trim - SLIP * (high - low)) / LEFT
         return {SLIPPED: np.where(flight.time.numpy() >= ONSET, command, acts)}
 
-    return Made(_changed(data, change), {})
+    return Made(changed(data, change), {})
 
 
-Cause = Literal[
-    "control.delay",
-    "control.lag",
-    "control.backlash",
-    "environment.wind",
-    "environment.vibration",
-    "outside.slipped_control",
-]
-CAUSES: dict[Cause, Callable[[Dataset], Made]] = {
+CAUSES: dict[str, Callable[[Dataset], Made]] = {
     "control.delay": _delay,
     "control.lag": _lag,
     "control.backlash": _backlash,

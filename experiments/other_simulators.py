@@ -17,11 +17,10 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal
 
 import torch
 import tyro
-from hidden_in_records import CAUSES, Cause
+from hidden_in_records import CAUSES
 from loop_lines import failure, loop_line, read_lines
 from loop_runs import over_sets, sets_left
 from loop_tables import markdown, number, write_between
@@ -58,7 +57,7 @@ class Args:
     """Run nothing; turn the lines into the table."""
     page: Path = ROOT / "docs" / "closed-loop.md"
     """Page that holds the table, between its markers."""
-    hide: tuple[Cause, ...] = ()
+    hide: tuple[str, ...] = ()
     """Causes that are put into the records, each of each set; their lines are in a table of their own."""
     processes: int = 1
     """Sets at the same time."""
@@ -67,7 +66,7 @@ class Args:
     """Lines (runs.jsonl), one RUN per set, and TensorBoard records."""
 
 
-def run_set(place: Path, out: Path, seed: int, hide: Cause | Literal[""] = "") -> dict:
+def run_set(place: Path, out: Path, seed: int, hide: str = "") -> dict:
     """Close the loop on one set, a cause put into its records where one is told; its RUN stays, with the report."""
     torch.set_num_threads(1)
     name, began = place.name, time.perf_counter()
@@ -119,6 +118,8 @@ def study(args: Args, file: Path) -> dict:
     """Run the sets that are there and have no line yet; those that are not are named with the reason."""
     given, skipped = [], {}
     for hide in args.hide or ("",):
+        if hide and hide not in CAUSES:
+            raise SystemExit(f"there is no '{hide}' to put into records; one of: {', '.join(CAUSES)}")
         left, skipped = sets_left(args.data, args.sets, args.quick, file, hide)
         given += [(args.data / name, args.out / "runs", args.seed, hide) for name in left]
     return {"runs": over_sets(run_set, given, args.processes, file, asdict(args)), "skipped": skipped}

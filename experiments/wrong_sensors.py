@@ -17,7 +17,7 @@ import os
 import time
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
 from statistics import median
@@ -25,13 +25,14 @@ from statistics import median
 import numpy as np
 import torch
 import tyro
+from changed_records import Records, changed, smoothed
 from loop_lines import read_lines
-from loop_runs import over_sets
+from loop_runs import over_sets, sets_left
 from loop_tables import OUTCOMES, markdown, share, write_between
 
 import rotorid_torch as rotorid
 from rotorid_torch.data import Dataset
-from rotorid_torch.data.facts import Facts
+from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.trace.clocks import sensor_findings
 
@@ -51,7 +52,6 @@ ONE_SIGN = ("delay", "filter")
 WHOLE = ("misalignment", "lever_arm")  # three axes are told together
 SMOOTHED_S = 0.1
 """Rates are smoothed over this before they are differentiated for an arm."""
-Records = dict[str, np.ndarray]
 
 
 @dataclass
@@ -98,10 +98,7 @@ def _misalignment(records: Records, member: str, size: float, dt: float) -> Reco
 def _lever_arm(records: Records, member: str, size: float, dt: float) -> Records:
     """Accelerometers displaced along an axis of the body."""
     arm = size * np.eye(3)[BODY_AXES.index(member)]
-    half = round(0.5 * SMOOTHED_S / dt)
-    window = np.hanning(2 * half + 3)[1:-1]
-    smooth = [np.convolve(np.pad(records[c], half, mode="edge"), window / window.sum(), "valid") for c in RATES]
-    rates = np.stack(smooth, axis=-1)
+    rates = np.stack([smoothed(records[c], round(0.5 * SMOOTHED_S / dt)) for c in RATES], axis=-1)
     added = np.cross(np.gradient(rates, dt, axis=0), arm) + np.cross(rates, np.cross(rates, arm))
     return {c: records[c] + added[:, k] for k, c in enumerate(FORCES)}
 
@@ -139,13 +136,11 @@ WRONG: dict[str, Callable[[Records, str, float, float], Records]] = {
 
 def with_error(dataset: Dataset, kind: str, member: str, size: float) -> Dataset:
     """The data set with one sensor error in all its flights."""
-    flights = {}
-    for name, flight in dataset.flights.items():
-        records = {c: values.numpy() for c, values in flight.channels.items()}
-        wrong = {c: torch.from_numpy(v) for c, v in WRONG[kind](records, member, size, flight.dt).items()}
-        flights[name] = replace(flight, channels={**flight.channels, **wrong})
-    facts = {name: Facts.of(flight) for name, flight in flights.items()}
-    return replace(dataset, flights=flights, facts=facts)
+
+    def change(number: int, flight: Flight) -> Records:
+        return WRONG[kind]({c: values.numpy() for c, values in flight.channels.items()}, member, size, flight.dt)
+
+    return changed(dataset, change)
 
 
 def run_one(place: Path, kind: str, number: int, seed: int) -> dict:
@@ -200,14 +195,12 @@ def table(lines: Sequence[dict]) -> str:
 
 def study(args: Args, file: Path) -> dict:
     """Run what has no line yet."""
-    there = [n for n in args.sets if (args.data / n / "dataset.toml").exists()]
-    skipped = {n: f"no data set in {args.data}" for n in args.sets if n not in there}
-    draws, sets = (1, there[:1]) if args.quick else (args.draws, there)
-    wanted = [(args.data / n, kind, k, args.seed) for n in sets for kind in MEMBERS for k in range(draws)]
-    wanted += [(args.data / n, "nothing", 0, args.seed) for n in sets]
-    done = {line["case"] for line in read_lines(file)}
-    left = [one for one in wanted if f"{one[0].name} {one[1]} {one[2]} seed {one[3]}" not in done]
-    return {"runs": over_sets(run_one, left, args.processes, file, asdict(args)), "skipped": skipped}
+    draws = [(kind, k) for kind in MEMBERS for k in range(1 if args.quick else args.draws)]
+    given, skipped = [], {}
+    for kind, k in (*draws, ("nothing", 0)):
+        left, skipped = sets_left(args.data, args.sets, args.quick, file, f"{kind} {k} seed {args.seed}")
+        given += [(args.data / name, kind, k, args.seed) for name in left]
+    return {"runs": over_sets(run_one, given, args.processes, file, asdict(args)), "skipped": skipped}
 
 
 def main(args: Args) -> None:

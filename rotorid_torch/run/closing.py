@@ -182,9 +182,9 @@ def _before_and_after(
         plain = _best([first, wrong(null.spec, null.values)]) if tracing.structure else first
         # what ordinary physics is left out the named effect takes up, and its size is no longer its own
         whole, *bare = shapes(final.spec, final.values)
-        tried = [*bare, whole] if any(clearly_worse(_free_run_gain(run, whole)) for run in bare) else [whole, *bare]
         if first.spec.motors:
             return plain, whole, tracing
+        tried = [*bare, whole] if any(clearly_worse(_free_run_gain(run, whole)) for run in bare) else [whole, *bare]
         without = _best(shapes(null.spec, null.values)) if sensors else plain
         against = [_objection(without, run, tracing) for run in tried]
         for run, why in zip(tried, against, strict=True):
