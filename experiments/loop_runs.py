@@ -6,8 +6,10 @@ import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import wait
 from pathlib import Path
+from threading import Thread
 
 from loop_lines import append_line, read_lines
 from rich.console import Console
@@ -21,9 +23,21 @@ def lines_of(run: Callable[..., dict], given: Sequence[tuple], processes: int) -
         return
     share = max(1, len(os.sched_getaffinity(0)) // processes)
     os.environ.update({"OMP_NUM_THREADS": "1", "ROTORID_THREADS": str(share)})
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_end_with_parent) as pool:
         for done in as_completed([pool.submit(run, *each) for each in given]):
             yield done.result()
+
+
+def _end_with_parent() -> None:
+    """A study that is killed leaves no worker behind that goes on with what was queued."""
+
+    def watch() -> None:
+        parent = parent_process()
+        if parent is not None:
+            wait([parent.sentinel])
+            os._exit(1)
+
+    Thread(target=watch, daemon=True).start()
 
 
 def keep(lines: Iterable[dict], file: Path, total: int, writer: SummaryWriter) -> int:

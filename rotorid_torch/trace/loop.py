@@ -1,13 +1,8 @@
-"""Closing the loop: structure first, then undeclared effects by forward selection, each tested again beside the others.
-
-Every candidate is screened in one batch; the few that pass their floors are fitted in full; flights that no fit has
-seen decide.
-"""
+"""Closing the loop: structure first, then undeclared effects, then what stays without a name."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -15,51 +10,17 @@ from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.trace.by_control import by_control
-from rotorid_torch.trace.candidates import candidates, of_control_path, untried
-from rotorid_torch.trace.decide import (
-    TIMES,
-    errors,
-    gain,
-    not_joined,
-    objection,
-    rivals,
-    smallest_visible,
-    told,
-    too_short,
-    unseen_gain,
-)
+from rotorid_torch.trace.candidates import candidates, untried
+from rotorid_torch.trace.decide import told
 from rotorid_torch.trace.finding import Finding, Unknown
-from rotorid_torch.trace.fits import (
-    BEGINNING,
-    CAREFUL,
-    Fitted,
-    Flights,
-    control_by_control,
-    refit,
-)
+from rotorid_torch.trace.findings import findings
+from rotorid_torch.trace.fits import Fitted, Flights, refit
 from rotorid_torch.trace.floor import Floors, Null, family_wise
-from rotorid_torch.trace.forces import seen_in_forces
-from rotorid_torch.trace.places import explained_trims
 from rotorid_torch.trace.residual import chance, left_over, scan
-from rotorid_torch.trace.screen import Screen, screen
-from rotorid_torch.trace.significance import helps
-from rotorid_torch.trace.spread import Wanted, fits
+from rotorid_torch.trace.search import Say, Search
 from rotorid_torch.trace.unexplained import unknown
 
-FEW = 4
-"""Candidates that are fitted in full in one round, those that explain most."""
-ROUNDS = 4
-"""Undeclared effects that may join, at most."""
-LONGEST = 4
-"""Times that a fit may go on, at most."""
-ALIKE = 0.5
-"""Share of what controls explain one by one that all of them alike explain at least where they are alike; two late
-controls of four like ones explain half of it so, one of four a quarter."""
-ROTOR = ("rotor.flap_second_order", "rotor.lead_lag")
-"""Structure that every rotor has where it can be tested: in the null of all candidates from the start."""
 STILL = "which fly in still air, far from the ground: what is left over without a name can not be judged by them"
-Say = Callable[[str], None]
 
 
 class Named(Protocol):
@@ -100,254 +61,6 @@ class Tracing:
     sure: bool = True
 
 
-@dataclass
-class _Search:
-    """The state of the search: the model so far, and what was found on the way.
-
-    seed : of the shuffled residuals. asked_for : whether flights not fitted gain by the rotor's ordinary physics.
-    ranks : among which fits and tests of several candidates are spread; everything else is the same at each.
-    apart : for an accepted effect of the control path what it is for each control.
-    placed : gain and floor of effects of where the vehicle flies that explain what trims differ by; they join first.
-    gained : gain and floor of effects that joined later, fitted in full.
-    alone : floors of effects that were tried on each control by itself.
-    """
-
-    flights: Flights
-    held: tuple[str, ...]
-    floors: Floors
-    say: Say
-    seed: int
-    ranks: Ranks = ALONE
-    asked_for: bool = False
-    rejected: dict[str, tuple[str, float, Mapping[str, tuple[float, float]]]] = field(default_factory=dict)
-    hot: set[str] = field(default_factory=set)
-    groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    spread: dict[str, float] = field(default_factory=dict)
-    apart: dict[str, str] = field(default_factory=dict)
-    placed: dict[str, tuple[float, float]] = field(default_factory=dict)
-    gained: dict[str, tuple[float, float]] = field(default_factory=dict)
-    alone: dict[str, float] = field(default_factory=dict)
-
-    def screened(self, null: Fitted, effects: Sequence[str]) -> Screen:
-        """These effects against what a model leaves over."""
-        return screen(null, effects, seed=self.seed)
-
-    def with_each(
-        self,
-        null: Fitted,
-        starts: Mapping[str, Sequence[Mapping[str, float]]],
-        floors: Mapping[str, float],
-        each_control: Sequence[str] = (),
-    ) -> dict[str, Fitted]:
-        """The null with one more effect, for each of these, fitted in full; of several starts the best goes on.
-
-        each_control : those of them that have a size for each control.
-        """
-        richer = {e: null.spec.with_effects(e, each_control=e in each_control) for e in starts}
-        begun = [(e, Wanted(richer[e], {**null.values, **start}, null)) for e, own in starts.items() for start in own]
-        fitted: dict[str, Fitted] = {}
-        for (e, _), one in zip(begun, fits([w for _, w in begun], self.held, BEGINNING, self.ranks), strict=True):
-            fitted[e] = min(fitted.get(e, one), one, key=lambda f: f.cost)
-        return self.gone_on(fitted, floors)
-
-    def gone_on(self, fitted: Mapping[str, Fitted], least: Mapping[str, float]) -> dict[str, Fitted]:
-        """Fits gone on with until they have converged, or gain no more than the least that matters to each."""
-        now, going = dict(fitted), list(fitted)
-        for _ in range(LONGEST):
-            going = [name for name in going if not now[name].fit.minimum.converged]
-            wanted = [Wanted(now[name].spec, now[name].values, now[name]) for name in going]
-            longer = dict(zip(going, fits(wanted, self.held, CAREFUL, self.ranks), strict=True))
-            going = [name for name, one in longer.items() if gain(now[name], one) > least[name]]
-            now |= {name: one for name, one in longer.items() if gain(now[name], one) > 0.0}
-        return now
-
-    def settled(self, fitted: Fitted, least: float) -> Fitted:
-        """One fit gone on with."""
-        return self.gone_on({"": fitted}, {"": least})[""]
-
-    def why(self, structural: str) -> str:
-        """Why a structural effect is in the model."""
-        if structural in ROTOR and not self.asked_for:
-            return "ordinary physics of every rotor; flights not fitted do not gain by it"
-        return "ordinary physics that flights not fitted ask for"
-
-    def improved(self, null: Fitted, fitted: Mapping[str, Fitted], least: float) -> Fitted:
-        """The null fitted again from where the best candidate ended: what it gains so is not the candidate's."""
-        if not fitted:
-            return null
-        best = max(fitted.values(), key=lambda f: gain(null, f))
-        again = self.settled(refit(null.spec, self.flights, best.values, self.held, near=best), least)
-        if gain(null, again) <= 0.0:
-            return null
-        self.say(f"the model without candidates gains {gain(null, again):.3g} per sample from a better start")
-        return again
-
-    def place(self, null: Fitted, effects: Sequence[str]) -> Fitted:
-        """The null with what explains how trims differ from flight to flight: without that, no fit of it means much."""
-        rest = list(effects)
-        while found := explained_trims(null.spec, _of_effects(null.values, self.placed), self.flights, rest):
-            effect, one = next(iter(found.items()))
-            rest = [e for e in found if e != effect]
-            said = f"{effect} explains {100.0 * one.share:.0f} % of what trims of unseen flights differ by"
-            spec = null.spec.with_effects(effect)
-            told = one.start if not self.placed else _of_effects(one.start, [effect])
-            start = {n: v for n, v in told.items() if n not in self.held}
-            fitted = refit(spec, self.flights, {**null.values, **start}, self.held, near=null)
-            screened = self.screened(null, [effect])
-            floor = self.floors.chance(screened, [effect])[effect]
-            against = objection(null, fitted, effect, floor, screened, one.scatter)
-            self.say(f"{said}: gain {gain(null, fitted):.3g}, {against or 'joins'}")
-            if against is None:
-                self.placed[effect] = gain(null, fitted), floor
-                self.spread.update(one.scatter)
-                null = fitted
-        return null
-
-    def structure(self, null: Fitted, candidates: Sequence[str]) -> Fitted:
-        """The null with the rotor's ordinary physics, and what other structure helps flights that no fit has seen."""
-        rotor = [e for e in ROTOR if e in candidates]
-        if rotor:
-            spec = null.spec.with_effects(*rotor)
-            sizes = screen(null, rotor, shuffles=0).sizes(rotor)
-            richer = refit(spec, self.flights, {**null.values, **sizes}, self.held, near=null)
-            self.asked_for = helps(unseen_gain(null, richer))
-            if gain(null, richer) > 0.0:
-                self.say(f"structure: {' and '.join(rotor)} join, gain {gain(null, richer):.3g} per sample")
-                null = richer
-        rest = [e for e in candidates if e not in rotor]
-        while rest:
-            screened = self.screened(null, rest)
-            floors = self.floors.chance(screened, rest)
-            best = max(rest, key=lambda e: screened.gain([e]))
-            if screened.gain([best]) <= floors[best]:
-                break
-            fitted = self.with_each(null, {best: screened.starts(best)}, floors)[best]
-            null = self.improved(null, {best: fitted}, floors[best])
-            rest.remove(best)
-            against = objection(null, fitted, best, floors[best], screened, fitted.scatter(best))
-            self.say(f"structure: {best}, gain {gain(null, fitted):.3g} per sample: {against or 'joins'}")
-            if against is None:
-                null = fitted
-        return null
-
-    def undeclared(self, null: Fitted, candidates: Sequence[str]) -> tuple[Fitted, list[str]]:
-        """The null with the undeclared effects that pass, and their ids in the order in which they joined."""
-        accepted: list[str] = []
-        for _ in range(ROUNDS):
-            rest = [e for e in candidates if e not in accepted]
-            screens, floors, each = self._tested(null, accepted, rest)
-            by_screen = {e: one.gain([e]) for e, one in screens.items()}
-            promising = sorted((e for e in rest if by_screen[e] > floors[e]), key=lambda e: -by_screen[e])
-            seen = self.seen_in_forces(null, accepted, rest)
-            starts = {e: screens[e].starts(e) for e in promising[:FEW]}
-            if TIMES & starts.keys():  # rivals, of which the screen, a straight line, tells too little
-                starts |= {e: screens[e].starts(e, whole=True) for e in rest if e in TIMES - starts.keys()}
-            starts |= {e: [*starts.get(e, []), start] for e, start in seen.items()}
-            self.hot.update((*promising, *starts))
-            if starts:  # what the null may still gain by itself is no candidate's
-                null = self.settled(null, min(floors[e] for e in starts))
-            fitted = self.with_each(null, starts, floors, each)
-            least = min(floors.values(), default=0.0)
-            better = self.improved(null, fitted, least)
-            joined = self._joining(better, fitted, floors, screens)
-            if joined is None and gain(null, better) <= least:
-                return better, accepted
-            null = better
-            if joined is not None:
-                null = fitted[joined]
-                accepted.append(joined)
-        return null, accepted
-
-    def _tested(
-        self, null: Fitted, accepted: Sequence[str], effects: Sequence[str]
-    ) -> tuple[dict[str, Screen], dict[str, float], list[str]]:
-        """Screen and floor of each effect, and those of the control path that are tried on each control by itself.
-
-        That is where some of them are late, slow or loose and all controls alike are not, or explain little of it.
-        Beside another effect of the control path, one of each control would only stand for how controls differ in that.
-        """
-        common = self.screened(null, effects)
-        screens, path = dict.fromkeys(effects, common), of_control_path(effects)
-        if not path or len(null.spec.controls) < 2 or of_control_path(accepted):
-            return screens, self.floors.of(common, effects), []
-        alone = self.screened(control_by_control(null, path), path)
-        floors, own = self.floors.with_each_control(common, effects, alone, path)
-        gained = {e: alone.gain([e]) for e in path}
-        least = {e: max(floors[e], ALIKE * gained[e]) for e in path}
-        each = [e for e in path if gained[e] > own[e] and common.gain([e]) < least[e]]
-        if TIMES & {*each}:  # a delay of each control is no rival to one lag of all: as many sizes for both
-            each += [e for e in path if e in TIMES and e not in each]
-        self.alone.update({e: own[e] for e in each})
-        return screens | dict.fromkeys(each, alone), floors | {e: own[e] for e in each}, each
-
-    def seen_in_forces(
-        self, null: Fitted, accepted: Sequence[str], effects: Sequence[str]
-    ) -> dict[str, Mapping[str, float]]:
-        """Starts of effects that explain more of forces than by chance, and than on clean aircraft."""
-        seen, usual = seen_in_forces(null, accepted, effects, self.seed), self.floors.of_forces()
-        return {e: one.start for e, one in seen.items() if one.gain > max(one.chance, usual.get(e, 0.0))}
-
-    def _joining(
-        self, null: Fitted, fitted: Mapping[str, Fitted], floors: Mapping[str, float], screens: Mapping[str, Screen]
-    ) -> str | None:
-        """The effect that joins in this round, and in its group those that explain as much."""
-        against = self.ranks.share(
-            list(fitted), lambda e: objection(null, fitted[e], e, floors[e], screens[e], fitted[e].scatter(e))
-        )
-        why = dict(zip(fitted, against, strict=True))
-        for e, reason in why.items():
-            self.say(f"{e}: gain {gain(null, fitted[e]):.3g}, floor {floors[e]:.3g}: {reason or 'stands'}")
-            if reason is not None:
-                self.rejected[e] = (reason, gain(null, fitted[e]), errors(fitted[e], e, fitted[e].scatter(e)))
-        sane = [e for e, reason in why.items() if reason is None]
-        if not sane:
-            return None
-        best, near = rivals(null, fitted, floors, sane)
-        alike = self.ranks.share(near, lambda e: self._alike(fitted, best, e, floors))
-        same = tuple(e for e, one in zip(near, alike, strict=True) if one)
-        if same:
-            self.groups[best] = same
-        self.gained[best] = gain(null, fitted[best]), floors[best]
-        self.spread.update(fitted[best].scatter(best))
-        self.say(f"{best} joins" + (f", in a group with {', '.join(same)}" if same else ""))
-        return best
-
-    def _alike(self, fitted: Mapping[str, Fitted], one: str, other: str, floors: Mapping[str, float]) -> bool:
-        """Whether either of two effects leaves nothing for the other, which may have a size for each control."""
-
-        def left(there: str, asked: str) -> float:
-            apart = [asked] if asked in fitted[asked].spec.each_control else []
-            return self.screened(control_by_control(fitted[there], apart), [asked]).gain([asked])
-
-        return left(one, other) <= floors[other] and left(other, one) <= floors[one]
-
-    def confirmed(self, final: Fitted, accepted: list[str], floors: Mapping[str, float]) -> tuple[Fitted, list[str]]:
-        """Each accepted effect tested again beside the others; those that explain nothing more are taken out."""
-        for effect in list(accepted) if len(accepted) > 1 else []:
-            least, spec = floors.get(effect, 0.0), final.spec.without([effect])
-            without = self.settled(refit(spec, self.flights, final.values, self.held, near=final), least)
-            why = too_short(final, effect)
-            if gain(without, final) <= least:
-                why = "beside the others it explains nothing more"
-            if why is not None:
-                self.rejected[effect] = (why, gain(without, final), {})
-                accepted.remove(effect)
-                final = without
-        return final, accepted
-
-    def compare_controls(self, final: Fitted, accepted: Sequence[str]) -> None:
-        """Errors of what all controls have in common hold how far the controls agree."""
-        for effect in accepted:
-            found = by_control(final, effect, self.held)
-            if found is None:
-                continue
-            name = found.parameter
-            known = [e for e in (final.error(name), self.spread.get(name, 0.0)) if math.isfinite(e)]
-            self.spread[name] = math.hypot(max(known, default=0.0), found.spread)
-            self.apart[effect] = f"; {found}"
-            self.say(f"{effect}: {found}")
-
-
 def trace(
     spec: ModelSpec,
     start: Mapping[str, float],
@@ -367,8 +80,8 @@ def trace(
     say : told what happens, a line at a time. seed : of the shuffled residuals.
     ranks : processes that share the candidates, each of which calls this.
     """
-    testable, findings = candidates(spec)
-    search = _Search(flights, tuple(held), Floors({}, ""), say, seed, ranks)
+    testable, found = candidates(spec)
+    search = Search(flights, tuple(held), Floors({}, ""), say, seed, ranks)
     tested = [e for e in testable if registered()[e].role is Role.UNDECLARED]
     null = search.place(refit(spec, flights, start, held), tested)
     null = search.structure(null, [e for e in testable if registered()[e].role is Role.STRUCTURE])
@@ -386,25 +99,20 @@ def trace(
     search.compare_controls(final, accepted)
     missing = _missing(final, accepted, flights, search.floors, seed)
     before = _missing(null, (), flights, search.floors, seed)
-    findings += _told(search, final, structure, accepted, undeclared, first, usual)
+    found += findings(search, final, structure, accepted, undeclared, first, usual)
     return Tracing(
         null,
         final,
         structure,
         tuple(accepted),
         search.groups,
-        tuple(findings),
+        tuple(found),
         (search.floors.note, *untried(flights.dataset)),
         missing,
         before,
         search.spread,
         not accepted or told(final, null),
     )
-
-
-def _of_effects(values: Mapping[str, float], effects: Collection[str]) -> dict[str, float]:
-    """The parameters of these effects alone."""
-    return {n: v for n, v in values.items() if any(n.startswith(f"{e}.") for e in effects)}
 
 
 def _in_still_air(
@@ -434,67 +142,3 @@ def _missing(fitted: Fitted, accepted: Sequence[str], flights: Flights, floors: 
     if found is None or flights.dataset.validate:
         return found
     return replace(found, sentence=f"{found.sentence} No flight was kept back that could confirm it.")
-
-
-def _told(
-    search: _Search,
-    final: Fitted,
-    structure: Sequence[str],
-    accepted: Sequence[str],
-    undeclared: Sequence[str],
-    first: Screen,
-    floors: Mapping[str, float],
-) -> list[Finding]:
-    """One finding for each effect that was tested."""
-    found = [Finding(e, "structure", "accepted", search.why(e), values=errors(final, e, {})) for e in structure]
-    last = search.screened(final, [e for e in undeclared if e not in accepted])
-    alone = [e for e in search.alone if e not in accepted]
-    left = dict.fromkeys(undeclared, last)
-    if alone:
-        left |= dict.fromkeys(alone, search.screened(control_by_control(final, alone), alone))
-    tried = {**floors, **search.alone}
-    joined = [e for e in accepted if e not in search.placed]
-    grouped = {e: best for best, others in search.groups.items() if best in accepted for e in others}
-    for effect, (gained, floor) in search.placed.items():
-        verdict, values = "accepted", errors(final, effect, search.spread)
-        said = "it explains how trims differ between flights, and flights that no fit has seen are better described"
-        if effect not in accepted:
-            verdict, (said, gained, values) = "rejected", search.rejected[effect]
-        found.append(Finding(effect, "undeclared", verdict, said, gain=gained, floor=floor, values=values))
-    for effect in undeclared:
-        visible = smallest_visible(first, effect, floors[effect])
-        gained, floor = search.gained.get(effect, (first.gain([effect]), floors[effect]))
-        keep = {"gain": gained, "floor": floor, "smallest_visible": visible}
-        if effect in accepted and effect in search.groups:
-            names = ", ".join(search.groups[effect])
-            said = f"something of this kind acts, but these flights cannot tell it from {names}"
-            said += search.apart.get(effect, "")
-            found.append(
-                Finding(
-                    effect,
-                    "undeclared",
-                    "indistinguishable",
-                    said,
-                    **keep,
-                    group=search.groups[effect],
-                    values=errors(final, effect, search.spread),
-                )
-            )
-        elif effect in accepted:
-            said = "no other effect explains it, and flights that no fit has seen are better described"
-            said += search.apart.get(effect, "")
-            found.append(
-                Finding(effect, "undeclared", "accepted", said, **keep, values=errors(final, effect, search.spread))
-            )
-        elif effect in grouped:
-            best = grouped[effect]
-            group = (best, *(e for e in search.groups[best] if e != effect))
-            said = f"these flights cannot tell it from {best}"
-            found.append(Finding(effect, "undeclared", "indistinguishable", said, **keep, group=group))
-        elif effect in search.rejected and left[effect].gain([effect]) > tried[effect]:
-            reason, got, values = search.rejected[effect]
-            known = {**keep, "gain": got, "floor": tried[effect]}
-            found.append(Finding(effect, "undeclared", "rejected", reason, **known, values=values))
-        else:
-            found.append(not_joined(last, effect, floors[effect], joined, effect in search.hot))
-    return found

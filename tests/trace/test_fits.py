@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import msgspec
@@ -55,3 +56,13 @@ def test_the_scatter_of_an_effect_is_that_of_fits_without_one_flight_each(null: 
         each = torch.tensor([values[name] for values in found], dtype=torch.float64)
         exact = ((len(each) - 1) * each.var(correction=0)).sqrt()
         assert error == pytest.approx(float(exact), rel=0.3)
+
+
+def test_a_parameter_that_cannot_be_told_has_no_finite_error(null: Fitted):
+    twice = refit(null.spec, null.flights, null.values, held=[n for n in null.names if n != "forces.L.p"])
+    assert 0.0 < twice.error("forces.L.p") < math.inf
+    assert twice.error("forces.L.lat") == math.inf
+    blind = replace(
+        twice, fit=replace(twice.fit, minimum=replace(twice.fit.minimum, not_identifiable=torch.ones(1) > 0))
+    )
+    assert blind.error("forces.L.p") == math.inf

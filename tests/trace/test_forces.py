@@ -16,9 +16,9 @@ from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.fits import Fitted, Flights, refit
 from rotorid_torch.trace.floor import Floors
 from rotorid_torch.trace.forces import _explained, seen_in_forces
-from rotorid_torch.trace.loop import _Search
 from rotorid_torch.trace.residual import left_over
 from rotorid_torch.trace.screen import signatures
+from rotorid_torch.trace.search import Search
 from tests.known_models import flown, linear_vehicle, manoeuvres, with_values
 
 DT = 0.02
@@ -49,7 +49,7 @@ def test_what_clean_aircraft_show_in_forces_too_is_not_tried():
 
     def tried(clean: float) -> Sequence[str]:
         floors = Floors({}, "", in_forces={LOAD: torch.full((24,), clean, dtype=torch.float64)})
-        return list(_Search(null.flights, (), floors, lambda line: None, 0).seen_in_forces(null, (), [LOAD]))
+        return list(Search(null.flights, (), floors, lambda line: None, 0).seen_in_forces(null, (), [LOAD]))
 
     assert tried(0.9 * gain) == [LOAD]
     assert tried(1.1 * gain) == []

@@ -1,0 +1,40 @@
+"""Flights of a small known model with something hidden, and the loop on them."""
+
+from __future__ import annotations
+
+from rotorid_torch.data import Dataset
+from rotorid_torch.identification.reconstruct import reconstruct
+from rotorid_torch.identification.step2 import regress_model
+from rotorid_torch.identification.structure import propose
+from rotorid_torch.model.nominal import build
+from rotorid_torch.trace.fits import Fitted, Flights, refit
+from rotorid_torch.trace.floor import Floors
+from rotorid_torch.trace.loop import Tracing, trace
+from tests.known_models import flown, manoeuvres, rate_vehicle, with_values
+
+DT = 0.02
+SUSPECTS = ("control.delay", "control.lag", "forces.quadratic_damping")
+
+
+def flights(*effects: str, seed: int = 3, **values: float) -> Dataset:
+    names = {f"{e.replace('__', '.')}": v for e, v in values.items()}
+    truth = with_values(rate_vehicle(effects=effects), names)
+    moves = manoeuvres(8.0, DT)
+    both = {**moves, **{f"{name}_again": -0.8 * move for name, move in moves.items()}}
+    lists = {"identify": list(moves), "validate": [f"{name}_again" for name in moves]}
+    return flown(truth, both, DT, noise=0.02, seed=seed, lists=lists)
+
+
+def started(data: Dataset) -> tuple[Flights, Fitted]:
+    found = reconstruct(data)
+    spec = propose(data, found)
+    model = build(spec)
+    start = regress_model(model, data, found)
+    known = Flights(data, found)
+    values = dict(zip(model.parameter_set.names, start.theta.tolist(), strict=True))
+    return known, refit(spec, known, values, start.held)
+
+
+def traced(data: Dataset) -> Tracing:
+    known, null = started(data)
+    return trace(null.spec, null.values, (), known, lambda spec, effects: Floors({}, "none drawn"))
