@@ -43,12 +43,12 @@ from rotorid_torch.run.write import write_report
 from rotorid_torch.trace.clean import clean_floors
 from rotorid_torch.trace.clocks import sensor_findings
 from rotorid_torch.trace.decide import clearly_worse
-from rotorid_torch.trace.finding import Finding
+from rotorid_torch.trace.finding import Finding, Unknown
 from rotorid_torch.trace.fits import Fitted, Flights, refit
 from rotorid_torch.trace.loop import Tracing, trace
 from rotorid_torch.trace.multirotor import Identified, trace_rotors
 from rotorid_torch.trace.network import learn
-from rotorid_torch.trace.stochastic import stochastic_findings
+from rotorid_torch.trace.stochastic import TURBULENCE, stochastic_findings
 from rotorid_torch.trace.verdict import statement
 
 WORSE = "it describes segments of flights, but identified again with it, the model's free runs are clearly worse"
@@ -144,6 +144,7 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
     with monitor.step("trace"):
         tracing = (_rotors_traced if base.spec.motors else _traced)(base, flights, seed, steps)
         shaken = stochastic_findings(right, base.spec, gust_response(base.model))
+    tracing = _in_gusts(tracing, shaken)
     again = partial(_again, dataset=dataset, steps=steps)
     wrong = partial(again, first, seen=at_one_rate(dataset), sensors={})
     rerun = partial(again, base, seen=right, sensors=sensors.values)
@@ -161,6 +162,12 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
     if after is not None:
         after = replace(after, fit=_with_spread(after.fit, tracing.spread))
     return _loop(before, after, findings, monitor, tracing)
+
+
+def _in_gusts(tracing: Tracing, shaken: Sequence[Finding]) -> Tracing:
+    """The tracing without what has no name where gusts are left over too: clean aircraft fly in none."""
+    rough = any(f.id == TURBULENCE and f.verdict == "accepted" for f in shaken)
+    return replace(tracing, unknown=None, unknown_before=None) if rough else tracing
 
 
 def _before_and_after(
@@ -278,7 +285,7 @@ def _objection(without: Run, after: Run, tracing: Tracing) -> str | None:
         return NO_BETTER
     if _beyond_noise(after) > (1.0 - USABLE) * _moved(after):
         return FAILS
-    missing = tracing.unknown is not None
+    missing = tracing.unknown is not None and tracing.unknown.judged
     return IMITATES if missing and _beyond_noise(after) > 0.5 * _beyond_noise(without) else None
 
 
@@ -379,9 +386,17 @@ def _with_sensors(spec: ModelSpec, model: Model, sensors: Mapping[str, float]) -
     return richer, sensing
 
 
+def _record(missing: Unknown) -> UnknownRecord:
+    fields = {name: getattr(missing, name) for name in UnknownRecord.__struct_fields__}
+    return UnknownRecord(**fields)
+
+
 def _loop(before: Run, after: Run | None, findings: Sequence[Finding], monitor: Monitor, tracing: Tracing) -> Loop:
     run = after or before
-    told = statement([as_fitted(f, after) for f in findings], tracing.unknown, failing(run.fit))
+    missing, poor = tracing.unknown, failing(run.fit)
+    if missing is not None and not (missing.judged or poor):  # any model of other people's aircraft lacks something
+        missing = None
+    told = statement([as_fitted(f, after) for f in findings], missing, poor)
     record = Report(
         command="close-loop",
         dataset=run.record.dataset,
@@ -392,7 +407,7 @@ def _loop(before: Run, after: Run | None, findings: Sequence[Finding], monitor: 
         after=None if after is None else after.fit,
         verdict=VerdictRecord(kind=told.kind, effects=told.effects, sentence=told.sentence),
         effects=tuple(effect_record(f, run.model, after) for f in findings),
-        unknown=None if tracing.unknown is None else UnknownRecord(**vars(tracing.unknown)),
+        unknown=None if missing is None else _record(missing),
         warnings=(*run.record.warnings, *tracing.notes),
     )
     fields = {name: getattr(run, name) for name in Run.__dataclass_fields__}

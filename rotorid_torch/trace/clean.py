@@ -126,6 +126,8 @@ def clean_floors(
         told = sorted(flown, key=lambda f: f["misfit"])[:FEWEST]
         note = f"{kept}: floors come from the {len(told)} that come nearest"
     if len(told) < FEWEST:
+        for number in [n for n, f in known.items() if f not in flown] if ranks.first else ():
+            _file(folder, number).unlink(missing_ok=True)  # what cannot follow these records may follow the next ones
         return Floors(
             {}, f"floors come from shuffled residuals alone: {len(told)} of {draws} drawn aircraft could be flown"
         )

@@ -30,10 +30,14 @@ class Finding:
 
 @dataclass(frozen=True)
 class Unknown:
-    """Something is missing and has no name: equation, band in Hz, what it goes with, since when."""
+    """Something is missing and has no name: equation, band in Hz, what it goes with, since when.
+
+    judged : false where nothing but chance was there to tell that it is more than ordinary.
+    """
 
     where: str
     band_hz: tuple[float, float]
     goes_with: str | None
     since_s: float | None
     sentence: str
+    judged: bool = True

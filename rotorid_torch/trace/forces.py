@@ -17,7 +17,7 @@ from torch import Tensor
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.fits import Fitted
 from rotorid_torch.trace.floor import FALSE_ALARMS
-from rotorid_torch.trace.residual import LeftOver, by_chance, left_over
+from rotorid_torch.trace.residual import AT_ONCE, LeftOver, by_chance, left_over
 from rotorid_torch.trace.screen import Signature, signatures, sized
 
 
@@ -72,7 +72,8 @@ def _explained(over: LeftOver, changes: Tensor, variant: Sequence[Signature], se
     """
     residuals = torch.cat([over.residual[..., None], by_chance(over, seed)], dim=-1)
     low, high = torch.tensor([one.reach for one in variant], dtype=torch.float64).mT[..., None]
-    rows = [k for k in range(len(over.rows)) if bool(over.residual[:, k].any())]  # where anything moved
+    moved = over.residual.any(dim=0).tolist()
+    rows = [k for k, row in enumerate(over.rows) if row not in AT_ONCE and moved[k]]
     if not rows:
         return residuals.new_zeros(residuals.shape[-1]), residuals.new_zeros(len(variant))
     tried = torch.stack([over.beyond(changes[:, k], k) for k in rows])  # [rows, N, K]

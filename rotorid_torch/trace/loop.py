@@ -6,20 +6,24 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
+from rotorid_torch.core.names import FLAPPING
 from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.model.nominal import rows
 from rotorid_torch.trace.candidates import candidates, untried
 from rotorid_torch.trace.decide import told
 from rotorid_torch.trace.finding import Finding, Unknown
 from rotorid_torch.trace.findings import findings
 from rotorid_torch.trace.fits import Fitted, Flights, refit
 from rotorid_torch.trace.floor import Floors, Null, family_wise
-from rotorid_torch.trace.residual import chance, left_over, scan
+from rotorid_torch.trace.residual import AT_ONCE, chance, left_over, scan
 from rotorid_torch.trace.search import Say, Search
 from rotorid_torch.trace.unexplained import unknown
 
+UNJUDGED = "No clean aircraft tells how much of this is ordinary."
+UNCONFIRMED = "No flight was kept back that could confirm it."
 STILL = "which fly in still air, far from the ground: what is left over without a name can not be judged by them"
 
 
@@ -128,17 +132,22 @@ def _in_still_air(
 
 
 def _missing(fitted: Fitted, accepted: Sequence[str], flights: Flights, floors: Floors, seed: int) -> Unknown | None:
-    """What a model leaves over without a name, beyond clean aircraft and beyond chance."""
+    """What a model leaves over without a name, beyond chance, and beyond clean aircraft where any could be drawn.
+
+    Nothing where clean aircraft flew, but not where this one does.
+    """
     usual = floors.of_traces()
-    if not usual:
+    if floors.gains and not usual:
         return None
     over, unseen = (
         left_over(fitted.model, flights.dataset, flights.reconstruction, listed, accepted)
         for listed in (flights.dataset.identify, flights.dataset.unseen)
     )
     by_chance = family_wise(chance(over, seed))
-    levels = {row: max(floor, by_chance[row]) for row, floor in usual.items()}
+    asked = usual or dict.fromkeys((*rows(fitted.spec), *FLAPPING, *AT_ONCE), 0.0)
+    levels = {row: max(floor, by_chance[row]) for row, floor in asked.items() if row in by_chance}
     found = unknown(scan(over), levels, over, unseen, seed)
-    if found is None or flights.dataset.validate:
-        return found
-    return replace(found, sentence=f"{found.sentence} No flight was kept back that could confirm it.")
+    if found is None:
+        return None
+    doubts = [*([] if usual else [UNJUDGED]), *([] if flights.dataset.validate else [UNCONFIRMED])]
+    return replace(found, sentence=" ".join([found.sentence, *doubts]), judged=bool(usual))

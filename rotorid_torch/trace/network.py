@@ -202,7 +202,7 @@ class _Misfit:
     @classmethod
     def of(cls, effect: NeuralForces, reference: Mapping[str, float], over: LeftOver, linear: bool) -> _Misfit:
         signals = {n: over.signals[:, i] + reference.get(n, 0.0) for i, n in enumerate(over.names)}
-        basis = torch.linalg.qr(over.linear[:, len(over.names) if linear else 0 :]).Q
+        basis = torch.linalg.qr(torch.cat([over.constants if linear else over.linear, over.tilts], dim=1)).Q
         rows = [over.rows.index(r) for r in effect.rows]
         return cls(effect, Frame(signals), basis, over.residual[:, rows], ALIKE_S * over.rate)
 

@@ -38,6 +38,9 @@ SECOND_ORDER = "rotor.flap_second_order.share"
 """Without it flapping's rates are what first-order flapping makes them: second order keeps that for slow motion."""
 MOVED = 1e-2
 """Share of its typical size by which a parameter is moved for what the residuals change by."""
+AT_ONCE = {f"{name} at once": name for name in FLAPPING}
+"""The flapping's equations again, for a disc that follows its controls at once: its own angles, which would take up
+whatever else moves it, are no linear terms of these."""
 SHUFFLES = 60
 """Residuals turned in time: the least weight that what goes with nothing reaches by chance."""
 
@@ -67,8 +70,10 @@ class Trace:
 class LeftOver:
     """Equations' residuals [N, rows] of all flights in one column, and what may go with them [N, k].
 
-    rows : forces and moments, and the rates of the flapping where it is measured and lags.
-    linear : what linear terms and a constant of each flight take up. flight : the flight of each sample [N].
+    rows : forces and moments, and the rates of the flapping where it is measured and lags, these twice (`AT_ONCE`).
+    linear : what linear terms take up, the signals and behind them a constant of each flight.
+    tilts : the flapping [N, 0 or 3], linear terms too, but not of a disc that follows at once.
+    flight : the flight of each sample [N].
     named : how the residuals change with each parameter of effects that have a name [N, rows, n].
     """
 
@@ -78,6 +83,7 @@ class LeftOver:
     signals: Tensor
     time: Tensor
     linear: Tensor
+    tilts: Tensor
     flight: Tensor
     named: Tensor
 
@@ -87,13 +93,19 @@ class LeftOver:
         return 1.0 / float(self.time[1] - self.time[0])
 
     @property
+    def constants(self) -> Tensor:
+        """One of each flight [N, flights]."""
+        return self.linear[:, len(self.names) :]
+
+    @property
     def usual(self) -> Tensor:
         """Rms of each signal [k]."""
         return self.signals.square().mean(dim=0).sqrt().clamp_min(1e-300)
 
     def beyond(self, values: Tensor, row: int) -> Tensor:
         """Columns [N, m] less what linear terms of an equation, and other sizes of named effects, take up."""
-        basis = torch.linalg.qr(torch.cat([self.linear, self.named[:, row]], dim=1)).Q
+        tilts = [] if self.rows[row] in AT_ONCE else [self.tilts]
+        basis = torch.linalg.qr(torch.cat([self.linear, *tilts, self.named[:, row]], dim=1)).Q
         return values - basis @ (basis.mT @ values)
 
 
@@ -130,18 +142,23 @@ def left_over(
         own[:, k] = 1.0
         constants.append(own)
     signals, residual, own = torch.cat(columns), torch.cat(residuals), torch.cat(constants)
-    named = [torch.cat(one) for one in zip(*changes, strict=True)]
+    at_once = [n for n, name in AT_ONCE.items() if name in flapping]
+    body = len(FORCES) + len(MOMENTS)
+    twice = [*range(residual.shape[1]), *range(body, body + len(at_once))]
+    residual = residual[:, twice]
+    named = [torch.cat(one)[:, twice] for one in zip(*changes, strict=True)]
     left = LeftOver(
-        (*FORCES, *MOMENTS, *flapping),
+        (*FORCES, *MOMENTS, *flapping, *at_once),
         residual,
         names,
         signals,
         torch.cat(times),
-        torch.cat([signals, own[:, own.any(dim=0)], *([torch.cat(tilts)] if tilts else [])], dim=1),
+        torch.cat([signals, own[:, own.any(dim=0)]], dim=1),
+        torch.cat(tilts) if tilts else signals.new_zeros(len(signals), 0),
         own.argmax(dim=1),
         torch.stack(named, dim=-1) if named else residual.new_zeros(*residual.shape, 0),
     )
-    for k in range(len(FORCES) + len(MOMENTS), len(left.rows)):  # fitted as angles: linear terms of the rates are rough
+    for k in range(body, len(left.rows)):  # fitted as angles: linear terms of the rates are rough
         left.residual[:, k] = left.beyond(residual[:, k, None], k)[:, 0]
     return left
 
@@ -263,9 +280,9 @@ def _shapes(left: LeftOver, usual: Tensor) -> Iterator[tuple[Named, Tensor]]:
 
 
 def _onsets(left: LeftOver) -> Iterator[tuple[Named, Tensor]]:
-    """What begins at some time and goes on linearly."""
-    end = float(left.time.max())
-    for onset in torch.arange(EDGE_S, end - EDGE_S, ONSET_S, dtype=torch.float64).tolist():
+    """What begins at some time and goes on linearly; nothing in flights too short to have a middle."""
+    end = max(float(left.time.max()) - EDGE_S, EDGE_S)
+    for onset in torch.arange(EDGE_S, end, ONSET_S, dtype=torch.float64).tolist():
         after = (left.time >= onset).to(torch.float64)
         for i, name in enumerate(left.names):
             yield (name, "", onset), left.signals[:, i] * after

@@ -1,4 +1,4 @@
-"""What stays without a name: told where it stands above clean aircraft and holds on flights that no fit has seen.
+"""What stays without a name: told where it stands above its floor and holds on flights that no fit has seen.
 
 Equation, band, what it goes with and how, since when. Never a name.
 """
@@ -13,7 +13,7 @@ import torch
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS
 from rotorid_torch.trace.finding import Unknown
 from rotorid_torch.trace.floor import FALSE_ALARMS
-from rotorid_torch.trace.residual import LeftOver, Trace, by_chance, column
+from rotorid_torch.trace.residual import AT_ONCE, LeftOver, Trace, by_chance, column
 
 HELD = 0.5
 """Part of what a trace should explain of unseen flights, by its size and the rest where it was found, that it must."""
@@ -29,9 +29,10 @@ Slipped controls and products of the flight-test aircraft and another simulator'
 def unknown(
     traces: Mapping[str, Trace], floors: Mapping[str, float], left: LeftOver, unseen: LeftOver, seed: int = 0
 ) -> Unknown | None:
-    """The equation best described by its trace, of those that stand above clean aircraft, flapping first; or None.
+    """The equation best described by its trace, of those that stand above their floors, flapping first; or None.
 
-    A trace describes a fair part of what its equation leaves over.
+    Of angles of the disc that say the same, the one that itself goes with it most. A trace describes a fair part of
+    what its equation leaves over.
     Flights that no fit has seen must be better described with the trace as it was found, by more than chance allows and
     half as well as it should be there: the best of hundreds of traces that mean nothing explains less.
     """
@@ -43,9 +44,12 @@ def unknown(
     standing = [row for row in above if _holds(traces[row], row, left, unseen, seed)]
     if not standing:
         return None
-    where = max(standing, key=lambda row: (row in FLAPPING, traces[row].share))  # what moves the disc moves the body
-    found, unit = traces[where], "m/s2" if where in FORCES else "rad/s2" if where in MOMENTS else "rad/s"
-    band = _band(left, where)
+    best = max(standing, key=lambda row: (_equation(row) in FLAPPING, traces[row].share))  # what moves the disc ...
+    if _equation(best) in FLAPPING:  # ... moves the body, and a law that is wrong in one angle says the same of all
+        same = [row for row in standing if _equation(row) in FLAPPING and _says(traces[row]) == _says(traces[best])]
+        best = max(same, key=lambda row: _of_tilt(traces[row], _equation(row), left))
+    found, where, band = traces[best], _equation(best), _band(left, best)
+    unit = "m/s2" if where in FORCES else "rad/s2" if where in MOMENTS else "rad/s"
     how = f" ({found.shape})" if found.shape else ""
     began = "" if found.since_s is None else f", since {found.since_s:.1f} s into the flights"
     said = (
@@ -53,6 +57,22 @@ def unknown(
         f" {found.goes_with}{how}{began}; no effect of the library explains it."
     )
     return Unknown(where, band, found.goes_with, found.since_s, said)
+
+
+def _equation(row: str) -> str:
+    return AT_ONCE.get(row, row)
+
+
+def _says(trace: Trace) -> tuple[str, str, float | None]:
+    return trace.goes_with, trace.shape, trace.since_s
+
+
+def _of_tilt(trace: Trace, angle: str, left: LeftOver) -> float:
+    """Share of the square of a measured angle of the disc that goes with a trace."""
+    constants = left.constants
+    both = torch.stack([column(trace, left, left.usual), left.tilts[:, FLAPPING.index(angle)]], dim=-1)
+    x, y = (both - constants @ torch.linalg.lstsq(constants, both).solution).mT
+    return float((x @ y) ** 2 / ((x @ x) * (y @ y)).clamp_min(1e-300))
 
 
 def _holds(trace: Trace, row: str, left: LeftOver, unseen: LeftOver, seed: int) -> bool:

@@ -30,6 +30,8 @@ def statement(findings: Sequence[Finding], unknown: Unknown | None, failing: str
     if failing and said.kind in ("nothing undeclared", "structure"):
         doubt = f"That does not say that nothing is missing: {failing}."
         said = replace(said, sentence=f"{said.sentence} {doubt}")
+    elif failing and unknown is not None and not unknown.judged:
+        said = replace(said, sentence=f"{said.sentence} But {failing}.")
     if not any(f.role == "learnt" and f.verdict == "accepted" for f in findings):
         return said
     return replace(said, sentence=f"{said.sentence} A network takes what is left; it is no name for it.")

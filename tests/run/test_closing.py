@@ -17,7 +17,7 @@ from rotorid_torch.data import Dataset
 from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR
 from rotorid_torch.model.save import load
 from rotorid_torch.run import limits
-from rotorid_torch.run.closing import _before_and_after, _best, _loop
+from rotorid_torch.run.closing import _before_and_after, _best, _in_gusts, _loop
 from rotorid_torch.run.monitor import Monitor
 from rotorid_torch.run.records import read_report
 from rotorid_torch.trace.finding import Finding, Unknown
@@ -76,6 +76,21 @@ def test_nothing_found_is_no_clean_bill_for_a_model_that_fails(
     told = _loop(loop, None, [], Monitor(), tracing).record.verdict
     assert told is not None
     assert told.sentence.endswith("does not say that nothing is missing: on the validate flights the model is poor.")
+
+
+@pytest.mark.parametrize(("judged", "poor", "told"), [(True, "", True), (False, "poor", True), (False, "", False)])
+def test_what_no_clean_aircraft_judges_is_told_where_the_model_fails(
+    closed: tuple[rotorid.Loop, Path], monkeypatch: pytest.MonkeyPatch, judged: bool, poor: str, told: bool
+):
+    monkeypatch.setattr("rotorid_torch.run.closing.failing", lambda fit: poor)
+    loop, _ = closed
+    missing = Unknown("L", (0.1, 2.0), "lat", 6.0, "Something is missing in L.", judged)
+    tracing = replace(loop.tracing or pytest.fail("nothing was traced"), unknown=missing)
+    record = _loop(loop, None, [], Monitor(), tracing).record
+    assert (record.verdict.kind if record.verdict else None) == ("unknown" if told else "nothing undeclared")
+    assert (record.unknown is not None) is told
+    assert record.verdict is not None
+    assert record.verdict.sentence.endswith(" But poor.") is (told and not judged)
 
 
 def test_unseen_flights_are_better_after_than_before(closed: tuple[rotorid.Loop, Path]):
@@ -169,8 +184,17 @@ def test_what_explains_less_than_what_stays_without_a_name_is_no_name(before: fl
     assert bool(found.accepted) is stays
     assert found.unknown == missing
     assert statement(found.findings, found.unknown).kind == ("undeclared" if stays else "unknown")
-    alone = _before_and_after(first, replace(tracing, unknown=None), False, pytest.fail, lambda spec, values: run)
-    assert alone[2].accepted
+    for other in (None, replace(missing, judged=False)):
+        alone = _before_and_after(first, replace(tracing, unknown=other), False, pytest.fail, lambda spec, values: run)
+        assert alone[2].accepted
+
+
+@pytest.mark.parametrize(("verdict", "told"), [("accepted", False), ("below floor", True)])
+def test_what_gusts_leave_over_is_not_told_as_something_missing(verdict: Any, told: bool):
+    missing = Unknown("M", (0.1, 2.0), "v", None, "Something is missing in M.")
+    tracing = replace(tracing_of(), unknown=missing, unknown_before=missing)
+    found = _in_gusts(tracing, [Finding("environment.turbulence", "undeclared", verdict, "")])
+    assert (found.unknown == missing, found.unknown_before == missing) == (told, told)
 
 
 def tracing_of(*accepted: str, structure: tuple[str, ...] = ()) -> Tracing:

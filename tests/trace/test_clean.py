@@ -57,6 +57,13 @@ def test_of_which_aircraft_floors_are_made(
     assert sorted(found.in_forces.get("mass.slung_load", [])) == pytest.approx([0.01 * n for n in range(counted)])
 
 
+def test_records_that_no_aircraft_can_follow_leave_no_word_of_it_to_the_next(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
+    assert not floors(monkeypatch, tmp_path, 0, 0).gains
+    assert len(floors(monkeypatch, tmp_path, 24, 24).gains["control.delay"]) == DRAWS
+
+
 @pytest.mark.parametrize("waited_for", [True, False])
 def test_who_draws_for_a_process_that_is_gone_stops(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, waited_for: bool):
     drawn = [SimpleNamespace(number=n, dataset=None, alike=True, misfit=1.0, rotor="") for n in range(3)]

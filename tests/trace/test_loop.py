@@ -9,9 +9,10 @@ import torch
 
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.decide import gain
+from rotorid_torch.trace.finding import Unknown
 from rotorid_torch.trace.fits import Fitted
 from rotorid_torch.trace.floor import Floors
-from rotorid_torch.trace.loop import trace
+from rotorid_torch.trace.loop import _missing, trace
 from tests.trace.hidden_flights import flights, started, traced
 
 
@@ -68,6 +69,20 @@ def test_a_lag_that_is_promising_is_weighed_against_a_delay_whatever_the_screen_
     found = trace(null.spec, null.values, (), known, floors, said.append)
     assert found.accepted == ("control.lag",)
     assert any(line.startswith("control.delay: gain ") for line in said)
+
+
+def test_what_has_no_name_is_judged_by_clean_aircraft_or_told_as_not_judged(monkeypatch: pytest.MonkeyPatch):
+    """Clean aircraft that fly elsewhere, in still air say, tell nothing of it."""
+    missing = Unknown("L", (0.1, 2.0), "p", None, "Something is missing in L.")
+    monkeypatch.setattr("rotorid_torch.trace.loop.unknown", lambda *given: missing)
+    known, null = started(flights())
+    level = torch.full((24,), 1e-4, dtype=torch.float64)
+    gains, weights = {"control.delay": level}, {"L": level}
+    assert _missing(null, (), known, Floors(gains, ""), 0) is None
+    assert _missing(null, (), known, Floors(gains, "", traces=weights), 0) == missing
+    alone = _missing(null, (), known, Floors({}, ""), 0)
+    assert alone is not None
+    assert not alone.judged
 
 
 def test_where_nothing_is_hidden_nothing_is_named():

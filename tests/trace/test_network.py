@@ -90,7 +90,7 @@ def test_equations_residuals_are_turned_flight_by_flight_whatever_linear_terms_t
     fitted = physics(HIDDEN)
     data, found = fitted.flights.dataset, fitted.flights.reconstruction
     over = left_over(fitted.model, data, found, data.identify)
-    tilted = replace(over, linear=torch.cat([over.linear, over.signals[:, :3] ** 2], dim=1))
+    tilted = replace(over, tilts=over.signals[:, :3] ** 2)
     turns = [(0.3, -1.0)] * len(data.identify)
     for f in range(len(data.identify)):
         mine = over.flight == f

@@ -13,7 +13,7 @@ from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES, STICKS, V
 from rotorid_torch.data import Dataset
 from rotorid_torch.effects.spec import RotorSpec
 from rotorid_torch.identification.reconstruct import reconstruct
-from rotorid_torch.trace.residual import LeftOver, chance, left_over, scan
+from rotorid_torch.trace.residual import AT_ONCE, LeftOver, chance, left_over, scan
 from rotorid_torch.trace.unexplained import unknown
 from tests.known_models import BODY, body_spec, flown, linear_vehicle, manoeuvres, with_values
 
@@ -33,7 +33,7 @@ def left(row: str, extra: Tensor | None, noise: float = 0.05) -> LeftOver:
     time = STEP * torch.arange(SAMPLES, dtype=torch.float64).repeat(FLIGHTS)
     own = torch.eye(FLIGHTS, dtype=torch.float64).repeat_interleave(SAMPLES, 0)
     linear, none = torch.cat([signals, own], dim=1), residual.new_zeros(*residual.shape, 0)
-    return LeftOver(ROWS, residual, NAMES, signals, time, linear, own.argmax(dim=1), none)
+    return LeftOver(ROWS, residual, NAMES, signals, time, linear, signals[:, :0], own.argmax(dim=1), none)
 
 
 @pytest.fixture
@@ -128,9 +128,16 @@ def test_what_begins_after_the_end_of_unseen_flights_cannot_be_told(signals: Ten
     time = STEP * torch.arange(SAMPLES, dtype=torch.float64).repeat(FLIGHTS)
     over = left("M", signals[:, 2] * (time >= 6.0))
     early = over.time < 5.0
-    kept = {n: getattr(over, n)[early] for n in ("residual", "signals", "time", "linear", "flight", "named")}
+    kept = {n: getattr(over, n)[early] for n in ("residual", "signals", "time", "linear", "tilts", "flight", "named")}
     short = replace(over, **kept)
     assert unknown(scan(over), dict.fromkeys(ROWS, 0.1), over, short) is None
+
+
+def test_flights_too_short_to_have_a_middle_have_no_onset(signals: Tensor):
+    over = left("M", signals[:, 1] * signals[:, 2])
+    early = over.time < 3.0
+    kept = {n: getattr(over, n)[early] for n in ("residual", "signals", "time", "linear", "tilts", "flight", "named")}
+    assert scan(replace(over, **kept))["M"].goes_with == "p q"
 
 
 def test_what_another_size_of_a_named_effect_explains_is_not_left_over(signals: Tensor):
@@ -148,6 +155,34 @@ def test_chance_reaches_what_nothing_explains_and_falls_short_of_what_something_
     assert all(trace.weight < 1.5 * level[row] for row, trace in scan(nothing).items())
     assert scan(over)["L"].weight > float(chance(over, 0)["L"].max())
     assert all(torch.equal(a, b) for a, b in zip(chance(over, 3).values(), chance(over, 3).values(), strict=True))
+
+
+def test_a_disc_that_follows_at_once_does_not_take_up_by_its_own_tilt_what_moves_it(signals: Tensor):
+    """Half of p's part in it is lost from 6 s on; a coning whose law is wrong in the tilt says the same, and louder."""
+    over = left("L", None)
+    tilt = signals[:, 1] * torch.where(over.time >= 6.0, 0.5, 1.0) + 0.3 * signals[:, 3]
+    lost = (tilt - signals[:, 1])[:, None]
+    residual = torch.cat([over.residual, lost, 9.0 * lost, lost], dim=1)
+    disc = replace(
+        over,
+        rows=(*ROWS, "b1", "a0 at once", "b1 at once"),
+        residual=residual,
+        tilts=torch.stack([0.1 * tilt + signals[:, 0], signals[:, 2], tilt], dim=-1),  # a0, a1, b1
+        named=residual.new_zeros(*residual.shape, 0),
+    )
+    found = scan(disc)
+    assert found["b1"].size < 0.01
+    assert (found["b1 at once"].goes_with, found["b1 at once"].since_s) == ("p", 6.0)
+    assert found["b1 at once"].share > 0.9
+    told = unknown(found, dict.fromkeys(disc.rows, 0.1), disc, disc)
+    assert told is not None
+    assert (told.where, told.goes_with, told.since_s) == ("b1", "p", 6.0)
+    # nor does an angle that goes with something else, however much, stand for another
+    product = (signals[:, 1] * signals[:, 3])[:, None]
+    more = replace(disc, residual=torch.cat([residual[:, :7], 9.0 * product, 0.2 * lost], dim=1))
+    told = unknown(scan(more), dict.fromkeys(disc.rows, 0.05), more, more)
+    assert told is not None
+    assert (told.where, told.goes_with) == ("a0", "p col")
 
 
 @pytest.mark.parametrize("order", [1, 2])
@@ -177,7 +212,7 @@ def test_a_slipped_control_run_shows_in_the_flapping_that_follows_it(order: int)
         richer = linear_vehicle(**kind, rotor=rotor, effects=("rotor.flap_second_order",))
         model = with_values(richer, {**model.named_values, "rotor.flap_second_order.share": 1.0})
     over = left_over(model, data, reconstruct(data), data.identify)
-    assert over.rows == (*ROWS, *FLAPPING)
+    assert over.rows == (*ROWS, *FLAPPING, *AT_ONCE)
     found = scan(over)
     assert (found["b1"].goes_with, found["b1"].since_s) == ("lat", pytest.approx(5.0, abs=0.5))
     assert found["b1"].share > 0.5
