@@ -38,7 +38,7 @@ from rotorid_torch.run.records import (
     UnknownRecord,
     VerdictRecord,
 )
-from rotorid_torch.run.summary import USABLE, failing
+from rotorid_torch.run.summary import GOOD, USABLE, failing
 from rotorid_torch.run.write import write_report
 from rotorid_torch.trace.clean import clean_floors
 from rotorid_torch.trace.clocks import sensor_findings
@@ -53,6 +53,9 @@ from rotorid_torch.trace.verdict import statement
 
 WORSE = "it describes segments of flights, but identified again with it, the model's free runs are clearly worse"
 NO_BETTER = "free runs of flights that no fit has seen are no better by it, and segments gain no more than by chance"
+STILL_POOR = (
+    "free runs of unseen flights are no better by it, and leave more than a tenth of the motion: it may imitate that"
+)
 FAILS = "the model with it still does not describe the flights: something else acts, or more than this"
 FLOWN_AWAY = 1e9
 """J of a run that has none because its states left all bounds."""
@@ -281,12 +284,17 @@ def _objection(without: Run, after: Run, tracing: Tracing) -> str | None:
     """
     if clearly_worse(_free_run_gain(without, after)):
         return WORSE
-    if not tracing.sure and _best([without, after]) is without:
-        return NO_BETTER
-    if _beyond_noise(after) > (1.0 - USABLE) * _moved(after):
+    left, moved = _beyond_noise(after), _moved(after)
+    if _best([without, after]) is without:
+        # a model that imitates the effect drifts no more where little is left over; where much is, it is to be less
+        if not tracing.sure:
+            return NO_BETTER
+        if left > (1.0 - GOOD) * moved:
+            return STILL_POOR
+    if left > (1.0 - USABLE) * moved:
         return FAILS
     missing = tracing.unknown is not None and tracing.unknown.judged
-    return IMITATES if missing and _beyond_noise(after) > 0.5 * _beyond_noise(without) else None
+    return IMITATES if missing and left > 0.5 * _beyond_noise(without) else None
 
 
 def _free_run_gain(without: Run, after: Run) -> Tensor:

@@ -12,8 +12,8 @@ from rotorid_torch.run.records import LISTS, ChannelRecord, FitRecord, FlightRec
 from rotorid_torch.run.short_horizon import NAMES, explained, short_horizon
 
 # Shares of the motion explained, from which on a model is called so.
-USABLE = 0.70
-GRADES = ((0.97, "very good"), (0.90, "good"), (USABLE, "usable with care"), (0.0, "poor"))
+GOOD, USABLE = 0.90, 0.70
+GRADES = ((0.97, "very good"), (GOOD, "good"), (USABLE, "usable with care"), (0.0, "poor"))
 WORSE_THAN_TRIM = "worse than holding trim"
 RESOLVED_S = 0.02
 """Interval of the records that trajectories are fitted to: what is faster acts at once there."""

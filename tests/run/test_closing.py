@@ -295,6 +295,16 @@ def test_an_effect_that_segments_hardly_show_must_make_free_runs_better(sure: bo
     assert bool(found.accepted) is stays
 
 
+@pytest.mark.parametrize(("before", "after", "stays"), [(0.25, 0.255, True), (0.35, 0.355, False), (0.355, 0.35, True)])
+def test_free_runs_that_are_no_better_speak_for_an_effect_only_where_they_are_good(
+    before: float, after: float, stays: bool
+):
+    """Held trim scores 1: what leaves more than a tenth of the squared motion may be imitated."""
+    first, run = run_with(before), run_with(after)
+    found = _before_and_after(first, tracing_of("control.lag"), False, pytest.fail, lambda spec, values: run)[2]
+    assert bool(found.accepted) is stays
+
+
 @pytest.mark.parametrize(("after", "stays"), [(0.5, True), (0.6, False)])
 def test_a_model_that_still_does_not_describe_the_flights_earns_its_effects_no_name(after: float, stays: bool):
     """Held trim scores 1: more than 30 % of the squared motion is left."""
