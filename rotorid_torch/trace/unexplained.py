@@ -44,8 +44,9 @@ def unknown(
     standing = [row for row in above if _holds(traces[row], row, left, unseen, seed)]
     if not standing:
         return None
-    best = max(standing, key=lambda row: (_equation(row) in FLAPPING, traces[row].share))  # what moves the disc ...
-    if _equation(best) in FLAPPING:  # ... moves the body, and a law that is wrong in one angle says the same of all
+    # what moves the disc moves the body; surest is what the disc's own angles cannot take up
+    best = max(standing, key=lambda row: (row in FLAPPING, row in AT_ONCE, traces[row].share))
+    if _equation(best) in FLAPPING:  # a law that is wrong in one angle says the same of all
         same = [row for row in standing if _equation(row) in FLAPPING and _says(traces[row]) == _says(traces[best])]
         best = max(same, key=lambda row: _of_tilt(traces[row], _equation(row), left))
     found, where, band = traces[best], _equation(best), _band(left, best)

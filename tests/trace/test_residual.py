@@ -177,6 +177,13 @@ def test_a_disc_that_follows_at_once_does_not_take_up_by_its_own_tilt_what_moves
     told = unknown(found, dict.fromkeys(disc.rows, 0.1), disc, disc)
     assert told is not None
     assert (told.where, told.goes_with, told.since_s) == ("b1", "p", 6.0)
+    # what the disc's own angles cannot take up is surer
+    surer = replace(
+        disc, residual=torch.cat([residual[:, :6], (signals[:, 1] * signals[:, 3])[:, None], residual[:, 7:]], dim=1)
+    )
+    told = unknown(scan(surer), dict.fromkeys(disc.rows, 0.1), surer, surer)
+    assert told is not None
+    assert (told.where, told.goes_with) == ("b1", "p col")
     # nor does an angle that goes with something else, however much, stand for another
     product = (signals[:, 1] * signals[:, 3])[:, None]
     more = replace(disc, residual=torch.cat([residual[:, :7], 9.0 * product, 0.2 * lost], dim=1))
