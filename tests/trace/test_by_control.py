@@ -10,7 +10,7 @@ from rotorid_torch.data import Dataset
 from rotorid_torch.trace.by_control import ByControl, by_control
 from rotorid_torch.trace.fits import refit
 from tests.known_models import flown, manoeuvres, rate_vehicle, with_values
-from tests.trace.test_loop import DT, started, traced
+from tests.trace.hidden_flights import DT, started, traced
 
 DELAY = "control.delay"
 
