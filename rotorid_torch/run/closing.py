@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -10,8 +9,6 @@ from functools import partial
 from pathlib import Path
 
 import msgspec
-import torch
-from torch import Tensor
 
 from rotorid_torch.core.names import MOMENTS
 from rotorid_torch.core.ranks import ALONE, Ranks
@@ -27,39 +24,28 @@ from rotorid_torch.run.checkpoint import Checkpoint, Steps
 from rotorid_torch.run.figures import Overlay
 from rotorid_torch.run.fit_record import fit_record, judge
 from rotorid_torch.run.folder import run_folder
-from rotorid_torch.run.loop_record import as_fitted, effect_record, of_sensors
+from rotorid_torch.run.free_runs import IMITATES, WORSE, best_of, free_run_gain, objection
+from rotorid_torch.run.loop_record import as_fitted, effect_record, of_sensors, unknown_record
 from rotorid_torch.run.monitor import Monitor, peak_memory_mb
 from rotorid_torch.run.pipeline import Run, estimated, identified, refuse, remarks_on, write_model
 from rotorid_torch.run.records import (
     EffectRecord,
     FitRecord,
-    FlightRecord,
     Report,
-    UnknownRecord,
     VerdictRecord,
 )
-from rotorid_torch.run.summary import GOOD, USABLE, failing
+from rotorid_torch.run.summary import failing
 from rotorid_torch.run.write import write_report
 from rotorid_torch.trace.clean import clean_floors
 from rotorid_torch.trace.clocks import sensor_findings
 from rotorid_torch.trace.decide import clearly_worse
-from rotorid_torch.trace.finding import Finding, Unknown
+from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.fits import Fitted, Flights, refit
 from rotorid_torch.trace.loop import Tracing, trace
 from rotorid_torch.trace.multirotor import Identified, trace_rotors
 from rotorid_torch.trace.network import learn
 from rotorid_torch.trace.stochastic import TURBULENCE, stochastic_findings
 from rotorid_torch.trace.verdict import statement
-
-WORSE = "it describes segments of flights, but identified again with it, the model's free runs are clearly worse"
-NO_BETTER = "free runs of flights that no fit has seen are no better by it, and segments gain no more than by chance"
-STILL_POOR = (
-    "free runs of unseen flights are no better by it, and leave more than a tenth of the motion: it may imitate that"
-)
-FAILS = "the model with it still does not describe the flights: something else acts, or more than this"
-FLOWN_AWAY = 1e9
-"""J of a run that has none because its states left all bounds."""
-IMITATES = "what is left over beside it, without a name, is larger than what it explains: it may imitate that"
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,14 +175,14 @@ def _before_and_after(
 
     final, null = tracing.final, tracing.null
     if tracing.accepted:
-        plain = _best([first, wrong(null.spec, null.values)]) if tracing.structure else first
+        plain = best_of([first, wrong(null.spec, null.values)]) if tracing.structure else first
         # what ordinary physics is left out the named effect takes up, and its size is no longer its own
         whole, *bare = shapes(final.spec, final.values)
         if first.spec.motors:
             return plain, whole, tracing
-        tried = [*bare, whole] if any(clearly_worse(_free_run_gain(run, whole)) for run in bare) else [whole, *bare]
-        without = _best(shapes(null.spec, null.values)) if sensors else plain
-        against = [_objection(without, run, tracing) for run in tried]
+        tried = [*bare, whole] if any(clearly_worse(free_run_gain(run, whole)) for run in bare) else [whole, *bare]
+        without = best_of(shapes(null.spec, null.values)) if sensors else plain
+        against = [objection(without, run, tracing) for run in tried]
         for run, why in zip(tried, against, strict=True):
             if why is None:
                 return plain, run, tracing
@@ -204,9 +190,9 @@ def _before_and_after(
         if sensors:
             return plain, without, _refused(tracing, why)
         return first, None if plain is first else plain, _refused(tracing, why)
-    plain = _best([first, wrong(final.spec, final.values)]) if tracing.structure else first
+    plain = best_of([first, wrong(final.spec, final.values)]) if tracing.structure else first
     if sensors:
-        return plain, _best(shapes(final.spec, final.values)), tracing
+        return plain, best_of(shapes(final.spec, final.values)), tracing
     return first, None if plain is first else plain, tracing
 
 
@@ -260,67 +246,10 @@ def _with_network(
     if found.verdict != "accepted":
         return None, found
     run = rerun(learnt.fitted.spec, learnt.fitted.values)
-    if _best([best, run]) is run:
+    if best_of([best, run]) is run:
         return run, found
     said = "segments of flights that no fit has seen are better described by it, their free runs are not"
     return None, replace(found, verdict="rejected", reason=said)
-
-
-def _best(runs: Sequence[Run]) -> Run:
-    """The run that describes best the flights which no fit has seen, or without any the fitted; of equals the last."""
-
-    def score(run: Run) -> float:
-        J = run.scores["validate"]
-        J = run.scores["identify"] if J is None else J
-        return math.inf if J is None or math.isnan(J) else J
-
-    return min(reversed(runs), key=score)
-
-
-def _objection(without: Run, after: Run, tracing: Tracing) -> str | None:
-    """Why effects that were accepted are no finding, or None.
-
-    What explains less than what then stays without a name may be no more than its imitation.
-    """
-    if clearly_worse(_free_run_gain(without, after)):
-        return WORSE
-    left, moved = _beyond_noise(after), _moved(after)
-    if _best([without, after]) is without:
-        # a model that imitates the effect drifts no more where little is left over; where much is, it is to be less
-        if not tracing.sure:
-            return NO_BETTER
-        if left > (1.0 - GOOD) * moved:
-            return STILL_POOR
-    if left > (1.0 - USABLE) * moved:
-        return FAILS
-    missing = tracing.unknown is not None and tracing.unknown.judged
-    return IMITATES if missing and left > 0.5 * _beyond_noise(without) else None
-
-
-def _free_run_gain(without: Run, after: Run) -> Tensor:
-    """log(J without / J with) of each flight that decides [F]; of two that fly away, or have no score, zero."""
-    J = [[FLOWN_AWAY if f.J is None or math.isnan(f.J) else f.J for f in _deciding(run)] for run in (without, after)]
-    before, now = torch.tensor(J, dtype=torch.float64).clamp(max=FLOWN_AWAY).log()
-    return before - now
-
-
-def _beyond_noise(run: Run) -> float:
-    """Mean of J² less what the sensors' noise makes of it, over the flights that decide."""
-    flights = _deciding(run)
-    return sum(max((f.J or 0.0) ** 2 - (f.J_noise or 0.0) ** 2, 0.0) for f in flights) / max(len(flights), 1)
-
-
-def _moved(run: Run) -> float:
-    """The same of a model that holds trim; infinite where it is not known."""
-    flights = _deciding(run)
-    known = [f.J_trim**2 - (f.J_noise or 0.0) ** 2 for f in flights if f.J_trim is not None]
-    return sum(max(one, 0.0) for one in known) / len(flights) if flights and len(known) == len(flights) else math.inf
-
-
-def _deciding(run: Run) -> list[FlightRecord]:
-    """Flights whose free runs decide: those that no fit has seen, without any the fitted; never the acid ones."""
-    by_list = {name: [f for f in run.fit.flights.values() if f.list == name] for name in ("validate", "identify")}
-    return by_list["validate"] or by_list["identify"]
 
 
 def _refused(tracing: Tracing, said: str) -> Tracing:
@@ -394,11 +323,6 @@ def _with_sensors(spec: ModelSpec, model: Model, sensors: Mapping[str, float]) -
     return richer, sensing
 
 
-def _record(missing: Unknown) -> UnknownRecord:
-    fields = {name: getattr(missing, name) for name in UnknownRecord.__struct_fields__}
-    return UnknownRecord(**fields)
-
-
 def _loop(before: Run, after: Run | None, findings: Sequence[Finding], monitor: Monitor, tracing: Tracing) -> Loop:
     run = after or before
     missing, poor = tracing.unknown, failing(run.fit)
@@ -415,7 +339,7 @@ def _loop(before: Run, after: Run | None, findings: Sequence[Finding], monitor: 
         after=None if after is None else after.fit,
         verdict=VerdictRecord(kind=told.kind, effects=told.effects, sentence=told.sentence),
         effects=tuple(effect_record(f, run.model, after) for f in findings),
-        unknown=None if missing is None else _record(missing),
+        unknown=None if missing is None else unknown_record(missing),
         warnings=(*run.record.warnings, *tracing.notes),
     )
     fields = {name: getattr(run, name) for name in Run.__dataclass_fields__}

@@ -8,8 +8,8 @@ import msgspec
 
 from rotorid_torch.model.model import Model
 from rotorid_torch.run.pipeline import Run
-from rotorid_torch.run.records import EffectRecord, ParameterRecord, Role, VisibleRecord
-from rotorid_torch.trace.finding import Finding
+from rotorid_torch.run.records import EffectRecord, ParameterRecord, Role, UnknownRecord, VisibleRecord
+from rotorid_torch.trace.finding import Finding, Unknown
 from rotorid_torch.trace.kinematic_findings import KinematicFinding
 
 
@@ -33,6 +33,11 @@ def as_fitted(finding: Finding, after: Run | None) -> Finding:
     """The finding with the values of the fit after, where that estimated them: sentence and tables say the same."""
     values = {p.name: (p.value, p.se) for p in _fitted(finding, after) if p.value is not None and p.se is not None}
     return replace(finding, values=values) if values else finding
+
+
+def unknown_record(missing: Unknown) -> UnknownRecord:
+    """What stays without a name, for the report."""
+    return UnknownRecord(**{name: getattr(missing, name) for name in UnknownRecord.__struct_fields__})
 
 
 def effect_record(finding: Finding, model: Model, after: Run | None) -> EffectRecord:

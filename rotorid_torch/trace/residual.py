@@ -61,6 +61,11 @@ class Trace:
     share: float
 
     @property
+    def named(self) -> Named:
+        """What it goes with, how, since when."""
+        return self.goes_with, self.shape, self.since_s
+
+    @property
     def weight(self) -> float:
         """Its rms times its correlation with what is left over."""
         return self.size * self.share**0.5
@@ -260,7 +265,7 @@ def _best(names: Sequence[Named], sizes: Tensor, shares: Tensor) -> Trace:
 def column(trace: Trace, left: LeftOver, usual: Tensor) -> Tensor:
     """What a trace goes with on other flights [N]; zero where they end before it begins. usual : size of signals."""
     columns = dict([*_shapes(left, usual), *_onsets(left)])
-    return columns.get((trace.goes_with, trace.shape, trace.since_s), torch.zeros_like(left.time))
+    return columns.get(trace.named, torch.zeros_like(left.time))
 
 
 Named = tuple[str, str, float | None]

@@ -47,7 +47,7 @@ def unknown(
     # what moves the disc moves the body; surest is what the disc's own angles cannot take up
     best = max(standing, key=lambda row: (row in FLAPPING, row in AT_ONCE, traces[row].share))
     if _equation(best) in FLAPPING:  # a law that is wrong in one angle says the same of all
-        same = [row for row in standing if _equation(row) in FLAPPING and _says(traces[row]) == _says(traces[best])]
+        same = [row for row in standing if _equation(row) in FLAPPING and traces[row].named == traces[best].named]
         best = max(same, key=lambda row: _of_tilt(traces[row], _equation(row), left))
     found, where, band = traces[best], _equation(best), _band(left, best)
     unit = "m/s2" if where in FORCES else "rad/s2" if where in MOMENTS else "rad/s"
@@ -62,10 +62,6 @@ def unknown(
 
 def _equation(row: str) -> str:
     return AT_ONCE.get(row, row)
-
-
-def _says(trace: Trace) -> tuple[str, str, float | None]:
-    return trace.goes_with, trace.shape, trace.since_s
 
 
 def _of_tilt(trace: Trace, angle: str, left: LeftOver) -> float:

@@ -17,7 +17,8 @@ from rotorid_torch.data import Dataset
 from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR
 from rotorid_torch.model.save import load
 from rotorid_torch.run import limits
-from rotorid_torch.run.closing import _before_and_after, _best, _in_gusts, _loop
+from rotorid_torch.run.closing import _before_and_after, _in_gusts, _loop
+from rotorid_torch.run.free_runs import best_of
 from rotorid_torch.run.monitor import Monitor
 from rotorid_torch.run.records import read_report
 from rotorid_torch.trace.finding import Finding, Unknown
@@ -334,14 +335,14 @@ def test_ordinary_physics_stays_beside_a_named_effect_unless_free_runs_are_clear
     assert after is (whole if stays else bare)
 
 
-def test_a_run_without_a_score_is_not_the_best():
+def test_a_run_without_a_score_is_not_thebest():
     first, unknown, none = run_with(0.12), run_with(math.nan), run_with(None)
-    assert _best([first, unknown]) is first
-    assert _best([unknown, first]) is first
-    assert _best([none, last := run_with(None)]) is last
+    assert best_of([first, unknown]) is first
+    assert best_of([unknown, first]) is first
+    assert best_of([none, last := run_with(None)]) is last
 
 
 def test_without_unseen_flights_the_fitted_ones_tell_which_model_flies():
     plain, astray = run_with(None, 0.6), run_with(None, 2e7)
-    assert _best([plain, astray]) is plain
-    assert _best([astray, plain]) is plain
+    assert best_of([plain, astray]) is plain
+    assert best_of([astray, plain]) is plain

@@ -1,0 +1,82 @@
+"""What free runs over whole flights say of a model with effects beside the one without: they decide, and may refuse."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.run.pipeline import Run
+from rotorid_torch.run.records import FlightRecord
+from rotorid_torch.run.summary import GOOD, USABLE
+from rotorid_torch.trace.decide import clearly_worse
+from rotorid_torch.trace.loop import Tracing
+
+WORSE = "it describes segments of flights, but identified again with it, the model's free runs are clearly worse"
+NO_BETTER = "free runs of flights that no fit has seen are no better by it, and segments gain no more than by chance"
+STILL_POOR = (
+    "free runs of unseen flights are no better by it, and leave more than a tenth of the motion: it may imitate that"
+)
+FAILS = "the model with it still does not describe the flights: something else acts, or more than this"
+FLOWN_AWAY = 1e9
+"""J of a run that has none because its states left all bounds."""
+IMITATES = "what is left over beside it, without a name, is larger than what it explains: it may imitate that"
+
+
+def best_of(runs: Sequence[Run]) -> Run:
+    """The run that describes best the flights which no fit has seen, or without any the fitted; of equals the last."""
+
+    def score(run: Run) -> float:
+        J = run.scores["validate"]
+        J = run.scores["identify"] if J is None else J
+        return math.inf if J is None or math.isnan(J) else J
+
+    return min(reversed(runs), key=score)
+
+
+def objection(without: Run, after: Run, tracing: Tracing) -> str | None:
+    """Why effects that were accepted are no finding, or None.
+
+    What explains less than what then stays without a name may be no more than its imitation.
+    """
+    if clearly_worse(free_run_gain(without, after)):
+        return WORSE
+    left, moved = _beyond_noise(after), _moved(after)
+    if best_of([without, after]) is without:
+        # a model that imitates the effect drifts no more where little is left over; where much is, it is to be less
+        if not tracing.sure:
+            return NO_BETTER
+        if left > (1.0 - GOOD) * moved:
+            return STILL_POOR
+    if left > (1.0 - USABLE) * moved:
+        return FAILS
+    missing = tracing.unknown is not None and tracing.unknown.judged
+    return IMITATES if missing and left > 0.5 * _beyond_noise(without) else None
+
+
+def free_run_gain(without: Run, after: Run) -> Tensor:
+    """log(J without / J with) of each flight that decides [F]; of two that fly away, or have no score, zero."""
+    J = [[FLOWN_AWAY if f.J is None or math.isnan(f.J) else f.J for f in _deciding(run)] for run in (without, after)]
+    before, now = torch.tensor(J, dtype=torch.float64).clamp(max=FLOWN_AWAY).log()
+    return before - now
+
+
+def _beyond_noise(run: Run) -> float:
+    """Mean of J² less what the sensors' noise makes of it, over the flights that decide."""
+    flights = _deciding(run)
+    return sum(max((f.J or 0.0) ** 2 - (f.J_noise or 0.0) ** 2, 0.0) for f in flights) / max(len(flights), 1)
+
+
+def _moved(run: Run) -> float:
+    """The same of a model that holds trim; infinite where it is not known."""
+    flights = _deciding(run)
+    known = [f.J_trim**2 - (f.J_noise or 0.0) ** 2 for f in flights if f.J_trim is not None]
+    return sum(max(one, 0.0) for one in known) / len(flights) if flights and len(known) == len(flights) else math.inf
+
+
+def _deciding(run: Run) -> list[FlightRecord]:
+    """Flights whose free runs decide: those that no fit has seen, without any the fitted; never the acid ones."""
+    by_list = {name: [f for f in run.fit.flights.values() if f.list == name] for name in ("validate", "identify")}
+    return by_list["validate"] or by_list["identify"]
