@@ -12,7 +12,7 @@ from rotorid_torch.effects.registry import registered
 from rotorid_torch.model.model import Model
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.fits import Fitted, Residual
-from rotorid_torch.trace.screen import Screen
+from rotorid_torch.trace.screen import Screen, signatures
 from rotorid_torch.trace.significance import helps, student_quantile
 
 SURE = 3.0
@@ -44,31 +44,16 @@ def gain(null: Fitted, candidate: Fitted) -> float:
     return found if math.isfinite(found) else -math.inf
 
 
-def objection(
-    null: Fitted, candidate: Fitted, effect: str, floor: float, screened: Screen, spread: Mapping[str, float]
-) -> str | None:
+def objection(null: Fitted, candidate: Fitted, effect: str, floor: float, spread: Mapping[str, float]) -> str | None:
     """Why a fitted candidate is not a finding; None where nothing speaks against it.
 
     spread : standard errors of its parameters by their scatter over flights, zero where there are too few to tell.
     """
     if gain(null, candidate) <= floor:
         return "fitted in full, it explains no more than clean aircraft let any candidate explain"
-    edge = at_edge(candidate.model, effect)
-    if edge is not None:
-        return edge
-    own = [s for s in screened.signatures if s.effect == effect]
-    values = candidate.values
-    away = {s.parameter: abs(values[s.parameter] - s.null) / max(candidate.error(s.parameter), 1e-300) for s in own}
-    if max(away.values()) < SURE:
-        name = max(away, key=lambda n: away[n])
-        return f"{name} = {values[name]:.3g} lies within {SURE:g} of its standard errors from nothing"
-    few = student_quantile(STEADY, max(len(candidate.flights.dataset.identify) - 1, 1))
-    steady = [abs(values[s.parameter] - s.null) > few * spread[s.parameter] for s in own if away[s.parameter] >= SURE]
-    if not any(steady):
-        return "its size differs from flight to flight"
-    short = too_short(candidate, effect)
-    if short is not None:
-        return short
+    doubt = unlikely(candidate, effect, spread)
+    if doubt is not None:
+        return doubt
     better = unseen_gain(null, candidate)
     if not helps(better):
         return f"it does not help on flights that no fit has seen ({int((better > 0).sum())} of {len(better)} better)"
@@ -76,6 +61,26 @@ def objection(
     if clearly_worse(runs):
         return f"free runs of flights that no fit has seen are worse by it ({int((runs < 0).sum())} of {len(runs)})"
     return None
+
+
+def unlikely(candidate: Fitted, effect: str, spread: Mapping[str, float]) -> str | None:
+    """Why the parameters of an effect are no physics of a vehicle; None where nothing speaks against them.
+
+    spread : standard errors by scatter over flights.
+    """
+    edge = at_edge(candidate.model, effect)
+    if edge is not None:
+        return edge
+    values, nulls = candidate.values, {s.parameter: s.null for s in signatures(candidate.model, [effect])}
+    away = {n: abs(values[n] - null) / max(candidate.error(n), 1e-300) for n, null in nulls.items()}
+    if max(away.values()) < SURE:
+        name = max(away, key=lambda n: away[n])
+        return f"{name} = {values[name]:.3g} lies within {SURE:g} of its standard errors from nothing"
+    few = student_quantile(STEADY, max(len(candidate.flights.dataset.identify) - 1, 1))
+    steady = [abs(values[n] - null) > few * spread[n] for n, null in nulls.items() if away[n] >= SURE]
+    if not any(steady):
+        return "its size differs from flight to flight"
+    return too_short(candidate, effect)
 
 
 def clearly_worse(runs: Tensor) -> bool:

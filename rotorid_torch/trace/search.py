@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.trace.by_control import by_control
 from rotorid_torch.trace.candidates import of_control_path
-from rotorid_torch.trace.decide import TIMES, errors, gain, objection, rivals, too_short, unseen_gain
+from rotorid_torch.trace.decide import TIMES, errors, gain, objection, rivals, unlikely, unseen_gain
 from rotorid_torch.trace.fits import BEGINNING, CAREFUL, Fitted, Flights, control_by_control, refit
 from rotorid_torch.trace.floor import Floors
 from rotorid_torch.trace.forces import seen_in_forces
@@ -77,14 +77,24 @@ class Search:
     ) -> dict[str, Fitted]:
         """The null with one more effect, for each of these, fitted in full; of several starts the best goes on.
 
+        A fit that ends worse than the null, which is one of its values, is lost, and begun again over short segments.
+
         each_control : those of them that have a size for each control.
         """
         richer = {e: null.spec.with_effects(e, each_control=e in each_control) for e in starts}
-        begun = [(e, Wanted(richer[e], {**null.values, **start}, null)) for e, own in starts.items() for start in own]
-        fitted: dict[str, Fitted] = {}
-        for (e, _), one in zip(begun, fits([w for _, w in begun], self.held, BEGINNING, self.ranks), strict=True):
-            fitted[e] = min(fitted.get(e, one), one, key=lambda f: f.cost)
-        return self.gone_on(fitted, floors)
+
+        def begun(chosen: Collection[str], short_first: bool) -> dict[str, Fitted]:
+            wanted = [
+                (e, Wanted(richer[e], {**null.values, **own}, null, short_first)) for e in chosen for own in starts[e]
+            ]
+            fitted: dict[str, Fitted] = {}
+            for (e, _), one in zip(wanted, fits([w for _, w in wanted], self.held, BEGINNING, self.ranks), strict=True):
+                fitted[e] = min(fitted.get(e, one), one, key=lambda f: f.cost)
+            return self.gone_on(fitted, floors)
+
+        found = begun(starts, short_first=False)
+        lost = [e for e, one in found.items() if gain(null, one) < -floors[e]]
+        return found | {e: min(found[e], one, key=lambda f: f.cost) for e, one in begun(lost, short_first=True).items()}
 
     def gone_on(self, fitted: Mapping[str, Fitted], least: Mapping[str, float]) -> dict[str, Fitted]:
         """Fits gone on with until they have converged, or gain no more than the least that matters to each."""
@@ -118,6 +128,14 @@ class Search:
         self.say(f"the model without candidates gains {gain(null, again):.3g} per sample from a better start")
         return again
 
+    def over_short(self, null: Fitted) -> Fitted:
+        """The null, or what a fit over short segments first makes of it where that ends better."""
+        again = fits([Wanted(null.spec, null.values, null, short_first=True)], self.held, CAREFUL, self.ranks)[0]
+        if gain(null, again) <= 0.0:
+            return null
+        self.say(f"the model without candidates gains {gain(null, again):.3g} per sample over short segments first")
+        return again
+
     def place(self, null: Fitted, effects: Sequence[str]) -> Fitted:
         """The null with what explains how trims differ from flight to flight: without that, no fit of it means much."""
         rest = list(effects)
@@ -131,7 +149,7 @@ class Search:
             fitted = refit(spec, self.flights, {**null.values, **start}, self.held, near=null)
             screened = self.screened(null, [effect])
             floor = self.floors.chance(screened, [effect])[effect]
-            against = objection(null, fitted, effect, floor, screened, one.scatter)
+            against = objection(null, fitted, effect, floor, one.scatter)
             self.say(f"{said}: gain {gain(null, fitted):.3g}, {against or 'joins'}")
             if against is None:
                 self.placed[effect] = gain(null, fitted), floor
@@ -150,6 +168,7 @@ class Search:
             if gain(null, richer) > 0.0:
                 self.say(f"structure: {' and '.join(rotor)} join, gain {gain(null, richer):.3g} per sample")
                 null = richer
+        null = self.over_short(null)
         rest = [e for e in candidates if e not in rotor]
         while rest:
             screened = self.screened(null, rest)
@@ -160,7 +179,7 @@ class Search:
             fitted = self.with_each(null, {best: screened.starts(best)}, floors)[best]
             null = self.improved(null, {best: fitted}, floors[best])
             rest.remove(best)
-            against = objection(null, fitted, best, floors[best], screened, fitted.scatter(best))
+            against = objection(null, fitted, best, floors[best], fitted.scatter(best))
             self.say(f"structure: {best}, gain {gain(null, fitted):.3g} per sample: {against or 'joins'}")
             if against is None:
                 null = fitted
@@ -185,7 +204,7 @@ class Search:
             fitted = self.with_each(null, starts, floors, each)
             least = min(floors.values(), default=0.0)
             better = self.improved(null, fitted, least)
-            joined = self._joining(better, fitted, floors, screens)
+            joined = self._joining(better, fitted, floors)
             if joined is None and gain(null, better) <= least:
                 return better, accepted
             null = better
@@ -223,12 +242,10 @@ class Search:
         seen, usual = seen_in_forces(null, accepted, effects, self.seed), self.floors.of_forces()
         return {e: one.start for e, one in seen.items() if one.gain > max(one.chance, usual.get(e, 0.0))}
 
-    def _joining(
-        self, null: Fitted, fitted: Mapping[str, Fitted], floors: Mapping[str, float], screens: Mapping[str, Screen]
-    ) -> str | None:
+    def _joining(self, null: Fitted, fitted: Mapping[str, Fitted], floors: Mapping[str, float]) -> str | None:
         """The effect that joins in this round, and in its group those that explain as much."""
         against = self.ranks.share(
-            list(fitted), lambda e: objection(null, fitted[e], e, floors[e], screens[e], fitted[e].scatter(e))
+            list(fitted), lambda e: objection(null, fitted[e], e, floors[e], fitted[e].scatter(e))
         )
         why = dict(zip(fitted, against, strict=True))
         for e, reason in why.items():
@@ -258,11 +275,16 @@ class Search:
         return left(one, other) <= floors[other] and left(other, one) <= floors[one]
 
     def confirmed(self, final: Fitted, accepted: list[str], floors: Mapping[str, float]) -> tuple[Fitted, list[str]]:
-        """Each accepted effect tested again beside the others; those that explain nothing more are taken out."""
-        for effect in list(accepted) if len(accepted) > 1 else []:
+        """Each accepted effect tested again in the end, where the fit has moved on, and beside the others.
+
+        Those that are no physics any more, or explain nothing more, are taken out.
+        """
+        for effect in list(accepted):
+            why = unlikely(final, effect, final.scatter(effect))
+            if why is None and len(accepted) == 1:
+                break
             least, spec = floors.get(effect, 0.0), final.spec.without([effect])
             without = self.settled(refit(spec, self.flights, final.values, self.held, near=final), least)
-            why = too_short(final, effect)
             if gain(without, final) <= least:
                 why = "beside the others it explains nothing more"
             if why is not None:

@@ -20,10 +20,12 @@ from rotorid_torch.identification.sensitivity import Run
 from rotorid_torch.identification.system import System
 from rotorid_torch.identification.uncertainty import Uncertainty
 from rotorid_torch.model.nominal import build
-from rotorid_torch.trace.fits import Fitted, Flights, refit
+from rotorid_torch.trace.fits import SEGMENT_S, Fitted, Flights, refit
 
 OWN = ("states", "noise", "x0", "x0_mean", "x0_sd", "prior_mean", "prior_sd", "bias_sd")
 """What a likelihood has beside flights and model."""
+SHORT_FIRST = (1.0, SEGMENT_S)
+"""s: over short segments a model that lacks much, or starts far off, does not drift away before it is corrected."""
 
 
 @dataclass(frozen=True)
@@ -47,18 +49,27 @@ class _Told:
 
 @dataclass(frozen=True)
 class Wanted:
-    """A fit to be made: of which spec, from which values, and near which fit."""
+    """A fit to be made: of which spec, from which values, and near which fit.
+
+    short_first : from the measured states instead, over short segments first.
+    """
 
     spec: ModelSpec
     start: Mapping[str, float]
     near: Fitted
+    short_first: bool = False
 
 
 def fits(wanted: Sequence[Wanted], held: Sequence[str], options: Options, ranks: Ranks) -> list[Fitted]:
     """`refit` of each, spread over the ranks; to the last digit the same at all."""
+
+    def made(one: Wanted) -> Fitted:
+        near, lengths = (None, SHORT_FIRST) if one.short_first else (one.near, (SEGMENT_S,))
+        return refit(one.spec, one.near.flights, one.start, held, lengths, options, near)
+
     return ranks.carry(
         wanted,
-        lambda one: refit(one.spec, one.near.flights, one.start, held, options=options, near=one.near),
+        made,
         _told,
         lambda one, told: _again(told, one.spec, one.near.flights),
     )

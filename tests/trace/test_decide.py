@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 import torch
 
+from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.trace.decide import free_run_gain, not_joined, objection, smallest_visible
 
 
@@ -48,7 +49,7 @@ def fitted(
 ) -> Any:
     """A fit as decisions see it; its segments of unseen flights fit better the less it costs."""
     size = torch.full((len(free_runs), 1), cost, dtype=torch.float64)
-    parameter = SimpleNamespace(name="forces.drag.x", value=0.0, bounds=(0.0, 1.0), free=True)
+    parameter = Parameter("forces.drag.x", 0.0, "1/m", (0.0, 1.0), typical=0.02)
     values = {"forces.drag.x": value}
     return SimpleNamespace(
         spec=SimpleNamespace(effects=("forces.drag",)),
@@ -64,11 +65,6 @@ def fitted(
     )
 
 
-def screening(parameter: str = "forces.drag.x") -> Any:
-    signature = SimpleNamespace(effect=parameter.rpartition(".")[0], parameter=parameter, null=0.0)
-    return SimpleNamespace(signatures=(signature,))
-
-
 @pytest.mark.parametrize(
     ("candidate", "reason"),
     [
@@ -82,7 +78,7 @@ def screening(parameter: str = "forces.drag.x") -> Any:
     ],
 )
 def test_free_runs_of_unseen_flights_decide_too(candidate: Any, reason: str | None):
-    said = objection(fitted(2.0, (0.1, 0.1)), candidate, "forces.drag", 0.1, screening(), {"forces.drag.x": 0.001})
+    said = objection(fitted(2.0, (0.1, 0.1)), candidate, "forces.drag", 0.1, {"forces.drag.x": 0.001})
     assert (said is None) if reason is None else reason in (said or "")
 
 
@@ -94,7 +90,7 @@ def test_a_size_must_be_the_same_in_all_flights_as_far_as_so_few_of_them_tell(
     flights: int, scatter: float, differs: bool
 ):
     candidate = fitted(1.0, (0.08, 0.09), flights=flights)
-    said = objection(fitted(2.0, (0.1, 0.1)), candidate, "forces.drag", 0.1, screening(), {"forces.drag.x": scatter})
+    said = objection(fitted(2.0, (0.1, 0.1)), candidate, "forces.drag", 0.1, {"forces.drag.x": scatter})
     assert said == ("its size differs from flight to flight" if differs else None)
 
 
@@ -119,12 +115,11 @@ def test_a_lag_shorter_than_the_records_interval_is_no_finding_beside_a_delay(
 ):
     candidate = fitted(1.0, (0.08, 0.09))
     candidate.spec.effects = effects
-    parameter = SimpleNamespace(name="control.lag.common", value=0.0, bounds=(0.0, 1.0), free=True)
+    parameter = Parameter("control.lag.common", 0.0, "s", (0.0, 1.0), typical=0.06)
     candidate.model.parameter_set.parameters = (parameter,)
     candidate.values = candidate.model.named_values = {"control.lag.common": lag}
-    screened = screening("control.lag.common")
     candidate.error = lambda name: 0.001
-    said = objection(fitted(2.0, (0.1, 0.1)), candidate, "control.lag", 0.1, screened, {"control.lag.common": 0.001})
+    said = objection(fitted(2.0, (0.1, 0.1)), candidate, "control.lag", 0.1, {"control.lag.common": 0.001})
     assert (said is not None) == told
     if told:
         assert "0.011 s beside control.delay is shorter than the interval of the records" in (said or "")

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
-from rotorid_torch.trace.fits import CAREFUL, refit
+from rotorid_torch.trace.fits import CAREFUL, Fitted, refit
 from rotorid_torch.trace.floor import Floors
 from rotorid_torch.trace.search import Search
+from rotorid_torch.trace.spread import Wanted, fits
 from tests.trace.hidden_flights import flights, started
 
 
@@ -22,3 +24,44 @@ def test_fits_go_on_while_they_gain_what_matters_to_each(monkeypatch: pytest.Mon
     on = search.gone_on({"careful": rough, "easy": rough}, {"careful": 0.0, "easy": math.inf})
     assert on["careful"].cost == pytest.approx(null.cost, abs=1.0)
     assert on["careful"].cost + 10.0 < on["easy"].cost < rough.cost
+
+
+def test_an_effect_that_joined_is_taken_out_where_it_is_nothing_in_the_end():
+    known, null = started(flights())
+    late = refit(null.spec.with_effects("control.delay"), known, null.values, near=null)
+    search = Search(known, (), Floors({}, ""), lambda line: None, 0)
+    final, accepted = search.confirmed(late, ["control.delay"], {"control.delay": -math.inf})
+    assert (accepted, final.spec.effects) == ([], null.spec.effects)
+    assert "standard errors from nothing" in search.rejected["control.delay"][0]
+
+
+def test_an_effect_that_is_real_in_the_end_stays():
+    known, null = started(flights("control.delay", control__delay__common=0.06))
+    late = refit(null.spec.with_effects("control.delay"), known, {**null.values, "control.delay.common": 0.05})
+    search = Search(known, (), Floors({}, ""), lambda line: None, 0)
+    assert search.confirmed(late, ["control.delay"], {"control.delay": 1e-3}) == (late, ["control.delay"])
+
+
+def test_a_fit_that_is_lost_begins_again_over_short_segments(monkeypatch: pytest.MonkeyPatch):
+    known, null = started(flights("control.delay", control__delay__common=0.06))
+    asked: list[list[bool]] = []
+
+    def lost_at_first(wanted: list[Wanted], *rest: Any) -> list[Fitted]:
+        asked.append([one.short_first for one in wanted])
+        found = zip(wanted, fits(wanted, *rest), strict=True)
+        return [one if w.short_first else replace(one, fit=null.fit) for w, one in found]
+
+    monkeypatch.setattr("rotorid_torch.trace.search.fits", lost_at_first)
+    search = Search(known, (), Floors({}, ""), lambda line: None, 0)
+    starts = {"control.delay": [{"control.delay.common": 0.03}, {"control.delay.common": 0.1}]}
+    found = search.with_each(null, starts, {"control.delay": -1.0})["control.delay"]
+    assert [one for one in asked if one][:2] == [[False, False], [True, True]]
+    assert found.values["control.delay.common"] == pytest.approx(0.06, abs=0.003)
+
+
+def test_a_model_that_lost_its_way_is_found_again_over_short_segments():
+    known, null = started(flights())
+    astray = refit(null.spec, known, {}, options=replace(CAREFUL, max_iterations=1))
+    search = Search(known, (), Floors({}, ""), lambda line: None, 0)
+    assert search.over_short(astray).cost == pytest.approx(null.cost, abs=1.0)
+    assert search.over_short(null).cost <= null.cost
