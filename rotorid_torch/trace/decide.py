@@ -25,6 +25,8 @@ AWAY = math.log(10.0)
 """Log ratio of J of one flight beyond which a model flies away, whatever the other flights say."""
 TIMES = frozenset({"control.delay", "control.lag"})
 """Effects that stand in for each other where they are short."""
+CLOSE = 0.05
+"""Share of the gain of one of them that tells nothing of which it is: what else a model lacks moves both by as much."""
 
 
 def unseen_gain(null: Fitted, candidate: Fitted) -> Tensor:
@@ -127,16 +129,25 @@ def rivals(
 ) -> tuple[str, list[str]]:
     """The sane candidate that explains most, and those that cannot be told from it.
 
-    That is where the difference of their gains lies below a floor, or is not the same in all flights.
+    That is where the difference of their gains tells nothing, or is not the same in all flights.
     """
     gains = {e: gain(null, fitted[e]) for e in sane}
     best = max(gains, key=lambda e: gains[e])
     near = [
         e
         for e in sane
-        if e != best and (gains[best] - gains[e] < max(floors[best], floors[e]) or not told(fitted[best], fitted[e]))
+        if e != best
+        and (
+            gains[best] - gains[e] < max(floors[best], telling(e, best, gains[best], floors))
+            or not told(fitted[best], fitted[e])
+        )
     ]
     return best, near
+
+
+def telling(effect: str, best: str, gained: float, floors: Mapping[str, float]) -> float:
+    """Gain of an effect over another, that alone gained so much, above which the two are told apart."""
+    return max(floors[effect], CLOSE * gained if TIMES >= {effect, best} else 0.0)
 
 
 def told(best: Fitted, other: Fitted) -> bool:
@@ -165,8 +176,8 @@ def not_joined(screened: Screen, effect: str, floor: float, explained_by: Sequen
     found, visible = screened.gain([effect]), smallest_visible(screened, effect, floor)
     keep = {"gain": found, "floor": floor, "smallest_visible": visible}
     if hot and explained_by and found <= floor:
-        better = " and ".join(explained_by)
-        return Finding(effect, role, "rejected", f"what it would explain, {better} explains better", **keep)
+        better = " and ".join(explained_by) + (" explain" if len(explained_by) > 1 else " explains")
+        return Finding(effect, role, "rejected", f"what it would explain, {better} better", **keep)
     if screened.shown(effect) < floor:
         absorbed = screened.imitators(effect)
         said = "at its usual size these flights would not show it: "

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.trace.by_control import by_control
 from rotorid_torch.trace.candidates import of_control_path
-from rotorid_torch.trace.decide import TIMES, errors, gain, objection, rivals, unlikely, unseen_gain
+from rotorid_torch.trace.decide import TIMES, errors, gain, objection, rivals, telling, unlikely, unseen_gain
 from rotorid_torch.trace.fits import BEGINNING, CAREFUL, Fitted, Flights, control_by_control, refit
 from rotorid_torch.trace.floor import Floors
 from rotorid_torch.trace.forces import seen_in_forces
@@ -256,23 +256,26 @@ class Search:
         if not sane:
             return None
         best, near = rivals(null, fitted, floors, sane)
-        alike = self.ranks.share(near, lambda e: self._alike(fitted, best, e, floors))
+        alike = self.ranks.share(near, lambda e: self._alike(null, fitted, best, e, floors))
         same = tuple(e for e, one in zip(near, alike, strict=True) if one)
-        if same:
-            self.groups[best] = same
+        apart = {one: tuple(e for e in others if e != best) for one, others in self.groups.items()}
+        self.groups = {one: others for one, others in (apart | {best: same}).items() if others}
         self.gained[best] = gain(null, fitted[best]), floors[best]
         self.spread.update(fitted[best].scatter(best))
         self.say(f"{best} joins" + (f", in a group with {', '.join(same)}" if same else ""))
         return best
 
-    def _alike(self, fitted: Mapping[str, Fitted], one: str, other: str, floors: Mapping[str, float]) -> bool:
+    def _alike(
+        self, null: Fitted, fitted: Mapping[str, Fitted], one: str, other: str, floors: Mapping[str, float]
+    ) -> bool:
         """Whether either of two effects leaves nothing for the other, which may have a size for each control."""
 
-        def left(there: str, asked: str) -> float:
+        def leaves(there: str, asked: str) -> bool:
             apart = [asked] if asked in fitted[asked].spec.each_control else []
-            return self.screened(control_by_control(fitted[there], apart), [asked]).gain([asked])
+            left = self.screened(control_by_control(fitted[there], apart), [asked]).gain([asked])
+            return left > telling(asked, there, gain(null, fitted[there]), floors)
 
-        return left(one, other) <= floors[other] and left(other, one) <= floors[one]
+        return not leaves(one, other) and not leaves(other, one)
 
     def confirmed(self, final: Fitted, accepted: list[str], floors: Mapping[str, float]) -> tuple[Fitted, list[str]]:
         """Each accepted effect tested again in the end, where the fit has moved on, and beside the others.

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from rotorid_torch.core.parameters import Parameter
-from rotorid_torch.trace.decide import free_run_gain, not_joined, objection, smallest_visible
+from rotorid_torch.trace.decide import free_run_gain, not_joined, objection, rivals, smallest_visible
 
 
 def screened(gain: float, shown: float, imitators: tuple[str, ...] = ()) -> Any:
@@ -60,6 +60,7 @@ def fitted(
         values=values,
         error=lambda name: error,
         free_runs=torch.tensor(free_runs, dtype=torch.float64),
+        seen=SimpleNamespace(size=lambda: size),
         unseen=SimpleNamespace(size=lambda: size),
         model=SimpleNamespace(parameter_set=SimpleNamespace(parameters=(parameter,)), named_values=values),
     )
@@ -123,3 +124,19 @@ def test_a_lag_shorter_than_the_records_interval_is_no_finding_beside_a_delay(
     assert (said is not None) == told
     if told:
         assert "0.011 s beside control.delay is shorter than the interval of the records" in (said or "")
+
+
+@pytest.mark.parametrize(
+    ("other", "cost", "near"),
+    [
+        ("control.lag", 1.04, True),
+        ("control.lag", 1.06, False),
+        ("forces.drag", 1.04, False),
+        ("forces.drag", 1.0, True),
+    ],
+)
+def test_a_delay_and_a_lag_that_explain_nearly_the_same_are_not_told_apart(other: str, cost: float, near: bool):
+    sizes = (0.1, 0.1)
+    them = {"control.delay": fitted(1.0, sizes), other: fitted(cost, sizes)}
+    found = rivals(fitted(2.0, sizes), them, dict.fromkeys(them, 0.01), list(them))
+    assert found == ("control.delay", [other] if near else [])
