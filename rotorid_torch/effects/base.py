@@ -159,6 +159,11 @@ class Effect(nn.Module):
         """Why this data set cannot test the effect, in plain words; None where it can."""
         return None
 
+    @classmethod
+    def within(cls, spec: ModelSpec) -> str:
+        """Id of the part of the nominal model that is this physics already; empty where none is."""
+        return ""
+
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Frame after this effect, and the rates [..., n] of its own states x [..., n]; without states, x itself.
 

@@ -13,7 +13,7 @@ from rotorid_torch.core.rigid import vec
 from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Values
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.effects.testable import first, no_forces, no_rates, no_velocities
+from rotorid_torch.effects.testable import first, no_forces, no_rates, no_velocities, nominal_inflow
 
 DRAG_AREA = 0.01
 """Drag area of a fuselage over the rotor's disc; usual for helicopters."""
@@ -132,9 +132,14 @@ class TranslationalLift(Effect):
         return cls(math.hypot(spec.reference.get("u", 0.0), spec.reference.get("v", 0.0)))
 
     @classmethod
+    def within(cls, spec: ModelSpec) -> str:
+        """The nominal model's inflow, where it has one: momentum theory knows the speed."""
+        return "inflow" if spec.inflow else ""
+
+    @classmethod
     def untestable(cls, spec: ModelSpec) -> str | None:
         """Where the nominal model has momentum theory already, or velocities are missing."""
-        return "it is part of the nominal model already" if spec.inflow else first(no_velocities(spec), no_forces(spec))
+        return first(nominal_inflow(spec), no_velocities(spec), no_forces(spec))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds thrust and torque by the change of the induced velocity."""

@@ -14,7 +14,7 @@ from rotorid_torch.errors import InputError
 if TYPE_CHECKING:
     from rotorid_torch.effects.spec import ModelSpec
 
-LIBRARY = ("control", "rotor", "forces", "environment", "mass", "sensors", "propulsion", "neural")
+LIBRARY = ("control", "rotor", "rotor_speed", "forces", "environment", "mass", "sensors", "propulsion", "neural")
 ENTRY_POINTS = "rotorid_torch.effects"
 EFFECTS: dict[str, type[Effect]] = {}
 

@@ -1,4 +1,4 @@
-"""Effects of the main rotor beyond first-order flapping: inflow, lead-lag, wake, rotor speed, stall.
+"""Effects of the main rotor beyond first-order flapping: inflow, lead-lag, wake, stall.
 
 Flapping is beta(psi) = a0 - a1 cos(psi) - b1 sin(psi), psi = 0 aft and along the rotation.
 """
@@ -18,7 +18,7 @@ from rotorid_torch.core.state import State
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec, RotorSpec
-from rotorid_torch.effects.testable import first, no_forces, no_mass, no_rates, no_rotor, no_velocities
+from rotorid_torch.effects.testable import first, no_forces, no_mass, no_rates, no_rotor, no_velocities, nominal_inflow
 
 USUAL_LOCK = 8.0
 """Lock number of a rotor that does not declare it."""
@@ -92,9 +92,14 @@ class DynamicInflow(Effect):
         return cls(lift(spec), tilts if spec.flapping == "first order" else None)
 
     @classmethod
+    def within(cls, spec: ModelSpec) -> str:
+        """The nominal model's inflow, where it has one."""
+        return "inflow" if spec.inflow else ""
+
+    @classmethod
     def untestable(cls, spec: ModelSpec) -> str | None:
         """Where the nominal model has inflow already, or there is no thrust."""
-        return "it is part of the nominal model already" if spec.inflow else first(no_forces(spec), _multirotor(spec))
+        return first(nominal_inflow(spec), no_forces(spec), _multirotor(spec))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds what the inflow takes; the rates of the states."""
@@ -366,67 +371,6 @@ class WakeDistortion(Effect):
         b1 = frame.rate("b1") + self.cross * c + self.own * s
         disc = vec(q + a1, roll + self.spin * b1)
         return frame.with_rates(a1=a1, b1=b1), (disc - x) / p["tau"].unsqueeze(-1)
-
-
-@register
-class RotorSpeed(Effect):
-    """Rotor speed and its governor: collective slows the rotor, the engine brings it back; thrust and torque change.
-
-    ds/dt = e - dcol; de/dt = -(e + governor s)/tau; load s is the speed beyond trim (rad/s), load e the engine's
-    acceleration of it. Z += Z load s, N += N load e. Z is -2 g/speed, thrust as the speed squared; free where the
-    speed is measured, for otherwise load and Z tell the same story.
-
-    Source: Hilbert, NASA TM-85890 (1984), table 3; Padfield, Helicopter Flight Dynamics, sec. 3.2.5 (governor).
-    """
-
-    id, stage, role, predicts = "rotor.speed", Stage.FORCES, Role.STRUCTURE, ("omega",)
-
-    def __init__(self, speed: float, gravity: float, col: float, unit: str, omega: float, measured: bool) -> None:
-        thrust = -2.0 * gravity / speed
-        per, load = {"rad": ("1/s2", 30.0), "m": ("rad/(s2 m)", 30.0)}.get(unit, ("rad/s2", 10.0))
-        super().__init__(
-            (
-                Parameter("load", 0.0, per, (0.0, 40.0 * load), doc="deceleration by collective", typical=load),
-                Parameter("governor", 3.0, "1/s", (0.2, 30.0), 3.0, doc="engine's answer to the speed", typical=3.0),
-                Parameter("tau", 1.25, "s", (0.1, 5.0), 1.0, doc="lag of the engine", typical=1.25),
-                Parameter("Z", thrust, "m/(s rad)", (4.0 * thrust, 0.0), -thrust, measured, "thrust by speed", thrust),
-                Parameter("N", 0.0, "1", (-1.0, 1.0), doc="reaction to the engine's torque", typical=0.1),
-            ),
-            (
-                State("speed", "rad s", "speed beyond trim by load", spread=KNOWN),
-                State("engine", "rad", "engine beyond trim by load", spread=KNOWN),
-            ),
-        )
-        self.col, self.omega = col, omega
-
-    @classmethod
-    def from_spec(cls, spec: ModelSpec) -> RotorSpeed:
-        """From the declared rotor's speed, and the measured one's mean where it is a channel."""
-        assert spec.rotor is not None
-        speed = spec.rotor.speed
-        at = spec.reference.get
-        return cls(
-            speed,
-            spec.gravity,
-            at("col", 0.0),
-            spec.control_units.get("col", "rad"),
-            at("omega", speed),
-            "omega" in spec.outputs,
-        )
-
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Without a declared rotor, forces or collective."""
-        col = None if "col" in spec.controls else "the collective is not recorded"
-        return first(no_rotor(spec), no_forces(spec), col)
-
-    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
-        """Adds thrust and torque; publishes the speed."""
-        rates = vec(x[..., 1] - (frame.signals["col"] - self.col), -(x[..., 1] + p["governor"] * x[..., 0]) / p["tau"])
-        speed, engine = p["load"] * x[..., 0], p["load"] * x[..., 1]
-        zero = torch.zeros_like(speed)
-        frame = frame.add(vec(zero, zero, p["Z"] * speed), vec(zero, zero, p["N"] * engine))
-        return frame.with_signals(omega=self.omega + speed), rates
 
 
 @register

@@ -11,6 +11,7 @@ from torch import Tensor
 from rotorid_torch.run.pipeline import Run
 from rotorid_torch.run.records import FlightRecord
 from rotorid_torch.run.summary import GOOD, USABLE
+from rotorid_torch.trace.candidates import of_control_path
 from rotorid_torch.trace.decide import clearly_worse
 from rotorid_torch.trace.loop import Tracing
 
@@ -23,6 +24,9 @@ FAILS = "the model with it still does not describe the flights: something else a
 FLOWN_AWAY = 1e9
 """J of a run that has none because its states left all bounds."""
 IMITATES = "what is left over beside it, without a name, is larger than what it explains: it may imitate that"
+CHANGED = "beside it something begins in the midst of the flights, and it acts all the time: it may imitate that"
+BY_WHAT_IS_LEFT = (IMITATES, CHANGED)
+"""Objections by what stays without a name: that is told then."""
 
 
 def best_of(runs: Sequence[Run]) -> Run:
@@ -39,7 +43,8 @@ def best_of(runs: Sequence[Run]) -> Run:
 def objection(without: Run, after: Run, tracing: Tracing) -> str | None:
     """Why effects that were accepted are no finding, or None.
 
-    What explains less than what then stays without a name may be no more than its imitation.
+    What explains less than what then stays without a name may be no more than its imitation; so may a control path
+    that is late, slow or loose from the start where something begins later.
     """
     if clearly_worse(free_run_gain(without, after)):
         return WORSE
@@ -52,8 +57,13 @@ def objection(without: Run, after: Run, tracing: Tracing) -> str | None:
             return STILL_POOR
     if left > (1.0 - USABLE) * moved:
         return FAILS
-    missing = tracing.unknown is not None and tracing.unknown.judged
-    return IMITATES if missing and left > 0.5 * _beyond_noise(without) else None
+    missing = tracing.unknown
+    if missing is None or not missing.judged:
+        return None
+    if left > 0.5 * _beyond_noise(without):
+        return IMITATES
+    path = len(of_control_path(tracing.accepted)) == len(tracing.accepted)
+    return CHANGED if missing.since_s is not None and path else None
 
 
 def free_run_gain(without: Run, after: Run) -> Tensor:

@@ -28,14 +28,20 @@ def of_control_path(effects: Iterable[str]) -> list[str]:
 
 
 def candidates(spec: ModelSpec) -> tuple[list[str], list[Finding]]:
-    """Effects that can act inside the time loop of this model, and findings for those that cannot be tested."""
-    testable, untestable = [], []
+    """Effects that can act inside the time loop of this model, and findings for the others.
+
+    Those are what the nominal model has from the start, and what cannot be tested.
+    """
+    testable, settled = [], []
     for name, effect in sorted(registered().items()):
         if name in spec.effects or effect.role is Role.LEARNT or effect.showing in ELSEWHERE:
             continue
-        reason = effect.untestable(spec)
-        if reason is None:
+        part, reason = effect.within(spec), effect.untestable(spec)
+        if part:
+            said = f"the nominal model has it from the start, as its part '{part}'"
+            settled.append(Finding(name, effect.role.value, "accepted", said, nominal=True))
+        elif reason is None:
             testable.append(name)
         else:
-            untestable.append(Finding(name, effect.role.value, "not testable", reason))
-    return testable, untestable
+            settled.append(Finding(name, effect.role.value, "not testable", reason))
+    return testable, settled

@@ -184,7 +184,8 @@ def not_joined(screened: Screen, effect: str, floor: float, explained_by: Sequen
         said += f"{', '.join(absorbed)} take its place" if absorbed else "it hardly moves what was measured"
         said += f"; {registered()[effect].separated_by} would tell"
         return Finding(effect, role, "indistinguishable", said, **keep, group=absorbed)
-    return Finding(effect, role, "below floor", "it explains no more than it would on a clean aircraft", **keep)
+    usual = "it would on a clean aircraft" if role == "undeclared" else "by chance"  # which ordinary physics is part of
+    return Finding(effect, role, "below floor", f"it explains no more than {usual}", **keep)
 
 
 def errors(candidate: Fitted, effect: str, spread: Mapping[str, float]) -> dict[str, tuple[float, float]]:

@@ -27,6 +27,7 @@ def findings(
     first : their screen before anything joined. floors : by effect.
     """
     found = [Finding(e, "structure", "accepted", search.why(e), values=errors(final, e, {})) for e in structure]
+    found += search.ordinary.values()
     found += [_placed(search, final, effect, accepted) for effect in search.placed]
     last = search.screened(final, [e for e in undeclared if e not in accepted])
     left = dict.fromkeys(undeclared, last) | _each_control(search, final, accepted)

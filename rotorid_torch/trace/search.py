@@ -13,7 +13,18 @@ from dataclasses import dataclass, field
 from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.trace.by_control import by_control
 from rotorid_torch.trace.candidates import of_control_path
-from rotorid_torch.trace.decide import TIMES, errors, gain, objection, rivals, telling, unlikely, unseen_gain
+from rotorid_torch.trace.decide import (
+    TIMES,
+    errors,
+    gain,
+    not_joined,
+    objection,
+    rivals,
+    telling,
+    unlikely,
+    unseen_gain,
+)
+from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.fits import BEGINNING, CAREFUL, Fitted, Flights, control_by_control, refit
 from rotorid_torch.trace.floor import Floors
 from rotorid_torch.trace.forces import seen_in_forces
@@ -46,6 +57,7 @@ class Search:
     placed : gain and floor of effects of where the vehicle flies that explain what trims differ by; they join first.
     gained : gain and floor of effects that joined later, fitted in full.
     alone : floors of effects that were tried on each control by itself.
+    ordinary : what is said of structure that did not join.
     """
 
     flights: Flights
@@ -63,6 +75,7 @@ class Search:
     placed: dict[str, tuple[float, float]] = field(default_factory=dict)
     gained: dict[str, tuple[float, float]] = field(default_factory=dict)
     alone: dict[str, float] = field(default_factory=dict)
+    ordinary: dict[str, Finding] = field(default_factory=dict)
 
     def screened(self, null: Fitted, effects: Sequence[str]) -> Screen:
         """These effects against what a model leaves over."""
@@ -175,6 +188,7 @@ class Search:
             floors = self.floors.chance(screened, rest)
             best = max(rest, key=lambda e: screened.gain([e]))
             if screened.gain([best]) <= floors[best]:
+                self.ordinary |= {e: not_joined(screened, e, floors[e], (), hot=False) for e in rest}
                 break
             fitted = self.with_each(null, {best: screened.starts(best)}, floors)[best]
             null = self.improved(null, {best: fitted}, floors[best])
@@ -183,6 +197,11 @@ class Search:
             self.say(f"structure: {best}, gain {gain(null, fitted):.3g} per sample: {against or 'joins'}")
             if against is None:
                 null = fitted
+            else:
+                gained, found = gain(null, fitted), errors(fitted, best, fitted.scatter(best))
+                self.ordinary[best] = Finding(
+                    best, "structure", "rejected", against, gained, floors[best], values=found
+                )
         return null
 
     def undeclared(self, null: Fitted, candidates: Sequence[str]) -> tuple[Fitted, list[str]]:

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from rotorid_torch.core.integrate import simulate
 from rotorid_torch.core.rigid import gyroscopic
+from rotorid_torch.effects.base import Frame, Values
 from rotorid_torch.effects.examples import HELICOPTER, MOTORS, MULTIROTOR
 from rotorid_torch.effects.registry import make
 from rotorid_torch.effects.rotor import LeadLag, Stall
@@ -338,16 +339,33 @@ def test_a_curved_wake_turns_the_tilt_against_the_off_axis_response():
 
 
 def test_collective_slows_the_rotor_and_the_governor_brings_it_back():
+    """After a step of the load c: speed -load c exp(-rate t/2) sin(f t)/f with f^2 = governor - rate^2/4."""
     spec = msgspec.structs.replace(RIGID, outputs=(*RIGID.outputs, "omega"))
-    model = made("rotor.speed", spec, load=30.0, governor=3.0, tau=1.25)
-    u = torch.zeros(1500, 4, dtype=torch.float64)
-    u[100:, 2] = 0.02
-    x0 = torch.zeros(len(model.layout), dtype=torch.float64)
-    states = simulate(model, x0, u, 0.02)
-    omega = model.output(states, u)[:, model.body.outputs.index("omega")].detach()
+    model = made("rotor.speed", spec, load=30.0, governor=6.0, rate=2.0, N=0.2, tail=-0.1)
+    dt, step, first = 0.02, 0.02, 100
+    u = torch.zeros(600, 4, dtype=torch.float64)
+    u[first:, 2] = step
+    states = simulate(model, torch.zeros(len(model.layout), dtype=torch.float64), u, dt)
+    omega, rdot = (model.output(states, u)[:, model.body.outputs.index(n)].detach() for n in ("omega", "rdot"))
+    t, f = dt * torch.arange(len(u) - first, dtype=torch.float64), math.sqrt(6.0 - 1.0)
+    swing = 30.0 * step * torch.exp(-t)
+    speed, faster = -swing * torch.sin(f * t) / f, swing * (torch.sin(f * t) / f - torch.cos(f * t))
     assert float(omega[0]) == 27.0
-    assert float(omega.min()) < 27.0 - 30.0 * 0.02 / 3.0  # overshoot
-    assert float(omega[-1]) == pytest.approx(27.0 - 30.0 * 0.02 / 3.0, abs=0.01)
+    torch.testing.assert_close(omega[first:] - 27.0, speed, rtol=0.0, atol=8e-3)  # the step is a ramp of one sample
+    torch.testing.assert_close(rdot[first:], 0.2 * faster - 0.1 * speed, rtol=0.0, atol=4e-3)
+
+
+def test_power_slows_the_rotor_where_the_model_has_inflow():
+    """The load is thrust times the flow through the disc, beyond trim."""
+    spec = msgspec.structs.replace(RIGID, inflow=True, reference={**RIGID.reference, "vi": 11.0})
+    effect = make("rotor.speed", spec)
+    signals = {n: torch.tensor(v, dtype=torch.float64) for n, v in (("vi", 12.0), ("w", -1.0), ("col", 0.3))}
+    frame = Frame(signals, force=torch.tensor([0.0, 0.0, -11.0], dtype=torch.float64))
+    values = Values(
+        torch.tensor([p.value for p in effect.declared], dtype=torch.float64), tuple(p.name for p in effect.declared)
+    )
+    rates = effect(frame, torch.zeros(2, dtype=torch.float64), values)[1]
+    assert float(rates[0]) == pytest.approx(9.80665 * 11.0 - 11.0 * 13.0)
 
 
 def test_battery_scales_every_command():

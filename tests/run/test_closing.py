@@ -177,7 +177,7 @@ def test_effects_that_make_free_runs_worse_are_refused_and_what_they_took_up_is_
 
 @pytest.mark.parametrize(("before", "after", "stays"), [(0.12, 0.06, True), (0.12, 0.1, False), (0.06, 0.052, True)])
 def test_what_explains_less_than_what_stays_without_a_name_is_no_name(before: float, after: float, stays: bool):
-    missing = Unknown("b1", (0.1, 2.0), "time", 6.0, "Something is missing in b1.")
+    missing = Unknown("b1", (0.1, 2.0), "p lat", None, "Something is missing in b1.")
     delay = Finding("control.delay", "undeclared", "accepted", "", values={"control.delay.common": (0.05, 0.01)})
     tracing = replace(tracing_of("control.delay"), findings=(delay,), unknown=missing)
     first, run = run_with(before), run_with(after)
@@ -188,6 +188,23 @@ def test_what_explains_less_than_what_stays_without_a_name_is_no_name(before: fl
     for other in (None, replace(missing, judged=False)):
         alone = _before_and_after(first, replace(tracing, unknown=other), False, pytest.fail, lambda spec, values: run)
         assert alone[2].accepted
+
+
+@pytest.mark.parametrize(
+    ("effect", "since", "stays"),
+    [("control.backlash", 6.0, False), ("control.backlash", None, True), ("mass.slung_load", 6.0, True)],
+)
+def test_a_control_path_that_changes_in_the_midst_of_the_flights_has_no_name(
+    effect: str, since: float | None, stays: bool
+):
+    missing = Unknown("b1", (0.1, 2.0), "lat", since, "Something is missing in b1.")
+    named = Finding(effect, "undeclared", "accepted", "", values={f"{effect}.size": (0.005, 0.0001)})
+    tracing = replace(tracing_of(effect), findings=(named,), unknown=missing)
+    run = run_with(0.06)
+    found = _before_and_after(run_with(0.12), tracing, False, pytest.fail, lambda spec, values: run)[2]
+    assert bool(found.accepted) is stays
+    assert found.unknown == missing
+    assert statement(found.findings, found.unknown).kind == ("undeclared" if stays else "unknown")
 
 
 @pytest.mark.parametrize(("verdict", "told"), [("accepted", False), ("below floor", True)])

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import pytest
 import torch
 
+from rotorid_torch.effects.base import Role, Showing
+from rotorid_torch.effects.registry import registered
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.decide import gain
 from rotorid_torch.trace.finding import Unknown
@@ -90,6 +92,10 @@ def test_where_nothing_is_hidden_nothing_is_named():
     assert found.accepted == ()
     assert found.structure == ()
     assert {f.verdict for f in found.findings} <= {"below floor", "indistinguishable", "not testable", "rejected"}
+    told = {f.id for f in found.findings}
+    assert {
+        n for n, e in registered().items() if e.showing is Showing.TRAJECTORIES and e.role is not Role.LEARNT
+    } <= told
     delay = next(f for f in found.findings if f.id == "control.delay")
     assert delay.smallest_visible is not None
     assert delay.smallest_visible[0] < 0.06

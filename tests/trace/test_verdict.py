@@ -48,6 +48,12 @@ def test_structure_alone_is_nothing_undeclared():
     assert statement([LAG_MODE, QUIET], None).kind == "structure"
 
 
+def test_what_the_nominal_model_has_from_the_start_joins_nothing():
+    inflow = Finding("rotor.inflow", "structure", "accepted", "", nominal=True)
+    assert statement([inflow, QUIET], None).kind == "nothing undeclared"
+    assert statement([inflow, LAG_MODE], None).effects == ("rotor.lead_lag",)
+
+
 def test_nothing_points_at_the_list_of_what_could_have_been_seen():
     told = statement([QUIET], None)
     assert told.kind == "nothing undeclared"

@@ -1,0 +1,126 @@
+"""Rotor speed that gives way to the load, and its governor."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.core.rigid import vec
+from rotorid_torch.core.state import State
+from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
+from rotorid_torch.effects.registry import register
+from rotorid_torch.effects.rotor import KNOWN, USUAL_LOCK, lift
+from rotorid_torch.effects.spec import ModelSpec, RotorSpec
+from rotorid_torch.effects.testable import first, no_forces, no_rotor
+
+LIFT_SLOPE = 5.7  # of a blade section, 1/rad
+USUAL_SHARE = 0.15
+"""Inertia of the rotor about its shaft over that of the body in yaw, where either is not declared."""
+MERIT = 0.7
+"""Induced power over all power of a hovering rotor."""
+LOADS = {"rad": ("1/s2", 30.0), "m": ("rad/(s2 m)", 30.0), "norm": ("rad/s2", 10.0)}
+"""Deceleration of the rotor by a collective in its unit, where the power that it costs is not in the model."""
+
+
+@register
+class RotorSpeed(Effect):
+    """Rotor speed and its governor: power slows the rotor, the engine brings it back; thrust and torque change.
+
+    ds/dt = e - dP; de/dt = -governor s - rate ds/dt, with dP = T (vi - w) beyond trim, the power of lift and
+    climb per mass, or the collective's excursion where the model has no inflow. load s is the speed beyond trim
+    (rad/s). Z += Z load s; N += N load ds/dt + tail load s: the engine turns the body as it speeds the rotor up, and
+    the tail rotor turns with it. Z is -2 g/speed, thrust as the speed squared, free where the speed is measured, for
+    otherwise load and Z tell the same story; N starts as the rotor's inertia over the body's.
+
+    Source: Hilbert, NASA TM-85890 (1984), table 3; Padfield, Helicopter Flight Dynamics, sec. 3.2.5 (governor).
+    """
+
+    id, stage, role, predicts = "rotor.speed", Stage.FORCES, Role.STRUCTURE, ("omega",)
+
+    def __init__(self, spec: ModelSpec, rotor: RotorSpec) -> None:
+        thrust, share, tail = -2.0 * spec.gravity / rotor.speed, rotor.spin * _share(spec, rotor), _tail(spec, rotor)
+        unit, load = LOADS.get(spec.control_units.get("col", "rad"), LOADS["norm"])
+        at, spread = spec.reference, KNOWN
+        if spec.inflow:
+            unit, spread = "rad s/m2", KNOWN * lift(spec) * at["vi"]
+            load = _slowing(spec, rotor)
+        measured = "omega" in spec.outputs
+        super().__init__(
+            (
+                Parameter(
+                    "load", 0.0, unit, (0.0, 40.0 * load), doc="deceleration by power or collective", typical=load
+                ),
+                Parameter("governor", 6.0, "1/s2", (0.2, 60.0), 6.0, doc="engine's answer to the speed", typical=6.0),
+                Parameter("rate", 2.0, "1/s", (0.0, 20.0), 2.0, doc="the same to its rate", typical=2.0),
+                Parameter("Z", thrust, "m/(s rad)", (4.0 * thrust, 0.0), -thrust, measured, "thrust by speed", thrust),
+                Parameter("N", share, "1", (-1.0, 1.0), abs(share), doc="yaw as the rotor speeds up", typical=share),
+                Parameter("tail", tail, "1/s", (-1.0, 1.0), 0.1, doc="yaw by the tail rotor's speed", typical=tail),
+            ),
+            (
+                State("speed", f"{unit} of load", "speed beyond trim by load", spread=spread),
+                State("engine", f"{unit} of load/s", "engine beyond trim by load", spread=spread),
+            ),
+        )
+        self.by_power, self.col, self.omega = spec.inflow, at.get("col", 0.0), at.get("omega", rotor.speed)
+        self.power = lift(spec) * (at["vi"] - at["w"]) if spec.inflow else 0.0
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> RotorSpeed:
+        """From the declared rotor, mass and inertia, and the measured speed's mean where it is a channel."""
+        assert spec.rotor is not None
+        return cls(spec, spec.rotor)
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Without a declared rotor, forces or collective."""
+        col = None if "col" in spec.controls else "the collective is not recorded"
+        return first(no_rotor(spec), no_forces(spec), col)
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Adds thrust and torque; publishes the speed."""
+        behind = x[..., 1] - self._load(frame)
+        engine = -p["governor"] * x[..., 0] - p["rate"] * behind
+        speed, faster = p["load"] * x[..., 0], p["load"] * behind
+        zero = torch.zeros_like(speed)
+        frame = frame.add(vec(zero, zero, p["Z"] * speed), vec(zero, zero, p["N"] * faster + p["tail"] * speed))
+        return frame.with_signals(omega=self.omega + speed), vec(behind, engine)
+
+    def _load(self, frame: Frame) -> Tensor:
+        if not self.by_power:
+            return frame.signals["col"] - self.col
+        assert frame.force is not None
+        return -frame.force[..., 2] * (frame.signals["vi"] - frame.signals["w"]) - self.power
+
+
+def _yaw_inertia(spec: ModelSpec) -> float | None:
+    return None if spec.inertia is None else spec.inertia[2][2]
+
+
+def _share(spec: ModelSpec, rotor: RotorSpec) -> float:
+    """Inertia of the rotor over that of the body in yaw; the blades' from the Lock number, rho a c R^4 over theirs."""
+    yaw = _yaw_inertia(spec)
+    if yaw is None:
+        return USUAL_SHARE
+    blade = spec.air_density * LIFT_SLOPE * rotor.chord * rotor.radius**4 / (rotor.lock_number or USUAL_LOCK)
+    return min(rotor.blades * blade / yaw, 0.9)
+
+
+def _slowing(spec: ModelSpec, rotor: RotorSpec) -> float:
+    """Deceleration of the rotor by power per mass: mass over the rotor's inertia and speed."""
+    yaw = _yaw_inertia(spec)
+    assert spec.mass is not None
+    assert yaw is not None
+    return spec.mass / (_share(spec, rotor) * yaw * rotor.speed)
+
+
+def _tail(spec: ModelSpec, rotor: RotorSpec) -> float:
+    """Yaw by the tail rotor's speed: its thrust holds the rotor's torque, and goes with the square of the speed."""
+    yaw = _yaw_inertia(spec)
+    if yaw is None or spec.mass is None:
+        return 0.0
+    weight = spec.mass * spec.gravity
+    induced = math.sqrt(weight / (2.0 * spec.air_density * math.pi * rotor.radius**2))
+    return -2.0 * rotor.spin * weight * induced / MERIT / (rotor.speed**2 * yaw)
