@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 
 import msgspec
 
+import rotorid_torch
 from rotorid_torch.run.closing import Loop
 from rotorid_torch.run.pipeline import Run
 from rotorid_torch.run.records import FitRecord
@@ -71,6 +74,47 @@ def read_lines(file: Path) -> list[dict]:
             continue
         found[line["case"]] = line
     return list(found.values())
+
+
+@cache
+def version() -> str:
+    """Of the package's code, eight digits: runs with the same came of the same code."""
+    digest, root = hashlib.sha256(), Path(rotorid_torch.__file__).parent
+    for file in sorted(p for p in root.rglob("*") if p.suffix in (".py", ".h", ".toml")):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()[:8]
+
+
+RECORDED = (
+    *(
+        "case",
+        "code",
+        "study",
+        "hidden",
+        "size",
+        "aircraft",
+        "drawn",
+        "verdict",
+        "sentence",
+        "named",
+        "group",
+        "structure",
+    ),
+    *("parameters", "unknown", "noise_removed", "told", "seconds"),
+)
+"""What a record of studies keeps of a line: all that tables are made of."""
+
+
+def record_lines(record: Path, lines: Sequence[dict]) -> list[dict]:
+    """Put whole lines of a study into the record, in place of those of the same case; returns all it holds."""
+    known = {line["case"]: line for line in read_lines(record)}
+    for line in lines:
+        if "failed" not in line:
+            case = f"study {line['study']}, {line['case']}"
+            known[case] = {n: line[n] for n in RECORDED if n in line} | {"case": case}
+    record.parent.mkdir(parents=True, exist_ok=True)
+    record.write_text("".join(json.dumps(known[case]) + "\n" for case in sorted(known)), encoding="utf-8")
+    return list(known.values())
 
 
 def append_line(file: Path, line: dict) -> None:

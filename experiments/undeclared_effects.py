@@ -3,7 +3,8 @@
 Aircraft are drawn at random (mass, inertia, rotor, speed, augmentation, noise), each declared truthfully. On each of
 them every effect that the flight-test aircraft can have is hidden in turn; then pairs, two causes that no library
 holds, and nothing at all. The loop is closed blind: it gets a data set folder without truth. One JSON line per run;
-runs that have a line are not repeated. `--report` turns the lines into the tables of docs/closed-loop.md.
+runs that have a line are not repeated. `--report` adds the lines to those of earlier studies, which are kept beside
+this file with the version of the code that they came of, and turns all of them into the tables of docs/closed-loop.md.
 
 Clean-aircraft floors are cached by vehicle and manoeuvres: effects that share an aircraft and its flights share them.
 
@@ -28,7 +29,7 @@ import torch
 import tyro
 from drawn_aircraft import Drawn, Flown, draw, fly_drawn, groups_of
 from hidden_truth import true_parameters
-from loop_lines import failure, loop_line, read_lines, told_line
+from loop_lines import failure, loop_line, read_lines, record_lines, told_line, version
 from loop_runs import keep, lines_of
 from loop_tables import undeclared_tables, write_between
 from outside_causes import CAUSES
@@ -45,6 +46,7 @@ QUICK = (
     *("environment.turbulence", "mass.payload", "mass.slung_load", "sensors.bias", "sensors.delay"),
 )
 PAGE = Path(__file__).parents[1] / "docs" / "closed-loop.md"
+RECORD = Path(__file__).parent / "records" / "undeclared_effects.jsonl"
 
 
 @dataclass
@@ -72,7 +74,9 @@ class Args:
     quick: bool = False
     """10 effects, 3 clean flights, one aircraft, one seed."""
     report: bool = False
-    """Run nothing; turn the lines into tables."""
+    """Run nothing; add the lines to the record, and turn that into tables."""
+    record: Path = RECORD
+    """Lines of all studies."""
     page: Path = PAGE
     """Page that holds the tables, between its markers."""
     processes: int = 1
@@ -126,7 +130,7 @@ def run_case(case: Case, drawn: Drawn, told: bool, seed: int) -> dict:
     """Fly, close the loop blind, and say what came of it."""
     torch.set_num_threads(1)
     began = time.perf_counter()
-    line = {"case": case.key, **asdict(case), "drawn": _facts(drawn)}
+    line = {"case": case.key, "code": version(), "study": seed, **asdict(case), "drawn": _facts(drawn)}
     try:
         with tempfile.TemporaryDirectory() as folder:
             flown = fly_drawn(drawn, case.hidden, case.size, case.flights, case.noise_seed, Path(folder))
@@ -199,7 +203,8 @@ def main(args: Args) -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     file = args.out / "runs.jsonl"
     result = {} if args.report else study(args, file)
-    tables, summary = undeclared_tables(read_lines(file))
+    lines = read_lines(file)
+    tables, summary = undeclared_tables(record_lines(args.record, lines) if args.report else lines)
     if args.report:
         write_between(args.page, "undeclared effects", tables)
     print(json.dumps(result | summary))

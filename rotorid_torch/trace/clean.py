@@ -35,6 +35,7 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.reconstruct import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.trace.candidates import of_control_path
+from rotorid_torch.trace.decide import TIMES
 from rotorid_torch.trace.fits import Flights, control_by_control, refit
 from rotorid_torch.trace.floor import Floors, Null
 from rotorid_torch.trace.forces import seen_in_forces
@@ -48,7 +49,7 @@ CHANCES = 4
 FEWEST = 20
 """Draws below which no quantile of 5 % is told."""
 WIND, TURNING = "environment.wind", ("q", "r", "phi", "theta")
-FORMAT = 1
+FORMAT = 2
 """Of what is cached."""
 WATCH_S = 0.5
 """s between two looks at the processes that draw, at each of which ranks tell each other that they are there."""
@@ -59,8 +60,8 @@ SAME = ("flapping", "flapping_doubtful", "patterns", "inflow", "cyclic_inflow", 
 def gains_on(clean: Dataset, null: Null, effects: Sequence[str]) -> dict[str, dict[str, float]]:
     """Gain of each effect on a clean aircraft's flights, its model having the structure of the null.
 
-    Beside it what those that are looked for in forces explain there, and the weight in each equation of what looks most
-    like something unknown.
+    Beside it what those that are looked for in forces explain there, the weight in each equation of what looks most
+    like something unknown, and the sizes that delays and lags of the controls seem to have, which may be below nothing.
     """
     flown = at_one_rate(clean)
     found = reconstruct(flown)
@@ -76,6 +77,7 @@ def gains_on(clean: Dataset, null: Null, effects: Sequence[str]) -> dict[str, di
     return {
         "gains": _gains(screened, effects),
         "each_control": _gains(apart, alone),
+        "sizes": {n: v for s in (screened, apart) for e in alone if e in TIMES for n, v in s.unbounded(e).items()},
         "forces": {e: one.gain for e, one in seen.items()},
         "traces": {row: t.weight for row, t in traces.items()},
     }
@@ -131,11 +133,11 @@ def clean_floors(
         return Floors(
             {}, f"floors come from shuffled residuals alone: {len(told)} of {draws} drawn aircraft could be flown"
         )
-    gains, traces, forces, each_control = (
+    gains, traces, forces, each_control, sizes = (
         {key: torch.tensor([f[kind][key] for f in told], dtype=torch.float64) for key in told[0][kind]}
-        for kind in ("gains", "traces", "forces", "each_control")
+        for kind in ("gains", "traces", "forces", "each_control", "sizes")
     )
-    return Floors(gains, note, traces, forces, each_control)
+    return Floors(gains, note, traces, forces, each_control, sizes)
 
 
 def _file(folder: Path, number: int) -> Path:

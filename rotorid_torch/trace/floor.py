@@ -38,6 +38,7 @@ class Floors:
 
     each_control : the same of effects of the control path, each control by itself.
     note : how many were drawn, or why none. traces : weight by equation of what looks like something unknown [D].
+    sizes : what delays and lags of the controls seem to be there, by parameter [D].
     in_forces : what effects explain there of forces and moments on the measured motion, by effect [D].
     """
 
@@ -46,6 +47,7 @@ class Floors:
     traces: Mapping[str, Tensor] = field(default_factory=dict)
     in_forces: Mapping[str, Tensor] = field(default_factory=dict)
     each_control: Mapping[str, Tensor] = field(default_factory=dict)
+    sizes: Mapping[str, Tensor] = field(default_factory=dict)
 
     def of_traces(self) -> dict[str, float]:
         """Floor of each equation; empty where no aircraft was drawn, for then nothing tells how much is ordinary."""
@@ -54,6 +56,10 @@ class Floors:
     def of_forces(self) -> dict[str, float]:
         """Floor of what each effect explains of forces; empty where no aircraft was drawn."""
         return family_wise(self.in_forces)
+
+    def scatter(self, effect: str) -> dict[str, float]:
+        """Standard deviation of what an effect's parameters seem to be where they are nothing: models lack much."""
+        return {n: float(found.std()) for n, found in self.sizes.items() if n.startswith(f"{effect}.")}
 
     def of(self, screened: Screen, effects: Sequence[str]) -> dict[str, float]:
         """Floor of each effect: that of clean aircraft; without any, that of the data's own shuffled residual."""

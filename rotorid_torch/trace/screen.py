@@ -130,6 +130,14 @@ class Screen:
         sizes = {s.parameter: s.null + float(a) * s.step for s, a in zip(chosen, found, strict=True)}
         return {name: value for i in which for name, value in self.signatures[i].beside} | sizes
 
+    def unbounded(self, effect: str) -> dict[str, float]:
+        """Sizes of an effect by the same straight line, whatever its bounds: below nothing too."""
+        which = self._usual(effect)
+        G, d = self.total[which][:, which], self.total[which, len(self.signatures)]
+        found = self._least_squares(G, d).tolist() if which else []
+        chosen = (self.signatures[i] for i in which)
+        return {s.parameter: s.null + a * s.step for s, a in zip(chosen, found, strict=True)}
+
     def starts(self, effect: str, whole: bool = False) -> list[dict[str, float]]:
         """Values from which a full fit of an effect may begin.
 

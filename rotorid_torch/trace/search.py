@@ -316,8 +316,11 @@ class Search:
         return final, accepted
 
     def compare_controls(self, final: Fitted, accepted: Sequence[str]) -> None:
-        """Errors of what all controls have in common hold how far the controls agree."""
+        """Errors of what all controls have in common hold how far the controls agree, and clean aircraft's scatter."""
         for effect in accepted:
+            for name, error in self.floors.scatter(effect).items():
+                if name in final.names:
+                    self.spread[name] = max(self.spread.get(name, 0.0), error)
             found = by_control(final, effect, self.held)
             if found is None:
                 continue

@@ -132,6 +132,19 @@ def test_tables_count_runs_and_stand_between_the_markers(tmp_path: Path) -> None
         tables.write_between(page, "two", text)
 
 
+def test_the_record_keeps_lines_of_all_studies_and_the_last_of_a_case(tmp_path: Path) -> None:
+    lines, record = import_module("loop_lines"), tmp_path / "records" / "lines.jsonl"
+    first = line(case="a", study=1, warnings=["long"])
+    lines.record_lines(record, [first, {"case": "b", "study": 1, "failed": "why"}])
+    kept = lines.record_lines(record, [first | {"study": 2}, first | {"verdict": "unknown"}])
+    assert sorted((one["case"], one["verdict"]) for one in kept) == [
+        ("study 1, a", "unknown"),
+        ("study 2, a", "nothing undeclared"),
+    ]
+    assert not any("warnings" in one for one in kept)
+    assert lines.read_lines(record) == kept
+
+
 def test_a_study_continues_where_it_stopped_and_tries_failures_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

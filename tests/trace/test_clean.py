@@ -28,6 +28,7 @@ def floors(monkeypatch: pytest.MonkeyPatch, place: Path, alike: int, flew: int) 
         for n in numbers:
             gains = {"control.delay": 0.001 * n} if n < flew else {}
             others = {"traces": {"X": 0.1}, "forces": {"mass.slung_load": 0.01 * n}, "each_control": gains}
+            others["sizes"] = {"control.delay.common": 0.002 * n - 0.02}
             rest = others if gains else {}
             said = {"gains": gains, "alike": n < alike, **rest}
             clean._keep(folder, n, said | {"misfit": 1.0 + n})
@@ -55,6 +56,9 @@ def test_of_which_aircraft_floors_are_made(
     assert found.note == said
     assert sorted(found.gains.get("control.delay", [])) == pytest.approx([0.001 * n for n in range(counted)])
     assert sorted(found.in_forces.get("mass.slung_load", [])) == pytest.approx([0.01 * n for n in range(counted)])
+    assert sorted(found.sizes.get("control.delay.common", [])) == pytest.approx(
+        [0.002 * n - 0.02 for n in range(counted)]
+    )
 
 
 def test_records_that_no_aircraft_can_follow_leave_no_word_of_it_to_the_next(

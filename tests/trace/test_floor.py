@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 
 from rotorid_torch.trace.floor import Floors, family_wise
@@ -39,6 +40,13 @@ def test_effects_of_all_controls_and_of_each_are_one_family():
     assert set(own) == {"control.delay"}
     passing = (common > shared["control.delay"]) | (each > own["control.delay"])
     assert 0.03 < float(passing.double().mean()) <= 0.05
+
+
+def test_what_delays_seem_to_be_on_clean_aircraft_scatters():
+    seemed = torch.tensor([-0.01, 0.0, 0.004, -0.002], dtype=torch.float64)
+    floors = Floors({}, "", sizes={"control.delay.common": seemed, "control.lag.common": 0.0 * seemed})
+    assert floors.scatter("control.delay") == {"control.delay.common": pytest.approx(seemed.numpy().std(ddof=1))}
+    assert floors.scatter("mass.cg") == {}
 
 
 def test_nothing_drawn_gives_no_floor():

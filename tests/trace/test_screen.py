@@ -12,7 +12,7 @@ import torch
 
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.decide import smallest_visible
-from rotorid_torch.trace.screen import Screen, _ranges, screen, signatures
+from rotorid_torch.trace.screen import Screen, Signature, _ranges, screen, signatures
 from tests.known_models import rate_vehicle
 from tests.trace.hidden_flights import SUSPECTS, flights, started
 
@@ -32,6 +32,15 @@ def test_the_screen_sees_fast_and_slow_rate_limits_where_they_act(inverse: float
     assert seen.gain(["control.rate_limit"]) > max(seen.gain([e]) for e in SUSPECTS)
     starts = [one["control.rate_limit.inverse"] for one in seen.starts("control.rate_limit")]
     assert any(0.5 * inverse < start < 2.0 * inverse for start in starts)
+
+
+def test_a_size_below_nothing_is_told_where_bounds_are_left_out():
+    """Of a residual that is twice the signature, the other way round."""
+    lead = Signature("control.delay", "control.delay.common", 0.0, 0.06, (0.0, 0.4), "s")
+    one = torch.tensor([[1.0, -2.0], [-2.0, 4.0]], dtype=torch.float64)
+    found = Screen((lead,), one[None], torch.ones(1, dtype=torch.float64), 1.0, ((),))
+    assert found.sizes(["control.delay"]) == {"control.delay.common": 0.0}
+    assert found.unbounded("control.delay") == {"control.delay.common": pytest.approx(-0.12)}
 
 
 def test_an_effect_is_screened_whole_at_every_size_that_one_of_its_parameters_is_met_at():
