@@ -32,14 +32,14 @@ def loop_line(loop: Loop, hidden: Sequence[str] = (), truth: Mapping[str, float]
     assert verdict is not None
     assert before is not None
     after = loop.after or before
-    named = [e.id for e in loop.effects if e.role == "undeclared" and e.verdict == "accepted"]
+    named = joined(loop, "undeclared")
     members = [e for e in verdict.effects if verdict.kind == "group" and e not in named]
     return {
         "verdict": verdict.kind,
         "sentence": verdict.sentence,
         "named": named,
         "group": members,
-        "structure": [e.id for e in loop.effects if e.role == "structure" and e.verdict == "accepted"],
+        "structure": joined(loop, "structure"),
         "evidence": _evidence(loop, hidden),
         "parameters": _parameters(loop, truth or {}),
         "unknown": None if loop.record.unknown is None else msgspec.to_builtins(loop.record.unknown),
@@ -48,6 +48,13 @@ def loop_line(loop: Loop, hidden: Sequence[str] = (), truth: Mapping[str, float]
         "warnings": list(loop.record.warnings),
         "time_s": msgspec.to_builtins(loop.record.time_s),
     }
+
+
+def joined(loop: Loop, role: str) -> list[str]:
+    """Effects of a role that the loop added; what the nominal model has from the start is none."""
+    added = loop.tracing.structure if loop.tracing else ()
+    accepted = [e for e in loop.effects if e.role == role and e.verdict == "accepted"]
+    return [e.id for e in accepted if role != "structure" or e.id in added]
 
 
 def told_line(run: Run | None, why: str, hidden: Sequence[str]) -> dict:
@@ -85,33 +92,19 @@ def version() -> str:
     return digest.hexdigest()[:8]
 
 
-RECORDED = (
-    *(
-        "case",
-        "code",
-        "study",
-        "hidden",
-        "size",
-        "aircraft",
-        "drawn",
-        "verdict",
-        "sentence",
-        "named",
-        "group",
-        "structure",
-    ),
-    *("parameters", "unknown", "noise_removed", "told", "seconds"),
+RECORDED = tuple(
+    "case code study hidden size aircraft drawn verdict sentence named group structure parameters unknown failed"
+    " noise_removed told seconds".split()
 )
 """What a record of studies keeps of a line: all that tables are made of."""
 
 
 def record_lines(record: Path, lines: Sequence[dict]) -> list[dict]:
-    """Put whole lines of a study into the record, in place of those of the same case; returns all it holds."""
+    """Put lines of a study into the record, in place of those of the same case; returns all it holds."""
     known = {line["case"]: line for line in read_lines(record)}
     for line in lines:
-        if "failed" not in line:
-            case = f"study {line['study']}, {line['case']}"
-            known[case] = {n: line[n] for n in RECORDED if n in line} | {"case": case}
+        case = f"study {line['study']}, {line['case']}"
+        known[case] = {n: line[n] for n in RECORDED if n in line} | {"case": case}
     record.parent.mkdir(parents=True, exist_ok=True)
     record.write_text("".join(json.dumps(known[case]) + "\n" for case in sorted(known)), encoding="utf-8")
     return list(known.values())

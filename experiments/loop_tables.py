@@ -127,6 +127,10 @@ def _bars(lines: Sequence[dict], sizes: Sequence[float]) -> str:
     ratios = [r for r in map(against_told, lines) if r is not None]
     if ratios:
         rows.append(("noise-removed error after, over that of a fit that was told: median", f"{median(ratios):.2f}"))
+    versions = Counter(line.get("code", "") for line in lines)
+    rows.append(
+        ("runs by version of the code", ", ".join(f"{code} {n}" for code, n in sorted(versions.items()) if code))
+    )
     return markdown(("what", "runs (95 % interval)"), rows)
 
 

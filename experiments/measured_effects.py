@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 import torch
 import tyro
-from loop_lines import failure, read_lines
+from loop_lines import failure, joined, read_lines
 from loop_runs import over_sets, sets_left
 from loop_tables import markdown, write_between
 from scipy.signal import butter, sosfiltfilt
@@ -249,7 +249,7 @@ def _effects(
     except (ValueError, RuntimeError) as error:
         return tuple(fallback), f"given, for the closed loop failed ({type(error).__name__})", None
     assert loop.verdict is not None
-    named = [e.id for e in loop.effects if e.verdict == "accepted"]
+    named = [*joined(loop, "undeclared"), *joined(loop, "structure")]
     members = [e for e in loop.verdict.effects if loop.verdict.kind == "group" and e not in named]
     effects = (*named, *members[:1])
     told = f"{loop.verdict.kind} of {' or '.join(members)}" if members else loop.verdict.kind

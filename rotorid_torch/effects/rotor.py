@@ -18,7 +18,16 @@ from rotorid_torch.core.state import State
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec, RotorSpec
-from rotorid_torch.effects.testable import first, no_forces, no_mass, no_rates, no_rotor, no_velocities, nominal_inflow
+from rotorid_torch.effects.testable import (
+    first,
+    multirotor,
+    no_forces,
+    no_mass,
+    no_rates,
+    no_rotor,
+    no_velocities,
+    nominal_inflow,
+)
 
 USUAL_LOCK = 8.0
 """Lock number of a rotor that does not declare it."""
@@ -99,7 +108,7 @@ class DynamicInflow(Effect):
     @classmethod
     def untestable(cls, spec: ModelSpec) -> str | None:
         """Where the nominal model has inflow already, or there is no thrust."""
-        return first(nominal_inflow(spec), no_forces(spec), _multirotor(spec))
+        return first(nominal_inflow(spec), no_forces(spec), multirotor(spec))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds what the inflow takes; the rates of the states."""
@@ -118,10 +127,6 @@ class DynamicInflow(Effect):
         )
         a1, b1 = frame.signals["a1"], frame.signals["b1"]
         return frame, vec(rate, (a1 - x[..., 1]) / p["tau_cyclic"], (b1 - x[..., 2]) / p["tau_cyclic"])
-
-
-def _multirotor(spec: ModelSpec) -> str | None:
-    return "the vehicle is a multirotor" if any(c.startswith("motor") for c in spec.controls) else None
 
 
 def _no_flapping(spec: ModelSpec) -> str | None:
@@ -355,7 +360,7 @@ class WakeDistortion(Effect):
     def untestable(cls, spec: ModelSpec) -> str | None:
         """Without rates, of a multirotor, or with flapping but no declared rotor."""
         flaps = no_rotor(spec) if spec.flapping == "first order" else None
-        return first(no_rates(spec), _multirotor(spec), flaps)
+        return first(no_rates(spec), multirotor(spec), flaps)
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Turns the flapping rates, or adds L and M; the wake's own rates."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import torch
 from torch import Tensor
 
@@ -19,10 +17,8 @@ from rotorid_torch.effects.testable import first, no_forces, no_rotor
 LIFT_SLOPE = 5.7  # of a blade section, 1/rad
 USUAL_SHARE = 0.15
 """Inertia of the rotor about its shaft over that of the body in yaw, where either is not declared."""
-MERIT = 0.7
-"""Induced power over all power of a hovering rotor."""
-LOADS = {"rad": ("1/s2", 30.0), "m": ("rad/(s2 m)", 30.0), "norm": ("rad/s2", 10.0)}
-"""Deceleration of the rotor by a collective in its unit, where the power that it costs is not in the model."""
+LOADS = {"rad": ("1/s2", 30.0, "rad"), "m": ("rad/(s2 m)", 30.0, "m"), "norm": ("rad/s2", 10.0, "1")}
+"""Unit and size of the deceleration by a collective in its unit, where the power that it costs is not in the model."""
 
 
 @register
@@ -31,9 +27,10 @@ class RotorSpeed(Effect):
 
     ds/dt = e - dP; de/dt = -governor s - rate ds/dt, with dP = T (vi - w) beyond trim, the power of lift and
     climb per mass, or the collective's excursion where the model has no inflow. load s is the speed beyond trim
-    (rad/s). Z += Z load s; N += N load ds/dt + tail load s: the engine turns the body as it speeds the rotor up, and
-    the tail rotor turns with it. Z is -2 g/speed, thrust as the speed squared, free where the speed is measured, for
-    otherwise load and Z tell the same story; N starts as the rotor's inertia over the body's.
+    (rad/s). Z += Z load s; N += N load ds/dt: the engine turns the body as it speeds the rotor up, while the torques of
+    main and tail rotor, which hold each other, go with the square of the speed alike. Z is -2 g/speed, thrust as the
+    speed squared, free where the speed is measured, for otherwise load and Z tell the same story; N starts as the
+    rotor's inertia over the body's.
 
     Source: Hilbert, NASA TM-85890 (1984), table 3; Padfield, Helicopter Flight Dynamics, sec. 3.2.5 (governor).
     """
@@ -41,12 +38,12 @@ class RotorSpeed(Effect):
     id, stage, role, predicts = "rotor.speed", Stage.FORCES, Role.STRUCTURE, ("omega",)
 
     def __init__(self, spec: ModelSpec, rotor: RotorSpec) -> None:
-        thrust, share, tail = -2.0 * spec.gravity / rotor.speed, rotor.spin * _share(spec, rotor), _tail(spec, rotor)
-        unit, load = LOADS.get(spec.control_units.get("col", "rad"), LOADS["norm"])
+        thrust, share = -2.0 * spec.gravity / rotor.speed, rotor.spin * _share(spec, rotor)
+        unit, load, over = LOADS.get(spec.control_units.get("col", "rad"), LOADS["norm"])
         at, spread = spec.reference, KNOWN
         if spec.inflow:
-            unit, spread = "rad s/m2", KNOWN * lift(spec) * at["vi"]
-            load = _slowing(spec, rotor)
+            unit, load, over = "rad s/m2", _slowing(spec, rotor), "m2/s3"
+            spread = KNOWN * lift(spec) * at["vi"]
         measured = "omega" in spec.outputs
         super().__init__(
             (
@@ -57,11 +54,10 @@ class RotorSpeed(Effect):
                 Parameter("rate", 2.0, "1/s", (0.0, 20.0), 2.0, doc="the same to its rate", typical=2.0),
                 Parameter("Z", thrust, "m/(s rad)", (4.0 * thrust, 0.0), -thrust, measured, "thrust by speed", thrust),
                 Parameter("N", share, "1", (-1.0, 1.0), abs(share), doc="yaw as the rotor speeds up", typical=share),
-                Parameter("tail", tail, "1/s", (-1.0, 1.0), 0.1, doc="yaw by the tail rotor's speed", typical=tail),
             ),
             (
-                State("speed", f"{unit} of load", "speed beyond trim by load", spread=spread),
-                State("engine", f"{unit} of load/s", "engine beyond trim by load", spread=spread),
+                State("speed", f"{over} s", "speed beyond trim by load", spread=spread),
+                State("engine", over, "engine beyond trim by load", spread=spread),
             ),
         )
         self.by_power, self.col, self.omega = spec.inflow, at.get("col", 0.0), at.get("omega", rotor.speed)
@@ -85,7 +81,7 @@ class RotorSpeed(Effect):
         engine = -p["governor"] * x[..., 0] - p["rate"] * behind
         speed, faster = p["load"] * x[..., 0], p["load"] * behind
         zero = torch.zeros_like(speed)
-        frame = frame.add(vec(zero, zero, p["Z"] * speed), vec(zero, zero, p["N"] * faster + p["tail"] * speed))
+        frame = frame.add(vec(zero, zero, p["Z"] * speed), vec(zero, zero, p["N"] * faster))
         return frame.with_signals(omega=self.omega + speed), vec(behind, engine)
 
     def _load(self, frame: Frame) -> Tensor:
@@ -114,13 +110,3 @@ def _slowing(spec: ModelSpec, rotor: RotorSpec) -> float:
     assert spec.mass is not None
     assert yaw is not None
     return spec.mass / (_share(spec, rotor) * yaw * rotor.speed)
-
-
-def _tail(spec: ModelSpec, rotor: RotorSpec) -> float:
-    """Yaw by the tail rotor's speed: its thrust holds the rotor's torque, and goes with the square of the speed."""
-    yaw = _yaw_inertia(spec)
-    if yaw is None or spec.mass is None:
-        return 0.0
-    weight = spec.mass * spec.gravity
-    induced = math.sqrt(weight / (2.0 * spec.air_density * math.pi * rotor.radius**2))
-    return -2.0 * rotor.spin * weight * induced / MERIT / (rotor.speed**2 * yaw)

@@ -54,6 +54,11 @@ def no_motors(spec: ModelSpec) -> str | None:
     return None if any(map(is_motor, spec.controls)) else "the vehicle has no motor commands"
 
 
+def multirotor(spec: ModelSpec) -> str | None:
+    """The vehicle has no rotor with a swashplate."""
+    return "the vehicle is a multirotor" if any(map(is_motor, spec.controls)) else None
+
+
 def no_channel(spec: ModelSpec, name: str) -> str | None:
     """A channel is missing from the flights."""
     return None if name in spec.reference else f"the channel {name} is missing"

@@ -24,7 +24,7 @@ from rotorid_torch.run.checkpoint import Checkpoint, Steps
 from rotorid_torch.run.figures import Overlay
 from rotorid_torch.run.fit_record import fit_record, judge
 from rotorid_torch.run.folder import run_folder
-from rotorid_torch.run.free_runs import BY_WHAT_IS_LEFT, WORSE, best_of, free_run_gain, objection
+from rotorid_torch.run.free_runs import CHANGED, IMITATES, WORSE, best_of, free_run_gain, objection
 from rotorid_torch.run.loop_record import as_fitted, effect_record, of_sensors, unknown_record
 from rotorid_torch.run.monitor import Monitor, peak_memory_mb
 from rotorid_torch.run.pipeline import Run, estimated, identified, refuse, remarks_on, write_model
@@ -256,7 +256,8 @@ def _refused(tracing: Tracing, said: str) -> Tracing:
     """The tracing without the undeclared effects that it accepted, for a reason."""
     members = {e for others in tracing.groups.values() for e in others} | set(tracing.accepted)
     findings = tuple(_rejected(tracing.findings, members, said))
-    left = tracing.unknown_before or (tracing.unknown if said in BY_WHAT_IS_LEFT else None)
+    left = tracing.unknown_before or (tracing.unknown if said == IMITATES else None)
+    left = tracing.unknown if said == CHANGED else left  # with its onset
     return replace(tracing, final=tracing.null, accepted=(), groups={}, findings=findings, unknown=left)
 
 

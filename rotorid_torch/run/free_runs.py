@@ -25,8 +25,6 @@ FLOWN_AWAY = 1e9
 """J of a run that has none because its states left all bounds."""
 IMITATES = "what is left over beside it, without a name, is larger than what it explains: it may imitate that"
 CHANGED = "beside it something begins in the midst of the flights, and it acts all the time: it may imitate that"
-BY_WHAT_IS_LEFT = (IMITATES, CHANGED)
-"""Objections by what stays without a name: that is told then."""
 
 
 def best_of(runs: Sequence[Run]) -> Run:

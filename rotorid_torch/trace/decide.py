@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
+from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.model.model import Model
 from rotorid_torch.trace.finding import Finding
@@ -52,7 +53,8 @@ def objection(null: Fitted, candidate: Fitted, effect: str, floor: float, spread
     spread : standard errors of its parameters by their scatter over flights, zero where there are too few to tell.
     """
     if gain(null, candidate) <= floor:
-        return "fitted in full, it explains no more than clean aircraft let any candidate explain"
+        usual = "clean aircraft let any candidate explain" if _is_undeclared(effect) else "by chance"
+        return f"fitted in full, it explains no more than {usual}"
     doubt = unlikely(candidate, effect, spread)
     if doubt is not None:
         return doubt
@@ -184,8 +186,13 @@ def not_joined(screened: Screen, effect: str, floor: float, explained_by: Sequen
         said += f"{', '.join(absorbed)} take its place" if absorbed else "it hardly moves what was measured"
         said += f"; {registered()[effect].separated_by} would tell"
         return Finding(effect, role, "indistinguishable", said, **keep, group=absorbed)
-    usual = "it would on a clean aircraft" if role == "undeclared" else "by chance"  # which ordinary physics is part of
+    usual = "it would on a clean aircraft" if _is_undeclared(effect) else "by chance"
     return Finding(effect, role, "below floor", f"it explains no more than {usual}", **keep)
+
+
+def _is_undeclared(effect: str) -> bool:
+    """Others are ordinary physics, which clean aircraft have: their floors come from chance."""
+    return registered()[effect].role is Role.UNDECLARED
 
 
 def errors(candidate: Fitted, effect: str, spread: Mapping[str, float]) -> dict[str, tuple[float, float]]:

@@ -58,7 +58,10 @@ class Floors:
         return family_wise(self.in_forces)
 
     def scatter(self, effect: str) -> dict[str, float]:
-        """Standard deviation of what an effect's parameters seem to be where they are nothing: models lack much."""
+        """Standard deviation, from one clean aircraft to the next, of what an effect's parameters seem to be there.
+
+        About their mean: by how much all of them seem to lead is due to the drawn rotors, simpler than real ones.
+        """
         return {n: float(found.std()) for n, found in self.sizes.items() if n.startswith(f"{effect}.")}
 
     def of(self, screened: Screen, effects: Sequence[str]) -> dict[str, float]:

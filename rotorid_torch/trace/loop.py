@@ -103,7 +103,7 @@ def trace(
     search.compare_controls(final, accepted)
     missing = _missing(final, accepted, flights, search.floors, seed)
     before = _missing(null, (), flights, search.floors, seed)
-    found += findings(search, final, structure, accepted, undeclared, first, usual)
+    found = findings(search, final, structure, accepted, undeclared, first, usual) + found
     return Tracing(
         null,
         final,

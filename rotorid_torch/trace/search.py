@@ -20,6 +20,7 @@ from rotorid_torch.trace.decide import (
     not_joined,
     objection,
     rivals,
+    smallest_visible,
     telling,
     unlikely,
     unseen_gain,
@@ -181,6 +182,9 @@ class Search:
             if gain(null, richer) > 0.0:
                 self.say(f"structure: {' and '.join(rotor)} join, gain {gain(null, richer):.3g} per sample")
                 null = richer
+            else:
+                said = "fitted in full, it explains nothing more"
+                self.ordinary |= {e: Finding(e, "structure", "rejected", said, gain(null, richer)) for e in rotor}
         null = self.over_short(null)
         rest = [e for e in candidates if e not in rotor]
         while rest:
@@ -199,8 +203,9 @@ class Search:
                 null = fitted
             else:
                 gained, found = gain(null, fitted), errors(fitted, best, fitted.scatter(best))
+                visible = smallest_visible(screened, best, floors[best])
                 self.ordinary[best] = Finding(
-                    best, "structure", "rejected", against, gained, floors[best], values=found
+                    best, "structure", "rejected", against, gained, floors[best], visible, values=found
                 )
         return null
 

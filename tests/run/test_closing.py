@@ -199,7 +199,8 @@ def test_a_control_path_that_changes_in_the_midst_of_the_flights_has_no_name(
 ):
     missing = Unknown("b1", (0.1, 2.0), "lat", since, "Something is missing in b1.")
     named = Finding(effect, "undeclared", "accepted", "", values={f"{effect}.size": (0.005, 0.0001)})
-    tracing = replace(tracing_of(effect), findings=(named,), unknown=missing)
+    before = replace(missing, since_s=None)
+    tracing = replace(tracing_of(effect), findings=(named,), unknown=missing, unknown_before=before)
     run = run_with(0.06)
     found = _before_and_after(run_with(0.12), tracing, False, pytest.fail, lambda spec, values: run)[2]
     assert bool(found.accepted) is stays

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import torch
 
 from rotorid_torch.trace.fits import CAREFUL, Fitted, refit
 from rotorid_torch.trace.floor import Floors
@@ -65,3 +67,25 @@ def test_a_model_that_lost_its_way_is_found_again_over_short_segments():
     search = Search(known, (), Floors({}, ""), lambda line: None, 0)
     assert search.over_short(astray).cost == pytest.approx(null.cost, abs=1.0)
     assert search.over_short(null).cost <= null.cost
+
+
+def test_errors_of_a_named_delay_hold_what_delays_seem_to_be_on_clean_aircraft():
+    """Of a parameter that was estimated; one that controls have in common holds how far they agree as well."""
+    known, null = started(flights("control.delay", control__delay__common=0.06))
+    late = refit(null.spec.with_effects("control.delay"), known, {**null.values, "control.delay.common": 0.06})
+    seemed = torch.tensor([-0.02, 0.01, -0.01, 0.0], dtype=torch.float64)
+    sizes = {"control.delay.common": seemed, "control.delay.lon": seemed}
+    search = Search(known, (), Floors({}, "", sizes=sizes), lambda line: None, 0)
+    search.compare_controls(late, ["control.delay"])
+    assert search.spread["control.delay.common"] >= float(seemed.std())
+    assert "control.delay.lon" not in search.spread
+
+
+def test_ordinary_physics_that_gains_nothing_is_told(monkeypatch: pytest.MonkeyPatch):
+    known, null = started(flights())
+    monkeypatch.setattr("rotorid_torch.trace.search.screen", lambda *a, **k: SimpleNamespace(sizes=lambda effects: {}))
+    monkeypatch.setattr("rotorid_torch.trace.search.refit", lambda *a, **k: null)
+    monkeypatch.setattr("rotorid_torch.trace.search.fits", lambda *a, **k: [null])
+    search = Search(known, (), Floors({}, ""), lambda line: None, 0)
+    assert search.structure(null, ["rotor.lead_lag"]) is null
+    assert search.ordinary["rotor.lead_lag"].verdict == "rejected"
