@@ -20,7 +20,7 @@ CAPTIONS = {
     "correlation": "Controls that go together, or with the motion, are told apart only where they do not.",
     "kinematics": "Sensors against each other. Red that blue repairs is a clock, a scale or a bias.",
     "evidence": "What each candidate would explain, over its floor: right of the line it explains more than it does on"
-    " clean aircraft. Blue is accepted, red rejected, purple cannot be told apart.",
+    " clean aircraft (ordinary physics: than by chance). Blue is accepted, red rejected, purple cannot be told apart.",
     "residual_spectrum": "What the free runs leave over on flights not used to fit, before and after.",
     "scores": "Every flight between its two yardsticks.",
     "figure5_flapping": "Flapping on flights that were not used to fit the model.",
