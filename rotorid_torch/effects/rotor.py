@@ -31,6 +31,8 @@ from rotorid_torch.effects.testable import (
 
 USUAL_LOCK = 8.0
 """Lock number of a rotor that does not declare it."""
+LIFT_SLOPE = 5.7
+"""Of a blade section, 1/rad."""
 USUAL_LAG = 0.3
 """Lag frequency over rotor speed where no hinge offset is declared."""
 KNOWN = 0.02
@@ -391,7 +393,7 @@ class Stall(Effect):
 
     id, stage, role = "rotor.stall", Stage.FORCES, Role.UNDECLARED
     separated_by = "flights trimmed at other speeds"
-    WIDTH, SLOPE = 0.005, 5.7
+    WIDTH = 0.005
 
     def __init__(self, rotor: RotorSpec, air_density: float, mass: float) -> None:
         super().__init__(
@@ -404,7 +406,7 @@ class Stall(Effect):
         )
         tip = rotor.speed * rotor.radius
         self.tip, self.full = tip, air_density * rotor.blades * rotor.chord * rotor.radius * tip**2 / mass
-        self.by_rate = 16.0 * self.SLOPE / (6.0 * (rotor.lock_number or USUAL_LOCK) * rotor.speed)
+        self.by_rate = 16.0 * LIFT_SLOPE / (6.0 * (rotor.lock_number or USUAL_LOCK) * rotor.speed)
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> Stall:

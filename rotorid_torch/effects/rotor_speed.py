@@ -10,13 +10,12 @@ from rotorid_torch.core.rigid import vec
 from rotorid_torch.core.state import State
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
 from rotorid_torch.effects.registry import register
-from rotorid_torch.effects.rotor import KNOWN, USUAL_LOCK, lift
+from rotorid_torch.effects.rotor import KNOWN, LIFT_SLOPE, USUAL_LOCK, lift
 from rotorid_torch.effects.spec import ModelSpec, RotorSpec
 from rotorid_torch.effects.testable import first, no_forces, no_rotor
 
-LIFT_SLOPE = 5.7  # of a blade section, 1/rad
-USUAL_SHARE = 0.15
-"""Inertia of the rotor about its shaft over that of the body in yaw, where either is not declared."""
+USUAL_SHARE, MOST_SHARE = 0.15, 0.9
+"""Inertia of the rotor about its shaft over that of the body in yaw: where the latter is not declared, and at most."""
 LOADS = {"rad": ("1/s2", 30.0, "rad"), "m": ("rad/(s2 m)", 30.0, "m"), "norm": ("rad/s2", 10.0, "1")}
 """Unit and size of the deceleration by a collective in its unit, where the power that it costs is not in the model."""
 
@@ -42,7 +41,8 @@ class RotorSpeed(Effect):
         unit, load, over = LOADS.get(spec.control_units.get("col", "rad"), LOADS["norm"])
         at, spread = spec.reference, KNOWN
         if spec.inflow:
-            unit, load, over = "rad s/m2", _slowing(spec, rotor), "m2/s3"
+            assert spec.mass is not None
+            unit, load, over = "rad s/m2", spec.mass / (_inertia(spec, rotor) * rotor.speed), "m2/s3"
             spread = KNOWN * lift(spec) * at["vi"]
         measured = "omega" in spec.outputs
         super().__init__(
@@ -91,22 +91,12 @@ class RotorSpeed(Effect):
         return -frame.force[..., 2] * (frame.signals["vi"] - frame.signals["w"]) - self.power
 
 
-def _yaw_inertia(spec: ModelSpec) -> float | None:
-    return None if spec.inertia is None else spec.inertia[2][2]
+def _inertia(spec: ModelSpec, rotor: RotorSpec) -> float:
+    """Inertia of the rotor about its shaft, kg m2: its blades' by the Lock number, rho a c R^4 over theirs."""
+    blade = spec.air_density * LIFT_SLOPE * rotor.chord * rotor.radius**4 / (rotor.lock_number or USUAL_LOCK)
+    return rotor.blades * blade
 
 
 def _share(spec: ModelSpec, rotor: RotorSpec) -> float:
-    """Inertia of the rotor over that of the body in yaw; the blades' from the Lock number, rho a c R^4 over theirs."""
-    yaw = _yaw_inertia(spec)
-    if yaw is None:
-        return USUAL_SHARE
-    blade = spec.air_density * LIFT_SLOPE * rotor.chord * rotor.radius**4 / (rotor.lock_number or USUAL_LOCK)
-    return min(rotor.blades * blade / yaw, 0.9)
-
-
-def _slowing(spec: ModelSpec, rotor: RotorSpec) -> float:
-    """Deceleration of the rotor by power per mass: mass over the rotor's inertia and speed."""
-    yaw = _yaw_inertia(spec)
-    assert spec.mass is not None
-    assert yaw is not None
-    return spec.mass / (_share(spec, rotor) * yaw * rotor.speed)
+    """The same over the body's in yaw."""
+    return USUAL_SHARE if spec.inertia is None else min(_inertia(spec, rotor) / spec.inertia[2][2], MOST_SHARE)
