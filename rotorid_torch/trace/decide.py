@@ -75,16 +75,35 @@ def unlikely(candidate: Fitted, effect: str, spread: Mapping[str, float]) -> str
     edge = at_edge(candidate.model, effect)
     if edge is not None:
         return edge
-    values, nulls = candidate.values, {s.parameter: s.null for s in signatures(candidate.model, [effect])}
-    away = {n: abs(values[n] - null) / max(candidate.error(n), 1e-300) for n, null in nulls.items()}
-    if max(away.values()) < SURE:
-        name = max(away, key=lambda n: away[n])
-        return f"{name} = {values[name]:.3g} lies within {SURE:g} of its standard errors from nothing"
+    values, nulls, away = candidate.values, _nulls(candidate, effect), _away(candidate, effect)
+    none = nothing(candidate, effect)
+    if none is not None:
+        return none
     few = student_quantile(STEADY, max(len(candidate.flights.dataset.identify) - 1, 1))
     steady = [abs(values[n] - null) > few * spread[n] for n, null in nulls.items() if away[n] >= SURE]
     if not any(steady):
         return "its size differs from flight to flight"
     return too_short(candidate, effect)
+
+
+def nothing(candidate: Fitted, effect: str) -> str | None:
+    """Why all sizes of an effect are nothing within their errors; None where one is something."""
+    away = _away(candidate, effect)
+    if max(away.values()) >= SURE:
+        return None
+    name = max(away, key=lambda n: away[n])
+    return f"{name} = {candidate.values[name]:.3g} lies within {SURE:g} of its standard errors from nothing"
+
+
+def _nulls(candidate: Fitted, effect: str) -> dict[str, float]:
+    """Each parameter by which an effect has a size, and its value where it has none."""
+    return {s.parameter: s.null for s in signatures(candidate.model, [effect])}
+
+
+def _away(candidate: Fitted, effect: str) -> dict[str, float]:
+    """Standard errors of each from there."""
+    values, nulls = candidate.values, _nulls(candidate, effect)
+    return {n: abs(values[n] - null) / max(candidate.error(n), 1e-300) for n, null in nulls.items()}
 
 
 def clearly_worse(runs: Tensor) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -13,7 +13,7 @@ from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.nominal import rows
 from rotorid_torch.trace.candidates import candidates, untried
-from rotorid_torch.trace.decide import told
+from rotorid_torch.trace.decide import errors, nothing, told
 from rotorid_torch.trace.finding import Finding, Unknown
 from rotorid_torch.trace.findings import findings
 from rotorid_torch.trace.fits import Fitted, Flights, refit
@@ -39,6 +39,14 @@ class Named(Protocol):
     def values(self) -> dict[str, float]:
         """Every parameter by its full name."""
         ...
+
+
+@dataclass(frozen=True, eq=False)
+class Bare:
+    """A model without the structure whose size is nothing in the end."""
+
+    spec: ModelSpec
+    values: dict[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,10 +111,15 @@ def trace(
     search.compare_controls(final, accepted)
     missing = _missing(final, accepted, flights, search.floors, seed)
     before = _missing(null, (), flights, search.floors, seed)
+    idle = {e: why for e in structure if (why := nothing(final, e)) is not None}
+    search.ordinary |= {
+        e: Finding(e, "structure", "rejected", why, values=errors(final, e, {})) for e, why in idle.items()
+    }
+    structure = tuple(e for e in structure if e not in idle)
     found = findings(search, final, structure, accepted, undeclared, first, usual) + found
     return Tracing(
-        null,
-        final,
+        _bare(null, idle),
+        _bare(final, idle),
         structure,
         tuple(accepted),
         search.groups,
@@ -117,6 +130,11 @@ def trace(
         search.spread,
         not accepted or told(final, null),
     )
+
+
+def _bare(fitted: Fitted, idle: Collection[str]) -> Named:
+    """The model without these effects."""
+    return Bare(fitted.spec.without(idle), fitted.values) if idle else fitted
 
 
 def _in_still_air(

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from rotorid_torch.core.parameters import Parameter
-from rotorid_torch.trace.decide import free_run_gain, not_joined, objection, rivals, smallest_visible
+from rotorid_torch.trace.decide import free_run_gain, not_joined, nothing, objection, rivals, smallest_visible
 
 
 def screened(gain: float, shown: float, imitators: tuple[str, ...] = ()) -> Any:
@@ -81,6 +81,14 @@ def fitted(
 def test_free_runs_of_unseen_flights_decide_too(candidate: Any, reason: str | None):
     said = objection(fitted(2.0, (0.1, 0.1)), candidate, "forces.drag", 0.1, {"forces.drag.x": 0.001})
     assert (said is None) if reason is None else reason in (said or "")
+
+
+def test_ordinary_physics_is_measured_by_chance_and_by_its_size():
+    """Clean aircraft have it; what is nothing within its errors does not belong into a model."""
+    said = objection(fitted(2.0, (0.1, 0.1)), fitted(2.5, (0.1, 0.1)), "rotor.speed", 0.1, {})
+    assert said == "fitted in full, it explains no more than by chance"
+    assert nothing(fitted(1.0, (0.1, 0.1)), "forces.drag") is None
+    assert "from nothing" in (nothing(fitted(1.0, (0.1, 0.1), error=float("inf")), "forces.drag") or "")
 
 
 @pytest.mark.parametrize(
