@@ -128,9 +128,7 @@ def _bars(lines: Sequence[dict], sizes: Sequence[float]) -> str:
     if ratios:
         rows.append(("noise-removed error after, over that of a fit that was told: median", f"{median(ratios):.2f}"))
     versions = Counter(line.get("code", "") for line in lines)
-    rows.append(
-        ("runs by version of the code", ", ".join(f"{code} {n}" for code, n in sorted(versions.items()) if code))
-    )
+    rows.append(("runs by version of the code", ", ".join(f"{code} {n}" for code, n in sorted(versions.items()))))
     return markdown(("what", "runs (95 % interval)"), rows)
 
 

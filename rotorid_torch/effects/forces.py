@@ -13,7 +13,7 @@ from rotorid_torch.core.rigid import vec
 from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Values
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.effects.testable import first, multirotor, no_forces, no_rates, no_velocities, nominal_inflow
+from rotorid_torch.effects.testable import first, multirotor, no_forces, no_rates, no_velocities
 
 DRAG_AREA = 0.01
 """Drag area of a fuselage over the rotor's disc; usual for helicopters."""
@@ -138,8 +138,8 @@ class TranslationalLift(Effect):
 
     @classmethod
     def untestable(cls, spec: ModelSpec) -> str | None:
-        """Where the nominal model has momentum theory already, or velocities are missing."""
-        return first(nominal_inflow(spec), multirotor(spec), no_velocities(spec), no_forces(spec))
+        """Where velocities are missing, or of a multirotor."""
+        return first(multirotor(spec), no_velocities(spec), no_forces(spec))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds thrust and torque by the change of the induced velocity."""

@@ -58,12 +58,19 @@ def predicted_by(names: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(c for name in names if name in known for c in known[name].predicts))
 
 
+def refusal(name: str, spec: ModelSpec) -> str | None:
+    """Why an effect that exists cannot join a vehicle's model: it is there already, or cannot be tested; else None."""
+    effect = registered()[name]
+    part = effect.within(spec)
+    return f"the nominal model has it already, as its part '{part}'" if part else effect.untestable(spec)
+
+
 def make(name: str, spec: ModelSpec) -> Effect:
     """The effect of this id for a vehicle; InputError where there is none, or the vehicle's data cannot test it."""
     known = registered()
     if name not in known:
         raise InputError("--effect", name, "there is no such effect", f"one of {', '.join(sorted(known))}")
-    reason = known[name].untestable(spec)
+    reason = refusal(name, spec)
     if reason is not None:
         raise InputError("--effect", name, f"this data set cannot test it: {reason}", "another effect, or other data")
     return known[name].from_spec(spec)

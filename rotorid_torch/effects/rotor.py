@@ -26,7 +26,6 @@ from rotorid_torch.effects.testable import (
     no_rates,
     no_rotor,
     no_velocities,
-    nominal_inflow,
 )
 
 USUAL_LOCK = 8.0
@@ -109,8 +108,8 @@ class DynamicInflow(Effect):
 
     @classmethod
     def untestable(cls, spec: ModelSpec) -> str | None:
-        """Where the nominal model has inflow already, or there is no thrust."""
-        return first(nominal_inflow(spec), no_forces(spec), multirotor(spec))
+        """Where there is no thrust, or of a multirotor."""
+        return first(no_forces(spec), multirotor(spec))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds what the inflow takes; the rates of the states."""

@@ -62,8 +62,3 @@ def multirotor(spec: ModelSpec) -> str | None:
 def no_channel(spec: ModelSpec, name: str) -> str | None:
     """A channel is missing from the flights."""
     return None if name in spec.reference else f"the channel {name} is missing"
-
-
-def nominal_inflow(spec: ModelSpec) -> str | None:
-    """The nominal model has the induced velocity already."""
-    return "it is part of the nominal model already" if spec.inflow else None

@@ -14,7 +14,7 @@ from torch.nn.utils.rnn import pad_sequence
 from rotorid_torch.core.names import ATTITUDES, FLAPPING, FORCES, MOMENTS, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
-from rotorid_torch.effects.registry import predicted_by, registered
+from rotorid_torch.effects.registry import predicted_by, refusal
 from rotorid_torch.effects.spec import FlappingKind, ModelSpec, RotorSpec
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.multirotor import measured_inputs, motors, rotor_speeds, spins
@@ -101,7 +101,7 @@ def rival(spec: ModelSpec) -> ModelSpec | None:
         return None
     drivers = [c for c in spec.patterns[MOMENTS[0]] if c not in FLAPPING and c != INDUCED]
     other = _with_patterns(msgspec.structs.replace(spec, flapping="algebraic", flapping_doubtful=False), drivers)
-    fits = all(registered()[e].untestable(other) is None for e in spec.effects)
+    fits = all(refusal(e, other) is None for e in spec.effects)
     return other if fits else None
 
 

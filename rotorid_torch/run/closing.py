@@ -256,8 +256,8 @@ def _refused(tracing: Tracing, said: str) -> Tracing:
     """The tracing without the undeclared effects that it accepted, for a reason."""
     members = {e for others in tracing.groups.values() for e in others} | set(tracing.accepted)
     findings = tuple(_rejected(tracing.findings, members, said))
-    left = tracing.unknown_before or (tracing.unknown if said == IMITATES else None)
-    left = tracing.unknown if said == CHANGED else left  # with its onset
+    before, beside = tracing.unknown_before, tracing.unknown
+    left = beside if said == CHANGED else before or (beside if said == IMITATES else None)  # the onset shows beside it
     return replace(tracing, final=tracing.null, accepted=(), groups={}, findings=findings, unknown=left)
 
 

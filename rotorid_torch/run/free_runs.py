@@ -60,8 +60,8 @@ def objection(without: Run, after: Run, tracing: Tracing) -> str | None:
         return None
     if left > 0.5 * _beyond_noise(without):
         return IMITATES
-    path = len(of_control_path(tracing.accepted)) == len(tracing.accepted)
-    return CHANGED if missing.since_s is not None and path else None
+    of_path = of_control_path(tracing.accepted) == [*tracing.accepted]
+    return CHANGED if missing.since_s is not None and of_path else None
 
 
 def free_run_gain(without: Run, after: Run) -> Tensor:

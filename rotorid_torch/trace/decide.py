@@ -75,10 +75,10 @@ def unlikely(candidate: Fitted, effect: str, spread: Mapping[str, float]) -> str
     edge = at_edge(candidate.model, effect)
     if edge is not None:
         return edge
-    values, nulls, away = candidate.values, _nulls(candidate, effect), _away(candidate, effect)
     none = nothing(candidate, effect)
     if none is not None:
         return none
+    values, nulls, away = candidate.values, _nulls(candidate, effect), _away(candidate, effect)
     few = student_quantile(STEADY, max(len(candidate.flights.dataset.identify) - 1, 1))
     steady = [abs(values[n] - null) > few * spread[n] for n, null in nulls.items() if away[n] >= SURE]
     if not any(steady):

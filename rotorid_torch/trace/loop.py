@@ -13,7 +13,7 @@ from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.nominal import rows
 from rotorid_torch.trace.candidates import candidates, untried
-from rotorid_torch.trace.decide import errors, nothing, told
+from rotorid_torch.trace.decide import nothing, told
 from rotorid_torch.trace.finding import Finding, Unknown
 from rotorid_torch.trace.findings import findings
 from rotorid_torch.trace.fits import Fitted, Flights, refit
@@ -108,13 +108,13 @@ def trace(
     final, accepted = search.confirmed(final, [*placed, *joined], known)
     if placed:  # the model before has the same structure
         null = refit(null.spec.without(placed), flights, null.values, held, near=null)
+    search.compare_clean(final, accepted)
     search.compare_controls(final, accepted)
     missing = _missing(final, accepted, flights, search.floors, seed)
     before = _missing(null, (), flights, search.floors, seed)
     idle = {e: why for e in structure if (why := nothing(final, e)) is not None}
-    search.ordinary |= {
-        e: Finding(e, "structure", "rejected", why, values=errors(final, e, {})) for e, why in idle.items()
-    }
+    for e, why in idle.items():
+        search.refuse(e, why, final)
     structure = tuple(e for e in structure if e not in idle)
     found = findings(search, final, structure, accepted, undeclared, first, usual) + found
     return Tracing(

@@ -183,8 +183,8 @@ class Search:
                 self.say(f"structure: {' and '.join(rotor)} join, gain {gain(null, richer):.3g} per sample")
                 null = richer
             else:
-                said = "fitted in full, it explains nothing more"
-                self.ordinary |= {e: Finding(e, "structure", "rejected", said, gain(null, richer)) for e in rotor}
+                for e in rotor:
+                    self.refuse(e, "fitted in full, it explains nothing more", richer, gained=gain(null, richer))
         null = self.over_short(null)
         rest = [e for e in candidates if e not in rotor]
         while rest:
@@ -202,12 +202,24 @@ class Search:
             if against is None:
                 null = fitted
             else:
-                gained, found = gain(null, fitted), errors(fitted, best, fitted.scatter(best))
                 visible = smallest_visible(screened, best, floors[best])
-                self.ordinary[best] = Finding(
-                    best, "structure", "rejected", against, gained, floors[best], visible, values=found
-                )
+                self.refuse(best, against, fitted, gain(null, fitted), floors[best], visible)
         return null
+
+    def refuse(
+        self,
+        structural: str,
+        why: str,
+        fitted: Fitted,
+        gained: float | None = None,
+        floor: float | None = None,
+        visible: tuple[float, str] | None = None,
+    ) -> None:
+        """Keep what is said of structure that does not join, with its values where it was fitted."""
+        values = errors(fitted, structural, fitted.scatter(structural))
+        self.ordinary[structural] = Finding(
+            structural, "structure", "rejected", why, gained, floor, visible, values=values
+        )
 
     def undeclared(self, null: Fitted, candidates: Sequence[str]) -> tuple[Fitted, list[str]]:
         """The null with the undeclared effects that pass, and their ids in the order in which they joined."""
@@ -320,12 +332,15 @@ class Search:
                 final = without
         return final, accepted
 
+    def compare_clean(self, final: Fitted, accepted: Sequence[str]) -> None:
+        """Errors of delays and lags hold how such a size scatters from one clean aircraft to the next."""
+        for name, error in (one for effect in accepted for one in self.floors.scatter(effect).items()):
+            if name in final.names:
+                self.spread[name] = max(self.spread.get(name, 0.0), error)
+
     def compare_controls(self, final: Fitted, accepted: Sequence[str]) -> None:
-        """Errors of what all controls have in common hold how far the controls agree, and clean aircraft's scatter."""
+        """Errors of what all controls have in common hold how far the controls agree."""
         for effect in accepted:
-            for name, error in self.floors.scatter(effect).items():
-                if name in final.names:
-                    self.spread[name] = max(self.spread.get(name, 0.0), error)
             found = by_control(final, effect, self.held)
             if found is None:
                 continue

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import msgspec
 import pytest
 import torch
 
 from rotorid_torch.effects.base import Effect, Frame, Stage
-from rotorid_torch.effects.registry import EFFECTS, make, register, registered
+from rotorid_torch.effects.examples import HELICOPTER
+from rotorid_torch.effects.registry import EFFECTS, make, refusal, register, registered
 from rotorid_torch.errors import InputError
 from rotorid_torch.model.nominal import build
 from tests.effects.own_effects import OwnDrag
@@ -63,3 +65,11 @@ def test_a_frame_adds_and_never_changes():
     named = frame.with_signals(v=torch.zeros(2), u=torch.zeros(1))
     assert named.stack(("u", "v")).shape == (2, 2)
     assert "v" not in frame.signals
+
+
+def test_what_the_nominal_model_has_is_refused_beside_it():
+    spec = msgspec.structs.replace(HELICOPTER, inflow=True)
+    for effect in ("rotor.inflow", "forces.translational_lift"):
+        with pytest.raises(InputError, match="the nominal model has it already, as its part 'inflow'"):
+            make(effect, spec)
+        assert refusal(effect, HELICOPTER) is None

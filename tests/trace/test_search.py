@@ -70,13 +70,13 @@ def test_a_model_that_lost_its_way_is_found_again_over_short_segments():
 
 
 def test_errors_of_a_named_delay_hold_what_delays_seem_to_be_on_clean_aircraft():
-    """Of a parameter that was estimated; one that controls have in common holds how far they agree as well."""
+    """Of a parameter that was estimated."""
     known, null = started(flights("control.delay", control__delay__common=0.06))
     late = refit(null.spec.with_effects("control.delay"), known, {**null.values, "control.delay.common": 0.06})
     seemed = torch.tensor([-0.02, 0.01, -0.01, 0.0], dtype=torch.float64)
     sizes = {"control.delay.common": seemed, "control.delay.lon": seemed}
     search = Search(known, (), Floors({}, "", sizes=sizes), lambda line: None, 0)
-    search.compare_controls(late, ["control.delay"])
+    search.compare_clean(late, ["control.delay"])
     assert search.spread["control.delay.common"] >= float(seemed.std())
     assert "control.delay.lon" not in search.spread
 
