@@ -14,7 +14,7 @@ from torch import Tensor
 from rotorid_torch.core.names import is_control
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.effects.base import Effect, Role, Stage, Values
-from rotorid_torch.effects.record import lagged, rate_limited, shifted, with_play
+from rotorid_torch.effects.record import lagged, rate_limited, shifted, with_play_behind_noise
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec
 
@@ -135,7 +135,8 @@ class RateLimit(Effect):
 class Backlash(Effect):
     """Play in the control linkages: a control that turns round must first cross it.
 
-    u_rotor stays within width/2 of u, and moves only when pushed; it starts in the middle.
+    u_rotor stays within width/2 of u, and moves only when pushed; it starts in the middle. Noise of the record pushes
+    nothing: the play follows medians of the record over 0.1 s.
 
     Source: Nordin and Gutman (2002), Automatica 38, Controlling mechanical systems with backlash.
     """
@@ -157,4 +158,4 @@ class Backlash(Effect):
 
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Controls [..., T, nu], each through its play."""
-        return with_play(record, per_control(p, "width", names))
+        return with_play_behind_noise(record, per_control(p, "width", names), dt)

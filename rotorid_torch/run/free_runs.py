@@ -1,9 +1,10 @@
-"""What free runs over whole flights say of a model with effects beside the one without: they decide, and may refuse."""
+"""What the model that was identified again with effects says of them beside the one without, above all by free runs."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -12,7 +13,7 @@ from rotorid_torch.run.pipeline import Run
 from rotorid_torch.run.records import FlightRecord
 from rotorid_torch.run.summary import GOOD, USABLE
 from rotorid_torch.trace.candidates import of_control_path
-from rotorid_torch.trace.decide import clearly_worse
+from rotorid_torch.trace.decide import at_edge, clearly_worse, nothing
 from rotorid_torch.trace.loop import Tracing
 
 WORSE = "it describes segments of flights, but identified again with it, the model's free runs are clearly worse"
@@ -24,6 +25,7 @@ FAILS = "the model with it still does not describe the flights: something else a
 FLOWN_AWAY = 1e9
 """J of a run that has none because its states left all bounds."""
 IMITATES = "what is left over beside it, without a name, is larger than what it explains: it may imitate that"
+AGAIN = "identified again with it, "
 CHANGED = "beside it something begins in the midst of the flights, and it acts all the time: it may imitate that"
 
 
@@ -42,8 +44,13 @@ def objection(without: Run, after: Run, tracing: Tracing) -> str | None:
     """Why effects that were accepted are no finding, or None.
 
     What explains less than what then stays without a name may be no more than its imitation; so may a control path
-    that is late, slow or loose from the start where something begins later.
+    that is late, slow or loose from the start where something begins later. Nor is an effect one whose size is nothing,
+    or no physics, once the three steps have run again with it.
     """
+    for effect in tracing.accepted:
+        why = at_edge(after.model, effect) or nothing(after.model, partial(_error, after), effect)
+        if why is not None:
+            return AGAIN + why
     if clearly_worse(free_run_gain(without, after)):
         return WORSE
     left, moved = _beyond_noise(after), _moved(after)
@@ -62,6 +69,12 @@ def objection(without: Run, after: Run, tracing: Tracing) -> str | None:
         return IMITATES
     of_path = of_control_path(tracing.accepted) == [*tracing.accepted]
     return CHANGED if missing.since_s is not None and of_path else None
+
+
+def _error(run: Run, name: str) -> float:
+    """Standard error of a parameter of a run, infinite where none is told."""
+    told = next((p.se for p in run.fit.parameters if p.name == name), None)
+    return math.inf if told is None else told
 
 
 def free_run_gain(without: Run, after: Run) -> Tensor:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import torch
 from torch import Tensor
@@ -75,10 +75,11 @@ def unlikely(candidate: Fitted, effect: str, spread: Mapping[str, float]) -> str
     edge = at_edge(candidate.model, effect)
     if edge is not None:
         return edge
-    none = nothing(candidate, effect)
+    none = nothing(candidate.model, candidate.error, effect)
     if none is not None:
         return none
-    values, nulls, away = candidate.values, _nulls(candidate, effect), _away(candidate, effect)
+    values, nulls = candidate.values, _nulls(candidate.model, effect)
+    away = _away(candidate.model, candidate.error, effect)
     few = student_quantile(STEADY, max(len(candidate.flights.dataset.identify) - 1, 1))
     steady = [abs(values[n] - null) > few * spread[n] for n, null in nulls.items() if away[n] >= SURE]
     if not any(steady):
@@ -86,24 +87,27 @@ def unlikely(candidate: Fitted, effect: str, spread: Mapping[str, float]) -> str
     return too_short(candidate, effect)
 
 
-def nothing(candidate: Fitted, effect: str) -> str | None:
-    """Why all sizes of an effect are nothing within their errors; None where one is something."""
-    away = _away(candidate, effect)
-    if max(away.values()) >= SURE:
+def nothing(model: Model, error: Callable[[str], float], effect: str) -> str | None:
+    """Why all sizes of an effect are nothing within their standard errors; None where one is something.
+
+    error : standard error of a parameter, infinite where it cannot be told.
+    """
+    away = _away(model, error, effect)
+    if max(away.values(), default=math.inf) >= SURE:
         return None
     name = max(away, key=lambda n: away[n])
-    return f"{name} = {candidate.values[name]:.3g} lies within {SURE:g} of its standard errors from nothing"
+    return f"{name} = {model.named_values[name]:.3g} lies within {SURE:g} of its standard errors from nothing"
 
 
-def _nulls(candidate: Fitted, effect: str) -> dict[str, float]:
+def _nulls(model: Model, effect: str) -> dict[str, float]:
     """Each parameter by which an effect has a size, and its value where it has none."""
-    return {s.parameter: s.null for s in signatures(candidate.model, [effect])}
+    return {s.parameter: s.null for s in signatures(model, [effect])}
 
 
-def _away(candidate: Fitted, effect: str) -> dict[str, float]:
+def _away(model: Model, error: Callable[[str], float], effect: str) -> dict[str, float]:
     """Standard errors of each from there."""
-    values, nulls = candidate.values, _nulls(candidate, effect)
-    return {n: abs(values[n] - null) / max(candidate.error(n), 1e-300) for n, null in nulls.items()}
+    values, nulls = model.named_values, _nulls(model, effect)
+    return {n: abs(values[n] - null) / max(error(n), 1e-300) for n, null in nulls.items()}
 
 
 def clearly_worse(runs: Tensor) -> bool:

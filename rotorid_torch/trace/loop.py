@@ -112,7 +112,7 @@ def trace(
     search.compare_controls(final, accepted)
     missing = _missing(final, accepted, flights, search.floors, seed)
     before = _missing(null, (), flights, search.floors, seed)
-    idle = {e: why for e in structure if (why := nothing(final, e)) is not None}
+    idle = {e: why for e in structure if (why := nothing(final.model, final.error, e)) is not None}
     for e, why in idle.items():
         search.refuse(e, why, final)
     structure = tuple(e for e in structure if e not in idle)

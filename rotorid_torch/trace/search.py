@@ -143,9 +143,13 @@ class Search:
         return again
 
     def over_short(self, null: Fitted) -> Fitted:
-        """The null, or what a fit over short segments first makes of it where that ends better."""
+        """The null, or what a fit over short segments first makes of it where that ends better.
+
+        Not where flights that no fit has seen are described worse: what a model lacks may be imitated in the fitted
+        ones, better even than the cause describes them, by derivatives that are no vehicle's.
+        """
         again = fits([Wanted(null.spec, null.values, null, short_first=True)], self.held, CAREFUL, self.ranks)[0]
-        if gain(null, again) <= 0.0:
+        if gain(null, again) <= 0.0 or helps(-unseen_gain(null, again)):
             return null
         self.say(f"the model without candidates gains {gain(null, again):.3g} per sample over short segments first")
         return again

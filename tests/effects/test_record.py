@@ -9,10 +9,11 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
+from scipy.ndimage import median_filter
 from scipy.signal import lsim
 from torch import Tensor
 
-from rotorid_torch.effects.record import lagged, rate_limited, shifted, with_play
+from rotorid_torch.effects.record import lagged, medians, rate_limited, shifted, with_play, with_play_behind_noise
 
 DT = 0.02
 TIME = DT * torch.arange(200, dtype=torch.float64)
@@ -97,6 +98,31 @@ def test_play_swallows_a_turn_and_then_drags():
         hard.append(y)
     assert float((found - torch.tensor(hard, dtype=torch.float64)).abs().max()) < 0.12 * 0.02
     assert torch.equal(with_play(record, one(0.0)), record)
+
+
+def test_noise_of_the_record_pushes_no_play():
+    dt, width = 0.01, 0.03
+    time = dt * torch.arange(2000, dtype=torch.float64)
+    record = (0.05 * torch.sin(math.pi * time) + 0.03 * torch.sin(7.0 * time))[:, None]
+    read, moved = record + 0.1 * width * noise(len(time), 1), with_play(record, one(width))
+    by_width = torch.linspace(0.8, 1.5, 36, dtype=torch.float64) * width
+
+    def best(path: Callable[[Tensor], Tensor]) -> float:
+        off = torch.stack([(path(w[None]) - moved)[20:].square().mean() for w in by_width])
+        return float(by_width[off.argmin()]) / width
+
+    assert best(lambda w: with_play(read, w)) > 1.15
+    assert best(lambda w: with_play_behind_noise(read, w, dt)) == pytest.approx(1.0, abs=0.04)
+    torch.testing.assert_close(with_play_behind_noise(read, one(0.0), dt), read, rtol=0, atol=1e-15)
+
+
+def test_medians_are_those_of_what_is_near_and_leave_a_step_as_it_is():
+    record = noise(2, 30, 3)
+    wanted = median_filter(record.numpy(), size=(1, 5, 1), mode="nearest")
+    assert torch.equal(medians(record, 5), torch.from_numpy(wanted))
+    assert torch.equal(medians(record, 1), record)
+    step = (TIME > 1.0).double()[:, None]
+    assert torch.equal(medians(step, 11), step)
 
 
 @pytest.mark.parametrize(("follow", "value"), [(partial(rate_limited, dt=DT), 0.03), (with_play, 1.0)])

@@ -15,6 +15,7 @@ import pytest
 import rotorid_torch as rotorid
 from rotorid_torch.data import Dataset
 from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR
+from rotorid_torch.model.nominal import build
 from rotorid_torch.model.save import load
 from rotorid_torch.run import limits
 from rotorid_torch.run.closing import _before_and_after, _in_gusts, _loop
@@ -262,8 +263,10 @@ def test_where_an_effect_is_refused_records_stay_right_and_the_null_stands():
 
 def run_with(J: float | None, identify: float | None = None) -> Any:
     flights = {"f": SimpleNamespace(list="validate", J=J, J_noise=0.05, J_trim=1.0)}
+    model = SimpleNamespace(parameter_set=SimpleNamespace(parameters=()), named_values={})
+    fit = SimpleNamespace(flights=flights, parameters=())
     return SimpleNamespace(
-        scores={"validate": J, "identify": identify}, spec=HELICOPTER, values={}, fit=SimpleNamespace(flights=flights)
+        scores={"validate": J, "identify": identify}, spec=HELICOPTER, values={}, fit=fit, model=model
     )
 
 
@@ -329,6 +332,18 @@ def test_a_model_that_still_does_not_describe_the_flights_earns_its_effects_no_n
     """Held trim scores 1: more than 30 % of the squared motion is left."""
     found = judged(over("validate", [0.9] * 4), over("validate", [after] * 4), tracing_of("control.backlash"))
     assert bool(found.accepted) is stays
+
+
+@pytest.mark.parametrize(("delay", "said"), [(0.05, None), (0.0, "from nothing"), (0.25, "at the edge of its range")])
+def test_what_is_nothing_or_no_physics_once_identified_again_has_no_name(delay: float, said: str | None):
+    name = Finding("control.delay", "undeclared", "accepted", "", values={"control.delay.common": (0.05, 0.01)})
+    first, run = run_with(0.12), run_with(0.1)
+    run.model = with_values(build(HELICOPTER.with_effects("control.delay")), {"control.delay.common": delay})
+    run.fit.parameters = (SimpleNamespace(name="control.delay.common", se=0.01),)
+    tracing = replace(tracing_of("control.delay"), findings=(name,))
+    found = _before_and_after(first, tracing, False, pytest.fail, lambda spec, values: run)[2]
+    assert bool(found.accepted) is (said is None)
+    assert said is None or said in found.findings[0].reason
 
 
 def test_a_good_effect_is_not_refused_for_the_structure_beside_it():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 from typing import Any
 
@@ -87,8 +88,9 @@ def test_ordinary_physics_is_measured_by_chance_and_by_its_size():
     """Clean aircraft have it; what is nothing within its errors does not belong into a model."""
     said = objection(fitted(2.0, (0.1, 0.1)), fitted(2.5, (0.1, 0.1)), "rotor.speed", 0.1, {})
     assert said == "fitted in full, it explains no more than by chance"
-    assert nothing(fitted(1.0, (0.1, 0.1)), "forces.drag") is None
-    assert "from nothing" in (nothing(fitted(1.0, (0.1, 0.1), error=float("inf")), "forces.drag") or "")
+    model = fitted(1.0, (0.1, 0.1)).model
+    assert nothing(model, lambda name: 0.001, "forces.drag") is None
+    assert "from nothing" in (nothing(model, lambda name: math.inf, "forces.drag") or "")
 
 
 @pytest.mark.parametrize(

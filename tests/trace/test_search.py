@@ -69,6 +69,18 @@ def test_a_model_that_lost_its_way_is_found_again_over_short_segments():
     assert search.over_short(null).cost <= null.cost
 
 
+@pytest.mark.parametrize(("unseen", "kept"), [((0.1, -0.02, 0.05, 0.0), True), ((-0.3, -0.31, -0.5, -0.22), False)])
+def test_a_model_that_describes_unseen_flights_worse_is_no_better_start(
+    monkeypatch: pytest.MonkeyPatch, unseen: tuple[float, ...], kept: bool
+):
+    known, null = started(flights())
+    astray = refit(null.spec, known, {}, options=replace(CAREFUL, max_iterations=1))
+    told = torch.tensor(unseen, dtype=torch.float64)
+    monkeypatch.setattr("rotorid_torch.trace.search.unseen_gain", lambda before, after: told)
+    found = Search(known, (), Floors({}, ""), lambda line: None, 0).over_short(astray)
+    assert (found is not astray) is kept
+
+
 def test_errors_of_a_named_delay_hold_what_delays_seem_to_be_on_clean_aircraft():
     """Of a parameter that was estimated."""
     known, null = started(flights("control.delay", control__delay__common=0.06))
