@@ -135,8 +135,8 @@ class RateLimit(Effect):
 class Backlash(Effect):
     """Play in the control linkages: a control that turns round must first cross it.
 
-    u_rotor stays within width/2 of u, and moves only when pushed; it starts in the middle. Noise of the record pushes
-    nothing: the play follows medians of the record over 0.1 s.
+    u_rotor stays within width/2 of u, and moves only when pushed; it starts in the middle. The noise of the
+    record does not push it: it follows medians over 0.1 s, which pass motion up to some 4 Hz.
 
     Source: Nordin and Gutman (2002), Automatica 38, Controlling mechanical systems with backlash.
     """

@@ -24,7 +24,7 @@ from rotorid_torch.run.checkpoint import Checkpoint, Steps
 from rotorid_torch.run.figures import Overlay
 from rotorid_torch.run.fit_record import fit_record, judge
 from rotorid_torch.run.folder import run_folder
-from rotorid_torch.run.free_runs import CHANGED, IMITATES, WORSE, best_of, free_run_gain, objection
+from rotorid_torch.run.free_runs import CHANGED, IMITATES, WORSE, best_of, free_run_gain, idle, objection
 from rotorid_torch.run.loop_record import as_fitted, effect_record, of_sensors, unknown_record
 from rotorid_torch.run.monitor import Monitor, peak_memory_mb
 from rotorid_torch.run.pipeline import Run, estimated, identified, refuse, remarks_on, write_model
@@ -41,7 +41,7 @@ from rotorid_torch.trace.clocks import sensor_findings
 from rotorid_torch.trace.decide import clearly_worse
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.fits import Fitted, Flights, refit
-from rotorid_torch.trace.loop import Tracing, trace
+from rotorid_torch.trace.loop import Bare, Tracing, trace
 from rotorid_torch.trace.multirotor import Identified, trace_rotors
 from rotorid_torch.trace.network import learn
 from rotorid_torch.trace.stochastic import TURBULENCE, stochastic_findings
@@ -180,6 +180,9 @@ def _before_and_after(
         whole, *bare = shapes(final.spec, final.values)
         if first.spec.motors:
             return plain, whole, tracing
+        gone = {e: why for e, why in idle(whole, tracing).items() if all(e in idle(run, tracing) for run in bare)}
+        if 0 < len(gone) < len(tracing.accepted):
+            return _before_and_after(first, _without(tracing, gone), sensors, wrong, right)
         tried = [*bare, whole] if any(clearly_worse(free_run_gain(run, whole)) for run in bare) else [whole, *bare]
         without = best_of(shapes(null.spec, null.values)) if sensors else plain
         against = [objection(without, run, tracing) for run in tried]
@@ -259,6 +262,20 @@ def _refused(tracing: Tracing, said: str) -> Tracing:
     before, beside = tracing.unknown_before, tracing.unknown
     left = beside if said == CHANGED else before or (beside if said == IMITATES else None)  # the onset shows beside it
     return replace(tracing, final=tracing.null, accepted=(), groups={}, findings=findings, unknown=left)
+
+
+def _without(tracing: Tracing, gone: Mapping[str, str]) -> Tracing:
+    """The tracing without some of the undeclared effects that it accepted, each for a reason."""
+    findings = tracing.findings
+    for effect, why in gone.items():
+        findings = tuple(_rejected(findings, {effect, *tracing.groups.get(effect, ())}, why))
+    return replace(
+        tracing,
+        final=Bare(tracing.final.spec.without([*gone]), tracing.final.values),
+        accepted=tuple(e for e in tracing.accepted if e not in gone),
+        groups={e: others for e, others in tracing.groups.items() if e not in gone},
+        findings=findings,
+    )
 
 
 def _dropped(tracing: Tracing) -> list[Finding]:

@@ -47,10 +47,9 @@ def objection(without: Run, after: Run, tracing: Tracing) -> str | None:
     that is late, slow or loose from the start where something begins later. Nor is an effect one whose size is nothing,
     or no physics, once the three steps have run again with it.
     """
-    for effect in tracing.accepted:
-        why = at_edge(after.model, effect) or nothing(after.model, partial(_error, after), effect)
-        if why is not None:
-            return AGAIN + why
+    doubts = idle(after, tracing)
+    if doubts:
+        return next(iter(doubts.values()))
     if clearly_worse(free_run_gain(without, after)):
         return WORSE
     left, moved = _beyond_noise(after), _moved(after)
@@ -71,10 +70,18 @@ def objection(without: Run, after: Run, tracing: Tracing) -> str | None:
     return CHANGED if missing.since_s is not None and of_path else None
 
 
+def idle(after: Run, tracing: Tracing) -> dict[str, str]:
+    """Accepted effects that are nothing, or no physics, once the three steps have run again with them, and why."""
+    doubts = {e: at_edge(after.model, e) or nothing(after.model, partial(_error, after), e) for e in tracing.accepted}
+    return {e: AGAIN + why for e, why in doubts.items() if why is not None}
+
+
 def _error(run: Run, name: str) -> float:
-    """Standard error of a parameter of a run, infinite where none is told."""
-    told = next((p.se for p in run.fit.parameters if p.name == name), None)
-    return math.inf if told is None else told
+    """Standard error of a parameter of a run, infinite where it was estimated but cannot be told."""
+    told = next((p for p in run.fit.parameters if p.name == name), None)
+    if told is None or told.at_bound or told.status == "not identifiable":
+        return math.inf
+    return told.se or 0.0
 
 
 def free_run_gain(without: Run, after: Run) -> Tensor:

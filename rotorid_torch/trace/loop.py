@@ -43,7 +43,7 @@ class Named(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Bare:
-    """A model without the structure whose size is nothing in the end."""
+    """A model without the effects whose size is nothing in the end."""
 
     spec: ModelSpec
     values: dict[str, float]

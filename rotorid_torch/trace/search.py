@@ -149,7 +149,11 @@ class Search:
         ones, better even than the cause describes them, by derivatives that are no vehicle's.
         """
         again = fits([Wanted(null.spec, null.values, null, short_first=True)], self.held, CAREFUL, self.ranks)[0]
-        if gain(null, again) <= 0.0 or helps(-unseen_gain(null, again)):
+        if gain(null, again) <= 0.0:
+            return null
+        worse = -unseen_gain(null, again)
+        if not bool(worse.isfinite().all()) or helps(worse):
+            self.say("over short segments first the model without candidates describes unseen flights worse: not kept")
             return null
         self.say(f"the model without candidates gains {gain(null, again):.3g} per sample over short segments first")
         return again

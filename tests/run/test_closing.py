@@ -334,16 +334,48 @@ def test_a_model_that_still_does_not_describe_the_flights_earns_its_effects_no_n
     assert bool(found.accepted) is stays
 
 
-@pytest.mark.parametrize(("delay", "said"), [(0.05, None), (0.0, "from nothing"), (0.25, "at the edge of its range")])
-def test_what_is_nothing_or_no_physics_once_identified_again_has_no_name(delay: float, said: str | None):
+@pytest.mark.parametrize(
+    ("delay", "told", "said"),
+    [
+        (0.05, "free", None),
+        (0.05, "not identifiable", "from nothing"),
+        (0.0, "free", "from nothing"),
+        (0.25, "free", "at the edge of its range"),
+    ],
+)
+def test_what_is_nothing_or_no_physics_once_identified_again_has_no_name(delay: float, told: str, said: str | None):
     name = Finding("control.delay", "undeclared", "accepted", "", values={"control.delay.common": (0.05, 0.01)})
     first, run = run_with(0.12), run_with(0.1)
     run.model = with_values(build(HELICOPTER.with_effects("control.delay")), {"control.delay.common": delay})
-    run.fit.parameters = (SimpleNamespace(name="control.delay.common", se=0.01),)
+    run.fit.parameters = (SimpleNamespace(name="control.delay.common", se=0.01, at_bound=False, status=told),)
     tracing = replace(tracing_of("control.delay"), findings=(name,))
     found = _before_and_after(first, tracing, False, pytest.fail, lambda spec, values: run)[2]
     assert bool(found.accepted) is (said is None)
     assert said is None or said in found.findings[0].reason
+
+
+def test_what_is_nothing_in_the_end_takes_no_other_name_with_it():
+    names = tuple(Finding(e, "undeclared", "accepted", "") for e in ("control.delay", "control.backlash"))
+    tracing = replace(tracing_of("control.delay", "control.backlash"), findings=names)
+    asked = []
+
+    def right(spec: Any, values: Any) -> Any:
+        asked.append(spec.effects)
+        run = run_with(0.1)
+        both = build(HELICOPTER.with_effects("control.delay", "control.backlash"))
+        run.model = with_values(both, {"control.backlash.width": 0.005})
+        told = {"at_bound": False, "status": "free"}
+        run.fit.parameters = (
+            SimpleNamespace(name="control.delay.common", se=0.01, **told),
+            SimpleNamespace(name="control.backlash.width", se=0.0001, **told),
+        )
+        return run
+
+    tracing.final.spec = HELICOPTER.with_effects("control.delay", "control.backlash")
+    found = _before_and_after(run_with(0.12), tracing, False, pytest.fail, right)[2]
+    assert found.accepted == ("control.backlash",)
+    assert asked == [tracing.final.spec.effects, (*HELICOPTER.effects, "control.backlash")]
+    assert {f.id: f.verdict for f in found.findings} == {"control.delay": "rejected", "control.backlash": "accepted"}
 
 
 def test_a_good_effect_is_not_refused_for_the_structure_beside_it():

@@ -69,7 +69,10 @@ def test_a_model_that_lost_its_way_is_found_again_over_short_segments():
     assert search.over_short(null).cost <= null.cost
 
 
-@pytest.mark.parametrize(("unseen", "kept"), [((0.1, -0.02, 0.05, 0.0), True), ((-0.3, -0.31, -0.5, -0.22), False)])
+@pytest.mark.parametrize(
+    ("unseen", "kept"),
+    [((0.1, -0.02, 0.05, 0.0), True), ((-0.3, -0.31, -0.5, -0.22), False), ((-math.inf, -0.3, -0.4, -0.3), False)],
+)
 def test_a_model_that_describes_unseen_flights_worse_is_no_better_start(
     monkeypatch: pytest.MonkeyPatch, unseen: tuple[float, ...], kept: bool
 ):
