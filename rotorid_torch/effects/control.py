@@ -136,7 +136,7 @@ class Backlash(Effect):
     """Play in the control linkages: a control that turns round must first cross it.
 
     u_rotor stays within width/2 of u, and moves only when pushed; it starts in the middle. The noise of the
-    record does not push it: it follows medians over 0.1 s, which pass motion up to some 4 Hz.
+    record does not push it: it follows the record smoothed over 0.1 s.
 
     Source: Nordin and Gutman (2002), Automatica 38, Controlling mechanical systems with backlash.
     """

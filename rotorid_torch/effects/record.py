@@ -110,19 +110,20 @@ def with_play_behind_noise(record: Tensor, width: Tensor, dt: float) -> Tensor:
     """The record with what a play of this width changes of it: that of the record without most of its noise.
 
     Noise of the recording moves no linkage. A play that followed it would be pushed by the largest of it, to both
-    sides, and act as if it were narrower by three or four of its standard deviations. Medians take it out where the
-    record has several samples in 0.1 s; motion faster than some 4 Hz they take for noise too.
+    sides, and act as if it were narrower by three or four of its standard deviations. What is left where the record is
+    smoothed over several samples is small; motion faster than some 4 Hz is taken for noise too.
     """
-    quiet = medians(record, 2 * int(0.5 * QUIET_S / dt + 1e-6) + 1)
+    quiet = smoothed(record, 2 * int(0.5 * QUIET_S / dt + 1e-6) + 1)
     return record + (with_play(quiet, width) - quiet)
 
 
-def medians(record: Tensor, width: int) -> Tensor:
-    """Medians of an odd number of samples about each of the record's, held at its ends: steps stay as sharp."""
+def smoothed(record: Tensor, width: int) -> Tensor:
+    """The record by a Hann window of so many samples, held at its ends."""
+    kernel = torch.hann_window(width + 2, periodic=False, dtype=record.dtype, device=record.device)[1:-1]
     rows = record.movedim(-2, -1)
-    before, after = (rows[..., k, None].expand(*rows.shape[:-1], width // 2) for k in (0, -1))
-    held = torch.cat([before, rows, after], dim=-1)
-    return held.unfold(-1, width, 1).median(dim=-1).values.movedim(-1, -2)
+    before, after = width // 2, width - 1 - width // 2
+    held = [rows[..., :1].expand(*rows.shape[:-1], before), rows, rows[..., -1:].expand(*rows.shape[:-1], after)]
+    return (torch.cat(held, dim=-1).unfold(-1, width, 1) @ (kernel / kernel.sum())).movedim(-1, -2)
 
 
 Follow = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]

@@ -18,6 +18,7 @@ from torch import Tensor
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.base import Frame
+from rotorid_torch.effects.record import smoothed
 from rotorid_torch.identification.reconstruct import Reconstruction
 from rotorid_torch.identification.step2 import Measured, measured
 from rotorid_torch.model.flapping import Flapping
@@ -138,10 +139,10 @@ def left_over(
             residual - _residual(model, measured(model, dataset, reconstruction, name), flapping, dt)
             for _ in _moved(model, effects)
         ]
-        residuals.append(_smooth(residual, width)[::every])
-        changes.append([_smooth(one, width)[::every] for one in moved])
-        columns.append(_smooth(signals, width)[::every])
-        tilts += [_smooth(_stacked(seen.signals, flapping).nan_to_num(0.0), width)[::every]] if flapping else []
+        residuals.append(smoothed(residual, width)[::every])
+        changes.append([smoothed(one, width)[::every] for one in moved])
+        columns.append(smoothed(signals, width)[::every])
+        tilts += [smoothed(_stacked(seen.signals, flapping).nan_to_num(0.0), width)[::every]] if flapping else []
         times.append(dt * torch.arange(len(signals), dtype=torch.float64)[::every])
         own = torch.zeros(len(columns[-1]), len(flights), dtype=torch.float64)
         own[:, k] = 1.0
@@ -215,13 +216,6 @@ def _loads(frame: Frame) -> Tensor:
     none = torch.zeros(len(frame.signals["p"]), 3, dtype=torch.float64)
     force = none if frame.force is None else frame.force
     return torch.cat([force, none if frame.moment is None else frame.moment], dim=-1)
-
-
-def _smooth(records: Tensor, width: int) -> Tensor:
-    """Records [T, n] by a Hann window of so many samples, held at the ends."""
-    kernel = torch.hann_window(width + 2, periodic=False, dtype=torch.float64)[1:-1]
-    padded = torch.nn.functional.pad(records.mT[:, None], (width // 2, width - 1 - width // 2), mode="replicate")
-    return torch.nn.functional.conv1d(padded, (kernel / kernel.sum())[None, None])[:, 0].mT
 
 
 def scan(left: LeftOver) -> dict[str, Trace]:

@@ -9,11 +9,10 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from scipy.ndimage import median_filter
 from scipy.signal import lsim
 from torch import Tensor
 
-from rotorid_torch.effects.record import lagged, medians, rate_limited, shifted, with_play, with_play_behind_noise
+from rotorid_torch.effects.record import lagged, rate_limited, shifted, smoothed, with_play, with_play_behind_noise
 
 DT = 0.02
 TIME = DT * torch.arange(200, dtype=torch.float64)
@@ -116,13 +115,13 @@ def test_noise_of_the_record_pushes_no_play():
     torch.testing.assert_close(with_play_behind_noise(read, one(0.0), dt), read, rtol=0, atol=1e-15)
 
 
-def test_medians_are_those_of_what_is_near_and_leave_a_step_as_it_is():
-    record = noise(2, 30, 3)
-    wanted = median_filter(record.numpy(), size=(1, 5, 1), mode="nearest")
-    assert torch.equal(medians(record, 5), torch.from_numpy(wanted))
-    assert torch.equal(medians(record, 1), record)
-    step = (TIME > 1.0).double()[:, None]
-    assert torch.equal(medians(step, 11), step)
+def test_smoothed_is_the_weighted_mean_of_what_is_near_and_held_at_the_ends():
+    record, width = noise(2, 30, 3), 5
+    weights = np.hanning(width + 2)[1:-1] / np.hanning(width + 2).sum()
+    padded = np.pad(record.numpy(), ((0, 0), (2, 2), (0, 0)), mode="edge")
+    mean = sum(w * padded[:, k : k + 30] for k, w in enumerate(weights))
+    torch.testing.assert_close(smoothed(record, width), torch.from_numpy(mean), rtol=1e-12, atol=1e-12)
+    assert torch.equal(smoothed(record, 1), record)
 
 
 @pytest.mark.parametrize(("follow", "value"), [(partial(rate_limited, dt=DT), 0.03), (with_play, 1.0)])
