@@ -175,14 +175,14 @@ def _before_and_after(
 
     final, null = tracing.final, tracing.null
     if tracing.accepted:
-        plain = best_of([first, wrong(null.spec, null.values)]) if tracing.structure else first
         # what ordinary physics is left out the named effect takes up, and its size is no longer its own
         whole, *bare = shapes(final.spec, final.values)
-        if first.spec.motors:
-            return plain, whole, tracing
-        gone = {e: why for e, why in idle(whole, tracing).items() if all(e in idle(run, tracing) for run in bare)}
+        gone = {} if first.spec.motors else idle([whole, *bare], tracing.accepted)
         if 0 < len(gone) < len(tracing.accepted):
             return _before_and_after(first, _without(tracing, gone), sensors, wrong, right)
+        plain = best_of([first, wrong(null.spec, null.values)]) if tracing.structure else first
+        if first.spec.motors:
+            return plain, whole, tracing
         tried = [*bare, whole] if any(clearly_worse(free_run_gain(run, whole)) for run in bare) else [whole, *bare]
         without = best_of(shapes(null.spec, null.values)) if sensors else plain
         against = [objection(without, run, tracing) for run in tried]

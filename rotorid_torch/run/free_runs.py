@@ -47,7 +47,7 @@ def objection(without: Run, after: Run, tracing: Tracing) -> str | None:
     that is late, slow or loose from the start where something begins later. Nor is an effect one whose size is nothing,
     or no physics, once the three steps have run again with it.
     """
-    doubts = idle(after, tracing)
+    doubts = idle([after], tracing.accepted)
     if doubts:
         return next(iter(doubts.values()))
     if clearly_worse(free_run_gain(without, after)):
@@ -70,10 +70,14 @@ def objection(without: Run, after: Run, tracing: Tracing) -> str | None:
     return CHANGED if missing.since_s is not None and of_path else None
 
 
-def idle(after: Run, tracing: Tracing) -> dict[str, str]:
-    """Accepted effects that are nothing, or no physics, once the three steps have run again with them, and why."""
-    doubts = {e: at_edge(after.model, e) or nothing(after.model, partial(_error, after), e) for e in tracing.accepted}
-    return {e: AGAIN + why for e, why in doubts.items() if why is not None}
+def idle(runs: Sequence[Run], effects: Sequence[str]) -> dict[str, str]:
+    """Effects that are nothing, or no physics, in each run of the three steps again with them, and why in the first."""
+
+    def doubt(run: Run, effect: str) -> str | None:
+        return at_edge(run.model, effect) or nothing(run.model, partial(_error, run), effect)
+
+    doubts = {e: [doubt(run, e) for run in runs] for e in effects}
+    return {e: f"{AGAIN}{whys[0]}" for e, whys in doubts.items() if None not in whys}
 
 
 def _error(run: Run, name: str) -> float:
