@@ -22,6 +22,7 @@ STILL_POOR = (
     "free runs of unseen flights are no better by it, and leave more than a tenth of the motion: it may imitate that"
 )
 FAILS = "the model with it still does not describe the flights: something else acts, or more than this"
+"""Said of unseen flights as of those that were fitted: what a fit leaves even there, its terms may imitate."""
 FLOWN_AWAY = 1e9
 """J of a run that has none because its states left all bounds."""
 IMITATES = "what is left over beside it, without a name, is larger than what it explains: it may imitate that"
@@ -52,19 +53,21 @@ def objection(without: Run, after: Run, tracing: Tracing) -> str | None:
         return next(iter(doubts.values()))
     if clearly_worse(free_run_gain(without, after)):
         return WORSE
-    left, moved = _beyond_noise(after), _moved(after)
+    deciding = _deciding(after)
+    left = _beyond_noise(deciding)
     if best_of([without, after]) is without:
         # a model that imitates the effect drifts no more where little is left over; where much is, it is to be less
         if not tracing.sure:
             return NO_BETTER
-        if left > (1.0 - GOOD) * moved:
+        if left > (1.0 - GOOD) * _moved(deciding):
             return STILL_POOR
-    if left > (1.0 - USABLE) * moved:
-        return FAILS
+    for flights in (deciding, _listed(after, "identify")):
+        if _beyond_noise(flights) > (1.0 - USABLE) * _moved(flights):
+            return FAILS
     missing = tracing.unknown
     if missing is None or not missing.judged:
         return None
-    if left > 0.5 * _beyond_noise(without):
+    if left > 0.5 * _beyond_noise(_deciding(without)):
         return IMITATES
     of_path = of_control_path(tracing.accepted) == [*tracing.accepted]
     return CHANGED if missing.since_s is not None and of_path else None
@@ -95,20 +98,22 @@ def free_run_gain(without: Run, after: Run) -> Tensor:
     return before - now
 
 
-def _beyond_noise(run: Run) -> float:
-    """Mean of J² less what the sensors' noise makes of it, over the flights that decide."""
-    flights = _deciding(run)
+def _beyond_noise(flights: Sequence[FlightRecord]) -> float:
+    """Mean of J² less what the sensors' noise makes of it, over flights."""
     return sum(max((f.J or 0.0) ** 2 - (f.J_noise or 0.0) ** 2, 0.0) for f in flights) / max(len(flights), 1)
 
 
-def _moved(run: Run) -> float:
+def _moved(flights: Sequence[FlightRecord]) -> float:
     """The same of a model that holds trim; infinite where it is not known."""
-    flights = _deciding(run)
     known = [f.J_trim**2 - (f.J_noise or 0.0) ** 2 for f in flights if f.J_trim is not None]
     return sum(max(one, 0.0) for one in known) / len(flights) if flights and len(known) == len(flights) else math.inf
 
 
 def _deciding(run: Run) -> list[FlightRecord]:
     """Flights whose free runs decide: those that no fit has seen, without any the fitted; never the acid ones."""
-    by_list = {name: [f for f in run.fit.flights.values() if f.list == name] for name in ("validate", "identify")}
-    return by_list["validate"] or by_list["identify"]
+    return _listed(run, "validate") or _listed(run, "identify")
+
+
+def _listed(run: Run, name: str) -> list[FlightRecord]:
+    """Flights of one list."""
+    return [f for f in run.fit.flights.values() if f.list == name]

@@ -334,6 +334,14 @@ def test_a_model_that_still_does_not_describe_the_flights_earns_its_effects_no_n
     assert bool(found.accepted) is stays
 
 
+@pytest.mark.parametrize(("fitted", "stays"), [(0.5, True), (1.2, False)])
+def test_a_model_that_does_not_describe_what_it_was_fitted_on_earns_no_name(fitted: float, stays: bool):
+    """Unseen flights alone may be described by luck where they move less."""
+    before = over("identify", [1.5] * 6) | over("validate", [0.9] * 4)
+    after = over("identify", [fitted] * 6) | over("validate", [0.5] * 4)
+    assert bool(judged(before, after, tracing_of("control.lag")).accepted) is stays
+
+
 @pytest.mark.parametrize(
     ("delay", "told", "said"),
     [
