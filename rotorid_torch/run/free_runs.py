@@ -61,16 +61,17 @@ def objection(without: Run, after: Run, tracing: Tracing) -> str | None:
             return NO_BETTER
         if left > (1.0 - GOOD) * _moved(deciding):
             return STILL_POOR
-    for flights in (deciding, _listed(after, "identify")):
-        if _beyond_noise(flights) > (1.0 - USABLE) * _moved(flights):
-            return FAILS
+    if left > (1.0 - USABLE) * _moved(deciding):
+        return FAILS
     missing = tracing.unknown
-    if missing is None or not missing.judged:
-        return None
-    if left > 0.5 * _beyond_noise(_deciding(without)):
-        return IMITATES
-    of_path = of_control_path(tracing.accepted) == [*tracing.accepted]
-    return CHANGED if missing.since_s is not None and of_path else None
+    if missing is not None and missing.judged:
+        if left > 0.5 * _beyond_noise(_deciding(without)):
+            return IMITATES
+        if missing.since_s is not None and of_control_path(tracing.accepted) == [*tracing.accepted]:
+            return CHANGED
+    # last, for what is said above keeps what has no name
+    fitted = _listed(after, "identify")
+    return FAILS if _beyond_noise(fitted) > (1.0 - USABLE) * _moved(fitted) else None
 
 
 def idle(runs: Sequence[Run], effects: Sequence[str]) -> dict[str, str]:
@@ -115,5 +116,6 @@ def _deciding(run: Run) -> list[FlightRecord]:
 
 
 def _listed(run: Run, name: str) -> list[FlightRecord]:
-    """Flights of one list."""
-    return [f for f in run.fit.flights.values() if f.list == name]
+    """Flights of one list, but for those without a sample that could be scored."""
+    flights = (f for f in run.fit.flights.values() if f.list == name)
+    return [f for f in flights if f.J_trim is None or not math.isnan(f.J_trim)]

@@ -339,6 +339,7 @@ def test_a_model_that_does_not_describe_what_it_was_fitted_on_earns_no_name(fitt
     """Unseen flights alone may be described by luck where they move less."""
     before = over("identify", [1.5] * 6) | over("validate", [0.9] * 4)
     after = over("identify", [fitted] * 6) | over("validate", [0.5] * 4)
+    after["unscored"] = SimpleNamespace(list="identify", J=math.nan, J_noise=math.nan, J_trim=math.nan)
     assert bool(judged(before, after, tracing_of("control.lag")).accepted) is stays
 
 
