@@ -11,7 +11,7 @@ from torch import Tensor
 
 from rotorid_torch.run.pipeline import Run
 from rotorid_torch.run.records import FlightRecord
-from rotorid_torch.run.summary import GOOD, USABLE
+from rotorid_torch.run.summary import GOOD, USABLE, list_summaries
 from rotorid_torch.trace.candidates import of_control_path
 from rotorid_torch.trace.decide import at_edge, clearly_worse, nothing
 from rotorid_torch.trace.loop import Tracing
@@ -23,6 +23,8 @@ STILL_POOR = (
 )
 FAILS = "the model with it still does not describe the flights: something else acts, or more than this"
 """Said of unseen flights as of those that were fitted: what a fit leaves even there, its terms may imitate."""
+DECIDING = ("validate", "identify")
+"""Lists whose free runs decide, the first that has flights: those no fit has seen, or the fitted; never the acid."""
 FLOWN_AWAY = 1e9
 """J of a run that has none because its states left all bounds."""
 IMITATES = "what is left over beside it, without a name, is larger than what it explains: it may imitate that"
@@ -53,25 +55,23 @@ def objection(without: Run, after: Run, tracing: Tracing) -> str | None:
         return next(iter(doubts.values()))
     if clearly_worse(free_run_gain(without, after)):
         return WORSE
-    deciding = _deciding(after)
-    left = _beyond_noise(deciding)
+    explained = _explained(after, *DECIDING)
     if best_of([without, after]) is without:
         # a model that imitates the effect drifts no more where little is left over; where much is, it is to be less
         if not tracing.sure:
             return NO_BETTER
-        if left > (1.0 - GOOD) * _moved(deciding):
+        if explained < GOOD:
             return STILL_POOR
-    if left > (1.0 - USABLE) * _moved(deciding):
+    if explained < USABLE:
         return FAILS
     missing = tracing.unknown
     if missing is not None and missing.judged:
-        if left > 0.5 * _beyond_noise(_deciding(without)):
+        if 1.0 - explained > 0.5 * (1.0 - _explained(without, *DECIDING)):
             return IMITATES
         if missing.since_s is not None and of_control_path(tracing.accepted) == [*tracing.accepted]:
             return CHANGED
     # last, for what is said above keeps what has no name
-    fitted = _listed(after, "identify")
-    return FAILS if _beyond_noise(fitted) > (1.0 - USABLE) * _moved(fitted) else None
+    return FAILS if _explained(after, "identify") < USABLE else None
 
 
 def idle(runs: Sequence[Run], effects: Sequence[str]) -> dict[str, str]:
@@ -99,23 +99,17 @@ def free_run_gain(without: Run, after: Run) -> Tensor:
     return before - now
 
 
-def _beyond_noise(flights: Sequence[FlightRecord]) -> float:
-    """Mean of J² less what the sensors' noise makes of it, over flights."""
-    return sum(max((f.J or 0.0) ** 2 - (f.J_noise or 0.0) ** 2, 0.0) for f in flights) / max(len(flights), 1)
+def _explained(run: Run, *lists: str) -> float:
+    """Share of the motion that a run explains, noise removed, over the first of the lists that is scored.
 
-
-def _moved(flights: Sequence[FlightRecord]) -> float:
-    """The same of a model that holds trim; infinite where it is not known."""
-    known = [f.J_trim**2 - (f.J_noise or 0.0) ** 2 for f in flights if f.J_trim is not None]
-    return sum(max(one, 0.0) for one in known) / len(flights) if flights and len(known) == len(flights) else math.inf
+    One where none is, which tells nothing against the run; zero where nothing moved beyond the noise.
+    """
+    scored = {s.name: s for s in list_summaries(run.fit) if s.J is not None and not math.isnan(s.J)}
+    found = next((scored[name] for name in lists if name in scored), None)
+    return 1.0 if found is None else found.explained or 0.0
 
 
 def _deciding(run: Run) -> list[FlightRecord]:
-    """Flights whose free runs decide: those that no fit has seen, without any the fitted; never the acid ones."""
-    return _listed(run, "validate") or _listed(run, "identify")
-
-
-def _listed(run: Run, name: str) -> list[FlightRecord]:
-    """Flights of one list, but for those without a sample that could be scored."""
-    flights = (f for f in run.fit.flights.values() if f.list == name)
-    return [f for f in flights if f.J_trim is None or not math.isnan(f.J_trim)]
+    """Flights whose free runs decide."""
+    by_list = ([f for f in run.fit.flights.values() if f.list == name] for name in DECIDING)
+    return next((flights for flights in by_list if flights), [])

@@ -234,5 +234,6 @@ def _text(value: float | None) -> str:
 
 
 def _rms(values: Iterable[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
+    """Of values that are known; a flight without a sample that could be scored has none (NaN), as in the lists' J."""
+    known = [value for value in values if value is not None and not math.isnan(value)]
     return math.sqrt(sum(v * v for v in known) / len(known)) if known else None

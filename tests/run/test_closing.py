@@ -209,6 +209,15 @@ def test_a_control_path_that_changes_in_the_midst_of_the_flights_has_no_name(
     assert statement(found.findings, found.unknown).kind == ("undeclared" if stays else "unknown")
 
 
+def test_what_begins_later_is_told_where_the_model_fails_on_the_fitted_flights_too():
+    missing = Unknown("b1", (0.1, 2.0), "lat", 6.0, "Something is missing in b1.")
+    tracing = replace(tracing_of("control.lag"), unknown=missing)
+    before = over("identify", [1.5] * 6) | over("validate", [0.9] * 4)
+    found = judged(before, over("identify", [1.2] * 6) | over("validate", [0.5] * 4), tracing)
+    assert not found.accepted
+    assert found.unknown == missing
+
+
 @pytest.mark.parametrize(("verdict", "told"), [("accepted", False), ("below floor", True)])
 def test_what_gusts_leave_over_is_not_told_as_something_missing(verdict: Any, told: bool):
     missing = Unknown("M", (0.1, 2.0), "v", None, "Something is missing in M.")
@@ -264,10 +273,19 @@ def test_where_an_effect_is_refused_records_stay_right_and_the_null_stands():
 def run_with(J: float | None, identify: float | None = None) -> Any:
     flights = {"f": SimpleNamespace(list="validate", J=J, J_noise=0.05, J_trim=1.0)}
     model = SimpleNamespace(parameter_set=SimpleNamespace(parameters=()), named_values={})
-    fit = SimpleNamespace(flights=flights, parameters=())
+    fit = fit_of(flights)
     return SimpleNamespace(
         scores={"validate": J, "identify": identify}, spec=HELICOPTER, values={}, fit=fit, model=model
     )
+
+
+def fit_of(flights: dict[str, Any]) -> Any:
+    """Flights and the scores of their lists, root mean squares of the J that are known."""
+    totals: dict[str, float | None] = {}
+    for name in ("identify", "validate", "acid"):
+        known = [f.J for f in flights.values() if f.list == name and f.J is not None and not math.isnan(f.J)]
+        totals[name] = math.sqrt(sum(J * J for J in known) / len(known)) if known else None
+    return SimpleNamespace(flights=flights, scores=SimpleNamespace(**totals), parameters=())
 
 
 def over(list_: str, scores: Sequence[float]) -> dict[str, Any]:
@@ -278,7 +296,7 @@ def over(list_: str, scores: Sequence[float]) -> dict[str, Any]:
 def judged(before: dict[str, Any], after: dict[str, Any], tracing: Tracing) -> Tracing:
     """What stands of the tracing where the model with its effects flies so."""
     first, run = run_with(0.1), run_with(0.1)
-    first.fit.flights, run.fit.flights = before, after
+    first.fit, run.fit = fit_of(before), fit_of(after)
     return _before_and_after(first, tracing, False, pytest.fail, lambda spec, values: run)[2]
 
 
