@@ -35,7 +35,7 @@ class Cause:
     """What it does to an aircraft of a number at a size, and what a right localisation says of it.
 
     `where` : equations in which it shows, by the aircraft's number. `goes_with` : states, controls, factors of their
-    products, "time" for a step. `since_s` : its onset in each flight, s.
+    products. `since_s` : its onset in each flight, s.
     """
 
     at_blades: Callable[[int, Aircraft, float], Angles]
@@ -78,7 +78,7 @@ def _product(number: int, aircraft: Aircraft, size: float) -> Angles:
 
 CAUSES = {
     "outside.slipped_control": Cause(
-        _slipped, lambda number: EQUATIONS[_slipping(number)], lambda number: (_slipping(number), "time"), ONSET
+        _slipped, lambda number: EQUATIONS[_slipping(number)], lambda number: (_slipping(number),), ONSET
     ),
     "outside.product": Cause(_product, lambda number: ("N", "Y"), lambda number: ("col", "p"), None),
 }

@@ -9,7 +9,7 @@ some time.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement
 
 import torch
@@ -42,6 +42,8 @@ MOVED = 1e-2
 AT_ONCE = {f"{name} at once": name for name in FLAPPING}
 """The flapping's equations again, for a disc that follows its controls at once: its own angles, which would take up
 whatever else moves it, are no linear terms of these."""
+TIME = "time"
+"""What a step goes with."""
 SHUFFLES = 60
 """Residuals turned in time: the least weight that what goes with nothing reaches by chance."""
 
@@ -81,6 +83,7 @@ class LeftOver:
     tilts : the flapping [N, 0 or 3], linear terms too, but not of a disc that follows at once.
     flight : the flight of each sample [N].
     named : how the residuals change with each parameter of effects that have a name [N, rows, n].
+    inertia : about each axis [3], kg m2; None where it is not declared.
     """
 
     rows: tuple[str, ...]
@@ -92,6 +95,7 @@ class LeftOver:
     tilts: Tensor
     flight: Tensor
     named: Tensor
+    inertia: Tensor | None = None
 
     @property
     def rate(self) -> float:
@@ -163,6 +167,7 @@ def left_over(
         torch.cat(tilts) if tilts else signals.new_zeros(len(signals), 0),
         own.argmax(dim=1),
         torch.stack(named, dim=-1) if named else residual.new_zeros(*residual.shape, 0),
+        None if model.body.inertia is None else model.inertia.diagonal(),
     )
     for k in range(body, len(left.rows)):  # fitted as angles: linear terms of the rates are rough
         left.residual[:, k] = left.beyond(residual[:, k, None], k)[:, 0]
@@ -237,6 +242,19 @@ def by_chance(left: LeftOver, seed: int) -> Tensor:
     return torch.cat([turned(left.residual[left.flight == f], SHUFFLES, generator) for f in left.flight.unique()])
 
 
+def less_step(left: LeftOver, onset: float) -> LeftOver:
+    """The same less a step at an onset."""
+    step = (left.time >= onset).to(torch.float64)[:, None]
+    return replace(left, linear=torch.cat([left.linear, step], dim=1))
+
+
+def begun(left: LeftOver, row: str, onset: float) -> Trace:
+    """The best trace of an equation of what begins at an onset and is more than a step."""
+    tried = {name: column for name, column in _onsets(left) if name[2] == onset and name[0] != TIME}
+    columns, k = torch.stack([*tried.values()], dim=-1), left.rows.index(row)
+    return _best([*tried], *_fitted(left, columns, left.residual[:, k, None], k))
+
+
 def _tried(left: LeftOver) -> tuple[list[Named], Tensor]:
     """All that something may go with, and its columns [N, m]."""
     named = [*_shapes(left, left.usual), *_onsets(left)]
@@ -285,4 +303,4 @@ def _onsets(left: LeftOver) -> Iterator[tuple[Named, Tensor]]:
         after = (left.time >= onset).to(torch.float64)
         for i, name in enumerate(left.names):
             yield (name, "", onset), left.signals[:, i] * after
-        yield ("time", "", onset), after
+        yield (TIME, "", onset), after

@@ -6,14 +6,15 @@ Equation, band, what it goes with and how, since when. Never a name.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import torch
 
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS
 from rotorid_torch.trace.finding import Unknown
 from rotorid_torch.trace.floor import FALSE_ALARMS
-from rotorid_torch.trace.residual import AT_ONCE, LeftOver, Trace, by_chance, column
+from rotorid_torch.trace.residual import AT_ONCE, TIME, LeftOver, Trace, begun, by_chance, column, less_step
 
 HELD = 0.5
 """Part of what a trace should explain of unseen flights, by its size and the rest where it was found, that it must."""
@@ -31,8 +32,8 @@ def unknown(
 ) -> Unknown | None:
     """The equation best described by its trace, of those that stand above their floors, flapping first; or None.
 
-    Of angles of the disc that say the same, the one that itself goes with it most. A trace describes a fair part of
-    what its equation leaves over.
+    Of angles of the disc that say the same, the one that itself goes with it most; of moments the largest. A trace
+    describes a fair part of what its equation leaves over.
     Flights that no fit has seen must be better described with the trace as it was found, by more than chance allows and
     half as well as it should be there: the best of hundreds of traces that mean nothing explains less.
     """
@@ -44,20 +45,50 @@ def unknown(
     standing = [row for row in above if _holds(traces[row], row, left, unseen, seed)]
     if not standing:
         return None
-    # what moves the disc moves the body; surest is what the disc's own angles cannot take up
-    best = max(standing, key=lambda row: (row in FLAPPING, row in AT_ONCE, traces[row].share))
-    if _equation(best) in FLAPPING:  # a law that is wrong in one angle says the same of all
-        same = [row for row in standing if _equation(row) in FLAPPING and traces[row].named == traces[best].named]
-        best = max(same, key=lambda row: _of_tilt(traces[row], _equation(row), left))
+    best = _source(max(standing, key=lambda row: _sure(traces[row], row)), standing, traces, left)
     found, where, band = traces[best], _equation(best), _band(left, best)
+    beside = _beside(found, best, floors[best], left, unseen, seed) if found.goes_with == TIME else None
+    how = ", beside a step" if beside else f" ({found.shape})" if found.shape else ""
+    found = beside or found
     unit = "m/s2" if where in FORCES else "rad/s2" if where in MOMENTS else "rad/s"
-    how = f" ({found.shape})" if found.shape else ""
     began = "" if found.since_s is None else f", since {found.since_s:.1f} s into the flights"
     said = (
         f"Something is missing in {where}: {found.size:.2g} {unit} rms at {band[0]:.2g} to {band[1]:.2g} Hz go with"
         f" {found.goes_with}{how}{began}; no effect of the library explains it."
     )
     return Unknown(where, band, found.goes_with, found.since_s, said)
+
+
+def _source(best: str, standing: Sequence[str], traces: Mapping[str, Trace], left: LeftOver) -> str:
+    """Of rows that say the same as the best the one where it comes from."""
+    same = [row for row in standing if traces[row].named == traces[best].named]
+    if best in MOMENTS and left.inertia is not None:  # what yaws the body may roll it too, which answers louder
+        inertia = dict(zip(MOMENTS, left.inertia.tolist(), strict=True))
+        return max((row for row in same if row in MOMENTS), key=lambda row: inertia[row] * traces[row].size)
+    if _equation(best) in FLAPPING:  # a law that is wrong in one angle says the same of all
+        angles = dict.fromkeys(_equation(row) for row in same if _equation(row) in FLAPPING)
+        angle = max(angles, key=lambda angle: _of_tilt(traces[best], angle, left))
+        return max((row for row in same if _equation(row) == angle), key=lambda row: _sure(traces[row], row))
+    return best
+
+
+def _beside(step: Trace, row: str, floor: float, left: LeftOver, unseen: LeftOver, seed: int) -> Trace | None:
+    """What begins with a step: what slips loses its place, and a part of its motion. Its size is that of both.
+
+    That something began is known by the step. With what it goes is confirmed where it takes more than chance from
+    flights that no fit has seen, however little they move it.
+    """
+    assert step.since_s is not None
+    less, unseen_less = (less_step(side, step.since_s) for side in (left, unseen))
+    beside = begun(less, row, step.since_s)
+    if beside.weight <= floor or beside.share < MAIN or not _holds(beside, row, less, unseen_less, seed, 0.0):
+        return None
+    return replace(beside, size=math.hypot(step.size, beside.size))
+
+
+def _sure(trace: Trace, row: str) -> tuple[bool, bool, float]:
+    """What moves the disc moves the body; surest is what the disc's own angles cannot take up."""
+    return row in FLAPPING, row in AT_ONCE, trace.share
 
 
 def _equation(row: str) -> str:
@@ -72,7 +103,7 @@ def _of_tilt(trace: Trace, angle: str, left: LeftOver) -> float:
     return float((x @ y) ** 2 / ((x @ x) * (y @ y)).clamp_min(1e-300))
 
 
-def _holds(trace: Trace, row: str, left: LeftOver, unseen: LeftOver, seed: int) -> bool:
+def _holds(trace: Trace, row: str, left: LeftOver, unseen: LeftOver, seed: int, part: float = HELD) -> bool:
     """Whether flights that no fit has seen lose enough by a trace of the size that `left` gave it.
 
     Each side keeps linear terms of its own. More than the same trace takes from the residuals turned in time by chance.
@@ -88,7 +119,7 @@ def _holds(trace: Trace, row: str, left: LeftOver, unseen: LeftOver, seed: int) 
     lost = 2.0 * new @ before - new @ new
     rest = (known - size * tried).square().mean() * len(new)
     share = float((new @ new) / (new @ new + rest).clamp_min(1e-300))
-    enough = HELD * max(share, MAIN) * before[:, 0].square().sum()
+    enough = part * max(share, MAIN) * before[:, 0].square().sum()
     return bool(lost[0] > torch.maximum(lost[1:].quantile(1.0 - FALSE_ALARMS), enough))
 
 

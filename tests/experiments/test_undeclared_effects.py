@@ -98,8 +98,9 @@ def test_localised_means_the_right_equation_signal_and_onset() -> None:
     assert tables.localised(line(("outside.slipped_control",), unknown=found))
     assert not tables.localised(line(("outside.slipped_control",), unknown=found | {"since_s": 6.6}))
     assert not tables.localised(line(("outside.slipped_control",), unknown=found | {"where": "M"}))
+    assert not tables.localised(line(("outside.slipped_control",), unknown=found | {"goes_with": "time"}))
     assert not tables.localised(line(("outside.slipped_control",)))
-    assert tables.localised(line(("outside.product",), unknown={"where": "N", "goes_with": "p", "since_s": None}))
+    assert not tables.localised(line(("outside.product",), unknown={"where": "N", "goes_with": "p", "since_s": None}))
     assert tables.localised(line(("outside.product",), unknown={"where": "N", "goes_with": "p col", "since_s": None}))
     assert not tables.localised(line(("outside.product",), unknown={"where": "N", "goes_with": "p q", "since_s": None}))
 

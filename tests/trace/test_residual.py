@@ -13,7 +13,7 @@ from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES, STICKS, V
 from rotorid_torch.data import Dataset
 from rotorid_torch.effects.spec import RotorSpec
 from rotorid_torch.identification.reconstruct import reconstruct
-from rotorid_torch.trace.residual import AT_ONCE, LeftOver, chance, left_over, scan
+from rotorid_torch.trace.residual import AT_ONCE, LeftOver, Trace, chance, left_over, scan
 from rotorid_torch.trace.unexplained import unknown
 from tests.known_models import BODY, body_spec, flown, linear_vehicle, manoeuvres, with_values
 
@@ -71,6 +71,32 @@ def test_what_begins_late_is_dated(signals: Tensor):
     found = scan(left("M", signals[:, 2] * (time >= 6.0)))
     assert found["M"].goes_with == "q"
     assert found["M"].since_s == pytest.approx(6.0, abs=0.5)
+
+
+@pytest.mark.parametrize(("step", "said"), [(1.0, "col, beside a step"), (0.2, "col,"), (0.0, "col,")])
+def test_a_control_that_slips_is_told_though_its_step_is_the_larger_part(signals: Tensor, step: float, said: str):
+    after = (STEP * torch.arange(SAMPLES, dtype=torch.float64).repeat(FLIGHTS) >= 6.0).to(torch.float64)
+    over = left("L", after * (step - 0.5 * signals[:, 3]), 0.3)
+    told = unknown(scan(over), dict.fromkeys(ROWS, 0.05), over, over)
+    assert told is not None
+    assert (told.goes_with, told.since_s) == ("col", pytest.approx(6.0, abs=0.5))
+    assert f"go with {said}" in told.sentence
+
+
+def test_a_step_alone_goes_with_time(signals: Tensor):
+    after = (STEP * torch.arange(SAMPLES, dtype=torch.float64).repeat(FLIGHTS) >= 6.0).to(torch.float64)
+    over = left("L", after, 0.3)
+    told = unknown(scan(over), dict.fromkeys(ROWS, 0.05), over, over)
+    assert told is not None
+    assert (told.goes_with, told.since_s) == ("time", 6.0)
+
+
+def test_what_unseen_flights_do_not_show_beside_a_step_is_not_told(signals: Tensor):
+    after = (STEP * torch.arange(SAMPLES, dtype=torch.float64).repeat(FLIGHTS) >= 6.0).to(torch.float64)
+    over, unseen = left("L", after * (1.0 - 0.5 * signals[:, 3]), 0.3), left("L", after, 0.3)
+    told = unknown(scan(over), dict.fromkeys(ROWS, 0.05), over, unseen)
+    assert told is not None
+    assert told.goes_with == "time"
 
 
 def test_what_linear_terms_can_take_up_is_not_left_over(signals: Tensor):
@@ -157,6 +183,23 @@ def test_chance_reaches_what_nothing_explains_and_falls_short_of_what_something_
     assert all(torch.equal(a, b) for a, b in zip(chance(over, 3).values(), chance(over, 3).values(), strict=True))
 
 
+def test_of_moments_that_say_the_same_the_largest_is_told(signals: Tensor):
+    """A force behind and above the centre of gravity yaws the body most, but the lighter roll answers louder."""
+    over = left("L", 2.0 * signals[:, 1] * signals[:, 3])
+    residual = over.residual.clone()
+    residual[:, ROWS.index("N")] += signals[:, 1] * signals[:, 3]
+    both = replace(over, residual=residual)
+    declared = replace(both, inertia=torch.tensor([1e3, 5e3, 4e3], dtype=torch.float64))
+    for known, where in ((both, "L"), (declared, "N")):
+        told = unknown(scan(known), dict.fromkeys(ROWS, 0.3), known, known)
+        assert told is not None
+        assert (told.where, told.goes_with) == (where, "p col")
+
+
+def _both_ways(found: dict[str, Trace]) -> tuple[list[tuple[str, Trace]], list[tuple[str, Trace]]]:
+    return [*found.items()], [*found.items()][::-1]
+
+
 def test_a_disc_that_follows_at_once_does_not_take_up_by_its_own_tilt_what_moves_it(signals: Tensor):
     """Half of p's part in it is lost from 6 s on; a coning whose law is wrong in the tilt says the same, and louder."""
     over = left("L", None)
@@ -184,6 +227,13 @@ def test_a_disc_that_follows_at_once_does_not_take_up_by_its_own_tilt_what_moves
     told = unknown(scan(surer), dict.fromkeys(disc.rows, 0.1), surer, surer)
     assert told is not None
     assert (told.where, told.goes_with) == ("b1", "p col")
+    # one equation read twice that says the same is told as the surer reading, in whichever order
+    twice = torch.cat([residual[:, :6], 0.2 * lost + 0.1 * over.residual[:, :1], residual[:, 7:]], dim=1)
+    both = replace(disc, residual=twice, tilts=signals[:, [0, 2, 1]])  # its own p is no more than linear
+    once = [unknown(dict(rows), dict.fromkeys(disc.rows, 0.01), both, both) for rows in _both_ways(scan(both))]
+    assert once[0] is not None
+    assert (once[0].where, once[0].goes_with) == ("b1", "p")
+    assert once[0] == once[1]
     # nor does an angle that goes with something else, however much, stand for another
     product = (signals[:, 1] * signals[:, 3])[:, None]
     more = replace(disc, residual=torch.cat([residual[:, :7], 9.0 * product, 0.2 * lost], dim=1))
