@@ -61,7 +61,7 @@ def gains_on(clean: Dataset, null: Null, effects: Sequence[str]) -> dict[str, di
     """Gain of each effect on a clean aircraft's flights, its model having the structure of the null.
 
     Beside it what those that are looked for in forces explain there, the weight in each equation of what looks most
-    like something unknown, and the sizes that delays and lags of the controls seem to have, which may be below nothing.
+    like something unknown, by kind, and the sizes that delays and lags of the controls seem to have, below nothing too.
     """
     flown = at_one_rate(clean)
     found = reconstruct(flown)
@@ -79,7 +79,7 @@ def gains_on(clean: Dataset, null: Null, effects: Sequence[str]) -> dict[str, di
         "each_control": _gains(apart, alone),
         "sizes": {n: v for s in (screened, apart) for e in alone if e in TIMES for n, v in s.unbounded(e).items()},
         "forces": {e: one.gain for e, one in seen.items()},
-        "traces": {row: t.weight for row, t in traces.items()},
+        "traces": {key: t.weight for key, t in traces.items()},
     }
 
 

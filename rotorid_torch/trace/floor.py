@@ -37,7 +37,8 @@ class Floors:
     The gain of a clean aircraft is at least what chance gives: that of its residual once its time has been shuffled.
 
     each_control : the same of effects of the control path, each control by itself.
-    note : how many were drawn, or why none. traces : weight by equation of what looks like something unknown [D].
+    note : how many were drawn, or why none.
+    traces : weight, by equation and kind, of what looks like something unknown [D].
     sizes : what delays and lags of the controls seem to be there, by parameter [D].
     in_forces : what effects explain there of forces and moments on the measured motion, by effect [D].
     """
@@ -50,7 +51,7 @@ class Floors:
     sizes: Mapping[str, Tensor] = field(default_factory=dict)
 
     def of_traces(self) -> dict[str, float]:
-        """Floor of each equation; empty where no aircraft was drawn, for then nothing tells how much is ordinary."""
+        """Floor of each equation and kind; empty where no aircraft was drawn: nothing tells how much is ordinary."""
         return family_wise(self.traces)
 
     def of_forces(self) -> dict[str, float]:

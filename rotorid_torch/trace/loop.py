@@ -161,10 +161,10 @@ def _missing(fitted: Fitted, accepted: Sequence[str], flights: Flights, floors: 
         left_over(fitted.model, flights.dataset, flights.reconstruction, listed, accepted)
         for listed in (flights.dataset.identify, flights.dataset.unseen)
     )
-    by_chance = family_wise(chance(over, seed))
-    asked = usual or dict.fromkeys((*rows(fitted.spec), *FLAPPING, *AT_ONCE), 0.0)
-    levels = {row: max(floor, by_chance[row]) for row, floor in asked.items() if row in by_chance}
-    found = unknown(scan(over), levels, over, unseen, seed)
+    traces, by_chance = scan(over), family_wise(chance(over, seed))
+    asked = usual or {k: 0.0 for k, t in traces.items() if t.row in (*rows(fitted.spec), *FLAPPING, *AT_ONCE)}
+    levels = {key: max(floor, by_chance[key]) for key, floor in asked.items() if key in by_chance}
+    found = unknown(traces, levels, over, unseen, seed)
     if found is None:
         return None
     doubts = [*([] if usual else [UNJUDGED]), *([] if flights.dataset.validate else [UNCONFIRMED])]

@@ -50,18 +50,24 @@ SHUFFLES = 60
 
 @dataclass(frozen=True)
 class Trace:
-    """The best description of what an equation leaves over: what it goes with and how, since when.
+    """The best description, of a kind, of what an equation leaves over: what it goes with and how, since when.
 
-    size : its rms. share : of the square of all that linear terms leave over. weight : what counts against the floor,
-    the size times its correlation with the rest: what is large must also stand out, for no model of other people's
-    aircraft is perfect.
+    row : the equation. size : its rms. share : of the square of all that linear terms leave over. weight : what counts
+    against the floor, the size times its correlation with the rest: what is large must also stand out, for no model of
+    other people's aircraft is perfect.
     """
 
+    row: str
     goes_with: str
     shape: str
     since_s: float | None
     size: float
     share: float
+
+    @property
+    def key(self) -> str:
+        """Equation and kind, each with a floor of its own: ordinary aircraft leave curves over, hardly ever a step."""
+        return _key(self.row, self.named)
 
     @property
     def named(self) -> Named:
@@ -224,16 +230,38 @@ def _loads(frame: Frame) -> Tensor:
 
 
 def scan(left: LeftOver) -> dict[str, Trace]:
-    """The best trace of each equation."""
+    """The best trace of each equation and kind."""
     names, columns = _tried(left)
-    return {row: _best(names, *_fitted(left, columns, left.residual[:, k, None], k)) for k, row in enumerate(left.rows)}
+    found = {}
+    for k, row in enumerate(left.rows):
+        sizes, shares = _fitted(left, columns, left.residual[:, k, None], k)
+        for key, places in _kinds(row, names).items():
+            found[key] = _best(row, [names[i] for i in places], sizes[places], shares[places])
+    return found
 
 
 def chance(left: LeftOver, seed: int) -> dict[str, Tensor]:
-    """Weight of the best trace of each equation in residuals that know nothing of the motion [R]."""
-    columns, residuals = _tried(left)[1], by_chance(left, seed)
-    found = {row: _fitted(left, columns, residuals[:, k], k) for k, row in enumerate(left.rows)}
-    return {row: (sizes * shares.sqrt()).amax(dim=0) for row, (sizes, shares) in found.items()}
+    """Weight of the best trace of each equation and kind in residuals that know nothing of the motion [R]."""
+    (names, columns), residuals = _tried(left), by_chance(left, seed)
+    found = {}
+    for k, row in enumerate(left.rows):
+        sizes, shares = _fitted(left, columns, residuals[:, k], k)
+        weights = sizes * shares.sqrt()
+        found |= {key: weights[places].amax(dim=0) for key, places in _kinds(row, names).items()}
+    return found
+
+
+def _key(row: str, named: Named) -> str:
+    goes_with, _, since_s = named
+    return f"{row}, {'curve' if since_s is None else 'step' if goes_with == TIME else 'onset'}"
+
+
+def _kinds(row: str, names: Sequence[Named]) -> dict[str, list[int]]:
+    """Places of each kind among what an equation may go with."""
+    found: dict[str, list[int]] = {}
+    for i, named in enumerate(names):
+        found.setdefault(_key(row, named), []).append(i)
+    return found
 
 
 def by_chance(left: LeftOver, seed: int) -> Tensor:
@@ -252,7 +280,7 @@ def begun(left: LeftOver, row: str, onset: float) -> Trace:
     """The best trace of an equation of what begins at an onset and is more than a step."""
     tried = {name: column for name, column in _onsets(left) if name[2] == onset and name[0] != TIME}
     columns, k = torch.stack([*tried.values()], dim=-1), left.rows.index(row)
-    return _best([*tried], *_fitted(left, columns, left.residual[:, k, None], k))
+    return _best(row, [*tried], *_fitted(left, columns, left.residual[:, k, None], k))
 
 
 def _tried(left: LeftOver) -> tuple[list[Named], Tensor]:
@@ -268,10 +296,10 @@ def _fitted(left: LeftOver, columns: Tensor, residual: Tensor, row: int) -> tupl
     return sizes, (sizes / over.norm(dim=0).clamp_min(1e-300)).square()
 
 
-def _best(names: Sequence[Named], sizes: Tensor, shares: Tensor) -> Trace:
+def _best(row: str, names: Sequence[Named], sizes: Tensor, shares: Tensor) -> Trace:
     """What explains most."""
-    i = int(sizes.argmax())
-    return Trace(*names[i], size=float(sizes[i, 0]), share=float(shares[i, 0]))
+    i = int(sizes[:, 0].argmax())
+    return Trace(row, *names[i], size=float(sizes[i, 0]), share=float(shares[i, 0]))
 
 
 def column(trace: Trace, left: LeftOver, usual: Tensor) -> Tensor:

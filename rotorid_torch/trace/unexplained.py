@@ -32,22 +32,22 @@ def unknown(
 ) -> Unknown | None:
     """The equation best described by its trace, of those that stand above their floors, flapping first; or None.
 
-    Of angles of the disc that say the same, the one that itself goes with it most; of moments the largest. A trace
-    describes a fair part of what its equation leaves over.
+    traces, floors : by equation and kind. Of angles of the disc that say the same, the one that itself goes with it
+    most; of moments the largest. A trace describes a fair part of what its equation leaves over.
     Flights that no fit has seen must be better described with the trace as it was found, by more than chance allows and
     half as well as it should be there: the best of hundreds of traces that mean nothing explains less.
     """
     above = [
-        row
-        for row, trace in traces.items()
-        if row in unseen.rows and trace.weight > floors.get(row, math.inf) and trace.share >= MAIN
+        trace
+        for key, trace in traces.items()
+        if trace.row in unseen.rows and trace.weight > floors.get(key, math.inf) and trace.share >= MAIN
     ]
-    standing = [row for row in above if _holds(traces[row], row, left, unseen, seed)]
+    standing = [trace for trace in above if _holds(trace, left, unseen, seed)]
     if not standing:
         return None
-    best = _source(max(standing, key=lambda row: _sure(traces[row], row)), standing, traces, left)
-    found, where, band = traces[best], _equation(best), _band(left, best)
-    beside = _beside(found, best, floors[best], left, unseen, seed) if found.goes_with == TIME else None
+    found = _source(max(standing, key=_sure), standing, left)
+    where, band = _equation(found), _band(left, found.row)
+    beside = _beside(found, floors, left, unseen, seed) if found.goes_with == TIME else None
     how = ", beside a step" if beside else f" ({found.shape})" if found.shape else ""
     found = beside or found
     unit = "m/s2" if where in FORCES else "rad/s2" if where in MOMENTS else "rad/s"
@@ -59,20 +59,20 @@ def unknown(
     return Unknown(where, band, found.goes_with, found.since_s, said)
 
 
-def _source(best: str, standing: Sequence[str], traces: Mapping[str, Trace], left: LeftOver) -> str:
-    """Of rows that say the same as the best the one where it comes from."""
-    same = [row for row in standing if traces[row].named == traces[best].named]
-    if best in MOMENTS and left.inertia is not None:  # what yaws the body may roll it too, which answers louder
+def _source(best: Trace, standing: Sequence[Trace], left: LeftOver) -> Trace:
+    """Of traces that say the same as the best the one of the equation where it comes from."""
+    same = [trace for trace in standing if trace.named == best.named]
+    if best.row in MOMENTS and left.inertia is not None:  # what yaws the body may roll it too, which answers louder
         inertia = dict(zip(MOMENTS, left.inertia.tolist(), strict=True))
-        return max((row for row in same if row in MOMENTS), key=lambda row: inertia[row] * traces[row].size)
+        return max((t for t in same if t.row in MOMENTS), key=lambda trace: inertia[trace.row] * trace.size)
     if _equation(best) in FLAPPING:  # a law that is wrong in one angle says the same of all
-        angles = dict.fromkeys(_equation(row) for row in same if _equation(row) in FLAPPING)
-        angle = max(angles, key=lambda angle: _of_tilt(traces[best], angle, left))
-        return max((row for row in same if _equation(row) == angle), key=lambda row: _sure(traces[row], row))
+        angles = dict.fromkeys(_equation(trace) for trace in same if _equation(trace) in FLAPPING)
+        angle = max(angles, key=lambda angle: _of_tilt(best, angle, left))
+        return max((trace for trace in same if _equation(trace) == angle), key=_sure)
     return best
 
 
-def _beside(step: Trace, row: str, floor: float, left: LeftOver, unseen: LeftOver, seed: int) -> Trace | None:
+def _beside(step: Trace, floors: Mapping[str, float], left: LeftOver, unseen: LeftOver, seed: int) -> Trace | None:
     """What begins with a step: what slips loses its place, and a part of its motion. Its size is that of both.
 
     That something began is known by the step. With what it goes is confirmed where it takes more than chance from
@@ -80,19 +80,20 @@ def _beside(step: Trace, row: str, floor: float, left: LeftOver, unseen: LeftOve
     """
     assert step.since_s is not None
     less, unseen_less = (less_step(side, step.since_s) for side in (left, unseen))
-    beside = begun(less, row, step.since_s)
-    if beside.weight <= floor or beside.share < MAIN or not _holds(beside, row, less, unseen_less, seed, 0.0):
+    beside = begun(less, step.row, step.since_s)
+    above = beside.weight > floors.get(beside.key, math.inf) and beside.share >= MAIN
+    if not (above and _holds(beside, less, unseen_less, seed, 0.0)):
         return None
     return replace(beside, size=math.hypot(step.size, beside.size))
 
 
-def _sure(trace: Trace, row: str) -> tuple[bool, bool, float]:
+def _sure(trace: Trace) -> tuple[bool, bool, float]:
     """What moves the disc moves the body; surest is what the disc's own angles cannot take up."""
-    return row in FLAPPING, row in AT_ONCE, trace.share
+    return trace.row in FLAPPING, trace.row in AT_ONCE, trace.share
 
 
-def _equation(row: str) -> str:
-    return AT_ONCE.get(row, row)
+def _equation(trace: Trace) -> str:
+    return AT_ONCE.get(trace.row, trace.row)
 
 
 def _of_tilt(trace: Trace, angle: str, left: LeftOver) -> float:
@@ -103,14 +104,14 @@ def _of_tilt(trace: Trace, angle: str, left: LeftOver) -> float:
     return float((x @ y) ** 2 / ((x @ x) * (y @ y)).clamp_min(1e-300))
 
 
-def _holds(trace: Trace, row: str, left: LeftOver, unseen: LeftOver, seed: int, part: float = HELD) -> bool:
+def _holds(trace: Trace, left: LeftOver, unseen: LeftOver, seed: int, part: float = HELD) -> bool:
     """Whether flights that no fit has seen lose enough by a trace of the size that `left` gave it.
 
     Each side keeps linear terms of its own. More than the same trace takes from the residuals turned in time by chance.
     Flights that excite it less than those it was found on have less to lose beside the rest, which all flights have;
     those that hardly excite it can confirm nothing.
     """
-    k = left.rows.index(row)
+    k = left.rows.index(trace.row)
     tried, known = left.beyond(torch.stack([column(trace, left, left.usual), left.residual[:, k]], dim=-1), k).mT
     size = (tried @ known) / (tried @ tried)
     new = size * unseen.beyond(column(trace, unseen, left.usual)[:, None], k)[:, 0]
