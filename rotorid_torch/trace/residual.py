@@ -265,9 +265,13 @@ def _kinds(row: str, names: Sequence[Named]) -> dict[str, list[int]]:
 
 
 def by_chance(left: LeftOver, seed: int) -> Tensor:
-    """Residuals of all flights that know nothing of the motion [N, rows, R]."""
+    """Residuals of all flights that know nothing of the motion [N, rows, R].
+
+    Less what linear terms take up of them: turned in time these would be no linear terms any more.
+    """
     generator = torch.Generator().manual_seed(seed)
-    return torch.cat([turned(left.residual[left.flight == f], SHUFFLES, generator) for f in left.flight.unique()])
+    over = torch.cat([left.beyond(left.residual[:, k, None], k) for k in range(len(left.rows))], dim=1)
+    return torch.cat([turned(over[left.flight == f], SHUFFLES, generator) for f in left.flight.unique()])
 
 
 def less_step(left: LeftOver, onset: float) -> LeftOver:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import torch
 
@@ -45,35 +44,35 @@ def unknown(
     standing = [trace for trace in above if _holds(trace, left, unseen, seed)]
     if not standing:
         return None
-    found = _source(max(standing, key=_sure), standing, left)
-    where, band = _equation(found), _band(left, found.row)
-    beside = _beside(found, floors, left, unseen, seed) if found.goes_with == TIME else None
-    how = ", beside a step" if beside else f" ({found.shape})" if found.shape else ""
-    found = beside or found
+    best = max(standing, key=_sure)
+    beside = _beside(best, floors, left, unseen, seed) if best.goes_with == TIME else None
+    row, found = _source(best, standing, traces, left), beside or best
+    where, band, size = AT_ONCE.get(row, row), _band(left, row), _size(left, row, [best, beside] if beside else [best])
     unit = "m/s2" if where in FORCES else "rad/s2" if where in MOMENTS else "rad/s"
+    how = ", beside a step" if beside else f" ({found.shape})" if found.shape else ""
     began = "" if found.since_s is None else f", since {found.since_s:.1f} s into the flights"
     said = (
-        f"Something is missing in {where}: {found.size:.2g} {unit} rms at {band[0]:.2g} to {band[1]:.2g} Hz go with"
+        f"Something is missing in {where}: {size:.2g} {unit} rms at {band[0]:.2g} to {band[1]:.2g} Hz go with"
         f" {found.goes_with}{how}{began}; no effect of the library explains it."
     )
     return Unknown(where, band, found.goes_with, found.since_s, said)
 
 
-def _source(best: Trace, standing: Sequence[Trace], left: LeftOver) -> Trace:
-    """Of traces that say the same as the best the one of the equation where it comes from."""
-    same = [trace for trace in standing if trace.named == best.named]
+def _source(best: Trace, standing: Sequence[Trace], traces: Mapping[str, Trace], left: LeftOver) -> str:
+    """The row, of those that say the same as the best, where it comes from."""
     if best.row in MOMENTS and left.inertia is not None:  # what yaws the body may roll it too, which answers louder
         inertia = dict(zip(MOMENTS, left.inertia.tolist(), strict=True))
-        return max((t for t in same if t.row in MOMENTS), key=lambda trace: inertia[trace.row] * trace.size)
+        turning = [trace for trace in traces.values() if trace.row in inertia and trace.named == best.named]
+        return max(turning, key=lambda trace: inertia[trace.row] * trace.size).row
     if _equation(best) in FLAPPING:  # a law that is wrong in one angle says the same of all
-        angles = dict.fromkeys(_equation(trace) for trace in same if _equation(trace) in FLAPPING)
-        angle = max(angles, key=lambda angle: _of_tilt(best, angle, left))
-        return max((trace for trace in same if _equation(trace) == angle), key=_sure)
-    return best
+        same = [trace for trace in standing if _equation(trace) in FLAPPING and trace.named == best.named]
+        angle = max(dict.fromkeys(map(_equation, same)), key=lambda angle: _of_tilt(best, angle, left))
+        return max((trace for trace in same if _equation(trace) == angle), key=_sure).row
+    return best.row
 
 
 def _beside(step: Trace, floors: Mapping[str, float], left: LeftOver, unseen: LeftOver, seed: int) -> Trace | None:
-    """What begins with a step: what slips loses its place, and a part of its motion. Its size is that of both.
+    """What begins with a step: what slips loses its place, and a part of its motion.
 
     That something began is known by the step. With what it goes is confirmed where it takes more than chance from
     flights that no fit has seen, however little they move it.
@@ -82,9 +81,15 @@ def _beside(step: Trace, floors: Mapping[str, float], left: LeftOver, unseen: Le
     less, unseen_less = (less_step(side, step.since_s) for side in (left, unseen))
     beside = begun(less, step.row, step.since_s)
     above = beside.weight > floors.get(beside.key, math.inf) and beside.share >= MAIN
-    if not (above and _holds(beside, less, unseen_less, seed, 0.0)):
-        return None
-    return replace(beside, size=math.hypot(step.size, beside.size))
+    return beside if above and _holds(beside, less, unseen_less, seed, 0.0) else None
+
+
+def _size(left: LeftOver, row: str, traces: Sequence[Trace]) -> float:
+    """Rms that traces explain together of what an equation leaves over."""
+    k = left.rows.index(row)
+    columns = torch.stack([column(trace, left, left.usual) for trace in traces], dim=-1)
+    basis = torch.linalg.qr(left.beyond(columns, k)).Q
+    return float((basis.mT @ left.residual[:, k]).norm()) / len(basis) ** 0.5
 
 
 def _sure(trace: Trace) -> tuple[bool, bool, float]:

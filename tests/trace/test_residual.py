@@ -222,6 +222,30 @@ def test_of_moments_that_say_the_same_the_largest_is_told(signals: Tensor):
         assert (told.where, told.goes_with) == (where, "p col")
 
 
+def test_a_moment_with_much_else_in_it_is_told_where_a_lighter_axis_shows_the_same(signals: Tensor):
+    """A pedal that slips yaws the body, where gusts hide it, and rolls it a little, where they do not."""
+    over = left("L", None)
+    slip = (over.time >= 6.0).to(torch.float64) * (1.0 - 0.5 * signals[:, 3])
+    residual = over.residual.clone()
+    residual[:, ROWS.index("L")] += 1.5 * slip
+    gusts = torch.randn(len(slip), generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    residual[:, ROWS.index("N")] += slip + 2.0 * gusts
+    both = replace(over, residual=residual, inertia=torch.tensor([1e3, 5e3, 4e3], dtype=torch.float64))
+    found = scan(both)
+    assert found["N, step"].share < 0.2
+    told = unknown(found, levels(ROWS, 0.05), both, both)
+    assert told is not None
+    assert (told.where, told.goes_with, told.since_s) == ("N", "col", 6.0)
+
+
+def test_what_linear_terms_take_up_makes_no_chance(signals: Tensor):
+    over = left("L", None)
+    much = over.residual.clone()
+    much[:, ROWS.index("L")] += 9.0 * signals[:, 1]
+    before, after = (chance(one, 0)["L, curve"] for one in (over, replace(over, residual=much)))
+    assert torch.allclose(before, after, rtol=1e-6)
+
+
 def _both_ways(found: dict[str, Trace]) -> tuple[list[tuple[str, Trace]], list[tuple[str, Trace]]]:
     return [*found.items()], [*found.items()][::-1]
 
