@@ -280,13 +280,6 @@ def less_step(left: LeftOver, onset: float) -> LeftOver:
     return replace(left, linear=torch.cat([left.linear, step], dim=1))
 
 
-def begun(left: LeftOver, row: str, onset: float) -> Trace:
-    """The best trace of an equation of what begins at an onset and is more than a step."""
-    tried = {name: column for name, column in _onsets(left) if name[2] == onset and name[0] != TIME}
-    columns, k = torch.stack([*tried.values()], dim=-1), left.rows.index(row)
-    return _best(row, [*tried], *_fitted(left, columns, left.residual[:, k, None], k))
-
-
 def _tried(left: LeftOver) -> tuple[list[Named], Tensor]:
     """All that something may go with, and its columns [N, m]."""
     named = [*_shapes(left, left.usual), *_onsets(left)]

@@ -13,7 +13,7 @@ import torch
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS
 from rotorid_torch.trace.finding import Unknown
 from rotorid_torch.trace.floor import FALSE_ALARMS
-from rotorid_torch.trace.residual import AT_ONCE, TIME, LeftOver, Trace, begun, by_chance, column, less_step
+from rotorid_torch.trace.residual import AT_ONCE, TIME, LeftOver, Trace, by_chance, column, less_step, scan
 
 HELD = 0.5
 """Part of what a trace should explain of unseen flights, by its size and the rest where it was found, that it must."""
@@ -45,7 +45,7 @@ def unknown(
     if not standing:
         return None
     best = max(standing, key=_sure)
-    beside = _beside(best, floors, left, unseen, seed) if best.goes_with == TIME else None
+    beside = _beside(best, left, unseen, seed) if best.goes_with == TIME else None
     row, found = _source(best, standing, traces, left), beside or best
     where, band, size = AT_ONCE.get(row, row), _band(left, row), _size(left, row, [best, beside] if beside else [best])
     unit = "m/s2" if where in FORCES else "rad/s2" if where in MOMENTS else "rad/s"
@@ -71,17 +71,18 @@ def _source(best: Trace, standing: Sequence[Trace], traces: Mapping[str, Trace],
     return best.row
 
 
-def _beside(step: Trace, floors: Mapping[str, float], left: LeftOver, unseen: LeftOver, seed: int) -> Trace | None:
+def _beside(step: Trace, left: LeftOver, unseen: LeftOver, seed: int) -> Trace | None:
     """What begins with a step: what slips loses its place, and a part of its motion.
 
-    That something began is known by the step. With what it goes is confirmed where it takes more than chance from
-    flights that no fit has seen, however little they move it.
+    That something began, and is not ordinary, is known by the step. With what it goes is told where, the step aside,
+    the best of all descriptions begins at the same time, makes a fair part of what is left, and takes more than chance
+    from flights that no fit has seen, however little they move it.
     """
     assert step.since_s is not None
     less, unseen_less = (less_step(side, step.since_s) for side in (left, unseen))
-    beside = begun(less, step.row, step.since_s)
-    above = beside.weight > floors.get(beside.key, math.inf) and beside.share >= MAIN
-    return beside if above and _holds(beside, less, unseen_less, seed, 0.0) else None
+    best = max((trace for trace in scan(less).values() if trace.row == step.row), key=lambda trace: trace.size)
+    began = best.since_s == step.since_s and best.share >= MAIN
+    return best if began and _holds(best, less, unseen_less, seed, 0.0) else None
 
 
 def _size(left: LeftOver, row: str, traces: Sequence[Trace]) -> float:
