@@ -61,7 +61,7 @@ def localised(line: dict) -> bool:
     found, cause = line["unknown"], CAUSES[line["hidden"][0]]
     if found is None:
         return False
-    factors = set((found["goes_with"] or "nothing").replace("|", "").split())
+    factors = set((found["goes_with"] or "nothing").split())
     right = found["where"] in cause.where(line["aircraft"]) and factors == {*cause.goes_with(line["aircraft"])}
     since = found["since_s"]
     return right and (cause.since_s is None or (since is not None and abs(since - cause.since_s) <= 0.5))

@@ -61,7 +61,8 @@ def gains_on(clean: Dataset, null: Null, effects: Sequence[str]) -> dict[str, di
     """Gain of each effect on a clean aircraft's flights, its model having the structure of the null.
 
     Beside it what those that are looked for in forces explain there, the weight in each equation of what looks most
-    like something unknown, by kind, and the sizes that delays and lags of the controls seem to have, below nothing too.
+    like something unknown, by kind, and the sizes that delays and lags of the controls seem to have, which may be
+    below nothing.
     """
     flown = at_one_rate(clean)
     found = reconstruct(flown)

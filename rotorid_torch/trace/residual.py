@@ -23,6 +23,7 @@ from rotorid_torch.identification.reconstruct import Reconstruction
 from rotorid_torch.identification.step2 import Measured, measured
 from rotorid_torch.model.flapping import Flapping
 from rotorid_torch.model.model import Model
+from rotorid_torch.trace.floor import FALSE_ALARMS
 from rotorid_torch.trace.significance import turned
 
 RATE = 20.0
@@ -85,7 +86,7 @@ class LeftOver:
     """Equations' residuals [N, rows] of all flights in one column, and what may go with them [N, k].
 
     rows : forces and moments, and the rates of the flapping where it is measured and lags, these twice (`AT_ONCE`).
-    linear : what linear terms take up, the signals and behind them a constant of each flight.
+    linear : what linear terms take up, the signals and behind them a constant of each flight and steps at a time.
     tilts : the flapping [N, 0 or 3], linear terms too, but not of a disc that follows at once.
     flight : the flight of each sample [N].
     named : how the residuals change with each parameter of effects that have a name [N, rows, n].
@@ -110,7 +111,7 @@ class LeftOver:
 
     @property
     def constants(self) -> Tensor:
-        """One of each flight [N, flights]."""
+        """One of each flight [N, flights], and steps."""
         return self.linear[:, len(self.names) :]
 
     @property
@@ -267,17 +268,31 @@ def _kinds(row: str, names: Sequence[Named]) -> dict[str, list[int]]:
 def by_chance(left: LeftOver, seed: int) -> Tensor:
     """Residuals of all flights that know nothing of the motion [N, rows, R].
 
-    Less what linear terms take up of them: turned in time these would be no linear terms any more.
+    Turned in time, what linear terms take up is no linear term any more, and would look like chance: as much of it is
+    kept as they take of what knows nothing, in 95 % of the turns.
     """
-    generator = torch.Generator().manual_seed(seed)
     over = torch.cat([left.beyond(left.residual[:, k, None], k) for k in range(len(left.rows))], dim=1)
-    return torch.cat([turned(over[left.flight == f], SHUFFLES, generator) for f in left.flight.unique()])
+    whole, rest = (_turned(left, values, seed) for values in (left.residual, over))
+    size = torch.linalg.vector_norm
+    beyond = torch.stack([left.beyond(whole[:, k], k) for k in range(len(left.rows))], dim=1)
+    shares = 1.0 - (size(beyond, dim=0) / size(whole, dim=0).clamp_min(1e-300)).square()
+    most = shares.quantile(1.0 - FALSE_ALARMS, dim=1).clamp(0.0, 1.0 - 1e-12)
+    usual = (most / (1.0 - most)).sqrt() * size(over, dim=0)
+    kept = (usual / size(left.residual - over, dim=0).clamp_min(1e-300)).clamp_max(1.0)[:, None]
+    return kept * whole + (1.0 - kept) * rest
 
 
-def less_step(left: LeftOver, onset: float) -> LeftOver:
-    """The same less a step at an onset."""
-    step = (left.time >= onset).to(torch.float64)[:, None]
-    return replace(left, linear=torch.cat([left.linear, step], dim=1))
+def _turned(left: LeftOver, values: Tensor, seed: int) -> Tensor:
+    """Values of all flights [N, rows] turned in time, each flight by itself [N, rows, R]."""
+    generator = torch.Generator().manual_seed(seed)
+    return torch.cat([turned(values[left.flight == f], SHUFFLES, generator) for f in left.flight.unique()])
+
+
+def less_steps(left: LeftOver, onset: float) -> LeftOver:
+    """The same with steps at an onset and beside it among its linear terms: none begins exactly where it is tried."""
+    onsets = onset + ONSET_S * torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64)
+    steps = (left.time[:, None] >= onsets).to(torch.float64)
+    return replace(left, linear=torch.cat([left.linear, steps], dim=1))
 
 
 def _tried(left: LeftOver) -> tuple[list[Named], Tensor]:

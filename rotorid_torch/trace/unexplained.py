@@ -7,13 +7,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import torch
 
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS
 from rotorid_torch.trace.finding import Unknown
 from rotorid_torch.trace.floor import FALSE_ALARMS
-from rotorid_torch.trace.residual import AT_ONCE, TIME, LeftOver, Trace, by_chance, column, less_step, scan
+from rotorid_torch.trace.residual import (
+    AT_ONCE,
+    ONSET_S,
+    TIME,
+    LeftOver,
+    Trace,
+    by_chance,
+    chance,
+    column,
+    less_steps,
+    scan,
+)
 
 HELD = 0.5
 """Part of what a trace should explain of unseen flights, by its size and the rest where it was found, that it must."""
@@ -31,8 +43,9 @@ def unknown(
 ) -> Unknown | None:
     """The equation best described by its trace, of those that stand above their floors, flapping first; or None.
 
-    traces, floors : by equation and kind. Of angles of the disc that say the same, the one that itself goes with it
-    most; of moments the largest. A trace describes a fair part of what its equation leaves over.
+    traces, floors : by equation and kind. Where others that unseen flights confirm say the same, it is told of the
+    angle of the disc that itself goes with it most, or of the largest moment. A trace describes a fair part of what its
+    equation leaves over.
     Flights that no fit has seen must be better described with the trace as it was found, by more than chance allows and
     half as well as it should be there: the best of hundreds of traces that mean nothing explains less.
     """
@@ -46,10 +59,14 @@ def unknown(
         return None
     best = max(standing, key=_sure)
     beside = _beside(best, left, unseen, seed) if best.goes_with == TIME else None
-    row, found = _source(best, standing, traces, left), beside or best
-    where, band, size = AT_ONCE.get(row, row), _band(left, row), _size(left, row, [best, beside] if beside else [best])
+    told = [best, beside] if beside else [best]
+    # a moment with much else in it is described too little to stand by itself
+    same = [t for t in traces.values() if t.named == best.named and (t in standing or t.row in MOMENTS)]
+    same = [t for t in same if t is best or _all_hold(t.row, told, left, unseen, seed)]
+    row, found = _source(best, same, left), beside or best
+    where, band, size = AT_ONCE.get(row, row), _band(left, row), _size(left, row, told)
     unit = "m/s2" if where in FORCES else "rad/s2" if where in MOMENTS else "rad/s"
-    how = ", beside a step" if beside else f" ({found.shape})" if found.shape else ""
+    how = " and a step" if beside else f" ({found.shape})" if found.shape else ""
     began = "" if found.since_s is None else f", since {found.since_s:.1f} s into the flights"
     said = (
         f"Something is missing in {where}: {size:.2g} {unit} rms at {band[0]:.2g} to {band[1]:.2g} Hz go with"
@@ -58,31 +75,47 @@ def unknown(
     return Unknown(where, band, found.goes_with, found.since_s, said)
 
 
-def _source(best: Trace, standing: Sequence[Trace], traces: Mapping[str, Trace], left: LeftOver) -> str:
+def _source(best: Trace, same: Sequence[Trace], left: LeftOver) -> str:
     """The row, of those that say the same as the best, where it comes from."""
     if best.row in MOMENTS and left.inertia is not None:  # what yaws the body may roll it too, which answers louder
         inertia = dict(zip(MOMENTS, left.inertia.tolist(), strict=True))
-        turning = [trace for trace in traces.values() if trace.row in inertia and trace.named == best.named]
+        turning = [trace for trace in same if trace.row in inertia]
         return max(turning, key=lambda trace: inertia[trace.row] * trace.size).row
     if _equation(best) in FLAPPING:  # a law that is wrong in one angle says the same of all
-        same = [trace for trace in standing if _equation(trace) in FLAPPING and trace.named == best.named]
-        angle = max(dict.fromkeys(map(_equation, same)), key=lambda angle: _of_tilt(best, angle, left))
+        angles = dict.fromkeys(_equation(trace) for trace in same if _equation(trace) in FLAPPING)
+        angle = max(angles, key=lambda angle: _of_tilt(best, angle, left))
         return max((trace for trace in same if _equation(trace) == angle), key=_sure).row
     return best.row
+
+
+def _all_hold(row: str, told: Sequence[Trace], left: LeftOver, unseen: LeftOver, seed: int) -> bool:
+    """Whether unseen flights confirm by more than chance, of an equation too, what is told of another."""
+    if row not in unseen.rows:
+        return False
+    step, *beside = [replace(trace, row=row) for trace in told]
+    if not _holds(step, left, unseen, seed, 0.0):
+        return False
+    return all(_holds(t, _less(step, left), _less(step, unseen), seed, 0.0) for t in beside)
+
+
+def _less(step: Trace, side: LeftOver) -> LeftOver:
+    assert step.since_s is not None
+    return less_steps(side, step.since_s)
 
 
 def _beside(step: Trace, left: LeftOver, unseen: LeftOver, seed: int) -> Trace | None:
     """What begins with a step: what slips loses its place, and a part of its motion.
 
     That something began, and is not ordinary, is known by the step. With what it goes is told where, the step aside,
-    the best of all descriptions begins at the same time, makes a fair part of what is left, and takes more than chance
-    from flights that no fit has seen, however little they move it.
+    the best of all descriptions begins with it, is more than chance makes of the rest and a fair part of it, and takes
+    more than chance from flights that no fit has seen, however little they move it.
     """
-    assert step.since_s is not None
-    less, unseen_less = (less_step(side, step.since_s) for side in (left, unseen))
+    less, onset = _less(step, left), step.since_s or 0.0
     best = max((trace for trace in scan(less).values() if trace.row == step.row), key=lambda trace: trace.size)
-    began = best.since_s == step.since_s and best.share >= MAIN
-    return best if began and _holds(best, less, unseen_less, seed, 0.0) else None
+    if best.since_s is None or abs(best.since_s - onset) > ONSET_S or best.share < MAIN:
+        return None
+    above = best.weight > float(chance(less, seed)[best.key].quantile(1.0 - FALSE_ALARMS))
+    return best if above and _holds(best, less, _less(step, unseen), seed, 0.0) else None
 
 
 def _size(left: LeftOver, row: str, traces: Sequence[Trace]) -> float:

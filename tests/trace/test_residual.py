@@ -14,6 +14,7 @@ from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES, STICKS, V
 from rotorid_torch.data import Dataset
 from rotorid_torch.effects.spec import RotorSpec
 from rotorid_torch.identification.reconstruct import reconstruct
+from rotorid_torch.trace.floor import family_wise
 from rotorid_torch.trace.residual import AT_ONCE, LeftOver, Trace, chance, left_over, scan
 from rotorid_torch.trace.unexplained import unknown
 from tests.known_models import BODY, body_spec, flown, linear_vehicle, manoeuvres, with_values
@@ -83,7 +84,7 @@ def test_what_begins_late_is_dated(signals: Tensor):
     assert largest(found)["M"].since_s == pytest.approx(6.0, abs=0.5)
 
 
-@pytest.mark.parametrize(("step", "said"), [(1.0, "col, beside a step"), (0.2, "col,"), (0.0, "col,")])
+@pytest.mark.parametrize(("step", "said"), [(1.0, "col and a step,"), (0.2, "col,"), (0.0, "col,")])
 def test_a_control_that_slips_is_told_though_its_step_is_the_larger_part(signals: Tensor, step: float, said: str):
     after = (STEP * torch.arange(SAMPLES, dtype=torch.float64).repeat(FLIGHTS) >= 6.0).to(torch.float64)
     over = left("L", after * (step - 0.5 * signals[:, 3]), 0.3)
@@ -229,7 +230,7 @@ def test_a_moment_with_much_else_in_it_is_told_where_a_lighter_axis_shows_the_sa
     residual = over.residual.clone()
     residual[:, ROWS.index("L")] += 1.5 * slip
     gusts = torch.randn(len(slip), generator=torch.Generator().manual_seed(2), dtype=torch.float64)
-    residual[:, ROWS.index("N")] += slip + 2.0 * gusts
+    residual[:, ROWS.index("N")] += slip + 1.2 * gusts
     both = replace(over, residual=residual, inertia=torch.tensor([1e3, 5e3, 4e3], dtype=torch.float64))
     found = scan(both)
     assert found["N, step"].share < 0.2
@@ -238,12 +239,49 @@ def test_a_moment_with_much_else_in_it_is_told_where_a_lighter_axis_shows_the_sa
     assert (told.where, told.goes_with, told.since_s) == ("N", "col", 6.0)
 
 
-def test_what_linear_terms_take_up_makes_no_chance(signals: Tensor):
+def test_what_linear_terms_take_up_is_hardly_chance(signals: Tensor):
     over = left("L", None)
     much = over.residual.clone()
     much[:, ROWS.index("L")] += 9.0 * signals[:, 1]
-    before, after = (chance(one, 0)["L, curve"] for one in (over, replace(over, residual=much)))
-    assert torch.allclose(before, after, rtol=1e-6)
+    assert float(chance(replace(over, residual=much), 0)["L, curve"].max()) < 0.01
+
+
+def test_noise_on_one_short_flight_is_no_more_than_chance():
+    """Linear terms take much of what is slow on a short flight, of turned residuals as of the residual itself."""
+    short, above = left("L", None), 0
+    first = short.flight == 0
+    for seed in range(20):
+        noise = torch.randn(int(first.sum()) + 8, 6, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+        smooth = noise.unfold(0, 9, 1).mean(-1)
+        cut = {n: getattr(short, n)[first] for n in ("signals", "time", "tilts", "flight", "named")}
+        linear = torch.cat([cut["signals"], torch.ones_like(smooth[:, :1])], dim=1)
+        one = replace(short, **cut, residual=smooth, linear=linear)
+        levels = family_wise(chance(one, seed))
+        above += any(trace.weight > levels[key] for key, trace in scan(one).items())
+    assert above <= 3  # 5 % of 20, and twice the scatter of that
+
+
+@pytest.mark.parametrize(("noise", "where"), [(1.2, "N"), (0.05, "L")])
+def test_another_axis_is_told_only_where_unseen_flights_confirm_it(signals: Tensor, noise: float, where: str):
+    over = left("L", signals[:, 1] * signals[:, 3])
+    declared = replace(over, inertia=torch.tensor([1e3, 5e3, 4e3], dtype=torch.float64))
+    gusts = noise * torch.randn(len(signals), generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    residual = over.residual.clone()
+    residual[:, ROWS.index("N")] += gusts + 0.5 * signals[:, 1] * signals[:, 3]
+    seen = replace(declared, residual=residual)
+    unseen = seen if where == "N" else declared
+    told = unknown(scan(seen), levels(ROWS, 0.3), seen, unseen)
+    assert told is not None
+    assert told.where == where
+
+
+def test_a_slip_between_two_of_the_times_that_are_tried_is_told_by_its_control(signals: Tensor):
+    over = left("L", None)
+    after = (over.time >= 6.2).to(torch.float64)
+    slip = replace(over, residual=over.residual + (after * (2.0 - 0.5 * signals[:, 3]))[:, None])
+    told = unknown(scan(slip), levels(ROWS, 0.05), slip, slip)
+    assert told is not None
+    assert (told.goes_with, told.since_s) == ("col", pytest.approx(6.2, abs=0.5))
 
 
 def _both_ways(found: dict[str, Trace]) -> tuple[list[tuple[str, Trace]], list[tuple[str, Trace]]]:
