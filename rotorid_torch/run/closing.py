@@ -260,7 +260,9 @@ def _refused(tracing: Tracing, said: str) -> Tracing:
     members = {e for others in tracing.groups.values() for e in others} | set(tracing.accepted)
     findings = tuple(_rejected(tracing.findings, members, said))
     before, beside = tracing.unknown_before, tracing.unknown
-    left = beside if said == CHANGED else before or (beside if said == IMITATES else None)  # the onset shows beside it
+    left = before or (beside if said == IMITATES else None)
+    if said == CHANGED and (before is None or before.since_s is None):  # the onset may show beside it alone
+        left = beside
     return replace(tracing, final=tracing.null, accepted=(), groups={}, findings=findings, unknown=left)
 
 

@@ -209,6 +209,17 @@ def test_a_control_path_that_changes_in_the_midst_of_the_flights_has_no_name(
     assert statement(found.findings, found.unknown).kind == ("undeclared" if stays else "unknown")
 
 
+def test_what_begins_later_is_told_of_the_model_that_stays_where_it_shows_it():
+    """A refused effect takes up a part of it: what is left beside it may lie in another equation."""
+    beside = Unknown("M", (0.1, 2.0), "ped", 6.0, "Something is missing in M.")
+    before = replace(beside, where="N", sentence="Something is missing in N.")
+    named = Finding("control.lag", "undeclared", "accepted", "", values={"control.lag.common": (0.05, 0.0001)})
+    tracing = replace(tracing_of("control.lag"), findings=(named,), unknown=beside, unknown_before=before)
+    found = _before_and_after(run_with(0.12), tracing, False, pytest.fail, lambda spec, values: run_with(0.06))[2]
+    assert not found.accepted
+    assert found.unknown == before
+
+
 def test_what_begins_later_is_told_where_the_model_fails_on_the_fitted_flights_too():
     missing = Unknown("b1", (0.1, 2.0), "lat", 6.0, "Something is missing in b1.")
     tracing = replace(tracing_of("control.lag"), unknown=missing)
