@@ -112,6 +112,7 @@ def trace(
     search.compare_controls(final, accepted)
     missing = _missing(final, accepted, flights, search.floors, seed)
     before = _missing(null, (), flights, search.floors, seed)
+    missing = _where_it_stands(missing, before, accepted)
     idle = {e: why for e in structure if (why := nothing(final.model, final.error, e)) is not None}
     for e, why in idle.items():
         search.refuse(e, why, final)
@@ -130,6 +131,14 @@ def trace(
         search.spread,
         not accepted or told(final, null),
     )
+
+
+def _where_it_stands(missing: Unknown | None, before: Unknown | None, accepted: Sequence[str]) -> Unknown | None:
+    """What is told of a model without a named effect: both fits of it show something, the null's equations clearer.
+
+    The search settles it over short segments, where derivatives imitate what is missing as well as they can.
+    """
+    return before if missing is not None and before is not None and not accepted else missing
 
 
 def _bare(fitted: Fitted, idle: Collection[str]) -> Named:

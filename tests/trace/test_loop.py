@@ -14,7 +14,7 @@ from rotorid_torch.trace.decide import gain
 from rotorid_torch.trace.finding import Unknown
 from rotorid_torch.trace.fits import Fitted
 from rotorid_torch.trace.floor import Floors
-from rotorid_torch.trace.loop import _missing, trace
+from rotorid_torch.trace.loop import _missing, _where_it_stands, trace
 from tests.trace.hidden_flights import flights, started, traced
 
 
@@ -99,3 +99,11 @@ def test_where_nothing_is_hidden_nothing_is_named():
     delay = next(f for f in found.findings if f.id == "control.delay")
     assert delay.smallest_visible is not None
     assert delay.smallest_visible[0] < 0.06
+
+
+def test_what_is_missing_without_a_name_is_told_of_the_fit_that_was_not_settled():
+    settled, null = (Unknown(where, (0.1, 2.0), "ped", 6.0, f"Something is missing in {where}.") for where in "MN")
+    assert _where_it_stands(settled, null, ()) == null
+    assert _where_it_stands(settled, null, ("control.lag",)) == settled
+    assert _where_it_stands(settled, None, ()) == settled
+    assert _where_it_stands(None, null, ()) is None
