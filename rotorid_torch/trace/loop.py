@@ -93,7 +93,7 @@ def trace(
     ranks : processes that share the candidates, each of which calls this.
     """
     testable, found = candidates(spec)
-    search = Search(flights, tuple(held), Floors({}, ""), say, seed, ranks)
+    search = Search(flights, tuple(held), Floors({}, ""), say, seed, ranks, dict(start))
     tested = [e for e in testable if registered()[e].role is Role.UNDECLARED]
     null = search.place(refit(spec, flights, start, held), tested)
     null = search.structure(null, [e for e in testable if registered()[e].role is Role.STRUCTURE])

@@ -53,6 +53,7 @@ class Search:
     """The state of the search: the model so far, and what was found on the way.
 
     seed : of the shuffled residuals. asked_for : whether flights not fitted gain by the rotor's ordinary physics.
+    identified : the parameters' values as the three steps left them; none where nothing begins from there again.
     ranks : among which fits and tests of several candidates are spread; everything else is the same at each.
     apart : for an accepted effect of the control path what it is for each control.
     placed : gain and floor of effects of where the vehicle flies that explain what trims differ by; they join first.
@@ -67,6 +68,7 @@ class Search:
     say: Say
     seed: int
     ranks: Ranks = ALONE
+    identified: dict[str, float] = field(default_factory=dict)
     asked_for: bool = False
     rejected: dict[str, tuple[str, float, Mapping[str, tuple[float, float]]]] = field(default_factory=dict)
     hot: set[str] = field(default_factory=set)
@@ -91,7 +93,9 @@ class Search:
     ) -> dict[str, Fitted]:
         """The null with one more effect, for each of these, fitted in full; of several starts the best goes on.
 
-        A fit that ends worse than the null, which is one of its values, is lost, and begun again over short segments.
+        A fit that ends worse than the null, which is one of its values, is lost, and begun again over short segments;
+        so is one that fails on unseen flights, from the model as identified: the null's derivatives may imitate what
+        it lacks, and from there a fit need not find back.
 
         each_control : those of them that have a size for each control.
         """
@@ -108,7 +112,22 @@ class Search:
 
         found = begun(starts, short_first=False)
         lost = [e for e, one in found.items() if gain(null, one) < -floors[e]]
-        return found | {e: min(found[e], one, key=lambda f: f.cost) for e, one in begun(lost, short_first=True).items()}
+        found |= {e: min(found[e], one, key=lambda f: f.cost) for e, one in begun(lost, short_first=True).items()}
+        return found | self.gone_on(self._afresh(null, found, floors), floors)
+
+    def _afresh(
+        self, null: Fitted, fitted: Mapping[str, Fitted], floors: Mapping[str, float]
+    ) -> dict[str, Fitted]:
+        """Fits that explain more of what was fitted, but not of unseen flights, where they end better from elsewhere."""
+        if not self.identified:
+            return {}
+        stuck = [e for e, one in fitted.items() if gain(null, one) > floors[e]]
+        stuck = [e for e in stuck if not helps(unseen_gain(null, fitted[e]))]
+        named = [*self.placed, *self.gained]
+        starts = {e: self.identified | _of_effects(fitted[e].values, [*named, e]) for e in stuck}
+        wanted = [Wanted(fitted[e].spec, start, null, short_first=True) for e, start in starts.items()]
+        again = dict(zip(stuck, fits(wanted, self.held, CAREFUL, self.ranks), strict=True))
+        return {e: one for e, one in again.items() if one.cost < fitted[e].cost}
 
     def gone_on(self, fitted: Mapping[str, Fitted], least: Mapping[str, float]) -> dict[str, Fitted]:
         """Fits gone on with until they have converged, or gain no more than the least that matters to each."""

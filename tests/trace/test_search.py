@@ -104,3 +104,33 @@ def test_ordinary_physics_that_gains_nothing_is_told(monkeypatch: pytest.MonkeyP
     search = Search(known, (), Floors({}, ""), lambda line: None, 0)
     assert search.structure(null, ["rotor.lead_lag"]) is null
     assert search.ordinary["rotor.lead_lag"].verdict == "rejected"
+
+
+def test_a_fit_that_fails_on_unseen_flights_begins_again_from_what_was_identified(monkeypatch: pytest.MonkeyPatch):
+    known, null = started(flights("control.delay", control__delay__common=0.06))
+    asked: list[Wanted] = []
+
+    def stuck_at_first(wanted: list[Wanted], *rest: Any) -> list[Fitted]:
+        asked.extend(wanted)
+        one_step = replace(CAREFUL, max_iterations=1)
+        again = iter(fits([one for one in wanted if one.short_first], *rest))
+        return [next(again) if w.short_first else refit(w.spec, known, w.start, options=one_step) for w in wanted]
+
+    monkeypatch.setattr("rotorid_torch.trace.search.fits", stuck_at_first)
+    monkeypatch.setattr("rotorid_torch.trace.search.LONGEST", 0)
+    start = {"control.delay": [{"control.delay.common": 0.01}]}
+
+    def found(identified: dict[str, float], fails: bool) -> Fitted:
+        monkeypatch.setattr("rotorid_torch.trace.search.helps", lambda better: not fails)
+        search = Search(known, (), Floors({}, ""), lambda line: None, 0, identified=identified)
+        return search.with_each(null, start, {"control.delay": 0.0})["control.delay"]
+
+    stuck = found({}, fails=True)
+    assert found(null.values, fails=False).cost == stuck.cost
+    assert not any(one.short_first for one in asked)
+    elsewhere = {n: 0.9 * v for n, v in null.values.items()}
+    freed = found(elsewhere, fails=True)
+    assert asked[-1].short_first and elsewhere.items() <= asked[-1].start.items()
+    assert asked[-1].start["control.delay.common"] == stuck.values["control.delay.common"]
+    assert freed.cost < stuck.cost
+    assert freed.values["control.delay.common"] == pytest.approx(0.06, abs=0.005)
