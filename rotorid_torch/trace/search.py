@@ -115,10 +115,8 @@ class Search:
         found |= {e: min(found[e], one, key=lambda f: f.cost) for e, one in begun(lost, short_first=True).items()}
         return found | self.gone_on(self._afresh(null, found, floors), floors)
 
-    def _afresh(
-        self, null: Fitted, fitted: Mapping[str, Fitted], floors: Mapping[str, float]
-    ) -> dict[str, Fitted]:
-        """Fits that explain more of what was fitted, but not of unseen flights, where they end better from elsewhere."""
+    def _afresh(self, null: Fitted, fitted: Mapping[str, Fitted], floors: Mapping[str, float]) -> dict[str, Fitted]:
+        """Fits that explain what was fitted, but not unseen flights: those of them that end better from elsewhere."""
         if not self.identified:
             return {}
         stuck = [e for e, one in fitted.items() if gain(null, one) > floors[e]]
