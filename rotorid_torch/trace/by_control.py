@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import msgspec
 
+from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.trace.fits import Fitted, refit
 
 
@@ -54,17 +55,30 @@ class ByControl:
         return f"control by control {', '.join(told)}{'' if self.unit == '1' else ' ' + self.unit}"
 
 
+def sizes_of_each(fitted: Fitted, effect: str) -> tuple[Parameter, dict[str, float]] | None:
+    """An effect's parameter that all controls have in common, and for each of them one of its own that is as large.
+
+    None where the model has no such.
+    """
+    declared = [p for p in fitted.model.parameter_set.parameters if p.name.startswith(f"{effect}.")]
+    own = [f"{effect}.{c}" for c in fitted.spec.controls]
+    common, known = next((p for p in declared if p.name not in own), None), {p.name for p in declared}
+    if common is None or not known.issuperset(own):
+        return None
+    return common, dict.fromkeys(own, fitted.values[common.name])
+
+
 def by_control(final: Fitted, effect: str, held: Sequence[str]) -> ByControl | None:
     """The effect's parameter for each control, the rest fitted again; None where not all controls have one in common.
 
     final : a model with the effect. held : parameters that keep their values.
     """
-    declared = [p for p in final.model.parameter_set.parameters if p.name.startswith(f"{effect}.")]
-    own = {c: f"{effect}.{c}" for c in final.spec.controls if f"{effect}.{c}" in {p.name for p in declared}}
-    common = next((p for p in declared if p.name not in own.values()), None)
-    if len(own) < 2 or common is None or common.name not in final.names:
+    declared = sizes_of_each(final, effect)
+    if declared is None or len(declared[1]) < 2 or declared[0].name not in final.names:
         return None
-    free = {**final.spec.free, common.name: False, **dict.fromkeys(own.values(), True)}
-    start = {**final.values, common.name: common.value, **dict.fromkeys(own.values(), final.values[common.name])}
+    common, sizes = declared
+    own = {name.removeprefix(f"{effect}."): name for name in sizes}
+    free = {**final.spec.free, common.name: False, **dict.fromkeys(sizes, True)}
+    start = {**final.values, common.name: common.value, **sizes}
     found = refit(msgspec.structs.replace(final.spec, free=free), final.flights, start, held, near=final)
     return ByControl(common.name, common.unit, {c: (found.values[n], found.error(n)) for c, n in own.items()})

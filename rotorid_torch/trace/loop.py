@@ -20,6 +20,7 @@ from rotorid_torch.trace.fits import Fitted, Flights, refit
 from rotorid_torch.trace.floor import Floors, Null, family_wise
 from rotorid_torch.trace.residual import AT_ONCE, chance, left_over, scan
 from rotorid_torch.trace.search import Say, Search
+from rotorid_torch.trace.slips import deflected
 from rotorid_torch.trace.unexplained import unknown
 
 UNJUDGED = "No clean aircraft tells how much of this is ordinary."
@@ -110,9 +111,9 @@ def trace(
         null = refit(null.spec.without(placed), flights, null.values, held, near=null)
     search.compare_clean(final, accepted)
     search.compare_controls(final, accepted)
-    missing = _missing(final, accepted, flights, search.floors, seed)
     before = _missing(null, (), flights, search.floors, seed)
-    missing = _where_it_stands(missing, before, accepted)
+    # with nothing accepted, what the search made of the null imitates what is missing as well as it can
+    missing = _missing(final, accepted, flights, search.floors, seed) if accepted else before
     idle = {e: why for e in structure if (why := nothing(final.model, final.error, e)) is not None}
     for e, why in idle.items():
         search.refuse(e, why, final)
@@ -131,14 +132,6 @@ def trace(
         search.spread,
         not accepted or told(final, null),
     )
-
-
-def _where_it_stands(missing: Unknown | None, before: Unknown | None, accepted: Sequence[str]) -> Unknown | None:
-    """What is told of a model without a named effect: both fits of it show something, the null's equations clearer.
-
-    The search settles it over short segments, where derivatives imitate what is missing as well as they can.
-    """
-    return before if missing is not None and before is not None and not accepted else missing
 
 
 def _bare(fitted: Fitted, idle: Collection[str]) -> Named:
@@ -173,7 +166,7 @@ def _missing(fitted: Fitted, accepted: Sequence[str], flights: Flights, floors: 
     traces, by_chance = scan(over), family_wise(chance(over, seed))
     asked = usual or {k: 0.0 for k, t in traces.items() if t.row in (*rows(fitted.spec), *FLAPPING, *AT_ONCE)}
     levels = {key: max(floor, by_chance[key]) for key, floor in asked.items() if key in by_chance}
-    found = unknown(traces, levels, over, unseen, seed)
+    found = unknown(traces, levels, over, unseen, seed, deflected(fitted.model))
     if found is None:
         return None
     doubts = [*([] if usual else [UNJUDGED]), *([] if flights.dataset.validate else [UNCONFIRMED])]

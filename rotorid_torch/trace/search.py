@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from rotorid_torch.core.ranks import ALONE, Ranks
-from rotorid_torch.trace.by_control import by_control
+from rotorid_torch.trace.by_control import by_control, sizes_of_each
 from rotorid_torch.trace.candidates import of_control_path
 from rotorid_torch.trace.decide import (
     TIMES,
@@ -58,7 +58,7 @@ class Search:
     apart : for an accepted effect of the control path what it is for each control.
     placed : gain and floor of effects of where the vehicle flies that explain what trims differ by; they join first.
     gained : gain and floor of effects that joined later, fitted in full.
-    alone : floors of effects that were tried on each control by itself.
+    alone : floors of effects that were tried on each control by itself. each_floor : those of all of the control path.
     ordinary : what is said of structure that did not join.
     """
 
@@ -78,6 +78,7 @@ class Search:
     placed: dict[str, tuple[float, float]] = field(default_factory=dict)
     gained: dict[str, tuple[float, float]] = field(default_factory=dict)
     alone: dict[str, float] = field(default_factory=dict)
+    each_floor: dict[str, float] = field(default_factory=dict)
     ordinary: dict[str, Finding] = field(default_factory=dict)
 
     def screened(self, null: Fitted, effects: Sequence[str]) -> Screen:
@@ -270,9 +271,26 @@ class Search:
                 return better, accepted
             null = better
             if joined is not None:
-                null = fitted[joined]
+                null = self._each_by_itself(fitted[joined], joined)
                 accepted.append(joined)
         return null, accepted
+
+    def _each_by_itself(self, alike: Fitted, effect: str) -> Fitted:
+        """The fit with a size of the effect for each control, where unseen flights gain by that, beyond its floor.
+
+        Play and slew rates are each linkage's own; times are what a model lacks too, early for one, late for another.
+        """
+        own, declared = self.each_floor.get(effect), sizes_of_each(alike, effect)
+        if own is None or declared is None or effect in (*TIMES, *alike.spec.each_control):
+            return alike
+        common, sizes = declared
+        spec = control_by_control(alike, [effect]).spec
+        start = {**alike.values, common.name: common.value, **sizes}
+        each = self.settled(refit(spec, self.flights, start, self.held, near=alike), own)
+        if gain(alike, each) <= own or not helps(unseen_gain(alike, each)):
+            return alike
+        self.say(f"{effect} is each control's own: gain {gain(alike, each):.3g} over one size of all")
+        return each
 
     def _tested(
         self, null: Fitted, accepted: Sequence[str], effects: Sequence[str]
@@ -288,6 +306,7 @@ class Search:
             return screens, self.floors.of(common, effects), []
         alone = self.screened(control_by_control(null, path), path)
         floors, own = self.floors.with_each_control(common, effects, alone, path)
+        self.each_floor.update(own)
         gained = {e: alone.gain([e]) for e in path}
         least = {e: max(floors[e], ALIKE * gained[e]) for e in path}
         each = [e for e in path if gained[e] > own[e] and common.gain([e]) < least[e]]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 
 import torch
 
@@ -26,6 +27,7 @@ from rotorid_torch.trace.residual import (
     less_steps,
     scan,
 )
+from rotorid_torch.trace.slips import Deflected, slipped
 
 HELD = 0.5
 """Part of what a trace should explain of unseen flights, by its size and the rest where it was found, that it must."""
@@ -39,7 +41,12 @@ Slipped controls and products of the flight-test aircraft and another simulator'
 
 
 def unknown(
-    traces: Mapping[str, Trace], floors: Mapping[str, float], left: LeftOver, unseen: LeftOver, seed: int = 0
+    traces: Mapping[str, Trace],
+    floors: Mapping[str, float],
+    left: LeftOver,
+    unseen: LeftOver,
+    seed: int = 0,
+    does: Deflected = MappingProxyType({}),
 ) -> Unknown | None:
     """The equation best described by its trace, of those that stand above their floors, flapping first; or None.
 
@@ -48,6 +55,8 @@ def unknown(
     equation leaves over.
     Flights that no fit has seen must be better described with the trace as it was found, by more than chance allows and
     half as well as it should be there: the best of hundreds of traces that mean nothing explains less.
+
+    does : what each control does to the equations. A step that one of them makes by itself is told of that one.
     """
     above = [
         trace
@@ -66,13 +75,16 @@ def unknown(
     row, found = _source(best, same, left), beside or best
     where, band, size = AT_ONCE.get(row, row), _band(left, row), _size(left, row, told)
     unit = "m/s2" if where in FORCES else "rad/s2" if where in MOMENTS else "rad/s"
+    control = slipped(row, found.since_s, left, unseen, does) if found.since_s and found.goes_with == TIME else None
+    goes_with = control or found.goes_with
     how = " and a step" if beside else f" ({found.shape})" if found.shape else ""
+    how = " (a step that it would make)" if control else how
     began = "" if found.since_s is None else f", since {found.since_s:.1f} s into the flights"
     said = (
         f"Something is missing in {where}: {size:.2g} {unit} rms at {band[0]:.2g} to {band[1]:.2g} Hz go with"
-        f" {found.goes_with}{how}{began}; no effect of the library explains it."
+        f" {goes_with}{how}{began}; no effect of the library explains it."
     )
-    return Unknown(where, band, found.goes_with, found.since_s, said)
+    return Unknown(where, band, goes_with, found.since_s, said)
 
 
 def _source(best: Trace, same: Sequence[Trace], left: LeftOver) -> str:

@@ -66,3 +66,15 @@ def test_controls_that_show_none_of_it_count():
     late = ByControl("x", "s", {"lon": (50.0, 1.0), "lat": (50.0, 1.0), "col": (0.0, math.inf), "ped": (0.0, math.inf)})
     assert late.between > 20.0
     assert "col 0 (at its bound)" in str(late)
+
+
+def test_plays_that_differ_are_told_of_each_control():
+    play = "control.backlash"
+    truth = with_values(rate_vehicle(effects=(play,)), {f"{play}.lon": 0.016, f"{play}.lat": 0.008})
+    moves = manoeuvres(8.0, DT)
+    both = {**moves, **{f"{name}_again": -0.8 * move for name, move in moves.items()}}
+    lists = {"identify": list(moves), "validate": [f"{name}_again" for name in moves]}
+    found = traced(flown(truth, both, DT, noise=0.01, seed=3, lists=lists))
+    assert found.accepted == (play,)
+    assert found.final.values[f"{play}.lon"] == pytest.approx(0.016, abs=0.003)
+    assert found.final.values[f"{play}.lat"] == pytest.approx(0.008, abs=0.003)

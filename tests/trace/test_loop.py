@@ -14,7 +14,7 @@ from rotorid_torch.trace.decide import gain
 from rotorid_torch.trace.finding import Unknown
 from rotorid_torch.trace.fits import Fitted
 from rotorid_torch.trace.floor import Floors
-from rotorid_torch.trace.loop import _missing, _where_it_stands, trace
+from rotorid_torch.trace.loop import _missing, trace
 from tests.trace.hidden_flights import flights, started, traced
 
 
@@ -101,9 +101,16 @@ def test_where_nothing_is_hidden_nothing_is_named():
     assert delay.smallest_visible[0] < 0.06
 
 
-def test_what_is_missing_without_a_name_is_told_of_the_fit_that_was_not_settled():
-    settled, null = (Unknown(where, (0.1, 2.0), "ped", 6.0, f"Something is missing in {where}.") for where in "MN")
-    assert _where_it_stands(settled, null, ()) == null
-    assert _where_it_stands(settled, null, ("control.lag",)) == settled
-    assert _where_it_stands(settled, None, ()) == settled
-    assert _where_it_stands(None, null, ()) is None
+def test_what_is_missing_without_a_name_is_told_of_the_fit_that_was_not_settled(monkeypatch: pytest.MonkeyPatch):
+    asked: list[tuple[str, ...]] = []
+
+    def missing(fitted: Fitted, accepted: Sequence[str], *rest: object) -> Unknown:
+        asked.append(tuple(fitted.spec.effects))
+        return Unknown(f"{len(asked)}", (0.1, 2.0), "ped", 6.0, "")
+
+    monkeypatch.setattr("rotorid_torch.trace.loop._missing", missing)
+    found = traced(flights())
+    assert found.unknown == found.unknown_before
+    found = traced(flights("control.delay", control__delay__common=0.06))
+    assert asked == [(), (), ("control.delay",)]
+    assert found.unknown != found.unknown_before

@@ -1,0 +1,79 @@
+"""Which control a step goes with: one that loses its place moves every equation as its own deflection would."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS
+from rotorid_torch.model.model import Model
+from rotorid_torch.trace.residual import AT_ONCE, LeftOver
+
+LIKE = 0.9
+"""Part of the square of the steps in all equations that one control's deflection must make.
+
+Controls of other people's simulators that lose their place make 0.987 to 0.998 of it, their other controls at most
+0.47.
+"""
+DEFLECTION = 1e-3
+"""By which controls are moved for what they do, rad or as declared."""
+Deflected = Mapping[str, Mapping[str, float]]
+"""What each control does to each equation, per unit."""
+
+
+def deflected(model: Model) -> Deflected:
+    """What a model's controls do at its reference: forces, moments, and the rates of the flapping that it follows."""
+    usual = [
+        torch.tensor([model.reference.get(n, 0.0) for n in names], dtype=torch.float64)
+        for names in (model.layout.names, model.body.controls)
+    ]
+
+    def rows(u: Tensor) -> dict[str, float]:
+        with torch.no_grad():
+            frame = model.frame(model.theta, usual[0], u)[0]
+        found = {}
+        for names, loads in ((FORCES, frame.force), (MOMENTS, frame.moment)):
+            found |= {} if loads is None else dict(zip(names, loads.tolist(), strict=True))
+        return found | {row: float(frame.rates[n]) for row, n in AT_ONCE.items() if n in frame.rates}
+
+    by = DEFLECTION * torch.eye(len(usual[1]), dtype=torch.float64)
+    pairs = [(rows(usual[1] + one), rows(usual[1] - one)) for one in by]
+    return {
+        control: {row: (up[row] - down[row]) / (2.0 * DEFLECTION) for row in up}
+        for control, (up, down) in zip(model.body.controls, pairs, strict=True)
+    }
+
+
+def slipped(row: str, onset: float, left: LeftOver, unseen: LeftOver, does: Deflected) -> str | None:
+    """The control whose deflection alone makes all steps that begin at an onset, on unseen flights too; or None.
+
+    row : where the step stands. On the disc's own motion the body says nothing of the rotor's controls: their work is
+    the disc's; and where the disc follows its controls, the disc says nothing of the others.
+    """
+    rows = tuple(AT_ONCE) if row in (*FLAPPING, *AT_ONCE) else (*FORCES, *MOMENTS)
+    here, there = (_likeness(rows, onset, side, does) for side in (left, unseen))
+    best = max(here, key=lambda control: abs(here[control]), default=None)
+    if best is None or here[best] * there[best] <= 0.0:
+        return None
+    return best if min(here[best] ** 2, there[best] ** 2) >= LIKE else None
+
+
+def _likeness(rows: Sequence[str], onset: float, side: LeftOver, does: Deflected) -> dict[str, float]:
+    """Cosine between the steps in these equations, each beside its own rest, and those that each control makes."""
+    after = (side.time[:, None] >= onset).to(torch.float64)
+    steps, units = [], []
+    moved = dict(zip(side.rows, side.residual.any(dim=0).tolist(), strict=True))
+    told = [row for row in rows if moved.get(row) and all(row in own for own in does.values())]
+    for row in told:
+        k = side.rows.index(row)
+        tried, known = side.beyond(torch.cat([after, side.residual[:, k, None]], dim=1), k).mT
+        size = (tried @ known) / (tried @ tried).clamp_min(1e-300)
+        units.append(tried.norm() / (known - size * tried).norm().clamp_min(1e-300))
+        steps.append(size * units[-1])
+    if not told:
+        return {}
+    found, unit = torch.stack(steps), torch.stack(units)
+    made = {c: torch.tensor([own[row] for row in told], dtype=torch.float64) * unit for c, own in does.items()}
+    return {c: float(torch.nn.functional.cosine_similarity(found, one, dim=0, eps=1e-300)) for c, one in made.items()}
