@@ -276,7 +276,7 @@ class Search:
         return null, accepted
 
     def _each_by_itself(self, alike: Fitted, effect: str) -> Fitted:
-        """The fit with a size of the effect for each control, where unseen flights gain by that, beyond its floor.
+        """The fit with a size of the effect for each control, where that explains more, and unseen flights no worse.
 
         Play and slew rates are each linkage's own; times are what a model lacks too, early for one, late for another.
         """
@@ -287,7 +287,7 @@ class Search:
         spec = control_by_control(alike, [effect]).spec
         start = {**alike.values, common.name: common.value, **sizes}
         each = self.settled(refit(spec, self.flights, start, self.held, near=alike), own)
-        if gain(alike, each) <= own or not helps(unseen_gain(alike, each)):
+        if gain(alike, each) <= own or helps(-unseen_gain(alike, each)):
             return alike
         self.say(f"{effect} is each control's own: gain {gain(alike, each):.3g} over one size of all")
         return each
