@@ -58,7 +58,7 @@ class Search:
     apart : for an accepted effect of the control path what it is for each control.
     placed : gain and floor of effects of where the vehicle flies that explain what trims differ by; they join first.
     gained : gain and floor of effects that joined later, fitted in full.
-    alone : floors of effects that were tried on each control by itself. each_floor : those of all of the control path.
+    alone : floors of effects that were tried on each control by itself. each_floor : of those that may be now.
     ordinary : what is said of structure that did not join.
     """
 
@@ -287,8 +287,12 @@ class Search:
         spec = control_by_control(alike, [effect]).spec
         start = {**alike.values, common.name: common.value, **sizes}
         each = self.settled(refit(spec, self.flights, start, self.held, near=alike), own)
-        if gain(alike, each) <= own or helps(-unseen_gain(alike, each)):
+        worse = -unseen_gain(alike, each)
+        if gain(alike, each) <= own or not bool(worse.isfinite().all()) or helps(worse):
             return alike
+        if unlikely(each, effect, each.scatter(effect)) is not None:
+            return alike
+        self.spread.update(each.scatter(effect))
         self.say(f"{effect} is each control's own: gain {gain(alike, each):.3g} over one size of all")
         return each
 
@@ -301,12 +305,12 @@ class Search:
         Beside another effect of the control path, one of each control would only stand for how controls differ in that.
         """
         common = self.screened(null, effects)
-        screens, path = dict.fromkeys(effects, common), of_control_path(effects)
+        screens, path, self.each_floor = dict.fromkeys(effects, common), of_control_path(effects), {}
         if not path or len(null.spec.controls) < 2 or of_control_path(accepted):
             return screens, self.floors.of(common, effects), []
         alone = self.screened(control_by_control(null, path), path)
         floors, own = self.floors.with_each_control(common, effects, alone, path)
-        self.each_floor.update(own)
+        self.each_floor = own
         gained = {e: alone.gain([e]) for e in path}
         least = {e: max(floors[e], ALIKE * gained[e]) for e in path}
         each = [e for e in path if gained[e] > own[e] and common.gain([e]) < least[e]]

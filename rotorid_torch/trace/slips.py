@@ -9,7 +9,7 @@ from torch import Tensor
 
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS
 from rotorid_torch.model.model import Model
-from rotorid_torch.trace.residual import AT_ONCE, LeftOver
+from rotorid_torch.trace.residual import AT_ONCE, SECOND_ORDER, LeftOver
 
 LIKE = 0.9
 """Part of the square of the steps in all equations that one control's deflection must make.
@@ -30,9 +30,13 @@ def deflected(model: Model) -> Deflected:
         for names in (model.layout.names, model.body.controls)
     ]
 
+    theta = model.theta.detach().clone()
+    if SECOND_ORDER in model.parameter_set.names:  # whose rates are states
+        theta[model.parameter_set.index(SECOND_ORDER)] = 0.0
+
     def rows(u: Tensor) -> dict[str, float]:
         with torch.no_grad():
-            frame = model.frame(model.theta, usual[0], u)[0]
+            frame = model.frame(theta, usual[0], u)[0]
         found = {}
         for names, loads in ((FORCES, frame.force), (MOMENTS, frame.moment)):
             found |= {} if loads is None else dict(zip(names, loads.tolist(), strict=True))
@@ -47,17 +51,20 @@ def deflected(model: Model) -> Deflected:
 
 
 def slipped(row: str, onset: float, left: LeftOver, unseen: LeftOver, does: Deflected) -> str | None:
-    """The control whose deflection alone makes all steps that begin at an onset, on unseen flights too; or None.
+    """The one control whose deflection makes all steps that begin at an onset, on unseen flights too; or None.
 
     row : where the step stands. On the disc's own motion the body says nothing of the rotor's controls: their work is
     the disc's; and where the disc follows its controls, the disc says nothing of the others.
     """
     rows = tuple(AT_ONCE) if row in (*FLAPPING, *AT_ONCE) else (*FORCES, *MOMENTS)
     here, there = (_likeness(rows, onset, side, does) for side in (left, unseen))
-    best = max(here, key=lambda control: abs(here[control]), default=None)
-    if best is None or here[best] * there[best] <= 0.0:
+    if not there:
         return None
-    return best if min(here[best] ** 2, there[best] ** 2) >= LIKE else None
+    alike = [control for control in here if here[control] ** 2 >= LIKE]
+    if len(alike) != 1:
+        return None
+    one = alike[0]
+    return one if here[one] * there[one] > 0.0 and there[one] ** 2 >= LIKE else None
 
 
 def _likeness(rows: Sequence[str], onset: float, side: LeftOver, does: Deflected) -> dict[str, float]:
@@ -72,7 +79,7 @@ def _likeness(rows: Sequence[str], onset: float, side: LeftOver, does: Deflected
         size = (tried @ known) / (tried @ tried).clamp_min(1e-300)
         units.append(tried.norm() / (known - size * tried).norm().clamp_min(1e-300))
         steps.append(size * units[-1])
-    if not told:
+    if len(told) < 2:  # one equation is like any control
         return {}
     found, unit = torch.stack(steps), torch.stack(units)
     made = {c: torch.tensor([own[row] for row in told], dtype=torch.float64) * unit for c, own in does.items()}

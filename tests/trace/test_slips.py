@@ -55,6 +55,14 @@ def test_a_model_without_controls_that_do_anything_tells_none():
     assert slipped("N", 6.0, here, here, {"ped": {}}) is None
 
 
+def test_where_two_controls_make_it_alike_none_is_told():
+    here = stepped(of(PED, 0.2))
+    both = DOES | {"tail": of(PED, -0.5)}
+    assert slipped("N", 6.0, here, here, both) is None
+    alone = {name: {"N": own["N"]} for name, own in DOES.items() if name == "ped"}
+    assert slipped("N", 6.0, here, here, alone) is None
+
+
 def test_a_step_of_the_disc_is_told_by_the_disc_alone():
     here = stepped(of(PED, 0.2))
     tilted = torch.cat([here.residual, left("L", None, 0.3).residual[:, :3]], dim=1)
@@ -78,6 +86,9 @@ def test_what_controls_do_are_the_derivatives_of_the_model():
 
 
 def test_controls_drive_the_disc_of_a_model_whose_flapping_lags():
-    does = deflected(with_values(build(helicopter_spec()), {"rotor.b1.lat": 8.0}))
-    assert {*does["lat"]} == {*FORCES, *MOMENTS, *AT_ONCE}
-    assert does["lat"]["b1 at once"] == pytest.approx(8.0)
+    spec = helicopter_spec()
+    second = spec.with_effects("rotor.flap_second_order"), {"rotor.flap_second_order.share": 1.0}
+    for known, values in ((spec, {}), second):
+        does = deflected(with_values(build(known), {"rotor.b1.lat": 8.0, **values}))
+        assert {*does["lat"]} == {*FORCES, *MOMENTS, *AT_ONCE}
+        assert does["lat"]["b1 at once"] == pytest.approx(8.0)
