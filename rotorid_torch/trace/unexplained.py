@@ -75,16 +75,16 @@ def unknown(
     row, found = _source(best, same, left), beside or best
     where, band, size = AT_ONCE.get(row, row), _band(left, row), _size(left, row, told)
     unit = "m/s2" if where in FORCES else "rad/s2" if where in MOMENTS else "rad/s"
-    control = slipped(row, found.since_s, left, unseen, does) if found.since_s and found.goes_with == TIME else None
-    goes_with = control or found.goes_with
+    control = slipped(row, found.since_s or 0.0, left, unseen, does) if found.goes_with == TIME else None
+    if control is not None:
+        found = replace(found, goes_with=control, shape="a step that it would make")
     how = " and a step" if beside else f" ({found.shape})" if found.shape else ""
-    how = " (a step that it would make)" if control else how
     began = "" if found.since_s is None else f", since {found.since_s:.1f} s into the flights"
     said = (
         f"Something is missing in {where}: {size:.2g} {unit} rms at {band[0]:.2g} to {band[1]:.2g} Hz go with"
-        f" {goes_with}{how}{began}; no effect of the library explains it."
+        f" {found.goes_with}{how}{began}; no effect of the library explains it."
     )
-    return Unknown(where, band, goes_with, found.since_s, said)
+    return Unknown(where, band, found.goes_with, found.since_s, said)
 
 
 def _source(best: Trace, same: Sequence[Trace], left: LeftOver) -> str:
