@@ -195,9 +195,9 @@ def _moved(model: Model, effects: Sequence[str]) -> Iterator[None]:
 
 def _residual(model: Model, seen: Measured, flapping: Sequence[str], dt: float) -> Tensor:
     """Forces and moments that step 1 found, and flapping rates, less the model's [T, rows]; zero where unseen."""
-    found = [seen.specific - _loads(_on_measured(model, seen.signals))]
+    found = [seen.specific - loads(on_measured(model, seen.signals))]
     if flapping:
-        law = _on_measured(model, seen.signals, {SECOND_ORDER: 0.0})  # whose rates are states would follow the measured
+        law = on_measured(model, seen.signals, {SECOND_ORDER: 0.0})  # whose rates are states would follow the measured
         rates = torch.stack([law.rates[n] for n in flapping], dim=-1)
         found.append(torch.gradient(_stacked(seen.signals, flapping), spacing=dt, dim=0)[0] - rates)
     return torch.cat(found, dim=-1).nan_to_num(0.0)
@@ -208,7 +208,7 @@ def _stacked(signals: Mapping[str, Tensor], names: Sequence[str]) -> Tensor:
     return torch.stack([signals.get(n, torch.full_like(signals["p"], torch.nan)) for n in names], dim=-1)
 
 
-def _on_measured(model: Model, signals: Mapping[str, Tensor], other: Mapping[str, float] | None = None) -> Frame:
+def on_measured(model: Model, signals: Mapping[str, Tensor], other: Mapping[str, float] | None = None) -> Frame:
     """What a model makes of measured signals, its own states being those signals too; with other values of some."""
     names, controls = model.layout.names, model.body.controls
     usual = torch.tensor([model.reference.get(n, 0.0) for n in names], dtype=torch.float64)
@@ -223,7 +223,7 @@ def _on_measured(model: Model, signals: Mapping[str, Tensor], other: Mapping[str
         return model.frame(theta, x, u)[0]
 
 
-def _loads(frame: Frame) -> Tensor:
+def loads(frame: Frame) -> Tensor:
     """Specific forces and angular accelerations by the external moment [T, 6]."""
     none = torch.zeros(len(frame.signals["p"]), 3, dtype=torch.float64)
     force = none if frame.force is None else frame.force

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import torch
-from torch import Tensor
 
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS
 from rotorid_torch.model.model import Model
-from rotorid_torch.trace.residual import AT_ONCE, SECOND_ORDER, LeftOver
+from rotorid_torch.trace.residual import AT_ONCE, SECOND_ORDER, LeftOver, loads, on_measured
 
 LIKE = 0.9
 """Part of the square of the steps in all equations that one control's deflection must make.
@@ -24,30 +23,18 @@ Deflected = Mapping[str, Mapping[str, float]]
 
 
 def deflected(model: Model) -> Deflected:
-    """What a model's controls do at its reference: forces, moments, and the rates of the flapping that it follows."""
-    usual = [
-        torch.tensor([model.reference.get(n, 0.0) for n in names], dtype=torch.float64)
-        for names in (model.layout.names, model.body.controls)
-    ]
-
-    theta = model.theta.detach().clone()
-    if SECOND_ORDER in model.parameter_set.names:  # whose rates are states
-        theta[model.parameter_set.index(SECOND_ORDER)] = 0.0
-
-    def rows(u: Tensor) -> dict[str, float]:
-        with torch.no_grad():
-            frame = model.frame(theta, usual[0], u)[0]
-        found = {}
-        for names, loads in ((FORCES, frame.force), (MOMENTS, frame.moment)):
-            found |= {} if loads is None else dict(zip(names, loads.tolist(), strict=True))
-        return found | {row: float(frame.rates[n]) for row, n in AT_ONCE.items() if n in frame.rates}
-
-    by = DEFLECTION * torch.eye(len(usual[1]), dtype=torch.float64)
-    pairs = [(rows(usual[1] + one), rows(usual[1] - one)) for one in by]
-    return {
-        control: {row: (up[row] - down[row]) / (2.0 * DEFLECTION) for row in up}
-        for control, (up, down) in zip(model.body.controls, pairs, strict=True)
-    }
+    """What a model's controls do at its reference: forces, moments, and the rates of a disc that follows them."""
+    controls = model.body.controls
+    one = DEFLECTION * torch.eye(len(controls), dtype=torch.float64)
+    moved = dict(zip(controls, torch.cat([one, -one]).mT, strict=True))
+    still = torch.zeros(2 * len(controls), dtype=torch.float64)
+    signals = {n: moved.get(n, still) + model.reference.get(n, 0.0) for n in (*model.layout.names, *controls)}
+    frame = on_measured(model, signals, {SECOND_ORDER: 0.0})
+    made = dict(zip((*FORCES, *MOMENTS), loads(frame).mT, strict=True))
+    made |= {row: frame.rates[n] for row, n in AT_ONCE.items() if n in frame.rates}
+    up, down = torch.stack([*made.values()], dim=1).chunk(2)
+    slopes = ((up - down) / (2.0 * DEFLECTION)).tolist()
+    return {control: dict(zip(made, slope, strict=True)) for control, slope in zip(controls, slopes, strict=True)}
 
 
 def slipped(row: str, onset: float, left: LeftOver, unseen: LeftOver, does: Deflected) -> str | None:
@@ -58,13 +45,9 @@ def slipped(row: str, onset: float, left: LeftOver, unseen: LeftOver, does: Defl
     """
     rows = tuple(AT_ONCE) if row in (*FLAPPING, *AT_ONCE) else (*FORCES, *MOMENTS)
     here, there = (_likeness(rows, onset, side, does) for side in (left, unseen))
-    if not there:
-        return None
     alike = [control for control in here if here[control] ** 2 >= LIKE]
-    if len(alike) != 1:
-        return None
-    one = alike[0]
-    return one if here[one] * there[one] > 0.0 and there[one] ** 2 >= LIKE else None
+    again = [c for c in alike if here[c] * there.get(c, 0.0) > 0.0 and there[c] ** 2 >= LIKE]
+    return again[0] if alike == again and len(again) == 1 else None
 
 
 def _likeness(rows: Sequence[str], onset: float, side: LeftOver, does: Deflected) -> dict[str, float]:

@@ -82,7 +82,7 @@ def test_what_controls_do_are_the_derivatives_of_the_model():
         if by in does:
             assert does[by][row] == pytest.approx(value, rel=1e-6)
     assert does["ped"]["L"] == pytest.approx(0.0, abs=1e-9)
-    assert set(deflected(rate_vehicle())["lon"]) == {*MOMENTS}
+    assert {row for row, value in deflected(rate_vehicle())["lon"].items() if abs(value) > 1e-9} == {"M"}
 
 
 def test_controls_drive_the_disc_of_a_model_whose_flapping_lags():
