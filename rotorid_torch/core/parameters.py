@@ -18,7 +18,8 @@ class Parameter:
     before the physics behind `value` objects; infinite where there is no such physics. `typical` is a size at which an
     effect is usually met: where tracing starts; `met`: other sizes it is met at, where a little of it does nothing and
     twice as much is not twice the change (a rate limit). `tried`: values that it starts from, where one start does not
-    lead to another (the length of a pendulum).
+    lead to another (the length of a pendulum). `nuisance`: how flights begin, no size of anything; any value within
+    the bounds is physics.
     """
 
     name: str
@@ -31,6 +32,7 @@ class Parameter:
     typical: float = 0.0
     met: tuple[float, ...] = ()
     tried: tuple[float, ...] = ()
+    nuisance: bool = False
 
     def __post_init__(self) -> None:
         low, high = self.bounds

@@ -6,7 +6,9 @@ are held at zero unless they are freed, or the spec has the effect act on each c
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
 
 import torch
 from torch import Tensor
@@ -22,6 +24,8 @@ LONGEST = 0.25
 """s: no control path is slower."""
 EXCURSION = 0.02
 """rad: rms of a control about trim in flight tests, where the flights do not tell."""
+NONE: Mapping[str, float] = MappingProxyType({})
+"""Sizes of no controls."""
 
 
 def per_control(p: Values, common: str, names: tuple[str, ...]) -> Tensor:
@@ -31,16 +35,26 @@ def per_control(p: Values, common: str, names: tuple[str, ...]) -> Tensor:
     return torch.stack([s + p[n] if n in p.names else s for s, n in zip(shared, names, strict=True)], dim=-1)
 
 
-def excursion(spec: ModelSpec) -> float:
-    """Mean of the controls' rms excursions, in the controls' unit."""
-    return sum(spec.sizes.get(c, EXCURSION) for c in spec.controls) / len(spec.controls)
+def excursions(spec: ModelSpec) -> dict[str, float]:
+    """The controls' rms excursions, in the controls' unit."""
+    return {c: spec.sizes.get(c, EXCURSION) for c in spec.controls}
 
 
-def _each(common: Parameter, controls: tuple[str, ...], alone: bool, least: float = 0.0) -> tuple[Parameter, ...]:
-    """The parameter of all controls and each one's own: the former free, or where they act alone the latter."""
-    bounds = 0.0 if alone else least, common.bounds[1]
-    own = (replace(common, name=c, bounds=bounds, free=alone, doc=f"{common.doc}: {c}, added") for c in controls)
-    return (replace(common, free=not alone), *own)
+def _mean(sizes: Mapping[str, float]) -> float:
+    return sum(sizes.values()) / len(sizes) if sizes else EXCURSION
+
+
+def _each(common: Parameter, own: Mapping[str, Parameter], alone: bool, least: float = 0.0) -> tuple[Parameter, ...]:
+    """The parameter of all controls and each one's own: the former free, or where they act alone the latter.
+
+    None has less of a range than all in common.
+    """
+    low, most = 0.0 if alone else least, common.bounds[1]
+    added = (
+        replace(p, name=c, bounds=(low, max(most, p.bounds[1])), free=alone, doc=f"{p.doc}: {c}, added")
+        for c, p in own.items()
+    )
+    return (replace(common, free=not alone), *added)
 
 
 @register
@@ -57,7 +71,7 @@ class ControlDelay(Effect):
     def __init__(self, controls: tuple[str, ...] = (), alone: bool = False) -> None:
         common = Parameter("common", 0.0, "s", (0.0, LONGEST), doc="delay of every control", typical=0.06)
         # a control may be less late than the others, or in a model that lacks something lead
-        super().__init__(_each(common, controls, alone, -LONGEST))
+        super().__init__(_each(common, dict.fromkeys(controls, common), alone, -LONGEST))
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> ControlDelay:
@@ -82,7 +96,7 @@ class ControlLag(Effect):
 
     def __init__(self, controls: tuple[str, ...] = (), alone: bool = False) -> None:
         common = Parameter("common", 0.0, "s", (0.0, 2 * LONGEST), doc="time constant of every control", typical=0.06)
-        super().__init__(_each(common, controls, alone))
+        super().__init__(_each(common, dict.fromkeys(controls, common), alone))
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> ControlLag:
@@ -105,26 +119,20 @@ class RateLimit(Effect):
 
     id, stage, role = "control.rate_limit", Stage.CONTROL, Role.UNDECLARED
 
-    def __init__(
-        self, controls: tuple[str, ...] = (), size: float = EXCURSION, unit: str = "rad", alone: bool = False
-    ) -> None:
-        per = {"rad": "s/rad", "m": "s/m"}.get(unit, "s")
-        common = Parameter(
-            "inverse",
-            0.0,
-            per,
-            (0.0, 2.0 / size),
-            doc="one over the greatest rate of every control",
-            typical=0.1 / size,
-            met=(0.025 / size,),
-        )
-        super().__init__(_each(common, controls, alone))
+    def __init__(self, sizes: Mapping[str, float] = NONE, unit: str = "rad", alone: bool = False) -> None:
+        per, doc = {"rad": "s/rad", "m": "s/m"}.get(unit, "s"), "one over the greatest rate of every control"
+
+        def at(size: float) -> Parameter:
+            sized, bounds = 0.1 / size, (0.0, 2.0 / size)
+            return Parameter("inverse", 0.0, per, bounds, doc=doc, typical=sized, met=(0.25 * sized,))
+
+        super().__init__(_each(at(_mean(sizes)), {c: at(size) for c, size in sizes.items()}, alone))
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> RateLimit:
         """With the controls of the vehicle; scaled by their excursions."""
         unit = spec.control_units.get(spec.controls[0], "rad")
-        return cls(spec.controls, excursion(spec), unit, cls.id in spec.each_control)
+        return cls(excursions(spec), unit, cls.id in spec.each_control)
 
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Controls [..., T, nu], each followed no faster than its limit."""
@@ -135,27 +143,35 @@ class RateLimit(Effect):
 class Backlash(Effect):
     """Play in the control linkages: a control that turns round must first cross it.
 
-    u_rotor stays within width/2 of u, and moves only when pushed; it starts in the middle. The noise of the
-    record does not push it: it follows the record smoothed over 0.1 s.
+    u_rotor stays within width/2 of u, and moves only when pushed. Where in the play each control stands when a flight
+    begins, -1 to 1 of half the width, is a parameter of its own, one for all flights: they begin at the same trim. The
+    noise of the record does not push the linkage: it follows the record smoothed over 0.1 s.
 
     Source: Nordin and Gutman (2002), Automatica 38, Controlling mechanical systems with backlash.
     """
 
     id, stage, role = "control.backlash", Stage.CONTROL, Role.UNDECLARED
 
-    def __init__(
-        self, controls: tuple[str, ...] = (), size: float = EXCURSION, unit: str = "rad", alone: bool = False
-    ) -> None:
+    def __init__(self, sizes: Mapping[str, float] = NONE, unit: str = "rad", alone: bool = False) -> None:
         own = unit if unit in ("rad", "m") else "1"
-        common = Parameter("width", 0.0, own, (0.0, 2.0 * size), doc="play of every control", typical=0.4 * size)
-        super().__init__(_each(common, controls, alone))
+
+        def at(size: float) -> Parameter:
+            return Parameter("width", 0.0, own, (0.0, 2.0 * size), doc="play of every control", typical=0.4 * size)
+
+        places = (
+            Parameter(f"place.{c}", 0.0, "1", (-1.0, 1.0), doc=f"where in its play {c} stands at first", nuisance=True)
+            for c in sizes
+        )
+        super().__init__((*_each(at(_mean(sizes)), {c: at(size) for c, size in sizes.items()}, alone), *places))
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> Backlash:
         """With the controls of the vehicle; scaled by their excursions."""
         unit = spec.control_units.get(spec.controls[0], "rad")
-        return cls(spec.controls, excursion(spec), unit, cls.id in spec.each_control)
+        return cls(excursions(spec), unit, cls.id in spec.each_control)
 
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Controls [..., T, nu], each through its play."""
-        return with_play_behind_noise(record, per_control(p, "width", names), dt)
+        middle = torch.zeros_like(p["width"])
+        places = torch.stack([p[f"place.{n}"] if f"place.{n}" in p.names else middle for n in names], dim=-1)
+        return with_play_behind_noise(record, per_control(p, "width", names), dt, places)

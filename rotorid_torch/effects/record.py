@@ -14,11 +14,10 @@ from torch import Tensor
 
 SHARPNESS = 8
 """Power of the smooth switches: a rate at its limit is cut to 0.92 of it, one at half the limit by 0.05 %."""
-EDGE = 32
-"""Power of the smooth edges of a play: softer ones would creep from sample to sample."""
+EDGE = 0.02
+"""Share of half a play over which its edges are rounded, to either side; within them nothing moves."""
 NOTHING = 1e-12
-"""Keeps a quotient of a play and of what lies in it from being nothing over nothing."""
-
+"""Keeps the rounding of no play from being nothing over nothing."""
 
 QUIET_S = 0.1
 """s over which the noise of a record is taken out before a play, whose edges would follow the largest of it."""
@@ -85,28 +84,33 @@ def rate_limited(record: Tensor, inverse: Tensor, dt: float) -> Tensor:
     return _followed(record, inverse, follow)
 
 
-def with_play(record: Tensor, width: Tensor) -> Tensor:
-    """The record passed through a linkage with a play of this width, from the middle of it; edges are smoothed.
+def with_play(record: Tensor, width: Tensor, place: Tensor | None = None) -> Tensor:
+    """The record passed through a linkage with a play of this width; edges are smoothed.
 
-    y[k] = u[k] - d g, g = h/(h^32 + d^32)^(1/32), d = u[k] - y[k-1], h half the width. Deep inside the play nothing
-    moves; near its edge the sample creeps back, to 0.9 of the play within tens of samples.
+    place : where the linkage stands in the play at first, as a share of half of it from the middle, -1 to 1; without
+    one in the middle. Either way it starts as the record does: what trims the vehicle there is the linkage.
 
-    Source: Nordin and Gutman (2002), Automatica 38 (backlash as a hysteresis); the smoothing is ours.
+    y[k] = u[k] - s(d), d = u[k] - y[k-1]: s is d inside the play and half of the play h beyond it, with a parabola from
+    one to the other over h (1 - 0.02) to h (1 + 0.02).
+
+    Source: Nordin and Gutman (2002), Automatica 38 (backlash as a hysteresis); the rounding is ours.
     """
 
     def follow(y: Tensor, u: Tensor, width: Tensor) -> tuple[Tensor, Tensor]:
         half, d = 0.5 * width, u - y
-        large = torch.maximum(d.abs(), half).clamp(min=NOTHING)
-        share = torch.minimum(d.abs(), half) / large
-        for _ in range(5):
-            share = share.square()
-        g = half / large * (1.0 + share) ** (-1.0 / EDGE)
-        return u - d * g, g ** (EDGE + 1)
+        edge, far = (EDGE * half).clamp(min=NOTHING), d.abs()
+        pushed = (0.5 * (far - half) / edge + 0.5).clamp(0.0, 1.0)
+        left = torch.where(pushed < 1.0, far - edge * pushed.square(), half)
+        return u - d.sign() * left, 1.0 - pushed
 
-    return _followed(record, width, follow)
+    if place is None:
+        return _followed(record, width, follow)
+    out = (0.5 * width * place).unsqueeze(-2)
+    record = record + 0.0 * out
+    return _followed(torch.cat([record[..., :1, :] + out, record], dim=-2), width, follow)[..., 1:, :] - out
 
 
-def with_play_behind_noise(record: Tensor, width: Tensor, dt: float) -> Tensor:
+def with_play_behind_noise(record: Tensor, width: Tensor, dt: float, place: Tensor | None = None) -> Tensor:
     """The record with what a play of this width changes of it: that of the record without most of its noise.
 
     Noise of the recording moves no linkage. A play that followed it would be pushed by the largest of it, to both
@@ -114,7 +118,7 @@ def with_play_behind_noise(record: Tensor, width: Tensor, dt: float) -> Tensor:
     smoothed over several samples is small; motion faster than some 4 Hz is taken for noise too.
     """
     quiet = smoothed(record, 2 * int(0.5 * QUIET_S / dt + 1e-6) + 1)
-    return record + (with_play(quiet, width) - quiet)
+    return record + (with_play(quiet, width, place) - quiet)
 
 
 def smoothed(record: Tensor, width: int) -> Tensor:

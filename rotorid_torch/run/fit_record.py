@@ -71,7 +71,7 @@ def parameter_records(model: Model, step3: Step3) -> tuple[ParameterRecord, ...]
     for k, declared in enumerate(model.parameter_set.parameters):
         i = place.get(declared.name)
         blind = i is not None and bool(minimum.not_identifiable[i])
-        status: Status = "frozen" if i is None else "not identifiable" if blind else "free"
+        estimated: Status = "nuisance" if declared.nuisance else "not identifiable" if blind else "free"
         made.append(
             ParameterRecord(
                 name=declared.name,
@@ -80,7 +80,7 @@ def parameter_records(model: Model, step3: Step3) -> tuple[ParameterRecord, ...]
                 unit=declared.unit,
                 bounds=declared.bounds,
                 at_bound=i is not None and bool(minimum.at_bound[i]),
-                status=status,
+                status="frozen" if i is None else estimated,
             )
         )
     return tuple(made)

@@ -31,7 +31,8 @@ def of_sensors(found: KinematicFinding) -> Finding:
 
 def as_fitted(finding: Finding, after: Run | None) -> Finding:
     """The finding with the values of the fit after, where that estimated them: sentence and tables say the same."""
-    values = {p.name: (p.value, p.se) for p in _fitted(finding, after) if p.value is not None and p.se is not None}
+    sizes = [p for p in _fitted(finding, after) if p.status != "nuisance"]
+    values = {p.name: (p.value, p.se) for p in sizes if p.value is not None and p.se is not None}
     return replace(finding, values=values) if values else finding
 
 

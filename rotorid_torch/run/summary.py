@@ -195,7 +195,8 @@ def _steps_of_responses(fit: FitRecord, traced: bool) -> Iterator[str]:
 
 def at_an_edge(parameters: Iterable[ParameterRecord]) -> list[str]:
     """Parameters on a bound of their range; nothing of something and a time too short to be seen are no such bounds."""
-    return [p.name for p in parameters if p.at_bound and not (p.value == p.bounds[0] == 0.0 or _unresolved(p))]
+    told = (p for p in parameters if p.at_bound and p.status != "nuisance")
+    return [p.name for p in told if not (p.value == p.bounds[0] == 0.0 or _unresolved(p))]
 
 
 def at_once(parameters: Iterable[ParameterRecord]) -> list[str]:

@@ -27,7 +27,8 @@ AWAY = math.log(10.0)
 TIMES = frozenset({"control.delay", "control.lag"})
 """Effects that stand in for each other where they are short."""
 CLOSE = 0.05
-"""Share of the gain of one of them that tells nothing of which it is: what else a model lacks moves both by as much."""
+"""Share of the gain of one of them that tells nothing of which it is: what else a model lacks moves both by as much.
+Beside any effect of the control path another one is to explain more than that."""
 
 
 def unseen_gain(null: Fitted, candidate: Fitted) -> Tensor:
@@ -39,6 +40,11 @@ def free_run_gain(null: Fitted, candidate: Fitted) -> Tensor:
     """log(J without / J with) of the free runs of each of these flights that has them [F]."""
     found = (null.free_runs / candidate.free_runs).log()
     return found[~found.isnan()]
+
+
+def astray(fitted: Fitted) -> bool:
+    """Whether free runs of flights that no fit has seen go worse, in the mean, than if nothing had moved."""
+    return bool(fitted.free_runs.log().nanmean() > 0.0)
 
 
 def gain(null: Fitted, candidate: Fitted) -> float:
@@ -144,7 +150,7 @@ def at_edge(model: Model, effect: str) -> str | None:
     """
     for parameter, value in zip(model.parameter_set.parameters, model.named_values.values(), strict=True):
         on = [b for b in parameter.bounds if math.isclose(value, b, rel_tol=1e-9) and b not in (0.0, parameter.value)]
-        if parameter.name.startswith(f"{effect}.") and parameter.free and on:
+        if parameter.name.startswith(f"{effect}.") and parameter.free and not parameter.nuisance and on:
             return f"{parameter.name} = {value:.3g} lies at the edge of its range"
     return None
 
@@ -219,6 +225,7 @@ def _is_undeclared(effect: str) -> bool:
 
 
 def errors(candidate: Fitted, effect: str, spread: Mapping[str, float]) -> dict[str, tuple[float, float]]:
-    """Parameters of an effect with their standard errors, no smaller than their scatter over flights and controls."""
-    own = {n: v for n, v in candidate.values.items() if n.startswith(f"{effect}.")}
-    return {n: (v, max(candidate.error(n), spread.get(n, 0.0))) for n, v in own.items()}
+    """Sizes of an effect with their standard errors, no smaller than their scatter over flights and controls."""
+    declared = candidate.model.parameter_set.parameters
+    own = [p.name for p in declared if p.name.startswith(f"{effect}.") and not p.nuisance]
+    return {n: (candidate.values[n], max(candidate.error(n), spread.get(n, 0.0))) for n in own}

@@ -14,6 +14,7 @@ from itertools import groupby
 import torch
 from torch import Tensor
 
+from rotorid_torch.identification.step2 import regress_model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.fits import Fitted
 from rotorid_torch.trace.floor import FALSE_ALARMS
@@ -33,17 +34,20 @@ class Seen:
     start: Mapping[str, float]
 
 
-def seen_in_forces(null: Fitted, accepted: Sequence[str], effects: Sequence[str], seed: int) -> dict[str, Seen]:
-    """What those of these effects that have parameters which are tried at several values explain in forces.
+def seen_in_forces(
+    null: Fitted, accepted: Sequence[str], effects: Sequence[str], seed: int, whole: bool = False
+) -> dict[str, Seen]:
+    """What these effects explain in forces.
 
     accepted : effects of the null that have a name. seed : of the residuals that know nothing of the motion.
+    whole : all of these effects; else those alone that have parameters which are tried at several values.
     """
     flights, found = null.flights, {}
     over: LeftOver | None = None
     for effect in effects:
         model = build(null.spec.with_effects(effect))
         model.start_from(null.values)
-        own = [one for one in signatures(model, [effect]) if one.beside]
+        own = [one for one in signatures(model, [effect]) if whole or one.beside]
         if not own:
             continue
         listed = flights.dataset, flights.reconstruction, flights.dataset.identify
@@ -63,6 +67,18 @@ def seen_in_forces(null: Fitted, accepted: Sequence[str], effects: Sequence[str]
         by_chance = torch.quantile(table[:, 1:].amax(dim=0), 1.0 - FALSE_ALARMS, interpolation="higher")
         found[effect] = Seen(float(table[best, 0]), float(by_chance), starts[best])
     return found
+
+
+def derivatives_beside(null: Fitted, effect: str, own: Mapping[str, float], held: Sequence[str]) -> dict[str, float]:
+    """The parameters of a null with an effect of this size, derivatives found anew beside it on the measured motion.
+
+    held : parameters that keep their values.
+    """
+    model = build(null.spec.with_effects(effect))
+    model.start_from({**null.values, **own})
+    found = regress_model(model, null.flights.dataset, null.flights.reconstruction).theta
+    anew = dict(zip(model.parameter_set.names, found.tolist(), strict=True))
+    return {n: v for n, v in anew.items() if n not in held}
 
 
 def _explained(over: LeftOver, changes: Tensor, variant: Sequence[Signature], seed: int) -> tuple[Tensor, Tensor]:

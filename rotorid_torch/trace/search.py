@@ -14,7 +14,9 @@ from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.trace.by_control import by_control, sizes_of_each
 from rotorid_torch.trace.candidates import of_control_path
 from rotorid_torch.trace.decide import (
+    CLOSE,
     TIMES,
+    astray,
     errors,
     gain,
     not_joined,
@@ -28,7 +30,7 @@ from rotorid_torch.trace.decide import (
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.fits import BEGINNING, CAREFUL, Fitted, Flights, control_by_control, refit
 from rotorid_torch.trace.floor import Floors
-from rotorid_torch.trace.forces import seen_in_forces
+from rotorid_torch.trace.forces import derivatives_beside, seen_in_forces
 from rotorid_torch.trace.places import explained_trims
 from rotorid_torch.trace.screen import Screen, screen
 from rotorid_torch.trace.significance import helps
@@ -263,7 +265,9 @@ class Search:
             self.hot.update((*promising, *starts))
             if starts:  # what the null may still gain by itself is no candidate's
                 null = self.settled(null, min(floors[e] for e in starts))
-            fitted = self.with_each(null, starts, floors, each)
+            fitted = self.with_each(null, self._with_derivatives(null, starts, each), floors, each)
+            if astray(null):
+                floors = floors | self._loose_or_slow(null, accepted, fitted)
             least = min(floors.values(), default=0.0)
             better = self.improved(null, fitted, least)
             joined = self._joining(better, fitted, floors)
@@ -307,7 +311,7 @@ class Search:
         common = self.screened(null, effects)
         screens, path, self.each_floor = dict.fromkeys(effects, common), of_control_path(effects), {}
         if not path or len(null.spec.controls) < 2 or of_control_path(accepted):
-            return screens, self.floors.of(common, effects), []
+            return screens, self._beside(accepted, self.floors.of(common, effects)), []
         alone = self.screened(control_by_control(null, path), path)
         floors, own = self.floors.with_each_control(common, effects, alone, path)
         self.each_floor = own
@@ -319,12 +323,51 @@ class Search:
         self.alone.update({e: own[e] for e in each})
         return screens | dict.fromkeys(each, alone), floors | {e: own[e] for e in each}, each
 
+    def _beside(self, accepted: Sequence[str], floors: Mapping[str, float]) -> dict[str, float]:
+        """Floors beside what is accepted: how sharp a limit or a play is, no one knows.
+
+        What such a one is rounded by looks like another effect of the control path, by a share of what it explains.
+        """
+        shape = CLOSE * max((self.gained[e][0] for e in of_control_path(accepted) if e in self.gained), default=0.0)
+        return {e: max(floor, shape) if of_control_path([e]) else floor for e, floor in floors.items()}
+
     def seen_in_forces(
         self, null: Fitted, accepted: Sequence[str], effects: Sequence[str]
     ) -> dict[str, Mapping[str, float]]:
         """Starts of effects that explain more of forces than by chance, and than on clean aircraft."""
         seen, usual = seen_in_forces(null, accepted, effects, self.seed), self.floors.of_forces()
         return {e: one.start for e, one in seen.items() if one.gain > max(one.chance, usual.get(e, 0.0))}
+
+    def _with_derivatives(
+        self, null: Fitted, starts: Mapping[str, Sequence[Mapping[str, float]]], each: Sequence[str]
+    ) -> dict[str, list[Mapping[str, float]]]:
+        """The starts, those of plays and slew limits once more with derivatives found anew beside them.
+
+        They are far from the straight lines of the screen, and derivatives that imitate them lead astray.
+        """
+        found = {e: list(own) for e, own in starts.items()}
+        for e in of_control_path(e for e in starts if e not in TIMES):
+            apart = control_by_control(null, [e] if e in each else [])
+            found[e] += [derivatives_beside(apart, e, own, self.held) for own in starts[e]]
+        return found
+
+    def _loose_or_slow(self, null: Fitted, accepted: Sequence[str], fitted: dict[str, Fitted]) -> dict[str, float]:
+        """Fits with plays or slew limits of each control that explain more of forces than by chance, where better.
+
+        They join those fitted; their floors are returned. Where the model flies astray, the screen, which is about its
+        trajectories, says nothing of them.
+        """
+        asked = [e for e in self.each_floor if e not in TIMES]
+        apart = control_by_control(null, asked)
+        seen = seen_in_forces(apart, accepted, asked, self.seed, whole=True)
+        starts = {
+            e: [derivatives_beside(apart, e, one.start, self.held)] for e, one in seen.items() if one.gain > one.chance
+        }
+        found = self.with_each(null, starts, self.each_floor, asked)
+        better = {e: one for e, one in found.items() if e not in fitted or one.cost < fitted[e].cost}
+        fitted.update(better)
+        self.hot.update(better)
+        return {e: self.each_floor[e] for e in better}
 
     def _joining(self, null: Fitted, fitted: Mapping[str, Fitted], floors: Mapping[str, float]) -> str | None:
         """The effect that joins in this round, and in its group those that explain as much."""

@@ -88,15 +88,29 @@ def test_limit_and_play_of_a_whole_record_are_those_of_one_sample_after_the_othe
         torch.testing.assert_close(found, torch.stack(rows), rtol=1e-12, atol=1e-12)
 
 
-def test_play_swallows_a_turn_and_then_drags():
-    record = (0.1 * torch.sin(math.pi * TIME))[:, None]
-    found = with_play(record, one(0.04))[:, 0]
-    hard, y = [], 0.0
+@pytest.mark.parametrize("place", [0.0, 0.7, -1.0])
+def test_play_swallows_a_turn_and_then_drags_from_where_it_stands(place: float):
+    record = 0.3 + (0.1 * torch.sin(math.pi * TIME))[:, None]
+    found = with_play(record, one(0.04), one(place))[:, 0]
+    hard, y = [], 0.3 + 0.02 * place
     for u in record[:, 0].tolist():
         y = min(max(y, u - 0.02), u + 0.02)
-        hard.append(y)
+        hard.append(y - 0.02 * place)
     assert float((found - torch.tensor(hard, dtype=torch.float64)).abs().max()) < 0.12 * 0.02
-    assert torch.equal(with_play(record, one(0.0)), record)
+    torch.testing.assert_close(with_play(record, one(0.0), one(place)), record, rtol=0, atol=1e-15)
+
+
+def test_a_play_in_the_middle_is_one_without_a_place():
+    record = noise(200, 2).cumsum(0)
+    torch.testing.assert_close(with_play(record, one(2.0), one(0.0)), with_play(record, one(2.0)))
+
+
+def test_derivatives_by_the_place_in_a_play_are_those_of_the_whole_record():
+    record, width = noise(60, 2).cumsum(0), torch.tensor([2.0, 3.0], dtype=torch.float64)
+    at = torch.tensor([0.4, -0.3], dtype=torch.float64)
+    path = partial(with_play, record, width)
+    differences = torch.stack([(path(at + d) - path(at - d)) / 2e-6 for d in 1e-6 * torch.eye(2, dtype=at.dtype)], -1)
+    torch.testing.assert_close(torch.func.jacfwd(path)(at), differences, atol=1e-5, rtol=1e-5)
 
 
 def test_noise_of_the_record_pushes_no_play():

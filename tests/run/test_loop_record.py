@@ -28,3 +28,12 @@ def test_sentence_and_table_tell_the_values_of_the_fit_after():
 def test_what_no_fit_after_estimated_keeps_the_values_that_were_traced():
     held = run(ParameterRecord(name=NAME, value=0.02, se=0.0, unit="s", status="frozen"))
     assert as_fitted(FOUND, held) == as_fitted(FOUND, None) == FOUND
+
+
+def test_where_a_play_stands_at_first_is_no_size_to_be_told():
+    play = Finding("control.backlash", "undeclared", "accepted", "why")
+    after = run(
+        ParameterRecord(name="control.backlash.width", value=0.02, se=0.001, unit="rad"),
+        ParameterRecord(name="control.backlash.place.lon", value=-1.0, se=0.01, unit="1", status="nuisance"),
+    )
+    assert list(as_fitted(play, after).values) == ["control.backlash.width"]

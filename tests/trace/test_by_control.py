@@ -78,3 +78,19 @@ def test_plays_that_differ_are_told_of_each_control():
     assert found.accepted == (play,)
     assert found.final.values[f"{play}.lon"] == pytest.approx(0.016, abs=0.003)
     assert found.final.values[f"{play}.lat"] == pytest.approx(0.008, abs=0.003)
+
+
+def test_a_play_that_stands_at_one_side_is_told_with_its_width():
+    play = "control.backlash"
+    sides = {f"{play}.place.lon": 0.9, f"{play}.place.lat": -0.8, f"{play}.place.ped": 0.9}
+    truth = with_values(rate_vehicle(effects=(play,)), {f"{play}.width": 0.012, **sides})
+    moves = manoeuvres(8.0, DT)
+    both = {**moves, **{f"{name}_again": -0.8 * move for name, move in moves.items()}}
+    lists = {"identify": list(moves), "validate": [f"{name}_again" for name in moves]}
+    found = traced(flown(truth, both, DT, noise=0.01, seed=3, lists=lists))
+    assert found.accepted == (play,)
+    assert found.final.values[f"{play}.width"] == pytest.approx(0.012, rel=0.1)
+    for name, place in sides.items():
+        assert found.final.values[name] == pytest.approx(place, abs=0.25)
+    told = next(f for f in found.findings if f.id == play)
+    assert not [name for name in told.values if ".place." in name]

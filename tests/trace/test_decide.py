@@ -10,7 +10,16 @@ import pytest
 import torch
 
 from rotorid_torch.core.parameters import Parameter
-from rotorid_torch.trace.decide import free_run_gain, not_joined, nothing, objection, rivals, smallest_visible
+from rotorid_torch.trace.decide import (
+    astray,
+    at_edge,
+    free_run_gain,
+    not_joined,
+    nothing,
+    objection,
+    rivals,
+    smallest_visible,
+)
 
 
 def screened(gain: float, shown: float, imitators: tuple[str, ...] = ()) -> Any:
@@ -150,3 +159,17 @@ def test_a_delay_and_a_lag_that_explain_nearly_the_same_are_not_told_apart(other
     them = {"control.delay": fitted(1.0, sizes), other: fitted(cost, sizes)}
     found = rivals(fitted(2.0, sizes), them, dict.fromkeys(them, 0.01), list(them))
     assert found == ("control.delay", [other] if near else [])
+
+
+@pytest.mark.parametrize(("nuisance", "edge"), [(False, True), (True, False)])
+def test_how_flights_begin_may_lie_at_the_edge_of_its_range(nuisance: bool, edge: bool):
+    place = Parameter("control.backlash.place.lon", 0.0, "1", (-1.0, 1.0), nuisance=nuisance)
+    model: Any = SimpleNamespace(
+        parameter_set=SimpleNamespace(parameters=(place,)), named_values={"control.backlash.place.lon": -1.0}
+    )
+    assert (at_edge(model, "control.backlash") is not None) == edge
+
+
+@pytest.mark.parametrize(("runs", "so"), [((0.2, 1e5), True), ((0.2, 2.0), False), ((math.nan, 3.0), True)])
+def test_a_model_that_does_worse_than_no_motion_flies_astray(runs: tuple[float, ...], so: bool):
+    assert astray(fitted(1.0, runs)) == so

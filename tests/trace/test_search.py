@@ -14,6 +14,7 @@ from rotorid_torch.trace.fits import CAREFUL, Fitted, refit
 from rotorid_torch.trace.floor import Floors
 from rotorid_torch.trace.search import Search
 from rotorid_torch.trace.spread import Wanted, fits
+from tests.known_models import rate_vehicle
 from tests.trace.hidden_flights import flights, started
 
 
@@ -135,3 +136,38 @@ def test_a_fit_that_fails_on_unseen_flights_begins_again_from_what_was_identifie
     assert asked[-1].start["control.delay.common"] == stuck.values["control.delay.common"]
     assert freed.cost < stuck.cost
     assert freed.values["control.delay.common"] == pytest.approx(0.06, abs=0.005)
+
+
+def test_plays_are_sought_on_the_measured_motion_with_derivatives_beside_them():
+    play = "control.backlash"
+    known, null = started(flights(play, control__backlash__width=0.012))
+    search = Search(known, (), Floors({}, ""), lambda line: None, 0, each_floor={play: 0.001, "control.lag": 0.001})
+    found: dict[str, Fitted] = {}
+    assert search._loose_or_slow(null, (), found) == {play: 0.001}
+    assert set(found) == {play}
+    for control in ("lon", "lat", "ped"):
+        assert found[play].values[f"{play}.{control}"] == pytest.approx(0.012, rel=0.05)
+    assert search._loose_or_slow(null, (), {play: replace(found[play], fit=found[play].fit)}) == {}
+    known, null = started(flights())
+    assert search._loose_or_slow(null, (), {}) == {}
+
+
+def test_a_play_begins_once_more_with_derivatives_beside_it():
+    play = "control.backlash"
+    _, null = started(flights(play, control__backlash__width=0.012))
+    search = Search(null.flights, (), Floors({}, ""), lambda line: None, 0)
+    starts = {play: [{f"{play}.width": 0.01}], "control.lag": [{"control.lag.common": 0.1}]}
+    found = search._with_derivatives(null, starts, [])
+    assert found["control.lag"] == starts["control.lag"]
+    first, again = found[play]
+    assert (first, again[f"{play}.width"]) == ({f"{play}.width": 0.01}, 0.01)
+    truth = rate_vehicle().named_values["forces.M.lon"]
+    assert abs(again["forces.M.lon"] - truth) < abs(null.values["forces.M.lon"] - truth)
+
+
+def test_beside_a_slew_limit_another_effect_of_the_control_path_is_to_explain_more_than_its_shape():
+    known, _ = started(flights())
+    search = Search(known, (), Floors({}, ""), lambda line: None, 0, gained={"control.rate_limit": (0.2, 0.001)})
+    floors = {"control.lag": 0.001, "control.delay": 0.02, "mass.slung_load": 0.001}
+    assert search._beside(["control.rate_limit"], floors) == floors | {"control.lag": pytest.approx(0.01)}
+    assert search._beside(["mass.slung_load"], floors) == floors
