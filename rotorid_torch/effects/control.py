@@ -24,6 +24,8 @@ LONGEST = 0.25
 """s: no control path is slower."""
 EXCURSION = 0.02
 """rad: rms of a control about trim in flight tests, where the flights do not tell."""
+STILL = 0.1
+"""Share of the mean excursion below which a control stands still."""
 NONE: Mapping[str, float] = MappingProxyType({})
 """Sizes of no controls."""
 
@@ -36,8 +38,9 @@ def per_control(p: Values, common: str, names: tuple[str, ...]) -> Tensor:
 
 
 def excursions(spec: ModelSpec) -> dict[str, float]:
-    """The controls' rms excursions, in the controls' unit."""
-    return {c: spec.sizes.get(c, EXCURSION) for c in spec.controls}
+    """The controls' rms excursions, in the controls' unit; of one that hardly moves as much as would tell."""
+    found = {c: spec.sizes.get(c, EXCURSION) for c in spec.controls}
+    return {c: max(size, STILL * _mean(found)) for c, size in found.items()}
 
 
 def _mean(sizes: Mapping[str, float]) -> float:

@@ -87,8 +87,8 @@ def rate_limited(record: Tensor, inverse: Tensor, dt: float) -> Tensor:
 def with_play(record: Tensor, width: Tensor, place: Tensor | None = None) -> Tensor:
     """The record passed through a linkage with a play of this width; edges are smoothed.
 
-    place : where the linkage stands in the play at first, as a share of half of it from the middle, -1 to 1; without
-    one in the middle. Either way it starts as the record does: what trims the vehicle there is the linkage.
+    place : where the linkage stands in the play at first, from the middle, 0, to the last places where nothing moves,
+    -1 and 1; without one in the middle. Either way it starts as the record does: what trims the vehicle is the linkage.
 
     y[k] = u[k] - s(d), d = u[k] - y[k-1]: s is d inside the play and half of the play h beyond it, with a parabola from
     one to the other over h (1 - 0.02) to h (1 + 0.02).
@@ -99,13 +99,13 @@ def with_play(record: Tensor, width: Tensor, place: Tensor | None = None) -> Ten
     def follow(y: Tensor, u: Tensor, width: Tensor) -> tuple[Tensor, Tensor]:
         half, d = 0.5 * width, u - y
         edge, far = (EDGE * half).clamp(min=NOTHING), d.abs()
-        pushed = (0.5 * (far - half) / edge + 0.5).clamp(0.0, 1.0)
+        pushed = (0.5 * (far - (1.0 - EDGE) * half) / edge).clamp(0.0, 1.0)
         left = torch.where(pushed < 1.0, far - edge * pushed.square(), half)
         return u - d.sign() * left, 1.0 - pushed
 
     if place is None:
         return _followed(record, width, follow)
-    out = (0.5 * width * place).unsqueeze(-2)
+    out = (0.5 * (1.0 - EDGE) * width * place).unsqueeze(-2)
     record = record + 0.0 * out
     return _followed(torch.cat([record[..., :1, :] + out, record], dim=-2), width, follow)[..., 1:, :] - out
 

@@ -31,8 +31,7 @@ def of_sensors(found: KinematicFinding) -> Finding:
 
 def as_fitted(finding: Finding, after: Run | None) -> Finding:
     """The finding with the values of the fit after, where that estimated them: sentence and tables say the same."""
-    sizes = [p for p in _fitted(finding, after) if p.status != "nuisance"]
-    values = {p.name: (p.value, p.se) for p in sizes if p.value is not None and p.se is not None}
+    values = {p.name: (p.value, p.se) for p in _fitted(finding, after) if p.value is not None and p.se is not None}
     return replace(finding, values=values) if values else finding
 
 
@@ -62,8 +61,9 @@ def effect_record(finding: Finding, model: Model, after: Run | None) -> EffectRe
 
 
 def _fitted(finding: Finding, after: Run | None) -> list[ParameterRecord]:
-    own = f"{finding.id}."
-    return [p for p in after.fit.parameters if p.name.startswith(own) and p.se] if after else []
+    """Sizes of the effect that the fit after estimated."""
+    known, own = after.fit.parameters if after else (), f"{finding.id}."
+    return [p for p in known if p.name.startswith(own) and p.se and p.status != "nuisance"]
 
 
 def _unit(model: Model, name: str) -> str:

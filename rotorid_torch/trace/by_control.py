@@ -62,7 +62,8 @@ def sizes_of_each(fitted: Fitted, effect: str) -> tuple[Parameter, dict[str, flo
     """
     declared = [p for p in fitted.model.parameter_set.parameters if p.name.startswith(f"{effect}.")]
     own = [f"{effect}.{c}" for c in fitted.spec.controls]
-    common, known = next((p for p in declared if p.name not in own), None), {p.name for p in declared}
+    sizes = [p for p in declared if not p.nuisance]
+    common, known = next((p for p in sizes if p.name not in own), None), {p.name for p in sizes}
     if common is None or not known.issuperset(own):
         return None
     return common, dict.fromkeys(own, fitted.values[common.name])

@@ -43,8 +43,8 @@ def free_run_gain(null: Fitted, candidate: Fitted) -> Tensor:
 
 
 def astray(fitted: Fitted) -> bool:
-    """Whether free runs of flights that no fit has seen go worse, in the mean, than if nothing had moved."""
-    return bool(fitted.free_runs.log().nanmean() > 0.0)
+    """Whether free runs of flights that no fit has seen are worse, in the mean of log J, than holding trim."""
+    return bool((fitted.free_runs / fitted.trims).log().nanmean() > 0.0)
 
 
 def gain(null: Fitted, candidate: Fitted) -> float:

@@ -31,7 +31,7 @@ def findings(
     found += [_placed(search, final, effect, accepted) for effect in search.placed]
     last = search.screened(final, [e for e in undeclared if e not in accepted])
     left = dict.fromkeys(undeclared, last) | _each_control(search, final, accepted)
-    tried = {**floors, **search.alone}
+    tried = {**floors, **search.alone, **search.beside}
     joined = [e for e in accepted if e not in search.placed]
     grouped = {e: best for best, others in search.groups.items() if best in accepted for e in others}
     for effect in undeclared:
@@ -50,7 +50,8 @@ def findings(
             known = {"gain": gained, "floor": tried[effect], "values": values}
             found.append(replace(seen, verdict="rejected", reason=said, **known))
         else:
-            found.append(not_joined(last, effect, floors[effect], joined, effect in search.hot))
+            least = search.beside.get(effect, floors[effect])
+            found.append(not_joined(last, effect, least, joined, effect in search.hot))
     return found
 
 

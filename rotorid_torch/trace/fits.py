@@ -29,7 +29,7 @@ from rotorid_torch.identification.system import System
 from rotorid_torch.identification.whitening import Noise
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
-from rotorid_torch.validate.windows import flights_J
+from rotorid_torch.validate.windows import flights_J, trims_J
 
 SEGMENT_S = 5.0
 """Length of the segments that all models are compared on, s."""
@@ -107,6 +107,11 @@ class Fitted:
     def free_runs(self) -> Tensor:
         """J of each of these flights [F], over all its windows of 8 s; NaN where there is no free run."""
         return flights_J(self.model, self.flights.dataset, self.flights.dataset.unseen)
+
+    @cached_property
+    def trims(self) -> Tensor:
+        """The same of holding trim, [F]."""
+        return trims_J(self.model, self.flights.dataset, self.flights.dataset.unseen)
 
     @cached_property
     def seen(self) -> Residual:

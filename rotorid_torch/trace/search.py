@@ -61,6 +61,7 @@ class Search:
     placed : gain and floor of effects of where the vehicle flies that explain what trims differ by; they join first.
     gained : gain and floor of effects that joined later, fitted in full.
     alone : floors of effects that were tried on each control by itself. each_floor : of those that may be now.
+    beside : floors of effects of the control path that are higher, for another one explains much.
     ordinary : what is said of structure that did not join.
     """
 
@@ -81,6 +82,7 @@ class Search:
     gained: dict[str, tuple[float, float]] = field(default_factory=dict)
     alone: dict[str, float] = field(default_factory=dict)
     each_floor: dict[str, float] = field(default_factory=dict)
+    beside: dict[str, float] = field(default_factory=dict)
     ordinary: dict[str, Finding] = field(default_factory=dict)
 
     def screened(self, null: Fitted, effects: Sequence[str]) -> Screen:
@@ -329,7 +331,8 @@ class Search:
         What such a one is rounded by looks like another effect of the control path, by a share of what it explains.
         """
         shape = CLOSE * max((self.gained[e][0] for e in of_control_path(accepted) if e in self.gained), default=0.0)
-        return {e: max(floor, shape) if of_control_path([e]) else floor for e, floor in floors.items()}
+        self.beside.update({e: shape for e in of_control_path(floors) if shape > floors[e]})
+        return {**floors, **{e: max(floors[e], shape) for e in of_control_path(floors)}}
 
     def seen_in_forces(
         self, null: Fitted, accepted: Sequence[str], effects: Sequence[str]
@@ -364,10 +367,20 @@ class Search:
             e: [derivatives_beside(apart, e, one.start, self.held)] for e, one in seen.items() if one.gain > one.chance
         }
         found = self.with_each(null, starts, self.each_floor, asked)
-        better = {e: one for e, one in found.items() if e not in fitted or one.cost < fitted[e].cost}
-        fitted.update(better)
-        self.hot.update(better)
-        return {e: self.each_floor[e] for e in better}
+
+        def better(effect: str, one: Fitted) -> bool:
+            """More sizes explain more: where all controls have one, they are to explain more than on clean aircraft."""
+            if effect not in fitted:
+                return True
+            least = 0.0 if effect in fitted[effect].spec.each_control else self.each_floor[effect]
+            return gain(fitted[effect], one) > least
+
+        chosen = {e: one for e, one in found.items() if better(e, one)}
+        fitted.update(chosen)
+        self.hot.update(chosen)
+        floors = {e: self.each_floor[e] for e in chosen}
+        self.alone.update(floors)
+        return floors
 
     def _joining(self, null: Fitted, fitted: Mapping[str, Fitted], floors: Mapping[str, float]) -> str | None:
         """The effect that joins in this round, and in its group those that explain as much."""

@@ -52,13 +52,15 @@ class Windows:
 def windows(model: Model, dataset: Dataset, places: Sequence[tuple[str, int]], samples: int) -> Windows:
     """Cut pieces of `samples` samples that begin at (flight, first sample); all flights have one sample interval."""
     controls, outputs, starts_at = [], [], []
+    tapes = dict[str, Tensor]()
     for name, start in places:
         flight = dataset.flights[name]
         index = torch.arange(start, start + samples)
         inside = index.clamp(max=flight.samples - 1)
-        with torch.no_grad():
-            tape = model.tape(flight.bridged(model.body.controls), flight.dt)
-        controls.append(tape[inside])
+        if name not in tapes:
+            with torch.no_grad():
+                tapes[name] = model.tape(flight.bridged(model.body.controls), flight.dt)
+        controls.append(tapes[name][inside])
         measured = flight.stack(model.body.outputs)[inside]
         outputs.append(torch.where((index < flight.samples)[:, None], measured, torch.nan))
         starts_at.append(_measured_starts(model, flight, start))

@@ -105,6 +105,18 @@ def test_a_play_in_the_middle_is_one_without_a_place():
     torch.testing.assert_close(with_play(record, one(2.0), one(0.0)), with_play(record, one(2.0)))
 
 
+@pytest.mark.parametrize("place", [-1.0, 1.0])
+def test_a_record_that_stands_still_is_not_moved_by_its_play(place: float):
+    record = torch.full((50, 1), 0.3, dtype=torch.float64)
+    torch.testing.assert_close(with_play(record, one(0.04), one(place)), record, rtol=0, atol=1e-15)
+
+
+def test_a_play_of_nothing_is_told_what_it_would_change():
+    record = torch.where(TIME < 1.0, 0.1, 0.3)[:, None].double()
+    slope = torch.func.jacfwd(lambda width: with_play(record, width, one(0.5)))(one(0.0))[:, 0, 0]
+    torch.testing.assert_close(slope, torch.where(TIME < 1.0, 0.0, -0.5 * (1.0 + 0.5)).double(), atol=0.02, rtol=0)
+
+
 def test_derivatives_by_the_place_in_a_play_are_those_of_the_whole_record():
     record, width = noise(60, 2).cumsum(0), torch.tensor([2.0, 3.0], dtype=torch.float64)
     at = torch.tensor([0.4, -0.3], dtype=torch.float64)
