@@ -14,7 +14,7 @@ from rotorid_torch.model.model import Model
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.fits import Fitted, Residual
 from rotorid_torch.trace.screen import Screen, signatures
-from rotorid_torch.trace.significance import helps, student_quantile
+from rotorid_torch.trace.significance import FAR, helps, student_quantile
 
 SURE = 3.0
 """Standard errors from its null beyond which a parameter is believed."""
@@ -22,8 +22,6 @@ STEADY = 2.0
 """The same for scatter over flights alone, as a normal deviate: so few flights have Student's quantile of it."""
 CLEARLY = 0.05
 """Mean log ratio of J by which free runs must be worse to speak against an effect: they scatter by as much."""
-AWAY = math.log(10.0)
-"""Log ratio of J of one flight beyond which a model flies away, whatever the other flights say."""
 TIMES = frozenset({"control.delay", "control.lag"})
 """Effects that stand in for each other where they are short."""
 CLOSE = 0.05
@@ -123,7 +121,7 @@ def clearly_worse(runs: Tensor) -> bool:
     """
     if not len(runs):
         return False
-    return float(runs.min()) < -AWAY or (float(runs.mean()) < -CLEARLY and helps(-runs))
+    return float(runs.min()) < -FAR or (float(runs.mean()) < -CLEARLY and helps(-runs))
 
 
 def too_short(candidate: Fitted, effect: str) -> str | None:

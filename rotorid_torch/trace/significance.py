@@ -8,6 +8,9 @@ from statistics import NormalDist
 import torch
 from torch import Tensor
 
+FAR = math.log(10.0)
+"""Log ratio of errors beyond which a model flies away."""
+
 
 def normal_quantile(upper_tail: float) -> float:
     """Normal deviate that is exceeded with this probability."""
@@ -26,10 +29,13 @@ def student_quantile(normal: float, freedom: float) -> float:
 
 
 def helps(better: Tensor) -> bool:
-    """Whether unseen flights [F] gain: in the mean by more than its standard error, and at least half of them."""
-    count = len(better)
-    error = float(better.std() / math.sqrt(count)) if count > 1 else 0.0
-    return float(better.mean()) > error and int((better > 0).sum()) * 2 >= count
+    """Whether unseen flights [F] gain, by log ratios: in the mean by more than its standard error, and half of them.
+
+    One in which a model flew away tells no more than that it did.
+    """
+    count, limited = len(better), better.clamp(-FAR, FAR)
+    error = float(limited.std() / math.sqrt(count)) if count > 1 else 0.0
+    return float(limited.mean()) > error and int((better > 0).sum()) * 2 >= count
 
 
 def turned(record: Tensor, count: int, chance: torch.Generator) -> Tensor:

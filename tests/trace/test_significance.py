@@ -23,6 +23,9 @@ def test_student_is_near_the_exact_quantile(tail: float, freedom: int) -> None:
         ((1.0, -0.01, -0.01, -0.01), False),
         ((-0.1, -0.1), False),
         ((0.1,), True),
+        ((0.1, 0.3, 0.05, float("inf")), True),
+        ((float("inf"), -0.1, -0.1, -0.1), False),
+        ((float("nan"), 0.1, 0.1, 0.1), False),
     ],
 )
 def test_flights_that_no_fit_has_seen_gain_more_than_by_chance(better: tuple[float, ...], answer: bool):
