@@ -119,9 +119,8 @@ class ParameterSet:
         for i, p in enumerate(self.parameters):
             error = "" if errors is None or not math.isfinite(float(errors[i])) else f"{float(errors[i]):.2g}"
             bounds = f"{p.bounds[0]:.4g} .. {p.bounds[1]:.4g}"
-            rows.append(
-                (p.name, f"{float(theta.detach()[i]):.5g}", error, p.unit, bounds, "free" if p.free else "frozen")
-            )
+            status = "frozen" if not p.free else "nuisance" if p.nuisance else "free"
+            rows.append((p.name, f"{float(theta.detach()[i]):.5g}", error, p.unit, bounds, status))
         return _aligned(rows)
 
     @staticmethod
