@@ -101,6 +101,10 @@ class ParameterSet:
         """Names of the free parameters."""
         return tuple(p.name for p in self.parameters if p.free)
 
+    def sizes(self, effect: str) -> tuple[Parameter, ...]:
+        """The parameters of an effect by its id, without nuisance."""
+        return tuple(p for p in self.parameters if p.name.startswith(f"{effect}.") and not p.nuisance)
+
     def with_free(self, names: Iterable[str]) -> ParameterSet:
         """The same set with exactly these parameters free."""
         chosen = set(names)

@@ -84,11 +84,11 @@ def rate_limited(record: Tensor, inverse: Tensor, dt: float) -> Tensor:
     return _followed(record, inverse, follow)
 
 
-def with_play(record: Tensor, width: Tensor, place: Tensor | None = None) -> Tensor:
+def with_play(record: Tensor, width: Tensor, place: Tensor | float = 0.0) -> Tensor:
     """The record passed through a linkage with a play of this width; edges are smoothed.
 
     place : where the linkage stands in the play at first, from the middle, 0, to the last places where nothing moves,
-    -1 and 1; without one in the middle. Either way it starts as the record does: what trims the vehicle is the linkage.
+    -1 and 1. What comes out starts as the record does wherever that is: what trims the vehicle is the linkage.
 
     y[k] = u[k] - s(d), d = u[k] - y[k-1]: s is d inside the play and half of the play h beyond it, with a parabola from
     one to the other over h (1 - 0.02) to h (1 + 0.02).
@@ -103,14 +103,12 @@ def with_play(record: Tensor, width: Tensor, place: Tensor | None = None) -> Ten
         left = torch.where(pushed < 1.0, far - edge * pushed.square(), half)
         return u - d.sign() * left, 1.0 - pushed
 
-    if place is None:
-        return _followed(record, width, follow)
     out = (0.5 * (1.0 - EDGE) * width * place).unsqueeze(-2)
     record = record + 0.0 * out
     return _followed(torch.cat([record[..., :1, :] + out, record], dim=-2), width, follow)[..., 1:, :] - out
 
 
-def with_play_behind_noise(record: Tensor, width: Tensor, dt: float, place: Tensor | None = None) -> Tensor:
+def with_play_behind_noise(record: Tensor, width: Tensor, dt: float, place: Tensor | float = 0.0) -> Tensor:
     """The record with what a play of this width changes of it: that of the record without most of its noise.
 
     Noise of the recording moves no linkage. A play that followed it would be pushed by the largest of it, to both

@@ -60,10 +60,9 @@ def sizes_of_each(fitted: Fitted, effect: str) -> tuple[Parameter, dict[str, flo
 
     None where the model has no such.
     """
-    declared = [p for p in fitted.model.parameter_set.parameters if p.name.startswith(f"{effect}.")]
+    declared = fitted.model.parameter_set.sizes(effect)
     own = [f"{effect}.{c}" for c in fitted.spec.controls]
-    sizes = [p for p in declared if not p.nuisance]
-    common, known = next((p for p in sizes if p.name not in own), None), {p.name for p in sizes}
+    common, known = next((p for p in declared if p.name not in own), None), {p.name for p in declared}
     if common is None or not known.issuperset(own):
         return None
     return common, dict.fromkeys(own, fitted.values[common.name])

@@ -146,9 +146,10 @@ def at_edge(model: Model, effect: str) -> str | None:
 
     Zero is a limit of physics, not of a range: a pendulum may have no damping.
     """
-    for parameter, value in zip(model.parameter_set.parameters, model.named_values.values(), strict=True):
+    for parameter in model.parameter_set.sizes(effect):
+        value = model.named_values[parameter.name]
         on = [b for b in parameter.bounds if math.isclose(value, b, rel_tol=1e-9) and b not in (0.0, parameter.value)]
-        if parameter.name.startswith(f"{effect}.") and parameter.free and not parameter.nuisance and on:
+        if parameter.free and on:
             return f"{parameter.name} = {value:.3g} lies at the edge of its range"
     return None
 
@@ -224,6 +225,5 @@ def _is_undeclared(effect: str) -> bool:
 
 def errors(candidate: Fitted, effect: str, spread: Mapping[str, float]) -> dict[str, tuple[float, float]]:
     """Sizes of an effect with their standard errors, no smaller than their scatter over flights and controls."""
-    declared = candidate.model.parameter_set.parameters
-    own = [p.name for p in declared if p.name.startswith(f"{effect}.") and not p.nuisance]
-    return {n: (candidate.values[n], max(candidate.error(n), spread.get(n, 0.0))) for n in own}
+    own, values = [p.name for p in candidate.model.parameter_set.sizes(effect)], candidate.values
+    return {n: (values[n], max(candidate.error(n), spread.get(n, 0.0))) for n in own}

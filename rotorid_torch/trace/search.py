@@ -268,8 +268,8 @@ class Search:
             if starts:  # what the null may still gain by itself is no candidate's
                 null = self.settled(null, min(floors[e] for e in starts))
             fitted = self.with_each(null, self._with_derivatives(null, starts, each), floors, each)
-            if astray(null):
-                floors = floors | self._loose_or_slow(null, accepted, fitted)
+            loose = self._loose_or_slow(null, accepted, fitted) if astray(null) else {}
+            fitted, floors = fitted | loose, floors | {e: self.each_floor[e] for e in loose}
             least = min(floors.values(), default=0.0)
             better = self.improved(null, fitted, least)
             joined = self._joining(better, fitted, floors)
@@ -354,11 +354,11 @@ class Search:
             found[e] += [derivatives_beside(apart, e, own, self.held) for own in starts[e]]
         return found
 
-    def _loose_or_slow(self, null: Fitted, accepted: Sequence[str], fitted: dict[str, Fitted]) -> dict[str, float]:
-        """Fits with plays or slew limits of each control that explain more of forces than by chance, where better.
+    def _loose_or_slow(self, null: Fitted, accepted: Sequence[str], fitted: Mapping[str, Fitted]) -> dict[str, Fitted]:
+        """Fits with plays or slew limits of each control that explain more of forces than by chance.
 
-        They join those fitted; their floors are returned. Where the model flies astray, the screen, which is about its
-        trajectories, says nothing of them.
+        Where the model flies astray, the screen, which is about its trajectories, says nothing of them. More sizes
+        explain more: beside a fit with one of all controls they are to explain more than on clean aircraft.
         """
         asked = [e for e in self.each_floor if e not in TIMES]
         apart = control_by_control(null, asked)
@@ -367,20 +367,13 @@ class Search:
             e: [derivatives_beside(apart, e, one.start, self.held)] for e, one in seen.items() if one.gain > one.chance
         }
         found = self.with_each(null, starts, self.each_floor, asked)
-
-        def better(effect: str, one: Fitted) -> bool:
-            """More sizes explain more: where all controls have one, they are to explain more than on clean aircraft."""
-            if effect not in fitted:
-                return True
-            least = 0.0 if effect in fitted[effect].spec.each_control else self.each_floor[effect]
-            return gain(fitted[effect], one) > least
-
-        chosen = {e: one for e, one in found.items() if better(e, one)}
-        fitted.update(chosen)
+        least = {
+            e: 0.0 if e in one.spec.each_control else self.each_floor[e] for e, one in fitted.items() if e in found
+        }
+        chosen = {e: one for e, one in found.items() if e not in fitted or gain(fitted[e], one) > least[e]}
         self.hot.update(chosen)
-        floors = {e: self.each_floor[e] for e in chosen}
-        self.alone.update(floors)
-        return floors
+        self.alone.update({e: self.each_floor[e] for e in chosen})
+        return chosen
 
     def _joining(self, null: Fitted, fitted: Mapping[str, Fitted], floors: Mapping[str, float]) -> str | None:
         """The effect that joins in this round, and in its group those that explain as much."""

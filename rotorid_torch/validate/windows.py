@@ -72,7 +72,7 @@ def flights_J(model: Model, dataset: Dataset, names: Sequence[str]) -> Tensor:
 
 
 def trims_J(model: Model, dataset: Dataset, names: Sequence[str]) -> Tensor:
-    """The same of holding trim, [F]."""
+    """The same of holding trim over these windows, [F]."""
     scored, found = Scored.of(model, dataset), []
     for name in names:
         flight = dataset.facts[name]

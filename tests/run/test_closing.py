@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import rotorid_torch as rotorid
+from rotorid_torch.core.parameters import ParameterSet
 from rotorid_torch.data import Dataset
 from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR
 from rotorid_torch.model.nominal import build
@@ -283,7 +284,7 @@ def test_where_an_effect_is_refused_records_stay_right_and_the_null_stands():
 
 def run_with(J: float | None, identify: float | None = None) -> Any:
     flights = {"f": SimpleNamespace(list="validate", J=J, J_noise=0.05, J_trim=1.0)}
-    model = SimpleNamespace(parameter_set=SimpleNamespace(parameters=()), named_values={})
+    model = SimpleNamespace(parameter_set=ParameterSet(()), named_values={})
     fit = fit_of(flights)
     return SimpleNamespace(
         scores={"validate": J, "identify": identify}, spec=HELICOPTER, values={}, fit=fit, model=model

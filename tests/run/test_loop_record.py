@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+from rotorid_torch.core.parameters import ParameterSet
 from rotorid_torch.run.loop_record import as_fitted, effect_record
 from rotorid_torch.run.records import ParameterRecord
 from rotorid_torch.trace.finding import Finding
@@ -21,7 +22,7 @@ def run(*parameters: ParameterRecord) -> Any:
 def test_sentence_and_table_tell_the_values_of_the_fit_after():
     after = run(ParameterRecord(name=NAME, value=0.0386, se=0.006, unit="s", status="free"))
     assert "common 0.0386 ± 0.006" in statement([as_fitted(FOUND, after)], None).sentence
-    model: Any = SimpleNamespace(parameter_set=SimpleNamespace(parameters=()))
+    model: Any = SimpleNamespace(parameter_set=ParameterSet(()))
     assert effect_record(FOUND, model, after).parameters[0].value == 0.0386
 
 

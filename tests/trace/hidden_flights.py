@@ -16,13 +16,14 @@ DT = 0.02
 SUSPECTS = ("control.delay", "control.lag", "forces.quadratic_damping")
 
 
-def flights(*effects: str, seed: int = 3, **values: float) -> Dataset:
+def flights(*effects: str, seed: int = 3, noise: float = 0.02, **values: float) -> Dataset:
+    """Values of the effects' parameters by their full names, dots written as two underscores."""
     names = {f"{e.replace('__', '.')}": v for e, v in values.items()}
     truth = with_values(rate_vehicle(effects=effects), names)
     moves = manoeuvres(8.0, DT)
     both = {**moves, **{f"{name}_again": -0.8 * move for name, move in moves.items()}}
     lists = {"identify": list(moves), "validate": [f"{name}_again" for name in moves]}
-    return flown(truth, both, DT, noise=0.02, seed=seed, lists=lists)
+    return flown(truth, both, DT, noise=noise, seed=seed, lists=lists)
 
 
 def started(data: Dataset) -> tuple[Flights, Fitted]:

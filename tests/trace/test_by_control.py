@@ -9,18 +9,15 @@ import pytest
 from rotorid_torch.data import Dataset
 from rotorid_torch.trace.by_control import ByControl, by_control
 from rotorid_torch.trace.fits import refit
-from tests.known_models import flown, manoeuvres, rate_vehicle, with_values
-from tests.trace.hidden_flights import DT, started, traced
+from rotorid_torch.trace.loop import Tracing
+from tests.trace.hidden_flights import flights, started, traced
 
 DELAY = "control.delay"
+PLAY = "control.backlash"
 
 
 def delayed(**seconds: float) -> Dataset:
-    truth = with_values(rate_vehicle(effects=(DELAY,)), {f"{DELAY}.{c}": s for c, s in seconds.items()})
-    moves = manoeuvres(8.0, DT)
-    both = {**moves, **{f"{name}_again": -0.8 * move for name, move in moves.items()}}
-    lists = {"identify": list(moves), "validate": [f"{name}_again" for name in moves]}
-    return flown(truth, both, DT, noise=0.02, seed=3, lists=lists)
+    return flights(DELAY, **{f"control__delay__{c}": s for c, s in seconds.items()})
 
 
 def test_controls_that_are_late_by_different_times_are_told_one_by_one():
@@ -68,29 +65,23 @@ def test_controls_that_show_none_of_it_count():
     assert "col 0 (at its bound)" in str(late)
 
 
+def with_play(**values: float) -> Tracing:
+    return traced(flights(PLAY, noise=0.01, **{f"control__backlash__{n}": v for n, v in values.items()}))
+
+
 def test_plays_that_differ_are_told_of_each_control():
-    play = "control.backlash"
-    truth = with_values(rate_vehicle(effects=(play,)), {f"{play}.lon": 0.016, f"{play}.lat": 0.008})
-    moves = manoeuvres(8.0, DT)
-    both = {**moves, **{f"{name}_again": -0.8 * move for name, move in moves.items()}}
-    lists = {"identify": list(moves), "validate": [f"{name}_again" for name in moves]}
-    found = traced(flown(truth, both, DT, noise=0.01, seed=3, lists=lists))
-    assert found.accepted == (play,)
-    assert found.final.values[f"{play}.lon"] == pytest.approx(0.016, abs=0.003)
-    assert found.final.values[f"{play}.lat"] == pytest.approx(0.008, abs=0.003)
+    found = with_play(lon=0.016, lat=0.008)
+    assert found.accepted == (PLAY,)
+    assert found.final.values[f"{PLAY}.lon"] == pytest.approx(0.016, abs=0.003)
+    assert found.final.values[f"{PLAY}.lat"] == pytest.approx(0.008, abs=0.003)
 
 
 def test_a_play_that_stands_at_one_side_is_told_with_its_width():
-    play = "control.backlash"
-    sides = {f"{play}.place.lon": 0.9, f"{play}.place.lat": -0.8, f"{play}.place.ped": 0.9}
-    truth = with_values(rate_vehicle(effects=(play,)), {f"{play}.width": 0.012, **sides})
-    moves = manoeuvres(8.0, DT)
-    both = {**moves, **{f"{name}_again": -0.8 * move for name, move in moves.items()}}
-    lists = {"identify": list(moves), "validate": [f"{name}_again" for name in moves]}
-    found = traced(flown(truth, both, DT, noise=0.01, seed=3, lists=lists))
-    assert found.accepted == (play,)
-    assert found.final.values[f"{play}.width"] == pytest.approx(0.012, rel=0.1)
-    for name, place in sides.items():
-        assert found.final.values[name] == pytest.approx(place, abs=0.25)
-    told = next(f for f in found.findings if f.id == play)
+    places = {"lon": 0.9, "lat": -0.8, "ped": 0.9}
+    found = with_play(width=0.012, **{f"place__{c}": place for c, place in places.items()})
+    assert found.accepted == (PLAY,)
+    assert found.final.values[f"{PLAY}.width"] == pytest.approx(0.012, rel=0.1)
+    for control, place in places.items():
+        assert found.final.values[f"{PLAY}.place.{control}"] == pytest.approx(place, abs=0.25)
+    told = next(f for f in found.findings if f.id == PLAY)
     assert not [name for name in told.values if ".place." in name]

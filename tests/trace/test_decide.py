@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import torch
 
-from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.core.parameters import Parameter, ParameterSet
 from rotorid_torch.trace.decide import (
     astray,
     at_edge,
@@ -72,7 +72,7 @@ def fitted(
         free_runs=torch.tensor(free_runs, dtype=torch.float64),
         seen=SimpleNamespace(size=lambda: size),
         unseen=SimpleNamespace(size=lambda: size),
-        model=SimpleNamespace(parameter_set=SimpleNamespace(parameters=(parameter,)), named_values=values),
+        model=SimpleNamespace(parameter_set=ParameterSet((parameter,)), named_values=values),
     )
 
 
@@ -165,7 +165,7 @@ def test_a_delay_and_a_lag_that_explain_nearly_the_same_are_not_told_apart(other
 def test_how_flights_begin_may_lie_at_the_edge_of_its_range(nuisance: bool, edge: bool):
     place = Parameter("control.backlash.place.lon", 0.0, "1", (-1.0, 1.0), nuisance=nuisance)
     model: Any = SimpleNamespace(
-        parameter_set=SimpleNamespace(parameters=(place,)), named_values={"control.backlash.place.lon": -1.0}
+        parameter_set=ParameterSet((place,)), named_values={"control.backlash.place.lon": -1.0}
     )
     assert (at_edge(model, "control.backlash") is not None) == edge
 

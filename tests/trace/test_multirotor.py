@@ -12,7 +12,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.core.parameters import Parameter, ParameterSet
 from rotorid_torch.effects.spec import ModelSpec, MotorSpec
 from rotorid_torch.trace import multirotor
 from rotorid_torch.trace.finding import Finding
@@ -68,7 +68,7 @@ def traced(
             return missing + 0.3 * noise, left * missing
 
         model: Any = SimpleNamespace(
-            parameter_set=SimpleNamespace(parameters=parameters),
+            parameter_set=ParameterSet(tuple(parameters)),
             named_values=dict.fromkeys(names, 0.05),
             pair=pair,
         )

@@ -142,12 +142,11 @@ def test_plays_are_sought_on_the_measured_motion_with_derivatives_beside_them():
     play = "control.backlash"
     known, null = started(flights(play, control__backlash__width=0.012))
     search = Search(known, (), Floors({}, ""), lambda line: None, 0, each_floor={play: 0.001, "control.lag": 0.001})
-    found: dict[str, Fitted] = {}
-    assert search._loose_or_slow(null, (), found) == {play: 0.001}
-    assert set(found) == {play}
+    found = search._loose_or_slow(null, (), {})
+    assert set(found) == set(search.alone) == {play}
     for control in ("lon", "lat", "ped"):
         assert found[play].values[f"{play}.{control}"] == pytest.approx(0.012, rel=0.05)
-    assert search._loose_or_slow(null, (), dict(found)) == {}
+    assert search._loose_or_slow(null, (), found) == {}
     alike = refit(null.spec.with_effects(play), known, {**null.values, f"{play}.width": 0.012}, near=null)
     assert search._loose_or_slow(null, (), {play: alike}) == {}  # more sizes explain no more
     known, null = started(flights())
