@@ -136,7 +136,7 @@ def test_a_lag_shorter_than_the_records_interval_is_no_finding_beside_a_delay(
     candidate = fitted(1.0, (0.08, 0.09))
     candidate.spec.effects = effects
     parameter = Parameter("control.lag.common", 0.0, "s", (0.0, 1.0), typical=0.06)
-    candidate.model.parameter_set.parameters = (parameter,)
+    candidate.model.parameter_set = ParameterSet((parameter,))
     candidate.values = candidate.model.named_values = {"control.lag.common": lag}
     candidate.error = lambda name: 0.001
     said = objection(fitted(2.0, (0.1, 0.1)), candidate, "control.lag", 0.1, {"control.lag.common": 0.001})
