@@ -59,8 +59,9 @@ def late_controls(dataset: Dataset) -> LateControls | None:
     """Whether responses precede their controls, beyond chance, beyond a sample, and in no flight the other way round.
 
     Where rates follow sticks, these are compared directly and their mean is told; otherwise accelerations, and of these
-    the one that leaves least time for the vehicle to respond. A stick that commands an attitude is not late: the rate
-    leads it, for it goes with the stick's own rate of change. Nor is what a controller moves against the rate.
+    the one that leaves least time for the vehicle to respond, by what is sure with slow motion and without it: a load
+    that swings turns the vehicle before the controller that answers. A stick that commands an attitude is not late: the
+    rate leads it, for it goes with the stick's own rate of change. Nor is what a controller moves against the rate.
     """
     sample = max(dataset.facts[name].dt for name in dataset.identify)
     sticks = followed_sticks(dataset)
@@ -71,11 +72,24 @@ def late_controls(dataset: Dataset) -> LateControls | None:
         early = tuple(a for a in first if a.pair.left_name not in answered and not _commands_attitude(a, flights))
         return _mean(early) if early else None
     known = [r for r in known_responses(dataset) if r.r2 > FOLLOWED]
-    felt = tuple(r for r in known if r.lag_s < -max(SURE * r.lag_se, EARLY_S, sample))
+    if not any(_comes_first(r, sample) for r in known):
+        return None
+    fast = {r.channel: r for r in responses(dataset, fast=True)}
+    both = (max(r, fast[r.channel], key=_surely) for r in known if r.channel in fast)
+    felt = tuple(r for r in both if _comes_first(r, sample))
     if not felt:
         return None
-    least = min(felt, key=lambda r: r.lag_s + SURE * r.lag_se)
+    least = min(felt, key=_surely)
     return LateControls(-least.lag_s, least.lag_se, accelerations=felt)
+
+
+def _comes_first(r: Response, sample: float) -> bool:
+    return r.lag_s < -max(SURE * r.lag_se, EARLY_S, sample)
+
+
+def _surely(r: Response) -> float:
+    """The lag that is hardly exceeded, s."""
+    return r.lag_s + SURE * r.lag_se
 
 
 def _precedes(a: Agreement, sample: float) -> bool:

@@ -16,6 +16,8 @@ Array = np.ndarray
 
 WIDTH_S = 0.04
 """Standard deviation of the Gaussian that all signals pass, in s: half power at 3.3 Hz, no phase."""
+SLOW_S = 0.3
+"""The same of the motion that counts as slow, in s: what swings below some 0.5 Hz is little of what is left."""
 EVERY = 3
 """Steps of `STEP_S` between the samples that are compared: what has passed the Gaussian loses nothing."""
 
@@ -35,23 +37,25 @@ class Response:
     gain: float
 
 
-def responses(dataset: Dataset) -> tuple[Response, ...]:
+def responses(dataset: Dataset, fast: bool = False) -> tuple[Response, ...]:
     """How each angular acceleration and the vertical specific force follow the controls in the identify flights.
+
+    fast : compare what is left of all signals without slow motion, which other causes than the controls make too.
 
     Sums of linear terms: all controls, shifted by one lag, and the body's rates and velocities where they are
     measured. The states stand for what feeds back into blade angles and motor commands; without them a controller's
     answer to the rate would count as its cause.
     """
-    found = (_response(dataset, channel) for channel in (*names.RATES, "az"))
+    found = (_response(dataset, channel, fast) for channel in (*names.RATES, "az"))
     return tuple(response for response in found if response is not None)
 
 
-def _response(dataset: Dataset, channel: str) -> Response | None:
+def _response(dataset: Dataset, channel: str, fast: bool) -> Response | None:
     flights = [dataset.flights[name] for name in dataset.identify if dataset.facts[name].has(channel)]
     states = [c for c in (*names.RATES, *names.VELOCITIES) if all(f.has(c) for f in flights)]
     if channel == "az":
         states = [c for c in states if c in names.VELOCITIES]
-    parts = [moments for f in flights for moments in _moments(f, channel, dataset.controls, states)]
+    parts = [moments for f in flights for moments in _moments(f, channel, dataset.controls, states, fast)]
     if not parts:
         return None
     total = np.sum(parts, axis=0)
@@ -62,9 +66,9 @@ def _response(dataset: Dataset, channel: str) -> Response | None:
     return Response(channel, lag_of_top(r2), error, float(r2.max()), float(r2.max() - max(r2[0], r2[-1])))
 
 
-def _moments(flight: Flight, channel: str, controls: tuple[str, ...], states: list[str]) -> Iterator[Array]:
+def _moments(flight: Flight, channel: str, controls: tuple[str, ...], states: list[str], fast: bool) -> Iterator[Array]:
     """Cross moments (lags, columns, columns) of each piece: the response, the controls at the lag, the states."""
-    bell, slope = kernel(flight.dt, WIDTH_S)
+    bell, slope = _without_slow(flight.dt) if fast else kernel(flight.dt, WIDTH_S)
     reach = int(np.ceil(REACH_S / flight.dt)) + 1
     if flight.samples < len(bell) + 2 * reach + 50:
         return
@@ -84,6 +88,14 @@ def _moments(flight: Flight, channel: str, controls: tuple[str, ...], states: li
             across = fixed @ shifted.T
             made.append(np.block([[among, across], [across.T, shifted @ shifted.T]]))
         yield np.array(made)
+
+
+def _without_slow(dt: float) -> tuple[Array, Array]:
+    """Gaussian and its derivative less those of slow motion, as convolution kernels."""
+    wide = kernel(dt, SLOW_S)
+    narrow = (np.pad(k, (len(wide[0]) - len(k)) // 2) for k in kernel(dt, WIDTH_S))
+    bell, slope = (n - w for n, w in zip(narrow, wide, strict=True))
+    return bell, slope
 
 
 def _centred(rows: Array) -> Array:

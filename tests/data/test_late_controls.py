@@ -113,6 +113,36 @@ def test_a_control_that_a_controller_moves_against_the_rate_is_not_late(gain: fl
     assert late_controls(dataset) is None
 
 
+def swinging(late: float) -> Dataset:
+    """A roll that a controller stabilises while a load swings below; its control recorded late."""
+    rng, flights = np.random.default_rng(0), {}
+    time = DT * np.arange(SAMPLES)
+    for k in range(4):
+        begun, half = time > 1.0, 0.5 + 0.15 * k
+        doublet = np.select([begun & (time < 1 + half), begun & (time < 1 + 2 * half)], [1.0, -1.0])
+        p, phi, control, load, swing = np.zeros(SAMPLES), np.zeros(SAMPLES), 0.05 * (-1) ** k * doublet, 0.0, 0.0
+        for i in range(1, SAMPLES):
+            control[i] -= 0.3 * (p[i - 1] + 1.5 * phi[i - 1])
+            p[i] = p[i - 1] + DT * (10.0 * control[i] - p[i - 1] - 0.3 * load)
+            phi[i] = phi[i - 1] + DT * p[i]
+            swing += DT * (9.8 * phi[i] - 2.56 * load - 0.05 * swing)
+            load += DT * swing
+        shown = np.interp(time - late, time, control) + 1e-4 * rng.standard_normal(SAMPLES)
+        flights[f"f{k}"] = {"time": time, "lat": shown, "p": p + 0.002 * rng.standard_normal(SAMPLES)}
+    return Dataset.from_arrays(flights, identify=list(flights), controls={"lat": {"unit": "rad"}})
+
+
+def test_a_load_that_swings_is_no_late_record_of_the_controls_and_hides_none() -> None:
+    """It turns the vehicle before the controller answers; without slow motion the control comes first."""
+    (roll,) = responses(swinging(0.0))
+    assert roll.lag_s < -0.03
+    assert roll.r2 > 0.7
+    assert late_controls(swinging(0.0)) is None
+    late = late_controls(swinging(0.05))
+    assert late is not None
+    assert 0.04 < late.seconds < 0.06
+
+
 @pytest.mark.parametrize("name", [*CLEAN, *MULTIROTORS, "trex550-translation"])
 def test_nothing_is_told_where_streams_belong_together(name: str) -> None:
     dataset = load(shared("flightdata", name))
