@@ -95,8 +95,10 @@ def _source(best: Trace, same: Sequence[Trace], left: LeftOver) -> str:
         return max(turning, key=lambda trace: inertia[trace.row] * trace.size).row
     if _equation(best) in FLAPPING:  # a law that is wrong in one angle says the same of all
         angles = dict.fromkeys(_equation(trace) for trace in same if _equation(trace) in FLAPPING)
-        angle = max(angles, key=lambda angle: _of_tilt(best, angle, left))
-        return max((trace for trace in same if _equation(trace) == angle), key=_sure).row
+        tilts = {angle: _of_tilt(best, angle, left) for angle in angles}
+        angle = max(tilts, key=lambda angle: tilts[angle])
+        if tilts[angle] >= MAIN:  # a controller may hold the disc where it was, and no angle goes with what acts
+            return max((trace for trace in same if _equation(trace) == angle), key=_sure).row
     return best.row
 
 

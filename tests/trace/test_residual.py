@@ -330,6 +330,23 @@ def test_a_disc_that_follows_at_once_does_not_take_up_by_its_own_tilt_what_moves
     assert (told.where, told.goes_with) == ("a0", "p col")
 
 
+def test_where_a_controller_holds_the_disc_the_angle_is_told_that_is_moved_most(signals: Tensor):
+    """What is left of a step in the measured angles is chance, and a coning takes part in what tilts the disc."""
+    over = left("L", None)
+    step = (over.time >= 6.0).to(torch.float64)[:, None]
+    residual = torch.cat([over.residual, 0.5 * step + over.residual[:, :1], step], dim=1)
+    disc = replace(
+        over,
+        rows=(*ROWS, "a0 at once", "b1 at once"),
+        residual=residual,
+        tilts=signals[:, [0, 2, 1]] + torch.cat([0.02 * step, 0.0 * step, 0.0 * step], dim=1),
+        named=residual.new_zeros(*residual.shape, 0),
+    )
+    told = unknown(scan(disc), levels(disc.rows, 0.1), disc, disc)
+    assert told is not None
+    assert (told.where, told.goes_with, told.since_s) == ("b1", "time", 6.0)
+
+
 @pytest.mark.parametrize("order", [1, 2])
 def test_a_slipped_control_run_shows_in_the_flapping_that_follows_it(order: int):
     """Half of the lateral cyclic's deviation is lost from 5 s on; the moments follow the measured flapping.
