@@ -221,7 +221,12 @@ def _bounded_step(problem: _Subproblem, damping: float) -> Tensor:
 
 def least_squares(A: Tensor, b: Tensor) -> Tensor:
     """The shortest x [n] with the least |A x - b|; by singular values, which torch has on the processor only."""
-    return torch.linalg.lstsq(A.cpu(), b.cpu().unsqueeze(-1), driver="gelsd").solution[:, 0].to(A.device)
+    left, right = A.cpu(), b.cpu().unsqueeze(-1)
+    try:
+        found = torch.linalg.lstsq(left, right, driver="gelsd")
+    except torch.linalg.LinAlgError:  # hundreds of equal singular values, as heavy damping makes them, may not converge
+        found = torch.linalg.lstsq(left, right, driver="gelsy")
+    return found.solution[:, 0].to(A.device)
 
 
 def _moved(theta: Tensor, step: Tensor, problem: _Subproblem) -> Tensor:
