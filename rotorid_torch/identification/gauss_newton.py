@@ -224,8 +224,8 @@ def least_squares(A: Tensor, b: Tensor) -> Tensor:
     left, right = A.cpu(), b.cpu().unsqueeze(-1)
     try:
         found = torch.linalg.lstsq(left, right, driver="gelsd")
-    except torch.linalg.LinAlgError:  # hundreds of equal singular values, as heavy damping makes them, may not converge
-        found = torch.linalg.lstsq(left, right, driver="gelsy")
+    except RuntimeError:  # hundreds of equal singular values, as heavy damping makes them, may not converge so
+        found = torch.linalg.lstsq(left, right, driver="gelss")
     return found.solution[:, 0].to(A.device)
 
 

@@ -153,7 +153,7 @@ def _of_tilt(trace: Trace, angle: str, left: LeftOver) -> float:
     """Share of the square of a measured angle of the disc that goes with a trace."""
     constants = left.constants
     both = torch.stack([column(trace, left, left.usual), left.tilts[:, FLAPPING.index(angle)]], dim=-1)
-    x, y = (both - constants @ torch.linalg.lstsq(constants, both).solution).mT
+    x, y = (both - constants @ torch.linalg.lstsq(constants, both, driver="gelsd").solution).mT
     return float((x @ y) ** 2 / ((x @ x) * (y @ y)).clamp_min(1e-300))
 
 

@@ -190,7 +190,7 @@ def equilibrium(model: Model, body: Tensor, controls: Tensor, starts_at: Tensor 
         rows = torch.cat([x[None], x + steps.view(len(places), *(1,) * (x.dim() - 1), -1)])
         rates = model.rates(model.theta, rows, controls)[..., places]
         slopes = ((rates[1:] - rates[0]) / PROBE).movedim(0, -1)
-        change = torch.linalg.lstsq(slopes, rates[0].unsqueeze(-1)).solution.squeeze(-1)
+        change = torch.linalg.lstsq(slopes, rates[0].unsqueeze(-1), driver="gelsd").solution.squeeze(-1)
         x = x.clone()
         x[..., places] -= change.nan_to_num(0.0)
     return x
