@@ -40,11 +40,11 @@ class Response:
 def responses(dataset: Dataset, fast: bool = False) -> tuple[Response, ...]:
     """How each angular acceleration and the vertical specific force follow the controls in the identify flights.
 
-    fast : compare what is left of all signals without slow motion, which other causes than the controls make too.
-
     Sums of linear terms: all controls, shifted by one lag, and the body's rates and velocities where they are
     measured. The states stand for what feeds back into blade angles and motor commands; without them a controller's
     answer to the rate would count as its cause.
+
+    fast : compare what is left of all signals without slow motion, which other causes than the controls make too.
     """
     found = (_response(dataset, channel, fast) for channel in (*names.RATES, "az"))
     return tuple(response for response in found if response is not None)

@@ -15,6 +15,8 @@ from typing import Generic, NamedTuple, Protocol, TypeVar
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.least_squares import least_squares
+
 FLOOR = 1e-12
 """A column of the whitened Jacobian shorter than this is zero."""
 ROUNDING = 1e-20
@@ -209,7 +211,7 @@ def _bounded_step(problem: _Subproblem, damping: float) -> Tensor:
     step = torch.zeros_like(problem.lower)
     while bool(move.any()):
         rest = b - A[:, ~move] @ step[~move]
-        step[move] = least_squares(scaled[:, move], rest) / problem.scale[move]
+        step[move] = least_squares(scaled[:, move], rest.unsqueeze(-1))[:, 0] / problem.scale[move]
         inside = torch.clamp(step, problem.lower, problem.upper)
         crossed = move & (inside != step)
         if not bool(crossed.any()):
@@ -217,16 +219,6 @@ def _bounded_step(problem: _Subproblem, damping: float) -> Tensor:
         step = torch.where(crossed, inside, step)
         move = move & ~crossed
     return step
-
-
-def least_squares(A: Tensor, b: Tensor) -> Tensor:
-    """The shortest x [n] with the least |A x - b|; by singular values, which torch has on the processor only."""
-    left, right = A.cpu(), b.cpu().unsqueeze(-1)
-    try:
-        found = torch.linalg.lstsq(left, right, driver="gelsd")
-    except RuntimeError:  # hundreds of equal singular values, as heavy damping makes them, may not converge so
-        found = torch.linalg.lstsq(left, right, driver="gelss")
-    return found.solution[:, 0].to(A.device)
 
 
 def _moved(theta: Tensor, step: Tensor, problem: _Subproblem) -> Tensor:

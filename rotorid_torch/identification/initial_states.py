@@ -8,6 +8,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.identification.likelihood import Likelihood
 from rotorid_torch.identification.segments import Records, Segments
@@ -56,8 +57,7 @@ def fitted_states(problem: Likelihood, theta: Tensor) -> Tensor:
         nx = best.x0.shape[-1]
         triangle, rest = best.locals.segment[:, :, :nx], best.locals.segment[:, :, -1:]
         norms = torch.linalg.vector_norm(triangle, dim=1, keepdim=True).clamp_min(1e-12)
-        scaled, rest = (triangle / norms).cpu(), rest.cpu()  # singular values: torch has this on the processor only
-        step = torch.linalg.lstsq(scaled, rest, rcond=1e-3, driver="gelsd").solution.to(norms.device) / norms.mT
+        step = least_squares(triangle / norms, rest, rcond=1e-3) / norms.mT
         trial = replace(head, x0=best.x0 + step.squeeze(-1)).evaluate(theta)
         if not trial.cost < best.cost:
             break

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
+from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.core.names import ATTITUDES, FLAPPING, FORCES, MOMENTS, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
@@ -213,7 +214,7 @@ def _lagged_misfit(flights: Sequence[Flight], drivers: Sequence[str], lag: int) 
     y = [f.bridged(FLAPPING[1:]) for f in flights]
     columns, response = torch.cat(z), torch.cat(y)
     columns = columns / columns.norm(dim=0).clamp_min(1e-12)
-    rest = response - columns @ torch.linalg.lstsq(columns, response, driver="gelsd").solution
+    rest = response - columns @ least_squares(columns, response)
     return rest.square().mean(0).log().mean()
 
 

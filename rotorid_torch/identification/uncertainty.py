@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.core.ranks import Ranks
-from rotorid_torch.identification.gauss_newton import Linear, least_squares
+from rotorid_torch.identification.gauss_newton import Linear
 from rotorid_torch.identification.likelihood import Likelihood, Place
 
 SMOOTHING = 20
@@ -248,7 +249,7 @@ def _jackknife(
         kept = [flights[f] for f in range(count) if f != left_out] + [prior]
         A, b = torch.cat([a for a, _ in kept])[:, told], torch.cat([c for _, c in kept])
         norms = torch.linalg.vector_norm(A, dim=0).clamp_min(1e-12)
-        steps[left_out] = least_squares(A / norms, b) / norms
+        steps[left_out] = least_squares(A / norms, b.unsqueeze(-1))[:, 0] / norms
     moved = ranks.sum(steps)
     variances[told] = (count - 1) / count * (moved - moved.mean(0)).square().sum(0)
     return variances

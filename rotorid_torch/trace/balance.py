@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.core.names import RATES, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
@@ -143,7 +144,7 @@ def _going(
     short, full = torch.cat(usual), torch.cat(with_it)
     if len(y) <= full.shape[1] + 1:
         return None
-    slopes, more = (torch.linalg.lstsq(z, y, driver="gelsd").solution for z in (short, full))
+    slopes, more = (least_squares(z, y) for z in (short, full))
     before, after = y - short @ slopes, y - full @ more
     worth = _worth(after, full[:, -1], [len(b.centre) for b in identify]) - full.shape[1]
     if worth < 1.0:

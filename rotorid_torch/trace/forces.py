@@ -14,6 +14,7 @@ from itertools import groupby
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.identification.step2 import regress_model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.fits import Fitted
@@ -97,6 +98,6 @@ def _explained(over: LeftOver, changes: Tensor, variant: Sequence[Signature], se
     power = left.square().sum(dim=1)
     G = torch.einsum("rni,rnj,rc->cij", tried, tried, 1.0 / power)
     d = torch.einsum("rni,rnc,rc->ci", tried, left, 1.0 / power)
-    sizes = torch.linalg.lstsq(G, d[..., None], driver="gelsd").solution[..., 0].mT.clamp(low, high)  # [K, 1 + R]
+    sizes = least_squares(G, d[..., None])[..., 0].mT.clamp(low, high)  # [K, 1 + R]
     rest = (left - tried @ sizes).square().sum(dim=1)
     return (power / rest).log().sum(dim=0), sizes[:, 0]

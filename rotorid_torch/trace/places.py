@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.base import Showing
@@ -129,7 +130,7 @@ def _sizes(own: Sequence[Parameter], trims: _Trims) -> Tensor:
     b = (trims.constants - trims.constants.mean(-1, keepdim=True)).flatten()
     lower, upper = (torch.tensor([p.bounds[k] for p in own], dtype=torch.float64) for k in (0, 1))
     start = torch.tensor([p.value for p in own], dtype=torch.float64)
-    return (start + torch.linalg.lstsq(A, -b.unsqueeze(-1), driver="gelsd").solution[:, 0]).clamp(lower, upper)
+    return (start + least_squares(A, -b.unsqueeze(-1))[:, 0]).clamp(lower, upper)
 
 
 def _left(own: Sequence[Parameter], seen: _Trims, others: _Trims) -> tuple[Tensor, Tensor]:

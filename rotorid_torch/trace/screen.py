@@ -18,6 +18,7 @@ from itertools import product
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.effects.base import Stage
 from rotorid_torch.identification.segments import Records, Segments
 from rotorid_torch.identification.whitening import Whitener
@@ -351,7 +352,7 @@ def _starts(model: Model, null: Fitted, segments: Segments, states: Tensor) -> T
     for _ in range(2 if rest else 0):  # linear in these states, or nearly
         rates = model.rates(model.theta, torch.cat([x[None], x + probes[:, None]]), controls)[..., rest]
         slopes = ((rates[1:] - rates[0]) / PROBE).movedim(0, -1)
-        change = torch.linalg.lstsq(slopes, rates[0].unsqueeze(-1), driver="gelsd").solution.squeeze(-1)
+        change = least_squares(slopes, rates[0].unsqueeze(-1)).squeeze(-1)
         x[:, rest] = x[:, rest] - change.nan_to_num(0.0)
     return x
 

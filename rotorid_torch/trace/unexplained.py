@@ -12,6 +12,7 @@ from types import MappingProxyType
 
 import torch
 
+from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS
 from rotorid_torch.trace.finding import Unknown
 from rotorid_torch.trace.floor import FALSE_ALARMS
@@ -153,7 +154,7 @@ def _of_tilt(trace: Trace, angle: str, left: LeftOver) -> float:
     """Share of the square of a measured angle of the disc that goes with a trace."""
     constants = left.constants
     both = torch.stack([column(trace, left, left.usual), left.tilts[:, FLAPPING.index(angle)]], dim=-1)
-    x, y = (both - constants @ torch.linalg.lstsq(constants, both, driver="gelsd").solution).mT
+    x, y = (both - constants @ least_squares(constants, both)).mT
     return float((x @ y) ** 2 / ((x @ x) * (y @ y)).clamp_min(1e-300))
 
 

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.integrate import simulate
+from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.core.native.build import threads
 from rotorid_torch.core.native.dynamics import Dynamics
 from rotorid_torch.core.native.fallback import say_once
@@ -167,7 +168,7 @@ def _initial(run: Runs, pieces: Windows) -> Tensor:
         jacobian = ((runs[1:] - runs[0]) / PROBE * weight).permute(1, 2, 3, 0).flatten(1, 2)
         residual = torch.where(known, (wanted - runs[0]) * weight, 0.0).flatten(1, 2)
         norms = jacobian.norm(dim=1, keepdim=True).clamp_min(1e-12)
-        step = torch.linalg.lstsq(jacobian / norms, residual.unsqueeze(-1), rcond=1e-8, driver="gelsd").solution
+        step = least_squares(jacobian / norms, residual.unsqueeze(-1), rcond=1e-8)
         x = x + step.squeeze(-1) / norms[:, 0]
     return equilibrium(model, x, controls[:, 0], pieces.starts_at)
 
@@ -190,7 +191,7 @@ def equilibrium(model: Model, body: Tensor, controls: Tensor, starts_at: Tensor 
         rows = torch.cat([x[None], x + steps.view(len(places), *(1,) * (x.dim() - 1), -1)])
         rates = model.rates(model.theta, rows, controls)[..., places]
         slopes = ((rates[1:] - rates[0]) / PROBE).movedim(0, -1)
-        change = torch.linalg.lstsq(slopes, rates[0].unsqueeze(-1), driver="gelsd").solution.squeeze(-1)
+        change = least_squares(slopes, rates[0].unsqueeze(-1)).squeeze(-1)
         x = x.clone()
         x[..., places] -= change.nan_to_num(0.0)
     return x
