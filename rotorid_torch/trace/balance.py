@@ -144,7 +144,7 @@ def _going(
     short, full = torch.cat(usual), torch.cat(with_it)
     if len(y) <= full.shape[1] + 1:
         return None
-    slopes, more = (least_squares(z, y) for z in (short, full))
+    slopes, more = (least_squares(z, y[:, None])[:, 0] for z in (short, full))
     before, after = y - short @ slopes, y - full @ more
     worth = _worth(after, full[:, -1], [len(b.centre) for b in identify]) - full.shape[1]
     if worth < 1.0:
