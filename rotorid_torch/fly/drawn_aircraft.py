@@ -9,6 +9,7 @@ SIAM J. Sci. Comput. 36(4) (2014) (randomise, then optimise).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,7 +63,7 @@ def prior(dataset: Dataset, evidence: Evidence) -> Prior:
     trim, vehicle = trim_of(dataset), dataset.vehicle
     if mirrored(dataset):
         vehicle = _mirror(vehicle)
-    velocity = _level(*(trim.get(name, 0.0) for name in ("u", "v", "w", "phi", "theta")))
+    velocity = level_velocity(trim)
     made = numbers(vehicle, float(np.hypot(velocity[0], velocity[1])))
     for k, name in enumerate(CONTROL_NAMES):
         made[f"gearing_{name}"] = _gearing(dataset, name, k, float(evidence.table[ON_AXIS[name]]))
@@ -101,8 +102,9 @@ def _mirror(vehicle: Vehicle) -> Vehicle:
     )
 
 
-def _level(u: float, v: float, w: float, phi: float, theta: float) -> Array:
-    """Body velocity as level ahead, to the side, down."""
+def level_velocity(trim: Mapping[str, float]) -> Array:
+    """Body velocity of a trim as level ahead, to the side, down, m/s [3]."""
+    u, v, w, phi, theta = (trim.get(name, 0.0) for name in ("u", "v", "w", "phi", "theta"))
     cp, sp, ct, st = np.cos(phi), np.sin(phi), np.cos(theta), np.sin(theta)
     below = v * sp + w * cp
     return np.array([u * ct + below * st, v * cp - w * sp, -u * st + below * ct])

@@ -11,27 +11,31 @@ from scipy.linalg import solve_continuous_are
 from scipy.ndimage import gaussian_filter1d
 
 from rotorid_torch.fly.aircraft import CONTROL_NAMES
-from rotorid_torch.fly.drawn_aircraft import Aircraft, Prior
+from rotorid_torch.fly.drawn_aircraft import Aircraft, Prior, level_velocity
 from rotorid_torch.fly.reduced import BODY, EULER, FLAP, PLACE, SPEED, TORQUE, respond
-from rotorid_torch.fly.reduced_trim import linearise
+from rotorid_torch.fly.reduced_trim import find_trims, linearise
 from rotorid_torch.fly.resemblance import Recorded
 from rotorid_torch.fly.section import Array
 
 FED = ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi")
+VELOCITY = FED[:3]
 ANGULAR = slice(3, 9)  # of these, what a rate and attitude controller feeds back
 CONTROL_BLUR, MOTION_BLUR = 0.01, 0.1  # s: standard deviations of the kernels that take noise out of the records
 CONTROL_SMOOTH = 0.06  # s: the same where controls are compared with the motion
 TURN = 0.25  # rad of the rotor in one step of the integration, at most
 LEAST = 1e-3  # rad: rms of a blade angle that hardly moves
 EFFORT = 10.0  # price of an rms of the controls in terms of an rms of the deviation
+STARTING = 20  # samples at the beginning of a flight that tell where it starts from
+ONE_TRIM = 2.0  # m/s between the starts of two flights, up to which they are flown from one trim
 EXPLAINED = 0.5  # share of a control's rms that a controller may leave over and still be one
 
 
 @dataclass(frozen=True)
 class Tapes:
-    """What the flights prescribe, padded to one length, as deviations from the data set's trim.
+    """What the flights prescribe, padded to one length, as deviations from trim.
 
-    `controls` [T, 4, flight] in recorded units and `motion` [T, 9, flight] (`FED`), both without most of their noise;
+    `controls` [T, 4, flight] in recorded units and `motion` [T, 9, flight] (`FED`), both without most of their noise,
+    about the trim that the flight starts from, which is `trims` [flight]; `trim` is the data set's.
     `dt` and `samples` [flight]; `start` [4, flight]: psi, north, east, height; `sizes` [13]: rms of motion, controls;
     `controller` [4, 9]: how the recorded controls go with the motion where the pilot leaves them alone.
     """
@@ -44,31 +48,55 @@ class Tapes:
     sizes: Array
     controller: Array
     trim: Mapping[str, float]
+    trims: Sequence[Mapping[str, float]]
 
 
 def tapes(flights: Sequence[Recorded], trim: Mapping[str, float]) -> Tapes:
     """The flights' controls and motion about trim."""
-    longest = max(flight.samples for flight in flights)
+    longest, trims = max(flight.samples for flight in flights), _trims(flights, trim)
 
-    def prepared(flight: Recorded, names: Sequence[str], blur: float) -> Array:
+    def prepared(flight: Recorded, trim: Mapping[str, float], names: Sequence[str], blur: float) -> Array:
         rows = np.stack([flight.get(name, trim.get(name, 0.0)) - _level(flight, name, trim) for name in names], axis=1)
         smooth = gaussian_filter1d(rows, blur / flight.dt, axis=0, mode="nearest")
         return np.pad(smooth, ((0, longest - flight.samples), (0, 0)), mode="edge")
 
-    controls = np.stack([prepared(flight, CONTROL_NAMES, CONTROL_BLUR) for flight in flights], axis=-1)
-    motion = np.stack([prepared(flight, FED, MOTION_BLUR) for flight in flights], axis=-1)
+    paired = list(zip(flights, trims, strict=True))
+    controls = np.stack([prepared(*pair, CONTROL_NAMES, CONTROL_BLUR) for pair in paired], axis=-1)
+    motion = np.stack([prepared(*pair, FED, MOTION_BLUR) for pair in paired], axis=-1)
     start = np.array([[_level(flight, name, {}) for flight in flights] for name in ("psi", *_PLACES)])
     size = np.concatenate([np.sqrt((part**2).mean((0, 2))) for part in (motion, controls)])
     dt, samples = np.array([f.dt for f in flights]), np.array([f.samples for f in flights])
-    return Tapes(controls, motion, dt, samples, start, size, _controller(flights, trim), trim)
+    return Tapes(controls, motion, dt, samples, start, size, _controller(flights, trim), trim, trims)
 
 
 _PLACES = ("north", "east", "height")
 
 
+def _trims(flights: Sequence[Recorded], trim: Mapping[str, float]) -> list[Mapping[str, float]]:
+    """What each flight starts from: the data set's trim, or where they start at several velocities, one for each.
+
+    That of several velocities is the mean of the flights that start there.
+    """
+    names = (*FED, *CONTROL_NAMES)
+    starts = [{name: _level(flight, name, {}) for name in names if name in flight.channels} for flight in flights]
+    velocity = np.array([[start.get(name, 0.0) for name in VELOCITY] for start in starts])
+    group: list[int] = []
+    for k in range(len(flights)):
+        near = np.flatnonzero(np.linalg.norm(velocity[: k + 1] - velocity[k], axis=1) <= ONE_TRIM)
+        group.append(group[near[0]] if near[0] < k else k)
+    if len(set(group)) == 1:
+        return [trim] * len(flights)
+    alike = {leader: [start for start, g in zip(starts, group, strict=True) if g == leader] for leader in group}
+    means = {
+        leader: {name: float(np.mean([one[name] for one in some])) for name in some[0]}
+        for leader, some in alike.items()
+    }
+    return [{**trim, **means[leader]} for leader in group]
+
+
 def _level(flight: Recorded, name: str, trim: Mapping[str, float]) -> float:
     """Where a channel starts from: trim, or for place and heading the flight's own first samples."""
-    return trim.get(name, 0.0) if name in trim and name != "psi" else float(flight.get(name, 0.0)[:20].mean())
+    return trim.get(name, 0.0) if name in trim and name != "psi" else float(flight.get(name, 0.0)[:STARTING].mean())
 
 
 def _controller(flights: Sequence[Recorded], trim: Mapping[str, float]) -> Array:
@@ -174,24 +202,42 @@ def body_system(derivatives: Array, x: Array, gravity: float) -> tuple[Array, Ar
     return a, b
 
 
+def _starts(kept: Aircraft, tape: Tapes, prior: Prior) -> tuple[Array, Array]:
+    """States [31, aircraft, flight] and controls [4, aircraft, flight] of the trims that the flights start from.
+
+    Where an aircraft finds none at a flight's velocity, that of the data set's stands for it.
+    """
+    trims, own = kept.trims, [level_velocity(trim) for trim in tape.trims]
+    state, controls = (np.repeat(part, len(own), axis=2) for part in (trims.state, trims.controls))
+    for velocity in np.unique(own, axis=0):
+        if np.array_equal(velocity, prior.velocity):
+            continue
+        there = find_trims(kept.craft, velocity, trims)
+        flown = np.array([np.array_equal(velocity, one) for one in own])
+        some = np.ix_(there.found, flown)
+        state[:, *some], controls[:, *some] = there.state[:, there.found], there.controls[:, there.found]
+    return state, controls
+
+
 @np.errstate(over="ignore", invalid="ignore")
 def follow(kept: Aircraft, tape: Tapes, prior: Prior) -> Followed:
     """Fly every aircraft through every flight.
 
-    Its blade angles are trim + gearing x recorded + gains x (own motion - measured motion), all from trim. What its
-    record shows of them is in the data set's units and about the data set's trim: rigging is not its business.
+    Its blade angles are trim + gearing x recorded + gains x (own motion - measured motion), all from trim: its own, at
+    the velocity that the flight starts with. What its record shows of them is in the units of the data set, about its
+    trim: rigging is not its business.
     One that flies away ends in numbers that are not finite.
     """
-    craft, trims, flights = kept.craft, kept.trims, len(tape.dt)
+    craft, trims = kept.craft, kept.trims
     feed = gains(kept, prior, tape)
     fed = slice(0, len(FED))
-    x = np.repeat(trims.state, flights, axis=2)
+    x, neutral_controls = _starts(kept, tape, prior)
     x[8], x[PLACE] = tape.start[0], tape.start[1:, None]
     neutral = x[fed].copy()
     x[fed] += tape.motion[0][:, None]
     hands = kept.gearing.T[:, :, None] * tape.controls[:, :, None]
     hands -= np.einsum("dij,tjf->tidf", feed, tape.motion)
-    hands += trims.controls
+    hands += neutral_controls
     level = np.array([tape.trim.get(name, 0.0) for name in CONTROL_NAMES])
     substeps = int(np.ceil(float((tape.dt.max() * craft.speed).max()) / TURN))
 
@@ -202,7 +248,7 @@ def follow(kept: Aircraft, tape: Tapes, prior: Prior) -> Followed:
         return respond(craft, trims.setting, state, commanded(state, hand))[0]
 
     last = len(hands) - 1
-    record = np.full((last + 1, _ROWS, craft.count, flights), np.nan, dtype=np.float32)
+    record = np.full((last + 1, _ROWS, *x.shape[1:]), np.nan, dtype=np.float32)
     for t in range(last + 1):
         u = commanded(x, hands[t])
         first, response = respond(craft, trims.setting, x, u)

@@ -75,6 +75,20 @@ def test_draws_stay_near_the_measured_motion(flown, drawn):
                 assert np.std(moved) > 1.8 * flown.noise("r")
 
 
+def test_flights_at_several_speeds_start_from_trims_of_their_own():
+    """As near as flights at one speed; controls differ from speed to speed by the drawn aircraft's own trims."""
+    flown = fly(None, flights=("f321_lat", "dbl_lat_p-20mps"), seconds=6.0).dataset()
+    draw = next(clean_flights(flown, 1, [0]))
+    for channel in ("u", "v", "w", "p", "q", "r", "phi", "theta"):
+        pairs = [(draw.dataset.flights[n].channels[channel], flown.flights[n].channels[channel]) for n in flown.flights]
+        off = np.concatenate([(own - own[:77].mean() - measured + measured[:77].mean()) for own, measured in pairs])
+        moved = np.concatenate([measured - measured[:77].mean() for _, measured in pairs])
+        assert np.sqrt(np.mean(off**2)) < 0.4 * np.sqrt(np.mean(moved**2)) + 2.0 * flown.noise(channel), channel
+    for one in (flown, draw.dataset):
+        hover, fast = (one.flights[n].channels["lon"][:77].mean() for n in one.flights)
+        assert abs(float(fast - hover)) > 0.01
+
+
 def test_form_and_noise_are_the_data_sets(flown, drawn):
     """The same lists, channels, samples, declaration; white noise of the declared size."""
     for draw in drawn:
