@@ -358,7 +358,7 @@ def _loop(before: Run, after: Run | None, findings: Sequence[Finding], monitor: 
         before=before.fit,
         after=None if after is None else after.fit,
         verdict=VerdictRecord(kind=told.kind, effects=told.effects, sentence=told.sentence),
-        effects=tuple(effect_record(f, run.model, after) for f in findings),
+        effects=tuple(effect_record(f, run.model, after, before) for f in findings),
         unknown=None if missing is None else unknown_record(missing),
         warnings=(*run.record.warnings, *tracing.notes),
     )

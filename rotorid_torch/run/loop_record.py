@@ -40,8 +40,11 @@ def unknown_record(missing: Unknown) -> UnknownRecord:
     return UnknownRecord(**{name: getattr(missing, name) for name in UnknownRecord.__struct_fields__})
 
 
-def effect_record(finding: Finding, model: Model, after: Run | None) -> EffectRecord:
-    """A finding for the report; parameters are those of the fit after, where that estimated them."""
+def effect_record(finding: Finding, model: Model, after: Run | None, before: Run | None = None) -> EffectRecord:
+    """A finding for the report; parameters are those of the fit after, where that estimated them.
+
+    Of what the model has from the start they are those of the fit before, where nothing was added.
+    """
     traced = [
         ParameterRecord(name=n, value=v, se=e, unit=_unit(model, n), status="free" if e > 0.0 else "frozen")
         for n, (v, e) in finding.values.items()
@@ -56,13 +59,13 @@ def effect_record(finding: Finding, model: Model, after: Run | None) -> EffectRe
         floor=finding.floor,
         smallest_visible=None if visible is None else VisibleRecord(value=visible[0], unit=visible[1]),
         group=finding.group,
-        parameters=tuple(_fitted(finding, after) or traced),
+        parameters=tuple(_fitted(finding, (after or before) if finding.part else after) or traced),
     )
 
 
 def _fitted(finding: Finding, after: Run | None) -> list[ParameterRecord]:
-    """Sizes of the effect that the fit after estimated."""
-    known, own = after.fit.parameters if after else (), f"{finding.id}."
+    """Sizes of the effect that a fit estimated."""
+    known, own = after.fit.parameters if after else (), f"{finding.part or finding.id}."
     return [p for p in known if p.name.startswith(own) and p.se and p.status != "nuisance"]
 
 

@@ -39,7 +39,7 @@ def candidates(spec: ModelSpec) -> tuple[list[str], list[Finding]]:
         part, reason = effect.within(spec), effect.untestable(spec)
         if part:
             said = f"the nominal model has it from the start, as its part '{part}'"
-            settled.append(Finding(name, effect.role.value, "accepted", said, nominal=True))
+            settled.append(Finding(name, effect.role.value, "accepted", said, part=part))
         elif reason is None:
             testable.append(name)
         else:

@@ -14,8 +14,8 @@ Kind = Literal["nothing undeclared", "undeclared", "group", "unknown", "structur
 class Finding:
     """One effect: verdict with its reason in words, gain and floor per sample, smallest size these flights show.
 
-    values : parameters by full name with their standard errors, where it was fitted. nominal : the model had it from
-        the start.
+    values : parameters by full name with their standard errors, where it was fitted. part : of the model from the
+        start that is this effect, where one is.
     """
 
     id: str
@@ -27,7 +27,7 @@ class Finding:
     smallest_visible: tuple[float, str] | None = None
     group: tuple[str, ...] = ()
     values: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    nominal: bool = False
+    part: str = ""
 
 
 @dataclass(frozen=True)

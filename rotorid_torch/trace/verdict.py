@@ -41,7 +41,7 @@ def _stated(findings: Sequence[Finding], unknown: Unknown | None) -> Statement:
     """The same without a network: it is no undeclared effect."""
     named = [f for f in findings if f.role == "undeclared" and f.verdict == "accepted"]
     grouped = [f for f in findings if f.role == "undeclared" and f.verdict == "indistinguishable" and f.values]
-    structure = [f for f in findings if f.role == "structure" and f.verdict == "accepted" and not f.nominal]
+    structure = [f for f in findings if f.role == "structure" and f.verdict == "accepted" and not f.part]
     more = f" {unknown.sentence.replace('Something is', 'Something more is')}" if unknown else ""
     members = tuple(dict.fromkeys(n for f in grouped for n in (f.id, *f.group)))
     if grouped:

@@ -31,6 +31,14 @@ def test_what_no_fit_after_estimated_keeps_the_values_that_were_traced():
     assert as_fitted(FOUND, held) == as_fitted(FOUND, None) == FOUND
 
 
+def test_what_the_model_has_from_the_start_is_told_with_its_sizes():
+    inflow = Finding("rotor.inflow", "structure", "accepted", "from the start", part="inflow")
+    tau = ParameterRecord(name="inflow.tau", value=0.12, se=0.01, unit="s", status="free")
+    model: Any = SimpleNamespace(parameter_set=ParameterSet(()))
+    assert effect_record(inflow, model, None, run(tau)).parameters == (tau,)
+    assert effect_record(inflow, model, run(tau), run()).parameters == (tau,)
+
+
 def test_where_a_play_stands_at_first_is_no_size_to_be_told():
     play = Finding("control.backlash", "undeclared", "accepted", "why")
     after = run(

@@ -15,5 +15,5 @@ def test_what_the_nominal_model_has_is_told_as_part_of_it():
     for effect in ("rotor.inflow", "forces.translational_lift"):
         assert effect not in testable
         assert told[effect].verdict == "accepted"
-        assert told[effect].nominal
+        assert told[effect].part == "inflow"
     assert {"rotor.inflow", "forces.translational_lift"} <= set(candidates(HELICOPTER)[0])

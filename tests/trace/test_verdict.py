@@ -49,7 +49,7 @@ def test_structure_alone_is_nothing_undeclared():
 
 
 def test_what_the_nominal_model_has_from_the_start_joins_nothing():
-    inflow = Finding("rotor.inflow", "structure", "accepted", "", nominal=True)
+    inflow = Finding("rotor.inflow", "structure", "accepted", "", part="inflow")
     assert statement([inflow, QUIET], None).kind == "nothing undeclared"
     assert statement([inflow, LAG_MODE], None).effects == ("rotor.lead_lag",)
 
