@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.linalg import solve_continuous_are
 from scipy.ndimage import gaussian_filter1d
 
@@ -18,15 +19,16 @@ from rotorid_torch.fly.resemblance import Recorded
 from rotorid_torch.fly.section import Array
 
 FED = ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi")
-VELOCITY = FED[:3]
+VELOCITY, RATES = slice(0, 3), slice(3, 6)
 ANGULAR = slice(3, 9)  # of these, what a rate and attitude controller feeds back
 CONTROL_BLUR, MOTION_BLUR = 0.01, 0.1  # s: standard deviations of the kernels that take noise out of the records
 CONTROL_SMOOTH = 0.06  # s: the same where controls are compared with the motion
 TURN = 0.25  # rad of the rotor in one step of the integration, at most
 LEAST = 1e-3  # rad: rms of a blade angle that hardly moves
 EFFORT = 10.0  # price of an rms of the controls in terms of an rms of the deviation
-STARTING = 20  # samples at the beginning of a flight that tell where it starts from
-ONE_TRIM = 2.0  # m/s between the starts of two flights, up to which they are flown from one trim
+STARTING = 0.5  # s at the beginning of a flight that tell where it starts from
+TURNING = 0.05  # rad/s at which a flight that starts is not trimmed
+ONE_TRIM = 2.0  # m/s between the starts of flights, up to which they are flown from one trim
 EXPLAINED = 0.5  # share of a control's rms that a controller may leave over and still be one
 
 
@@ -64,8 +66,9 @@ def tapes(flights: Sequence[Recorded], trim: Mapping[str, float]) -> Tapes:
     controls = np.stack([prepared(*pair, CONTROL_NAMES, CONTROL_BLUR) for pair in paired], axis=-1)
     motion = np.stack([prepared(*pair, FED, MOTION_BLUR) for pair in paired], axis=-1)
     start = np.array([[_level(flight, name, {}) for flight in flights] for name in ("psi", *_PLACES)])
-    size = np.concatenate([np.sqrt((part**2).mean((0, 2))) for part in (motion, controls)])
     dt, samples = np.array([f.dt for f in flights]), np.array([f.samples for f in flights])
+    there = np.arange(longest)[:, None, None] < samples
+    size = np.concatenate([np.sqrt((part**2 * there).sum((0, 2)) / samples.sum()) for part in (motion, controls)])
     return Tapes(controls, motion, dt, samples, start, size, _controller(flights, trim), trim, trims)
 
 
@@ -75,28 +78,30 @@ _PLACES = ("north", "east", "height")
 def _trims(flights: Sequence[Recorded], trim: Mapping[str, float]) -> list[Mapping[str, float]]:
     """What each flight starts from: the data set's trim, or where they start at several velocities, one for each.
 
-    That of several velocities is the mean of the flights that start there.
+    That of several velocities is the mean of the flights that start there. One that starts turning is not trimmed
+    there: it is flown from the nearest trim.
     """
-    names = (*FED, *CONTROL_NAMES)
+    names = [name for name in (*FED, *CONTROL_NAMES) if name != "psi"]
     starts = [{name: _level(flight, name, {}) for name in names if name in flight.channels} for flight in flights]
-    velocity = np.array([[start.get(name, 0.0) for name in VELOCITY] for start in starts])
-    group: list[int] = []
-    for k in range(len(flights)):
-        near = np.flatnonzero(np.linalg.norm(velocity[: k + 1] - velocity[k], axis=1) <= ONE_TRIM)
-        group.append(group[near[0]] if near[0] < k else k)
-    if len(set(group)) == 1:
+    steady = [start for start in starts if all(abs(start[n] - trim.get(n, 0.0)) < TURNING for n in FED[RATES])]
+    velocity = np.array([[start[name] for name in FED[VELOCITY]] for start in steady])
+    group = fcluster(linkage(velocity, "complete"), ONE_TRIM, "distance") if len(steady) > 1 else np.ones(len(steady))
+    if len(set(group.tolist())) <= 1:
         return [trim] * len(flights)
-    alike = {leader: [start for start, g in zip(starts, group, strict=True) if g == leader] for leader in group}
-    means = {
-        leader: {name: float(np.mean([one[name] for one in some])) for name in some[0]}
-        for leader, some in alike.items()
-    }
-    return [{**trim, **means[leader]} for leader in group]
+    alike = [[start for start, g in zip(steady, group, strict=True) if g == one] for one in np.unique(group)]
+    trims = [{**trim, **{n: float(np.mean([one[n] for one in some])) for n in some[0]}} for some in alike]
+
+    def off(start: Mapping[str, float], own: Mapping[str, float]) -> float:
+        return float(np.linalg.norm([start[name] - own[name] for name in FED[VELOCITY]]))
+
+    return [min(trims, key=lambda own: off(start, own)) for start in starts]
 
 
 def _level(flight: Recorded, name: str, trim: Mapping[str, float]) -> float:
     """Where a channel starts from: trim, or for place and heading the flight's own first samples."""
-    return trim.get(name, 0.0) if name in trim and name != "psi" else float(flight.get(name, 0.0)[:STARTING].mean())
+    if name in trim and name != "psi":
+        return trim[name]
+    return float(flight.get(name, 0.0)[: max(1, round(STARTING / flight.dt))].mean())
 
 
 def _controller(flights: Sequence[Recorded], trim: Mapping[str, float]) -> Array:
@@ -205,7 +210,7 @@ def body_system(derivatives: Array, x: Array, gravity: float) -> tuple[Array, Ar
 def _starts(kept: Aircraft, tape: Tapes, prior: Prior) -> tuple[Array, Array]:
     """States [31, aircraft, flight] and controls [4, aircraft, flight] of the trims that the flights start from.
 
-    Where an aircraft finds none at a flight's velocity, that of the data set's stands for it.
+    NaN where an aircraft finds none at a flight's velocity.
     """
     trims, own = kept.trims, [level_velocity(trim) for trim in tape.trims]
     state, controls = (np.repeat(part, len(own), axis=2) for part in (trims.state, trims.controls))
@@ -214,8 +219,8 @@ def _starts(kept: Aircraft, tape: Tapes, prior: Prior) -> tuple[Array, Array]:
             continue
         there = find_trims(kept.craft, velocity, trims)
         flown = np.array([np.array_equal(velocity, one) for one in own])
-        some = np.ix_(there.found, flown)
-        state[:, *some], controls[:, *some] = there.state[:, there.found], there.controls[:, there.found]
+        state[..., flown] = np.where(there.found[:, None], there.state, np.nan)
+        controls[..., flown] = np.where(there.found[:, None], there.controls, np.nan)
     return state, controls
 
 

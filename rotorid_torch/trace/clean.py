@@ -28,6 +28,7 @@ from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset, load
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.one_rate import at_one_rate
+from rotorid_torch.data.quiet import LEAST_S
 from rotorid_torch.data.write import write_dataset
 from rotorid_torch.effects.base import Frame, Values
 from rotorid_torch.effects.registry import registered
@@ -172,7 +173,7 @@ def _fingerprint(dataset: Dataset, null: Null, effects: Sequence[str], seed: int
         "kind": dataset.kind,
         "vehicle": msgspec.to_builtins(dataset.vehicle),
         "lists": [dataset.identify, dataset.validate, dataset.acid],
-        "flights": {name: [f.samples, round(f.dt, 6)] for name, f in facts.items()},
+        "flights": {name: [f.samples, round(f.dt, 6), _speed(dataset, name)] for name, f in facts.items()},
         "noise": {c: f"{dataset.noise(c):.1g}" for c in spec.outputs},
         "controls": {c: round(math.log2(max(scales[c], 1e-9))) for c in dataset.controls},
         "reference": {c: round(0.5 * spec.reference.get(c, 0.0)) for c in ("u", "v", "w")},
@@ -183,6 +184,13 @@ def _fingerprint(dataset: Dataset, null: Null, effects: Sequence[str], seed: int
         "code": _code(),
     }
     return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:24]
+
+
+def _speed(dataset: Dataset, name: str) -> list[int]:
+    """Velocity that a flight starts with, in coarse steps: clean aircraft are trimmed there."""
+    flight = dataset.flights[name]
+    start = flight.bridged(VELOCITIES)[: max(1, round(LEAST_S / flight.dt))].mean(dim=0)
+    return [round(0.5 * float(v)) for v in start]
 
 
 def _code() -> str:

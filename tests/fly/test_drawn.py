@@ -7,7 +7,8 @@ from rotorid_torch.data import Dataset, load
 from rotorid_torch.errors import InputError
 from rotorid_torch.fly import fly
 from rotorid_torch.fly.drawn import clean_flights, undrawable
-from rotorid_torch.fly.resemblance import look
+from rotorid_torch.fly.followed import tapes
+from rotorid_torch.fly.resemblance import Recorded, look
 from rotorid_torch.fly.sensors import MIRRORED
 from tests.helpers import shared, small_arrays
 
@@ -87,6 +88,38 @@ def test_flights_at_several_speeds_start_from_trims_of_their_own():
     for one in (flown, draw.dataset):
         hover, fast = (one.flights[n].channels["lon"][:77].mean() for n in one.flights)
         assert abs(float(fast - hover)) > 0.01
+
+
+def starting(u: float, p: float = 0.0, **other: float) -> Recorded:
+    """A flight at 50 Hz that starts so."""
+    channels = {name: np.zeros(200) for name in ("v", "w", "q", "r", "phi", "theta", "lon", "lat", "col", "ped")}
+    channels |= {"u": np.full(200, u), "p": np.full(200, p)} | {name: np.full(200, v) for name, v in other.items()}
+    return Recorded("", 0.02, 200, channels)
+
+
+@pytest.mark.parametrize("speeds", [(0.0, 3.8, 1.8, 20.0), (20.0, 1.8, 3.8, 0.0), (1.8, 0.0, 20.0, 3.8)])
+def test_which_flights_start_from_one_trim_does_not_depend_on_their_order(speeds):
+    tape = tapes([starting(u) for u in speeds], {"u": 5.0})
+    found = {u: round(own["u"], 9) for u, own in zip(speeds, tape.trims, strict=True)}
+    assert found == {0.0: 0.9, 1.8: 0.9, 3.8: 3.8, 20.0: 20.0}
+
+
+def test_a_flight_that_starts_turning_keeps_its_deviation_from_the_nearest_trim():
+    flights = [starting(0.0), starting(20.0), starting(4.0, p=0.5, psi=1.0), starting(0.1)]
+    tape = tapes(flights, {"u": 5.0})
+    assert tape.trims[2] == tape.trims[0] == tape.trims[3]
+    assert tape.motion[0, :, 2] == pytest.approx([3.95, 0.0, 0.0, 0.5, *5 * [0.0]])
+
+
+def test_all_flights_start_from_the_data_sets_trim_where_they_start_alike():
+    trim = {"u": 0.3}
+    assert all(own is trim for own in tapes([starting(0.0), starting(1.0), starting(9.0, p=0.5)], trim).trims)
+
+
+def test_padding_is_no_motion():
+    short = starting(0.0, theta=0.3)
+    longer = Recorded("", 0.02, 2000, {name: np.repeat(v, 10) for name, v in starting(0.0).channels.items()})
+    assert tapes([short, longer], {"theta": 0.0}).sizes[7] == pytest.approx(0.3 * np.sqrt(200 / 2200))
 
 
 def test_form_and_noise_are_the_data_sets(flown, drawn):
