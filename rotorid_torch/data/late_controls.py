@@ -59,8 +59,9 @@ def late_controls(dataset: Dataset) -> LateControls | None:
     """Whether responses precede their controls, beyond chance, beyond a sample, and in no flight the other way round.
 
     Where rates follow sticks, these are compared directly and their mean is told; otherwise accelerations, and of these
-    the one that leaves least time for the vehicle to respond, by what is sure with slow motion and without it: a load
-    that swings turns the vehicle before the controller that answers. A stick that commands an attitude is not late: the
+    the one that leaves least time for the vehicle to respond. It comes first with slow motion and without it, and what
+    is told is the shorter: a load that swings turns the vehicle before the controller that answers. Flights too short
+    to be looked at without slow motion tell nothing. A stick that commands an attitude is not late: the
     rate leads it, for it goes with the stick's own rate of change. Nor is what a controller moves against the rate.
     """
     sample = max(dataset.facts[name].dt for name in dataset.identify)
@@ -71,25 +72,18 @@ def late_controls(dataset: Dataset) -> LateControls | None:
         answered = _answered(dataset) if first else ()
         early = tuple(a for a in first if a.pair.left_name not in answered and not _commands_attitude(a, flights))
         return _mean(early) if early else None
-    known = [r for r in known_responses(dataset) if r.r2 > FOLLOWED]
-    if not any(_comes_first(r, sample) for r in known):
-        return None
-    fast = {r.channel: r for r in responses(dataset, fast=True)}
-    both = (max(r, fast[r.channel], key=_surely) for r in known if r.channel in fast)
-    felt = tuple(r for r in both if _comes_first(r, sample))
+    first = [r for r in known_responses(dataset) if r.r2 > FOLLOWED and comes_first(r, sample)]
+    fast = {r.channel: r for r in responses(dataset, fast=True) if comes_first(r, sample)} if first else {}
+    felt = tuple(max(r, fast[r.channel], key=lambda one: one.lag_s) for r in first if r.channel in fast)
     if not felt:
         return None
-    least = min(felt, key=_surely)
+    least = min(felt, key=lambda r: r.lag_s + SURE * r.lag_se)
     return LateControls(-least.lag_s, least.lag_se, accelerations=felt)
 
 
-def _comes_first(r: Response, sample: float) -> bool:
+def comes_first(r: Response, sample: float) -> bool:
+    """Whether a response precedes its control, by more than chance and more than a sample, s."""
     return r.lag_s < -max(SURE * r.lag_se, EARLY_S, sample)
-
-
-def _surely(r: Response) -> float:
-    """The lag that is hardly exceeded, s."""
-    return r.lag_s + SURE * r.lag_se
 
 
 def _precedes(a: Agreement, sample: float) -> bool:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy import signal
+from scipy.ndimage import uniform_filter1d
 
 from rotorid_torch.data import Dataset, load
+from rotorid_torch.data.examine_kinematics import precedence
 from rotorid_torch.data.late_controls import followed_sticks, late_controls
 from rotorid_torch.data.precedence import responses
 from rotorid_torch.trace.sensor_correction import without_errors
@@ -138,9 +140,28 @@ def test_a_load_that_swings_is_no_late_record_of_the_controls_and_hides_none() -
     assert roll.lag_s < -0.03
     assert roll.r2 > 0.7
     assert late_controls(swinging(0.0)) is None
+    assert not list(precedence(swinging(0.0)))  # nor do accelerations follow there
     late = late_controls(swinging(0.05))
     assert late is not None
     assert 0.04 < late.seconds < 0.06
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_late_at_least_is_not_more_than_late(seed: int) -> None:
+    """Slow inputs in noise leave little without slow motion: its lag is uncertain, and not told for the other."""
+    rng, flights, time = np.random.default_rng(seed), {}, DT * np.arange(SAMPLES)
+    for k in range(4):
+        half = 0.8 + 0.2 * k
+        doublet = np.select([(time > 2) & (time < 2 + half), (time > 2) & (time < 2 + 2 * half)], [0.05, -0.05])
+        control = (-1) ** k * uniform_filter1d(doublet, round(1.5 / DT))
+        p = np.zeros(SAMPLES)
+        for i in range(1, SAMPLES):
+            p[i] = p[i - 1] + DT * (10.0 * control[i - 1] - 2.0 * p[i - 1])
+        shown = np.interp(time - 0.06, time, control)
+        flights[f"f{k}"] = {"time": time, "lat": shown, "p": p + 0.008 * rng.standard_normal(SAMPLES)}
+    found = late_controls(Dataset.from_arrays(flights, identify=list(flights), controls={"lat": {"unit": "rad"}}))
+    assert found is not None
+    assert 0.05 < found.seconds < 0.07
 
 
 @pytest.mark.parametrize("name", [*CLEAN, *MULTIROTORS, "trex550-translation"])
