@@ -21,6 +21,7 @@ NO_BETTER = "free runs of flights that no fit has seen are no better by it, and 
 STILL_POOR = (
     "free runs of unseen flights are no better by it, and leave more than a tenth of the motion: it may imitate that"
 )
+WORSE_FITTED = "identified again with it, the model's free runs of the very flights that are fitted are clearly worse"
 FAILS = "the model with it still does not describe the flights: something else acts, or more than this"
 """Said of unseen flights as of those that were fitted: what a fit leaves even there, its terms may imitate."""
 DECIDING = ("validate", "identify")
@@ -55,6 +56,8 @@ def objection(without: Run, after: Run, tracing: Tracing) -> str | None:
         return next(iter(doubts.values()))
     if clearly_worse(free_run_gain(without, after)):
         return WORSE
+    if clearly_worse(free_run_gain(without, after, "identify")):
+        return WORSE_FITTED
     explained = _explained(after, *DECIDING)
     if best_of([without, after]) is without:
         # a model that imitates the effect drifts no more where little is left over; where much is, it is to be less
@@ -92,9 +95,13 @@ def _error(run: Run, name: str) -> float:
     return told.se or 0.0
 
 
-def free_run_gain(without: Run, after: Run) -> Tensor:
-    """log(J without / J with) of each flight that decides [F]; of two that fly away, or have no score, zero."""
-    J = [[FLOWN_AWAY if f.J is None or math.isnan(f.J) else f.J for f in _deciding(run)] for run in (without, after)]
+def free_run_gain(without: Run, after: Run, *lists: str) -> Tensor:
+    """log(J without / J with) of each flight of a list [F]; of two that fly away, or have no score, zero.
+
+    lists : of which the first that has flights is taken; without any, those that decide.
+    """
+    flown = [_first_of(lists or DECIDING, run) for run in (without, after)]
+    J = [[FLOWN_AWAY if f.J is None or math.isnan(f.J) else f.J for f in flights] for flights in flown]
     before, now = torch.tensor(J, dtype=torch.float64).clamp(max=FLOWN_AWAY).log()
     return before - now
 
@@ -109,7 +116,7 @@ def _explained(run: Run, *lists: str) -> float:
     return 1.0 if found is None else found.explained or 0.0
 
 
-def _deciding(run: Run) -> list[FlightRecord]:
-    """Flights whose free runs decide."""
-    by_list = ([f for f in run.fit.flights.values() if f.list == name] for name in DECIDING)
+def _first_of(lists: Sequence[str], run: Run) -> list[FlightRecord]:
+    """Flights of the first of these lists that has any."""
+    by_list = ([f for f in run.fit.flights.values() if f.list == name] for name in lists)
     return next((flights for flights in by_list if flights), [])

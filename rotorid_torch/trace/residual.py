@@ -86,7 +86,8 @@ class LeftOver:
     """Equations' residuals [N, rows] of all flights in one column, and what may go with them [N, k].
 
     rows : forces and moments, and the rates of the flapping where it is measured and lags, these twice (`AT_ONCE`).
-    linear : what linear terms take up, the signals and behind them a constant of each flight and steps at a time.
+    linear : what linear terms take up, the signals and behind them a constant of each flight, another one as long as
+        controls are at rest (what grows with the square of the motion has a mean in it), and steps at a time.
     tilts : the flapping [N, 0 or 3], linear terms too, but not of a disc that follows at once.
     flight : the flight of each sample [N].
     named : how the residuals change with each parameter of effects that have a name [N, rows, n].
@@ -111,7 +112,7 @@ class LeftOver:
 
     @property
     def constants(self) -> Tensor:
-        """One of each flight [N, flights], and steps."""
+        """One of each flight, at rest, and steps [N, n]."""
         return self.linear[:, len(self.names) :]
 
     @property
@@ -133,7 +134,7 @@ def left_over(
 
     effects : those of the model with a name; what their parameters' errors leave is theirs.
     """
-    residuals, changes, columns, times, constants, tilts = [], [], [], [], [], []
+    residuals, changes, columns, times, constants, tilts, rests = [], [], [], [], [], [], []
     names: tuple[str, ...] = ()
     told = [name for name in flights if dataset.facts[name].has(*FLAPPING)]
     flapping = FLAPPING if told and isinstance(model.effect("rotor"), Flapping) else ()
@@ -155,10 +156,13 @@ def left_over(
         columns.append(smoothed(signals, width)[::every])
         tilts += [smoothed(_stacked(seen.signals, flapping).nan_to_num(0.0), width)[::every]] if flapping else []
         times.append(dt * torch.arange(len(signals), dtype=torch.float64)[::every])
+        rest = (torch.arange(len(signals)) < dataset.quiet(name)).to(torch.float64)[:, None]
+        rests.append(smoothed(rest, width)[::every])
         own = torch.zeros(len(columns[-1]), len(flights), dtype=torch.float64)
         own[:, k] = 1.0
         constants.append(own)
     signals, residual, own = torch.cat(columns), torch.cat(residuals), torch.cat(constants)
+    rests = [torch.cat(rests)] if any(rest.min() < rest.max() for rest in rests) else []
     at_once = [n for n, name in AT_ONCE.items() if name in flapping]
     body = len(FORCES) + len(MOMENTS)
     twice = [*range(residual.shape[1]), *range(body, body + len(at_once))]
@@ -170,7 +174,7 @@ def left_over(
         names,
         signals,
         torch.cat(times),
-        torch.cat([signals, own[:, own.any(dim=0)]], dim=1),
+        torch.cat([signals, own[:, own.any(dim=0)], *rests], dim=1),
         torch.cat(tilts) if tilts else signals.new_zeros(len(signals), 0),
         own.argmax(dim=1),
         torch.stack(named, dim=-1) if named else residual.new_zeros(*residual.shape, 0),

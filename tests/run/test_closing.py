@@ -328,6 +328,16 @@ def test_free_runs_speak_against_an_effect_only_where_they_are_clearly_worse(aft
     assert bool(found.accepted) is stays
 
 
+@pytest.mark.parametrize(("fitted", "stays"), [((0.1, 0.11, 0.1, 0.1), True), ((0.13, 0.11, 0.12, 0.1), False)])
+def test_an_effect_that_makes_free_runs_of_fitted_flights_clearly_worse_is_refused(
+    fitted: tuple[float, ...], stays: bool
+):
+    """Unseen flights may be as good as before by chance: what acts describes the flights it was fitted on better."""
+    before = over("identify", [0.1] * 4) | over("validate", [0.2] * 4)
+    after = over("identify", fitted) | over("validate", [0.199] * 4)
+    assert bool(judged(before, after, tracing_of("control.backlash")).accepted) is stays
+
+
 def test_flights_that_flew_away_without_an_effect_do_not_hide_those_that_do_with_it():
     before, after = ([0.1, 0.1, math.nan], [0.1, math.nan, 0.1])
     assert not judged(over("validate", before), over("validate", after), tracing_of("control.delay")).accepted
@@ -369,7 +379,8 @@ def test_a_model_that_does_not_describe_what_it_was_fitted_on_earns_no_name(fitt
     """Unseen flights alone may be described by luck where they move less."""
     before = over("identify", [1.5] * 6) | over("validate", [0.9] * 4)
     after = over("identify", [fitted] * 6) | over("validate", [0.5] * 4)
-    after["unscored"] = SimpleNamespace(list="identify", J=math.nan, J_noise=math.nan, J_trim=math.nan)
+    for flights in (before, after):
+        flights["unscored"] = SimpleNamespace(list="identify", J=math.nan, J_noise=math.nan, J_trim=math.nan)
     assert bool(judged(before, after, tracing_of("control.lag")).accepted) is stays
 
 

@@ -347,6 +347,20 @@ def test_where_a_controller_holds_the_disc_the_angle_is_told_that_is_moved_most(
     assert (told.where, told.goes_with, told.since_s) == ("b1", "time", 6.0)
 
 
+def test_a_mean_that_is_another_at_rest_than_in_motion_is_no_step():
+    """What grows with the square of the motion has one, in every flight from the first input on."""
+    model = linear_vehicle()
+    data = flown(model, manoeuvres(12.0, 0.02), 0.02, noise=0.005)
+    over = left_over(model, data, reconstruct(data), data.identify)
+    rest = torch.tensor([0.02 * data.quiet(name) for name in data.identify], dtype=torch.float64)[over.flight]
+    assert 0.5 < float(rest.min()) < 4.0
+    lifted = replace(over, residual=over.residual + 0.1 * (over.time < rest)[:, None])
+    assert largest(scan(lifted))["Y"].size < 0.02
+    slipped = replace(over, residual=over.residual + 0.1 * (over.time < 6.0)[:, None])
+    told = scan(slipped)["Y, step"]
+    assert (told.since_s, told.size > 0.03) == (6.0, True)
+
+
 @pytest.mark.parametrize("order", [1, 2])
 def test_a_slipped_control_run_shows_in_the_flapping_that_follows_it(order: int):
     """Half of the lateral cyclic's deviation is lost from 5 s on; the moments follow the measured flapping.
