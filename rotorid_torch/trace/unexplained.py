@@ -55,7 +55,8 @@ def unknown(
     angle of the disc that itself goes with it most, or of the largest moment. A trace describes a fair part of what its
     equation leaves over.
     Flights that no fit has seen must be better described with the trace as it was found, by more than chance allows and
-    half as well as it should be there: the best of hundreds of traces that mean nothing explains less.
+    half as well as it should be there: the best of hundreds of traces that mean nothing explains less. A step that a
+    straight line in time describes better is no step but a drift, which motion that dies away leaves over too.
 
     does : what each control does to the equations. A step that one of them makes by itself is told of that one.
     """
@@ -63,6 +64,7 @@ def unknown(
         trace
         for key, trace in traces.items()
         if trace.row in unseen.rows and trace.weight > floors.get(key, math.inf) and trace.share >= MAIN
+        if trace.goes_with != TIME or trace.share > _drift(trace.row, left)
     ]
     standing = [trace for trace in above if _holds(trace, left, unseen, seed)]
     if not standing:
@@ -116,6 +118,13 @@ def _all_hold(row: str, told: Sequence[Trace], left: LeftOver, unseen: LeftOver,
 def _less(step: Trace, side: LeftOver) -> LeftOver:
     assert step.since_s is not None
     return less_steps(side, step.since_s)
+
+
+def _drift(row: str, left: LeftOver) -> float:
+    """Share of what linear terms leave over of an equation that goes with time in a straight line, in all flights."""
+    k = left.rows.index(row)
+    line, rest = left.beyond(torch.stack([left.time, left.residual[:, k]], dim=-1), k).mT
+    return float((line @ rest) ** 2 / ((line @ line) * (rest @ rest)).clamp_min(1e-300))
 
 
 def _beside(step: Trace, left: LeftOver, unseen: LeftOver, seed: int) -> Trace | None:

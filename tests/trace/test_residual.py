@@ -361,6 +361,17 @@ def test_a_mean_that_is_another_at_rest_than_in_motion_is_no_step():
     assert (told.since_s, told.size > 0.03) == (6.0, True)
 
 
+def test_a_drift_is_no_step(signals: Tensor):
+    """A line in time looks like a step in its middle; a step looks less like a line."""
+    over = left("Y", None)
+    for made, told in ((0.03 * over.time, False), (0.2 * (over.time >= 6.0), True)):
+        drifting = replace(over, residual=over.residual + made[:, None] * (torch.arange(6) == 1))
+        traces = scan(drifting)
+        assert traces["Y, step"].share > 0.3
+        found = unknown({"Y, step": traces["Y, step"]}, levels(ROWS, 0.01), drifting, drifting)
+        assert (found is not None) is told
+
+
 @pytest.mark.parametrize("order", [1, 2])
 def test_a_slipped_control_run_shows_in_the_flapping_that_follows_it(order: int):
     """Half of the lateral cyclic's deviation is lost from 5 s on; the moments follow the measured flapping.
