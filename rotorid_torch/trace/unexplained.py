@@ -74,7 +74,7 @@ def unknown(
     told = [best, beside] if beside else [best]
     # a moment with much else in it is described too little to stand by itself
     same = [t for t in traces.values() if t.named == best.named and (t in standing or t.row in MOMENTS)]
-    same = [t for t in same if t is best or _all_hold(t.row, told, left, unseen, seed)]
+    same = [t for t in same if t is best or _shows(best, t.row, left, unseen, seed)]
     row, found = _source(best, same, left), beside or best
     where, band, size = AT_ONCE.get(row, row), _band(left, row), _size(left, row, told)
     unit = "m/s2" if where in FORCES else "rad/s2" if where in MOMENTS else "rad/s"
@@ -105,14 +105,9 @@ def _source(best: Trace, same: Sequence[Trace], left: LeftOver) -> str:
     return best.row
 
 
-def _all_hold(row: str, told: Sequence[Trace], left: LeftOver, unseen: LeftOver, seed: int) -> bool:
-    """Whether unseen flights confirm by more than chance, of an equation too, what is told of another."""
-    if row not in unseen.rows:
-        return False
-    step, *beside = [replace(trace, row=row) for trace in told]
-    if not _holds(step, left, unseen, seed, 0.0):
-        return False
-    return all(_holds(t, _less(step, left), _less(step, unseen), seed, 0.0) for t in beside)
+def _shows(trace: Trace, row: str, left: LeftOver, unseen: LeftOver, seed: int) -> bool:
+    """Whether unseen flights confirm by more than chance, of an equation too, a trace of another."""
+    return row in unseen.rows and _holds(replace(trace, row=row), left, unseen, seed, 0.0)
 
 
 def _less(step: Trace, side: LeftOver) -> LeftOver:
