@@ -28,7 +28,6 @@ from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset, load
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.one_rate import at_one_rate
-from rotorid_torch.data.quiet import LEAST_S
 from rotorid_torch.data.write import write_dataset
 from rotorid_torch.effects.base import Frame, Values
 from rotorid_torch.effects.registry import registered
@@ -187,9 +186,9 @@ def _fingerprint(dataset: Dataset, null: Null, effects: Sequence[str], seed: int
 
 
 def _speed(dataset: Dataset, name: str) -> list[int]:
-    """Velocity that a flight starts with, in coarse steps: clean aircraft are trimmed there."""
+    """Velocity that a flight starts with, in coarse steps: clean aircraft are trimmed there. Zero where unmeasured."""
     flight = dataset.flights[name]
-    start = flight.bridged(VELOCITIES)[: max(1, round(LEAST_S / flight.dt))].mean(dim=0)
+    start = flight.bridged(VELOCITIES)[flight.lead()].mean(dim=0).nan_to_num(0.0)
     return [round(0.5 * float(v)) for v in start]
 
 
