@@ -11,7 +11,7 @@ from rotorid_torch.data import consistency
 from rotorid_torch.data.consistency import Agreement, Pair, agreement
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.finding import Finding, Severity, finding
-from rotorid_torch.data.late_controls import LateControls, comes_first, followed_sticks, known_responses, late_controls
+from rotorid_torch.data.late_controls import LateControls, coming_first, followed_sticks, known_responses, late_controls
 from rotorid_torch.data.precedence import Response
 
 Group = tuple[str, str, Callable[[Dataset], tuple[Pair, ...]]]
@@ -155,8 +155,7 @@ def precedence(dataset: Dataset) -> Iterator[Finding]:
     elif late is not None:
         yield _late_controls(late, dataset)
     elif not sticks and (known := known_responses(dataset)):
-        sample = max(dataset.facts[name].dt for name in dataset.identify)
-        if any(comes_first(r, sample) for r in known):  # what swings below moves the vehicle first too
+        if coming_first(dataset, known):  # what swings below moves the vehicle first too
             return
         told = f"the accelerations follow the controls: {_lags(known, 1.0)} (delay and lag of the whole path together)."
         yield finding("good", " ".join(r.channel for r in known), told)

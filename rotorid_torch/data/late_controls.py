@@ -64,16 +64,15 @@ def late_controls(dataset: Dataset) -> LateControls | None:
     to be looked at without slow motion tell nothing. A stick that commands an attitude is not late: the
     rate leads it, for it goes with the stick's own rate of change. Nor is what a controller moves against the rate.
     """
-    sample = max(dataset.facts[name].dt for name in dataset.identify)
     sticks = followed_sticks(dataset)
     if sticks:
         flights = [dataset.flights[name] for name in dataset.identify]
-        first = tuple(a for a in sticks if a.r2 > FOLLOWED and _precedes(a, sample))
+        first = tuple(a for a in sticks if a.r2 > FOLLOWED and _precedes(a, _sample(dataset)))
         answered = _answered(dataset) if first else ()
         early = tuple(a for a in first if a.pair.left_name not in answered and not _commands_attitude(a, flights))
         return _mean(early) if early else None
-    first = [r for r in known_responses(dataset) if r.r2 > FOLLOWED and comes_first(r, sample)]
-    fast = {r.channel: r for r in responses(dataset, fast=True) if comes_first(r, sample)} if first else {}
+    first = [r for r in coming_first(dataset, known_responses(dataset)) if r.r2 > FOLLOWED]
+    fast = {r.channel: r for r in coming_first(dataset, responses(dataset, fast=True))} if first else {}
     felt = tuple(max(r, fast[r.channel], key=lambda one: one.lag_s) for r in first if r.channel in fast)
     if not felt:
         return None
@@ -81,9 +80,14 @@ def late_controls(dataset: Dataset) -> LateControls | None:
     return LateControls(-least.lag_s, least.lag_se, accelerations=felt)
 
 
-def comes_first(r: Response, sample: float) -> bool:
-    """Whether a response precedes its control, by more than chance and more than a sample, s."""
-    return r.lag_s < -max(SURE * r.lag_se, EARLY_S, sample)
+def coming_first(dataset: Dataset, found: Sequence[Response]) -> tuple[Response, ...]:
+    """Those of a data set's responses that precede their controls, by more than chance and more than a sample."""
+    return tuple(r for r in found if r.lag_s < -max(SURE * r.lag_se, EARLY_S, _sample(dataset)))
+
+
+def _sample(dataset: Dataset) -> float:
+    """The longest interval of the records, s."""
+    return max(dataset.facts[name].dt for name in dataset.identify)
 
 
 def _precedes(a: Agreement, sample: float) -> bool:

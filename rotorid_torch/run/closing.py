@@ -348,7 +348,7 @@ def _loop(before: Run, after: Run | None, findings: Sequence[Finding], monitor: 
     missing, poor = tracing.unknown, failing(run.fit)
     if missing is not None and not (missing.judged or poor):  # any model of other people's aircraft lacks something
         missing = None
-    told = statement([as_fitted(f, after) for f in findings], missing, poor)
+    told = statement([as_fitted(f, run) for f in findings], missing, poor)
     record = Report(
         command="close-loop",
         dataset=run.record.dataset,
@@ -358,7 +358,7 @@ def _loop(before: Run, after: Run | None, findings: Sequence[Finding], monitor: 
         before=before.fit,
         after=None if after is None else after.fit,
         verdict=VerdictRecord(kind=told.kind, effects=told.effects, sentence=told.sentence),
-        effects=tuple(effect_record(f, run.model, after, before) for f in findings),
+        effects=tuple(effect_record(f, run.model, run) for f in findings),
         unknown=None if missing is None else unknown_record(missing),
         warnings=(*run.record.warnings, *tracing.notes),
     )

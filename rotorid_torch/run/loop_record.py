@@ -29,9 +29,9 @@ def of_sensors(found: KinematicFinding) -> Finding:
     )
 
 
-def as_fitted(finding: Finding, after: Run | None) -> Finding:
-    """The finding with the values of the fit after, where that estimated them: sentence and tables say the same."""
-    values = {p.name: (p.value, p.se) for p in _fitted(finding, after) if p.value is not None and p.se is not None}
+def as_fitted(finding: Finding, told: Run) -> Finding:
+    """The finding with the values of the fit that is told, where that estimated them: sentence and tables agree."""
+    values = {p.name: (p.value, p.se) for p in _fitted(finding, told) if p.value is not None and p.se is not None}
     return replace(finding, values=values) if values else finding
 
 
@@ -40,11 +40,8 @@ def unknown_record(missing: Unknown) -> UnknownRecord:
     return UnknownRecord(**{name: getattr(missing, name) for name in UnknownRecord.__struct_fields__})
 
 
-def effect_record(finding: Finding, model: Model, after: Run | None, before: Run | None = None) -> EffectRecord:
-    """A finding for the report; parameters are those of the fit after, where that estimated them.
-
-    Of what the model has from the start they are those of the fit before, where nothing was added.
-    """
+def effect_record(finding: Finding, model: Model, told: Run) -> EffectRecord:
+    """A finding for the report; parameters are those of the fit that is told, where that estimated them."""
     traced = [
         ParameterRecord(name=n, value=v, se=e, unit=_unit(model, n), status="free" if e > 0.0 else "frozen")
         for n, (v, e) in finding.values.items()
@@ -59,14 +56,14 @@ def effect_record(finding: Finding, model: Model, after: Run | None, before: Run
         floor=finding.floor,
         smallest_visible=None if visible is None else VisibleRecord(value=visible[0], unit=visible[1]),
         group=finding.group,
-        parameters=tuple(_fitted(finding, (after or before) if finding.part else after) or traced),
+        parameters=tuple(_fitted(finding, told) or traced),
     )
 
 
-def _fitted(finding: Finding, after: Run | None) -> list[ParameterRecord]:
+def _fitted(finding: Finding, told: Run) -> list[ParameterRecord]:
     """Sizes of the effect that a fit estimated."""
-    known, own = after.fit.parameters if after else (), f"{finding.part or finding.id}."
-    return [p for p in known if p.name.startswith(own) and p.se and p.status != "nuisance"]
+    own = f"{finding.part or finding.id}."
+    return [p for p in told.fit.parameters if p.name.startswith(own) and p.se and p.status != "nuisance"]
 
 
 def _unit(model: Model, name: str) -> str:

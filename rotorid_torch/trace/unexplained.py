@@ -11,6 +11,7 @@ from dataclasses import replace
 from types import MappingProxyType
 
 import torch
+from torch import Tensor
 
 from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS
@@ -119,7 +120,7 @@ def _drift(row: str, left: LeftOver) -> float:
     """Share of what linear terms leave over of an equation that goes with time in a straight line, in all flights."""
     k = left.rows.index(row)
     line, rest = left.beyond(torch.stack([left.time, left.residual[:, k]], dim=-1), k).mT
-    return float((line @ rest) ** 2 / ((line @ line) * (rest @ rest)).clamp_min(1e-300))
+    return _in_common(line, rest)
 
 
 def _beside(step: Trace, left: LeftOver, unseen: LeftOver, seed: int) -> Trace | None:
@@ -159,6 +160,11 @@ def _of_tilt(trace: Trace, angle: str, left: LeftOver) -> float:
     constants = left.constants
     both = torch.stack([column(trace, left, left.usual), left.tilts[:, FLAPPING.index(angle)]], dim=-1)
     x, y = (both - constants @ least_squares(constants, both)).mT
+    return _in_common(x, y)
+
+
+def _in_common(x: Tensor, y: Tensor) -> float:
+    """Share of the square of either [N] that the other describes."""
     return float((x @ y) ** 2 / ((x @ x) * (y @ y)).clamp_min(1e-300))
 
 

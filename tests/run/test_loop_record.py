@@ -28,15 +28,14 @@ def test_sentence_and_table_tell_the_values_of_the_fit_after():
 
 def test_what_no_fit_after_estimated_keeps_the_values_that_were_traced():
     held = run(ParameterRecord(name=NAME, value=0.02, se=0.0, unit="s", status="frozen"))
-    assert as_fitted(FOUND, held) == as_fitted(FOUND, None) == FOUND
+    assert as_fitted(FOUND, held) == as_fitted(FOUND, run()) == FOUND
 
 
 def test_what_the_model_has_from_the_start_is_told_with_its_sizes():
     inflow = Finding("rotor.inflow", "structure", "accepted", "from the start", part="inflow")
     tau = ParameterRecord(name="inflow.tau", value=0.12, se=0.01, unit="s", status="free")
     model: Any = SimpleNamespace(parameter_set=ParameterSet(()))
-    assert effect_record(inflow, model, None, run(tau)).parameters == (tau,)
-    assert effect_record(inflow, model, run(tau), run()).parameters == (tau,)
+    assert effect_record(inflow, model, run(tau)).parameters == (tau,)
 
 
 def test_where_a_play_stands_at_first_is_no_size_to_be_told():
