@@ -184,6 +184,7 @@ def _add_simulate(commands) -> None:
     command.add_argument("--out", metavar="FILE.npz", type=Path, required=True)
     command.add_argument("--start", metavar="S", type=_number, default=0.0, help="where in the flight to begin, s (0)")
     command.add_argument("--seconds", metavar="S", type=_number, help="how long to run, s (to the flight's end)")
+    command.add_argument("--overwrite", action="store_true", help="replace FILE.npz, whatever it is, but no input")
 
 
 def fly(options: Options) -> None:
@@ -215,7 +216,7 @@ def check(options: Options) -> None:
     from rotorid_torch.run.folder import refuse_unless_free
 
     if options.out:
-        refuse_unless_free(options.out)
+        refuse_unless_free(options.out, "check")
     dataset = load(options.dataset)
     found = examine(dataset)
     if options.out:
@@ -230,7 +231,7 @@ def reconstruct(options: Options) -> None:
     from rotorid_torch.run.folder import refuse_unless_free
     from rotorid_torch.run.records import read_report
 
-    refuse_unless_free(options.out)
+    refuse_unless_free(options.out, "reconstruct")
     pipeline.reconstruct(load(options.dataset), options.out, seed=options.seed, monitor=_monitor(options))
     _answer_report(options, options.out, read_report(options.out))
 
@@ -244,7 +245,7 @@ def identify(options: Options) -> None:
     from rotorid_torch.run.records import read_report
 
     with ranks_of_torchrun() as ranks:
-        refuse_unless_free(options.out)
+        refuse_unless_free(options.out, "identify")
         given = {"effects": tuple(options.effect), "seed": options.seed, "device": options.device}
         told = _monitor(options) if ranks.first else None
         dataset = load(options.dataset)
@@ -262,7 +263,7 @@ def close_loop(options: Options) -> None:
     from rotorid_torch.run.records import read_report
 
     with ranks_of_torchrun(PATIENCE_FOR_FITS_S) as ranks:
-        refuse_unless_free(options.out)
+        refuse_unless_free(options.out, "close-loop")
         given = {"hybrid": options.hybrid, "seed": options.seed, "device": options.device}
         told = _monitor(options) if ranks.first else None
         close(load(options.dataset), out=options.out, monitor=told, ranks=ranks, **given)
@@ -274,13 +275,13 @@ def simulate(options: Options) -> None:
     """Free run of a model on a flight."""
     from rotorid_torch.data import load
     from rotorid_torch.run import pipeline
-    from rotorid_torch.run.folder import refuse_unless_file
+    from rotorid_torch.run.folder import refuse_unless_free_run
 
-    refuse_unless_file(options.out)
-    span = {"start": options.start, "seconds": options.seconds}
+    refuse_unless_free_run(options.out, overwrite=options.overwrite)
+    how = {"start": options.start, "seconds": options.seconds, "overwrite": options.overwrite}
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        pipeline.simulate(options.model, load(options.dataset), options.flight, options.out, **span)
+        pipeline.simulate(options.model, load(options.dataset), options.flight, options.out, **how)
     told = [str(warning.message) for warning in caught if warning.category is UserWarning]
     lines = [f"free run: {options.out}", *(f"warning: {sentence}" for sentence in told)]
     _answer(options, {"file": str(options.out), "warnings": told}, "\n".join(lines))

@@ -37,7 +37,7 @@ def ended(processes: list[subprocess.Popen[str]]) -> tuple[list[int], list[str],
 def write_earlier(out: Path) -> None:
     """A RUN that was there before."""
     out.mkdir()
-    (out / "report.json").write_text('{"format": 1, "rotorid": "0"}', encoding="utf-8")
+    (out / "report.json").write_text('{"format": 1, "rotorid": "0", "command": "identify"}', encoding="utf-8")
 
 
 def wait_until(what: Callable[[], object]) -> None:

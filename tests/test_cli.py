@@ -193,7 +193,7 @@ from rotorid_torch.run.folder import run_folder
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background is born deaf to it
 
 def work(options):
-    with run_folder(options.runs[0]) as folder:
+    with run_folder(options.runs[0], "identify") as folder:
         (folder / "report.json").write_text("half")
         print("working", flush=True)
         time.sleep(60)

@@ -157,6 +157,13 @@ class Dataset:
         """File of a flight, for messages; words where the data set was made from arrays."""
         return find_flight(self.path, flight) if self.path is not None else f"arrays: flight {flight}"
 
+    def files(self) -> tuple[Path, ...]:
+        """Files of the data set's folder, its truth among them; none where the data set was made from arrays."""
+        if self.path is None:
+            return ()
+        listed = (file for part in ("flights", "truth") for file in sorted((self.path / part).glob("*")))
+        return (self.path / "dataset.toml", *listed)
+
     def some(self, most: int) -> tuple[str, ...]:
         """Identify flights, at most so many: one of each of as many parts of the list, always the same ones.
 

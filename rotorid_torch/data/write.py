@@ -6,16 +6,23 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Mapping, Sequence
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 
+from rotorid_torch.core.paths import absolute, refuse_foreign
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.read import Arrays, take_arrays
 from rotorid_torch.errors import InputError
+
+BEFORE = "dataset.before"
+"""Beginning of the names of files that keep what data sets which were replaced had declared."""
+FILES = ("dataset.toml", f"{BEFORE}*.toml", "flights/*.npz", "truth/*.npz", "truth/effects.json")
+"""Files of a data set that was written: a folder that holds others is not replaced."""
 
 
 def write_dataset(
@@ -45,7 +52,7 @@ def write_dataset(
     ------
     InputError : where the data are bad, or something that is not a data set is in the way.
     """
-    place = Path(folder).absolute()
+    place = absolute(folder)
     refuse_unless_free(place)
     Dataset.from_arrays(
         flights,
@@ -89,14 +96,52 @@ def write_dataset(
     return place
 
 
-def refuse_unless_free(place: Path) -> None:
-    """Raise InputError where something that is not a data set is in the way."""
-    if place.is_dir() and not place.is_symlink():
-        if (place / "dataset.toml").exists() or not any(place.iterdir()):
-            return
-        raise InputError(place, "", "is in the way and is not a data set", "a new folder, or an earlier data set")
-    if place.exists() or place.is_symlink():
-        raise InputError(place, "", "is in the way and is not a folder", "a new folder, or an earlier data set")
+def refuse_unless_free(out: str | Path, written: str = "", inputs: Iterable[Path] = ()) -> None:
+    """Raise InputError where no data set can be written to `out`.
+
+    Something that is not a data set is in the way, or a data set that holds other files, or files that are read.
+
+    Parameters
+    ----------
+    written : what the description of a data set that may be replaced begins with: flights that were measured cannot be
+        made again.
+    inputs : files that are read.
+    """
+    place = absolute(out)
+    if not os.path.lexists(place):
+        return
+    if not place.is_dir() or place.is_symlink():
+        raise InputError(out, "", "is in the way and is not a folder", "a new folder, or an earlier data set")
+    declared = place / "dataset.toml"
+    if not declared.is_file():
+        if any(place.iterdir()):
+            raise InputError(out, "", "is in the way and is not a data set", "a new folder, or an earlier data set")
+        return
+    if written and not _description(declared).startswith(written):
+        wrong = f"is in the way and is not a data set whose description begins with '{written}'"
+        raise InputError(out, "", wrong, "a new folder, or a data set that the same command wrote")
+    refuse_foreign(place, FILES, "a data set")
+    same = next((file for file in inputs if file.exists() and place.resolve() in file.resolve().parents), None)
+    if same is not None:
+        raise InputError(out, "", f"holds {same}, which is read", "a new folder")
+
+
+def declarations(out: str | Path) -> dict[str, str]:
+    """What a data set at `out` declares, and those before it there, by name of the file that keeps the text."""
+    place = absolute(out)
+    if not (place / "dataset.toml").is_file():
+        return {}
+    text = (place / "dataset.toml").read_text(encoding="utf-8", errors="replace")
+    known = {f.name: f.read_text(encoding="utf-8", errors="replace") for f in sorted(place.glob(f"{BEFORE}*.toml"))}
+    return known if text in known.values() else {**known, f"{BEFORE}{len(known) + 1}.toml": text}
+
+
+def _description(file: Path) -> str:
+    """Description in a dataset.toml; empty where the file cannot be read."""
+    try:
+        return str(tomllib.loads(file.read_text(encoding="utf-8")).get("description", ""))
+    except (OSError, ValueError):
+        return ""
 
 
 def _write_arrays(folder: Path, flights: Mapping[str, Mapping[str, Any]]) -> None:

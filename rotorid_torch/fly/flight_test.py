@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from rotorid_torch.data import Dataset
-from rotorid_torch.data.write import refuse_unless_free, write_dataset
+from rotorid_torch.data.write import declarations, refuse_unless_free, write_dataset
 from rotorid_torch.errors import InputError
 from rotorid_torch.fly.aircraft import CONTROL_NAMES, Aircraft
 from rotorid_torch.fly.augmentation import Augmentation, design
@@ -23,6 +23,9 @@ from rotorid_torch.fly.rotor import LOCK_SLOPE
 from rotorid_torch.fly.sensors import MEASURED, NOISE, Channels, measured_channels, true_channels
 from rotorid_torch.fly.trim import Trim, find_trim
 from rotorid_torch.fly.vehicle import load_aircraft
+
+FLOWN = "Built-in flight-test aircraft"
+"""What the description of a flown data set begins with."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +85,7 @@ def fly(
     """
     out = None if out is None else Path(out)
     if out is not None:
-        refuse_unless_free(out.absolute())
+        refuse_unless_free(out, FLOWN, [] if vehicle is None else [Path(vehicle)])
     _check_numbers(speed, heading, height, seconds)
     clean = load_aircraft(None if vehicle is None else Path(vehicle))
     aircraft, hidden = _altered(clean, effects)
@@ -137,7 +140,7 @@ def _write(
     """The flown set as a data set with its truth and effects; an earlier data set there is replaced."""
     keys = ("name", "kind", "description", "vehicle", "controls", "channels", "model")
     tables: dict[str, Any] = {key: declaration.get(key) for key in keys}
-    write_dataset(out, measured, **declaration["flights"], **tables, truth=truth)
+    write_dataset(out, measured, **declaration["flights"], **tables, truth=truth, kept=declarations(out))
     told = json.dumps({"effects": list(hidden)}, indent=1)
     (out / "truth" / "effects.json").write_text(told + "\n", encoding="utf-8")
 
@@ -194,8 +197,7 @@ def declare(
         "format": 1,
         "name": name,
         "kind": "helicopter",
-        "description": f"Built-in flight-test aircraft ({aircraft.name}), {state} at {height:g} m, rate and attitude "
-        "augmentation active.",
+        "description": f"{FLOWN} ({aircraft.name}), {state} at {height:g} m, rate and attitude augmentation active.",
         "vehicle": {
             "mass": aircraft.mass,
             "inertia": (aircraft.inertia_matrix * np.outer(mirror, mirror)).tolist(),

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rotorid_torch.core import names
-from rotorid_torch.data.write import refuse_unless_free, write_dataset
+from rotorid_torch.data.write import declarations, refuse_unless_free, write_dataset
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing import manoeuvres, units
 from rotorid_torch.importing.flights import Record, flights_of, record_of
@@ -22,8 +22,6 @@ FASTEST_HZ = 250.0
 """Rate of the grid at most, unless one is asked for."""
 IMPORTED = "Imported from"
 """What the description of an imported data set begins with."""
-BEFORE = "dataset.before"
-"""Beginning of the names of files that keep what data sets which were replaced had declared."""
 RATES_HZ = (1.0, 10_000.0)
 """What may be asked for."""
 
@@ -83,8 +81,8 @@ def import_logs(
     InputError : where a log cannot be read, lacks controls, or has clocks that disagree; nothing is written then.
     """
     place, files = Path(out), [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
-    refuse_unless_free(place.absolute())
-    kept = _declared(place)
+    refuse_unless_free(place, IMPORTED, [*files, *([Path(mapping)] if isinstance(mapping, str | Path) else [])])
+    kept = declarations(place)
     if not files:
         raise InputError("import", "", "has no log", "at least one file")
     if rate is not None and not RATES_HZ[0] <= rate <= RATES_HZ[1]:
@@ -122,21 +120,6 @@ def import_logs(
         )
     durations = {name: (seconds[name], kinds[name]) for name in flights}
     return Imported(place, kind, grid_hz, durations, lists, channels, tuple(told))
-
-
-def _declared(place: Path) -> dict[str, str]:
-    """What an imported data set that is to be replaced declares, and those before it, by name of the file to keep it.
-
-    The flights of a data set that was not imported cannot be made again.
-    """
-    file = place / "dataset.toml"
-    if not file.exists():
-        return {}
-    text = file.read_text(encoding="utf-8", errors="replace")
-    if IMPORTED not in text:
-        raise InputError(place, "", "is in the way and was not imported", "a new folder, or an imported data set")
-    known = {f.name: f.read_text(encoding="utf-8", errors="replace") for f in sorted(place.glob(f"{BEFORE}*.toml"))}
-    return known if text in known.values() else {**known, f"{BEFORE}{len(known) + 1}.toml": text}
 
 
 def _records(files: Sequence[Path], given: Map | None) -> list[Record]:

@@ -179,7 +179,7 @@ def check_table(found: Check) -> Group:
 def write_check(out: Path, dataset: Dataset, found: Check, seed: int, monitor: Monitor) -> None:
     """Write a run: check.json holds everything, figures show it; errors and warnings become the report's warnings."""
     grave = [one for one in found.findings if one.severity in ("error", "warning")]
-    with run_folder(out) as folder, monitor.recording(folder):
+    with run_folder(out, "check") as folder, monitor.recording(folder):
         for one in found.findings:
             monitor.log(f"{one.severity}: {_told(one)}")
         pictures = {name: png(figure) for name, figure in draw_check(dataset).items()}

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from rotorid_torch.core.large import give_back
 from rotorid_torch.core.native.fallback import say_once
+from rotorid_torch.core.paths import absolute, refuse_foreign
 from rotorid_torch.core.ranks import Ranks
 from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.effects.spec import ModelSpec
@@ -97,8 +98,8 @@ def checkpoint(out: str | Path, key: Mapping[str, str], *, resume: bool, keep: b
     ------
     InputError : `resume`, and the interrupted run had another key, or a run works there now.
     """
-    refuse_unless_free(out)
-    place = Path(out).absolute()
+    refuse_unless_free(out, "identify")
+    place = absolute(out)
     folder = place.with_name(f".{place.name}.checkpoint")
     with locked(place.parent):
         lock = _taken(folder)
@@ -151,6 +152,7 @@ def _prepare(folder: Path, key: Mapping[str, str], out: str | Path, resume: bool
         wrong = f"the interrupted run has another {word} ({found.get(word)})"
         raise InputError(out, "--resume", wrong, f"{key[word]}, or no --resume to begin anew")
     if not (resume and found):
+        refuse_foreign(folder, ("key.json", "*.pt", "*.partial"), "an interrupted run")
         for leftover in folder.iterdir():
             leftover.unlink()
         file.write_text(json.dumps(dict(key)), encoding="utf-8")

@@ -110,7 +110,7 @@ def close_loop(
     with ExitStack() as stack:
         folder = None
         if out is not None and ranks.first:
-            folder = stack.enter_context(run_folder(out))
+            folder = stack.enter_context(run_folder(out, "close-loop"))
             stack.enter_context(monitor.recording(folder))
         run = _closed(dataset, seed, Steps(monitor, ranks, Checkpoint(), device), hybrid)
         if folder is not None:

@@ -11,29 +11,41 @@ import fcntl
 import os
 import secrets
 import shutil
-from collections.abc import Iterator
+import zipfile
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import msgspec
 
+from rotorid_torch.core.paths import absolute, refuse_foreign, same_file
 from rotorid_torch.errors import InputError
 
+FILES = (
+    *("report.json", "report.html", "model.pt", "check.json", "log.txt"),
+    *("reconstruct/*.npz", "figures/*.png", "tensorboard/*"),
+)
+"""Files of a run: a folder that holds others is not replaced."""
+ALIKE = (("check",), ("reconstruct",), ("identify", "close-loop"))
+"""Commands whose runs replace each other; a run with a model is not replaced by one without."""
+FREE_RUN = b"rotorid: free run, format 1"
+"""Comment of the archive that `simulate` writes: what lies there and has it may be replaced."""
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 
 
 @contextmanager
-def run_folder(out: str | Path) -> Iterator[Path]:
-    """Give a folder to write a run into; it takes the place `out` when the block ends without an exception.
+def run_folder(out: str | Path, command: str) -> Iterator[Path]:
+    """Give a folder to write a command's run into; it takes the place `out` when the block ends without an exception.
 
     Until then an earlier run at `out` stays as it is; on an exception (Ctrl-C too) what was written is removed.
 
     Raises
     ------
-    InputError : at once, where `out` is in the way and not a run, or its parent is missing or cannot be written to.
+    InputError : at once, where `out` is in the way and no run that `command` replaces, or its parent is missing or
+        cannot be written to.
     """
-    place = Path(out).absolute()
-    refuse_unless_free(place)
+    place = absolute(out)
+    refuse_unless_free(place, command)
     partial = _partial_name(place)
     with locked(place.parent):  # making and cleaning exclude each other, so that no folder is seen before its lock
         _clean(place)
@@ -43,53 +55,102 @@ def run_folder(out: str | Path) -> Iterator[Path]:
     try:
         yield partial
         with locked(place.parent):
-            _put_in_place(partial, place)
+            _put_in_place(partial, place, command)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
         os.close(lock)
 
 
 @contextmanager
-def whole_file(out: str | Path) -> Iterator[Path]:
-    """Give a file name beside `out` to write to; it is renamed to `out` when the block ends without an exception.
+def free_run_file(out: str | Path, *, overwrite: bool = False, inputs: Iterable[Path] = ()) -> Iterator[Path]:
+    """Give a file name beside `out` to write an npz to; it is marked as a free run and renamed when the block ends.
+
+    Parameters
+    ----------
+    overwrite, inputs : as `refuse_unless_free_run`.
 
     Raises
     ------
-    InputError : at once, where `out` is a folder, or its parent is missing or cannot be written to.
+    InputError : as `refuse_unless_free_run`, at once and again before the file is renamed.
     """
-    refuse_unless_file(out)
-    place = Path(out).absolute()
+    place, inputs = absolute(out), tuple(inputs)
+    refuse_unless_free_run(place, overwrite=overwrite, inputs=inputs)
     partial = _partial_name(place).with_suffix(place.suffix)
     try:
         yield partial
+        with zipfile.ZipFile(partial, "a") as archive:
+            archive.comment = FREE_RUN
+        refuse_unless_free_run(place, overwrite=overwrite, inputs=inputs)
         partial.replace(place)
     finally:
         partial.unlink(missing_ok=True)
 
 
-def refuse_unless_file(out: str | Path) -> None:
-    """Raise InputError where no file can be written to `out`: a folder lies there, or the parent is no use."""
-    place = Path(out).absolute()
+def refuse_unless_free_run(out: str | Path, *, overwrite: bool = False, inputs: Iterable[Path] = ()) -> None:
+    """Raise InputError where no free run can be written to `out`: another file lies there, or the parent is no use.
+
+    Parameters
+    ----------
+    overwrite : replace other files too.
+    inputs : files that are read, which nothing replaces, whatever their names.
+    """
+    place = absolute(out)
     if place.is_dir():
         raise InputError(out, "", "is a folder", "the name of a file to write")
+    same = same_file(place, inputs)
+    if same is not None:
+        raise InputError(out, "", f"is the file {same}, which is read", "another name")
+    if os.path.lexists(place) and not is_free_run(place):
+        if place.exists() and not place.is_file():
+            raise InputError(out, "", "is in the way and is not a file", "a new name")
+        if not overwrite:
+            wrong = "is in the way and is not a free run that simulate wrote"
+            raise InputError(out, "", wrong, "a new name, or --overwrite to replace the file")
     _refuse_parent(place)
 
 
-def refuse_unless_free(out: str | Path) -> None:
-    """Raise InputError where a run cannot be written to `out`: something else lies there, or the parent is no use."""
-    place = Path(out).absolute()
-    if (place.exists() or place.is_symlink()) and not is_run(place):
-        raise InputError(out, "", "is in the way and is not a run", "a new name, or an earlier RUN to replace")
-    _refuse_parent(place)
-
-
-def is_run(path: Path) -> bool:
-    """Whether `path` is a folder with a report.json of ours, of whatever format."""
-    try:
-        head = msgspec.json.decode((path / "report.json").read_bytes())
-    except (OSError, msgspec.DecodeError):
+def is_free_run(path: Path) -> bool:
+    """Whether `path` is a file that `simulate` wrote: a zip archive that ends with our comment."""
+    if path.is_symlink() or not path.is_file():
         return False
-    return not path.is_symlink() and isinstance(head, dict) and {"format", "rotorid"} <= head.keys()
+    with suppress(OSError), path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - 22 - len(FREE_RUN)))  # 22 bytes: end of central directory of a zip
+        end = file.read(22 + len(FREE_RUN))
+        return end.startswith(b"PK\5\6") and end.endswith(FREE_RUN)
+    return False
+
+
+def refuse_unless_free(out: str | Path, command: str) -> None:
+    """Raise InputError where a command's run cannot be written to `out`.
+
+    Something lies there that is not a run of the command's kind, or holds files that are not of a run; or the parent is
+    no use.
+    """
+    place = absolute(out)
+    if os.path.lexists(place):
+        earlier = command_of(place)
+        alike = next(commands for commands in ALIKE if command in commands)
+        if earlier is None:
+            raise InputError(out, "", "is in the way and is not a run", "a new name, or an earlier RUN to replace")
+        if earlier not in alike:
+            expected = f"a new name, or an earlier RUN of {' or '.join(alike)} to replace"
+            raise InputError(out, "", f"is in the way and is a run of {earlier}", expected)
+        refuse_foreign(place, FILES, "a run")
+    _refuse_parent(place)
+
+
+def command_of(path: Path) -> str | None:
+    """Command that wrote the run in the folder `path`, of whatever format; None where `path` is no run."""
+    report = path / "report.json"
+    if path.is_symlink() or not report.is_file():
+        return None
+    try:
+        head = msgspec.json.decode(report.read_bytes())
+    except (OSError, msgspec.DecodeError):
+        return None
+    if not isinstance(head, dict) or not {"format", "rotorid"} <= head.keys():
+        return None
+    return str(head.get("command"))
 
 
 def _refuse_parent(place: Path) -> None:
@@ -128,9 +189,9 @@ def _clean(place: Path) -> None:
                 os.close(handle)
 
 
-def _put_in_place(partial: Path, place: Path) -> None:
+def _put_in_place(partial: Path, place: Path, command: str) -> None:
     """Rename; an earlier run is exchanged in one step where the system can, and removed afterwards by the caller."""
-    refuse_unless_free(place)
+    refuse_unless_free(place, command)
     if not place.exists():
         partial.rename(place)
     elif not _exchange(partial, place):

@@ -36,7 +36,7 @@ from rotorid_torch.run import limits, remarks
 from rotorid_torch.run.checkpoint import Checkpoint, Steps, checkpoint
 from rotorid_torch.run.figures import draw
 from rotorid_torch.run.fit_record import fit_record, judge
-from rotorid_torch.run.folder import run_folder, whole_file
+from rotorid_torch.run.folder import free_run_file, refuse_unless_free_run, run_folder
 from rotorid_torch.run.monitor import Monitor, peak_memory_mb
 from rotorid_torch.run.records import DatasetRecord, FitRecord, ParameterRecord, Report, package_version
 from rotorid_torch.run.write import write_report
@@ -92,7 +92,7 @@ class Run:
 
     def report(self, path: str | Path) -> Path:
         """Write the RUN (report, pictures, model, reconstruction) to a folder; InputError where it is not free."""
-        with run_folder(path) as folder:
+        with run_folder(path, self.record.command) as folder:
             self.write(folder)
         return Path(path)
 
@@ -105,7 +105,7 @@ class Run:
 def reconstruct(dataset: Dataset, out: str | Path, *, seed: int = 0, monitor: Monitor | None = None) -> Reconstruction:
     """Step 1 alone, written as a RUN."""
     dataset, monitor = with_velocities(dataset), monitor or Monitor()
-    with run_folder(out) as folder, monitor.recording(folder):
+    with run_folder(out, "reconstruct") as folder, monitor.recording(folder):
         with monitor.step("reconstruct"):
             found = step1.reconstruct(dataset)
         _write_reconstruction(found, folder)
@@ -150,7 +150,7 @@ def identify(
         if out is not None and ranks.first:
             key = _key(dataset, effects, seed)
             kept = stack.enter_context(checkpoint(out, key, resume=resume, keep=resume or ranks.size > 1))
-            folder = stack.enter_context(run_folder(out))
+            folder = stack.enter_context(run_folder(out, "identify"))
             stack.enter_context(monitor.recording(folder))
         run = identified(dataset, effects, seed, Steps(monitor, ranks, kept, device))
         if folder is not None:
@@ -241,20 +241,32 @@ def _told(spec: ModelSpec, model: Model, regressions: Step2, dataset: Dataset) -
 
 
 def simulate(
-    model: str | Path, dataset: Dataset, flight: str, out: str | Path, start: float = 0.0, seconds: float | None = None
+    model: str | Path,
+    dataset: Dataset,
+    flight: str,
+    out: str | Path,
+    start: float = 0.0,
+    seconds: float | None = None,
+    *,
+    overwrite: bool = False,
 ) -> dict[str, np.ndarray]:
     """Free run of a saved model on a flight, written as NAME.npz: time, outputs, states; warns outside the range.
 
     Parameters
     ----------
     model : a RUN or a model.pt. start : s, where the run begins. seconds : its length; to the flight's end by default.
+    overwrite : replace a file at `out` that is no earlier free run; files of the model and the data set never.
 
     Raises
     ------
-    InputError : no such model or flight, a control is missing, or start and seconds leave the flight.
+    InputError : no such model or flight, a control is missing, start and seconds leave the flight, or `out` is in the
+        way.
     """
     place = Path(model)
-    loaded, spec = load_model(place / "model.pt" if place.is_dir() else place)
+    file = place / "model.pt" if place.is_dir() else place
+    how = {"overwrite": overwrite, "inputs": (file, *dataset.files())}
+    refuse_unless_free_run(out, **how)
+    loaded, spec = load_model(file)
     if flight not in dataset.flights:
         raise InputError(
             dataset.path or dataset.name, "flight", f"there is no flight '{flight}'", ", ".join(dataset.flights)
@@ -271,7 +283,7 @@ def simulate(
     found |= dict(zip(loaded.layout.names, states[0].numpy().T, strict=True))
     found |= dict(zip(loaded.body.outputs, outputs[0].numpy().T, strict=True))
     _warn_outside(found | dict(zip(loaded.body.controls, pieces.controls[0].numpy().T, strict=True)), spec)
-    with whole_file(out) as file, file.open("wb") as handle:
+    with free_run_file(out, **how) as partial, partial.open("wb") as handle:
         np.savez(handle, **found)  # pyright: ignore[reportArgumentType]
     return found
 

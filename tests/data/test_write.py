@@ -80,6 +80,16 @@ def test_bad_data_and_things_in_the_way_leave_everything_as_it_was(tmp_path):
     assert {entry.name for entry in tmp_path.iterdir()} == {"set", "mine", "file"}
 
 
+@pytest.mark.parametrize("name", ["notes.txt", "flights/log.bin", "truth/mine.csv", "logs/one.npz"])
+def test_a_data_set_that_holds_other_files_stays(tmp_path, name):
+    place = write_dataset(tmp_path / "set", small_arrays(), **LISTS)
+    (place / name).parent.mkdir(exist_ok=True)
+    (place / name).write_text("mine")
+    with pytest.raises(InputError, match=f"{name}: would be deleted, and is no part of a data set"):
+        write_dataset(place, small_arrays(), **LISTS)
+    assert (place / name).read_text() == "mine"
+
+
 def test_interrupted_writing_leaves_the_earlier_one(tmp_path, monkeypatch):
     place = write_dataset(tmp_path / "set", small_arrays(), **LISTS)
     before = load(place).sha256

@@ -51,7 +51,7 @@ def test_a_set_is_closed_into_a_run_of_its_own(tmp_path: Path, monkeypatch: pyte
     module = import_module("other_simulators")
 
     def close_loop(data: object, out: Path, seed: int) -> None:
-        with run_folder(out) as folder:
+        with run_folder(out, "close-loop") as folder:
             (folder / "report.json").touch()
         raise ValueError(f"{data} {seed}")
 

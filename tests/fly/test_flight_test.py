@@ -13,6 +13,7 @@ from rotorid_torch.fly.flight import fly_batch
 from rotorid_torch.fly.manoeuvres import FLIGHTS, LISTS, pilot
 from rotorid_torch.fly.sensors import MEASURED, NOISE, measured_channels
 from rotorid_torch.fly.trim import find_trim
+from tests.helpers import small_folder
 
 
 @pytest.fixture(scope="module")
@@ -180,6 +181,25 @@ def test_bad_requests_are_refused(options, message):
     """One line that names the option."""
     with pytest.raises(InputError, match=message):
         fly(None, **options)
+
+
+def test_measured_flights_are_not_replaced_by_flown_ones(tmp_path):
+    place = small_folder(tmp_path / "mine")
+    before = load(place).sha256
+    with pytest.raises(InputError, match="is in the way and is not a data set whose description begins with"):
+        fly(place, flights=["dbl_lat_p"], seconds=0.1)
+    assert load(place).sha256 == before
+
+
+def test_flown_flights_are_replaced_and_what_was_declared_by_hand_stays(tmp_path):
+    place = tmp_path / "set"
+    for _ in range(2):
+        fly(place, flights=["dbl_lat_p"], seconds=0.1)
+        assert {entry.name for entry in place.iterdir()} == {"dataset.toml", "flights", "truth"}
+    edited = (place / "dataset.toml").read_text(encoding="utf-8") + "\n# mine\n"
+    (place / "dataset.toml").write_text(edited, encoding="utf-8")
+    fly(place, flights=["dbl_lat_p"], seconds=0.1, seed=1)
+    assert (place / "dataset.before1.toml").read_text(encoding="utf-8") == edited
 
 
 def test_something_in_the_way_is_refused_and_left_alone(tmp_path):

@@ -296,9 +296,21 @@ def test_what_was_declared_by_hand_survives_another_import(tmp_path: Path):
 def test_a_data_set_that_was_not_imported_stays(tmp_path: Path):
     place = small_folder(tmp_path / "mine")
     before = (place / "dataset.toml").read_text(encoding="utf-8")
-    with pytest.raises(InputError, match="in the way and was not imported"):
+    with pytest.raises(InputError, match="is not a data set whose description begins with 'Imported from'"):
         rotorid.import_logs(csv(tmp_path / "one.csv", table()), place)
     assert (place / "dataset.toml").read_text(encoding="utf-8") == before
+
+
+def test_a_log_inside_the_data_set_that_is_replaced_stays(tmp_path: Path):
+    place = tmp_path / "set"
+    flight = rotorid.import_logs(csv(tmp_path / "one.csv", table()), place).folder / "flights" / "one.npz"
+    before = flight.read_bytes()
+    with pytest.raises(InputError, match=r"holds .*one\.npz, which is read"):
+        rotorid.import_logs(flight, place)
+    (tmp_path / "link.npz").symlink_to(flight)
+    with pytest.raises(InputError, match=r"holds .*link\.npz, which is read"):
+        rotorid.import_logs(tmp_path / "link.npz", place)
+    assert flight.read_bytes() == before
 
 
 def test_a_flight_among_many_goes_through_its_own_samples_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -11,14 +11,16 @@ import pytest
 import torch
 
 import rotorid_torch as rotorid
-from rotorid_torch.data import Dataset
+from rotorid_torch.data import Dataset, load
 from rotorid_torch.effects.registry import EFFECTS
 from rotorid_torch.errors import InputError
 from rotorid_torch.model.save import load as load_model
 from rotorid_torch.model.save import save as save_model
 from rotorid_torch.run import pipeline, records
+from rotorid_torch.run.folder import refuse_unless_free
 from rotorid_torch.run.pipeline import Run, identify, simulate
 from tests.effects.own_effects import OwnDrag
+from tests.helpers import small_folder
 from tests.known_models import STICKS, flown, linear_vehicle, manoeuvres, rate_vehicle, with_values
 
 DT = 0.04
@@ -120,6 +122,27 @@ def test_simulate_refuses_times_outside_the_flight(
         simulate(run[1], data, "f_lat", tmp_path / "free.npz", **more)  # f_lat was identified from: no warning
     assert refusal.value.key == key
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["dataset.toml", "flights/one.npz", "flights/two.npz", "truth/one.npz"])
+def test_simulate_replaces_no_file_of_the_data_set(run: tuple[Run, Path], tmp_path: Path, name: str):
+    place = small_folder(tmp_path / "set")
+    (place / "truth").mkdir()
+    (place / "truth" / "one.npz").touch()
+    before = (place / name).read_bytes()
+    for more in ({}, {"overwrite": True}):
+        with pytest.raises(InputError, match="which is read"):
+            simulate(run[1], load(place), "one", place / name, **more)
+    assert (place / name).read_bytes() == before
+
+
+def test_simulate_replaces_no_model_that_it_reads(run: tuple[Run, Path], data: Dataset):
+    with pytest.raises(InputError, match="which is read"):
+        simulate(run[1], data, "f_lat", run[1] / "model.pt", overwrite=True)
+
+
+def test_identify_replaces_its_own_run(run: tuple[Run, Path]):
+    refuse_unless_free(run[1], "identify")  # each file of the run is known
 
 
 def test_simulate_refuses_what_is_not_there(run: tuple[Run, Path], data: Dataset, tmp_path: Path):

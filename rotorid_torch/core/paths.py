@@ -1,0 +1,43 @@
+"""Paths that commands write to: where they lie, which files are the same, and what no command wrote there."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+from rotorid_torch.errors import InputError
+
+
+def absolute(out: str | Path) -> Path:
+    """The path from the root; a last ".." is resolved, so that it has a name of its own."""
+    path = Path(out).absolute()
+    return path.resolve() if path.name == ".." else path
+
+
+def refuse_foreign(folder: Path, patterns: Sequence[str], kind: str) -> None:
+    """Raise InputError where a folder that is to be replaced holds files that no command writes there.
+
+    Parameters
+    ----------
+    patterns : of the files of such a folder, by their path in it; `*` stands for any characters.
+    kind : what the folder is, for the message.
+    """
+    for name in _entries(folder):
+        if not any(fnmatchcase(name, pattern) for pattern in patterns):
+            expected = f"a folder with nothing but {kind}: move the file away, or write to a new name"
+            raise InputError(folder, name, f"would be deleted, and is no part of {kind}", expected)
+
+
+def _entries(folder: Path) -> Iterable[str]:
+    """Files and links below a folder, by their path in it, in order."""
+    for place, folders, files in os.walk(folder):
+        links = [name for name in folders if os.path.islink(os.path.join(place, name))]
+        for name in sorted([*files, *links]):
+            yield os.path.relpath(os.path.join(place, name), folder)
+
+
+def same_file(path: Path, others: Iterable[Path]) -> Path | None:
+    """The first of other files that `path` is too, by whatever name, link or hard link; None where it is none."""
+    return next((other for other in others if other.exists() and path.exists() and path.samefile(other)), None)
