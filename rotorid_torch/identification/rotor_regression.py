@@ -119,11 +119,9 @@ class RotorEquations:
         key = tuple(theta[self._path].tolist())
         if key not in self._tapes:
             self._tapes.clear()
-            before = self.model.theta.detach().clone()
-            with torch.no_grad():
+            with self.model.restored(), torch.no_grad():
                 self.model.theta.copy_(theta)
                 self._tapes[key] = [self.model.tape(flight.controls, flight.dt) for flight in self.flights]
-                self.model.theta.copy_(before)
         return self._tapes[key]
 
     @cached_property

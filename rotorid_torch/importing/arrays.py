@@ -80,18 +80,17 @@ def read_matlab(file: Path, choose: Choose, clock: Clock | None = None) -> Log:
 
     Raises
     ------
-    InputError : where scipy is missing, the file is of version 7.3, damaged, or claims more than can be.
+    InputError : where the file is of version 7.3, damaged, or claims more than can be.
     """
-    scipy, matlab = need("scipy.io", "matlab", file), need("scipy.io.matlab", "matlab", file)
+    from scipy.io import loadmat, matlab, whosmat  # slow to import
+
     try:
         if matlab.matfile_version(file)[0] == HDF5:
             raise InputError(file, "", "is of version 7.3 (HDF5)", "version 7: in MATLAB, save(..., '-v7')")
-        claimed = sum(int(np.prod(shape, dtype=object)) for _, shape, _ in scipy.whosmat(file))
+        claimed = sum(int(np.prod(shape, dtype=object)) for _, shape, _ in whosmat(file))
         if claimed * 8 > BYTES:
             raise InputError(file, "", f"claims {claimed} numbers", f"at most {BYTES // 8}")
-        content = scipy.loadmat(
-            file, simplify_cells=True, chars_as_strings=False, verify_compressed_data_integrity=True
-        )
+        content = loadmat(file, simplify_cells=True, chars_as_strings=False, verify_compressed_data_integrity=True)
     except InputError:
         raise
     except MemoryError:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import torch
@@ -84,6 +85,16 @@ class Model(nn.Module):
             if name in self.parameter_set:
                 self.theta[self.parameter_set.index(name)] = value
         self.theta.copy_(self.parameter_set.clamp(self.theta))
+
+    @contextmanager
+    def restored(self) -> Iterator[None]:
+        """Put theta back at the end of the block, also where the block fails."""
+        before = self.theta.detach().clone()
+        try:
+            yield
+        finally:
+            with torch.no_grad():
+                self.theta.copy_(before)
 
     def effect(self, name: str) -> Effect | None:
         """The effect of this id, or None."""

@@ -14,7 +14,7 @@ from itertools import groupby
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.least_squares import least_squares
+from rotorid_torch.core.bounded_least_squares import bounded_least_squares
 from rotorid_torch.identification.step2 import regress_model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.fits import Fitted
@@ -88,7 +88,7 @@ def _explained(over: LeftOver, changes: Tensor, variant: Sequence[Signature], se
     changes : of forces and moments [N, rows, K] at typical size, which is one for all rows, each as sharp as its rest.
     """
     residuals = torch.cat([over.residual[..., None], by_chance(over, seed)], dim=-1)
-    low, high = torch.tensor([one.reach for one in variant], dtype=torch.float64).mT[..., None]
+    low, high = torch.tensor([one.reach for one in variant], dtype=torch.float64).mT
     moved = over.residual.any(dim=0).tolist()
     rows = [k for k, row in enumerate(over.rows) if row not in AT_ONCE and moved[k]]
     if not rows:
@@ -98,6 +98,8 @@ def _explained(over: LeftOver, changes: Tensor, variant: Sequence[Signature], se
     power = left.square().sum(dim=1)
     G = torch.einsum("rni,rnj,rc->cij", tried, tried, 1.0 / power)
     d = torch.einsum("rni,rnc,rc->ci", tried, left, 1.0 / power)
-    sizes = least_squares(G, d[..., None])[..., 0].mT.clamp(low, high)  # [K, 1 + R]
+    sizes = torch.stack(
+        [bounded_least_squares(*one, low, high) for one in zip(G, d, strict=True)], dim=-1
+    )  # [K, 1 + R]
     rest = (left - tried @ sizes).square().sum(dim=1)
     return (power / rest).log().sum(dim=0), sizes[:, 0]

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.least_squares import least_squares
+from rotorid_torch.core.bounded_least_squares import bounded_least_squares
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.base import Showing
@@ -130,7 +130,7 @@ def _sizes(own: Sequence[Parameter], trims: _Trims) -> Tensor:
     b = (trims.constants - trims.constants.mean(-1, keepdim=True)).flatten()
     lower, upper = (torch.tensor([p.bounds[k] for p in own], dtype=torch.float64) for k in (0, 1))
     start = torch.tensor([p.value for p in own], dtype=torch.float64)
-    return (start + least_squares(A, -b.unsqueeze(-1))[:, 0]).clamp(lower, upper)
+    return start + bounded_least_squares(A.mT @ A, -A.mT @ b, lower - start, upper - start)
 
 
 def _left(own: Sequence[Parameter], seen: _Trims, others: _Trims) -> tuple[Tensor, Tensor]:
@@ -147,14 +147,13 @@ def _trims(
     """Of these flights, without the effect and by each of its parameters."""
     dataset = replace(flights.dataset, identify=tuple(listed))
     null = model.theta.detach().clone()
-    rows, base = trims_of_flights(model, null, dataset, flights.reconstruction)
-    unit = torch.tensor([sizes[f"row.{row}"] for row in rows], dtype=torch.float64)[:, None]
     changes = []
-    for parameter in own:
-        moved = null.clone()
-        moved[model.parameter_set.index(parameter.name)] = parameter.typical
-        other = trims_of_flights(model, moved, dataset, flights.reconstruction)[1]
-        changes.append((other - base) / (parameter.typical - parameter.value) / unit)
-    with torch.no_grad():
-        model.theta.copy_(null)
+    with model.restored():
+        rows, base = trims_of_flights(model, null, dataset, flights.reconstruction)
+        unit = torch.tensor([sizes[f"row.{row}"] for row in rows], dtype=torch.float64)[:, None]
+        for parameter in own:
+            moved = null.clone()
+            moved[model.parameter_set.index(parameter.name)] = parameter.typical
+            other = trims_of_flights(model, moved, dataset, flights.reconstruction)[1]
+            changes.append((other - base) / (parameter.typical - parameter.value) / unit)
     return _Trims(base / unit, torch.stack(changes, dim=-1))

@@ -187,14 +187,12 @@ def left_over(
 
 def _moved(model: Model, effects: Sequence[str]) -> Iterator[None]:
     """The model with one free parameter of these effects after the other moved a little, and back again."""
-    before = model.theta.detach().clone()
     for i, parameter in enumerate(model.parameter_set.parameters):
         if parameter.free and any(parameter.name.startswith(f"{e}.") for e in effects):
-            with torch.no_grad():
-                model.theta[i] += MOVED * (abs(parameter.typical - parameter.value) or 1.0)
-            yield
-            with torch.no_grad():
-                model.theta.copy_(before)
+            with model.restored():
+                with torch.no_grad():
+                    model.theta[i] += MOVED * (abs(parameter.typical - parameter.value) or 1.0)
+                yield
 
 
 def _residual(model: Model, seen: Measured, flapping: Sequence[str], dt: float) -> Tensor:

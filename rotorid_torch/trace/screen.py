@@ -18,6 +18,7 @@ from itertools import product
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.bounded_least_squares import bounded_least_squares
 from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.effects.base import Stage
 from rotorid_torch.identification.segments import Records, Segments
@@ -38,8 +39,6 @@ HALVINGS = 6
 """Times that a typical size is halved, at most, where a trajectory with it leaves all that was measured."""
 MOVED = 20.0
 """Times its noise that an output must range over to say what is large; noise alone ranges over 6 to 10 times."""
-DEPENDENT = 1e-10
-"""Share of a signature's square that is nothing but rounding once the null has been projected out."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +134,8 @@ class Screen:
         """Sizes of an effect by the same straight line, whatever its bounds: below nothing too."""
         which = self._usual(effect)
         G, d = self.total[which][:, which], self.total[which, len(self.signatures)]
-        found = self._least_squares(G, d).tolist() if which else []
+        wide = torch.full_like(d, math.inf)
+        found = bounded_least_squares(G, d, -wide, wide).tolist() if which else []
         chosen = (self.signatures[i] for i in which)
         return {s.parameter: s.null + a * s.step for s, a in zip(chosen, found, strict=True)}
 
@@ -179,26 +179,8 @@ class Screen:
 
     def _solved(self, total: Tensor, which: list[int], column: int) -> Tensor:
         """Sizes in units of the signatures' steps, inside their bounds; a copy of other signatures gets nothing."""
-        G, d = total[which][:, which], total[which, column]
         low, high = torch.tensor([self.signatures[i].reach for i in which], dtype=torch.float64).mT
-        found = torch.zeros_like(d)
-        free = torch.ones_like(d, dtype=torch.bool)
-        while bool(free.any()):
-            wanted = self._least_squares(G[free][:, free], d[free] - G[free][:, ~free] @ found[~free])
-            inside = wanted.clamp(low[free], high[free])
-            found[free] = inside
-            held = free.clone()
-            held[free] = inside != wanted
-            if not bool(held.any()):
-                break
-            free = free & ~held
-        return found
-
-    def _least_squares(self, G: Tensor, d: Tensor) -> Tensor:
-        scale = G.diagonal().clamp_min(1e-300).sqrt()
-        values, vectors = torch.linalg.eigh(G / scale / scale[:, None])
-        inverse = torch.where(values > DEPENDENT, 1.0 / values.clamp_min(DEPENDENT), 0.0)
-        return (vectors @ (inverse * (vectors.mT @ (d / scale)))) / scale
+        return bounded_least_squares(total[which][:, which], total[which, column], low, high)
 
 
 def signatures(model: Model, effects: Sequence[str]) -> tuple[Signature, ...]:
@@ -282,11 +264,9 @@ def screen(null: Fitted, effects: Sequence[str], shuffles: int = SHUFFLES, seed:
 @contextmanager
 def sized(model: Model, one: Signature) -> Iterator[None]:
     """The model with one signature at its typical size, and back again."""
-    before = model.theta.clone()
-    model.start_from(dict((*one.beside, (one.parameter, one.typical))))
-    yield
-    with torch.no_grad():
-        model.theta.copy_(before)
+    with model.restored():
+        model.start_from(dict((*one.beside, (one.parameter, one.typical))))
+        yield
 
 
 def _tapes(model: Model, records: Records, chosen: Sequence[Signature]) -> tuple[Tensor, dict[Signature, Tensor]]:

@@ -6,6 +6,7 @@ import math
 from statistics import NormalDist
 
 import torch
+from scipy.special import ndtr, stdtrit
 from torch import Tensor
 
 FAR = math.log(10.0)
@@ -18,14 +19,8 @@ def normal_quantile(upper_tail: float) -> float:
 
 
 def student_quantile(normal: float, freedom: float) -> float:
-    """Student's t with so many degrees of freedom that is as improbable as this normal deviate, sign kept.
-
-    Source: Wallace, Annals of Mathematical Statistics 30 (1959), 1124, solved for t; too large, on the safe side, below
-    four degrees.
-    """
-    scale = (8.0 * freedom + 1.0) / (8.0 * freedom + 3.0)
-    exponent = min((normal / scale) ** 2 / freedom, 700.0)
-    return math.copysign(math.sqrt(freedom * math.expm1(exponent)), normal)
+    """Student's t with so many degrees of freedom that is as improbable as this normal deviate, sign kept."""
+    return math.copysign(float(stdtrit(freedom, ndtr(-abs(normal)))), normal)
 
 
 def helps(better: Tensor) -> bool:

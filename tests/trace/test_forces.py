@@ -16,8 +16,8 @@ from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.fits import Fitted, Flights, refit
 from rotorid_torch.trace.floor import Floors
 from rotorid_torch.trace.forces import _explained, seen_in_forces
-from rotorid_torch.trace.residual import left_over
-from rotorid_torch.trace.screen import signatures
+from rotorid_torch.trace.residual import LeftOver, left_over
+from rotorid_torch.trace.screen import Signature, signatures
 from rotorid_torch.trace.search import Search
 from tests.known_models import flown, linear_vehicle, manoeuvres, with_values
 
@@ -71,3 +71,14 @@ def test_equations_in_which_nothing_moves_tell_nothing():
 def test_no_load_is_seen_where_there_is_none():
     seen = seen_in_forces(without_load(0.0), (), [LOAD], 0)[LOAD]
     assert seen.gain <= seen.chance
+
+
+def test_a_size_beside_another_at_its_bound_is_the_best_there():
+    """Without bounds -0.8 and 2.3; within 0 to 2 the best are 0 and 0.7, not 0 and 2."""
+    A = torch.tensor([[1.0, 1.0], [3.0, 1.0]], dtype=torch.float64).repeat(3, 1)
+    y = torch.tensor([1.5, -0.1], dtype=torch.float64).repeat(3)
+    none = torch.zeros(6, 0, dtype=torch.float64)
+    over = LeftOver(("X",), y[:, None], (), none, torch.arange(6.0), none, none, torch.zeros(6), none[:, None])
+    two = tuple(Signature("my.effect", f"my.effect.{n}", 0.0, 1.0, (0.0, 2.0), "") for n in "ab")
+    sizes = _explained(over, A[:, None, :], two, 0)[1]
+    torch.testing.assert_close(sizes, torch.tensor([0.0, 0.7], dtype=torch.float64))

@@ -15,7 +15,7 @@ from rotorid_torch.data import Dataset
 from rotorid_torch.effects.spec import RotorSpec
 from rotorid_torch.identification.reconstruct import reconstruct
 from rotorid_torch.trace.floor import family_wise
-from rotorid_torch.trace.residual import AT_ONCE, LeftOver, Trace, chance, left_over, scan
+from rotorid_torch.trace.residual import AT_ONCE, LeftOver, Trace, _moved, chance, left_over, scan
 from rotorid_torch.trace.unexplained import unknown
 from tests.known_models import BODY, body_spec, flown, linear_vehicle, manoeuvres, with_values
 
@@ -50,6 +50,19 @@ def levels(rows: Sequence[str], floor: float) -> dict[str, float]:
 @pytest.fixture
 def signals() -> Tensor:
     return left("L", None).signals
+
+
+def test_a_model_has_its_values_back_where_a_moved_parameter_fails():
+    model = linear_vehicle()
+    before = model.theta.detach().clone()
+
+    def failing() -> None:
+        for _ in _moved(model, ["forces"]):
+            raise ArithmeticError
+
+    with pytest.raises(ArithmeticError):
+        failing()
+    assert torch.equal(model.theta.detach(), before)
 
 
 def test_a_product_is_found_in_its_equation(signals: Tensor):

@@ -12,7 +12,7 @@ import torch
 
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.decide import smallest_visible
-from rotorid_torch.trace.screen import Screen, Signature, _ranges, screen, signatures
+from rotorid_torch.trace.screen import Screen, Signature, _ranges, screen, signatures, sized
 from tests.known_models import rate_vehicle
 from tests.trace.hidden_flights import SUSPECTS, flights, started
 
@@ -41,6 +41,22 @@ def test_a_size_below_nothing_is_told_where_bounds_are_left_out():
     found = Screen((lead,), one[None], torch.ones(1, dtype=torch.float64), 1.0, ((),))
     assert found.sizes(["control.delay"]) == {"control.delay.common": 0.0}
     assert found.unbounded("control.delay") == {"control.delay.common": pytest.approx(-0.12)}
+
+
+def test_a_size_beside_another_at_its_bound_is_the_best_there():
+    """Without bounds -0.8 and 2.3; within 0 to 2 the best are 0 and 0.7, not 0 and 2."""
+    A = torch.tensor([[1.0, 1.0, 1.5], [3.0, 1.0, -0.1]], dtype=torch.float64)
+    two = tuple(Signature("my.effect", f"my.effect.{n}", 0.0, 1.0, (0.0, 2.0), "") for n in "ab")
+    found = Screen(two, (A.mT @ A)[None], torch.ones(2, dtype=torch.float64), 1.0, ((), ()))
+    assert found.sizes(["my.effect"]) == {"my.effect.a": 0.0, "my.effect.b": pytest.approx(0.7)}
+
+
+def test_a_model_has_its_values_back_where_a_size_of_an_effect_fails():
+    model = rate_vehicle(effects=("forces.quadratic_damping",))
+    before = model.theta.detach().clone()
+    with pytest.raises(ArithmeticError), sized(model, signatures(model, ["forces.quadratic_damping"])[0]):
+        raise ArithmeticError
+    assert torch.equal(model.theta.detach(), before)
 
 
 def test_an_effect_is_screened_whole_at_every_size_that_one_of_its_parameters_is_met_at():

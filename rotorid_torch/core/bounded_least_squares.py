@@ -1,0 +1,34 @@
+"""Linear least squares in a box, from normal equations: the sizes of effects, which have bounds."""
+
+from __future__ import annotations
+
+import torch
+from scipy.optimize import lsq_linear
+from torch import Tensor
+
+DEPENDENT = 1e-10
+"""Share of a column's square that is nothing but rounding."""
+
+
+def bounded_least_squares(G: Tensor, d: Tensor, low: Tensor, high: Tensor) -> Tensor:
+    """The x [n] that minimises ½ xᵀG x − dᵀx with low <= x <= high, of several the shortest; NaN where not finite.
+
+    G : [n, n] positive semi-definite; d, low, high : [n]. Columns that depend on others count as rounding.
+
+    Source: Stark and Parker, Computational Statistics 10 (1995), bounded variables; minimum norm by eigenvalues.
+    """
+    if not (bool(G.isfinite().all()) and bool(d.isfinite().all())):
+        return torch.full_like(d, torch.nan)
+    scale = G.diagonal().clamp_min(1e-300).sqrt()
+    values, vectors = torch.linalg.eigh(G / scale / scale[:, None])
+    several = values > DEPENDENT
+    root, across = values[several].sqrt(), vectors[:, several].mT
+    target = across @ (d / scale) / root
+    free = across.mT @ (target / root) / scale
+    inside = free.clamp(low, high)
+    if len(d) == 1 or len(root) == 0 or bool((inside == free).all()):
+        return inside
+    box = (low * scale).numpy(), (high * scale).numpy()
+    found = lsq_linear((root[:, None] * across).numpy(), target.numpy(), box, method="bvls", max_iter=100 * len(d))
+    side = torch.from_numpy(found.active_mask)
+    return torch.where(side < 0, low, torch.where(side > 0, high, torch.from_numpy(found.x) / scale)).clamp(low, high)
