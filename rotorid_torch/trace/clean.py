@@ -192,15 +192,15 @@ def _speed(dataset: Dataset, name: str) -> list[int]:
     return [round(0.5 * float(v)) for v in start]
 
 
-def _code() -> str:
-    """Digest of the chapters that make a gain."""
-    root, digest = Path(__file__).parents[1], hashlib.sha256()
-    for chapter in ("core", "effects", "model", "fly", "identification"):
-        for file in sorted((root / chapter).rglob("*")):
-            if file.suffix in (".py", ".h", ".toml"):
-                digest.update(file.read_bytes())
-    for name in ("fits.py", "screen.py", "residual.py", "significance.py", "forces.py", "clean.py"):
-        digest.update((Path(__file__).parent / name).read_bytes())
+def _code(package: Path = Path(__file__).parents[1]) -> str:
+    """Digest of the whole package, and of the files of effects that others have registered."""
+    modules = (sys.modules.get(effect.__module__) for effect in registered().values())
+    others = {Path(m.__file__) for m in modules if m is not None and m.__file__}
+    files = {f for f in package.rglob("*") if f.suffix in (".py", ".h", ".toml")}
+    digest = hashlib.sha256()
+    for file in sorted(files | others):
+        digest.update(file.name.encode())
+        digest.update(file.read_bytes())
     return digest.hexdigest()
 
 

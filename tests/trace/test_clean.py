@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import os
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,6 +14,7 @@ import pytest
 import torch
 
 from rotorid_torch.data.flight import Flight
+from rotorid_torch.effects.registry import registered
 from rotorid_torch.trace import clean
 from rotorid_torch.trace.floor import Floors, Null
 from tests.known_models import body_spec, flown, linear_vehicle, manoeuvres, written
@@ -66,6 +69,31 @@ def test_records_that_no_aircraft_can_follow_leave_no_word_of_it_to_the_next(
 ):
     assert not floors(monkeypatch, tmp_path, 0, 0).gains
     assert len(floors(monkeypatch, tmp_path, 24, 24).gains["control.delay"]) == DRAWS
+
+
+@pytest.mark.parametrize(
+    "file", ["data/read.py", "validate/free_run.py", "trace/floor.py", "trace/decide.py", "trace/candidates.py"]
+)
+def test_no_other_version_of_the_package_reads_kept_floors(tmp_path: Path, file: str):
+    package = shutil.copytree(Path(clean.__file__).parents[1], tmp_path / "p", ignore=shutil.ignore_patterns("*.pyc"))
+    before = clean._code(package)
+    assert clean._code(package) == before
+    with (package / file).open("a") as handle:
+        handle.write("# another version\n")
+    assert clean._code(package) != before
+
+
+def test_another_version_of_an_own_effect_reads_no_kept_floors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    file = tmp_path / "floors_of_my_effect.py"
+    text = "from rotorid_torch.effects.base import Effect\n\n\nclass Mine(Effect):\n    id = 'my.effect'\n"
+    file.write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    mine = importlib.import_module(file.stem).Mine
+    before = clean._code()
+    monkeypatch.setitem(registered(), "my.effect", mine)
+    first = clean._code()
+    file.write_text(f"{text}    ARM = 9.0\n")
+    assert len({before, first, clean._code()}) == 3
 
 
 @pytest.mark.parametrize("waited_for", [True, False])
