@@ -139,14 +139,20 @@ def groups_of(hidden: Sequence[str]) -> tuple[str, ...]:
 
 
 def fly_drawn(
-    drawn: Drawn, hidden: Sequence[str], size: float, flights: Sequence[str], seed: int, place: Path
+    drawn: Drawn,
+    hidden: Sequence[str],
+    size: float,
+    flights: Sequence[str],
+    seed: int,
+    place: Path,
+    seconds: float = SECONDS,
 ) -> Flown:
     """Fly a drawn aircraft with something hidden: effects of the library, or a cause of `outside_causes`.
 
     Parameters
     ----------
     size : factor of the typical size. flights : names and groups. seed : of noise and gusts.
-    place : folder for the vehicle file.
+    place : folder for the vehicle file. seconds : of each flight.
     """
     clean = _built(drawn, place)
     aircraft = clean
@@ -157,9 +163,9 @@ def fly_drawn(
     trims, gains = _prepared(aircraft, [conditioned(n, usual)[1] for n in names], drawn.augmentation)
     outside = [CAUSES[cause] for cause in hidden if cause in CAUSES]
     if outside:
-        record = fly_with(aircraft, trims, gains, names, SECONDS, outside[0].at_blades(drawn.number, aircraft, size))
+        record = fly_with(aircraft, trims, gains, names, seconds, outside[0].at_blades(drawn.number, aircraft, size))
     else:
-        record = fly_batch(aircraft, trims, gains, names, SECONDS, seed=seed)
+        record = fly_batch(aircraft, trims, gains, names, seconds, seed=seed)
     measured, right = {}, {}
     for k, name in enumerate(names):
         measured[name], right[name] = _sensed(aircraft, record, k, name, seed, drawn.noise)
