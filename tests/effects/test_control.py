@@ -9,8 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from rotorid_torch.effects.base import Values
+from rotorid_torch.core.native.fallback import Unsupported
+from rotorid_torch.core.native.recursion import CompiledRecursion
+from rotorid_torch.effects.base import Effect, Stage, Values
 from rotorid_torch.effects.control import LONGEST, ControlDelay, ControlLag
+from rotorid_torch.effects.examples import example
+from rotorid_torch.effects.registry import registered
 from tests.known_models import body_spec
 
 DT = 0.02
@@ -99,3 +103,40 @@ def test_several_delays_run_over_several_flights():
 def test_a_record_shorter_than_the_delay_is_held():
     record = noise(3, 2)
     assert torch.allclose(delayed(record, 0.2), record[:1].expand(3, -1))
+
+
+WITH_MEMORY = {e: cls for e, cls in registered().items() if cls.tape is not Effect.tape}
+RECURSIVE = {"control.backlash", "control.lag", "control.rate_limit", "propulsion.motor_lag", "sensors.filter"}
+
+
+def taped(effect: Effect, names: tuple[str, ...], record: Tensor, vector: Tensor) -> Tensor:
+    return effect.tape(record, names, DT, Values(vector, tuple(p.name for p in effect.declared)))
+
+
+@pytest.mark.parametrize("effect_id", WITH_MEMORY)
+def test_compiled_and_in_torch_a_record_is_the_same(effect_id: str, monkeypatch: pytest.MonkeyPatch):
+    spec = example(WITH_MEMORY[effect_id])
+    effect = WITH_MEMORY[effect_id].from_spec(spec)
+    names = (*spec.controls, *spec.inputs) if effect.stage is Stage.CONTROL else spec.outputs
+    record = 0.02 * noise(3, 120, len(names)).cumsum(-2)
+    gap = record.clone()
+    gap[1, 50:53, 0] = torch.nan
+    sizes = torch.tensor([p.typical or p.value for p in effect.declared], dtype=torch.float64)
+    vectors = [sizes, 0.3 * sizes + 0.1 * sizes.abs().max()]
+
+    def run() -> list[Tensor]:
+        values = [taped(effect, names, r, v) for r in (record, gap) for v in vectors]
+        return values + [torch.func.jacfwd(lambda v: taped(effect, names, record, v))(v) for v in vectors]
+
+    native, asked = run(), []
+
+    def refused(self: CompiledRecursion, *given: object) -> None:
+        asked.append(given)
+        raise Unsupported("no compiler")
+
+    monkeypatch.setattr(CompiledRecursion, "run", refused)
+    monkeypatch.setattr("rotorid_torch.core.recursion.say_once", lambda text: None)
+    for k, (found, wanted) in enumerate(zip(native, run(), strict=True)):
+        tolerance = 1e-12 if k < 4 else 1e-9
+        torch.testing.assert_close(found, wanted, rtol=tolerance, atol=tolerance, equal_nan=True)
+    assert bool(asked) == (effect_id in RECURSIVE)

@@ -92,13 +92,13 @@ class Scalars(TorchDispatchMode):
         """The operation on symbols."""
         name = func._opname
         name = name.removesuffix("_") if name in IN_PLACE_VIEWS else name
+        if name in SPELLED_OUT:
+            return getattr(self, f"_{name.strip('_')}")(*args, **kwargs)
         if name in OPERATIONS or name in COMPOSITE or name in PRODUCTS:
             args = self._scaled(name, args, kwargs)
             return self._product(name, *args) if name in PRODUCTS else self._each(name, *args)
         if name in CONNECTIVES:
             return self._each(CONNECTIVES[name], *args)
-        if name in SPELLED_OUT:
-            return getattr(self, f"_{name.strip('_')}")(*args, **kwargs)
         if name in FILLS:
             value = args[1] if FILLS[name] is None else FILLS[name]
             return self.boxed(torch.full(args[0].ids.shape, float(value), dtype=torch.float64))

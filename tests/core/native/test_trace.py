@@ -126,6 +126,12 @@ def test_values_at_another_point_and_derivatives(name: str) -> None:
         assert torch.allclose(found, exact, rtol=1e-11, atol=1e-12)
 
 
+def test_small_whole_powers_are_products() -> None:
+    graph = Graph()
+    scalarise(graph, lambda x: x.square() + x**3 + x**-2.0 + x.abs() ** 0.5, {"x": X})
+    assert not any(node[0] == "pow" for node in graph.nodes)
+
+
 def test_a_norm_has_a_derivative_where_all_is_zero() -> None:
     found = traced_jacobian(lambda x: x.norm() * x, {"x": torch.zeros(3).double()})
     assert torch.equal(found["x"], torch.zeros(3, 3).double())
