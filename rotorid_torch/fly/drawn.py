@@ -30,6 +30,10 @@ TOGETHER = 1_300_000  # samples of all flights that fly side by side
 AWAY = 1.0  # rms of the difference from the measured motion over its own, from which on an aircraft has flown away
 
 
+class Untrimmable(InputError):
+    """No drawn aircraft can be trimmed where the data set flies."""
+
+
 @dataclass(frozen=True)
 class Drawn:
     """One drawn aircraft's flights.
@@ -82,7 +86,7 @@ def clean_flights(dataset: Dataset, seed: int, draws: Sequence[int], resembles: 
 
     Raises
     ------
-    InputError : `undrawable`; or no drawn aircraft can be trimmed where the data set flies.
+    InputError : `undrawable`. Untrimmable : no drawn aircraft can be trimmed where the data set flies.
     """
     why = undrawable(dataset)
     if why is not None:
@@ -147,7 +151,7 @@ def _aircraft(
         kind = kind.replaced(places, other.kind.pick(nearer))
     if not np.isfinite(misfit).all():
         what = "no drawn helicopter can be trimmed, with a rotor speed that settles, where the data set flies"
-        raise InputError(dataset.path or "arrays", "vehicle", what, "mass, rotor and speed of one helicopter")
+        raise Untrimmable(dataset.path or "arrays", "vehicle", what, "mass, rotor and speed of one helicopter")
     return finish(prior, evidence, normal, kind), tried
 
 

@@ -86,6 +86,13 @@ class Minimum(Generic[P]):
     history: list[float] = field(default_factory=list)
 
 
+class InfiniteCost(ValueError):
+    """A fit cannot begin: its start has no finite cost."""
+
+    def __init__(self) -> None:
+        super().__init__("the start has no finite cost")
+
+
 @dataclass(frozen=True)
 class _Subproblem:
     linear: Linear
@@ -119,6 +126,10 @@ def minimise(
     free : [n] mask, False holds a parameter.
     monitor : called after each accepted step with iteration, cost, theta.
 
+    Raises
+    ------
+    InfiniteCost : the start has none that is finite.
+
     Source: Levenberg (1944), Marquardt (1963); projected active set: Bertsekas (1982), SIAM J. Control Optim. 20(2);
     held directions: Jategaonkar, Flight Vehicle System Identification, sec. 4.
     """
@@ -129,7 +140,7 @@ def minimise(
     while True:
         linear = linearise(point)
         if not math.isfinite(point.cost):
-            raise ValueError("the start has no finite cost")
+            raise InfiniteCost
         problem, blind = _subproblem(linear, point.theta, lower, upper, free)
         whole = linear.decrease(_bounded_step(problem, 0.0)) + linear.own
         if whole <= options.tolerance * abs(point.cost) + options.absolute + ROUNDING * abs(history[0]):

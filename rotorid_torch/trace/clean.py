@@ -15,6 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from rotorid_torch.data.write import write_dataset
 from rotorid_torch.effects.base import Frame, Values
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.identification.gauss_newton import InfiniteCost
 from rotorid_torch.identification.reconstruct import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.trace.candidates import of_control_path
@@ -53,6 +55,8 @@ FORMAT = 2
 """Of what is cached."""
 WATCH_S = 0.5
 """s between two looks at the processes that draw, at each of which ranks tell each other that they are there."""
+NO_FIT = (InfiniteCost, torch.linalg.LinAlgError)  # pyright: ignore[reportPrivateImportUsage]
+"""How the identification of a drawn aircraft may fail; anything else is a fault of the code."""
 SAME = ("flapping", "flapping_doubtful", "patterns", "inflow", "cyclic_inflow", "effects")
 """Structure that a drawn aircraft's model shares with the data's."""
 
@@ -213,7 +217,12 @@ def _fly(
     folder: Path,
     ranks: Ranks,
 ) -> None:
-    """The draws in as many processes as there are processors for this one; ends when all ranks' have ended."""
+    """The draws in as many processes as there are processors for this one; ends when all ranks' have ended.
+
+    Raises
+    ------
+    RuntimeError : one of them has failed; with the last line of what it said.
+    """
     count = min(threads(), len(numbers))
     with tempfile.TemporaryDirectory() as place:
         likeness = Path(place) / "likeness"
@@ -234,13 +243,19 @@ def _fly(
             file = Path(place) / f"request-{k}.json"
             file.write_text(json.dumps(request))
             alone = {**os.environ, "OMP_NUM_THREADS": "1", "ROTORID_THREADS": "1"}
-            workers.append(subprocess.Popen([sys.executable, "-m", "rotorid_torch.trace.clean", str(file)], env=alone))
+            with file.with_suffix(".log").open("w") as log:
+                command = [sys.executable, "-m", "rotorid_torch.trace.clean", str(file)]
+                workers.append(subprocess.Popen(command, env=alone, stderr=log))
         try:
             while any(ranks.gather(any(worker.poll() is None for worker in workers))):
                 time.sleep(WATCH_S)
         finally:
             for worker in workers:
                 worker.kill()
+        for k, worker in enumerate(workers):
+            if worker.returncode:
+                lines = (Path(place) / f"request-{k}.log").read_text().splitlines() or [f"code {worker.returncode}"]
+                raise RuntimeError(f"a process that identifies clean aircraft has failed: {lines[-1]}")
 
 
 def _through_air(flight: Flight, null: Null) -> dict[str, Tensor]:
@@ -279,23 +294,24 @@ def _written(dataset: Dataset, null: Null, place: Path) -> None:
 
 def _work(request: Mapping[str, object]) -> None:
     """Draws of one process: one file for each, whole or absent; no more once nobody waits for them."""
-    from rotorid_torch.fly.drawn import clean_flights
+    from rotorid_torch.fly.drawn import Untrimmable, clean_flights
 
     dataset, folder = load(str(request["dataset"])), Path(str(request["folder"]))
     values, held = msgspec.convert(request["values"], dict[str, float]), msgspec.convert(request["held"], list[str])
     null = Null(ModelSpec.from_plain(request["spec"]), values, held)
     effects = msgspec.convert(request["effects"], list[str])
     numbers = msgspec.convert(request["numbers"], list[int])
-    for drawn in clean_flights(dataset, msgspec.convert(request["seed"], int), tuple(numbers)):
-        if os.getppid() != request["parent"]:
-            return
-        try:
-            gained = gains_on(drawn.dataset, null, effects)
-        except (ValueError, RuntimeError):  # no fit from here; the next data set of the vehicle starts elsewhere
-            numbers.remove(drawn.number)
-            continue
-        found = {**gained, "alike": drawn.alike, "misfit": drawn.misfit, "rotor": drawn.rotor}
-        _keep(folder, drawn.number, found)
+    with suppress(Untrimmable):  # none flies
+        for drawn in clean_flights(dataset, msgspec.convert(request["seed"], int), tuple(numbers)):
+            if os.getppid() != request["parent"]:
+                return
+            try:
+                gained = gains_on(drawn.dataset, null, effects)
+            except NO_FIT:  # from here; the next data set of the vehicle starts elsewhere
+                numbers.remove(drawn.number)
+                continue
+            found = {**gained, "alike": drawn.alike, "misfit": drawn.misfit, "rotor": drawn.rotor}
+            _keep(folder, drawn.number, found)
     for number in numbers:  # aircraft that flew away are not flown again next time
         _keep(folder, number, {"gains": {}, "alike": False})
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import importlib
+import json
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,8 +14,11 @@ from typing import Any
 import pytest
 import torch
 
+from rotorid_torch.core.ranks import ALONE
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.registry import registered
+from rotorid_torch.errors import InputError
+from rotorid_torch.identification.gauss_newton import InfiniteCost
 from rotorid_torch.trace import clean
 from rotorid_torch.trace.floor import Floors, Null
 from tests.known_models import body_spec, flown, linear_vehicle, manoeuvres, written
@@ -96,18 +100,55 @@ def test_another_version_of_an_own_effect_reads_no_kept_floors(tmp_path: Path, m
     assert len({before, first, clean._code()}) == 3
 
 
-@pytest.mark.parametrize("waited_for", [True, False])
-def test_who_draws_for_a_process_that_is_gone_stops(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, waited_for: bool):
+Gains = Callable[[object, Null, Sequence[str]], dict[str, Any]]
+
+
+def worked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, gains: Gains, waited_for: bool = True) -> dict[str, Any]:
+    """What one process keeps of three draws."""
     drawn = [SimpleNamespace(number=n, dataset=None, alike=True, misfit=1.0, rotor="") for n in range(3)]
     monkeypatch.setattr("rotorid_torch.fly.drawn.clean_flights", lambda dataset, seed, numbers: iter(drawn))
-    monkeypatch.setattr(clean, "gains_on", lambda dataset, null, effects: {"gains": {"control.delay": 0.1}})
+    monkeypatch.setattr(clean, "gains_on", gains)
     data = written(flown(linear_vehicle(), manoeuvres(4.0, 0.02), 0.02, noise=0.01), tmp_path / "data")
     place = tmp_path / "floors"
     place.mkdir()
     plain = {"dataset": str(data), "spec": body_spec().plain(), "values": {}, "held": [], "effects": ["control.delay"]}
     parent = os.getppid() if waited_for else -1
     clean._work({**plain, "seed": 0, "numbers": [0, 1, 2], "folder": str(place), "parent": parent})
-    assert len(list(place.glob("*.json"))) == (3 if waited_for else 0)
+    return {file.stem: json.loads(file.read_text()) for file in place.glob("*.json")}
+
+
+@pytest.mark.parametrize("waited_for", [True, False])
+def test_who_draws_for_a_process_that_is_gone_stops(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, waited_for: bool):
+    kept = worked(monkeypatch, tmp_path, lambda *_: {"gains": {"control.delay": 0.1}}, waited_for)
+    assert len(kept) == (3 if waited_for else 0)
+
+
+def failing(error: Exception) -> Gains:
+    def gains(*_: object) -> dict[str, Any]:
+        raise error
+
+    return gains
+
+
+@pytest.mark.parametrize("error", [InfiniteCost(), torch.linalg.LinAlgError("no convergence")])
+def test_an_aircraft_that_no_fit_begins_from_is_left_out(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, error: Exception
+):
+    assert worked(monkeypatch, tmp_path, failing(error)) == {}
+
+
+@pytest.mark.parametrize("error", [InputError("f", "k", "w", "e"), RuntimeError("shape"), ValueError("1 of 2 values")])
+def test_any_other_fault_is_not_passed_over(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, error: Exception):
+    with pytest.raises(type(error)):
+        worked(monkeypatch, tmp_path, failing(error))
+
+
+def test_a_process_that_fails_is_reported_with_its_last_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+    """No rotor is declared: nothing can be drawn, which is not asked again before."""
+    data = flown(linear_vehicle(), manoeuvres(4.0, 0.02), 0.02, noise=0.01)
+    with pytest.raises(RuntimeError, match="radius of the main rotor is not declared"):
+        clean._fly(data, Null(body_spec(), {}), ["control.delay"], 0, [0], tmp_path, ALONE)
+    assert capfd.readouterr().err == ""
 
 
 def test_clean_aircraft_repeat_the_motion_through_the_air():
