@@ -6,6 +6,8 @@ Exit codes: 0 done; 2 bad input or usage, one line on stderr; 130 interrupted; 1
 from __future__ import annotations
 
 import argparse
+import io
+import json
 import math
 import os
 import signal
@@ -13,12 +15,13 @@ import sys
 import tempfile
 import traceback
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from rotorid_torch.errors import InputError, LostRank, Told
+from rotorid_torch.printable import printable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -60,6 +63,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ.setdefault("ROTORID_THREADS", os.environ.get("OMP_NUM_THREADS", ""))  # native loops: all processors
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # read by torch on import; many small steps are fastest on one thread
     os.environ.setdefault("TORCH_CPP_LOG_LEVEL", "ERROR")  # what torch remarks on lost processes, our line says better
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # a terminal of another encoding than UTF-8 gets other signs
     speaks = os.environ.get("RANK", "0") == "0"  # under torchrun all processes refuse the same usage
     try:
         with _interrupted_by(signal.SIGTERM, signal.SIGHUP), _libraries_keep_still():
@@ -75,7 +80,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     except (Exception, KeyboardInterrupt) as error:
         if speaks:
-            print("rotorid:", " ".join(_sentence(error).split()), file=sys.stderr)
+            print("rotorid:", printable(" ".join(_sentence(error).split()), layout=False), file=sys.stderr)
         return _code(error)
     return 0
 
@@ -322,7 +327,7 @@ def _answer(options: Options, as_json: object, for_people: object) -> None:
     if options.json:
         import msgspec
 
-        print(msgspec.json.encode(as_json).decode())
+        print(json.dumps(_finite(msgspec.to_builtins(as_json, str_keys=True))))  # in ASCII: no terminal obeys it
     elif not options.quiet:
         _console().print(for_people)
 
@@ -340,9 +345,18 @@ def _where(run: Path) -> str:
 
 
 def _console() -> Console:
-    from rich.console import Console
+    from rotorid_torch.run.console import PlainConsole
 
-    return Console(soft_wrap=True, markup=False, emoji=False, highlight=False)
+    return PlainConsole()
+
+
+def _finite(value: Any) -> Any:
+    """The same with None for numbers that JSON has not."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    return [_finite(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def _monitor(options: Options) -> Monitor:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from rotorid_torch.printable import printable
+
 
 class InputError(ValueError):
-    """Bad input; the commands turn it into one line on stderr and exit code 2.
+    """Bad input; the commands turn it into one line on stderr and exit code 2. Its text is `printable`.
 
     Parameters
     ----------
@@ -19,7 +21,7 @@ class InputError(ValueError):
     def __init__(self, file: str | Path, key: str, wrong: str, expected: str) -> None:
         self.file, self.key, self.wrong, self.expected = str(file), key, wrong, expected
         place = f"{self.file}: {key}" if key else self.file
-        super().__init__(" ".join(f"{place}: {wrong}; expected {expected}".split()))
+        super().__init__(printable(" ".join(f"{place}: {wrong}; expected {expected}".split()), layout=False))
 
 
 class LostRank(RuntimeError):

@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from rotorid_torch.core.files import open_file
+from rotorid_torch.data import npz
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.grid import UNIFORM
-from rotorid_torch.data.read import find_flight, parse_flight
+from rotorid_torch.data.read import CHANNELS, find_flight, parse_flight, read_flight
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,6 @@ def intervals(folder: Path, flight: str) -> np.ndarray:
     """Sample intervals (T - 1,) of a flight as recorded, s."""
     file = find_flight(folder, flight)
     if file.suffix == ".npz":
-        with np.load(file, allow_pickle=False) as archive:
-            return np.diff(np.asarray(archive["time"], dtype=np.float64))
-    return np.diff(np.asarray(parse_flight(file, file.read_bytes())["time"], dtype=np.float64))
+        with open_file(file, "a flight") as stream, npz.opened(file, stream, CHANNELS) as archive:
+            return np.diff(np.asarray(archive.array("time"), dtype=np.float64))
+    return np.diff(np.asarray(parse_flight(file, read_flight(file))["time"], dtype=np.float64))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,9 +25,10 @@ from rotorid_torch.data.grid import make_flight
 from rotorid_torch.data.noise import white_noise
 from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.data.quiet import quiet_samples
-from rotorid_torch.data.read import find_flight, parse_flight, take_arrays
+from rotorid_torch.data.read import find_flight, parse_flight, read_flight, take_arrays
 from rotorid_torch.data.schema import ChannelSpec, ControlSpec, ModelSettings, Vehicle
 from rotorid_torch.errors import InputError
+from rotorid_torch.printable import printable
 
 NOISE_FLOOR = 1e-3
 """Least noise of a channel that declares none, as a share of its rms deviation: a filtered channel is not exact."""
@@ -265,10 +267,9 @@ def load(path: str | Path) -> Dataset:
     folder = Path(path)
     if folder.name == "dataset.toml":
         folder = folder.parent
-    if not folder.is_dir():
-        raise InputError(
-            folder, "", "is not a folder" if folder.exists() else "there is no such folder", "a data set's folder"
-        )
+    if not os.path.isdir(folder):
+        told = "is not a folder" if os.path.exists(folder) else "there is no such folder"
+        raise InputError(folder, "", told, "a data set's folder")
     toml = folder / "dataset.toml"
     declaration, content = read_declaration(toml)
     digest = hashlib.sha256(content)
@@ -277,7 +278,7 @@ def load(path: str | Path) -> Dataset:
     places, facts, warnings = {}, {}, []
     for name in declaration.flights.all():
         file = find_flight(folder, name)
-        data = _bytes(file)
+        data = read_flight(file)
         digest.update(data)
         digests[name] = hashlib.sha256(data).digest()
         flight, told = make_flight(name, parse_flight(file, data), file)
@@ -289,7 +290,7 @@ def load(path: str | Path) -> Dataset:
 
 def _again(name: str, file: Path, digest: bytes) -> Flight:
     """Read a flight once more; InputError where its file is no longer what it was."""
-    data = _bytes(file)
+    data = read_flight(file)
     if hashlib.sha256(data).digest() != digest:
         raise InputError(file, "", "has changed since the data set was loaded", "a file that stays until the run ends")
     return make_flight(name, parse_flight(file, data), file)[0]
@@ -299,13 +300,6 @@ def _facts(flight: Flight, file: str | Path) -> Facts:
     """What later steps want to know without the samples, where these make sense."""
     suspicion.refuse_degrees_of_attitude(flight, file)
     return Facts.of(flight)
-
-
-def _bytes(file: Path) -> bytes:
-    try:
-        return file.read_bytes()
-    except OSError as error:
-        raise InputError(file, "", f"cannot be read ({error.strerror})", "a readable file") from None
 
 
 def _plain(table: Any) -> Any:
@@ -348,7 +342,7 @@ def _assemble(
                 toml, f"channels.{channel}", f"no flight has this channel{hint}", "a channel of the data set"
             )
     return Dataset(
-        name=declaration.name or (folder.resolve().name if folder else "arrays"),
+        name=declaration.name or (printable(folder.resolve().name, layout=False) if folder else "arrays"),
         kind=declaration.kind,
         path=folder,
         sha256=sha256,

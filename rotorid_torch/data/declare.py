@@ -10,6 +10,7 @@ from typing import Any, Literal
 from msgspec import Struct
 
 from rotorid_torch.core import names
+from rotorid_torch.core.files import read_file
 from rotorid_torch.data import plausible
 from rotorid_torch.data.refusal import convert
 from rotorid_torch.data.schema import ChannelSpec, ControlSpec, FlightLists, ModelSettings, Vehicle
@@ -47,16 +48,7 @@ class Declaration(Struct, frozen=True):
 
 def read_declaration(path: Path) -> tuple[Declaration, bytes]:
     """Read and validate a dataset.toml; also its bytes. Raises InputError with the key that is at fault."""
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(
-            path, "", "there is no such file", "a data set: a folder with dataset.toml and flights/NAME.npz"
-        ) from None
-    except OSError as error:
-        raise InputError(path, "", f"cannot be read ({error.strerror})", "a readable dataset.toml") from None
-    if len(content) > TOML_LIMIT:
-        raise InputError(path, "", f"has {len(content)} bytes", f"a dataset.toml below {TOML_LIMIT} bytes")
+    content = read_file(path, "a data set: a folder with dataset.toml and flights/NAME.npz", TOML_LIMIT)
     try:
         document = tomllib.loads(content.decode("utf-8"))
     except UnicodeDecodeError as error:

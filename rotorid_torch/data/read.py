@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import io
-import zipfile
-import zlib
+import os
+from array import array
 from collections.abc import Mapping
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
-from numpy.lib import format as npy
 
+from rotorid_torch.core.files import read_file
+from rotorid_torch.data import npz
 from rotorid_torch.errors import InputError
 
 Arrays = dict[str, np.ndarray]
@@ -20,18 +21,30 @@ SAMPLES = 20_000_000
 """Longest flight; a longer one is a damaged or hostile file."""
 CHANNELS = 1000
 """Most channels of a flight."""
-BYTES = 4 * 2**30
-"""Most bytes of a flight, unpacked."""
+BYTES = 2**29
+"""Most bytes of a flight, unpacked: 67 million numbers, an hour of 37 channels at 500 Hz."""
+CSV_BYTES = 2**27
+"""Most bytes of a flight as text."""
 
 
 def find_flight(folder: Path, name: str) -> Path:
     """File of a flight: flights/NAME.npz, else flights/NAME.csv. Raises InputError where neither lies there."""
-    for suffix in (".npz", ".csv"):
-        path = folder / "flights" / f"{name}{suffix}"
-        if path.is_file():
+    npz_file, csv_file = (folder / "flights" / f"{name}{suffix}" for suffix in (".npz", ".csv"))
+    expected = f"the flight '{name}' of dataset.toml, as .npz or .csv"
+    for path in (npz_file, csv_file):
+        try:
+            os.lstat(path)
             return path
-    path = folder / "flights" / f"{name}.npz"
-    raise InputError(path, "", "there is no such file", f"the flight '{name}' of dataset.toml, as .npz or .csv")
+        except FileNotFoundError:
+            continue
+        except OSError as error:
+            raise InputError(path, "", f"cannot be read ({error.strerror})", expected) from None
+    raise InputError(npz_file, "", "there is no such file", expected)
+
+
+def read_flight(path: Path) -> bytes:
+    """Bytes of a flight's file. Raises InputError where it is no regular file, or too large for one flight."""
+    return read_file(path, "a flight", CSV_BYTES if path.suffix == ".csv" else BYTES)
 
 
 def parse_flight(path: Path, content: bytes) -> Arrays:
@@ -44,49 +57,11 @@ def parse_flight(path: Path, content: bytes) -> Arrays:
 
 
 def _parse_npz(path: Path, content: bytes) -> Arrays:
-    try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            members = archive.infolist()
-            _check_size(path, members)
-            return {m.filename.removesuffix(".npy"): _member(path, archive, m) for m in members}
-    except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, OSError) as error:
-        raise InputError(path, "", f"is not a whole npz file ({error})", "an npz as numpy.savez writes it") from None
-
-
-def _check_size(path: Path, members: list[zipfile.ZipInfo]) -> None:
-    total = sum(member.file_size for member in members)
-    if len(members) > CHANNELS or total > BYTES:
-        told = f"holds {len(members)} arrays of {total / 2**20:.0f} MiB in all"
-        raise InputError(path, "", told, f"at most {CHANNELS} channels and {BYTES / 2**20:.0f} MiB")
-    seen = set()
-    for member in members:
-        if member.filename in seen:
-            raise InputError(path, member.filename.removesuffix(".npy"), "is there twice", "each channel once")
-        seen.add(member.filename)
-
-
-def _member(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
-    name = member.filename.removesuffix(".npy")
-    with archive.open(member) as stream:
-        shape, dtype = _header(path, name, stream)
-        _check_array(path, name, shape, dtype)
-        expected = int(np.prod(shape)) * dtype.itemsize
-        data = stream.read(expected + 1)
-    if len(data) != expected:
-        raise InputError(path, name, f"has {len(data)} bytes of data", f"{expected} for {shape[0]} samples of {dtype}")
-    return np.frombuffer(data, dtype=dtype)
-
-
-def _header(path: Path, name: str, stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    try:
-        version = npy.read_magic(stream)
-        read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
-        shape, _, dtype = read(stream)
-    except (ValueError, EOFError, SyntaxError, TypeError) as error:
-        raise InputError(
-            path, name, f"is not an array ({str(error).splitlines()[0]})", "an array of float32 or float64"
-        ) from None
-    return shape, dtype
+    with npz.opened(path, io.BytesIO(content), CHANNELS) as archive:
+        for name, header in archive.headers.items():
+            _check_array(path, name, header.shape, header.dtype)
+        npz.refuse_beyond(path, {name: header.bytes for name, header in archive.headers.items()}, BYTES)
+        return {name: archive.array(name) for name in archive.headers}
 
 
 def _check_array(path: str | Path, name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
@@ -105,15 +80,21 @@ def _check_array(path: str | Path, name: str, shape: tuple[int, ...], dtype: np.
 
 def _parse_csv(path: Path, content: bytes) -> Arrays:
     try:
-        text = content.decode("utf-8-sig")
+        text = io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig")
+        lines = ((number, line) for number, line in enumerate(text, 1) if line.strip())
+        _, first = next(lines, (0, ""))
+        if not first:
+            raise InputError(path, "", "is empty", "a header row and numbers")
+        if first.count(",") >= CHANNELS:
+            raise InputError(path, "", f"has {first.count(',') + 1} columns", f"at most {CHANNELS}")
+        header = [field.strip().strip('"') for field in first.split(",")]
+        _check_header(path, header)
+        numbers = array("d")
+        for number, line in lines:
+            numbers.extend(_row(path, header, number, line))
     except UnicodeDecodeError as error:
-        raise InputError(path, "", f"is not text (byte {error.start})", "csv in UTF-8 with a header row") from None
-    lines = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
-    if not lines:
-        raise InputError(path, "", "is empty", "a header row and numbers")
-    header = [field.strip().strip('"') for field in lines[0][1].split(",")]
-    _check_header(path, header)
-    table = np.array([_row(path, header, number, line) for number, line in lines[1:]]).reshape(-1, len(header))
+        raise InputError(path, "", f"is not text ({error.reason})", "csv in UTF-8 with a header row") from None
+    table = np.array(numbers).reshape(-1, len(header))
     return {name: table[:, column] for column, name in enumerate(header)}
 
 
@@ -123,23 +104,28 @@ def _check_header(path: Path, header: list[str]) -> None:
             raise InputError(path, f"column {column}", "has no name", "a header row with a name per column")
         if header.count(name) > 1:
             raise InputError(path, name, "is there twice", "each channel once")
-    if len(header) > CHANNELS:
-        raise InputError(path, "", f"has {len(header)} columns", f"at most {CHANNELS}")
 
 
 def _row(path: Path, header: list[str], number: int, line: str) -> list[float]:
-    fields = line.split(",")
-    if len(fields) != len(header):
-        raise InputError(path, f"line {number}", f"has {len(fields)} fields", f"{len(header)} as in the header row")
+    if line.count(",") != len(header) - 1:
+        told = f"has {line.count(',') + 1} fields"
+        raise InputError(path, f"line {number}", told, f"{len(header)} as in the header row")
     row = []
-    for name, field in zip(header, fields, strict=True):
+    for name, field in zip(header, line.split(","), strict=True):
         try:
-            row.append(float(field) if field.strip() else float("nan"))
+            row.append(number_of(field) if field.strip() else float("nan"))
         except ValueError:
             raise InputError(
                 path, name, f"is '{field.strip()[:40]}' in line {number}", "a number, or nothing for a missing sample"
             ) from None
     return row
+
+
+def number_of(field: str) -> float:
+    """The number that a table's field holds. Raises ValueError for what only Python takes for one (1_000)."""
+    if "_" in field:
+        raise ValueError(field)
+    return float(field)
 
 
 def take_arrays(given: Mapping[str, Any], place: str) -> Arrays:

@@ -15,9 +15,12 @@ import msgspec
 import numpy as np
 
 from rotorid_torch.core.paths import absolute, refuse_foreign
+from rotorid_torch.core.files import read_file
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.declare import TOML_LIMIT
 from rotorid_torch.data.read import Arrays, take_arrays
 from rotorid_torch.errors import InputError
+from rotorid_torch.printable import printable
 
 BEFORE = "dataset.before"
 """Beginning of the names of files that keep what data sets which were replaced had declared."""
@@ -54,12 +57,13 @@ def write_dataset(
     """
     place = absolute(folder)
     refuse_unless_free(place)
+    name = name or printable(place.name, layout=False)
     Dataset.from_arrays(
         flights,
         identify=identify,
         validate=validate,
         acid=acid,
-        name=name or place.name,
+        name=name,
         kind=kind,
         description=description,
         vehicle=vehicle,
@@ -69,7 +73,7 @@ def write_dataset(
     )
     document = {
         "format": 1,
-        "name": name or place.name,
+        "name": name,
         "kind": kind,
         "description": description,
         "vehicle": _plain(vehicle),
@@ -131,16 +135,20 @@ def declarations(out: str | Path) -> dict[str, str]:
     place = absolute(out)
     if not (place / "dataset.toml").is_file():
         return {}
-    text = (place / "dataset.toml").read_text(encoding="utf-8", errors="replace")
-    known = {f.name: f.read_text(encoding="utf-8", errors="replace") for f in sorted(place.glob(f"{BEFORE}*.toml"))}
+    text = _text(place / "dataset.toml")
+    known = {f.name: _text(f) for f in sorted(place.glob(f"{BEFORE}*.toml"))}
     return known if text in known.values() else {**known, f"{BEFORE}{len(known) + 1}.toml": text}
+
+
+def _text(file: Path) -> str:
+    return read_file(file, "a data set's declaration", TOML_LIMIT).decode("utf-8", "replace")
 
 
 def _description(file: Path) -> str:
     """Description in a dataset.toml; empty where the file cannot be read."""
     try:
-        return str(tomllib.loads(file.read_text(encoding="utf-8")).get("description", ""))
-    except (OSError, ValueError):
+        return str(tomllib.loads(_text(file)).get("description", ""))
+    except (ValueError, RecursionError):
         return ""
 
 

@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
+
+from rotorid_torch.data import plausible
+from rotorid_torch.data.refusal import convert
+from rotorid_torch.data.schema import Vehicle
+from rotorid_torch.errors import InputError
 
 FlappingKind = Literal["none", "algebraic", "first order"]
 
@@ -111,3 +117,39 @@ class ModelSpec(msgspec.Struct, frozen=True, kw_only=True):
     def from_plain(plain: Any) -> ModelSpec:
         """From builtins; msgspec.ValidationError where they are not a spec."""
         return msgspec.convert(plain, ModelSpec)
+
+
+def read_spec(plain: Any, file: str | Path) -> ModelSpec:
+    """Spec of a file, as plain data: of the right form, and of a vehicle that can be.
+
+    Raises
+    ------
+    InputError : with the key that is at fault.
+    """
+    spec = convert(plain, ModelSpec, file, "spec")
+    plausible.check_finite({"spec": spec.plain()}, file)
+    plausible.check_vehicle(convert(_vehicle(spec), Vehicle, file, "spec"), file)
+    for key in ("states", "controls", "outputs", "inputs", "effects"):
+        listed = getattr(spec, key)
+        if twice := next((name for name in listed if listed.count(name) > 1), None):
+            raise InputError(file, f"spec.{key}", f"names {twice} twice", "each name once")
+    for name, size in spec.sizes.items():
+        if size < 0.0:
+            raise InputError(file, f"spec.sizes.{name}", f"is {size:g}", "a root mean square, from 0")
+    for name, (low, high) in spec.ranges.items():
+        if low > high:
+            raise InputError(file, f"spec.ranges.{name}", f"is {low:g} to {high:g}", "lower below upper")
+    for name in (*spec.states, *spec.controls, *spec.inputs):
+        if name not in spec.reference:
+            raise InputError(file, f"spec.reference.{name}", "is missing", "the value of every signal")
+    return spec
+
+
+def _vehicle(spec: ModelSpec) -> dict[str, Any]:
+    """The vehicle that a spec describes, as a data set declares it."""
+    plain = spec.plain()
+    motors = [
+        {**motor, "spin": {1.0: "ccw", -1.0: "cw"}.get(motor["spin"], motor["spin"])} for motor in plain["motors"]
+    ]
+    kept = {name: value for name, value in plain.items() if name in Vehicle.__struct_fields__}
+    return {**kept, "motors": motors}

@@ -12,6 +12,8 @@ from typing import Any, Literal
 
 import msgspec
 
+from rotorid_torch.core.files import read_file
+from rotorid_torch.data.declare import TOML_LIMIT
 from rotorid_torch.errors import InputError
 
 Triple = tuple[float, float, float]
@@ -157,12 +159,11 @@ def read_vehicle(path: Path) -> VehicleFile:
     InputError : it cannot be read, is not toml, or has a key or a type that does not belong there.
     """
     expected = "a vehicle file in toml with the tables [vehicle] and [vehicle.rotor]"
+    content = read_file(path, expected, TOML_LIMIT)
     try:
-        return msgspec.toml.decode(path.read_bytes(), type=VehicleFile)
-    except OSError as error:
-        raise InputError(path, "", error.strerror or "cannot be read", expected) from error
+        return msgspec.toml.decode(content, type=VehicleFile)
     except msgspec.ValidationError as error:
         wrong, _, place = str(error).partition(" - at `$.")
         raise InputError(path, place.rstrip("`"), wrong, "the form of dataset.toml's [vehicle]") from error
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (msgspec.DecodeError, RecursionError, ValueError) as error:
         raise InputError(path, "", f"not toml: {error}", expected) from error

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-import zipfile
+import math
+import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
-from numpy.lib import format as npy
 
+from rotorid_torch.core.files import open_file
+from rotorid_torch.core.memory import bounded_memory
+from rotorid_torch.data import npz
 from rotorid_torch.data.read import BYTES, CHANNELS
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing.log import Choose, Log
@@ -21,6 +24,11 @@ from rotorid_torch.importing.tables import is_clock, table_log
 Tables = dict[str, dict[str, np.ndarray]]
 DEEPEST = 6
 """Structs inside structs."""
+READER_BYTES = 2 * BYTES
+"""What a reader of another library may take beyond what the process has."""
+TOO_MUCH = f"unpacks to over {READER_BYTES / 2**20:.0f} MiB"
+COMPRESSED, PIECE = 15, 2**20
+"""Type of a compressed element of a .mat file, and the bytes of it that are unpacked at a time."""
 
 
 def need(package: str, extra: str, file: Path) -> Any:
@@ -33,42 +41,20 @@ def need(package: str, extra: str, file: Path) -> Any:
 
 
 def read_npz(file: Path, choose: Choose, clock: Clock | None = None) -> Log:
-    """Read the arrays of an npz: one dimension each, or columns, which become `name[0]`, `name[1]`, ...
+    """Read the wanted arrays of an npz: one dimension each, or columns, which become `name[0]`, `name[1]`, ...
 
     Raises
     ------
-    InputError : where the file is no whole npz, or its headers say other than its bytes.
+    InputError : where the file is no whole npz, its headers say other than its bytes, or it unpacks to too much.
     """
-    try:
-        with zipfile.ZipFile(file) as archive:
-            members = archive.infolist()
-            total = sum(member.file_size for member in members)
-            if len(members) > CHANNELS or total > BYTES:
-                told = f"holds {len(members)} arrays of {total / 2**20:.0f} MiB in all"
-                raise InputError(file, "", told, f"at most {CHANNELS} arrays and {BYTES / 2**20:.0f} MiB")
-            arrays = {m.filename.removesuffix(".npy"): _member(file, archive, m) for m in members}
-    except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, OSError) as error:
-        raise InputError(file, "", f"is not a whole npz file ({error})", "an npz as numpy.savez writes it") from None
-    return _log(file, {"": dict(_columns(arrays))}, choose, clock)
-
-
-def _member(file: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
-    name = member.filename.removesuffix(".npy")
-    try:
-        with archive.open(member) as stream:
-            read = npy.read_array_header_1_0 if npy.read_magic(stream) == (1, 0) else npy.read_array_header_2_0
-            shape, fortran, dtype = read(stream)
-            if dtype.hasobject:
-                raise InputError(file, name, "is a pickled object", "numbers; nothing is unpickled")
-            count = int(np.prod(shape, dtype=object))
-            if not 0 <= count * dtype.itemsize <= member.file_size:
-                raise InputError(file, name, f"claims {count} numbers, more than the file has", "a whole array")
-            data = stream.read(count * dtype.itemsize)
-        return np.frombuffer(data, dtype, count).reshape(shape, order="F" if fortran else "C")
-    except (ValueError, SyntaxError, TypeError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(file, name, f"is not an array ({str(error).splitlines()[0]})", "an array") from None
+    with open_file(file, "a log") as stream, npz.opened(file, stream, CHANNELS) as archive:
+        columns = {n: [*_columns_of(n, h.shape)] for n, h in archive.headers.items() if _is_numbers(h.dtype)}
+        every = [column for some in columns.values() for column in some]
+        kept = {*choose("", every)} | {column for column in every if is_clock("", column, clock)}
+        wanted = [name for name, some in columns.items() if kept.intersection(some)]
+        npz.refuse_beyond(file, {name: archive.headers[name].bytes for name in wanted}, BYTES)
+        arrays = {name: archive.array(name) for name in wanted}
+    return _log(file, {"": dict(_columns(arrays))}, {"": every}, choose, clock)
 
 
 HDF5 = 2
@@ -84,22 +70,55 @@ def read_matlab(file: Path, choose: Choose, clock: Clock | None = None) -> Log:
     """
     from scipy.io import loadmat, matlab, whosmat  # slow to import
 
-    try:
-        if matlab.matfile_version(file)[0] == HDF5:
-            raise InputError(file, "", "is of version 7.3 (HDF5)", "version 7: in MATLAB, save(..., '-v7')")
-        claimed = sum(int(np.prod(shape, dtype=object)) for _, shape, _ in whosmat(file))
-        if claimed * 8 > BYTES:
-            raise InputError(file, "", f"claims {claimed} numbers", f"at most {BYTES // 8}")
-        content = loadmat(file, simplify_cells=True, chars_as_strings=False, verify_compressed_data_integrity=True)
-    except InputError:
-        raise
-    except MemoryError:
-        raise InputError(file, "", "claims more than memory holds", "a whole .mat file") from None
-    except Exception as error:  # a damaged file fails in many ways, none of which is ours
-        raise InputError(file, "", f"is not a whole .mat file ({error})", "a .mat of version 4 to 7") from None
+    with open_file(file, "a log") as stream:
+        try:
+            if matlab.matfile_version(stream)[0] == HDF5:
+                raise InputError(file, "", "is of version 7.3 (HDF5)", "version 7: in MATLAB, save(..., '-v7')")
+            npz.refuse_beyond(file, dict(_unpacked(stream)), BYTES)
+            claimed = {name: math.prod(shape) * 8 for name, shape, _ in whosmat(stream)}
+            npz.refuse_beyond(file, claimed, BYTES)
+            with bounded_memory(READER_BYTES):
+                content = loadmat(
+                    stream, simplify_cells=True, chars_as_strings=False, verify_compressed_data_integrity=True
+                )
+        except InputError:
+            raise
+        except MemoryError:
+            raise InputError(file, "", TOO_MUCH, "a flight's arrays") from None
+        except Exception as error:  # a damaged file fails in many ways, none of which is ours
+            raise InputError(file, "", f"is not a whole .mat file ({error})", "a .mat of version 4 to 7") from None
     tables: Tables = {}
     _structs("", {name: v for name, v in content.items() if not name.startswith("__")}, tables, 0)
-    return _log(file, tables, choose, clock)
+    return _log(file, tables, {t: list(columns) for t, columns in tables.items() if columns}, choose, clock)
+
+
+def _unpacked(stream: BinaryIO) -> Iterator[tuple[str, int]]:
+    """Bytes of each compressed element of a .mat of version 5 to 7, by counting; a level 4 file has none.
+
+    Source: MathWorks, MAT-File Format: a header of 128 bytes, then elements of type, size and data.
+    """
+    stream.seek(0)
+    head = stream.read(128)
+    order = {b"IM": "<", b"MI": ">"}.get(head[126:128])
+    while order and len(tag := stream.read(8)) == 8:
+        kind, size = struct.unpack(f"{order}2I", tag)
+        after = stream.tell() + size
+        if kind == COMPRESSED:
+            yield f"element at byte {after - size}", _inflated(stream, size)
+        stream.seek(after)
+
+
+def _inflated(stream: BinaryIO, size: int) -> int:
+    """Bytes that the next `size` of the stream unpack to, counted up to the budget."""
+    packed, total = zlib.decompressobj(), 0
+    while size > 0 and (data := stream.read(min(size, PIECE))):
+        size -= len(data)
+        while data and total <= BYTES:
+            total += len(packed.decompress(data, PIECE))
+            data = packed.unconsumed_tail
+        if packed.eof or total > BYTES:
+            break
+    return total
 
 
 def _structs(topic: str, content: Mapping[str, Any], tables: Tables, depth: int) -> None:
@@ -114,18 +133,24 @@ def _structs(topic: str, content: Mapping[str, Any], tables: Tables, depth: int)
 def _columns(arrays: Mapping[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]]:
     """Numeric arrays as columns: of two dimensions along the longer, of one as they are."""
     for name, array in arrays.items():
-        if array.dtype.kind not in "fiub" or array.size == 0:
+        if not _is_numbers(array.dtype):
             continue
-        if array.ndim == 1:
-            yield name, array
-        elif array.ndim == 2:
-            long = array if array.shape[0] >= array.shape[1] else array.T
-            if long.shape[1] > CHANNELS:
-                continue
-            if long.shape[1] == 1:
-                yield name, long[:, 0]
-            else:
-                yield from ((f"{name}[{index}]", long[:, index]) for index in range(long.shape[1]))
+        long = array if array.ndim < 2 or array.shape[0] >= array.shape[1] else array.T
+        yield from zip(_columns_of(name, array.shape), np.atleast_2d(long.T), strict=False)
+
+
+def _columns_of(name: str, shape: Sequence[int]) -> Iterator[str]:
+    """Names of an array's columns; none where it is no table of numbers."""
+    if math.prod(shape) == 0 or len(shape) not in (1, 2) or (len(shape) == 2 and min(shape) > CHANNELS):
+        return
+    if len(shape) == 1 or min(shape) == 1:
+        yield name
+    else:
+        yield from (f"{name}[{index}]" for index in range(min(shape)))
+
+
+def _is_numbers(dtype: np.dtype[Any]) -> bool:
+    return dtype.kind in "fiub"
 
 
 def read_parquet(file: Path, choose: Choose, clock: Clock | None = None) -> Log:
@@ -137,20 +162,24 @@ def read_parquet(file: Path, choose: Choose, clock: Clock | None = None) -> Log:
     """
     parquet = need("pyarrow.parquet", "parquet", file)
     arrow = need("pyarrow", "parquet", file)
-    try:
-        with parquet.ParquetFile(file, memory_map=True) as opened:
-            schema = opened.schema_arrow
+    with open_file(file, "a log") as stream:
+        try:
+            opened = parquet.ParquetFile(stream)
+            schema, rows = opened.schema_arrow, opened.metadata.num_rows
             fields = [f.name for f in schema if _is_number_or_date(arrow, f.type)]
-            if len(schema) > 10 * CHANNELS or opened.metadata.num_rows * 8 > BYTES:
-                told = f"claims {len(schema)} columns of {opened.metadata.num_rows} rows"
-                raise InputError(file, "", told, f"at most {BYTES // 8} rows")
+            if len(schema) > 10 * CHANNELS:
+                raise InputError(file, "", f"claims {len(schema)} columns", f"at most {10 * CHANNELS}")
             kept = [n for n in fields if n in {*choose("", fields)} or is_clock("", n, clock)]
-            columns = {name: _values(arrow, opened.read([name]).column(0)) for name in kept}
-    except (arrow.ArrowException, OSError, ValueError) as error:
-        if isinstance(error, InputError):
+            npz.refuse_beyond(file, {name: 8 * rows for name in kept}, BYTES)
+            with bounded_memory(READER_BYTES):
+                columns = {name: _values(arrow, opened.read([name]).column(0)) for name in kept}
+        except InputError:
             raise
-        told = str(error).splitlines()[0][:120]
-        raise InputError(file, "", f"is not a whole Parquet file ({told})", "a Parquet file of numbers") from None
+        except MemoryError:
+            raise InputError(file, "", TOO_MUCH, "a flight's columns") from None
+        except Exception as error:  # a damaged file fails in many ways, none of which is ours
+            told = (str(error).splitlines() or [""])[0][:120]
+            raise InputError(file, "", f"is not a whole Parquet file ({told})", "a Parquet file of numbers") from None
     return table_log(file, {"": columns}, {"": fields}, clock)
 
 
@@ -166,9 +195,8 @@ def _values(arrow: Any, column: Any) -> np.ndarray:
     return np.asarray(column.cast(arrow.float64()).to_numpy(), np.float64)
 
 
-def _log(file: Path, tables: Tables, choose: Choose, clock: Clock | None) -> Log:
+def _log(file: Path, tables: Tables, fields: Mapping[str, Sequence[str]], choose: Choose, clock: Clock | None) -> Log:
     """Log of tables in memory: the wanted columns, and of those only what is as long as its clock."""
-    fields = {topic: list(columns) for topic, columns in tables.items() if columns}
     kept: Tables = {}
     for topic, columns in tables.items():
         wanted = {*choose(topic, list(columns))}

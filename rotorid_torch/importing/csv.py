@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorid_torch.data.read import CHANNELS
+from rotorid_torch.core.files import open_file
+from rotorid_torch.data.read import CHANNELS, number_of
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing.log import Choose, Log
 from rotorid_torch.importing.mapping import Clock
@@ -43,7 +44,7 @@ def read_csv(file: Path, choose: Choose, clock: Clock | None = None, block: int 
 def _lines(file: Path, size: int) -> Iterator[tuple[int, list[str]]]:
     """Whole lines by blocks, each with the number of its first line."""
     number, rest = 1, b""
-    with file.open("rb") as stream:
+    with open_file(file, "a log") as stream:
         while data := stream.read(size):
             whole, _, rest = (rest + data).rpartition(b"\n")
             if not whole and len(rest) > size:
@@ -98,7 +99,7 @@ class _Table:
     def _slowly(self, first: int, lines: Sequence[str]) -> Iterator[list[float]]:
         """Line by line where something is no number: missing samples, a row of units, a cut end, or an error."""
         for number, line in enumerate(lines, first):
-            fields = self._fields(line)
+            fields = self._fields(number, line)
             if self.cut:
                 raise self._other_count(self.cut)
             if not line.strip():
@@ -111,15 +112,18 @@ class _Table:
                 continue
             yield [self._number(number, i, fields[i]) for i in self.kept]
 
-    def _fields(self, line: str) -> list[str]:
+    def _fields(self, number: int, line: str) -> list[str]:
         quoted = csv.reader([line], delimiter=self.mark) if self.mark else iter([line.split()])
-        return [field.strip() for field in next(quoted, [])]
+        try:
+            return [field.strip() for field in next(quoted, [])]
+        except csv.Error as error:
+            raise InputError(self.file, f"line {number}", f"is no row ({error})", "a row of numbers") from None
 
     def _number(self, line: int, column: int, field: str) -> float:
         if field.lower() in MISSING:
             return np.nan
         try:
-            return float(field)
+            return number_of(field)
         except ValueError:
             told = f"is '{field[:40]}' in line {line}"
             raise InputError(self.file, self.header[column], told, "a number, or nothing for a missing one") from None
@@ -143,7 +147,7 @@ class _Table:
 
 def _is_number(field: str) -> bool:
     try:
-        float(field)
+        number_of(field)
     except ValueError:
         return False
     return True

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rotorid_torch.core.files import open_file
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing.blocks import BLOCK, Blocks, Gathered
 from rotorid_torch.importing.log import Choose, Log, Stream, of_damage
@@ -55,7 +56,7 @@ def read_dataflash(file: Path, choose: Choose, block: int = BLOCK) -> Log:
     InputError : where the file is no such log.
     """
     walk = _Walk(choose)
-    with file.open("rb") as stream:
+    with open_file(file, "a log") as stream:
         if stream.read(3) != HEAD + bytes([FORMAT]):
             raise InputError(file, "", "is not a DataFlash log (it begins otherwise)", "a .bin of ArduPilot")
         walk.all(Blocks(stream, 0, block))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from rotorid_torch.core.files import open_file
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing import ardupilot, px4
 from rotorid_torch.importing.arrays import read_matlab, read_npz, read_parquet
@@ -36,9 +37,7 @@ TABLES: Mapping[str, Callable[[Path, Choose, Clock | None], Log]] = {
 def read_log(file: Path, choose: Choose, clock: Clock | None) -> Log:
     """Read a file by the reader of its ending. Raises InputError."""
     ending = file.suffix.lower()
-    if not file.is_file():
-        told = "is a folder" if file.is_dir() else "there is no such file"
-        raise InputError(file, "", told, "a log")
+    open_file(file, "a log").close()  # before its ending is judged
     try:
         if ending in FLIGHT_LOGS:
             return FLIGHT_LOGS[ending](file, choose)

@@ -17,6 +17,7 @@ from rotorid_torch.importing.flights import Record, flights_of, record_of
 from rotorid_torch.importing.formats import built_in_fields, read_log
 from rotorid_torch.importing.log import Log, choose
 from rotorid_torch.importing.mapping import Map, read_map
+from rotorid_torch.printable import printable
 
 FASTEST_HZ = 250.0
 """Rate of the grid at most, unless one is asked for."""
@@ -109,7 +110,7 @@ def import_logs(
         validate=lists["validate"],
         acid=lists["acid"],
         kind=kind,
-        description=f"{IMPORTED} {', '.join(f.name for f in files)} at {grid_hz:g} Hz.",
+        description=f"{IMPORTED} {printable(', '.join(f.name for f in files), layout=False)} at {grid_hz:g} Hz.",
         vehicle=(given.vehicle if given else None) or dict(records[0].plan.vehicle) or None,
         controls=_controls(records, flights),
         kept=kept,

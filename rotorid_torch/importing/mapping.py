@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta, Struct
 
 from rotorid_torch.core import names
+from rotorid_torch.core.files import read_file
 from rotorid_torch.data.declare import TOML_LIMIT
 from rotorid_torch.data.refusal import convert
 from rotorid_torch.errors import InputError
@@ -91,15 +92,10 @@ def read_map(given: str | Path | Mapping[str, Any]) -> Map:
 
 
 def _toml(file: Path) -> dict[str, Any]:
+    content = read_file(file, "a map in TOML", TOML_LIMIT)
     try:
-        with file.open("rb") as stream:
-            content = stream.read(TOML_LIMIT + 1)
-        if len(content) > TOML_LIMIT:
-            raise InputError(file, "", f"has over {TOML_LIMIT} bytes", "a map in TOML")
         return tomllib.loads(content.decode("utf-8"))
-    except OSError as error:
-        raise InputError(file, "", f"cannot be read ({error.strerror})", "a map in TOML") from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
         raise InputError(file, "", f"is not TOML: {error}", "a map with a table [channels]") from None
 
 

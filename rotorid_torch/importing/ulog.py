@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rotorid_torch.core.files import open_file
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing.blocks import BLOCK, Blocks, Gathered
 from rotorid_torch.importing.log import Choose, Log, Stream, of_damage
@@ -55,7 +56,7 @@ def read_ulog(file: Path, choose: Choose, block: int = BLOCK) -> Log:
     ------
     InputError : where the file is no ULog, or needs what this reader does not know.
     """
-    with file.open("rb") as stream:
+    with open_file(file, "a log") as stream:
         head = stream.read(HEADER)
         if len(head) < HEADER or not head.startswith(MAGIC):
             raise InputError(file, "", "is not a ULog (it begins otherwise)", "a .ulg file of PX4")

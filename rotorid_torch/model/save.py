@@ -2,18 +2,31 @@
 
 from __future__ import annotations
 
+import io
 import warnings
+import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
-from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.core.files import read_file
+from rotorid_torch.core.memory import bounded_memory
+from rotorid_torch.effects.spec import ModelSpec, read_spec
 from rotorid_torch.errors import InputError
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 
 FORMAT = 1
+LARGEST = 64 * 2**20
+"""Bytes of a model.pt, packed and unpacked, at most; a network of the largest kind takes less than a hundredth."""
+MEMORY = 2**30
+"""What reading one may take."""
+EXPECTED = "a model.pt written by rotorid identify"
+SAME = 1e-6
+"""Relative difference of what follows from the spec, and is written beside it, on another machine."""
 
 
 def save(model: Model, spec: ModelSpec, path: Path) -> None:
@@ -26,29 +39,80 @@ def load(path: str | Path) -> tuple[Model, ModelSpec]:
 
     Raises
     ------
-    InputError : the file is not there, is not a model of this format, or names an effect that does not exist.
+    InputError : the file is not there, is not a model of this format, holds numbers that no vehicle has or parts that
+        do not fit each other, or names an effect that does not exist.
     """
-    expected = "a model.pt written by rotorid identify"
+    held = _held(path, read_file(path, EXPECTED, LARGEST))
+    if not isinstance(held, Mapping) or {*held} != {"format", "spec", "state"}:
+        raise InputError(path, "", "is not a model: it has not exactly format, spec and state", EXPECTED)
+    if held["format"] != FORMAT:
+        raise InputError(path, "format", f"is {str(held['format'])[:20]}", f"{FORMAT}")
+    spec = read_spec(held["spec"], path)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what torch remarks on a foreign file, the refusal says better
-            return _model(torch.load(path, weights_only=True))
-    except OSError as e:
-        raise InputError(path, "", e.strerror or "cannot be read", expected) from e
-    except InputError as e:
-        raise InputError(path, e.key, e.wrong, e.expected) from e
-    except Exception as e:  # a damaged or foreign file may fail anywhere in pickle, torch, msgspec or build
-        said = str(e).splitlines() or ["the file is empty"]
-        raise InputError(path, "", f"not a model: {said[0]}", expected) from e
-
-
-def _model(held: Any) -> tuple[Model, ModelSpec]:
-    if not isinstance(held, dict) or held.get("format") != FORMAT:
-        raise ValueError(f"it has no format {FORMAT}")
-    spec = ModelSpec.from_plain(held["spec"])
-    model = build(spec)
-    model.load_state_dict(held["state"])
-    theta = model.theta.detach()
-    if not torch.equal(model.parameter_set.clamp(theta), theta):  # a NaN equals nothing
-        raise ValueError("its parameters leave their bounds")
+        model = build(spec)
+    except InputError as error:
+        raise InputError(path, f"spec: {error.key}", error.wrong, error.expected) from None
+    except Exception as error:  # a spec of the right form may still lack what one of its parts needs
+        raise InputError(path, "spec", f"does not fit together ({_short(error)})", EXPECTED) from None
+    _take(model, held["state"], path)
     return model, spec
+
+
+def _held(path: str | Path, content: bytes) -> Any:
+    """What the file holds: plain data and tensors; its sizes are judged before anything is unpacked."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            unpacked = sum(member.file_size for member in archive.infolist())
+    except Exception:  # a damaged archive fails in many ways
+        raise InputError(path, "", "is not a model: no whole archive as torch writes it", EXPECTED) from None
+    if unpacked > LARGEST:
+        raise InputError(path, "", f"unpacks to {unpacked} bytes", f"{EXPECTED}, of at most {LARGEST} bytes")
+    try:
+        with warnings.catch_warnings(), bounded_memory(MEMORY):
+            warnings.simplefilter("ignore")  # what torch remarks on a foreign file, the refusal says better
+            return torch.load(io.BytesIO(content), weights_only=True, map_location="cpu")
+    except Exception:  # torch fails in many ways, and its words advise to trust the file
+        told = "is not a model: it is damaged, or holds more than numbers, names and tensors"
+        raise InputError(path, "", told, EXPECTED) from None
+
+
+def _take(model: Model, state: Any, path: str | Path) -> None:
+    """Give the model its numbers; what follows from the spec has to be the same."""
+    own = model.state_dict()
+    if not isinstance(state, Mapping) or {*state} != {*own}:
+        odd = sorted({str(name) for name in {*own} ^ {*(state if isinstance(state, Mapping) else ())}})
+        raise InputError(path, "state", f"does not belong to the spec ({', '.join(odd[:3])})", EXPECTED)
+    for name, expected in own.items():
+        wrong = _difference(name, state[name], expected)
+        if wrong:
+            raise InputError(path, f"state: {name}", wrong, f"{EXPECTED}, unchanged")
+    theta = state["theta"].detach()
+    outside = (model.parameter_set.clamp(theta) != theta).nonzero().flatten().tolist()
+    if outside:
+        parameter = model.parameter_set.parameters[outside[0]]
+        low, high = parameter.bounds
+        told = f"is {float(theta[outside[0]]):g}"
+        raise InputError(path, f"state: {parameter.name}", told, f"{low:g} to {high:g} {parameter.unit}".strip())
+    model.load_state_dict(dict(state))
+
+
+def _difference(name: str, value: Any, expected: Tensor) -> str:
+    """What is wrong with a tensor that stands for this one; empty where nothing is."""
+    if not isinstance(value, Tensor) or value.layout != torch.strided or value.dtype != expected.dtype:
+        return f"is no tensor of {str(expected.dtype).removeprefix('torch.')}"
+    if value.shape != expected.shape:
+        return f"has the shape {tuple(value.shape)}, not {tuple(expected.shape)}"
+    if not bool(value.isfinite().all()):
+        return "holds numbers that are not finite"
+    if name != "theta" and not torch.allclose(value, expected, rtol=SAME, atol=_slack(expected)):
+        return "is not what follows from the spec"
+    return ""
+
+
+def _short(error: Exception) -> str:
+    told = f"{type(error).__name__} {error}" if isinstance(error, LookupError) else str(error)
+    return told.partition("\n")[0][:120]
+
+
+def _slack(expected: Tensor) -> float:
+    return SAME * float(expected.abs().max()) if expected.numel() else 0.0

@@ -18,8 +18,11 @@ from pathlib import Path
 
 import msgspec
 
+from rotorid_torch.core.files import read_file
 from rotorid_torch.core.paths import absolute, refuse_foreign, same_file
 from rotorid_torch.errors import InputError
+from rotorid_torch.printable import printable
+from rotorid_torch.run.records import LARGEST
 
 FILES = (
     *("report.json", "report.html", "model.pt", "check.json", "log.txt"),
@@ -136,17 +139,18 @@ def refuse_unless_free(out: str | Path, command: str) -> None:
             expected = f"a new name, or an earlier RUN of {' or '.join(alike)} to replace"
             raise InputError(out, "", f"is in the way and is a run of {earlier}", expected)
         refuse_foreign(place, FILES, "a run")
+    if printable(str(place), layout=False) != str(place):  # what writes for TensorBoard takes names of UTF-8 only
+        raise InputError(out, "", "is not a name that can be printed", "a folder's name without control characters")
     _refuse_parent(place)
 
 
 def command_of(path: Path) -> str | None:
     """Command that wrote the run in the folder `path`, of whatever format; None where `path` is no run."""
-    report = path / "report.json"
-    if path.is_symlink() or not report.is_file():
+    if path.is_symlink():
         return None
     try:
-        head = msgspec.json.decode(report.read_bytes())
-    except (OSError, msgspec.DecodeError):
+        head = msgspec.json.decode(read_file(path / "report.json", "a report", LARGEST))
+    except (ValueError, RecursionError):
         return None
     if not isinstance(head, dict) or not {"format", "rotorid"} <= head.keys():
         return None

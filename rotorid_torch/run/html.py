@@ -8,6 +8,7 @@ from collections.abc import Mapping
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
+from rotorid_torch.printable import printable
 from rotorid_torch.run.records import FitRecord, ModeRecord, ParameterRecord, Report
 from rotorid_torch.run.short_horizon import FREE_RUN, NAMES, short_horizon
 from rotorid_torch.run.summary import headline, list_summaries, next_steps, shown_flights
@@ -46,7 +47,7 @@ def render(report: Report, pictures: Mapping[str, bytes]) -> str:
         lstrip_blocks=True,
     )
     environment.filters.update(number=number, percent=percent, relative=relative_error, motion=motion_of_mode)
-    return environment.get_template("report.html.j2").render(
+    page = environment.get_template("report.html.j2").render(
         report=report,
         headline=headline(report),
         steps=next_steps(report),
@@ -58,6 +59,7 @@ def render(report: Report, pictures: Mapping[str, bytes]) -> str:
         untested=[e for e in report.effects if e.verdict not in ORDER],
         pictures=[(name, _caption(name), base64.b64encode(png).decode()) for name, png in pictures.items()],
     )
+    return printable(page)
 
 
 def number(value: float | None, digits: int = 4) -> str:

@@ -15,6 +15,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
+from rotorid_torch.printable import printable
 from rotorid_torch.run.records import TimeRecord
 
 if TYPE_CHECKING:
@@ -81,7 +82,7 @@ class Monitor:
     def log(self, text: str) -> None:
         """Tell one line to the log only."""
         if self._log:
-            self._log.write(f"{time.perf_counter() - self._start:9.2f} s  {text}\n")
+            self._log.write(f"{time.perf_counter() - self._start:9.2f} s  {printable(text, layout=False)}\n")
             self._log.flush()
 
     def scalars(self, values: Mapping[str, float], iteration: int) -> None:

@@ -7,15 +7,24 @@ and what is read back are equal.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 
+from rotorid_torch.core.files import read_file
+from rotorid_torch.data.refusal import convert
 from rotorid_torch.errors import InputError
 
 Number = float | None
+Size = Annotated[float, msgspec.Meta(ge=0)] | None
+"""A number that is not negative: an error, a duration, a score."""
+AtMostOne = Annotated[float, msgspec.Meta(le=1)] | None
+Share = Annotated[float, msgspec.Meta(ge=0, le=1)] | None
+LARGEST = 64 * 2**20
+"""Bytes of a report.json at most."""
 Status = Literal["free", "frozen", "nuisance", "not identifiable"]
 Role = Literal["undeclared", "structure", "learnt"]
 VerdictKind = Literal["nothing undeclared", "undeclared", "group", "unknown", "structure"]
@@ -52,7 +61,7 @@ class ParameterRecord(Record, frozen=True, kw_only=True):
 
     name: str
     value: Number
-    se: Number
+    se: Size
     unit: str
     bounds: tuple[Number, Number] = (None, None)
     at_bound: bool = False
@@ -69,25 +78,25 @@ class ModeRecord(Record, frozen=True, kw_only=True):
 class ChannelRecord(Record, frozen=True, kw_only=True):
     """A free run's error in one channel; Theil's parts are bias, variance and covariance."""
 
-    rmse: Number
-    r2: Number
-    theil: Number
+    rmse: Size
+    r2: AtMostOne
+    theil: Share
     theil_parts: tuple[Number, Number, Number]
 
 
 class WindowsRecord(Record, frozen=True, kw_only=True):
     """J over all 8-s windows of a flight: median, 10th and 90th percentile."""
 
-    median: Number
-    p10: Number
-    p90: Number
+    median: Size
+    p10: Size
+    p90: Size
 
 
 class ResponseRecord(Record, frozen=True, kw_only=True):
     """What a model gives at measured states against what was measured: nothing is integrated."""
 
-    rmse: Number
-    r2: Number
+    rmse: Size
+    r2: AtMostOne
     unit: str
 
 
@@ -95,19 +104,19 @@ class PredictionRecord(Record, frozen=True, kw_only=True):
     """Mean norm of a quantity's error some seconds after measured states: of the model, and of holding them."""
 
     quantity: str
-    seconds: float
+    seconds: Annotated[float, msgspec.Meta(gt=0)]
     unit: str
-    error: Number
-    held: Number
+    error: Size
+    held: Size
 
 
 class FlightRecord(Record, frozen=True, kw_only=True, omit_defaults=True):
     """Scores of one flight's free run; of a multirotor's flight also its responses and predictions."""
 
     list: Literal["identify", "validate", "acid"]
-    J: Number
-    J_noise: Number
-    J_trim: Number
+    J: Size
+    J_noise: Size
+    J_trim: Size
     windows: WindowsRecord
     channels: dict[str, ChannelRecord]
     responses: dict[str, ResponseRecord] = {}
@@ -117,9 +126,9 @@ class FlightRecord(Record, frozen=True, kw_only=True, omit_defaults=True):
 class ScoresRecord(Record, frozen=True, kw_only=True):
     """Scores of the three lists; None for a list without flights."""
 
-    identify: Number
-    validate: Number
-    acid: Number
+    identify: Size
+    validate: Size
+    acid: Size
 
 
 class FitRecord(Record, frozen=True, kw_only=True):
@@ -164,9 +173,9 @@ class UnknownRecord(Record, frozen=True, kw_only=True):
     """Something that is missing from the model, localised and not named."""
 
     where: str
-    band_hz: tuple[Number, Number]
+    band_hz: tuple[Size, Size]
     goes_with: str | None
-    since_s: Number
+    since_s: Size
     sentence: str
 
 
@@ -180,11 +189,11 @@ class DatasetRecord(Record, frozen=True, kw_only=True):
 class TimeRecord(Record, frozen=True, kw_only=True):
     """Seconds spent in each step."""
 
-    reconstruct: Number = 0.0
-    ftr: Number = 0.0
-    ml: Number = 0.0
-    trace: Number = 0.0
-    total: Number = 0.0
+    reconstruct: Size = 0.0
+    ftr: Size = 0.0
+    ml: Size = 0.0
+    trace: Size = 0.0
+    total: Size = 0.0
 
 
 class Report(Record, frozen=True, kw_only=True):
@@ -194,9 +203,9 @@ class Report(Record, frozen=True, kw_only=True):
     rotorid: str = msgspec.field(default_factory=package_version)
     command: str
     dataset: DatasetRecord
-    seed: int
+    seed: Annotated[int, msgspec.Meta(ge=0)]
     time_s: TimeRecord
-    peak_memory_mb: Number
+    peak_memory_mb: Size
     before: FitRecord | None
     after: FitRecord | None = None
     verdict: VerdictRecord | None = None
@@ -223,9 +232,29 @@ def read_report(run: str | Path) -> Report:
     InputError : no such file, or not a report of this format.
     """
     file = Path(run) / "report.json"
+    content = read_file(file, "a RUN written by rotorid", LARGEST)
     try:
-        return msgspec.json.decode(file.read_bytes(), type=Report)
-    except OSError as error:
-        raise InputError(file, "", error.strerror or "cannot be read", "a RUN written by rotorid") from error
-    except msgspec.DecodeError as error:
-        raise InputError(file, "", f"not a report: {error}", "report.json of format 1, as rotorid writes it") from error
+        document = msgspec.json.decode(content)
+    except (ValueError, RecursionError) as error:
+        raise InputError(file, "", f"is not JSON: {error}", "report.json as rotorid writes it") from None
+    report = convert(document, Report, file, "")
+    for key, low, high in _pairs(document, ""):
+        if low > high:
+            raise InputError(file, key, f"is {low:g} to {high:g}", "lower below upper")
+    return report
+
+
+def _pairs(value: Any, key: str) -> Iterator[tuple[str, float, float]]:
+    """Ranges in a report, with their keys: bounds, bands, and percentiles about a median."""
+    if isinstance(value, list):
+        for index, item in enumerate(value):
+            yield from _pairs(item, f"{key}[{index}]")
+    if not isinstance(value, dict):
+        return
+    for name, item in value.items():
+        yield from _pairs(item, f"{key}.{name}" if key else name)
+        if name in ("bounds", "band_hz") and None not in item:
+            yield f"{key}.{name}", item[0], item[1]
+    if {"p10", "median", "p90"} <= value.keys() and None not in value.values():
+        yield f"{key}.p10", value["p10"], value["median"]
+        yield f"{key}.p90", value["median"], value["p90"]

@@ -536,7 +536,7 @@ def test_usage(tmp_path: Path, capsys):
         ([tmp_path / "no.csv", "--out", tmp_path / "set"], "no such file"),
         ([tmp_path / "f.xlsx", "--out", tmp_path / "set"], "no such file"),
         ([tmp_path / "mine", "--out", tmp_path / "set"], "is a folder"),
-        ([file, "--out", tmp_path / "set", "--map", tmp_path / "no.toml"], "cannot be read"),
+        ([file, "--out", tmp_path / "set", "--map", tmp_path / "no.toml"], "no such file"),
     ):
         assert cli.main(["import", *map(str, words)]) == 2
         error = capsys.readouterr().err

@@ -57,7 +57,7 @@ def refused(path: Path) -> InputError:
 
 
 def test_no_file_and_a_folder(tmp_path: Path):
-    assert "No such file" in str(refused(tmp_path / "model.pt"))
+    assert "no such file" in str(refused(tmp_path / "model.pt"))
     refused(tmp_path)
 
 

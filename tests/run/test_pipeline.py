@@ -148,7 +148,7 @@ def test_identify_replaces_its_own_run(run: tuple[Run, Path]):
 def test_simulate_refuses_what_is_not_there(run: tuple[Run, Path], data: Dataset, tmp_path: Path):
     with pytest.raises(InputError, match="no flight 'f_lan'"):
         simulate(run[1], data, "f_lan", tmp_path / "free.npz")
-    with pytest.raises(InputError, match="No such file"):
+    with pytest.raises(InputError, match="no such file"):
         simulate(tmp_path / "nowhere", data, "f_lat", tmp_path / "free.npz")
     other = flown(rate_vehicle(), {"f_lat": manoeuvres(3.0, DT)["f_lat"]}, DT)
     fewer = {"f": {c: other.flights["f_lat"].channels[c] for c in ("time", "p", "q", "r", "lat")}}

@@ -1,0 +1,35 @@
+"""Text of a user's file as it may be shown: whatever would steer a terminal, a page or a log is a sign that is seen."""
+
+from __future__ import annotations
+
+import unicodedata
+
+_PICTURES = {number: chr(0x2400 + number) for number in range(0x20)} | {0x7F: "\u2421"}
+"""Control characters of ASCII by the pictures that Unicode has of them: ESC is \u241b."""
+_HIDDEN = frozenset(("Cc", "Cf", "Cs", "Zl", "Zp"))
+"""Unicode's categories of controls, of format signs (they turn the direction of text), of half characters that no
+encoding can write, and of separators of lines and paragraphs."""
+LAYOUT = frozenset(map(ord, "\n\t"))
+
+
+class _Signs(dict[int, str]):
+    """What each character is shown as, found when it is first met."""
+
+    def __missing__(self, number: int) -> str:
+        hidden = unicodedata.category(chr(number)) in _HIDDEN
+        self[number] = _PICTURES.get(number, "\ufffd") if hidden else chr(number)
+        return self[number]
+
+
+_LINE = _Signs()
+_PAGE = _Signs({number: chr(number) for number in LAYOUT})
+
+
+def printable(text: str, layout: bool = True) -> str:
+    """Replace every character that a terminal would obey instead of showing it.
+
+    Parameters
+    ----------
+    layout : leave ends of lines and tabulators as they are; without, the text is one line.
+    """
+    return text.translate(_PAGE if layout else _LINE)
