@@ -14,8 +14,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from rotorid_torch.core.paths import absolute, refuse_foreign
 from rotorid_torch.core.files import read_file
+from rotorid_torch.core.paths import absolute, refuse_foreign
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.declare import TOML_LIMIT
 from rotorid_torch.data.read import Arrays, take_arrays
