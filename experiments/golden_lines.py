@@ -71,6 +71,7 @@ def run_case(case: Case, shared: Path, aircraft: Path) -> dict:
     try:
         with tempfile.TemporaryDirectory() as folder, library_without(removed_by(case)):
             flown = flights_of(case, shared, aircraft, Path(folder))
+            line |= {"flights": flown.dataset.sha256[:8]}
             began, used = time.perf_counter(), _processor_seconds()
             loop = rotorid.close_loop(flown.dataset)
         line |= said(loop, flown.true)

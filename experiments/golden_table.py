@@ -78,7 +78,7 @@ def _rates(lines: Sequence[dict], columns: Sequence[Column]) -> str:
 def _column(lines: Sequence[dict]) -> dict[str, str]:
     """Answers to all questions, from the lines of one half and version."""
     whole = [line for line in lines if "failed" not in line]
-    told = [line for line in whole if line["hidden"] is not None]
+    told = [line for line in whole if line["hidden"] is not None and line["kind"] != Kind.QUICK]
 
     def rate(these: Iterable[dict], hit: Callable[[dict], bool]) -> str:
         runs = list(these)
@@ -98,7 +98,7 @@ def _column(lines: Sequence[dict]) -> dict[str, str]:
 
     outside = [line for line in told if line["hidden"] and line["hidden"][0] in CAUSES]
     records = [line for line in of(Kind.RECORDS) if line not in outside]
-    clean = [line for line in told if not line["hidden"] and line["kind"] != Kind.QUICK]
+    clean = [line for line in told if not line["hidden"]]
     rows = {"nothing hidden: something is named or suspected": rate(clean, alarm)}
     for size in SIZES:
         rows[f"identifiable, size {size:g}: named, nothing false beside"] = rate(of_class("identifiable", size), named)
@@ -120,7 +120,7 @@ def _column(lines: Sequence[dict]) -> dict[str, str]:
 def _times(lines: Sequence[dict]) -> str:
     if not lines:
         return "no runs"
-    return f"{median(e['seconds'] for e in lines):.0f} ({median(e['cpu_s'] for e in lines):.0f}) in {len(lines)}"
+    return f"{median(e['seconds'] for e in lines):.0f} ({median(e['cpu_s'] for e in lines):.0f}), {len(lines)} runs"
 
 
 def _confusion(lines: Sequence[dict]) -> str:
@@ -133,8 +133,9 @@ def _confusion(lines: Sequence[dict]) -> str:
         counts = Counter(map(outcome, runs))
         names = Counter(e for line in runs if outcome(line) == "false name" for e in (*line["named"], *line["group"]))
         said = ", ".join(f"{count} {text}" for text, count in counts.most_common())
-        rows.append((kind, hidden, f"{size:g}", said, ", ".join(f"{name} {count}" for name, count in names.items())))
-    return markdown(("kind", "hidden", "size", "outcomes", "names where one is false"), rows)
+        false = ", ".join(f"{name} {count}" for name, count in names.items())
+        rows.append((kind, hidden, f"{size:g}", said, false, _times(runs)))
+    return markdown(("kind", "hidden", "size", "outcomes", "names where one is false", "s (of processors)"), rows)
 
 
 def _sets(lines: Sequence[dict]) -> str:

@@ -152,9 +152,9 @@ def test_tables_set_versions_side_by_side() -> None:
     assert told["entry taken out of the library: misnamed"].startswith("1 of 1")
     assert told["all wrong names"].startswith("3 of 9")
     assert told["95 % intervals of named sizes that hold the truth"].startswith("1 of 2")
-    assert told["seconds of a case (of its processors), floors to be found: median"] == "60 (30) in 1"
+    assert told["seconds of a case (of its processors), floors to be found: median"] == "60 (30), 1 runs"
     assert told["ended with an error"] == "1"
-    assert "| effect | control.delay | 1 | 1 named, 1 false name | control.lag 1 |" in text
+    assert "| effect | control.delay | 1 | 1 named, 1 false name | control.lag 1 | 60 (30), 2 runs |" in text
     assert "| shared | uh60-x1 | not told | other | Nothing. | 0.200 → 0.200 |  →  | 60 |" in text
 
 
