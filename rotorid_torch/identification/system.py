@@ -124,8 +124,7 @@ class System:
         if len(which) == 0:
             return none
         seeds = torch.eye(len(theta), dtype=theta.dtype)[which]
-        columns = [jvp(lambda th: self.tape(th, controls, dt), (theta,), (seed,))[1] for seed in seeds]
-        return which, torch.stack(columns, dim=-1)
+        return which, _passes(lambda th: self.tape(th, controls, dt), theta, seeds).movedim(0, -1)
 
     def state_jacobian(self, theta: Tensor, t: Tensor, x: Tensor, u: Tensor) -> Tensor:
         """Derivatives of the rates by x [n, nx, nx] at n points."""
@@ -224,7 +223,7 @@ class _Structure:
 
 
 def _passes(function: Callable[..., Tensor], theta: Tensor, seeds: Tensor, *points: Tensor) -> Tensor:
-    """Directional derivatives [k, n, rows] along the seeds [k, P]."""
+    """Directional derivatives [k, n, rows] of the values [n, rows] along the seeds [k, P]."""
     return vmap(lambda seed: jvp(lambda th: function(th, *points), (theta,), (seed,))[1])(seeds)
 
 
