@@ -47,3 +47,11 @@ def wait_until(what: Callable[[], object]) -> None:
             return
         time.sleep(0.05)
     raise AssertionError("what is waited for does not come")
+
+
+def goes_on(process: int) -> bool:
+    """Whether a process works, and has not only not been waited for."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False

@@ -17,7 +17,7 @@ import weakref
 import torch
 from torch import Tensor
 
-from rotorid_torch.errors import InputError
+from rotorid_torch.core.atomic import writing_temporary
 
 LARGE = 16 * 2**20
 """Bytes from which an array lies in a file; with less it is plain memory."""
@@ -30,18 +30,14 @@ def empty(*shape: int) -> Tensor:
 
     Raises
     ------
-    InputError : the temporary folder has no room for it.
+    Unwritable : the temporary folder has no room for it.
     """
     size = 8 * math.prod(shape)
     if size == 0 or size < LARGE or sys.platform != "linux" or torch.get_default_device().type != "cpu":
         return torch.empty(shape, dtype=torch.float64)
-    try:
-        with tempfile.TemporaryFile(prefix="rotorid-") as file:
-            os.posix_fallocate(file.fileno(), 0, size)  # now: a page that finds no room later would end the process
-            pages = mmap.mmap(file.fileno(), size)
-    except OSError as error:
-        wanted = "space for what is kept of the flights; TMPDIR names another folder"
-        raise InputError(tempfile.gettempdir(), "", f"cannot be written to ({error})", wanted) from None
+    with writing_temporary(), tempfile.TemporaryFile(prefix="rotorid-") as file:
+        os.posix_fallocate(file.fileno(), 0, size)  # now: a page that finds no room later would end the process
+        pages = mmap.mmap(file.fileno(), size)
     _mapped.add(pages)
     return torch.frombuffer(pages, dtype=torch.float64).view(shape)
 

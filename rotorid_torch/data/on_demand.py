@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rotorid_torch.errors import InputError
+from rotorid_torch.core.atomic import writing_temporary
 
 Item = TypeVar("Item")
 
@@ -88,7 +88,7 @@ class OnDemand(Mapping[str, Item], Generic[Item]):
     def _write(self, name: str, item: Item) -> None:
         parts: list[Tensor] = []
         form = _taken_apart(vars(item), parts)
-        try:
+        with writing_temporary():
             if self._disk is None:
                 self._disk = tempfile.TemporaryFile(prefix="rotorid-", buffering=0)
                 weakref.finalize(self, self._disk.close)
@@ -96,9 +96,6 @@ class OnDemand(Mapping[str, Item], Generic[Item]):
             left = memoryview(torch.cat(parts).numpy().view(np.uint8).data)
             while left:  # a call may write less than it was given
                 left = left[self._disk.write(left) :]
-        except OSError as error:
-            wanted = "space for what is kept of the flights; TMPDIR names another folder"
-            raise InputError(tempfile.gettempdir(), "", f"cannot be written to ({error})", wanted) from None
         self._written[name] = place, type(item), form
 
     def _read(self, name: str) -> Item:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
-import tempfile
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -14,6 +12,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from rotorid_torch.core.atomic import atomic_folder, refuse_unless_writable, restore, writing
 from rotorid_torch.core.files import read_file
 from rotorid_torch.core.paths import absolute, refuse_foreign
 from rotorid_torch.data.dataset import Dataset
@@ -43,17 +42,17 @@ def write_dataset(
     channels: Any = None,
     model: Any = None,
     truth: Mapping[str, Mapping[str, Any]] | None = None,
-    kept: Mapping[str, str] | None = None,
+    texts: Mapping[str, str] | None = None,
 ) -> Path:
     """Write dataset.toml, flights/NAME.npz and, where given, truth/NAME.npz; returns the folder.
 
     The arguments are those of `Dataset.from_arrays`, which validates them before anything is written; `truth` holds
     arrays by flight and channel. float32 stays float32, all else is written as float64. An earlier data set at this
-    place is replaced whole; of `kept`, texts by name of file, those that say something else stay beside it.
+    place is replaced whole. `texts`, by path in the folder, are written too, but for those that say what it declares.
 
     Raises
     ------
-    InputError : where the data are bad, or something that is not a data set is in the way.
+    InputError : the data are bad, something that is not a data set is in the way, or the place cannot be written to.
     """
     place = absolute(folder)
     refuse_unless_free(place)
@@ -82,28 +81,24 @@ def write_dataset(
         "flights": {"identify": list(identify), "validate": list(validate), "acid": list(acid)},
         "model": _plain(model),
     }
-    place.parent.mkdir(parents=True, exist_ok=True)
-    beside = Path(tempfile.mkdtemp(prefix=f".{place.name}.", dir=place.parent))
-    try:
-        beside.chmod(0o755)
+    with writing(place):
+        place.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_folder(place, lambda: refuse_unless_free(place)) as beside:
         (beside / "dataset.toml").write_text(to_toml(document), encoding="utf-8")
-        for file, text in (kept or {}).items():
-            if text != to_toml(document):
-                (beside / file).write_text(text, encoding="utf-8")
         _write_arrays(beside / "flights", {flight: flights[flight] for flight in (*identify, *validate, *acid)})
         if truth:
             _write_arrays(beside / "truth", truth)
-        _move(beside, place)
-    except BaseException:
-        shutil.rmtree(beside, ignore_errors=True)
-        raise
+        for file, text in (texts or {}).items():
+            if text != to_toml(document):
+                (beside / file).write_text(text, encoding="utf-8")
     return place
 
 
 def refuse_unless_free(out: str | Path, written: str = "", inputs: Iterable[Path] = ()) -> None:
     """Raise InputError where no data set can be written to `out`.
 
-    Something that is not a data set is in the way, or a data set that holds other files, or files that are read.
+    Something that is not a data set is in the way, or a data set that holds other files, or files that are read; or
+    the place cannot be written to.
 
     Parameters
     ----------
@@ -112,6 +107,8 @@ def refuse_unless_free(out: str | Path, written: str = "", inputs: Iterable[Path
     inputs : files that are read.
     """
     place = absolute(out)
+    refuse_unless_writable(place, parents=True)
+    restore(place)
     if not os.path.lexists(place):
         return
     if not place.is_dir() or place.is_symlink():
@@ -158,22 +155,6 @@ def _write_arrays(folder: Path, flights: Mapping[str, Mapping[str, Any]]) -> Non
         arrays: Arrays = take_arrays(given, f"arrays: flight {name}")
         with (folder / f"{name}.npz").open("wb") as stream:
             np.savez(stream, allow_pickle=False, **arrays)
-
-
-def _move(beside: Path, place: Path) -> None:
-    """Rename into place; what lay there goes away after the new one stands."""
-    if not place.exists():
-        beside.rename(place)
-        return
-    old = Path(tempfile.mkdtemp(prefix=f".{place.name}.old.", dir=place.parent))
-    os.replace(place, old / "was")
-    try:
-        beside.rename(place)
-    except BaseException:
-        os.replace(old / "was", place)
-        raise
-    finally:
-        shutil.rmtree(old, ignore_errors=True)
 
 
 def _plain(table: Any) -> dict[str, Any]:

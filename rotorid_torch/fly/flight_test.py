@@ -140,9 +140,9 @@ def _write(
     """The flown set as a data set with its truth and effects; an earlier data set there is replaced."""
     keys = ("name", "kind", "description", "vehicle", "controls", "channels", "model")
     tables: dict[str, Any] = {key: declaration.get(key) for key in keys}
-    write_dataset(out, measured, **declaration["flights"], **tables, truth=truth, kept=declarations(out))
-    told = json.dumps({"effects": list(hidden)}, indent=1)
-    (out / "truth" / "effects.json").write_text(told + "\n", encoding="utf-8")
+    told = json.dumps({"effects": list(hidden)}, indent=1) + "\n"
+    texts = {"truth/effects.json": told, **declarations(out)}
+    write_dataset(out, measured, **declaration["flights"], **tables, truth=truth, texts=texts)
 
 
 def _check_numbers(speed: float, heading: float, height: float, seconds: float) -> None:

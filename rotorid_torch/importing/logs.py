@@ -113,7 +113,7 @@ def import_logs(
         description=f"{IMPORTED} {printable(', '.join(f.name for f in files), layout=False)} at {grid_hz:g} Hz.",
         vehicle=(given.vehicle if given else None) or dict(records[0].plan.vehicle) or None,
         controls=_controls(records, flights),
-        kept=kept,
+        texts=kept,
     )
     if there := [file for file in kept if (place / file).exists()]:
         told.append(

@@ -31,7 +31,9 @@ SAME = 1e-6
 
 def save(model: Model, spec: ModelSpec, path: Path) -> None:
     """Write a model that `build(spec)` made, with its parameters."""
-    torch.save({"format": FORMAT, "spec": spec.plain(), "state": model.state_dict()}, path)
+    buffer = io.BytesIO()  # torch itself does not say why it could not write
+    torch.save({"format": FORMAT, "spec": spec.plain(), "state": model.state_dict()}, buffer)
+    path.write_bytes(buffer.getbuffer())
 
 
 def load(path: str | Path) -> tuple[Model, ModelSpec]:

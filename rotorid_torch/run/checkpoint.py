@@ -7,6 +7,7 @@ step, in a form that runs no code when it is read. It goes when the run is whole
 from __future__ import annotations
 
 import fcntl
+import io
 import json
 import os
 import shutil
@@ -20,10 +21,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.atomic import Unwritable, locked, reason, writing
 from rotorid_torch.core.large import give_back
 from rotorid_torch.core.native.fallback import say_once
 from rotorid_torch.core.paths import absolute, refuse_foreign
 from rotorid_torch.core.ranks import Ranks
+from rotorid_torch.core.sealed import Damaged, read_sealed, write_sealed
 from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError
@@ -37,7 +40,7 @@ from rotorid_torch.identification.step2 import Step2
 from rotorid_torch.identification.step3 import Step3
 from rotorid_torch.identification.uncertainty import Uncertainty
 from rotorid_torch.identification.whitening import Moments
-from rotorid_torch.run.folder import locked, refuse_unless_free
+from rotorid_torch.run.folder import refuse_unless_free
 from rotorid_torch.run.monitor import Monitor
 
 Result = TypeVar("Result")
@@ -64,23 +67,26 @@ class Checkpoint:
         if self.folder is None:
             return None
         try:
-            return _made(torch.load(self.folder / f"{name}.pt", weights_only=True))
-        except Exception:  # a file cut short may fail anywhere in pickle or torch; the step is then done once more
+            content = read_sealed(self.folder / f"{name}.pt", name)
+        except FileNotFoundError:
             return None
+        except (OSError, Damaged) as error:
+            told = reason(error) if isinstance(error, OSError) else error
+            say_once(f"{self.folder}: the file of a finished step {told}; the step is done once more")
+            return None
+        return _made(torch.load(io.BytesIO(content), weights_only=True))
 
     def write(self, name: str, result: object) -> bool:
         """Keep the result of a step; the file is whole or absent. Where it cannot be written, one line says so."""
         if self.folder is None:
             return False
-        partial = self.folder / f"{name}.partial"
+        buffer = io.BytesIO()
+        torch.save(_plain(result), buffer)
         try:
-            torch.save(_plain(result), partial)
-            partial.replace(self.folder / f"{name}.pt")
-        except (OSError, RuntimeError) as error:  # torch tells a full disk as the latter
-            with suppress(OSError):
-                partial.unlink(missing_ok=True)
-            reason = " ".join(str(error).split())[:120]
-            say_once(f"{self.folder} cannot be written to ({reason}); a later --resume will repeat what is not kept")
+            write_sealed(self.folder / f"{name}.pt", name, buffer.getvalue())
+        except OSError as error:
+            told = f"{self.folder} cannot be written to ({reason(error)})"
+            say_once(f"{told}; a later --resume will repeat what is not kept")
             return False
         return True
 
@@ -101,12 +107,12 @@ def checkpoint(out: str | Path, key: Mapping[str, str], *, resume: bool, keep: b
     refuse_unless_free(out, "identify")
     place = absolute(out)
     folder = place.with_name(f".{place.name}.checkpoint")
-    with locked(place.parent):
+    with writing(folder), locked(place.parent):
         lock = _taken(folder)
         if lock is not None:
             try:
                 _prepare(folder, key, out, resume)
-            except InputError:
+            except BaseException:
                 os.close(lock)
                 raise
     if lock is None:
@@ -117,6 +123,9 @@ def checkpoint(out: str | Path, key: Mapping[str, str], *, resume: bool, keep: b
     left = False
     try:
         yield Checkpoint(folder)
+    except Unwritable:
+        left = keep
+        raise
     except InputError:
         raise
     except BaseException:

@@ -1,23 +1,17 @@
-"""The folder of a run: written beside its place and renamed when complete, so that it is whole or absent.
-
-While it is written the folder is called `.NAME.RANDOM.partial` and is locked; a lock ends with its process, however
-that dies, so that the next run to the same place knows the leftovers of dead ones and removes them.
-"""
+"""The folder of a run: written beside its place and renamed when complete, so that it is whole or absent."""
 
 from __future__ import annotations
 
-import ctypes
-import fcntl
 import os
-import secrets
-import shutil
 import zipfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 import msgspec
 
+from rotorid_torch.core.atomic import atomic_file, atomic_folder, refuse_unless_writable, restore
 from rotorid_torch.core.files import read_file
 from rotorid_torch.core.paths import absolute, refuse_foreign, same_file
 from rotorid_torch.errors import InputError
@@ -33,7 +27,6 @@ ALIKE = (("check",), ("reconstruct",), ("identify", "close-loop"))
 """Commands whose runs replace each other; a run with a model is not replaced by one without."""
 FREE_RUN = b"rotorid: free run, format 1"
 """Comment of the archive that `simulate` writes: what lies there and has it may be replaced."""
-_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 
 
 @contextmanager
@@ -48,20 +41,8 @@ def run_folder(out: str | Path, command: str) -> Iterator[Path]:
         cannot be written to.
     """
     place = absolute(out)
-    refuse_unless_free(place, command)
-    partial = _partial_name(place)
-    with locked(place.parent):  # making and cleaning exclude each other, so that no folder is seen before its lock
-        _clean(place)
-        partial.mkdir()
-        lock = os.open(partial, os.O_RDONLY)
-        fcntl.flock(lock, fcntl.LOCK_EX)
-    try:
-        yield partial
-        with locked(place.parent):
-            _put_in_place(partial, place, command)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-        os.close(lock)
+    with atomic_folder(place, lambda: refuse_unless_free(place, command)) as folder:
+        yield folder
 
 
 @contextmanager
@@ -77,16 +58,11 @@ def free_run_file(out: str | Path, *, overwrite: bool = False, inputs: Iterable[
     InputError : as `refuse_unless_free_run`, at once and again before the file is renamed.
     """
     place, inputs = absolute(out), tuple(inputs)
-    refuse_unless_free_run(place, overwrite=overwrite, inputs=inputs)
-    partial = _partial_name(place).with_suffix(place.suffix)
-    try:
-        yield partial
-        with zipfile.ZipFile(partial, "a") as archive:
+    refuse = partial(refuse_unless_free_run, place, overwrite=overwrite, inputs=inputs)
+    with atomic_file(place, refuse) as file:
+        yield file
+        with zipfile.ZipFile(file, "a") as archive:
             archive.comment = FREE_RUN
-        refuse_unless_free_run(place, overwrite=overwrite, inputs=inputs)
-        partial.replace(place)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def refuse_unless_free_run(out: str | Path, *, overwrite: bool = False, inputs: Iterable[Path] = ()) -> None:
@@ -98,7 +74,7 @@ def refuse_unless_free_run(out: str | Path, *, overwrite: bool = False, inputs: 
     inputs : files that are read, which nothing replaces, whatever their names.
     """
     place = absolute(out)
-    if place.is_dir():
+    if os.path.isdir(place):
         raise InputError(out, "", "is a folder", "the name of a file to write")
     same = same_file(place, inputs)
     if same is not None:
@@ -109,7 +85,7 @@ def refuse_unless_free_run(out: str | Path, *, overwrite: bool = False, inputs: 
         if not overwrite:
             wrong = "is in the way and is not a free run that simulate wrote"
             raise InputError(out, "", wrong, "a new name, or --overwrite to replace the file")
-    _refuse_parent(place)
+    refuse_unless_writable(place)
 
 
 def is_free_run(path: Path) -> bool:
@@ -130,6 +106,8 @@ def refuse_unless_free(out: str | Path, command: str) -> None:
     no use.
     """
     place = absolute(out)
+    refuse_unless_writable(place)
+    restore(place)
     if os.path.lexists(place):
         earlier = command_of(place)
         alike = next(commands for commands in ALIKE if command in commands)
@@ -141,7 +119,6 @@ def refuse_unless_free(out: str | Path, command: str) -> None:
         refuse_foreign(place, FILES, "a run")
     if printable(str(place), layout=False) != str(place):  # what writes for TensorBoard takes names of UTF-8 only
         raise InputError(out, "", "is not a name that can be printed", "a folder's name without control characters")
-    _refuse_parent(place)
 
 
 def command_of(path: Path) -> str | None:
@@ -155,60 +132,3 @@ def command_of(path: Path) -> str | None:
     if not isinstance(head, dict) or not {"format", "rotorid"} <= head.keys():
         return None
     return str(head.get("command"))
-
-
-def _refuse_parent(place: Path) -> None:
-    parent = place.parent
-    if not parent.is_dir():
-        raise InputError(place, "", f"its folder {parent} does not exist", "an existing folder to write in")
-    if not os.access(parent, os.W_OK | os.X_OK):
-        raise InputError(place, "", f"its folder {parent} cannot be written to", "a folder with write permission")
-
-
-def _partial_name(place: Path) -> Path:
-    return place.with_name(f".{place.name}.{secrets.token_hex(4)}.partial")
-
-
-@contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Keep other processes of ours out of the same folder until the block ends."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(handle)
-
-
-def _clean(place: Path) -> None:
-    for leftover in place.parent.iterdir():
-        if not (leftover.name.startswith(f".{place.name}.") and leftover.name.endswith(".partial")):
-            continue
-        with suppress(OSError):
-            handle = os.open(leftover, os.O_RDONLY)
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                shutil.rmtree(leftover, ignore_errors=True)
-            finally:
-                os.close(handle)
-
-
-def _put_in_place(partial: Path, place: Path, command: str) -> None:
-    """Rename; an earlier run is exchanged in one step where the system can, and removed afterwards by the caller."""
-    refuse_unless_free(place, command)
-    if not place.exists():
-        partial.rename(place)
-    elif not _exchange(partial, place):
-        earlier = _partial_name(place)
-        place.rename(earlier)
-        partial.rename(place)
-        shutil.rmtree(earlier, ignore_errors=True)
-
-
-def _exchange(one: Path, other: Path) -> bool:
-    """Swap two folders atomically (Linux renameat2); False where that does not exist."""
-    try:
-        renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
-    except (AttributeError, OSError):
-        return False
-    return renameat2(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE) == 0

@@ -10,12 +10,10 @@ import hashlib
 import json
 import math
 import os
-import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +21,11 @@ import msgspec
 import torch
 from torch import Tensor
 
+from rotorid_torch.core import cache
+from rotorid_torch.core.atomic import TEMPORARY, Unwritable, atomic_file, scratch_folder
+from rotorid_torch.core.children import child
 from rotorid_torch.core.names import VELOCITIES
-from rotorid_torch.core.native.build import cache_folder, threads
+from rotorid_torch.core.native.build import threads
 from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset, load
 from rotorid_torch.data.flight import Flight
@@ -53,6 +54,8 @@ FEWEST = 20
 WIND, TURNING = "environment.wind", ("q", "r", "phi", "theta")
 FORMAT = 2
 """Of what is cached."""
+NO_ROOM = 2
+"""Exit code of a process that finds no room for temporary files."""
 WATCH_S = 0.5
 """s between two looks at the processes that draw, at each of which ranks tell each other that they are there."""
 NO_FIT = (InfiniteCost, torch.linalg.LinAlgError)  # pyright: ignore[reportPrivateImportUsage]
@@ -112,29 +115,27 @@ def clean_floors(
     why = undrawable(dataset)
     if why is not None:
         return Floors({}, f"floors come from shuffled residuals alone: no clean aircraft can be drawn, {why}")
-    folder = cache_folder() / "floors" / _fingerprint(dataset, null, effects, seed)
-    folder.mkdir(parents=True, exist_ok=True)
-    known = ranks.from_first(_read(folder, range(draws)))
+    kept = f"floors/{_fingerprint(dataset, null, effects, seed)}"
+    known = ranks.from_first(_read(kept, range(draws)))
     missing = [n for n in range(draws) if n not in known]
     if missing:
         say(f"floors: {len(missing)} of {draws} clean aircraft to be flown and identified; they are kept for next time")
-        mine = ranks.mine(missing)
-        _fly(dataset, null, effects, seed, mine, folder, ranks)
-        for part in ranks.gather(_read(folder, mine)):
+        mine = _fly(dataset, null, effects, seed, ranks.mine(missing), kept, ranks)
+        for part in ranks.gather(mine):
             known |= part
-        for number in known.keys() & set(missing) if ranks.first else ():
-            _keep(folder, number, known[number])
+        for number in known.keys() & set(missing) - mine.keys() if ranks.first else ():
+            _keep(kept, number, known[number])
     found = [known[n] for n in range(draws) if n in known]
     flown = [f for f in found if set(f["gains"]) >= set(effects)]
     alike = [f for f in flown if f["alike"]]
     told, note = alike, f"floors come from {len(alike)} clean aircraft drawn in the likeness of this one"
     if len(alike) < FEWEST:  # those that come nearest are other aircraft of the kind, and as clean
-        kept = f"only {len(alike)} of {draws} drawn aircraft resemble the data"
+        few = f"only {len(alike)} of {draws} drawn aircraft resemble the data"
         told = sorted(flown, key=lambda f: f["misfit"])[:FEWEST]
-        note = f"{kept}: floors come from the {len(told)} that come nearest"
+        note = f"{few}: floors come from the {len(told)} that come nearest"
     if len(told) < FEWEST:
         for number in [n for n, f in known.items() if f not in flown] if ranks.first else ():
-            _file(folder, number).unlink(missing_ok=True)  # what cannot follow these records may follow the next ones
+            cache.discard(_name(kept, number))  # what cannot follow these records may follow the next ones
         return Floors(
             {}, f"floors come from shuffled residuals alone: {len(told)} of {draws} drawn aircraft could be flown"
         )
@@ -145,21 +146,18 @@ def clean_floors(
     return Floors(gains, note, traces, forces, each_control, sizes)
 
 
-def _file(folder: Path, number: int) -> Path:
-    return folder / f"{number}.json"
+def _name(kept: str, number: int) -> str:
+    return f"{kept}/{number}.json"
 
 
-def _read(folder: Path, numbers: Iterable[int]) -> dict[int, Any]:
-    """What is there of these draws."""
-    return {n: json.loads(_file(folder, n).read_text()) for n in numbers if _file(folder, n).exists()}
+def _read(kept: str, numbers: Iterable[int]) -> dict[int, Any]:
+    """What is kept of these draws."""
+    found = {number: cache.read(_name(kept, number)) for number in numbers}
+    return {number: json.loads(content) for number, content in found.items() if content is not None}
 
 
-def _keep(folder: Path, number: int, found: Mapping[str, Any]) -> None:
-    """Write what was found of a draw, where nothing is there yet; the file is whole or absent."""
-    if not _file(folder, number).exists():
-        beside = folder / f".{number}.{os.getpid()}"
-        beside.write_text(json.dumps(found))
-        beside.replace(_file(folder, number))
+def _keep(kept: str, number: int, found: Mapping[str, Any]) -> None:
+    cache.keep(_name(kept, number), json.dumps(found).encode())
 
 
 def _fingerprint(dataset: Dataset, null: Null, effects: Sequence[str], seed: int) -> str:
@@ -214,19 +212,25 @@ def _fly(
     effects: Sequence[str],
     seed: int,
     numbers: Sequence[int],
-    folder: Path,
+    kept: str,
     ranks: Ranks,
-) -> None:
-    """The draws in as many processes as there are processors for this one; ends when all ranks' have ended.
+) -> dict[int, Any]:
+    """The draws in as many processes as there are processors for this one, each kept as soon as it is made.
+
+    Ends when all ranks' processes have ended.
 
     Raises
     ------
+    Unwritable : one of them has found no room for temporary files.
     RuntimeError : one of them has failed; with the last line of what it said.
     """
     count = min(threads(), len(numbers))
-    with tempfile.TemporaryDirectory() as place:
-        likeness = Path(place) / "likeness"
+    alone = {**os.environ, "OMP_NUM_THREADS": "1", "ROTORID_THREADS": "1"}
+    found: dict[int, Any] = {}
+    with scratch_folder() as place, ExitStack() as stack:
+        likeness, made = place / "likeness", place / "made"
         _written(dataset, null, likeness)
+        made.mkdir()
         workers = []
         for k in range(count):
             request = {
@@ -237,25 +241,27 @@ def _fly(
                 "effects": list(effects),
                 "seed": seed,
                 "numbers": list(numbers[k::count]),
-                "folder": str(folder),
-                "parent": os.getpid(),
+                "folder": str(made),
             }
-            file = Path(place) / f"request-{k}.json"
+            file = place / f"request-{k}.json"
             file.write_text(json.dumps(request))
-            alone = {**os.environ, "OMP_NUM_THREADS": "1", "ROTORID_THREADS": "1"}
-            with file.with_suffix(".log").open("w") as log:
-                command = [sys.executable, "-m", "rotorid_torch.trace.clean", str(file)]
-                workers.append(subprocess.Popen(command, env=alone, stderr=log))
-        try:
-            while any(ranks.gather(any(worker.poll() is None for worker in workers))):
-                time.sleep(WATCH_S)
-        finally:
-            for worker in workers:
-                worker.kill()
+            command = [sys.executable, "-m", "rotorid_torch.trace.clean", str(file)]
+            log = stack.enter_context(file.with_suffix(".log").open("w"))
+            workers.append(stack.enter_context(child(command, env=alone, stderr=log)))
+        at_work = True
+        while at_work:
+            at_work = any(ranks.gather(any(worker.poll() is None for worker in workers)))
+            for number in {int(file.stem) for file in made.glob("*.json")} - found.keys():
+                found[number] = json.loads((made / f"{number}.json").read_text())
+                _keep(kept, number, found[number])
+            time.sleep(WATCH_S if at_work else 0.0)
         for k, worker in enumerate(workers):
+            if worker.returncode == NO_ROOM:
+                raise Unwritable(place.parent, "", "cannot be written to", TEMPORARY)
             if worker.returncode:
-                lines = (Path(place) / f"request-{k}.log").read_text().splitlines() or [f"code {worker.returncode}"]
+                lines = (place / f"request-{k}.log").read_text().splitlines() or [f"code {worker.returncode}"]
                 raise RuntimeError(f"a process that identifies clean aircraft has failed: {lines[-1]}")
+    return found
 
 
 def _through_air(flight: Flight, null: Null) -> dict[str, Tensor]:
@@ -293,7 +299,7 @@ def _written(dataset: Dataset, null: Null, place: Path) -> None:
 
 
 def _work(request: Mapping[str, object]) -> None:
-    """Draws of one process: one file for each, whole or absent; no more once nobody waits for them."""
+    """Draws of one process: one file for each, whole or absent."""
     from rotorid_torch.fly.drawn import Untrimmable, clean_flights
 
     dataset, folder = load(str(request["dataset"])), Path(str(request["folder"]))
@@ -301,21 +307,24 @@ def _work(request: Mapping[str, object]) -> None:
     null = Null(ModelSpec.from_plain(request["spec"]), values, held)
     effects = msgspec.convert(request["effects"], list[str])
     numbers = msgspec.convert(request["numbers"], list[int])
+
+    def tell(number: int, found: Mapping[str, Any]) -> None:
+        with atomic_file(folder / f"{number}.json") as file:
+            file.write_text(json.dumps(found))
+
     with suppress(Untrimmable):  # none flies
         for drawn in clean_flights(dataset, msgspec.convert(request["seed"], int), tuple(numbers)):
-            if os.getppid() != request["parent"]:
-                return
-            try:
-                gained = gains_on(drawn.dataset, null, effects)
-            except NO_FIT:  # from here; the next data set of the vehicle starts elsewhere
-                numbers.remove(drawn.number)
-                continue
-            found = {**gained, "alike": drawn.alike, "misfit": drawn.misfit, "rotor": drawn.rotor}
-            _keep(folder, drawn.number, found)
+            numbers.remove(drawn.number)
+            with suppress(*NO_FIT):  # from here; the next data set of the vehicle starts elsewhere
+                found = {**gains_on(drawn.dataset, null, effects), "alike": drawn.alike}
+                tell(drawn.number, {**found, "misfit": drawn.misfit, "rotor": drawn.rotor})
     for number in numbers:  # aircraft that flew away are not flown again next time
-        _keep(folder, number, {"gains": {}, "alike": False})
+        tell(number, {"gains": {}, "alike": False})
 
 
 if __name__ == "__main__":
     torch.set_num_threads(1)
-    _work(json.loads(Path(sys.argv[1]).read_text()))
+    try:
+        _work(json.loads(Path(sys.argv[1]).read_text()))
+    except Unwritable:
+        sys.exit(NO_ROOM)

@@ -35,6 +35,7 @@ PROGRAM = [sys.executable, "-m", "rotorid_torch", "close-loop"]
 FLOORS = """
 import json, os, sys
 from pathlib import Path
+from rotorid_torch.core.cache import cache_folder
 from rotorid_torch.core.ranks import ranks_of_torchrun
 from rotorid_torch.fly import drawn
 from rotorid_torch.identification.reconstruct import reconstruct
@@ -49,7 +50,7 @@ sys.executable = worker
 with ranks_of_torchrun() as ranks:
     floors = clean.clean_floors(dataset, Null(spec, {}), ["control.delay"], say=told.append, ranks=ranks)
     gains = floors.gains["control.delay"].tolist()
-files = sorted(int(f.stem) for f in clean.cache_folder().glob("floors/*/[0-9]*.json"))
+files = sorted(int(f.stem) for f in cache_folder().glob("floors/*/[0-9]*.json"))
 print(json.dumps({"gains": gains, "files": files, "note": floors.note, "told": told}))
 """
 WORKER = """#!{python}

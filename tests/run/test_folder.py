@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rotorid_torch.core import atomic
 from rotorid_torch.errors import InputError
 from rotorid_torch.run import folder
 
@@ -52,7 +53,7 @@ def current_umask() -> int:
 @pytest.mark.parametrize("can_exchange", [True, False])
 def test_earlier_run_is_replaced_as_a_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, can_exchange: bool):
     if not can_exchange:
-        monkeypatch.setattr(folder, "_exchange", lambda one, other: False)
+        monkeypatch.setattr(atomic, "_exchange", lambda one, other: False)
     out = tmp_path / "run"
     write(out)
     (out / "figures" / "of the earlier run.png").touch()
@@ -130,8 +131,8 @@ def test_what_is_not_a_run_is_refused_and_kept(tmp_path: Path, make):
 
 def test_missing_parent_and_a_file_as_parent_are_refused(tmp_path: Path):
     (tmp_path / "file").touch()
-    for parent in ("missing", "file"):
-        with pytest.raises(InputError, match="does not exist"):
+    for parent, told in (("missing", "does not exist"), ("file", "is not a folder")):
+        with pytest.raises(InputError, match=told):
             folder.refuse_unless_free(tmp_path / parent / "run", "identify")
 
 

@@ -193,15 +193,19 @@ def test_a_file_cut_short_is_a_step_not_finished(tmp_path: Path):
     kept.write("step", {"values": np.arange(1000.0)})
     np.testing.assert_array_equal(kept.read("step")["values"], np.arange(1000.0))
     whole = (tmp_path / "step.pt").read_bytes()
-    (tmp_path / "step.pt").write_bytes(whole[: len(whole) // 2])
-    assert kept.read("step") is None
+    one = np.array([1.0, 2.0, 3.0]).tobytes()
+    for damaged in (whole[: len(whole) // 2], whole.replace(one, one[::-1])):
+        (tmp_path / "step.pt").write_bytes(damaged)
+        assert kept.read("step") is None
+    (tmp_path / "step.pt").write_bytes(whole)
+    assert kept.read("step") is not None
 
 
 def test_a_full_disk_ends_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture):
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("torch.save", full)
+    monkeypatch.setattr("rotorid_torch.run.checkpoint.write_sealed", full)
     steps = Steps(Monitor(), Ranks(), Checkpoint(tmp_path))
     assert steps.do("structure", "structure", lambda: "made") == "made"
     assert "No space left on device" in caplog.text

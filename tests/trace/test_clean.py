@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import json
-import os
 import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any
 import pytest
 import torch
 
+from rotorid_torch.core.atomic import Unwritable
 from rotorid_torch.core.ranks import ALONE
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.registry import registered
@@ -26,22 +26,29 @@ from tests.known_models import body_spec, flown, linear_vehicle, manoeuvres, wri
 DRAWS = 24
 
 
-def floors(monkeypatch: pytest.MonkeyPatch, place: Path, alike: int, flew: int) -> Floors:
-    """Of draws of which some resemble the data and some do not fly."""
+@pytest.fixture(autouse=True)
+def _place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("ROTORID_CACHE", str(tmp_path))
 
-    def fly(*request: Any) -> None:
+
+def floors(monkeypatch: pytest.MonkeyPatch, alike: int, flew: int, asked: list[int] | None = None) -> Floors:
+    """Of draws of which some resemble the data and some do not fly; `asked` gets the numbers that had to be flown."""
+
+    def fly(*request: Any) -> dict[int, Any]:
         numbers: Sequence[int] = request[4]
-        folder: Path = request[5]
+        found = {}
         for n in numbers:
             gains = {"control.delay": 0.001 * n} if n < flew else {}
             others = {"traces": {"X": 0.1}, "forces": {"mass.slung_load": 0.01 * n}, "each_control": gains}
             others["sizes"] = {"control.delay.common": 0.002 * n - 0.02}
             rest = others if gains else {}
-            said = {"gains": gains, "alike": n < alike, **rest}
-            clean._keep(folder, n, said | {"misfit": 1.0 + n})
+            found[n] = {"gains": gains, "alike": n < alike, **rest, "misfit": 1.0 + n}
+            clean._keep(request[5], n, found[n])
+        if asked is not None:
+            asked.extend(numbers)
+        return found
 
     monkeypatch.setattr("rotorid_torch.fly.drawn.undrawable", lambda dataset: None)
-    monkeypatch.setattr(clean, "cache_folder", lambda: place)
     monkeypatch.setattr(clean, "_fly", fly)
     dataset = flown(linear_vehicle(), manoeuvres(4.0, 0.02), 0.02, noise=0.01)
     return clean.clean_floors(dataset, Null(body_spec(), {}), ["control.delay"], draws=DRAWS)
@@ -57,9 +64,9 @@ def floors(monkeypatch: pytest.MonkeyPatch, place: Path, alike: int, flew: int) 
     ],
 )
 def test_of_which_aircraft_floors_are_made(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, alike: int, flew: int, counted: int, said: str
+    monkeypatch: pytest.MonkeyPatch, alike: int, flew: int, counted: int, said: str
 ):
-    found = floors(monkeypatch, tmp_path, alike, flew)
+    found = floors(monkeypatch, alike, flew)
     assert found.note == said
     assert sorted(found.gains.get("control.delay", [])) == pytest.approx([0.001 * n for n in range(counted)])
     assert sorted(found.in_forces.get("mass.slung_load", [])) == pytest.approx([0.01 * n for n in range(counted)])
@@ -68,11 +75,57 @@ def test_of_which_aircraft_floors_are_made(
     )
 
 
-def test_records_that_no_aircraft_can_follow_leave_no_word_of_it_to_the_next(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+def test_records_that_no_aircraft_can_follow_leave_no_word_of_it_to_the_next(monkeypatch: pytest.MonkeyPatch):
+    assert not floors(monkeypatch, 0, 0).gains
+    assert len(floors(monkeypatch, 24, 24).gains["control.delay"]) == DRAWS
+
+
+DAMAGES: dict[str, Callable[[bytes], bytes]] = {
+    "empty": lambda content: b"",
+    "cut": lambda content: content[: len(content) // 2],
+    "no draw": lambda content: b"{}",
+    "no JSON": lambda content: b"ten years of work",
+    "edited": lambda content: content.replace(b"0.0", b"0.9"),
+    "another type": lambda content: content.replace(b"0.003", b'"0.003"'),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_damaged_floors_are_drawn_anew_with_one_line(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, caplog: pytest.LogCaptureFixture, damage: str
 ):
-    assert not floors(monkeypatch, tmp_path, 0, 0).gains
-    assert len(floors(monkeypatch, tmp_path, 24, 24).gains["control.delay"]) == DRAWS
+    first = floors(monkeypatch, 24, 24)
+    (folder,) = (tmp_path / "native" / "floors").iterdir()
+    for number in (3, 7):
+        file = folder / f"{number}.json"
+        file.write_bytes(DAMAGES[damage](file.read_bytes()) if number == 3 else b"")
+    asked: list[int] = []
+    again = floors(monkeypatch, 24, 24, asked)
+    assert asked == [3, 7]
+    assert caplog.messages == [f"{folder}: a kept file is cut short or changed; it is not used and made anew"]
+    assert torch.equal(again.gains["control.delay"].sort().values, first.gains["control.delay"].sort().values)
+    floors(monkeypatch, 24, 24, asked)
+    assert asked == [3, 7]
+
+
+def test_floors_without_a_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    monkeypatch.setenv("ROTORID_CACHE", str(tmp_path / "file"))
+    (tmp_path / "file").touch()
+    assert len(floors(monkeypatch, 24, 24).gains["control.delay"]) == DRAWS
+    (line,) = caplog.messages
+    assert line.endswith("nothing can be kept there (Not a directory); it is made anew each time")
+
+
+def test_processes_without_room_end_the_search_for_floors(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    worker = tmp_path / "worker"
+    worker.write_text(f"#!/bin/sh\nexit {clean.NO_ROOM}\n")
+    worker.chmod(0o755)
+    monkeypatch.setattr("sys.executable", str(worker))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    dataset = flown(linear_vehicle(), manoeuvres(4.0, 0.02), 0.02, noise=0.01)
+    with pytest.raises(Unwritable, match=f"{tmp_path}: cannot be written to; expected room for temporary files"):
+        clean._fly(dataset, Null(body_spec(), {}), ["control.delay"], 0, [0, 1], "floors/none", ALONE)
+    assert [file.name for file in tmp_path.iterdir()] == ["worker"]
 
 
 @pytest.mark.parametrize(
@@ -103,24 +156,23 @@ def test_another_version_of_an_own_effect_reads_no_kept_floors(tmp_path: Path, m
 Gains = Callable[[object, Null, Sequence[str]], dict[str, Any]]
 
 
-def worked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, gains: Gains, waited_for: bool = True) -> dict[str, Any]:
-    """What one process keeps of three draws."""
-    drawn = [SimpleNamespace(number=n, dataset=None, alike=True, misfit=1.0, rotor="") for n in range(3)]
+def worked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, gains: Gains) -> dict[str, Any]:
+    """What one process tells of three draws, of which the last does not fly."""
+    drawn = [SimpleNamespace(number=n, dataset=None, alike=True, misfit=1.0, rotor="") for n in range(2)]
     monkeypatch.setattr("rotorid_torch.fly.drawn.clean_flights", lambda dataset, seed, numbers: iter(drawn))
     monkeypatch.setattr(clean, "gains_on", gains)
     data = written(flown(linear_vehicle(), manoeuvres(4.0, 0.02), 0.02, noise=0.01), tmp_path / "data")
     place = tmp_path / "floors"
     place.mkdir()
     plain = {"dataset": str(data), "spec": body_spec().plain(), "values": {}, "held": [], "effects": ["control.delay"]}
-    parent = os.getppid() if waited_for else -1
-    clean._work({**plain, "seed": 0, "numbers": [0, 1, 2], "folder": str(place), "parent": parent})
+    clean._work({**plain, "seed": 0, "numbers": [0, 1, 2], "folder": str(place)})
     return {file.stem: json.loads(file.read_text()) for file in place.glob("*.json")}
 
 
-@pytest.mark.parametrize("waited_for", [True, False])
-def test_who_draws_for_a_process_that_is_gone_stops(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, waited_for: bool):
-    kept = worked(monkeypatch, tmp_path, lambda *_: {"gains": {"control.delay": 0.1}}, waited_for)
-    assert len(kept) == (3 if waited_for else 0)
+def test_draws_of_a_process_lie_in_a_file_each(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    gains = {"control.delay": 0.1}
+    told = worked(monkeypatch, tmp_path, lambda *_: {"gains": gains})
+    assert {number: found["gains"] for number, found in told.items()} == {"0": gains, "1": gains, "2": {}}
 
 
 def failing(error: Exception) -> Gains:
@@ -134,7 +186,7 @@ def failing(error: Exception) -> Gains:
 def test_an_aircraft_that_no_fit_begins_from_is_left_out(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, error: Exception
 ):
-    assert worked(monkeypatch, tmp_path, failing(error)) == {}
+    assert worked(monkeypatch, tmp_path, failing(error)).keys() == {"2"}
 
 
 @pytest.mark.parametrize("error", [InputError("f", "k", "w", "e"), RuntimeError("shape"), ValueError("1 of 2 values")])
@@ -147,7 +199,7 @@ def test_a_process_that_fails_is_reported_with_its_last_line(tmp_path: Path, cap
     """No rotor is declared: nothing can be drawn, which is not asked again before."""
     data = flown(linear_vehicle(), manoeuvres(4.0, 0.02), 0.02, noise=0.01)
     with pytest.raises(RuntimeError, match="radius of the main rotor is not declared"):
-        clean._fly(data, Null(body_spec(), {}), ["control.delay"], 0, [0], tmp_path, ALONE)
+        clean._fly(data, Null(body_spec(), {}), ["control.delay"], 0, [0], "floors/none", ALONE)
     assert capfd.readouterr().err == ""
 
 

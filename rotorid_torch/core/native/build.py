@@ -1,21 +1,27 @@
-"""Compiles C++ once and keeps it: libraries are found again by a hash of all that they are made of."""
+"""Compiles C++ once and keeps it: libraries are found again by a hash of all that they are made of.
+
+What comes from the cache is checked, and loaded from the bytes that were checked.
+"""
 
 from __future__ import annotations
 
 import ctypes
 import functools
 import hashlib
+import io
+import itertools
 import os
 import platform
 import shlex
 import shutil
-import signal
 import subprocess
-import tempfile
-from contextlib import suppress
 from pathlib import Path
 
+from rotorid_torch.core import cache
+from rotorid_torch.core.atomic import scratch_folder
+from rotorid_torch.core.children import child
 from rotorid_torch.core.native.fallback import Unsupported, say_once
+from rotorid_torch.errors import InputError
 
 LOOPS = Path(__file__).parent / "loops"
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-std=c++17", "-fPIC", "-shared", "-pthread", "-Wno-psabi")
@@ -23,6 +29,9 @@ LIMIT_S = 300.0
 """s: a compiler that takes longer than this is given up."""
 _refused: dict[str, str] = {}
 """What could not be compiled in this process, by key, and why: not tried twice."""
+_loaded: dict[str, ctypes.CDLL] = {}
+"""What this process has loaded, by key."""
+_serial = itertools.count()
 NO_COMPILER = "no C++ compiler was found (g++ on PATH, or CXX=...)"
 
 
@@ -56,15 +65,6 @@ def threads() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def cache_folder() -> Path:
-    """Where libraries are kept: ROTORID_CACHE, or the user's cache folder."""
-    chosen = os.environ.get("ROTORID_CACHE")
-    base = (
-        Path(chosen) if chosen else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rotorid-torch"
-    )
-    return base / "native"
-
-
 @functools.lru_cache
 def _target(program: tuple[str, ...]) -> str:
     """All of the compiler's macros: its version and this machine's instruction set."""
@@ -95,39 +95,61 @@ def library(source: str) -> ctypes.CDLL:
 
     Raises
     ------
-    Unsupported : there is no compiler, it refuses the source, or the cache cannot be written.
+    Unsupported : there is no compiler, it refuses the source, or the system loads nothing that it has compiled.
     """
     program = compiler()
     key = hashlib.sha256("\n".join([source, _loops(), _target(program), *FLAGS]).encode()).hexdigest()[:24]
-    file = cache_folder() / f"{key}.so"
     if key in _refused:
         raise Unsupported(_refused[key])
-    if not file.exists():
-        _compile(program, source, file)
+    if key not in _loaded:
+        name = f"{key}.so"
+        content = cache.read(name)
+        if content is None:
+            content = _compiled(program, source, key)
+            cache.keep(name, content)
+        _loaded[key] = _load(content)
+    return _loaded[key]
+
+
+def _load(content: bytes) -> ctypes.CDLL:
+    """Load these very bytes, from memory where the system can: a file may change while a process runs in it."""
     try:
-        return ctypes.CDLL(str(file))
-    except OSError as error:
-        file.unlink(missing_ok=True)  # cut short by a full disk or a crash: built anew next time
+        with open(os.memfd_create("rotorid"), "wb", buffering=0) as memory:
+            _write(memory, content)
+            unseen = "./" * next(_serial)  # the loader takes a name that it has seen for the library that had it
+            return ctypes.CDLL(f"/proc/self/fd/{unseen}{memory.fileno()}")
+    except (AttributeError, OSError):  # another system than Linux, or one that runs nothing from memory
+        pass
+    try:
+        with scratch_folder() as folder:
+            file = folder / "model.so"
+            file.write_bytes(content)
+            return ctypes.CDLL(str(file))
+    except (InputError, OSError) as error:
         raise Unsupported(f"the compiled model cannot be loaded: {error}") from error
 
 
-def _compile(program: tuple[str, ...], source: str, file: Path) -> None:
-    """Build beside the place and rename: nobody ever sees half a library."""
+def _write(stream: io.RawIOBase, content: bytes) -> None:
+    left = memoryview(content)
+    while left:  # a call may write less than it was given
+        left = left[stream.write(left) or 0 :]
+
+
+def _compiled(program: tuple[str, ...], source: str, key: str) -> bytes:
     vector_functions = ["-lmvec"] if platform.machine() == "x86_64" and platform.libc_ver()[0] == "glibc" else []
     try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=file.parent) as folder:
-            text, made = Path(folder) / "model.cpp", Path(folder) / "model.so"
+        with scratch_folder() as folder:
+            text, made = folder / "model.cpp", folder / "model.so"
             text.write_text(source)
             command = [*program, *FLAGS, f"-I{LOOPS}", str(text), "-o", str(made), *vector_functions, "-lm"]
-            code, said = _run(command)
+            code, said = _run(command, folder)
             if code:
-                raise _remembered(file.stem, f"{shlex.join(program)} refuses the model: {_first_error(said)}")
-            made.replace(file)
-    except OSError as error:
-        raise Unsupported(f"the compiled model cannot be kept in {file.parent}: {error.strerror}") from error
+                raise _remembered(key, f"{shlex.join(program)} refuses the model: {_first_error(said)}")
+            return made.read_bytes()
+    except (InputError, OSError) as error:
+        raise Unsupported(f"the model cannot be compiled: {error}") from error
     except subprocess.TimeoutExpired as error:
-        raise _remembered(file.stem, f"{shlex.join(program)} took longer than {LIMIT_S:g} s") from error
+        raise _remembered(key, f"{shlex.join(program)} took longer than {LIMIT_S:g} s") from error
 
 
 def _remembered(key: str, why: str) -> Unsupported:
@@ -135,16 +157,12 @@ def _remembered(key: str, why: str) -> Unsupported:
     return Unsupported(why)
 
 
-def _run(command: list[str]) -> tuple[int, str]:
-    """Exit code and error stream; whoever is late or interrupted ends with all that it has started."""
+def _run(command: list[str], folder: Path) -> tuple[int, str]:
+    """Exit code and error stream; its temporary files lie in the folder, which goes with them."""
     quiet, told = subprocess.DEVNULL, subprocess.PIPE
-    with subprocess.Popen(command, stdout=quiet, stderr=told, text=True, start_new_session=True) as running:
-        try:
-            said = running.communicate(timeout=LIMIT_S)[1]
-        except BaseException:
-            with suppress(ProcessLookupError):
-                os.killpg(running.pid, signal.SIGKILL)
-            raise
+    around = {**os.environ, "TMPDIR": str(folder)}
+    with child(command, stdout=quiet, stderr=told, errors="replace", env=around) as running:
+        said = running.communicate(timeout=LIMIT_S)[1]
     return running.returncode, said
 
 
