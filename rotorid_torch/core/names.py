@@ -6,7 +6,6 @@ SI units and radians; body axes x forward, y right, z down; Euler angles 3-2-1.
 from __future__ import annotations
 
 import difflib
-import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -21,8 +20,8 @@ class Channel:
 
     `bias` is the default of its sensor's constant error. Gyros and accelerometers drift, so rates, specific force and
     angular acceleration have a free constant per flight; velocities, attitudes, positions, air data and flapping come
-    from solutions that are aligned before flight, and a bias on them could not be told from a trim. `limit` is the
-    largest magnitude that the channel can have in its unit.
+    from solutions that are aligned before flight, and a bias on them could not be told from a trim. What values
+    the channel can have is in `core.ranges`.
     """
 
     name: str
@@ -30,7 +29,6 @@ class Channel:
     about: str
     kind: str
     bias: Bias = "none"
-    limit: float = math.inf
 
 
 def _table() -> dict[str, Channel]:
@@ -69,12 +67,8 @@ def _table() -> dict[str, Channel]:
         ("voltage", "V", "battery voltage", "rotor"),
     ]
     free = {"rate", "specific force", "angular acceleration"}
-    quarter: dict[str, float] = dict.fromkeys(("theta", "a0", "a1", "b1"), math.pi / 2)
-    half: dict[str, float] = dict.fromkeys(("phi", "alpha", "beta"), math.pi)
-    limits: dict[str, float] = quarter | half | dict.fromkeys(("p", "q", "r"), 100.0)
     return {
-        name: Channel(name, unit, about, kind, "free" if kind in free else "none", limits.get(name, math.inf))
-        for name, unit, about, kind in rows
+        name: Channel(name, unit, about, kind, "free" if kind in free else "none") for name, unit, about, kind in rows
     }
 
 

@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 
 from rotorid_torch.core import names
-from rotorid_torch.data import suspicion
+from rotorid_torch.data import plausible, suspicion
 from rotorid_torch.data.declare import Declaration, declare, read_declaration
 from rotorid_torch.data.facts import Facts
 from rotorid_torch.data.flight import Flight
@@ -113,7 +113,7 @@ class Dataset:
             arrays = take_arrays(flights[flight_name], place)
             for channel, values in arrays.items():
                 digest.update(channel.encode() + values.tobytes())
-            made[flight_name], told = make_flight(flight_name, arrays, place)
+            made[flight_name], told = make_flight(flight_name, arrays, place, declaration.units())
             facts[flight_name] = _facts(made[flight_name], place)
             warnings += told
         places: dict[str, str | Path] = {flight: f"arrays: flight {flight}" for flight in made}
@@ -274,26 +274,27 @@ def load(path: str | Path) -> Dataset:
     declaration, content = read_declaration(toml)
     digest = hashlib.sha256(content)
     digests: dict[str, bytes] = {}
-    flights = OnDemand(declaration.flights.all(), lambda name: _again(name, places[name], digests[name]))
+    units = declaration.units()
+    flights = OnDemand(declaration.flights.all(), lambda name: _again(name, places[name], digests[name], units))
     places, facts, warnings = {}, {}, []
     for name in declaration.flights.all():
         file = find_flight(folder, name)
         data = read_flight(file)
         digest.update(data)
         digests[name] = hashlib.sha256(data).digest()
-        flight, told = make_flight(name, parse_flight(file, data), file)
+        flight, told = make_flight(name, parse_flight(file, data), file, units)
         facts[name], places[name] = _facts(flight, file), file
         flights.keep(name, flight)
         warnings += told
     return _assemble(declaration, flights, facts, folder, toml, places, digest.hexdigest(), warnings)
 
 
-def _again(name: str, file: Path, digest: bytes) -> Flight:
+def _again(name: str, file: Path, digest: bytes, units: Mapping[str, str]) -> Flight:
     """Read a flight once more; InputError where its file is no longer what it was."""
     data = read_flight(file)
     if hashlib.sha256(data).digest() != digest:
         raise InputError(file, "", "has changed since the data set was loaded", "a file that stays until the run ends")
-    return make_flight(name, parse_flight(file, data), file)[0]
+    return make_flight(name, parse_flight(file, data), file, units)[0]
 
 
 def _facts(flight: Flight, file: str | Path) -> Facts:
@@ -332,8 +333,7 @@ def _assemble(
         raise InputError(
             toml, "vehicle.motors", f"declares {len(motors)} motors", f"{len(commands)}, one per motor command"
         )
-    for name, known in facts.items():
-        suspicion.refuse_degrees_of_controls(known, specs, places[name])
+    plausible.check_thrust(declaration.vehicle, _largest_inputs(commands, facts), toml)
     present = {channel for known in facts.values() for channel in known.channels}
     for channel in declaration.channels:
         if names.channel(channel) is None and channel not in present:
@@ -359,6 +359,15 @@ def _assemble(
         settings=declaration.model,
         warnings=(*declaration.warnings, *warnings, *told),
     )
+
+
+def _largest_inputs(commands: Sequence[str], facts: Mapping[str, Facts]) -> list[float]:
+    """What the declared thrusts are of: 1 of a motor command, or the largest rotor speeds where all are recorded."""
+    speeds = [f"omega{command.removeprefix('motor')}" for command in commands]
+    if not all(known.has(*speeds) for known in facts.values()):
+        return [1.0] * len(commands)
+    spreads = ([known.spreads[speed] for known in facts.values()] for speed in speeds)
+    return [max(max(abs(s.low), abs(s.high)) for s in every) for every in spreads]
 
 
 def _controls(

@@ -45,6 +45,10 @@ class Declaration(Struct, frozen=True):
     model: ModelSettings
     warnings: tuple[str, ...]
 
+    def units(self) -> dict[str, str]:
+        """Units of the declared controls."""
+        return {name: spec.unit for name, spec in self.controls.items()}
+
 
 def read_declaration(path: Path) -> tuple[Declaration, bytes]:
     """Read and validate a dataset.toml; also its bytes. Raises InputError with the key that is at fault."""

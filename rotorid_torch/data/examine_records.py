@@ -21,7 +21,7 @@ def reading(dataset: Dataset) -> Iterator[Finding]:
     """What had to be changed or left out on reading."""
     told_by_clock = dataset.path is not None  # the stamps are told from the files then
     for flight, sentence in condensed(dataset.warnings):
-        if flight and "spike" in sentence:
+        if flight and "taken as missing" in sentence:
             channel = sentence.partition(" ")[0]
             advice = "Look at the telemetry; nothing that follows sees these samples."
             yield finding("warning", channel, f"{sentence}.", advice, flight=flight)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 
@@ -9,7 +10,9 @@ import numpy as np
 import torch
 
 from rotorid_torch.core import names
+from rotorid_torch.core.ranges import of_channel
 from rotorid_torch.data.flight import Flight
+from rotorid_torch.data.impossible import without_impossible
 from rotorid_torch.data.read import Arrays
 from rotorid_torch.data.spikes import without_spikes
 from rotorid_torch.errors import InputError
@@ -25,20 +28,24 @@ LONGEST_GAP = 100_000
 """Samples that a flight may lack besides four times those it has; a longer pause makes two flights."""
 
 
-def make_flight(name: str, arrays: Arrays, file: str | Path) -> tuple[Flight, list[str]]:
-    """Flight from raw arrays, and sentences on what had to be changed. `file` is named in errors. Raises InputError."""
+def make_flight(
+    name: str, arrays: Arrays, file: str | Path, units: Mapping[str, str] | None = None
+) -> tuple[Flight, list[str]]:
+    """Flight from raw arrays, and sentences on what had to be changed.
+
+    `file` is named in errors. `units` are those of the controls, rad for sticks by default. Raises InputError.
+    """
     checked = _check_shapes(arrays, file)
     _check_time(checked["time"], file)
     _check_finite(checked, file)
+    checked, cleaned = _without_impossible(checked, units or {}, file)
     checked, spiky = without_spikes(checked)
-    for channel, values in checked.items():
-        _check_values(channel, values, file)
     for angle in ("phi", "psi"):
         if angle in checked:
             checked[angle] = unwrap(checked[angle])
     dt, resampled, warnings = resample(checked)
     tensors = {channel: torch.from_numpy(np.ascontiguousarray(values)) for channel, values in resampled.items()}
-    told = [f"flight {name}: {sentence}" for sentence in (*spiky, *warnings)]
+    told = [f"flight {name}: {sentence}" for sentence in (*cleaned, *spiky, *warnings)]
     return Flight(name, dt, MappingProxyType(tensors)), told
 
 
@@ -60,6 +67,9 @@ def _check_time(time: np.ndarray, file: str | Path) -> None:
         raise InputError(
             file, "time", f"is {time[bad][0]} at sample {int(bad.argmax())}", "a finite time for every sample"
         )
+    allowed = of_channel("time").samples
+    if outside := [float(t) for t in (time[0], time[-1]) if not allowed.holds(float(t))]:
+        raise InputError(file, "time", f"reaches {outside[0]:.4g} s", str(allowed))
     steps = np.diff(time)
     if (steps <= 0).any():
         at = int((steps <= 0).argmax()) + 1
@@ -89,14 +99,14 @@ def _check_finite(arrays: Arrays, file: str | Path) -> None:
             raise InputError(file, channel, told, "finite numbers, or NaN for a missing sample")
 
 
-def _check_values(channel: str, values: np.ndarray, file: str | Path) -> None:
-    known = names.channel(channel)
-    if known is None:
-        return
-    largest = float(np.nanmax(np.abs(values), initial=0.0))
-    if largest > known.limit * 1.001:
-        told = f"reaches {largest:.4g} (degrees?)"
-        raise InputError(file, channel, told, f"{known.unit}, at most {known.limit:.4g}")
+def _without_impossible(arrays: Arrays, units: Mapping[str, str], file: str | Path) -> tuple[Arrays, list[str]]:
+    """Channels without the samples that no aircraft has, and a sentence on each that had any."""
+    found, told = dict(arrays), []
+    for channel, values in arrays.items():
+        allowed = of_channel(channel, units.get(channel, "")).samples
+        found[channel], sentence = without_impossible(channel, values, allowed, file, channel)
+        told += [sentence] if sentence else []
+    return found, told
 
 
 def unwrap(angle: np.ndarray) -> np.ndarray:

@@ -1,16 +1,18 @@
-"""What no body, control or list can be, beyond the range of a single number."""
+"""Declarations that no aircraft has: numbers beyond their ranges, alone and together, and lists of flights."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from rotorid_torch.core import names
+from rotorid_torch.core.ranges import DECLARED, DERIVED, ChannelRange, Range, of_channel
 from rotorid_torch.data.refusal import shown
 from rotorid_torch.data.schema import ChannelSpec, ControlSpec, FlightLists, Rotor, Vehicle
 from rotorid_torch.errors import InputError
@@ -23,21 +25,25 @@ def _numbers(value: Any, key: str) -> Iterator[tuple[str, float]]:
     elif isinstance(value, list | tuple):
         for index, item in enumerate(value):
             yield from _numbers(item, f"{key}[{index}]")
-    elif isinstance(value, float):
+    elif isinstance(value, int | float) and not isinstance(value, bool):
         yield key, value
 
 
 def check_finite(document: Mapping[str, Any], file: str | Path) -> None:
     """Refuse nan and inf anywhere in a document."""
     for key, number in _numbers(document, ""):
-        if not math.isfinite(number):
+        if isinstance(number, float) and not math.isfinite(number):
             raise InputError(file, key, f"is {number}", "a finite number")
 
 
 def check_vehicle(vehicle: Vehicle, file: str | Path) -> None:
-    """Refuse an inertia that no body has, and a chord or hinge beyond the rotor's radius."""
+    """Refuse numbers that no vehicle has, alone or together, see `core.ranges`."""
+    for key, value in _numbers(msgspec.to_builtins(vehicle), "vehicle"):
+        if not key.startswith("vehicle.inertia"):
+            _require(DECLARED[re.sub(r"\[\d+\]", "", key)], value, key, file)
     if vehicle.inertia is not None:
         _check_inertia(np.array(vehicle.inertia), file)
+        _check_gyration(vehicle, file)
     rotor = vehicle.rotor or Rotor()
     for key in ("chord", "hinge_offset"):
         size = getattr(rotor, key)
@@ -45,6 +51,16 @@ def check_vehicle(vehicle: Vehicle, file: str | Path) -> None:
             raise InputError(
                 file, f"vehicle.rotor.{key}", f"is {size:g} m", f"less than the radius of {rotor.radius:g} m"
             )
+    if rotor.radius is not None and rotor.speed is not None:
+        tip, allowed = rotor.radius * rotor.speed, DERIVED["tip speed"]
+        if not allowed.holds(tip):
+            told = f"is {rotor.speed:g} rad/s, a tip speed of {tip:.4g} m/s (in rpm?)"
+            raise InputError(file, "vehicle.rotor.speed", told, f"rad/s that make {allowed} at the tip")
+
+
+def _require(allowed: Range, value: float, key: str, file: str | Path) -> None:
+    if not allowed.holds(value):
+        raise InputError(file, key, f"is {shown(value)}", str(allowed))
 
 
 def _check_inertia(inertia: np.ndarray, file: str | Path) -> None:
@@ -54,7 +70,9 @@ def _check_inertia(inertia: np.ndarray, file: str | Path) -> None:
 
     Source: Goldstein, Classical Mechanics, ch. 5: I1 + I2 - I3 = 2 ∫ z² dm ≥ 0.
     """
-    key, size = "vehicle.inertia", float(np.abs(inertia).max())
+    key, size, allowed = "vehicle.inertia", float(np.abs(inertia).max()), DECLARED["vehicle.inertia"]
+    if size > allowed.high:
+        raise InputError(file, key, f"holds {size:g} kg m²", f"principal moments of {allowed}")
     if np.abs(inertia - inertia.T).max() > 1e-6 * size:
         raise InputError(
             file, key, "is not symmetric", "[[Ixx, -Ixy, -Ixz], [-Ixy, Iyy, -Iyz], [-Ixz, -Iyz, Izz]] in kg m²"
@@ -70,38 +88,74 @@ def _check_inertia(inertia: np.ndarray, file: str | Path) -> None:
             f"has principal moments {told} kg m²",
             "none larger than the sum of the other two (no body has this)",
         )
+    for moment in principal.tolist():
+        if not allowed.holds(moment):
+            raise InputError(file, key, f"has principal moments {told} kg m²", f"each of them {allowed}")
+
+
+def _check_gyration(vehicle: Vehicle, file: str | Path) -> None:
+    """Radii of gyration that a body of this mass and size can have: (principal moment / mass)^½."""
+    if vehicle.mass is None:
+        return
+    radii = np.sqrt(np.linalg.eigvalsh(np.array(vehicle.inertia)) / vehicle.mass).tolist()
+    arms = [math.hypot(*motor.position) for motor in vehicle.motors]
+    rotor = vehicle.rotor.radius if vehicle.rotor and vehicle.rotor.radius else 0.0
+    size = max(rotor, *arms, 0.0)
+    for radius in radii:
+        told = f"and mass {vehicle.mass:g} kg make a radius of gyration of {radius:.3g} m"
+        allowed = DERIVED["radius of gyration"]
+        if not allowed.holds(radius):
+            raise InputError(file, "vehicle.inertia", told, str(allowed))
+        share = DERIVED["radius of gyration over size"]
+        if size > 0.0 and not share.holds(radius / size):
+            raise InputError(file, "vehicle.inertia", told, f"{share} times the rotor's radius or arm of {size:.3g} m")
+
+
+def check_thrust(vehicle: Vehicle, inputs: Sequence[float], file: str | Path) -> None:
+    """Refuse declared thrusts that no vehicle of this mass has; `inputs` are the largest commands, or rotor speeds."""
+    curves = [motor.thrust for motor in vehicle.motors if motor.thrust is not None]
+    if vehicle.mass is None or not curves or len(curves) < len(inputs):
+        return
+    thrust = sum(c0 + c1 * m + c2 * m**2 for (c0, c1, c2), m in zip(curves, inputs, strict=True))
+    share, allowed = thrust / (vehicle.mass * vehicle.gravity), DERIVED["thrust over weight"]
+    if not allowed.holds(share):
+        told = f"make {thrust:.3g} N at the largest inputs, {share:.3g} times the weight of {vehicle.mass:g} kg"
+        raise InputError(file, "vehicle.motors.thrust", told, f"{allowed} times the weight")
 
 
 def check_controls(controls: Mapping[str, ControlSpec], file: str | Path) -> None:
-    """Refuse unknown controls, reversed limits, and limits in degrees."""
+    """Refuse unknown controls, reversed limits, and limits and noise beyond the control's ranges."""
     for name, spec in controls.items():
+        key = f"controls.{name}"
         if not names.is_control(name):
             known = (*names.STICKS, "motor1")
             raise InputError(
-                file,
-                f"controls.{name}",
-                f"no such control{names.nearest(name, known)}",
-                "lon, lat, col, ped or motor1, motor2, ...",
+                file, key, f"no such control{names.nearest(name, known)}", "lon, lat, col, ped or motor1, motor2, ..."
             )
+        ranges = of_channel(name, spec.unit)
+        _check_noise(ranges, spec.noise, key, file)
         if spec.limits is None:
             continue
         if spec.limits[0] >= spec.limits[1]:
-            raise InputError(
-                file, f"controls.{name}.limits", f"is {list(spec.limits)}", "[lower, upper] with lower below upper"
-            )
-        if spec.unit == "rad" and max(map(abs, spec.limits)) > math.pi:
-            raise InputError(
-                file, f"controls.{name}.limits", f"is {list(spec.limits)} (degrees?)", "radians for a control in rad"
-            )
+            raise InputError(file, f"{key}.limits", f"is {list(spec.limits)}", "[lower, upper] with lower below upper")
+        if not all(map(ranges.samples.holds, spec.limits)):
+            guess = " (degrees?)" if spec.unit == "rad" else " (another unit?)"
+            raise InputError(file, f"{key}.limits", f"is {list(spec.limits)}{guess}", f"within {ranges.samples}")
 
 
 def check_channels(channels: Mapping[str, ChannelSpec], file: str | Path) -> None:
-    """Refuse declarations of a sensor for a control or for time."""
-    for name in channels:
+    """Refuse declarations of a sensor for a control or for time, and noise that no sensor has."""
+    for name, spec in channels.items():
         if names.is_control(name):
             raise InputError(file, f"channels.{name}", "is a control", f"its noise in [controls.{name}]")
         if name == "time":
             raise InputError(file, "channels.time", "time has no sensor", "no [channels.time]")
+        _check_noise(of_channel(name), spec.noise, f"channels.{name}", file)
+
+
+def _check_noise(ranges: ChannelRange, noise: float | None, key: str, file: str | Path) -> None:
+    if noise is not None and ranges.noise is not None:
+        _require(ranges.noise, noise, f"{key}.noise", file)
 
 
 def check_lists(lists: FlightLists, file: str | Path) -> None:

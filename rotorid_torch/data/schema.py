@@ -1,15 +1,14 @@
-"""dataset.toml as strict structs: what may be declared, and in which range."""
+"""dataset.toml as strict structs: what may be declared. Ranges are in `core.ranges`, checked by `plausible`."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
-from msgspec import Meta, Struct
+from msgspec import Struct
 
 from rotorid_torch.core import names
 
-Metres = Annotated[float, Meta(ge=-1000, le=1000, description="m")]
-Point = tuple[Metres, Metres, Metres]
+Point = tuple[float, float, float]
 Row = tuple[float, float, float]
 Spin = Literal["ccw", "cw"]
 
@@ -17,13 +16,13 @@ Spin = Literal["ccw", "cw"]
 class Rotor(Struct, frozen=True, forbid_unknown_fields=True):
     """Main rotor as declared; SI units; None where not declared."""
 
-    blades: Annotated[int, Meta(ge=1, le=20)] | None = None
-    radius: Annotated[float, Meta(gt=0, le=50, description="m")] | None = None
-    chord: Annotated[float, Meta(gt=0, le=10, description="m")] | None = None
-    speed: Annotated[float, Meta(gt=0, le=10_000, description="rad/s")] | None = None
+    blades: int | None = None
+    radius: float | None = None
+    chord: float | None = None
+    speed: float | None = None
     direction: Spin | None = None
-    hinge_offset: Annotated[float, Meta(ge=0, le=50, description="m")] | None = None
-    lock_number: Annotated[float, Meta(gt=0, le=100)] | None = None
+    hinge_offset: float | None = None
+    lock_number: float | None = None
 
 
 class Motor(Struct, frozen=True, forbid_unknown_fields=True):
@@ -32,17 +31,17 @@ class Motor(Struct, frozen=True, forbid_unknown_fields=True):
     position: Point
     spin: Spin
     thrust: Row | None = None
-    torque_ratio: Annotated[float, Meta(ge=0, le=10, description="m")] | None = None
+    torque_ratio: float | None = None
 
 
 class Vehicle(Struct, frozen=True, forbid_unknown_fields=True):
     """What is declared of the vehicle; SI units, body axes, points from the centre of gravity; None if not declared."""
 
-    mass: Annotated[float, Meta(gt=0, le=1e6, description="kg")] | None = None
+    mass: float | None = None
     inertia: tuple[Row, Row, Row] | None = None
     mass_excludes: tuple[str, ...] = ()
-    gravity: Annotated[float, Meta(gt=0, le=100, description="m/s²")] = 9.80665
-    air_density: Annotated[float, Meta(ge=0, le=100, description="kg/m³")] = 1.225
+    gravity: float = 9.80665
+    air_density: float = 1.225
     hub: Point | None = None
     imu: Point | None = None
     rotor: Rotor | None = None
@@ -54,14 +53,14 @@ class ControlSpec(Struct, frozen=True, forbid_unknown_fields=True):
 
     unit: Literal["rad", "m", "norm"] = "rad"
     limits: tuple[float, float] | None = None
-    noise: Annotated[float, Meta(ge=0)] | None = None
+    noise: float | None = None
     positive: str = ""
 
 
 class ChannelSpec(Struct, frozen=True, forbid_unknown_fields=True):
     """One sensor: standard deviation of a sample and whether it has a constant error per flight."""
 
-    noise: Annotated[float, Meta(ge=0)] | None = None
+    noise: float | None = None
     bias: names.Bias | None = None
 
 

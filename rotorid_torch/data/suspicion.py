@@ -1,28 +1,16 @@
-"""Degrees where radians belong: told by magnitude, and by attitude against the integral of the rate."""
+"""Degrees where radians belong: told by attitude against the integral of the rate."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
-from rotorid_torch.data.facts import Facts
 from rotorid_torch.data.flight import Flight
-from rotorid_torch.data.schema import ControlSpec
 from rotorid_torch.errors import InputError
 
 PAIRS = (("phi", "p"), ("theta", "q"), ("psi", "r"))
-
-
-def refuse_degrees_of_controls(facts: Facts, controls: Mapping[str, ControlSpec], file: str | Path) -> None:
-    """Raise InputError where a blade angle is above pi/2."""
-    for control, spec in controls.items():
-        spread = facts.spreads[control]
-        largest = max(abs(spread.low), abs(spread.high))
-        if spec.unit == "rad" and largest > math.pi / 2:
-            raise InputError(file, control, f"reaches {largest:.4g} (degrees?)", "a blade angle in rad, at most 1.571")
 
 
 def refuse_degrees_of_attitude(flight: Flight, file: str | Path) -> None:

@@ -19,7 +19,8 @@ from rotorid_torch.importing.log import TOLD, Log
 from rotorid_torch.importing.mapping import Entry, Map, unknown_names
 from rotorid_torch.importing.plan import Plan, moving
 from rotorid_torch.importing.resample import on_grid
-from rotorid_torch.importing.signals import Signal, signals, without_spikes
+from rotorid_torch.importing.signals import Signal, possible, signals
+from rotorid_torch.importing.units import find_unit
 
 PAUSE_S = 10.0
 """A longer pause of all controls and rates ends a flight and begins another."""
@@ -56,7 +57,8 @@ def record_of(log: Log, given: Map | None) -> Record:
     found, told = signals(log, entries, "channels")
     clean: dict[str, Signal] = {}
     for name, signal in found.items():
-        clean[name], sentence = without_spikes(signal, log.file)
+        unit = find_unit(entries[name].unit)
+        clean[name], sentence = possible(signal, unit.measures if unit else "", log.file)
         told += [sentence] if sentence else []
     chosen = {*given.channels} if given else set[str]()
     slow, dead = _slow_speeds(clean), [name for name, signal in clean.items() if _is_dead(name, signal)]

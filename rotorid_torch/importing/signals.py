@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rotorid_torch.core import names
+from rotorid_torch.core.ranges import of_channel
+from rotorid_torch.data.impossible import without_impossible
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing import units
 from rotorid_torch.importing.log import Log, Source, Stream
 from rotorid_torch.importing.mapping import Entry, check_unit
 from rotorid_torch.importing.plan import rate_of
 
-LIMITS = {
-    **{"velocity": 1000.0, "rate": 100.0, "specific force": 2000.0, "angular acceleration": 1e5},
-    **{"rotor": 1e5, "position": 1e7, "air data": 1000.0},
-}
-"""Largest magnitude of a kind of channel in SI; beyond it no rotorcraft has been."""
-SPIKES = 0.01
-"""Share of samples that may be spikes; more are another unit."""
 OUT_OF_ORDER = 0.1
 """Share of stamps that may be out of order; more are two clocks."""
 ASTRAY_S = 1.0
@@ -147,26 +141,16 @@ def _in_si(name: str, values: np.ndarray, entry: Entry) -> np.ndarray:
     return np.clip(result, 0.0, 1.0) if names.is_motor(name) and (entry.unit == "us" or entry.offset) else result
 
 
-def without_spikes(signal: Signal, file: object) -> tuple[Signal, str]:
-    """The signal with impossible samples missing, and a sentence; empty where there are none.
+def possible(signal: Signal, unit: str, file: object) -> tuple[Signal, str]:
+    """The signal with samples that no aircraft has as NaN, and a sentence; empty where there are none.
+
+    `unit` is that of a stick, in SI.
 
     Raises
     ------
     InputError : where so many are impossible that the unit is another.
     """
-    known = names.channel(signal.name)
-    if known is None:
-        return signal, ""
-    limit = 1.001 * min(known.limit, LIMITS.get(known.kind, math.inf))
-    beyond = np.abs(signal.values) > limit
-    count, there = int(beyond.sum()), int(np.isfinite(signal.values).sum())
-    if not count:
-        return signal, ""
-    largest = float(np.nanmax(np.abs(signal.values)))
-    if count > max(1, SPIKES * there):
-        told = f"reaches {largest:.4g} {known.unit}, {count} of {there} samples beyond {limit:.4g} (another unit?)"
-        raise InputError(str(file), f"{signal.source} ({signal.name})", told, f"{known.unit}; a map gives the unit")
-    values = np.where(beyond, np.nan, signal.values)
-    return replace(signal, values=values), (
-        f"{signal.name}: {count} spike{'s' if count > 1 else ''} of up to {largest:.3g} {known.unit} taken out"
-    )
+    allowed = of_channel(signal.name, unit).samples
+    key = f"{signal.source} ({signal.name})"
+    values, sentence = without_impossible(signal.name, signal.values, allowed, str(file), key)
+    return replace(signal, values=values), sentence

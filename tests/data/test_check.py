@@ -130,10 +130,11 @@ def test_still_saturated_and_missing_controls():
     assert any((f.channel, f.flight) == ("p", "f") and "10.0% of the samples" in f.sentence for f in told)
 
 
-def test_motor_commands_in_another_unit_are_not_fit():
+def test_motor_commands_beyond_their_scale_are_not_fit():
     time = 0.01 * np.arange(400)
-    motors = {f"motor{k}": 1500 + 100 * np.sin(k * time) for k in (1, 2, 3, 4)}
-    dataset = Dataset.from_arrays({"f": {"time": time, **motors, "p": np.sin(time)}}, identify=["f"], kind="multirotor")
+    motors = {f"motor{k}": 1.0 + 0.3 * np.sin(k * time) for k in (1, 2, 3, 4)}
+    rates = dict.fromkeys(("p", "q", "r"), np.sin(time))
+    dataset = Dataset.from_arrays({"f": {"time": time, **motors, **rates}}, identify=["f"], kind="multirotor")
     assert [f.channel for f in check(dataset).of("error")] == ["motor1", "motor2", "motor3", "motor4"]
 
 
