@@ -62,6 +62,7 @@ class ModelSpec(msgspec.Struct, frozen=True, kw_only=True):
     spins : of a multirotor's rotors, +1 for counter-clockwise seen from above.
     each_control : ids of effects of the control path whose parameter every control has for itself.
     free, values : by full parameter name, whether it is estimated, and where it starts, other than the effect declares.
+    screening_sizes : by full parameter name, where tracing starts with effects that declare no typical size.
     ranges : smallest and largest value of every signal in the identify flights.
     """
 
@@ -92,6 +93,7 @@ class ModelSpec(msgspec.Struct, frozen=True, kw_only=True):
     each_control: tuple[str, ...] = ()
     free: dict[str, bool] = {}
     values: dict[str, float] = {}
+    screening_sizes: dict[str, float] = {}
 
     @property
     def driven(self) -> tuple[str, ...]:

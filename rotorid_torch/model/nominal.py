@@ -53,8 +53,7 @@ def build(spec: ModelSpec) -> Model:
     nominal = _multirotor(spec) if spec.motors else [*_rotor(spec), _forces(spec), *_physics(spec)]
     effects = [*nominal, *(make(name, spec) for name in spec.effects)]
     for effect in effects:
-        free = {p.name: spec.free.get(f"{effect.id}.{p.name}", p.free) for p in effect.declared}
-        effect.declared = tuple(replace(p, free=free[p.name]) for p in effect.declared)
+        effect.declared = tuple(_as_specified(p, f"{effect.id}.{p.name}", spec) for p in effect.declared)
     model = Model(body, effects, spec.reference)
     for name in (*spec.free, *spec.values):
         if name not in model.parameter_set:
@@ -62,6 +61,12 @@ def build(spec: ModelSpec) -> Model:
             raise InputError("model", name, "there is no such parameter", f"one of {known}")
     model.start_from(spec.values)
     return model
+
+
+def _as_specified(declared: Parameter, name: str, spec: ModelSpec) -> Parameter:
+    """A parameter of an effect with what the spec says of it under its full name."""
+    free, typical = spec.free.get(name, declared.free), spec.screening_sizes.get(name, declared.typical)
+    return replace(declared, free=free, typical=typical)
 
 
 def _multirotor(spec: ModelSpec) -> Sequence[Effect]:

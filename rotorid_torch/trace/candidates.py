@@ -10,6 +10,7 @@ from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.finding import Finding
 
+UNMOVED = "no size of it within its bounds moves what these flights measured"
 ELSEWHERE = (Showing.KINEMATICS, Showing.INNOVATIONS)
 """What trajectories do not show is found elsewhere: sensors against each other, and spectra."""
 

@@ -60,7 +60,7 @@ WATCH_S = 0.5
 """s between two looks at the processes that draw, at each of which ranks tell each other that they are there."""
 NO_FIT = (InfiniteCost, torch.linalg.LinAlgError)  # pyright: ignore[reportPrivateImportUsage]
 """How the identification of a drawn aircraft may fail; anything else is a fault of the code."""
-SAME = ("flapping", "flapping_doubtful", "patterns", "inflow", "cyclic_inflow", "effects")
+SAME = ("flapping", "flapping_doubtful", "patterns", "inflow", "cyclic_inflow", "effects", "screening_sizes")
 """Structure that a drawn aircraft's model shares with the data's."""
 
 

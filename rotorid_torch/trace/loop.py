@@ -19,6 +19,7 @@ from rotorid_torch.trace.findings import findings
 from rotorid_torch.trace.fits import Fitted, Flights, refit
 from rotorid_torch.trace.floor import Floors, Null, family_wise
 from rotorid_torch.trace.residual import AT_ONCE, chance, left_over, scan
+from rotorid_torch.trace.screening_sizes import with_screening_sizes
 from rotorid_torch.trace.search import Say, Search
 from rotorid_torch.trace.slips import deflected
 from rotorid_torch.trace.unexplained import unknown
@@ -94,6 +95,8 @@ def trace(
     ranks : processes that share the candidates, each of which calls this.
     """
     testable, found = candidates(spec)
+    spec, testable, unmoved = with_screening_sizes(spec, start, flights.dataset, testable)
+    found += unmoved
     search = Search(flights, tuple(held), Floors({}, ""), say, seed, ranks, dict(start))
     tested = [e for e in testable if registered()[e].role is Role.UNDECLARED]
     null = search.place(refit(spec, flights, start, held), tested)

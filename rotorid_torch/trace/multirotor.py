@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import msgspec
@@ -31,6 +31,7 @@ from rotorid_torch.trace.decide import SURE, at_edge
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.floor import family_wise
 from rotorid_torch.trace.loop import Tracing
+from rotorid_torch.trace.screening_sizes import with_screening_sizes
 from rotorid_torch.trace.significance import helps
 from rotorid_torch.validate.responses import compared
 
@@ -90,9 +91,11 @@ def trace_rotors(
     testable, findings = candidates(spec)
     findings += [Finding(e, "undeclared", "not testable", why) for e, why in NONE_OF_MOTORS.items() if e in testable]
     undeclared = [e for e in testable if registered()[e].role is Role.UNDECLARED and e not in NONE_OF_MOTORS]
+    search, null = _Search(dataset, fit, say, seed), fit(spec)
+    sized, undeclared, unmoved = with_screening_sizes(null.spec, null.values, dataset, undeclared)
+    findings += unmoved
+    null = now = replace(null, spec=sized)
     tried = [e for e in undeclared if e not in ABSORBED]
-    search = _Search(dataset, fit, say, seed)
-    null = now = fit(spec)
     while (joined := search.joined(now, tried, ranks)) is not None:
         now = joined
     final = search.confirmed(now)

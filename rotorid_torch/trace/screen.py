@@ -221,7 +221,7 @@ def screen(null: Fitted, effects: Sequence[str], shuffles: int = SHUFFLES, seed:
     found, raw = [], torch.zeros(len(chosen), dtype=torch.float64)
     tape, tapes = _tapes(model, problem.records, chosen)
     noise = [null.flights.dataset.noise(c) for c in null.spec.outputs]
-    most = _ranges(problem.records.outputs.flatten(0, 1), torch.tensor(noise, dtype=torch.float64))
+    most = output_ranges(problem.records.outputs.flatten(0, 1), torch.tensor(noise, dtype=torch.float64))
 
     def changed(one: Signature, start: Tensor, segments: Segments, base: Tensor) -> Tensor:
         """Of the outputs; beyond all that was measured nothing is in proportion, so a smaller size speaks for it."""
@@ -282,7 +282,7 @@ def _tapes(model: Model, records: Records, chosen: Sequence[Signature]) -> tuple
     return model.tape(records.controls, records.dt), tapes
 
 
-def _ranges(outputs: Tensor, noise: Tensor) -> Tensor:
+def output_ranges(outputs: Tensor, noise: Tensor) -> Tensor:
     """From least to largest of each output [n, ny]; infinite for one that never moved beyond its noise [ny]."""
     missing = outputs.isnan()
     low, high = outputs.masked_fill(missing, math.inf).amin(0), outputs.masked_fill(missing, -math.inf).amax(0)

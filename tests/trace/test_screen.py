@@ -12,7 +12,7 @@ import torch
 
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.decide import smallest_visible
-from rotorid_torch.trace.screen import Screen, Signature, _ranges, screen, signatures, sized
+from rotorid_torch.trace.screen import Screen, Signature, output_ranges, screen, signatures, sized
 from tests.known_models import rate_vehicle
 from tests.trace.hidden_flights import SUSPECTS, flights, started
 
@@ -97,7 +97,7 @@ def test_a_smaller_size_speaks_for_one_with_which_trajectories_leave_all_that_wa
 
     slope, whole = (seen(part).sizes([damping])[f"{damping}.L"] for part in (2.0**-6, 8.0))
     assert abs(whole / slope - 1.0) > 0.5  # at 16 1/rad nothing is in proportion
-    monkeypatch.setattr("rotorid_torch.trace.screen._ranges", lambda outputs, noise: torch.full((), 1e-4))
+    monkeypatch.setattr("rotorid_torch.trace.screen.output_ranges", lambda outputs, noise: torch.full((), 1e-4))
     assert seen(1.0).sizes([damping])[f"{damping}.L"] == pytest.approx(slope, rel=0.05)
 
 
@@ -108,8 +108,8 @@ def test_an_output_that_never_moved_says_nothing_of_what_is_large():
     chance = 0.1 * torch.randn(60, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     outputs = torch.stack([torch.full_like(moving, math.nan), torch.ones_like(moving), chance, moving], dim=-1)
     outputs[::7, 3] = math.nan
-    assert _ranges(outputs, noise)[:3].isinf().all()
-    assert float(_ranges(outputs, noise)[3]) == pytest.approx(8.0, rel=0.05)
+    assert output_ranges(outputs, noise)[:3].isinf().all()
+    assert float(output_ranges(outputs, noise)[3]) == pytest.approx(8.0, rel=0.05)
 
 
 def test_screens_repeat_exactly():
