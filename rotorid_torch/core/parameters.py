@@ -36,8 +36,14 @@ class Parameter:
 
     def __post_init__(self) -> None:
         low, high = self.bounds
-        if not low <= self.value <= high:
-            raise ValueError(f"{self.name}: {self.value} lies outside its bounds {low} to {high}")
+        if not low <= high:
+            raise ValueError(f"{self.name}: bounds {low} to {high} are reversed, or no numbers")
+        sizes = {"value": self.value, "typical": self.typical or self.value}
+        sizes |= {f"met[{k}]": size for k, size in enumerate(self.met)}
+        sizes |= {f"tried[{k}]": size for k, size in enumerate(self.tried)}
+        for what, size in sizes.items():
+            if not low <= size <= high:
+                raise ValueError(f"{self.name}: {what} {size} lies outside its bounds {low} to {high}")
 
 
 @dataclass(frozen=True)

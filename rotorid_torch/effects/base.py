@@ -121,11 +121,16 @@ class Values:
     names: tuple[str, ...]
 
     def __getitem__(self, name: str) -> Tensor:
-        return self.vector[..., self.names.index(name)]
+        return self.vector[..., self._place(name)]
 
     def stack(self, *names: str) -> Tensor:
         """These parameters as [..., len(names)]."""
-        return self.vector[..., [self.names.index(n) for n in names]]
+        return self.vector[..., [self._place(n) for n in names]]
+
+    def _place(self, name: str) -> int:
+        if name not in self.names:
+            raise ValueError(f"{name!r} is read and not declared; declared are {', '.join(self.names)}")
+        return self.names.index(name)
 
 
 class Effect(nn.Module):

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from rotorid_torch.effects.spec import ModelSpec
 
 LIBRARY = ("control", "rotor", "rotor_speed", "forces", "environment", "mass", "sensors", "propulsion", "neural")
+LIBRARY_PACKAGE = "rotorid_torch"
 ENTRY_POINTS = "rotorid_torch.effects"
 EFFECTS: dict[str, type[Effect]] = {}
 
@@ -38,7 +39,12 @@ def register(effect: E) -> E:
 
 
 def registered() -> dict[str, type[Effect]]:
-    """All effects by id, those of other packages included."""
+    """All effects by id, those of other packages included.
+
+    Raises
+    ------
+    InputError : a module of another package cannot be imported, or registers an id that is taken.
+    """
     _import()
     return EFFECTS
 
@@ -49,7 +55,18 @@ def _import() -> None:
     for name in LIBRARY:
         import_module(f"rotorid_torch.effects.{name}")
     for point in entry_points(group=ENTRY_POINTS):
-        point.load()
+        try:
+            point.load()
+        except Exception as error:  # others' code may fail in any way
+            wrong = f"cannot be loaded ({type(error).__name__}: {error})"
+            raise InputError(
+                f"effects of {point.name}", point.value, wrong, "a module that registers effects"
+            ) from error
+
+
+def of_others() -> list[str]:
+    """Ids of the effects that are not the library's."""
+    return [name for name, effect in registered().items() if effect.__module__.split(".")[0] != LIBRARY_PACKAGE]
 
 
 def predicted_by(names: Iterable[str]) -> tuple[str, ...]:

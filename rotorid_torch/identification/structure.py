@@ -40,12 +40,14 @@ def have(dataset: Dataset, names: Sequence[str]) -> bool:
     return all(dataset.facts[f].has(*names) for f in dataset.identify)
 
 
-def propose(dataset: Dataset, reconstruction: Reconstruction, effects: Sequence[str] = ()) -> ModelSpec:
+def propose(dataset: Dataset, reconstruction: Reconstruction | None, effects: Sequence[str] = ()) -> ModelSpec:
     """The nominal structure for a data set: what is measured and declared decides, nothing is tuned.
 
     Velocities are states where they and the attitude are measured; forces have equations where velocities or all
     specific forces are; flapping is first order, or algebraic where it follows its drivers without lag; the induced
     velocity is a state where the rotor is declared.
+
+    reconstruction : None before step 1; the sizes of forces and moments are one then.
 
     Raises
     ------
@@ -229,7 +231,7 @@ def lagged(signal: Tensor, samples: float) -> Tensor:
     return torch.stack(passed)
 
 
-def _sizes(dataset: Dataset, reconstruction: Reconstruction) -> dict[str, float]:
+def _sizes(dataset: Dataset, reconstruction: Reconstruction | None) -> dict[str, float]:
     """Rms excursion of every signal, force and moment over the identify flights; of a still signal its noise."""
     reference = dataset.reference()
     signals = (*VELOCITIES, *RATES, *ATTITUDE, *FLAPPING, *dataset.controls)
@@ -239,7 +241,9 @@ def _sizes(dataset: Dataset, reconstruction: Reconstruction) -> dict[str, float]
             spreads = [dataset.facts[f].spreads[name] for f in dataset.identify]
             square = sum(s.squares_about(reference[name]) for s in spreads) / sum(s.count for s in spreads)
             sizes[name] = max(math.sqrt(square), dataset.noise(name))
-    for row, deviation in zip((*FORCES, *MOMENTS), _deviations(dataset, reconstruction), strict=True):
+    rows = (*FORCES, *MOMENTS)
+    deviations = [1.0] * len(rows) if reconstruction is None else _deviations(dataset, reconstruction)
+    for row, deviation in zip(rows, deviations, strict=True):
         sizes[f"row.{row}"] = deviation
     return sizes
 

@@ -16,6 +16,7 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.from_position import with_velocities
 from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.effects.neural import NeuralForces
+from rotorid_torch.effects.registry import of_others
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.modes import gust_response
@@ -105,7 +106,7 @@ def close_loop(
     InputError, LostRank : as `identify`.
     """
     monitor = monitor or Monitor()
-    refuse(dataset, (), device)
+    refuse(dataset, of_others(), device)
     ranks.refuse_more_than(len(dataset.identify))
     with ExitStack() as stack:
         folder = None

@@ -19,7 +19,7 @@ from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.from_position import with_velocities
 from rotorid_torch.data.one_rate import at_one_rate
-from rotorid_torch.effects.registry import registered
+from rotorid_torch.effects.registry import of_others, registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification import reconstruct as step1
@@ -38,6 +38,7 @@ from rotorid_torch.run.figures import draw
 from rotorid_torch.run.fit_record import fit_record, judge
 from rotorid_torch.run.folder import free_run_file, refuse_unless_free_run, run_folder
 from rotorid_torch.run.monitor import Monitor, peak_memory_mb
+from rotorid_torch.run.own_effects import refuse_faulty
 from rotorid_torch.run.records import DatasetRecord, FitRecord, ParameterRecord, Report, package_version
 from rotorid_torch.run.write import write_report
 from rotorid_torch.validate.free_run import free_run, windows
@@ -324,6 +325,10 @@ def refuse(dataset: Dataset, effects: Sequence[str], device: str) -> None:
     if device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device", device, "no CUDA device is available here", "cpu")
     _refuse_unfit(dataset)
+    others = of_others()
+    own = [name for name in effects if name in others]
+    if own:
+        refuse_faulty(own, propose(with_velocities(dataset), None))
 
 
 def _refuse_unfit(dataset: Dataset) -> None:

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.effects.registry import registered
+from rotorid_torch.effects.registry import of_others, registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
@@ -41,13 +41,16 @@ NOTHING = 1e-6
 def with_screening_sizes(
     spec: ModelSpec, values: Mapping[str, float], dataset: Dataset, effects: Sequence[str]
 ) -> tuple[ModelSpec, list[str], list[Finding]]:
-    """The spec with sizes for effects that declare none, the effects that can be tested, and findings for the others.
+    """The spec with sizes for users' effects that declare none, the effects that can be tested, findings of the others.
 
     values : parameters of the fitted model that the effects join.
     """
-    sizes = screening_sizes(spec, values, dataset, without_sizes(spec, effects))
+    asked = without_sizes(spec, [e for e in of_others() if e in effects])
+    if not asked:
+        return spec, [*effects], []
+    sizes = screening_sizes(spec, values, dataset, asked)
     richer = msgspec.structs.replace(spec, screening_sizes=spec.screening_sizes | sizes)
-    unmoved = without_sizes(richer, effects)
+    unmoved = without_sizes(richer, asked)
     roles = {e: registered()[e].role.value for e in unmoved}
     findings = [Finding(e, role, "not testable", UNMOVED) for e, role in roles.items()]
     return richer, [e for e in effects if e not in unmoved], findings

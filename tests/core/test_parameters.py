@@ -37,7 +37,9 @@ def test_values_outside_their_bounds_are_refused():
     for value in (0.5, math.nan, -51.0):
         with pytest.raises(ValueError, match=r"L\.p: .* outside its bounds"):
             Parameter("L.p", value, bounds=(-50.0, 0.0))
-    with pytest.raises(ValueError, match="outside"):
+    with pytest.raises(ValueError, match=r"L\.p: typical 3\.0 lies outside its bounds"):
+        Parameter("L.p", 0.0, bounds=(0.0, 1.0), typical=3.0)
+    with pytest.raises(ValueError, match=r"L\.p: bounds 1\.0 to -1\.0 are reversed"):
         Parameter("L.p", 0.0, bounds=(1.0, -1.0))
 
 

@@ -1,0 +1,253 @@
+"""What an effect of a user promises, tried on a few points of the vehicle's model before any work begins.
+
+Each mistake is an InputError with the effect's id, where the effect fails, what is wrong, and what was expected.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import fields
+from typing import Any, NoReturn
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.parameters import Parameter, ParameterSet
+from rotorid_torch.core.state import State, StateLayout
+from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Values
+from rotorid_torch.effects.registry import registered
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.errors import InputError
+from rotorid_torch.model.model import Model
+from rotorid_torch.model.nominal import build
+from rotorid_torch.validate.free_run import equilibrium
+
+ID = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)+")
+POINTS, SAMPLES, DT = 5, 40, 0.02
+"""Points of the state space, samples of a record, and their interval, s, that an effect is tried on."""
+EXACT = 1e-9
+"""Share of the size of rates and outputs that rounding may change."""
+REST = 1e-3
+"""Rate of a state at rest over its rate where it starts: what four steps of Newton's method may leave."""
+
+
+def refuse_faulty(effects: Iterable[str], spec: ModelSpec) -> None:
+    """Refuse effects that break what they promise, on the model of a vehicle.
+
+    Effects that say that they cannot be tested on the vehicle, or that the model has them already, pass.
+
+    Raises
+    ------
+    InputError : an effect's class, its parameters or states, its null, its shapes, or an error that it raises.
+    """
+    without: Model | None = None
+    for name in effects:
+        effect = registered()[name]
+        _refuse_class(name, effect)
+        with _told(name, "untestable and within"):
+            if effect.untestable(spec) is not None or effect.within(spec):
+                continue
+        without = without or _somewhere(build(spec))
+        with _told(name, "from_spec"):
+            made = effect.from_spec(spec)
+        _refuse_declaration(name, made)
+        with _told(name, "from_spec"):
+            model = build(spec.with_effects(name))
+        model.start_from(without.named_values)
+        _refuse_behaviour(name, model, without)
+
+
+def _refuse(name: str, where: str, wrong: str, expected: str) -> NoReturn:
+    raise InputError(f"effect {name}", where, wrong, expected)
+
+
+@contextmanager
+def _told(name: str, where: str, signals: Iterable[str] = ()) -> Iterator[None]:
+    """Any error of a block as one of the effect."""
+    try:
+        yield
+    except InputError:
+        raise
+    except KeyError as error:
+        _refuse(name, where, f"asks for {error}, which is no signal of this model", f"one of {', '.join(signals)}")
+    except Exception as error:  # the effect is somebody else's code, and may fail in any way
+        said = str(error).strip().partition("\n")[0]
+        if any(word in said for word in ("Boolean value", "data-dependent", "converted to Scalar", ".item()")):
+            _refuse(name, where, f"a number is asked of a tensor ({said})", "torch.where for if, and no .item()")
+        _refuse(name, where, f"{type(error).__name__}: {said}", "tensors [..., n] through torch's operations")
+
+
+def _refuse_class(name: str, effect: type[Effect]) -> None:
+    if not ID.fullmatch(name):
+        _refuse(name, "id", "is no id", "words of letters, digits and underscores with a dot between, as my.drag")
+    for other in registered():
+        if other.startswith(f"{name}.") or name.startswith(f"{other}."):
+            _refuse(name, "id", f"of this and {other} one is the beginning of the other", "ids that differ before that")
+    for key, kind in (("stage", Stage), ("role", Role), ("showing", Showing)):
+        if not isinstance(getattr(effect, key), kind):
+            _refuse(name, key, f"is {getattr(effect, key)!r}", f"one of {', '.join(map(str, kind))}")
+    if effect.role is Role.NOMINAL:
+        _refuse(name, "role", "is Role.NOMINAL, which the model has from the start", "UNDECLARED or STRUCTURE")
+
+
+def _refuse_declaration(name: str, made: Any) -> None:
+    if not isinstance(made, Effect):
+        _refuse(name, "from_spec", f"returns {type(made).__name__}", "an effect")
+    for key, kind in (("declared", Parameter), ("states", State)):
+        entries = getattr(made, key)
+        if not isinstance(entries, tuple) or not all(isinstance(one, kind) for one in entries):
+            _refuse(name, key, f"is {entries!r}", f"a tuple of {kind.__name__}")
+    with _told(name, "parameters"):
+        ParameterSet(made.declared)
+    with _told(name, "states"):
+        StateLayout(made.states)
+    if not made.declared:
+        _refuse(name, "parameters", "none is declared", "a parameter whose declared value changes nothing")
+    fixed = [p.name for p in made.declared if p.free and p.bounds[0] == p.bounds[1]]
+    if fixed:
+        _refuse(name, fixed[0], "its bounds are equal", "a lower bound below the upper one")
+
+
+def _somewhere(model: Model) -> Model:
+    """The model with derivatives other than zero, drawn."""
+    chance = torch.Generator().manual_seed(0)
+    drawn = 0.1 * torch.randn(len(model.theta), generator=chance, dtype=torch.float64)
+    model.start_from(dict(zip(model.parameter_set.names, (model.theta.detach() + drawn).tolist(), strict=True)))
+    return model
+
+
+def _refuse_behaviour(name: str, model: Model, without: Model) -> None:
+    """Shapes and errors first, then the null, derivatives by the parameters, and the rest of the states."""
+    _watch(name, model)
+    place, names = model.chain.index(_of(model, name)), without.layout.names
+    signals = (*model.layout.names, *model.body.controls)
+    x, u = _points(model)
+
+    def everything(of: Model, x: Tensor) -> dict[str, Tensor]:
+        theta = of.theta.detach()
+        rates, outputs = of.rates(theta, x, u)[..., of.layout.places(names)], of.outputs_at(theta, x, u)
+        found = {f"the rate of {n}": rates[..., k] for k, n in enumerate(names)}
+        found |= {f"the output {n}": outputs[..., k] for k, n in enumerate(of.body.outputs)}
+        found["the controls' record"] = of.tape(_record(of.body.controls), DT)
+        found["the outputs' record"] = of.recorded(_record(of.body.outputs), DT)
+        return found
+
+    effect, theta = model.chain[place], model.theta.detach()
+    where = "tape" if effect.stage is Stage.CONTROL else "forward"
+    with _told(name, where, signals), torch.no_grad():
+        kept = x.clone(), u.clone()
+        now, before = everything(model, x), everything(without, x[..., model.layout.places(names)])
+        if not (torch.equal(kept[0], x) and torch.equal(kept[1], u)):
+            _refuse(name, where, "changes the signals that it is handed in place", "new tensors")
+        several = theta.repeat(2, 1)[:, None]
+        model.rates(several, x, u)
+        effect.tape(_record(model.body.controls), model.body.controls, DT, model.values(several, place))
+    for what, value in now.items():
+        usual = before[what]
+        if not bool((value.isfinite() | ~usual.isfinite()).all()):
+            _refuse(name, where, f"makes {what} infinite or NaN at its declared values", "finite numbers there")
+        change = float((value - usual).nan_to_num(0.0).abs().max())
+        if change > EXACT * max(1.0, float(usual.nan_to_num(0.0).abs().max())):
+            wrong = f"changes {what} by {change:.2g} at its declared values"
+            _refuse(name, where, wrong, "declared values at which it changes nothing")
+    with _told(name, where, signals):
+        slopes = torch.func.jacfwd(lambda th: torch.cat([model.rates(th, x, u), model.outputs_at(th, x, u)], -1))(theta)
+    for i, parameter in enumerate(model.parameter_set.names):
+        if parameter.startswith(f"{name}.") and not bool(slopes[..., i].isfinite().all()):
+            _refuse(name, where, f"has no finite derivative by {parameter} at its declared value", "a finite one")
+    _refuse_restless(name, model, x, u)
+
+
+def _refuse_restless(name: str, model: Model, x: Tensor, u: Tensor) -> None:
+    """Refuse a state that rests nowhere and starts at no channel."""
+    body = x[:, : len(model.body.states)]
+    with _told(name, "states"), torch.no_grad():
+        nowhere = torch.tensor([model.reference.get(n, 0.0) for n in model.layout.names], dtype=torch.float64)
+        start = torch.cat([body, nowhere[len(model.body.states) :].expand(len(x), -1)], dim=-1)
+        before, after = (model.rates(model.theta, at, u).abs() for at in (start, equilibrium(model, body, u)))
+    for k, state in enumerate(model.layout.states):
+        if not state.name.startswith(f"{name}.") or state.channel is not None:
+            continue
+        if not float(after[:, k].max()) <= REST * max(1.0, float(before[:, k].max())):
+            wrong = "rests at no value: its rate does not vanish"
+            _refuse(name, state.name, wrong, "a rate that depends on the state, or the channel that it starts at")
+
+
+def _of(model: Model, name: str) -> Effect:
+    effect = model.effect(name)
+    assert effect is not None
+    return effect
+
+
+def _watch(name: str, model: Model) -> None:
+    """Let the effect in the model be refused where what it returns has another kind or shape than it promises."""
+    effect = _of(model, name)
+    forward, tape, read = effect.forward, effect.tape, effect.read
+
+    class Watched(Frame):
+        """A frame that refuses loads of another shape."""
+
+        def add(self, force: Tensor | None = None, moment: Tensor | None = None) -> Frame:
+            """The same frame with these added."""
+            shape = (*self.signals["p"].shape, 3)
+            _refuse_shape(name, "force", force, shape)
+            _refuse_shape(name, "moment", moment, shape)
+            return super().add(force, moment)
+
+    def forwarded(frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        parts = {one.name: getattr(frame, one.name) for one in fields(Frame)}
+        made: Any = forward(Watched(**parts), x, p)
+        if not (isinstance(made, tuple) and len(made) == 2 and isinstance(made[0], Frame)):
+            _refuse(name, "forward", "returns no pair", "a Frame and the rates of its states")
+        if not isinstance(made[1], Tensor) or made[1].shape[-1:] != x.shape[-1:]:
+            shape = tuple(made[1].shape) if isinstance(made[1], Tensor) else type(made[1]).__name__
+            _refuse(name, "forward", f"rates are {shape}", f"[..., {x.shape[-1]}], one of each state")
+        for signal, own in made[0].signals.items():
+            _refuse_shape(name, f"signal {signal}", own, tuple(made[0].signals["p"].shape))
+        return Frame(**{one.name: getattr(made[0], one.name) for one in fields(Frame)}), made[1]
+
+    def recorded(of: str, function: Callable[..., Any]) -> Callable[..., Tensor]:
+        def passed(record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
+            made = function(record, names, dt, p)
+            if not isinstance(made, Tensor) or made.shape[-2:] != record.shape[-2:]:
+                shape = tuple(made.shape) if isinstance(made, Tensor) else type(made).__name__
+                _refuse(name, of, f"returns {shape}", f"a record {tuple(record.shape)}, as it is handed")
+            return made
+
+        return passed
+
+    effect.forward = forwarded
+    effect.tape, effect.read = recorded("tape", tape), recorded("read", read)
+
+
+def _refuse_shape(name: str, what: str, own: Any, shape: tuple[int, ...]) -> None:
+    """Refuse what is no tensor of a shape, further leading dimensions aside; None is nothing added."""
+    if own is None:
+        return
+    if not isinstance(own, Tensor):
+        _refuse(name, what, f"is {type(own).__name__}", f"a tensor {shape}")
+    if what in ("force", "moment") and own.shape[-1:] != (3,):
+        _refuse(name, what, f"has the shape {tuple(own.shape)}", f"{shape}, an entry for each axis last")
+    try:
+        torch.broadcast_shapes(own.shape, shape)
+    except RuntimeError:
+        _refuse(name, what, f"has the shape {tuple(own.shape)}", f"{shape}")
+
+
+def _points(model: Model) -> tuple[Tensor, Tensor]:
+    """States [POINTS, nx] and controls [POINTS, nu] about the reference, drawn."""
+    chance = torch.Generator().manual_seed(0)
+
+    def drawn(names: tuple[str, ...]) -> Tensor:
+        centre = torch.tensor([model.reference.get(n, 0.0) for n in names], dtype=torch.float64)
+        return centre + 0.1 * torch.randn(POINTS, len(names), generator=chance, dtype=torch.float64)
+
+    return drawn(model.layout.names), drawn(model.body.controls)
+
+
+def _record(names: tuple[str, ...]) -> Tensor:
+    """Waves [SAMPLES, n]."""
+    time = torch.linspace(0.0, 4.0, SAMPLES, dtype=torch.float64)[:, None]
+    return 0.1 * torch.sin(time * (1.0 + torch.arange(len(names)) / len(names)))

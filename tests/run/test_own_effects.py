@@ -1,0 +1,217 @@
+"""Mistakes in an effect of a user are told in one line with its id before any work; effects without any pass."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.core.state import State
+from rotorid_torch.data import Dataset
+from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
+from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR, example
+from rotorid_torch.effects.registry import EFFECTS, registered
+from rotorid_torch.errors import InputError
+from rotorid_torch.run import closing, pipeline
+from rotorid_torch.run.own_effects import refuse_faulty
+from tests.effects.own_effects import OWN
+from tests.helpers import small_flight
+
+Forward = Callable[[Frame, Tensor, Values], Any]
+K = Parameter("k", 0.0, "1", (-1.0, 1.0))
+
+
+def axis(values: Tensor) -> Tensor:
+    """A moment about the first axis."""
+    return torch.stack([values, torch.zeros_like(values), torch.zeros_like(values)], dim=-1)
+
+
+def an_effect(
+    forward: Forward = lambda f, x, p: (f.add(moment=axis(p["k"] * f.signals["p"])), x),
+    declared: Callable[[], Any] = lambda: (K,),
+    states: tuple[State, ...] = (),
+    **attributes: Any,
+) -> type[Effect]:
+    def __init__(self: Effect) -> None:
+        Effect.__init__(self, declared(), states)
+
+    methods = {"__init__": __init__, "forward": lambda self, f, x, p: forward(f, x, p)}
+    return type("Mine", (Effect,), {"id": "my.effect", **methods, **attributes})
+
+
+def branch(f: Frame, x: Tensor, p: Values) -> Any:
+    return (f.add(moment=axis(p["k"] * f.signals["p"])) if f.signals["p"] > 0 else f), x
+
+
+def branch_on_size(f: Frame, x: Tensor, p: Values) -> Any:
+    return (f.add(moment=axis(p["k"] * f.signals["p"])) if p["k"] > 0 else f), x
+
+
+def in_place(f: Frame, x: Tensor, p: Values) -> Any:
+    f.signals["p"].mul_(1.0 + 1e-3)
+    return f, x
+
+
+def raising(f: Frame, x: Tensor, p: Values) -> Any:
+    raise ZeroDivisionError("no fin")
+
+
+def reading(name: str) -> Forward:
+    return lambda f, x, p: (f.add(moment=axis(p["k"] * f.signals[name])), x)
+
+
+LATE = (State("late", "rad", "late stick"),)
+MISTAKES: dict[str, tuple[type[Effect], str]] = {
+    "an unknown signal": (
+        an_effect(reading("speed")),
+        r"forward: asks for 'speed', which is no signal of this model; expected one of u, v, w",
+    ),
+    "an unknown parameter": (
+        an_effect(lambda f, x, p: (f.add(moment=axis(p["K"] * f.signals["p"])), x)),
+        r"forward: ValueError: 'K' is read and not declared; declared are k",
+    ),
+    "a branch on a signal": (an_effect(branch), r"forward: a number is asked of a tensor.*torch\.where"),
+    "a branch on a size": (an_effect(branch_on_size), r"forward: a number is asked of a tensor.*torch\.where"),
+    "an item": (
+        an_effect(lambda f, x, p: (f.add(moment=axis(p["k"].item() * f.signals["p"])), x)),
+        r"forward: a number is asked of a tensor.*torch\.where",
+    ),
+    "a moment without axes": (
+        an_effect(lambda f, x, p: (f.add(moment=p["k"] * f.signals["p"]), x)),
+        r"moment: has the shape \(5,\); expected \(5, 3\)",
+    ),
+    "a force of one axis": (
+        an_effect(lambda f, x, p: (f.add(force=(p["k"] * f.signals["p"])[..., None]), x)),
+        r"force: has the shape \(5, 1\); expected \(5, 3\)",
+    ),
+    "no rates": (an_effect(lambda f, x, p: f), r"forward: returns no pair; expected a Frame and the rates"),
+    "rates of none": (
+        an_effect(lambda f, x, p: (f, x[..., :0]), states=LATE),
+        r"forward: rates are \(5, 0\); expected \[\.\.\., 1\]",
+    ),
+    "NaN at nothing": (
+        an_effect(lambda f, x, p: (f.add(moment=axis(p["k"] / p["k"] * f.signals["p"])), x)),
+        r"forward: makes the rate of p infinite or NaN at its declared values",
+    ),
+    "no slope at nothing": (
+        an_effect(lambda f, x, p: (f.add(moment=axis(p["k"].sqrt() * f.signals["p"])), x)),
+        r"forward: has no finite derivative by my\.effect\.k",
+    ),
+    "no null": (
+        an_effect(lambda f, x, p: (f.add(moment=axis((p["k"] + 0.1) * f.signals["p"])), x)),
+        r"forward: changes the rate of p by .* at its declared values; expected declared values at which",
+    ),
+    "an error": (an_effect(raising), r"forward: ZeroDivisionError: no fin"),
+    "signals changed in place": (an_effect(in_place), r"forward: changes the signals that it is handed in place"),
+    "no equilibrium": (
+        an_effect(lambda f, x, p: (f.add(moment=axis(p["k"] * x[..., 0])), f.signals["lat"][..., None]), states=LATE),
+        r"my\.effect\.late: rests at no value",
+    ),
+    "reversed bounds": (
+        an_effect(declared=lambda: (Parameter("k", 0.0, "1", (1.0, -1.0)),)),
+        r"from_spec: ValueError: k: bounds 1\.0 to -1\.0 are reversed",
+    ),
+    "equal bounds": (an_effect(declared=lambda: (Parameter("k", 0.0, "1", (0.0, 0.0)),)), r"k: its bounds are equal"),
+    "a typical size out of bounds": (
+        an_effect(declared=lambda: (Parameter("k", 0.0, "1", (0.0, 1.0), typical=2.0),)),
+        r"typical 2\.0 lies outside its bounds",
+    ),
+    "a parameter twice": (an_effect(declared=lambda: (K, K)), r"parameters: ValueError: declared twice: \['k'\]"),
+    "no parameter": (an_effect(declared=lambda: ()), r"parameters: none is declared"),
+    "no tuple of parameters": (an_effect(declared=lambda: ["k"]), r"declared: is \['k'\]; expected a tuple"),
+    "a state twice": (an_effect(states=LATE * 2), r"states: ValueError: states declared twice: \['late'\]"),
+    "a word as stage": (an_effect(stage="forces"), r"stage: is 'forces'"),
+    "a word as role": (an_effect(role="undeclared"), r"role: is 'undeclared'"),
+    "an id without a dot": (an_effect(id="drag"), r"effect drag: id: is no id"),
+    "the beginning of an id": (an_effect(id="control.delay.mine"), r"control\.delay"),
+    "a record of another length": (
+        an_effect(stage=Stage.CONTROL, tape=lambda self, record, names, dt, p: record[..., 1:, :]),
+        r"tape: returns \(39, 4\); expected a record \(40, 4\)",
+    ),
+    "a record for one size alone": (
+        an_effect(stage=Stage.CONTROL, tape=lambda self, record, names, dt, p: record + p["k"] * torch.zeros(40, 4)),
+        r"tape: RuntimeError",
+    ),
+    "no answer to what can be tested": (
+        an_effect(untestable=classmethod(lambda cls, spec: spec.no_such_field)),
+        r"untestable and within: AttributeError",
+    ),
+}  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def library(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Effects that a test registers are gone after it."""
+    monkeypatch.setattr("rotorid_torch.effects.registry.EFFECTS", dict(registered()))
+
+
+def install(effect: type[Effect]) -> str:
+    registered()[effect.id] = effect
+    return effect.id
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_told_in_one_line_with_the_effect_s_id(mistake: str):
+    effect, said = MISTAKES[mistake]
+    with pytest.raises(InputError, match=said) as told:
+        refuse_faulty(
+            [install(effect), *(["control.delay"] if mistake.startswith("the beginning") else [])], HELICOPTER
+        )
+    assert "\n" not in str(told.value)
+    assert str(told.value).startswith("effect ")
+
+
+@pytest.mark.parametrize("effect", [*OWN, an_effect()])
+@pytest.mark.parametrize("spec", [HELICOPTER, MULTIROTOR])
+def test_effects_without_a_mistake_pass(effect: type[Effect], spec: Any):
+    if effect is OWN[1] and spec is MULTIROTOR:
+        pytest.skip("it reads the lateral stick")
+    refuse_faulty([install(effect)], spec)
+
+
+@pytest.mark.parametrize("name", [n for n, e in sorted(registered().items()) if e.role is not Role.LEARNT])
+def test_the_library_s_own_pass(name: str):
+    """The rules are none that physics cannot keep."""
+    refuse_faulty([name], example(registered()[name]))
+
+
+@pytest.mark.parametrize("command", ["identify", "close_loop"])
+def test_a_signal_that_this_vehicle_lacks_is_told_before_any_work(command: str, monkeypatch: pytest.MonkeyPatch):
+    """Flapping is measured on the example vehicle, and not here."""
+    monkeypatch.setattr("rotorid_torch.run.pipeline.step1.reconstruct", lambda *_: pytest.fail("step 1 was begun"))
+    name = install(an_effect(reading("a1")))
+    dataset = Dataset.from_arrays({"f": small_flight()}, identify=["f"])
+    begin = partial(pipeline.identify, effects=[name]) if command == "identify" else closing.close_loop
+    with pytest.raises(InputError, match=r"effect my\.effect: forward: asks for 'a1'"):
+        begin(dataset)
+
+
+def test_a_package_that_cannot_be_imported_is_told_by_its_entry_point(monkeypatch: pytest.MonkeyPatch):
+    from importlib.metadata import EntryPoint
+
+    point = EntryPoint("my-effects", "no_such_module_of_mine", "rotorid_torch.effects")
+    monkeypatch.setattr("rotorid_torch.effects.registry.entry_points", lambda group: [point])
+    import rotorid_torch.effects.registry as registry
+
+    registry._import.cache_clear()
+    try:
+        with pytest.raises(InputError, match="effects of my-effects: no_such_module_of_mine: cannot be loaded"):
+            registered()
+    finally:
+        monkeypatch.undo()
+        registry._import.cache_clear()
+        registered()
+
+
+def test_nothing_is_left_of_the_trial(monkeypatch: pytest.MonkeyPatch):
+    before = np.random.get_state()[1].copy(), torch.random.get_rng_state()  # noqa: NPY002
+    refuse_faulty([install(an_effect())], HELICOPTER)
+    assert np.array_equal(before[0], np.random.get_state()[1])  # noqa: NPY002
+    assert torch.equal(before[1], torch.random.get_rng_state())
+    assert set(EFFECTS) >= {"control.delay"}
