@@ -74,28 +74,28 @@ def cases(args: Args) -> list[Case]:
     """All cases that are asked for and can be run, in their order."""
     if args.quick:
         return [Case(Half.TUNING, Kind.QUICK)]
-    made = [case for case in shared_cases() if case.half in args.half and case.dataset in args.sets]
-    made = [case for case in made if (args.data / case.dataset / "dataset.toml").exists()]
+    selected = [case for case in shared_cases() if case.half in args.half and case.dataset in args.sets]
+    selected = [case for case in selected if (args.data / case.dataset / "dataset.toml").exists()]
     for half in (half for half in args.half if half in SEEDS):
-        made += drawn_cases(half, args.aircraft, args.clean, args.rounds)
-    return [case for case in made if not args.only or case.kind in args.only]
+        selected += drawn_cases(half, args.aircraft, args.clean, args.rounds)
+    return [case for case in selected if not args.only or case.kind in args.only]
 
 
 def study(args: Args) -> int:
     """Run the cases that have no line of this version; returns how many."""
-    done = {line["case"] for line in read_lines(args.record)}
-    left = list(islice((case for case in cases(args) if key(case) not in done), args.most))
+    recorded = {line["case"] for line in read_lines(args.record)}
+    remaining = list(islice((case for case in cases(args) if key(case) not in recorded), args.most))
     os.environ.setdefault("ROTORID_CACHE", str((args.out / "cache" / version()).resolve()))
     Path(os.environ["ROTORID_CACHE"]).mkdir(parents=True, exist_ok=True)
     aircraft = args.out / "aircraft"
     aircraft.mkdir(parents=True, exist_ok=True)
     args.record.parent.mkdir(parents=True, exist_ok=True)
-    for half, number in dict.fromkeys((case.half, case.aircraft) for case in left if not case.dataset):
+    for half, number in dict.fromkeys((case.half, case.aircraft) for case in remaining if not case.dataset):
         draw(number, SEEDS[half], aircraft)
     writer = SummaryWriter(str(args.out / "tensorboard"))
     writer.add_text("settings", json.dumps(asdict(args), default=str))
-    given = [(case, args.data, aircraft) for case in left]
-    runs = keep(lines_of(run_case, given, args.jobs), args.record, len(given), writer)
+    arguments = [(case, args.data, aircraft) for case in remaining]
+    runs = keep(lines_of(run_case, arguments, args.jobs), args.record, len(arguments), writer)
     writer.close()
     return runs
 

@@ -59,7 +59,7 @@ TINY_SECONDS = 4.0
 
 @dataclass(frozen=True)
 class Answer:
-    """What a right verdict on a set of other people names; `hidden` is None where the description does not tell.
+    """What a right verdict on a set of other people names; `hidden` is None where the description does not state it.
 
     `also` : names that the description backs as well, which are neither asked for nor wrong. `true` : sizes by name.
     """
@@ -100,7 +100,7 @@ CLEAN_SETS = tuple(name for name, answer in ANSWERS.items() if answer.hidden == 
 class Case:
     """One closed loop.
 
-    `hidden` : effects and causes, none for a clean aircraft; None where nobody told. `size` : factor of the typical
+    `hidden` : effects and causes, none for a clean aircraft; None where the description does not state them. `size` : factor of the typical
     size. `aircraft` : number of the drawn aircraft. `dataset` : name of the set of other people. `repeat` : of noise.
     """
 
@@ -115,7 +115,7 @@ class Case:
     @property
     def key(self) -> str:
         """What makes the case another one."""
-        hidden = "not told" if self.hidden is None else "+".join(self.hidden) or "nothing"
+        hidden = "not stated" if self.hidden is None else "+".join(self.hidden) or "nothing"
         vehicle = self.dataset or f"aircraft {self.aircraft}"
         return f"{self.half} {self.kind} {vehicle} {hidden} x{self.size:g} #{self.repeat}"
 
@@ -190,8 +190,8 @@ def flights_of(case: Case, shared: Path, aircraft: Path, folder: Path) -> Flown:
     true = dict(ANSWERS[case.dataset].true)
     if case.kind is Kind.SHARED or case.hidden == ANSWERS[case.dataset].hidden:
         return Flown(dataset, true)
-    made = hidden_in_records.CAUSES[(case.hidden or ("",))[0]](dataset)
-    return Flown(made.dataset, made.true)
+    altered = hidden_in_records.CAUSES[(case.hidden or ("",))[0]](dataset)
+    return Flown(altered.dataset, altered.true)
 
 
 def _flown(case: Case, aircraft: Path, folder: Path) -> Flown:

@@ -64,26 +64,26 @@ def run_case(case: Case, shared: Path, aircraft: Path) -> dict:
     """
     torch.set_num_threads(1)
     hidden = None if case.hidden is None else list(case.hidden)
-    line = {"case": key(case), "code": version(), "git": described(), "half": case.half, "kind": case.kind}
+    line = {"case": key(case), "code": version(), "git": commit(), "half": case.half, "kind": case.kind}
     line |= {"hidden": hidden, "also": list(case.also), "size": case.size, "aircraft": case.aircraft}
     line |= {"dataset": case.dataset, "seed": None if case.dataset else case.seed}
-    kept, began, used = _kept(), time.perf_counter(), _processor_seconds()
+    cached, began, used = _cached_files(), time.perf_counter(), _processor_seconds()
     try:
         with tempfile.TemporaryDirectory() as folder, library_without(removed_by(case)):
             flown = flights_of(case, shared, aircraft, Path(folder))
             line |= {"flights": flown.dataset.sha256[:8]}
             began, used = time.perf_counter(), _processor_seconds()
             loop = rotorid.close_loop(flown.dataset)
-        line |= said(loop, flown.true)
+        line |= summary(loop, flown.true)
         if set(line["named"]) & set(removed_by(case)):
             line |= {"failed": "this version names what is not in its library"}
     except Exception as error:
         line |= failure(error)
     line |= {"seconds": round(time.perf_counter() - began, 1), "cpu_s": round(_processor_seconds() - used, 1)}
-    return line | {"cold": _kept() > kept}
+    return line | {"cold": _cached_files() > cached}
 
 
-def said(loop: rotorid.Loop, true: Mapping[str, float]) -> dict:
+def summary(loop: rotorid.Loop, true: Mapping[str, float]) -> dict:
     """What a closed loop says, and how far named sizes are from the true ones."""
     verdict, before = loop.verdict, loop.before
     assert verdict is not None
@@ -114,17 +114,17 @@ def said(loop: rotorid.Loop, true: Mapping[str, float]) -> dict:
 
 def size(value: float | None, error: float | None, true: float | None) -> dict:
     """A size, its standard error, the true one where there is one, and whether the 95 % interval holds that."""
-    known = value is not None and error is not None and true is not None
+    complete = value is not None and error is not None and true is not None
     return {
         "value": _rounded(value),
         "se": _rounded(error),
         "true": _rounded(true),
-        "holds": abs(value - true) <= Z95 * error if known else None,
+        "holds": abs(value - true) <= Z95 * error if complete else None,
     }
 
 
 @cache
-def described() -> str:
+def commit() -> str:
     """The commit of the checkout that the package is loaded from, as `git describe` tells it."""
     root = Path(rotorid.__file__).parents[1]
     command = ["git", "-C", str(root), "describe", "--tags", "--always"]
@@ -140,6 +140,6 @@ def _processor_seconds() -> float:
     return sum(os.times()[:4])
 
 
-def _kept() -> int:
-    """Files in the folder of what is kept: a case that adds some had floors to find."""
+def _cached_files() -> int:
+    """Files in the folder of the cache: a case that adds some had floors to find."""
     return sum(1 for _ in Path(os.environ["ROTORID_CACHE"]).rglob("*"))

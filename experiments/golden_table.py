@@ -57,8 +57,8 @@ def golden_table(lines: Sequence[dict]) -> str:
     whole = [line for line in lines if "failed" not in line]
     columns = list(dict.fromkeys((line["half"], line["code"]) for line in lines))
     parts = [_rates(lines, columns)]
-    told = [line for line in whole if line["hidden"] is not None]
-    parts += [f"**{half}, {code}**\n\n{_confusion(_of(told, (half, code)))}" for half, code in columns]
+    answered = [line for line in whole if line["hidden"] is not None]
+    parts += [f"**{half}, {code}**\n\n{_confusion(_of(answered, (half, code)))}" for half, code in columns]
     sets = [line for line in lines if line["dataset"]]
     return "\n\n".join([*parts, _sets(sets)] if sets else parts)
 
@@ -78,14 +78,14 @@ def _rates(lines: Sequence[dict], columns: Sequence[Column]) -> str:
 def _column(lines: Sequence[dict]) -> dict[str, str]:
     """Answers to all questions, from the lines of one half and version."""
     whole = [line for line in lines if "failed" not in line]
-    told = [line for line in whole if line["hidden"] is not None and line["kind"] != Kind.QUICK]
+    answered = [line for line in whole if line["hidden"] is not None and line["kind"] != Kind.QUICK]
 
     def rate(these: Iterable[dict], hit: Callable[[dict], bool]) -> str:
         runs = list(these)
         return share(sum(map(hit, runs)), len(runs))
 
     def of(kind: Kind) -> list[dict]:
-        return [line for line in told if line["kind"] == kind]
+        return [line for line in answered if line["kind"] == kind]
 
     def of_class(kind: str, *sizes: float) -> list[dict]:
         return [e for e in of(Kind.EFFECT) if EFFECT_CLASSES[e["hidden"][0]] == kind and e["size"] in sizes]
@@ -96,9 +96,9 @@ def _column(lines: Sequence[dict]) -> dict[str, str]:
     def wrong(line: dict) -> bool:
         return outcome(line) == "false name"
 
-    outside = [line for line in told if line["hidden"] and line["hidden"][0] in CAUSES]
+    outside = [line for line in answered if line["hidden"] and line["hidden"][0] in CAUSES]
     records = [line for line in of(Kind.RECORDS) if line not in outside]
-    clean = [line for line in told if not line["hidden"]]
+    clean = [line for line in answered if not line["hidden"]]
     rows = {"nothing hidden: something is named or suspected": rate(clean, alarm)}
     for size in SIZES:
         rows[f"identifiable, size {size:g}: named, nothing false beside"] = rate(of_class("identifiable", size), named)
@@ -108,7 +108,7 @@ def _column(lines: Sequence[dict]) -> dict[str, str]:
     rows["outside causes: misnamed"] = rate(outside, wrong)
     rows["outside causes: localised"] = rate(outside, localised)
     rows["entry taken out of the library: misnamed"] = rate(of(Kind.REMOVED), wrong)
-    rows["all wrong names"] = rate(told, wrong)
+    rows["all wrong names"] = rate(answered, wrong)
     held = [s["holds"] for line in whole for s in line["sizes"].values() if s["holds"] is not None]
     rows["95 % intervals of named sizes that hold the truth"] = share(sum(held), len(held))
     for text, cold in (("floors to be found", True), ("floors kept", False)):
@@ -142,7 +142,7 @@ def _sets(lines: Sequence[dict]) -> str:
     """Each set of other people, one row for each version."""
     rows = []
     for line in sorted(lines, key=lambda e: (e["kind"] != Kind.SHARED, e["dataset"], e["kind"], e["hidden"] or ())):
-        hidden = "not told" if line["hidden"] is None else ", ".join(line["hidden"]) or "nothing"
+        hidden = "not stated" if line["hidden"] is None else ", ".join(line["hidden"]) or "nothing"
         head = (line["kind"], line["dataset"], hidden, line["code"])
         if "failed" in line:
             rows.append((*head, line["failed"], "", "", f"{line['seconds']:.0f}"))

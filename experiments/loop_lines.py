@@ -8,14 +8,6 @@ from functools import cache
 from pathlib import Path
 
 import rotorid_torch
-from rotorid_torch.run.closing import Loop
-
-
-def joined(loop: Loop, role: str) -> list[str]:
-    """Effects of a role that the loop added; what the nominal model has from the start is none."""
-    added = loop.tracing.structure if loop.tracing else ()
-    accepted = [e for e in loop.effects if e.role == role and e.verdict == "accepted"]
-    return [e.id for e in accepted if role != "structure" or e.id in added]
 
 
 def failure(error: Exception) -> dict:

@@ -21,7 +21,8 @@ from pathlib import Path
 import numpy as np
 import torch
 import tyro
-from loop_lines import failure, joined, read_lines
+from golden_lines import summary
+from loop_lines import failure, read_lines
 from loop_runs import over_sets, sets_left
 from loop_tables import markdown, write_between
 from scipy.signal import butter, sosfiltfilt
@@ -248,12 +249,10 @@ def _effects(
         loop = rotorid.close_loop(data, seed=seed)
     except (ValueError, RuntimeError) as error:
         return tuple(fallback), f"given, for the closed loop failed ({type(error).__name__})", None
-    assert loop.verdict is not None
-    named = [*joined(loop, "undeclared"), *joined(loop, "structure")]
-    members = [e for e in loop.verdict.effects if loop.verdict.kind == "group" and e not in named]
-    effects = (*named, *members[:1])
-    told = f"{loop.verdict.kind} of {' or '.join(members)}" if members else loop.verdict.kind
-    return effects, f"closed loop ({told})", loop if any(e.startswith("sensors.") for e in effects) else None
+    line = summary(loop, {})
+    effects = (*line["named"], *line["structure"], *line["group"][:1])
+    source = f"{line['verdict']} of {' or '.join(line['group'])}" if line["group"] else line["verdict"]
+    return effects, f"closed loop ({source})", loop if any(e.startswith("sensors.") for e in effects) else None
 
 
 def table(lines: Sequence[dict]) -> str:

@@ -57,9 +57,9 @@ def test_halves_share_no_aircraft_and_no_noise_and_hide_everything_in_each_round
     halves = [list(module.drawn_cases(half, 20, 100, 2)) for half in module.SEEDS]
     assert len(set(module.SEEDS.values())) == 2
     assert {c.seed for c in halves[0]}.isdisjoint(c.seed for c in halves[1])
-    for made in halves:
-        assert len({c.key for c in made}) == len(made)
-        clean, first = [c for c in made if not c.hidden], [c for c in made if c.hidden][: (len(made) - 100) // 2]
+    for cases in halves:
+        assert len({c.key for c in cases}) == len(cases)
+        clean, first = [c for c in cases if not c.hidden], [c for c in cases if c.hidden][: (len(cases) - 100) // 2]
         assert len(clean) == 100
         assert len({c.aircraft for c in clean[:20]}) == 20
         singles = [(c.kind, *c.hidden, c.size) for c in first if c.kind in ("effect", "removed")]
@@ -74,8 +74,8 @@ def test_cases_of_sets_that_are_not_there_are_left_out(tmp_path: Path) -> None:
     module = golden()
     (tmp_path / "uh60-delay").mkdir()
     (tmp_path / "uh60-delay" / "dataset.toml").touch()
-    made = module.cases(module.Args(data=tmp_path, half=(module.Half.SHARED,)))
-    assert [(c.kind, c.hidden) for c in made] == [("shared", ("control.delay",)), ("removed", ("control.delay",))]
+    cases = module.cases(module.Args(data=tmp_path, half=(module.Half.SHARED,)))
+    assert [(c.kind, c.hidden) for c in cases] == [("shared", ("control.delay",)), ("removed", ("control.delay",))]
     only = module.cases(module.Args(data=tmp_path, only=(module.Kind.CLEAN,), clean=3))
     assert [c.kind for c in only] == ["clean"] * 3
 
@@ -144,18 +144,18 @@ def test_tables_set_versions_side_by_side() -> None:
     text = import_module("golden_table").golden_table(lines)
     head, _, *rows = (row.strip("| ").split(" | ") for row in text.split("\n\n")[0].splitlines())
     assert head == ["what", "tuning, v1 (c0de)", "shared, v2 (other)"]
-    told = {what: cell for what, cell, _ in rows}
-    assert told["nothing hidden: something is named or suspected"].startswith("2 of 5")
-    assert told["identifiable, size 1: named, nothing false beside"] == "1 of 2 (50 %; 9 to 91 %)"
-    assert told["identifiable, size 0.5: named, nothing false beside"] == "no runs"
-    assert told["absorbed: misnamed"].startswith("1 of 1")
-    assert told["entry taken out of the library: misnamed"].startswith("1 of 1")
-    assert told["all wrong names"].startswith("3 of 9")
-    assert told["95 % intervals of named sizes that hold the truth"].startswith("1 of 2")
-    assert told["seconds of a case (of its processors), floors to be found: median"] == "60 (30), 1 runs"
-    assert told["ended with an error"] == "1"
+    rates = {what: cell for what, cell, _ in rows}
+    assert rates["nothing hidden: something is named or suspected"].startswith("2 of 5")
+    assert rates["identifiable, size 1: named, nothing false beside"] == "1 of 2 (50 %; 9 to 91 %)"
+    assert rates["identifiable, size 0.5: named, nothing false beside"] == "no runs"
+    assert rates["absorbed: misnamed"].startswith("1 of 1")
+    assert rates["entry taken out of the library: misnamed"].startswith("1 of 1")
+    assert rates["all wrong names"].startswith("3 of 9")
+    assert rates["95 % intervals of named sizes that hold the truth"].startswith("1 of 2")
+    assert rates["seconds of a case (of its processors), floors to be found: median"] == "60 (30), 1 runs"
+    assert rates["ended with an error"] == "1"
     assert "| effect | control.delay | 1 | 1 named, 1 false name | control.lag 1 | 60 (30), 2 runs |" in text
-    assert "| shared | uh60-x1 | not told | other | Nothing. | 0.200 → 0.200 |  →  | 60 |" in text
+    assert "| shared | uh60-x1 | not stated | other | Nothing. | 0.200 → 0.200 |  →  | 60 |" in text
 
 
 def test_a_study_continues_where_it_stopped(
@@ -177,8 +177,8 @@ def test_a_study_continues_where_it_stopped(
         file.write('{"case": "half a li')  # as a killed run leaves it
     module.main(dataclasses.replace(args))
     module.main(dataclasses.replace(args))
-    told = [json.loads(text) for text in capsys.readouterr().out.splitlines()]
-    assert [(t["runs"], t["lines"]) for t in told] == [(2, 2), (1, 3), (0, 3)]
+    results = [json.loads(text) for text in capsys.readouterr().out.splitlines()]
+    assert [(t["runs"], t["lines"]) for t in results] == [(2, 2), (1, 3), (0, 3)]
     assert len(set(calls)) == len(calls) == 3
     monkeypatch.setattr(import_module("golden_lines"), "version", lambda: "another")
     module.main(dataclasses.replace(args))
@@ -216,16 +216,16 @@ def test_an_error_is_a_line_of_the_record(tmp_path: Path, monkeypatch: pytest.Mo
     module, cases = import_module("golden_lines"), import_module("golden_cases")
     monkeypatch.setenv("ROTORID_CACHE", str(tmp_path))
     case = cases.Case(cases.Half.SHARED, cases.Kind.SHARED, dataset="uh60-hover")
-    told = module.run_case(case, tmp_path / "none", tmp_path)
-    assert told["failed"].startswith("InputError")
-    assert told["case"] == module.key(case)
+    result = module.run_case(case, tmp_path / "none", tmp_path)
+    assert result["failed"].startswith("InputError")
+    assert result["case"] == module.key(case)
 
 
 def test_the_quick_case_is_closed_and_recorded(tmp_path: Path) -> None:
     record = tmp_path / "golden.jsonl"
     result = quick("golden", tmp_path, "--record", str(record), "--out", str(tmp_path / "study"))
     assert (result["runs"], result["lines"]) == (1, 1)
-    told = json.loads(record.read_text(encoding="utf-8"))
-    assert told["verdict"] in ("nothing undeclared", "structure")
-    assert told["J"]["after"]["identify"] < 0.2
-    assert told["cpu_s"] > 0.0
+    result = json.loads(record.read_text(encoding="utf-8"))
+    assert result["verdict"] in ("nothing undeclared", "structure")
+    assert result["J"]["after"]["identify"] < 0.2
+    assert result["cpu_s"] > 0.0
