@@ -100,8 +100,9 @@ CLEAN_SETS = tuple(name for name, answer in ANSWERS.items() if answer.hidden == 
 class Case:
     """One closed loop.
 
-    `hidden` : effects and causes, none for a clean aircraft; None where the description does not state them. `size` : factor of the typical
-    size. `aircraft` : number of the drawn aircraft. `dataset` : name of the set of other people. `repeat` : of noise.
+    `hidden` : effects and causes, none for a clean aircraft; None where the description does not state them.
+    `size` : factor of the typical size. `aircraft` : number of the drawn aircraft. `dataset` : name of the set of other
+    people. `repeat` : of noise.
     """
 
     half: Half
