@@ -223,7 +223,8 @@ def test_an_error_is_a_line_of_the_record(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_the_quick_case_is_closed_and_recorded(tmp_path: Path) -> None:
     record = tmp_path / "golden.jsonl"
-    result = quick("golden", tmp_path, "--record", str(record), "--out", str(tmp_path / "study"))
+    kinds = ("--half", "tuning", "judging", "--only", "quick", "clean")
+    result = quick("golden", tmp_path, *kinds, "--record", str(record), "--out", str(tmp_path / "study"))
     assert (result["runs"], result["lines"]) == (1, 1)
     result = json.loads(record.read_text(encoding="utf-8"))
     assert result["verdict"] in ("nothing undeclared", "structure")
