@@ -130,7 +130,8 @@ def identify(
 
     Parameters
     ----------
-    effects : ids of effects that join the model, such as "control.delay".
+    effects : ids of effects that join the model, such as "control.delay"; the report says whether each earned its
+        place.
     out : folder of the run; an earlier RUN there is replaced when the new one is whole.
     device : "cpu" or "cuda", where filter, smoother and step 3 run; in float64 on both.
     resume : go on from the last finished step of an interrupted run to `out`, if there is one.
@@ -180,7 +181,14 @@ def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps
     fit = fit_record(model, spec, estimate, judged)
     told = remarks_on(seen, spec, fit, reconstruction, regressions, estimate)
     report = _report("identify", seen, seed, monitor, fit, told)
-    return Run(model, spec, fit, report, reconstruction, regressions, estimate, judged.overlays)
+    run = Run(model, spec, fit, report, reconstruction, regressions, estimate, judged.overlays)
+    if not effects:
+        return run
+    from rotorid_torch.run.earned import with_evidence  # which is about runs
+
+    with monitor.step("trace"):
+        run = with_evidence(run, seen, effects, seed)
+    return replace(run, record=msgspec.structs.replace(run.record, time_s=monitor.time_record()))
 
 
 def remarks_on(

@@ -8,7 +8,7 @@ from rich.text import Text
 
 from rotorid_torch.run.records import FitRecord, Report
 from rotorid_torch.run.short_horizon import NAMES, short_horizon
-from rotorid_torch.run.summary import headline, list_summaries
+from rotorid_torch.run.summary import headline, list_summaries, place_of
 
 
 def scorecard(report: Report) -> RenderableType:
@@ -24,6 +24,8 @@ def scorecard(report: Report) -> RenderableType:
     parts.append(Text(headline(report)))
     if report.verdict:
         parts.append(Text(report.verdict.sentence))
+    else:
+        parts += [Text(f"{e.id} {place_of(e)}: {e.reason}") for e in report.effects]
     parts += [Text(f"warning: {warning}") for warning in report.warnings]
     return Group(*parts)
 

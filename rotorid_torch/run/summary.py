@@ -8,7 +8,15 @@ from dataclasses import dataclass
 from functools import partial
 
 from rotorid_torch.core import names
-from rotorid_torch.run.records import LISTS, ChannelRecord, FitRecord, FlightRecord, ParameterRecord, Report
+from rotorid_torch.run.records import (
+    LISTS,
+    ChannelRecord,
+    EffectRecord,
+    FitRecord,
+    FlightRecord,
+    ParameterRecord,
+    Report,
+)
 from rotorid_torch.run.short_horizon import NAMES, explained, short_horizon
 
 # Shares of the motion explained, from which on a model is called so.
@@ -90,6 +98,14 @@ def headline(report: Report) -> str:
         f"On the {best_known.name} flights, which it has not seen, the model explains {100 * share:.0f} % of the motion"
         f" over 8 s from the controls alone ({grade})."
     )
+
+
+def place_of(effect: EffectRecord) -> str:
+    """Whether an effect that was asked for earned its place, in words."""
+    if effect.verdict == "accepted":
+        return "earns its place"
+    unknown = effect.verdict in ("not testable", "indistinguishable")
+    return "cannot be told from a model without it" if unknown else "does not earn its place"
 
 
 def failing(fit: FitRecord) -> str:

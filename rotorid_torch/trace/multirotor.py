@@ -26,7 +26,7 @@ from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.model.rotors import beyond_belief
 from rotorid_torch.trace.balance import out_of_balance
-from rotorid_torch.trace.candidates import candidates, untried
+from rotorid_torch.trace.candidates import ELSEWHERE, NOT_IN_TRAJECTORIES, candidates, untried
 from rotorid_torch.trace.decide import SURE, at_edge
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.floor import family_wise
@@ -106,6 +106,30 @@ def trace_rotors(
     findings += [search.finding(final, e) for e in undeclared]
     told = tuple(centre if centre and f.id == centre.id else f for f in findings)
     return Tracing(null, final, (), tuple(search.accepted), search.groups, told, (note, *untried(dataset)), missing)
+
+
+def rotors_earned(
+    whole: Identified, dataset: Dataset, fit: Fit, effects: Sequence[str], seed: int = 0
+) -> list[Finding]:
+    """A finding for each of these effects of a multirotor's model: whether it earns its place beside the others.
+
+    whole : the model with all of them. fit, seed : as in `trace_rotors`.
+    """
+    search, found = _Search(dataset, fit, lambda line: None, seed), []
+    for effect in effects:
+        role = registered()[effect].role.value
+        if registered()[effect].showing in ELSEWHERE:
+            found.append(Finding(effect, role, "not testable", NOT_IN_TRAJECTORIES))
+            continue
+        without = fit(whole.spec.without([effect]))
+        search.rows = believed([without, whole])
+        floor = search.floors(without, {effect: whole})[effect]
+        why = None if search.stands(without, whole, effect, floor) else search.reasons[effect][0]
+        gained = search.gain_of[effect]
+        verdict = "accepted" if why is None else "rejected" if gained > floor else "below floor"
+        said = why or "accelerations of flights that no fit has seen are better described with it"
+        found.append(Finding(effect, role, verdict, said, gained, floor, values=_errors(whole, effect)))
+    return found
 
 
 def believed(models: Sequence[Identified]) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from rich.console import Console
 
 import rotorid_torch as rotorid
 from rotorid_torch.data import Dataset, load
@@ -19,6 +21,7 @@ from rotorid_torch.model.save import save as save_model
 from rotorid_torch.run import pipeline, records
 from rotorid_torch.run.folder import refuse_unless_free
 from rotorid_torch.run.pipeline import Run, identify, simulate
+from rotorid_torch.run.scorecard import scorecard
 from tests.effects.own_effects import OwnDrag
 from tests.helpers import small_folder
 from tests.known_models import STICKS, flown, linear_vehicle, manoeuvres, rate_vehicle, with_values
@@ -238,6 +241,12 @@ def test_an_own_effect_goes_all_the_way(monkeypatch: pytest.MonkeyPatch, tmp_pat
         assert drag.se is not None
         assert abs(drag.value - value) < 3.5 * drag.se
         assert drag.value > 3.0 * drag.se
+    record = records.read_report(tmp_path / "run").effects
+    assert [(e.id, e.role, e.verdict) for e in record] == [("own.drag", "undeclared", "accepted")]
+    assert {p.name for p in record[0].parameters} == {"own.drag.x", "own.drag.y", "own.drag.z"}
+    shown = io.StringIO()
+    Console(file=shown, width=200).print(scorecard(made.record))
+    assert "own.drag earns its place: flights that no fit has seen" in shown.getvalue()
     loaded, _ = load_model(tmp_path / "run" / "model.pt")
     assert loaded.effect("own.drag") is not None
     monkeypatch.delitem(EFFECTS, OwnDrag.id)
