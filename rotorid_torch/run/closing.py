@@ -35,6 +35,7 @@ from rotorid_torch.run.records import (
     Report,
     VerdictRecord,
 )
+from rotorid_torch.run.short_horizon import short_horizon
 from rotorid_torch.run.summary import failing
 from rotorid_torch.run.write import write_report
 from rotorid_torch.trace.clean import clean_floors
@@ -347,8 +348,8 @@ def _with_sensors(spec: ModelSpec, model: Model, sensors: Mapping[str, float]) -
 def _loop(before: Run, after: Run | None, findings: Sequence[Finding], monitor: Monitor, tracing: Tracing) -> Loop:
     run = after or before
     missing, poor = tracing.unknown, failing(run.fit)
-    if missing is not None and not (missing.judged or poor):  # any model of other people's aircraft lacks something
-        missing = None
+    if missing is not None and not missing.judged and (not poor or short_horizon(run.fit)):
+        missing = None  # any model of other people's aircraft lacks something
     told = statement([as_fitted(f, run) for f in findings], missing, poor)
     record = Report(
         command="close-loop",

@@ -17,7 +17,7 @@ from rotorid_torch.run.records import (
     ParameterRecord,
     Report,
 )
-from rotorid_torch.run.short_horizon import NAMES, explained, short_horizon
+from rotorid_torch.run.short_horizon import NAMES, ShortHorizon, explained, short_horizon
 
 # Shares of the motion explained, from which on a model is called so.
 GOOD, USABLE = 0.90, 0.70
@@ -27,6 +27,8 @@ RESOLVED_S = 0.02
 """Interval of the records that trajectories are fitted to: what is faster acts at once there."""
 MOSTLY = 0.7
 """R² of a response below which something is missing from the model."""
+DECIDING = ("validate", "acid", "identify")
+"""Lists of flights in the order in which they say whether a model is of use: unseen before fitted."""
 SHOWN = 12
 """Flights of each list that pictures and tables of channels show; scores are those of all."""
 THEIL_PARTS = (
@@ -109,13 +111,34 @@ def place_of(effect: EffectRecord) -> str:
 
 
 def failing(fit: FitRecord) -> str:
-    """How badly a model does on the flights that decide; nothing where it is of use, or no free run tells."""
-    unseen = [] if short_horizon(fit) else _unseen(fit)
-    share = unseen[0].explained if unseen else None
-    if share is None or share >= USABLE:
+    """How badly a model does on the flights that decide; empty where it is of use, or no flight is scored.
+
+    Those are the flights that no fit has seen, validate before acid; without any, the flights that were fitted.
+    """
+    ahead = {found.name: found for found in short_horizon(fit)}
+    if ahead:
+        return _failing_ahead(next(ahead[name] for name in DECIDING if name in ahead))
+    scored = {s.name: s for s in list_summaries(fit) if s.explained is not None and math.isfinite(s.explained)}
+    found = next((scored[name] for name in DECIDING if name in scored), None)
+    share = None if found is None else found.explained
+    if found is None or share is None or share >= USABLE:
         return ""
     how = WORSE_THAN_TRIM if share < 0.0 else f"good for {100.0 * share:.0f} % of the motion alone"
-    return f"on the {unseen[0].name} flights the model is {how}"
+    return f"on the {found.name} flights the model is {how}"
+
+
+def _failing_ahead(found: ShortHorizon) -> str:
+    """The same for a multirotor: predictions over the longest time, then the mean R² of the accelerations."""
+    last = max((p.seconds for p in found.predictions), default=0.0)
+    worse = [p.quantity for p in found.predictions if p.seconds == last and p.error > p.held]
+    if worse:
+        return f"on the {found.name} flights the model predicts {_listed(worse)} worse than holding what was measured"
+    known = [r2 for name, r2 in found.responses.items() if not name.startswith("omega") and math.isfinite(r2)]
+    mean = sum(known) / len(known) if known else 1.0
+    if mean >= MOSTLY:
+        return ""
+    share = f"{100.0 * max(mean, 0.0):.0f} % of the accelerations alone (mean R² at measured states)"
+    return f"on the {found.name} flights the model explains {share}"
 
 
 def _unseen(fit: FitRecord) -> list[ListSummary]:

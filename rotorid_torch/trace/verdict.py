@@ -10,6 +10,9 @@ from rotorid_torch.trace.finding import Finding, Kind, Unknown
 MOST = 3
 """Sizes of one effect in a sentence, those that are surest."""
 
+NAMELESS = "Something is missing from it that no effect which was tested explains"
+"""In place of "nothing undeclared" where the model fails."""
+
 
 @dataclass(frozen=True)
 class Statement:
@@ -24,21 +27,20 @@ def statement(findings: Sequence[Finding], unknown: Unknown | None, failing: str
     """What the findings come to.
 
     An effect is named where it is accepted; a group where only its members fit and the data cannot tell which.
-    failing : how badly the model does, where it does: then nothing found does not say that nothing is missing.
+    failing : how badly the model does, where it does: said first, and nothing found is no clean bill then.
     """
-    said = _stated(findings, unknown)
-    if failing and said.kind in ("nothing undeclared", "structure"):
-        doubt = f"That does not say that nothing is missing: {failing}."
-        said = replace(said, sentence=f"{said.sentence} {doubt}")
-    elif failing and unknown is not None and not unknown.judged:
-        said = replace(said, sentence=f"{said.sentence} But {failing}.")
-    if not any(f.role == "learnt" and f.verdict == "accepted" for f in findings):
-        return said
-    return replace(said, sentence=f"{said.sentence} A network takes what is left; it is no name for it.")
+    said = _stated(findings, unknown, bool(failing))
+    network = any(f.role == "learnt" and f.verdict == "accepted" for f in findings)
+    parts = [
+        f"{failing[:1].upper()}{failing[1:]}." if failing else "",
+        said.sentence,
+        "A network takes what is left; it is no name for it." if network else "",
+    ]
+    return replace(said, sentence=" ".join(part for part in parts if part))
 
 
-def _stated(findings: Sequence[Finding], unknown: Unknown | None) -> Statement:
-    """The same without a network: it is no undeclared effect."""
+def _stated(findings: Sequence[Finding], unknown: Unknown | None, failing: bool) -> Statement:
+    """The same without the model's failure and without a network, which is no undeclared effect."""
     named = [f for f in findings if f.role == "undeclared" and f.verdict == "accepted"]
     grouped = [f for f in findings if f.role == "undeclared" and f.verdict == "indistinguishable" and f.values]
     structure = [f for f in findings if f.role == "structure" and f.verdict == "accepted" and not f.part]
@@ -53,12 +55,13 @@ def _stated(findings: Sequence[Finding], unknown: Unknown | None) -> Statement:
         return Statement("undeclared", tuple(f.id for f in named), f"Undeclared: {_listed(named)}.{more}")
     if unknown:
         return Statement("unknown", (), unknown.sentence)
+    nothing = NAMELESS if failing else "Nothing undeclared was found"
     if structure:
-        said = f"Nothing undeclared was found; ordinary physics joins the model: {_listed(structure)}."
+        said = f"{nothing}; ordinary physics joins the model: {_listed(structure)}."
         return Statement("structure", tuple(f.id for f in structure), said)
     visible = [f for f in findings if f.smallest_visible is not None]
-    rest = f" ({len(visible)} effects were tested; the table tells how small each could have been seen)"
-    return Statement("nothing undeclared", (), f"Nothing undeclared was found{rest if visible else ''}.")
+    tested = f" ({len(visible)} effects were tested; the table tells how small each could have been seen)"
+    return Statement("nothing undeclared", (), f"{nothing}{tested if visible else ''}.")
 
 
 def _listed(findings: Sequence[Finding]) -> str:

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from rich.console import Console
 
 from rotorid_torch.run import figures, records, summary
@@ -124,6 +126,23 @@ def test_headline_grades_the_flights_not_seen(report: records.Report, fit: recor
 )
 def test_a_model_that_is_of_no_use_on_unseen_flights_is_told(fit: records.FitRecord, J: float, said: str):
     assert summary.failing(with_list(fit, J)) == said
+
+
+@given(J=st.dictionaries(st.sampled_from(records.LISTS), st.floats(0.05, 30.0), min_size=1))
+def test_every_model_that_is_worse_than_trim_is_told_by_the_list_that_decides(J: dict[str, float]):
+    """Of lists whose noise alone scores 0.05, and held trim 1."""
+    windows = records.WindowsRecord(median=None, p10=None, p90=None)
+    flights = {
+        name: records.FlightRecord(list=name, J=value, J_noise=0.05, J_trim=1.0, windows=windows, channels={})
+        for name, value in J.items()
+    }
+    scores = records.ScoresRecord(**{name: J.get(name) for name in records.LISTS})
+    made = records.FitRecord(parameters=(), modes=(), flights=flights, scores=scores)
+    decides = next(name for name in ("validate", "acid", "identify") if name in J)
+    said, explained = summary.failing(made), 1.0 - (J[decides] ** 2 - 0.05**2) / (1.0 - 0.05**2)
+    assert bool(said) == (explained < summary.USABLE)
+    assert said == "" or said.startswith(f"on the {decides} flights")
+    assert ("worse than holding trim" in said) == (explained < 0.0)
 
 
 def test_next_steps_name_what_is_wrong(report: records.Report, fit: records.FitRecord):

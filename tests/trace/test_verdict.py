@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from rotorid_torch.trace.finding import Finding, Unknown
+from dataclasses import replace
+from typing import get_args
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rotorid_torch.trace.finding import Finding, Unknown, Verdict
 from rotorid_torch.trace.verdict import statement
 
 DELAY = Finding("control.delay", "undeclared", "accepted", "", values={"control.delay.common": (0.06, 0.004)})
@@ -12,6 +19,7 @@ GROUP = Finding(
 MEMBER = Finding("control.lag", "undeclared", "indistinguishable", "", group=("control.delay",))
 LAG_MODE = Finding("rotor.lead_lag", "structure", "accepted", "")
 QUIET = Finding("forces.drag", "undeclared", "below floor", "", smallest_visible=(0.01, "1/m"))
+NETWORK = Finding("neural.forces", "learnt", "accepted", "")
 MISSING = Unknown("L", (0.2, 2.0), "p", 6.0, "Something is missing in L.")
 
 
@@ -61,14 +69,30 @@ def test_nothing_points_at_the_list_of_what_could_have_been_seen():
     assert "1 effects were tested" in told.sentence or "1 effect" in told.sentence
 
 
-def test_nothing_found_is_no_clean_bill_where_the_model_fails():
-    poor = "on the validate flights the model is worse than holding trim"
-    for findings in ([QUIET], [LAG_MODE, QUIET]):
-        told = statement(findings, None, poor)
-        assert told.kind == statement(findings, None).kind
-        assert told.sentence.endswith(f"That does not say that nothing is missing: {poor}.")
-    for findings, unknown in (([DELAY], None), ([QUIET], MISSING)):
-        assert statement(findings, unknown, poor) == statement(findings, unknown)
+@pytest.mark.parametrize("verdict", get_args(Verdict))
+@given(
+    chosen=st.lists(st.sampled_from([DELAY, GROUP, MEMBER, LAG_MODE, QUIET, NETWORK]), unique_by=id),
+    unknown=st.sampled_from([None, MISSING, replace(MISSING, judged=False)]),
+    failing=st.sampled_from(["on the validate flights the model is worse than holding trim", "x", "Üble Flüge"]),
+)
+def test_a_model_that_fails_is_said_to_fail_first_and_no_clean_bill_follows(
+    verdict: Verdict, chosen: list[Finding], unknown: Unknown | None, failing: str
+):
+    findings = [*chosen, Finding("forces.drag", "undeclared", verdict, "")]
+    without, told = statement(findings, unknown), statement(findings, unknown, failing)
+    assert (told.kind, told.effects) == (without.kind, without.effects)
+    assert told.sentence.startswith(f"{failing[0].upper()}{failing[1:]}. ")
+    assert "nothing undeclared" not in told.sentence.lower()
+    said = told.sentence.removeprefix(f"{failing[0].upper()}{failing[1:]}. ")
+    if without.kind in ("nothing undeclared", "structure"):
+        assert "Something is missing" in said
+    else:
+        assert said == without.sentence
+    assert all(effect in said for effect in told.effects)
+
+
+def test_a_model_of_use_is_not_said_to_lack_anything():
+    assert "missing" not in statement([LAG_MODE, QUIET], None).sentence
 
 
 def test_a_network_that_stays_is_told_and_changes_no_verdict():
