@@ -5,7 +5,7 @@ Only inertial motion over ground enters: wind and gusts act on the aircraft, but
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -46,11 +46,13 @@ def usable(channels: Collection[str]) -> tuple[str, ...]:
     return tuple(name for name, needs in EQUATIONS.items() if set(needs) <= set(channels))
 
 
-def sides(x: Mapping[str, Array], equations: Collection[str], gravity: float, arm: Array) -> tuple[Array, Array]:
-    """Both sides of d(left)/dt = right, (E, ...) each, for channels (...) without error.
+def sides(
+    x: Mapping[str, Array], equations: Collection[str], gravity: float, arm: Sequence[Array | float]
+) -> tuple[list[Array], list[Array]]:
+    """Both sides of d(left)/dt = right of each equation, (...) each, for channels (...) without error.
 
     The velocity that is differentiated is that of the IMU, at `arm` (3) m from the centre of gravity: its rate needs
-    no angular acceleration.
+    no angular acceleration. Channels and arm may have leading dimensions of their own, which broadcast.
 
     Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 3.20, 3.24, 3.35, 10.11.
     """
@@ -67,7 +69,7 @@ def sides(x: Mapping[str, Array], equations: Collection[str], gravity: float, ar
         if wanted & set(POSITIONS):
             right |= _travelling(x, tilt)
     order = [name for name in EQUATIONS if name in wanted]
-    return np.stack([left[name] for name in order]), np.stack([right[name] for name in order])
+    return [left[name] for name in order], [right[name] for name in order]
 
 
 class _Tilt(NamedTuple):
@@ -88,7 +90,7 @@ def _turning(x: Mapping[str, Array], tilt: _Tilt) -> dict[str, Array]:
 
 
 def _moving(
-    x: Mapping[str, Array], tilt: _Tilt, wanted: Collection[str], gravity: float, arm: Array
+    x: Mapping[str, Array], tilt: _Tilt, wanted: Collection[str], gravity: float, arm: Sequence[Array | float]
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """Velocity of the IMU over ground, and its rate."""
     p, q, r = x["p"], x["q"], x["r"]
@@ -114,11 +116,11 @@ def _travelling(x: Mapping[str, Array], tilt: _Tilt) -> dict[str, Array]:
     return rates
 
 
-def without_static_errors(readings: Mapping[str, Array], errors: Mapping[str, float]) -> dict[str, Array]:
+def without_static_errors(readings: Mapping[str, Array], errors: Mapping[str, Array | float]) -> dict[str, Array]:
     """Channels (...) less bias, scale and the IMU's misalignment; errors by name ("scale.q", "misalignment.x", ...).
 
     What a sensor reads is (1 + scale) times the truth plus the bias; an IMU turned by a small rotation vector e reads
-    R(e)' times the truth, to first order truth - e x truth.
+    R(e)' times the truth, to first order truth - e x truth. Errors are numbers, or arrays that broadcast with channels.
     """
     x = dict(readings)
     for name, value in errors.items():
@@ -129,30 +131,36 @@ def without_static_errors(readings: Mapping[str, Array], errors: Mapping[str, fl
         kind, _, channel = name.partition(".")
         if kind == "scale" and channel in x:
             x[channel] = x[channel] / (1.0 + value)
-    turn = np.array([errors.get(f"misalignment.{axis}", 0.0) for axis in "xyz"])
-    if turn.any():
-        matrix = rotation(turn)
+    turn = [errors.get(f"misalignment.{axis}", 0.0) for axis in "xyz"]
+    if any(np.any(part) for part in turn):
         for triad in (RATES, SPECIFIC_FORCES, tuple(f"{rate}dot" for rate in RATES)):
-            there = [name for name in triad if name in x]
-            if there:
-                missing = np.zeros_like(x[there[0]])
-                read = [x.get(name, missing) for name in triad]
-                turned = np.tensordot(matrix, np.stack(read), axes=1)
-                x |= {name: turned[triad.index(name)] for name in there}
+            present = [name for name in triad if name in x]
+            if present:
+                missing = np.zeros_like(x[present[0]])
+                turned = rotated([x.get(name, missing) for name in triad], turn)
+                x |= {name: turned[triad.index(name)] for name in present}
     return x
 
 
-def rotation(vector: Array) -> Array:
-    """Matrix (3, 3) of the rotation by a vector (3), rad.
+def rotated(values: Sequence[Array], vector: Sequence[Array | float]) -> list[Array]:
+    """Components (3) of a vector turned by a rotation vector (3), rad; v + a e x v + b e x (e x v).
 
     Source: Rodrigues' formula; Stevens and Lewis, Aircraft Control and Simulation, 3rd ed., eq. 1.2-12.
     """
-    x, y, z = vector
-    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    angle = float(np.linalg.norm(vector))
-    return np.eye(3) + np.sinc(angle / np.pi) * skew + 0.5 * np.sinc(0.5 * angle / np.pi) ** 2 * skew @ skew
+    angle = np.sqrt(sum(np.square(part) for part in vector))
+    a, b = np.sinc(angle / np.pi), 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
+    across = _cross(vector, values)
+    twice = _cross(vector, across)
+    return [v + a * once + b * two for v, once, two in zip(values, across, twice, strict=True)]
+
+
+def _cross(a: Sequence[Array | float], b: Sequence[Array]) -> list[Array]:
+    return [a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)]
+
+
+_UNIT = {channel: unit for unit, members in UNITS.items() for channel in members}
 
 
 def unit_of(channel: str) -> str:
     """Unit (velocities, attitude, ...) that a channel belongs to; an empty string for none."""
-    return next((unit for unit, members in UNITS.items() if channel in members), "")
+    return _UNIT.get(channel, "")

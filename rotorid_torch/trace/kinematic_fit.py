@@ -22,6 +22,8 @@ from rotorid_torch.trace.kinematic_records import HIGHEST_HZ, Piece
 
 Array = np.ndarray
 Errors = Mapping[str, float]
+Several = Mapping[str, Array | float]
+"""Errors of several sets at once: arrays (sets) where the sets differ, numbers where they agree."""
 
 DRIFTING = (*RATES, *SPECIFIC_FORCES, "pdot", "qdot", "rdot")
 """Channels whose constant is free in every piece."""
@@ -45,9 +47,9 @@ class Setting:
     gravity: float
     imu: Array
 
-    def arm(self, errors: Errors) -> Array:
-        """Place of the IMU, lever-arm error included."""
-        return self.imu + np.array([errors.get(f"lever_arm.{axis}", 0.0) for axis in "xyz"])
+    def arm(self, errors: Several) -> list[Array | float]:
+        """Place of the IMU (3), lever-arm error included."""
+        return [own + errors.get(f"lever_arm.{axis}", 0.0) for own, axis in zip(self.imu.tolist(), "xyz", strict=True)]
 
 
 @dataclass(frozen=True)
@@ -77,16 +79,34 @@ def constant_columns(piece: Piece, setting: Setting, errors: Errors) -> tuple[tu
     """
     names = tuple(f"bias.{channel}" for channel in piece.channels if channel in DRIFTING)
     names += ("delay.positions",) if set(POSITIONS) & set(piece.channels) else ()
-    frequencies = _frequencies(piece)
-    base = residual(piece, setting, errors, frequencies)
-    columns = [_column(piece, setting, errors, name, base) for name in names]
-    return names, np.stack(columns, axis=-1) if columns else np.zeros((*base.shape, 0))
+    return names, _linearised(piece, setting, errors, names, _frequencies(piece))[1]
 
 
-def _column(piece: Piece, setting: Setting, errors: Errors, name: str, base: Array) -> Array:
-    step = STEPS[name.partition(".")[0]]
-    moved = {**errors, name: errors.get(name, 0.0) + step}
-    return (residual(piece, setting, moved, _frequencies(piece)) - base) / step
+def _linearised(
+    piece: Piece, setting: Setting, errors: Errors, names: Sequence[str], frequencies: Array
+) -> tuple[Array, Array]:
+    """The residual (harmonics, equations), and its columns by differences (harmonics, equations, names)."""
+    found = residual(piece, setting, _moved(errors, names), frequencies)
+    found = np.broadcast_to(found, (1 + len(names), *found.shape[-2:]))
+    return found[0], np.moveaxis((found[1:] - found[0]) / _steps(names)[:, None, None], 0, -1)
+
+
+def _steps(names: Sequence[str]) -> Array:
+    return np.array([STEPS[name.partition(".")[0]] for name in names])
+
+
+def _moved(errors: Errors, names: Sequence[str]) -> Several:
+    """The errors as they are, and with each of the names one step further."""
+    sets = [np.full(1 + len(names), errors.get(name, 0.0)) for name in names]
+    for i, (values, step) in enumerate(zip(sets, _steps(names), strict=True), 1):
+        values[i] += step
+    return {**errors, **dict(zip(names, sets, strict=True))}
+
+
+def _before(errors: Several, dimensions: int) -> Several:
+    """The errors with the sets before further dimensions."""
+    shape = (-1, *[1] * dimensions)
+    return {name: value if np.ndim(value) == 0 else np.reshape(value, shape) for name, value in errors.items()}
 
 
 def rows(
@@ -101,16 +121,15 @@ def rows(
     biases, held = constants
     frequencies = _frequencies(piece)
     raise_by = _raise(piece, frequencies, levels)
-    covariance = _covariance(piece, setting, errors, frequencies)
-    factor = raise_by[:, :, None] * np.linalg.cholesky(covariance)
+    noisy = [name for name in names if name.startswith(NOISY)]
+    covariance = _covariance(piece, setting, _moved(errors, noisy), frequencies)
+    covariance = np.broadcast_to(covariance, (1 + len(noisy), *covariance.shape[-3:]))
+    factor = raise_by[:, :, None] * np.linalg.cholesky(covariance[0])
     white = np.linalg.inv(factor)
-    base = residual(piece, setting, errors, frequencies)
-    towards = np.zeros(len(biases) + len(names))
-    for i, name in enumerate(names, len(biases)):
-        if name.startswith(NOISY):
-            towards[i] = _drawn(piece, setting, errors, name, covariance, white)
-    columns = [_column(piece, setting, errors, name, base) for name in names]
-    stack = np.concatenate([held, *(c[..., None] for c in columns), base[..., None]], axis=-1)
+    drawn = dict(zip(noisy, _drawn(covariance, white, _steps(noisy)), strict=True))
+    towards = np.array([*np.zeros(len(biases)), *(drawn.get(name, 0.0) for name in names)])
+    base, columns = _linearised(piece, setting, errors, names, frequencies)
+    stack = np.concatenate([held, columns, base[..., None]], axis=-1)
     real = _as_rows(white @ stack)
     nuisance = np.linalg.qr(_as_rows(white @ _nuisance(len(piece.equations), frequencies, piece)))[0]
     real -= nuisance @ (nuisance.T @ real)
@@ -120,16 +139,21 @@ def rows(
     return Rows(piece.flight, biases, matrix, left, towards, freedom, piece.equations, frequencies, factor)
 
 
-def residual(piece: Piece, setting: Setting, errors: Errors, frequencies: Array) -> Array:
-    """Left's rate less right at the harmonics, (harmonics, equations) complex, per square root of a sample."""
-    x = dict(zip(piece.channels, piece.on_time(errors), strict=True))
-    left, right = sides(without_static_errors(x, errors), piece.equations, setting.gravity, setting.arm(errors))
-    both = np.stack([left, right])
-    # one period: the last sample joins the first, which is the trapezoidal rule
-    period = both[..., :-1].copy()
-    period[..., 0] = 0.5 * (both[..., 0] + both[..., -1])
-    spectrum = np.fft.rfft(period)[..., : len(frequencies)] / np.sqrt(period.shape[-1])
-    return (2j * np.pi * frequencies * spectrum[0] - spectrum[1]).T
+def residual(piece: Piece, setting: Setting, errors: Several, frequencies: Array) -> Array:
+    """Left's rate less right at the harmonics, (..., harmonics, equations) complex, per square root of a sample."""
+    sets = _before(errors, 1)
+    x = without_static_errors(piece.on_time(errors), sets)
+    both = zip(*sides(x, piece.equations, setting.gravity, setting.arm(sets)), strict=True)
+    rate = 2j * np.pi * frequencies
+    parts = [rate * _spectrum(a, len(rate)) - _spectrum(b, len(rate)) for a, b in both]
+    return np.stack(np.broadcast_arrays(*parts), axis=-1)
+
+
+def _spectrum(record: Array, count: int) -> Array:
+    """Transform (..., count) of one period: the last sample joins the first, which is the trapezoidal rule."""
+    period = record[..., :-1].copy()
+    period[..., 0] = 0.5 * (record[..., 0] + record[..., -1])
+    return np.fft.rfft(period)[..., :count] / np.sqrt(period.shape[-1])
 
 
 def _frequencies(piece: Piece) -> Array:
@@ -155,38 +179,45 @@ def _as_rows(white: Array) -> Array:
     return np.concatenate([mean, rest.real, rest.imag])
 
 
-def _covariance(piece: Piece, setting: Setting, errors: Errors, frequencies: Array) -> Array:
-    """Covariance (harmonics, equations, equations) that the channels' noise gives the residual."""
+def _covariance(piece: Piece, setting: Setting, errors: Several, frequencies: Array) -> Array:
+    """Covariance (..., harmonics, equations, equations) that the channels' noise gives the residual."""
     places = np.linspace(0, piece.samples - 1, POINTS).astype(int)
     values = piece.readings[:, piece.margin + places]
     nudge = np.maximum(piece.noise, 1e-9)
     bent = np.repeat(values[:, None], len(piece.channels) + 1, axis=1)
     for i, by in enumerate(nudge):
         bent[i, i + 1] += by
-    x = without_static_errors(dict(zip(piece.channels, bent, strict=True)), errors)
-    both = np.stack(sides(x, piece.equations, setting.gravity, setting.arm(errors)))
-    # (2, channels, equations, instants), per standard deviation of each channel's noise
-    slope = np.moveaxis((both[:, :, 1:] - both[:, :, :1]) * (piece.noise / nudge)[:, None], 2, 1)
-    left, right = slope / np.sqrt(len(places))
+    sets = _before(errors, 2)
+    x = without_static_errors(dict(zip(piece.channels, bent, strict=True)), sets)
+    left, right = sides(x, piece.equations, setting.gravity, setting.arm(sets))
+    both = np.stack(np.broadcast_arrays(*left, *right), axis=-2)
+    # (..., channels, equations, instants) of either side, per standard deviation of each channel's noise
+    slope = (both[..., 1:, :, :] - both[..., :1, :, :]) * (piece.noise / nudge)[:, None, None] / np.sqrt(len(places))
+    left, right = np.split(slope, 2, axis=-2)
     omega = 2.0 * np.pi * frequencies
-    lag = np.array([errors.get(f"filter.{unit_of(channel)}", 0.0) for channel in piece.channels])
-    power = 1.0 + (omega[:, None] * lag) ** 2
+    lags = np.broadcast_arrays(*(errors.get(f"filter.{unit_of(channel)}", 0.0) for channel in piece.channels))
+    power = 1.0 + (omega[:, None] * np.stack(lags, axis=-1)[..., None, :]) ** 2
 
     def summed(a: Array, b: Array) -> Array:
-        return np.tensordot(power, a @ b.swapaxes(-1, -2), axes=1)
+        products = a @ b.swapaxes(-1, -2)
+        size = products.shape[-2:]
+        over = power @ products.reshape(*products.shape[:-2], -1)
+        return over.reshape(*over.shape[:-1], *size)
 
     mixed = summed(right, left)
     out = (omega**2)[:, None, None] * summed(left, left) + summed(right, right)
     return out + 1j * omega[:, None, None] * (mixed - mixed.swapaxes(-1, -2))
 
 
-def _drawn(piece: Piece, setting: Setting, errors: Errors, name: str, covariance: Array, white: Array) -> float:
-    """Gradient that noise alone has along one error: half the trace of covariance^-1 times its change, a datum."""
-    step = STEPS[name.partition(".")[0]]
-    moved = {**errors, name: errors.get(name, 0.0) + step}
-    change = (_covariance(piece, setting, moved, _frequencies(piece)) - covariance) / step
-    inside = np.einsum("kij,kjl,kil->k", white, change, white.conj()).real
-    return float(0.5 * inside[0] + inside[1:].sum())
+def _drawn(covariance: Array, white: Array, steps: Array) -> Array:
+    """Gradient that noise alone has along errors: half the trace of covariance^-1 times its change, a datum.
+
+    covariance : at the errors, and with each of them one step further.
+    """
+    inverse = white.conj().swapaxes(-1, -2) @ white
+    change = covariance[1:] - covariance[0]
+    inside = (change * inverse.swapaxes(-1, -2)).sum((-2, -1)).real / steps[:, None]
+    return 0.5 * inside[:, 0] + inside[:, 1:].sum(-1)
 
 
 def _raise(piece: Piece, frequencies: Array, levels: Levels) -> Array:

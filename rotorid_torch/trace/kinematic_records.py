@@ -51,15 +51,22 @@ class Piece:
         """Samples that are compared."""
         return self.readings.shape[1] - 2 * self.margin
 
-    def on_time(self, errors: Mapping[str, float]) -> Array:
-        """Readings (channels, N) with delays and lags taken out: x = y(t + delay) + lag dy/dt(t + delay)."""
-        out = np.empty((len(self.channels), self.samples))
-        for i, channel in enumerate(self.channels):
-            unit = unit_of(channel) or "positions"
-            delay, lag = errors.get(f"delay.{unit}", 0.0), errors.get(f"filter.{unit}", 0.0)
-            row = self.readings[i] + lag * self.slopes[i] if lag else self.readings[i]
-            out[i] = advanced(row, delay / self.dt, self.margin)
-        return out
+    def on_time(self, errors: Mapping[str, Array | float]) -> dict[str, Array]:
+        """Readings (N) of each channel with delays and lags taken out: x = y(t + delay) + lag dy/dt(t + delay).
+
+        Where its delay or lag is an array of several values, (values, N).
+        """
+        return {name: self._on_time(i, unit_of(name) or "positions", errors) for i, name in enumerate(self.channels)}
+
+    def _on_time(self, row: int, unit: str, errors: Mapping[str, Array | float]) -> Array:
+        clocks = np.broadcast_arrays(errors.get(f"delay.{unit}", 0.0), errors.get(f"filter.{unit}", 0.0))
+        each = list(zip(*(clock.reshape(-1).tolist() for clock in clocks), strict=True))
+        made = {clock: self._read(row, *clock) for clock in dict.fromkeys(each)}
+        return made[each[0]] if clocks[0].ndim == 0 else np.stack([made[clock] for clock in each])
+
+    def _read(self, row: int, delay: float, lag: float) -> Array:
+        values = self.readings[row] + lag * self.slopes[row] if lag else self.readings[row]
+        return advanced(values, delay / self.dt, self.margin)
 
 
 def advanced(row: Array, by: float, margin: int) -> Array:
@@ -69,7 +76,7 @@ def advanced(row: Array, by: float, margin: int) -> Array:
     if s == 0.0:
         return row[start : start + count]
     taps = (-s * (s - 1) * (s - 2), 3 * (s + 1) * (s - 1) * (s - 2), -3 * (s + 1) * s * (s - 2), (s + 1) * s * (s - 1))
-    return sum((tap / 6.0 * row[start + k : start + k + count] for k, tap in enumerate(taps, -1)), np.zeros(count))
+    return np.convolve(row[start - 1 : start + count + 2], np.array(taps[::-1]) / 6.0, mode="valid")
 
 
 def pieces(dataset: Dataset) -> list[Piece]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -48,6 +48,12 @@ class Point:
     gradient: Array
     cost: float
 
+    def among(self, errors: Errors, names: Sequence[str]) -> Point:
+        """The same point for some of its names; errors that differ by zeros."""
+        i = [self.names.index(name) for name in names]
+        parts = tuple(replace(p, matrix=p.matrix[np.ix_(i, i)], gradient=p.gradient[i]) for p in self.parts)
+        return Point(dict(errors), tuple(names), parts, self.matrix[np.ix_(i, i)], self.gradient[i], self.cost)
+
     def solve(self, free: Sequence[str]) -> tuple[Array, Array]:
         """Step to the least sum of squares in the errors named, and their covariance."""
         i = [self.names.index(name) for name in free]
@@ -75,21 +81,28 @@ class Point:
 class Search:
     """The pieces of a data set with the level of what is left in each equation and band.
 
-    The columns of the pieces' constants hardly depend on the errors: they are renewed when the levels are.
+    The columns of the pieces' constants hardly depend on the errors: they are renewed when the levels are. Until then
+    the same errors, which many fits begin from or end at, have the same normal equations: these are kept.
     """
 
     pieces: Sequence[Piece]
     setting: Setting
     levels: dict[str, Array] = field(default_factory=dict)
     constants: list[tuple[tuple[str, ...], Array]] = field(default_factory=list)
+    _points: dict[tuple[tuple[str, float], ...], Point] = field(default_factory=dict)
 
     def at(self, errors: Errors, names: Sequence[str]) -> Point:
         """Normal equations at these errors in the errors named."""
-        return _sum(errors, names, self._rows(errors, names))
+        key = tuple(sorted((name, value) for name, value in errors.items() if value))
+        known = self._points.get(key)
+        if known is None or not set(names) <= {*known.names}:
+            known = self._points[key] = _sum(errors, names, self._rows(errors, names))
+        return known.among(errors, names)
 
     def measure(self, errors: Errors, names: Sequence[str]) -> Point:
         """The same with levels taken from what all of the named errors together cannot explain."""
         self.constants = [constant_columns(piece, self.setting, errors) for piece in self.pieces]
+        self._points.clear()
         made = self._rows(errors, names)
         point = _sum(errors, names, made)
         step = point.solve(names)[0]
@@ -97,6 +110,7 @@ class Search:
         if all(np.array_equal(found[name], self.levels.get(name, np.ones_like(found[name]))) for name in found):
             return point
         self.levels = found
+        self._points.clear()
         return self.at(errors, names)
 
     def fit(self, errors: Errors, free: Sequence[str]) -> Point:
@@ -110,10 +124,10 @@ class Search:
             halvings = 0
             while trial.cost > point.cost + 1.0 and halvings < 4:
                 step, halvings = 0.5 * step, halvings + 1
-                trial = self.at(_stepped(point.errors, free, step), free)
+                trial = self.at(_stepped(point.errors, free, step), ())  # its cost is all that is asked for
             if trial.cost > point.cost + 1.0:
                 break
-            point, gained = trial, point.cost - trial.cost
+            gained, point = point.cost - trial.cost, trial if trial.names else self.at(trial.errors, free)
             if abs(gained) < SETTLED:
                 break
         return point
