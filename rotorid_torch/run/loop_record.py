@@ -54,6 +54,7 @@ def effect_record(finding: Finding, model: Model, told: Run) -> EffectRecord:
         reason=finding.reason,
         gain=finding.gain,
         floor=finding.floor,
+        p=finding.p,
         smallest_visible=None if visible is None else VisibleRecord(value=visible[0], unit=visible[1]),
         group=finding.group,
         parameters=tuple(_fitted(finding, told) or traced),

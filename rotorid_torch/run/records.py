@@ -156,6 +156,7 @@ class EffectRecord(Record, frozen=True, kw_only=True):
     reason: str
     gain: Number = None
     floor: Number = None
+    p: Number = None
     smallest_visible: VisibleRecord | None = None
     group: tuple[str, ...] = ()
     parameters: tuple[ParameterRecord, ...] = ()

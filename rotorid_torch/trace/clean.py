@@ -37,13 +37,14 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.gauss_newton import InfiniteCost
 from rotorid_torch.identification.reconstruct import reconstruct
 from rotorid_torch.identification.structure import propose
+from rotorid_torch.trace.calibration import flight_by_flight
 from rotorid_torch.trace.candidates import of_control_path
 from rotorid_torch.trace.decide import TIMES
-from rotorid_torch.trace.fits import Flights, control_by_control, refit
+from rotorid_torch.trace.fits import Flights, refit
 from rotorid_torch.trace.floor import Floors, Null
 from rotorid_torch.trace.forces import seen_in_forces
 from rotorid_torch.trace.residual import left_over, scan
-from rotorid_torch.trace.screen import Screen, screen
+from rotorid_torch.trace.screen import Screen, both_screens
 
 DRAWS = 24
 """Clean aircraft that are drawn: one of them may pass a floor that 5 % may pass."""
@@ -52,7 +53,7 @@ CHANCES = 4
 FEWEST = 20
 """Draws below which no quantile of 5 % is told."""
 WIND, TURNING = "environment.wind", ("q", "r", "phi", "theta")
-FORMAT = 2
+FORMAT = 3
 """Of what is cached."""
 NO_ROOM = 2
 """Exit code of a process that finds no room for temporary files."""
@@ -64,7 +65,7 @@ SAME = ("flapping", "flapping_doubtful", "patterns", "inflow", "cyclic_inflow", 
 """Structure that a drawn aircraft's model shares with the data's."""
 
 
-def gains_on(clean: Dataset, null: Null, effects: Sequence[str]) -> dict[str, dict[str, float]]:
+def gains_on(clean: Dataset, null: Null, effects: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Gain of each effect on a clean aircraft's flights, its model having the structure of the null.
 
     Beside it what those that are looked for in forces explain there, the weight in each equation of what looks most
@@ -77,10 +78,9 @@ def gains_on(clean: Dataset, null: Null, effects: Sequence[str]) -> dict[str, di
     own = msgspec.structs.replace(own, **{name: getattr(null.spec, name) for name in SAME})
     # an aircraft in the data's likeness lies near the data's values: from its own regression few fits find their end
     fitted = refit(own, Flights(flown, found), null.values, null.held)
-    screened = screen(fitted, effects, shuffles=CHANCES)
+    screened, apart = both_screens(fitted, effects, shuffles=CHANCES)
     traces = scan(left_over(fitted.model, flown, found, flown.identify))
     alone = of_control_path(effects)
-    apart = screen(control_by_control(fitted, alone), alone, shuffles=CHANCES)
     seen = seen_in_forces(fitted, (), effects, 0)
     return {
         "gains": _gains(screened, effects),
@@ -88,6 +88,7 @@ def gains_on(clean: Dataset, null: Null, effects: Sequence[str]) -> dict[str, di
         "sizes": {n: v for s in (screened, apart) for e in alone if e in TIMES for n, v in s.unbounded(e).items()},
         "forces": {e: one.gain for e, one in seen.items()},
         "traces": {key: t.weight for key, t in traces.items()},
+        "evidence": {k: d.tolist() for k, d in flight_by_flight(screened, apart).items()},
     }
 
 
@@ -143,7 +144,10 @@ def clean_floors(
         {key: torch.tensor([f[kind][key] for f in told], dtype=torch.float64) for key in told[0][kind]}
         for kind in ("gains", "traces", "forces", "each_control", "sizes")
     )
-    return Floors(gains, note, traces, forces, each_control, sizes)
+    evidence = {
+        key: torch.tensor([f["evidence"][key] for f in told], dtype=torch.float64) for key in told[0]["evidence"]
+    }
+    return Floors(gains, note, traces, forces, each_control, sizes, evidence)
 
 
 def _name(kept: str, number: int) -> str:

@@ -14,6 +14,8 @@ Kind = Literal["nothing undeclared", "undeclared", "group", "unknown", "structur
 class Finding:
     """One effect: verdict with its reason in words, gain and floor per sample, smallest size these flights show.
 
+    p : family-wise adjusted probability that flights with nothing missing show as much evidence; None where no clean
+        aircraft were drawn.
     values : parameters by full name with their standard errors, where it was fitted. part : of the model from the
         start that is this effect, where one is.
     """
@@ -28,6 +30,7 @@ class Finding:
     group: tuple[str, ...] = ()
     values: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     part: str = ""
+    p: float | None = None
 
 
 @dataclass(frozen=True)

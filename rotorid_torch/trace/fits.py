@@ -101,7 +101,14 @@ class Fitted:
     @cached_property
     def unseen(self) -> Residual:
         """The flights that decide, under this model."""
-        return _unseen(self)
+        problem, place = self.on_unseen
+        residual = torch.cat([part.residual for part in problem.parts(place)])
+        return Residual(tuple(self.flights.dataset.unseen), problem.segments.flight, residual)
+
+    @cached_property
+    def on_unseen(self) -> tuple[Likelihood, Place]:
+        """The likelihood of these flights' segments, and the place with the best initial states, parameters held."""
+        return _on_unseen(self)
 
     @cached_property
     def free_runs(self) -> Tensor:
@@ -186,7 +193,7 @@ def _followed(near: Fitted, model: Model, states: Tensor) -> Tensor:
     return states
 
 
-def _unseen(fitted: Fitted) -> Residual:
+def _on_unseen(fitted: Fitted) -> tuple[Likelihood, Place]:
     names = fitted.flights.dataset.unseen
     own = fitted.fit.likelihood
     theta = fitted.fit.theta
@@ -209,9 +216,7 @@ def _unseen(fitted: Fitted) -> Residual:
     )
     if bool(guess.isnan().any()):
         problem = replace(problem, x0=torch.where(guess.isnan(), fitted_states(problem, theta), problem.x0))
-    place = _settled(problem, theta)
-    residual = torch.cat([part.residual for part in problem.parts(place)])
-    return Residual(tuple(names), segments.flight, residual)
+    return problem, _settled(problem, theta)
 
 
 def _settled(problem: Likelihood, theta: Tensor) -> Place:

@@ -41,6 +41,7 @@ class Floors:
     traces : weight, by equation and kind, of what looks like something unknown [D].
     sizes : what delays and lags of the controls seem to be there, by parameter [D].
     in_forces : what effects explain there of forces and moments on the measured motion, by effect [D].
+    evidence : of each candidate, flight by flight [D, F + V].
     """
 
     gains: Mapping[str, Tensor]
@@ -49,6 +50,7 @@ class Floors:
     in_forces: Mapping[str, Tensor] = field(default_factory=dict)
     each_control: Mapping[str, Tensor] = field(default_factory=dict)
     sizes: Mapping[str, Tensor] = field(default_factory=dict)
+    evidence: Mapping[str, Tensor] = field(default_factory=dict)
 
     def of_traces(self) -> dict[str, float]:
         """Floor of each equation and kind; empty where no aircraft was drawn: nothing tells how much is ordinary."""

@@ -12,6 +12,7 @@ from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.nominal import rows
+from rotorid_torch.trace.calibration import p_values
 from rotorid_torch.trace.candidates import candidates, untried
 from rotorid_torch.trace.decide import nothing, told
 from rotorid_torch.trace.finding import Finding, Unknown
@@ -105,8 +106,9 @@ def trace(
     structure = tuple(e for e in null.spec.effects if e not in (*spec.effects, *placed))
     undeclared = [e for e in tested if e not in placed]
     search.floors = _in_still_air(null, placed, search.held, undeclared, floors)
-    first = search.screened(null, undeclared)
+    first, _ = search.screened_both(null, undeclared)
     usual = search.floors.of(first, undeclared)
+    p = p_values(search.evidence(null, undeclared), search.floors)
     final, joined = search.undeclared(null, undeclared)
     known = {e: floor for e, (_, floor) in (search.placed | search.gained).items()}
     final, accepted = search.confirmed(final, [*placed, *joined], known)
@@ -121,7 +123,8 @@ def trace(
     for e, why in idle.items():
         search.refuse(e, why, final)
     structure = tuple(e for e in structure if e not in idle)
-    found = findings(search, final, structure, accepted, undeclared, first, usual) + found
+    tested = findings(search, final, structure, accepted, undeclared, first, usual)
+    found = [replace(f, p=p.get(f.id)) for f in tested] + found
     return Tracing(
         _bare(null, idle),
         _bare(final, idle),

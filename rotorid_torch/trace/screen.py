@@ -21,11 +21,15 @@ from torch import Tensor
 from rotorid_torch.core.bounded_least_squares import bounded_least_squares
 from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.effects.base import Stage
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.identification.likelihood import Likelihood, Place
 from rotorid_torch.identification.segments import Records, Segments
 from rotorid_torch.identification.whitening import Whitener
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
-from rotorid_torch.trace.fits import Fitted
+from rotorid_torch.trace.candidates import of_control_path
+from rotorid_torch.trace.evidence import FlightEquations
+from rotorid_torch.trace.fits import Fitted, control_by_control
 from rotorid_torch.trace.significance import turned
 from rotorid_torch.validate.free_run import Runs
 
@@ -82,6 +86,7 @@ class Screen:
     raw : [K] squares of the signatures before anything was projected out.
     samples : measured values.
     absorbed : for each signature the parameters of the fitted model that imitate most of it.
+    equations : the same normal equations before the fitted model was projected out, and those of unseen flights.
     """
 
     signatures: tuple[Signature, ...]
@@ -89,7 +94,13 @@ class Screen:
     raw: Tensor
     samples: float
     absorbed: tuple[tuple[str, ...], ...]
+    equations: FlightEquations | None = None
     _chosen: dict[str, list[int]] = field(default_factory=dict, repr=False)
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Ids of those that have signatures."""
+        return tuple(dict.fromkeys(s.effect for s in self.signatures))
 
     def places(self, effects: Sequence[str]) -> list[int]:
         """Signatures of these effects, each at the size and with its other parameters where they explain most."""
@@ -115,6 +126,18 @@ class Screen:
         """Fall of minus log-likelihood per sample if the effects join, beyond what those given explain."""
         both, known = (self._explained(self.places(e)) for e in ((*given, *effects), given))
         return (both - known) / self.samples
+
+    def evidence(self, effect: str) -> Tensor:
+        """How much better flights are predicted with the effect than without, estimated from other flights [F + V].
+
+        At the size and with the other parameters where that is largest over all flights.
+        """
+        assert self.equations is not None
+        found = []
+        for which in self._variants(effect):
+            low, high = torch.tensor([self.signatures[i].reach for i in which], dtype=torch.float64).mT
+            found.append(self.equations.held_out(which, low, high))
+        return max(found, key=lambda gains: float(gains.sum()), default=torch.zeros(0, dtype=torch.float64))
 
     def by_chance(self, effect: str) -> Tensor:
         """The same gain against residuals of the same colour that cannot know of the controls [R]."""
@@ -204,46 +227,85 @@ def signatures(model: Model, effects: Sequence[str]) -> tuple[Signature, ...]:
     return tuple(found)
 
 
-@torch.no_grad()
 def screen(null: Fitted, effects: Sequence[str], shuffles: int = SHUFFLES, seed: int = 0) -> Screen:
     """Signatures of effects that the null does not have, against its residual.
 
     shuffles : residuals made by turning each flight's residual in time by a random stretch, with a random sign.
     """
-    richer = null.spec.with_effects(*effects)
-    model = build(richer)
-    model.start_from(null.values)
-    chosen = signatures(model, effects)
-    run = Runs.of(model)
-    problem, place = null.fit.likelihood, null.fit.minimum.point
+    return screens(null, [(null.spec, effects)], shuffles, seed)[0]
+
+
+@torch.no_grad()
+def screens(
+    null: Fitted, groups: Sequence[tuple[ModelSpec, Sequence[str]]], shuffles: int = SHUFFLES, seed: int = 0
+) -> list[Screen]:
+    """The same of several groups of effects, each with the spec that its effects join, in one pass over the flights."""
+    probes = [_Probe.of(null, spec, effects) for spec, effects in groups]
+    counts = [len(probe.chosen) for probe in probes]
     keep = ~(null.fit.minimum.at_bound | null.fit.minimum.not_identifiable)
+    names = [n for n, kept in zip(null.names, keep.tolist(), strict=True) if kept]
+    problem, place = null.fit.likelihood, null.fit.minimum.point
     chance = torch.Generator().manual_seed(seed)
-    found, raw = [], torch.zeros(len(chosen), dtype=torch.float64)
-    tape, tapes = _tapes(model, problem.records, chosen)
-    noise = [null.flights.dataset.noise(c) for c in null.spec.outputs]
-    most = output_ranges(problem.records.outputs.flatten(0, 1), torch.tensor(noise, dtype=torch.float64))
+    products, raw = _products(probes, problem, place, null.flights.dataset.identify, keep, shuffles, chance)
+    unseen = products[:0]
+    if null.flights.dataset.validate and math.isfinite(null.on_unseen[1].cost):
+        unseen, _ = _products(probes, *null.on_unseen, null.flights.dataset.unseen, keep, 0, chance)
+    prior_rows, prior_rest = problem.prior_rows(place)
+    none = prior_rest.new_zeros(len(prior_rest), sum(counts))
+    prior = torch.cat([prior_rows[:, keep], none, prior_rest[:, None], prior_rest.new_zeros(len(none), shuffles)], 1)
+    prior = prior.mT @ prior
+    left, shares = _eliminated(products, prior, len(names))
+    found, first, behind = [], 0, list(range(sum(counts), left.shape[-1]))
+    for probe, count in zip(probes, counts, strict=True):
+        mine = list(range(first, first + count))
+        whole = [*range(len(names)), *(len(names) + k for k in (*mine, behind[0]))]
+        equations = FlightEquations(_block(products, whole), _block(unseen, whole), _block(prior, whole), len(names))
+        absorbed = tuple([_largest(tuple(names), shares[:, k]) for k in mine])
+        own = _block(left, [*mine, *behind])
+        found.append(Screen(probe.chosen, own, raw[mine], null.per_sample, absorbed, equations))
+        first += count
+    return found
 
-    def changed(one: Signature, start: Tensor, segments: Segments, base: Tensor) -> Tensor:
-        """Of the outputs; beyond all that was measured nothing is in proportion, so a smaller size speaks for it."""
-        k = 0
-        while True:
-            tried = replace(one, typical=one.null + 0.5**k * one.step) if k else one
-            with sized(model, tried):
-                known = tapes.get(one, tape)
-                own = model.tape(problem.records.controls, problem.records.dt) if k and one in tapes else known
-                change = run(start, segments.take(own), segments.dt)[1] - base
-            if k == HALVINGS or bool((change.abs() <= most).all()):
-                return 2.0**k * change
-            k += 1
 
+def both_screens(
+    null: Fitted, effects: Sequence[str], shuffles: int = SHUFFLES, seed: int = 0
+) -> tuple[Screen, Screen]:
+    """Effects with one size for all controls, and those of the control path with a size of each control."""
+    path = of_control_path(effects)
+    common, each = screens(null, [(null.spec, effects), (control_by_control(null, path).spec, path)], shuffles, seed)
+    return common, each
+
+
+def _block(matrices: Tensor, columns: list[int]) -> Tensor:
+    """These rows and columns of symmetric matrices [..., n, n]."""
+    return matrices[..., columns, :][..., columns]
+
+
+def _products(
+    probes: Sequence[_Probe],
+    problem: Likelihood,
+    place: Place,
+    names: Sequence[str],
+    keep: Tensor,
+    shuffles: int,
+    chance: torch.Generator,
+) -> tuple[Tensor, Tensor]:
+    """Products [F, n, n] of each flight, initial states and biases projected out, and squares of signatures [K].
+
+    Columns: the null's parameters that are kept, signatures, residual, residuals turned in time.
+    """
+    found, raw = [], []
+    tapes = [_tapes(probe.model, problem.records, probe.chosen) for probe in probes]
     for part, whitener, rows in problem.by_flight(place):
-        start = _starts(model, null, part.segments, part.run.states[:, 0])
-        base = run(start, part.segments.take(tape), part.segments.dt)[1]
-        change = [changed(one, start, part.segments, base) for one in chosen]
-        signature = _rows(whitener, torch.stack(change, dim=-1)) if change else rows[..., :0]
-        raw += signature.square().sum((0, 1))
-        nx = problem.locals_per_segment
-        first = nx + len(problem.biased)
+        state = part.run.states[:, 0]
+        changes = [
+            change
+            for probe, taped in zip(probes, tapes, strict=True)
+            for change in probe.changes(problem.records, names, taped, part.segments, state)
+        ]
+        signature = _rows(whitener, torch.stack(changes, dim=-1)) if changes else rows[..., :0]
+        raw.append(signature.square().sum((0, 1)))
+        first = problem.locals_per_segment + len(problem.biased)
         residual = rows[..., -1:]
         record = residual[..., 0].unflatten(-1, (-1, part.residual.shape[-1])).flatten(0, 1)
         by_chance = turned(record, shuffles, chance).unflatten(0, (len(residual), -1)).flatten(1, 2)
@@ -251,14 +313,64 @@ def screen(null: Fitted, effects: Sequence[str], shuffles: int = SHUFFLES, seed:
         basis = torch.linalg.qr(rows[..., :first]).Q
         matrix = matrix - basis @ (basis.mT @ matrix)
         found.append((matrix.mT @ matrix).sum(0))
-    prior_rows, prior_rest = problem.prior_rows(place)
-    none = prior_rest.new_zeros(len(prior_rest), len(chosen))
-    prior = torch.cat([prior_rows[:, keep], none, prior_rest[:, None], prior_rest.new_zeros(len(none), shuffles)], 1)
-    products = torch.stack(found)
-    names = [n for n, kept in zip(null.names, keep.tolist(), strict=True) if kept]
-    left, shares = _eliminated(products, prior.mT @ prior, len(names))
-    absorbed = tuple([_largest(tuple(names), shares[:, k]) for k in range(len(chosen))])
-    return Screen(chosen, left, raw, null.per_sample, absorbed)
+    return torch.stack(found), torch.stack(raw).sum(0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Probe:
+    """Simulates signatures around a fitted null, which `model` holds with all candidates at their nulls."""
+
+    null: Fitted
+    model: Model
+    chosen: tuple[Signature, ...]
+
+    @cached_property
+    def run(self) -> Runs:
+        """What simulates the model."""
+        return Runs.of(self.model)
+
+    @classmethod
+    def of(cls, null: Fitted, spec: ModelSpec, effects: Sequence[str]) -> _Probe:
+        """Of effects that join a spec."""
+        model = build(spec.with_effects(*effects))
+        model.start_from(null.values)
+        return cls(null, model, signatures(model, effects))
+
+    def changes(
+        self, records: Records, names: Sequence[str], tapes: _Tapes, segments: Segments, states: Tensor
+    ) -> list[Tensor]:
+        """Of the outputs [S, T, ny] by each signature, from the null's initial states [S, nx].
+
+        Beyond all that was measured nothing is in proportion, so a smaller size speaks for it.
+        """
+        if not self.chosen:
+            return []
+        noise = [self.null.flights.dataset.noise(c) for c in self.null.spec.outputs]
+        most = output_ranges(records.outputs.flatten(0, 1), torch.tensor(noise, dtype=torch.float64))
+        start = _starts(self.model, self.null, records, names, segments, states)
+        base = self.run(start, segments.take(tapes.none), segments.dt)[1]
+
+        def changed(one: Signature) -> Tensor:
+            k = 0
+            while True:
+                tried = replace(one, typical=one.null + 0.5**k * one.step) if k else one
+                with sized(self.model, tried):
+                    tape = tapes.of.get(one, tapes.none)
+                    own = self.model.tape(records.controls, records.dt) if k and one in tapes.of else tape
+                    change = self.run(start, segments.take(own), segments.dt)[1] - base
+                if k == HALVINGS or bool((change.abs() <= most).all()):
+                    return 2.0**k * change
+                k += 1
+
+        return [changed(one) for one in self.chosen]
+
+
+@dataclass(frozen=True, eq=False)
+class _Tapes:
+    """Control records [F, T, nu] behind the control path without any signature, and with each that acts there."""
+
+    none: Tensor
+    of: dict[Signature, Tensor]
 
 
 @contextmanager
@@ -269,17 +381,14 @@ def sized(model: Model, one: Signature) -> Iterator[None]:
         yield
 
 
-def _tapes(model: Model, records: Records, chosen: Sequence[Signature]) -> tuple[Tensor, dict[Signature, Tensor]]:
-    """Control records [F, T, nu] behind the control path, and behind that of each signature which acts there.
-
-    Once for all segments: rate limits and plays go through a record sample by sample.
-    """
+def _tapes(model: Model, records: Records, chosen: Sequence[Signature]) -> _Tapes:
+    """Once for all segments: rate limits and plays go through a record sample by sample."""
     paths, tapes = [e.id for e in model.chain if e.stage is Stage.CONTROL], {}
     for one in chosen:
         if one.effect in paths:
             with sized(model, one):
                 tapes[one] = model.tape(records.controls, records.dt)
-    return model.tape(records.controls, records.dt), tapes
+    return _Tapes(model.tape(records.controls, records.dt), tapes)
 
 
 def output_ranges(outputs: Tensor, noise: Tensor) -> Tensor:
@@ -314,7 +423,9 @@ def _eliminated(products: Tensor, prior: Tensor, count: int) -> tuple[Tensor, Te
     return passed.mT @ products @ passed + passed.mT @ prior @ passed / len(products), scaled
 
 
-def _starts(model: Model, null: Fitted, segments: Segments, states: Tensor) -> Tensor:
+def _starts(
+    model: Model, null: Fitted, records: Records, listed: Sequence[str], segments: Segments, states: Tensor
+) -> Tensor:
     """Initial states [S, nx] of the richer model: the null's own, measured ones, and the rest in equilibrium."""
     names, theirs = model.layout.names, null.model.layout.names
     x = torch.tensor([model.reference.get(n, 0.0) for n in names], dtype=torch.float64).repeat(len(segments), 1)
@@ -326,8 +437,8 @@ def _starts(model: Model, null: Fitted, segments: Segments, states: Tensor) -> T
         if state.channel is None:
             rest.append(i)
         else:
-            x[:, i] = _measured(null, segments, state.channel)
-    controls = segments.first(null.fit.likelihood.records.controls)
+            x[:, i] = _measured(null, listed, segments, state.channel)
+    controls = segments.first(records.controls)
     probes = PROBE * torch.eye(len(names), dtype=torch.float64)[rest]
     for _ in range(2 if rest else 0):  # linear in these states, or nearly
         rates = model.rates(model.theta, torch.cat([x[None], x + probes[:, None]]), controls)[..., rest]
@@ -337,12 +448,12 @@ def _starts(model: Model, null: Fitted, segments: Segments, states: Tensor) -> T
     return x
 
 
-def _measured(null: Fitted, segments: Segments, channel: str) -> Tensor:
+def _measured(null: Fitted, listed: Sequence[str], segments: Segments, channel: str) -> Tensor:
     """A channel where each segment begins [S]."""
     dataset, dt = null.flights.dataset, null.fit.likelihood.records.dt
     found = []
     for flight, place in zip(segments.flight.tolist(), segments.place[:, 0].tolist(), strict=True):
-        record = dataset.flights[dataset.identify[flight]]
+        record = dataset.flights[listed[int(flight)]]
         first, every = round(place * dt / record.dt), max(1, round(dt / record.dt))
         found.append(record.bridged([channel])[first : first + every, 0].mean())
     return torch.stack(found)

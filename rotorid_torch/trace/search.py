@@ -10,8 +10,11 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from torch import Tensor
+
 from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.trace.by_control import by_control, sizes_of_each
+from rotorid_torch.trace.calibration import flight_by_flight
 from rotorid_torch.trace.candidates import of_control_path
 from rotorid_torch.trace.decide import (
     CLOSE,
@@ -32,7 +35,7 @@ from rotorid_torch.trace.fits import BEGINNING, CAREFUL, Fitted, Flights, contro
 from rotorid_torch.trace.floor import Floors
 from rotorid_torch.trace.forces import derivatives_beside, seen_in_forces
 from rotorid_torch.trace.places import explained_trims
-from rotorid_torch.trace.screen import Screen, screen
+from rotorid_torch.trace.screen import Screen, both_screens, screen
 from rotorid_torch.trace.significance import helps
 from rotorid_torch.trace.spread import Wanted, fits
 
@@ -63,6 +66,7 @@ class Search:
     alone : floors of effects that were tried on each control by itself. each_floor : of those that may be now.
     beside : floors of effects of the control path that are higher, for another one explains much.
     ordinary : what is said of structure that did not join.
+    last : the model and the effects that were last screened in both ways, and the screens.
     """
 
     flights: Flights
@@ -84,10 +88,22 @@ class Search:
     each_floor: dict[str, float] = field(default_factory=dict)
     beside: dict[str, float] = field(default_factory=dict)
     ordinary: dict[str, Finding] = field(default_factory=dict)
+    last: tuple[Fitted, tuple[str, ...], tuple[Screen, Screen]] | None = None
 
     def screened(self, null: Fitted, effects: Sequence[str]) -> Screen:
         """These effects against what a model leaves over."""
         return screen(null, effects, seed=self.seed)
+
+    def screened_both(self, null: Fitted, effects: Sequence[str]) -> tuple[Screen, Screen]:
+        """The same, and beside it those of the control path with a size of each control; made once for a model."""
+        key = tuple(effects)
+        if self.last is None or self.last[0] is not null or self.last[1] != key:
+            self.last = null, key, both_screens(null, effects, seed=self.seed)
+        return self.last[2]
+
+    def evidence(self, null: Fitted, effects: Sequence[str]) -> dict[str, Tensor]:
+        """Evidence of each candidate, flight by flight, beside a model."""
+        return flight_by_flight(*self.screened_both(null, effects))
 
     def with_each(
         self,
@@ -310,11 +326,12 @@ class Search:
         That is where some of them are late, slow or loose and all controls alike are not, or explain little of it.
         Beside another effect of the control path, one of each control would only stand for how controls differ in that.
         """
-        common = self.screened(null, effects)
-        screens, path, self.each_floor = dict.fromkeys(effects, common), of_control_path(effects), {}
+        path, self.each_floor = of_control_path(effects), {}
         if not path or len(null.spec.controls) < 2 or of_control_path(accepted):
-            return screens, self._beside(accepted, self.floors.of(common, effects)), []
-        alone = self.screened(control_by_control(null, path), path)
+            common = self.screened(null, effects)
+            return dict.fromkeys(effects, common), self._beside(accepted, self.floors.of(common, effects)), []
+        common, alone = self.screened_both(null, effects)
+        screens = dict.fromkeys(effects, common)
         floors, own = self.floors.with_each_control(common, effects, alone, path)
         self.each_floor = own
         gained = {e: alone.gain([e]) for e in path}

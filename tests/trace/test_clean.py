@@ -40,6 +40,7 @@ def floors(monkeypatch: pytest.MonkeyPatch, alike: int, flew: int, asked: list[i
         for n in numbers:
             gains = {"control.delay": 0.001 * n} if n < flew else {}
             others = {"traces": {"X": 0.1}, "forces": {"mass.slung_load": 0.01 * n}, "each_control": gains}
+            others["evidence"] = {"control.delay": [0.001 * n, 0.0]}
             others["sizes"] = {"control.delay.common": 0.002 * n - 0.02}
             rest = others if gains else {}
             found[n] = {"gains": gains, "alike": n < alike, **rest, "misfit": 1.0 + n}

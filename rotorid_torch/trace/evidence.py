@@ -1,0 +1,83 @@
+"""Evidence for a candidate: how much better it predicts flights that its size was not estimated from.
+
+The fitted model M0 and the model with the candidate, M0 + e, are nested. Both are linear about M0: the whitened
+residual
+of a flight f is r_f - X_f theta - S_f a, with the signatures S_f of the candidate at sizes a. The evidence of a flight
+is the difference of log scores per sample, the scale of the flight's residuals being its best value,
+
+    d_f = log(rms of r_f under M0 / rms of r_f under M0 + e), both estimated without flight f,
+
+in closed form from the normal equations of the flights: flights that no fit has seen are scored with the estimates of
+all fitted flights, each fitted flight with the estimates of the others. With a scale of its own no flight outweighs the
+others: without the one flight that moves a control, little is known of that control, and its residuals are large.
+
+Source: Beirami et al., NeurIPS 2017; Rad and Maleki, J. R. Statist. Soc. B 82 (2020), approximate leave-one-out;
+Vuong, Econometrica 57 (1989), the likelihood ratio of two models flight by flight.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.bounded_least_squares import bounded_least_squares
+
+SMALLEST_EIGENVALUE = 1e-13
+"""Of scaled normal equations: directions below it are not estimated."""
+
+
+@dataclass(frozen=True, eq=False)
+class FlightEquations:
+    """Normal equations of each flight about a fitted model, initial states and biases eliminated.
+
+    fitted : [F, n, n] flights of the fit. unseen : [V, n, n] flights that no fit has seen, none where V = 0.
+    prior : [n, n] of the parameters. count : number P of the model's parameters, which are the first columns; the
+    signatures of candidates follow, and the residual is the last of the n columns.
+    """
+
+    fitted: Tensor
+    unseen: Tensor
+    prior: Tensor
+    count: int
+
+    @cached_property
+    def _reduced(self) -> tuple[Tensor, Tensor]:
+        """Normal equations without the model's parameters [F + V, n - P, n - P]: to estimate from, and to score.
+
+        The model's parameters follow the sizes of the signatures, as least squares of the flights that estimate.
+        """
+        total = self.fitted.sum(0) + self.prior
+        others = total - self.fitted if len(self.fitted) > 1 else self.fitted[:0]
+        scored = torch.cat([self.fitted[: len(others)], self.unseen])
+        estimating = torch.cat([others, total.expand(len(self.unseen), -1, -1)])
+        passed = _eliminating(estimating, self.count)
+        return passed.mT @ estimating @ passed, passed.mT @ scored @ passed
+
+    def held_out(self, columns: list[int], low: Tensor, high: Tensor) -> Tensor:
+        """Evidence d_f [F + V] of signatures; F is 0 where a single flight was fitted.
+
+        columns : of the signatures, counted behind the parameters. low, high : [K] bounds of their sizes.
+        """
+        estimating, scored = self._reduced
+        if not columns:
+            return torch.zeros(len(scored), dtype=torch.float64)
+        G, d = estimating[:, columns][:, :, columns], estimating[:, columns, -1]
+        sizes = torch.stack([bounded_least_squares(one, right, low, high) for one, right in zip(G, d, strict=True)])
+        curvature = scored[:, columns][:, :, columns]
+        fall = (sizes * scored[:, columns, -1]).sum(-1)
+        fall = 2.0 * fall - torch.einsum("fi,fij,fj->f", sizes, curvature, sizes)
+        without = scored[:, -1, -1].clamp_min(1e-300)
+        return -0.5 * torch.log1p(-fall / without)
+
+
+def _eliminating(total: Tensor, count: int) -> Tensor:
+    """Matrices [F, n, n - P] that put in place of the first P columns what least squares leave of the others."""
+    scale = total.diagonal(dim1=-2, dim2=-1)[:, :count].clamp_min(1e-300).sqrt()
+    values, vectors = torch.linalg.eigh(total[:, :count, :count] / scale[:, None] / scale[:, :, None])
+    inverse = torch.where(values > SMALLEST_EIGENVALUE, 1.0 / values.clamp_min(SMALLEST_EIGENVALUE), 0.0)
+    solved = (vectors * inverse[:, None]) @ vectors.mT @ (total[:, :count, count:] / scale[:, :, None])
+    identity = torch.eye(total.shape[-1] - count, dtype=torch.float64).expand(len(total), -1, -1)
+    return torch.cat([-solved / scale[:, :, None], identity], dim=1)
