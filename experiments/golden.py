@@ -85,6 +85,7 @@ def study(args: Args) -> int:
     """Run the cases that have no line of this version; returns how many."""
     recorded = {line["case"] for line in read_lines(args.record)}
     remaining = list(islice((case for case in cases(args) if key(case) not in recorded), args.most))
+    os.environ["PYTHONSAFEPATH"] = "1"  # processes of the package load this version, not one in the working folder
     os.environ.setdefault("ROTORID_CACHE", str((args.out / "cache" / version()).resolve()))
     Path(os.environ["ROTORID_CACHE"]).mkdir(parents=True, exist_ok=True)
     aircraft = args.out / "aircraft"

@@ -2,6 +2,8 @@
 
 import dataclasses
 import json
+import subprocess
+import sys
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -9,6 +11,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+import rotorid_torch
 from rotorid_torch.data import Dataset
 from rotorid_torch.effects.examples import HELICOPTER
 from rotorid_torch.effects.registry import refusal, registered
@@ -183,6 +186,19 @@ def test_a_study_continues_where_it_stopped(
     monkeypatch.setattr(import_module("golden_lines"), "version", lambda: "another")
     module.main(dataclasses.replace(args))
     assert json.loads(capsys.readouterr().out)["runs"] == 2
+
+
+def test_processes_load_the_version_that_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    module = golden()
+    (tmp_path / "rotorid_torch").mkdir()
+    (tmp_path / "rotorid_torch" / "__init__.py").write_text("raise SystemExit(7)")
+    monkeypatch.setenv("PYTHONSAFEPATH", "")
+    monkeypatch.setenv("ROTORID_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("PYTHONPATH", str(Path(rotorid_torch.__file__).parents[1]))
+    command = [sys.executable, "-m", "rotorid_torch.core.names"]
+    assert subprocess.run(command, cwd=tmp_path, check=False).returncode == 7
+    assert module.study(module.Args(most=0, out=tmp_path / "out", record=tmp_path / "golden.jsonl")) == 0
+    assert subprocess.run(command, cwd=tmp_path, check=False).returncode == 0
 
 
 def test_an_entry_is_out_of_the_library_as_long_as_it_is_asked_for() -> None:
