@@ -171,6 +171,7 @@ def test_a_study_continues_where_it_stopped(
         return line(case=module.key(case)) | ({"failed": "no fit"} if case.repeat else {})
 
     monkeypatch.setattr(module, "run_case", run)
+    monkeypatch.setenv("PYTHONSAFEPATH", "")
     monkeypatch.setattr(module, "draw", lambda number, seed, place: None)
     monkeypatch.setenv("ROTORID_CACHE", str(tmp_path / "cache"))
     args = module.Args(half=(module.Half.TUNING,), only=(module.Kind.CLEAN,), clean=3, aircraft=2, most=2)
