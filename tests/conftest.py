@@ -5,4 +5,5 @@ import torch
 
 torch.set_num_threads(1)
 hypothesis.settings.register_profile("project", derandomize=True, deadline=None, database=None)
+hypothesis.settings.register_profile("many", derandomize=False, deadline=None, database=None, max_examples=1000)
 hypothesis.settings.load_profile("project")

@@ -100,5 +100,5 @@ def refuse_beyond(file: Path, bytes_of: Mapping[str, int], budget: int) -> None:
     total = sum(bytes_of.values())
     if total > budget:
         largest = max(bytes_of, key=lambda name: bytes_of[name])
-        told = f"unpacks to {total / 2**20:.0f} MiB in all"
-        raise InputError(file, largest, told, f"at most {budget / 2**20:.0f} MiB")
+        told = f"unpacks to over {budget / 2**20:.0f} MiB in all"
+        raise InputError(file, largest, told, "the arrays of a flight")

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from rotorid_torch.core.ranges import of_channel
 from rotorid_torch.data import plausible
 from rotorid_torch.data.refusal import convert
 from rotorid_torch.data.schema import Vehicle
@@ -130,7 +131,10 @@ def read_spec(plain: Any, file: str | Path) -> ModelSpec:
     """
     spec = convert(plain, ModelSpec, file, "spec")
     plausible.check_finite({"spec": spec.plain()}, file)
-    plausible.check_vehicle(convert(_vehicle(spec), Vehicle, file, "spec"), file)
+    try:
+        plausible.check_vehicle(convert(_vehicle(spec), Vehicle, file, "spec"), file)
+    except InputError as error:
+        raise InputError(file, error.key.replace("vehicle.", "spec.", 1), error.wrong, error.expected) from None
     for key in ("states", "controls", "outputs", "inputs", "effects"):
         listed = getattr(spec, key)
         if twice := next((name for name in listed if listed.count(name) > 1), None):
@@ -144,6 +148,10 @@ def read_spec(plain: Any, file: str | Path) -> ModelSpec:
     for name in (*spec.states, *spec.controls, *spec.inputs):
         if name not in spec.reference:
             raise InputError(file, f"spec.reference.{name}", "is missing", "the value of every signal")
+    for name, value in spec.reference.items():
+        allowed = of_channel(name, spec.control_units.get(name, "")).samples
+        if not allowed.holds(value):
+            raise InputError(file, f"spec.reference.{name}", f"is {value:g}", str(allowed))
     return spec
 
 

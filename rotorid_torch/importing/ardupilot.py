@@ -98,7 +98,9 @@ def _motors(log: Log) -> tuple[dict[str, Entry], list[str]]:
         outputs = {i: i for i in range(1, 9) if f"C{i}" in columns and moving(columns[f"C{i}"])}
         notes = [f"no SERVOn_FUNCTION says which output drives which motor: RCOU outputs {[*outputs]} are motors"]
     low, high = (given.get(f"MOT_PWM_{end}") or default for end, default in (("MIN", 1000.0), ("MAX", 2000.0)))
-    motors = {f"motor{m}": pulse(f"C{i}", low, high) for m, i in sorted(outputs.items()) if f"C{i}" in columns}
+    if missing := next((f"C{i}" for _, i in sorted(outputs.items()) if f"C{i}" not in columns), ""):
+        raise InputError(log.file, f"RCOU.{missing}", "is missing", "an output for every motor of SERVOn_FUNCTION")
+    motors = {f"motor{m}": pulse(f"C{i}", low, high) for m, i in sorted(outputs.items())}
     return named(Group("RCOU", motors), instance), notes if motors else []
 
 

@@ -126,6 +126,9 @@ class _Walk:
     def _format(self, number: int, length: int, name: str, form: str, columns: str) -> None:
         if number in self.kinds:
             return
+        if any(kind.name == name for kind in self.kinds.values()):
+            self.bad_formats.append(name)
+            return
         kind = _kind(name, length, form, columns)
         if length < 3 or (not kind.columns and columns):
             self.bad_formats.append(name)

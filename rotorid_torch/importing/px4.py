@@ -123,7 +123,7 @@ def _motors(log: Log, number: int) -> tuple[dict[str, Entry], list[str]]:
         return {}, []
     form = "Out{}" if topic == "OUT0" else "output[{}]"
     stirred = {
-        instance: sum(moving(log.streams[topic, instance].columns[form.format(i)]) for i in range(number or 8))
+        instance: sum(map(moving, _outputs(log, topic, instance, form, number)[: number or 8]))
         for instance in log.instances(topic)
     }
     chosen = max(stirred, key=lambda instance: stirred[instance])
@@ -131,10 +131,22 @@ def _motors(log: Log, number: int) -> tuple[dict[str, Entry], list[str]]:
     if len(stirred) > 1:
         why = "most outputs move there" if stirred[chosen] else "no output moves in any"
         notes = [f"{topic} has instances {', '.join(map(str, stirred))}: {chosen} is used ({why})"]
-    columns = log.streams[topic, chosen].columns
-    count = number or sum(moving(columns[form.format(i)]) for i in range(8)) or 4
-    motors = {f"motor{i + 1}": _command(log, form.format(i), columns[form.format(i)]) for i in range(count)}
+    outputs = _outputs(log, topic, chosen, form, number)
+    count = number or sum(map(moving, outputs[:8])) or 4
+    motors = {f"motor{i + 1}": _command(log, form.format(i), values) for i, values in enumerate(outputs[:count])}
     return named(Group(topic, motors), chosen), notes
+
+
+def _outputs(log: Log, topic: str, instance: int, form: str, number: int) -> list[np.ndarray]:
+    """Outputs of one instance in a row. Raises InputError where one is missing before the last, or of so many."""
+    columns = log.streams[topic, instance].columns
+    there = [i for i in range(16) if form.format(i) in columns]
+    count = max(number, 4, there[-1] + 1 if there else 0)
+    if missing := next((form.format(i) for i in range(count) if i not in there), ""):
+        raise InputError(
+            log.file, f"{topic}.{missing}", "is missing", f"outputs {form.format(0)} to {form.format(count - 1)}"
+        )
+    return [columns[form.format(i)] for i in range(count)]
 
 
 def _command(log: Log, name: str, values: np.ndarray) -> Entry:

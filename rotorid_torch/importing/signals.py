@@ -18,6 +18,8 @@ from rotorid_torch.importing.plan import rate_of
 
 OUT_OF_ORDER = 0.1
 """Share of stamps that may be out of order; more are two clocks."""
+PULSE_SPANS = 3.0
+"""Spans between the pulses of 0 and 1 about their middle, within which a pulse, or none, is that of a motor."""
 ASTRAY_S = 1.0
 """A single stamp this far from those around it is damaged."""
 
@@ -132,13 +134,14 @@ def _astray(time: np.ndarray) -> np.ndarray:
 
 
 def _in_si(name: str, values: np.ndarray, entry: Entry) -> np.ndarray:
-    """Convert to SI as the entry says; a pulse of a motor at rest is 0."""
+    """Convert to SI as the entry says; a pulse of a motor at rest is 0, one that no servo takes stays as it is."""
     unit = units.find_unit(entry.unit) or units.Unit("")
     factor, offset = unit.factor, unit.offset
     with np.errstate(all="ignore"):  # whatever bytes a damaged log holds
         result = entry.sign * (entry.scale * values.astype(np.float64) + entry.offset) * factor + offset
-    result[~np.isfinite(result)] = np.nan
-    return np.clip(result, 0.0, 1.0) if names.is_motor(name) and (entry.unit == "us" or entry.offset) else result
+    if names.is_motor(name) and (entry.unit == "us" or entry.offset):
+        result = np.where(np.abs(result - 0.5) <= PULSE_SPANS, np.clip(result, 0.0, 1.0), result)
+    return result
 
 
 def possible(signal: Signal, unit: str, file: object) -> tuple[Signal, str]:

@@ -22,7 +22,7 @@ Number = float | None
 Size = Annotated[float, msgspec.Meta(ge=0)] | None
 """A number that is not negative: an error, a duration, a score."""
 AtMostOne = Annotated[float, msgspec.Meta(le=1)] | None
-Share = Annotated[float, msgspec.Meta(ge=0, le=1)] | None
+Share = Annotated[float, msgspec.Meta(ge=0, le=1 + 1e-9)] | None
 LARGEST = 64 * 2**20
 """Bytes of a report.json at most."""
 Status = Literal["free", "frozen", "nuisance", "not identifiable"]

@@ -16,6 +16,7 @@ from rotorid_torch.errors import InputError
 from rotorid_torch.importing import flights
 from rotorid_torch.importing.csv import read_csv
 from rotorid_torch.importing.resample import on_grid
+from tests.fuzzing import older_topics, write_sdlog2
 from tests.helpers import shared, small_folder
 from tests.importing.log_writers import motion, px4_topics, write_dataflash, write_ulog
 
@@ -598,3 +599,47 @@ def test_memory_does_not_grow_with_topics_that_nobody_wants(tmp_path: Path):
     wanted = file.stat().st_size / 2 - 808 * len(time)
     assert peaks[1] - peaks[0] < 3.0 * wanted
     assert peaks[1] < 0.2 * file.stat().st_size
+
+
+@pytest.mark.parametrize("old", [b"Out0", b"Out2", b"Out3"])
+def test_an_output_that_lost_its_label_is_missed(tmp_path: Path, old: bytes):
+    file = write_sdlog2(tmp_path / "a.px4log", older_topics())
+    file.write_bytes(file.read_bytes().replace(old, b"Name"))
+    with pytest.raises(InputError, match=rf"OUT0\.{old.decode()}: is missing"):
+        rotorid.import_logs(file, tmp_path / "set")
+
+
+def test_a_motor_output_that_lost_its_label_is_missed(tmp_path: Path):
+    file = write_dataflash(tmp_path / "a.bin", copter(3.0), FUNCTIONS)
+    file.write_bytes(file.read_bytes().replace(b"C1,C2,C3", b"C1,CX,C3"))
+    with pytest.raises(InputError, match=r"RCOU\.C2: is missing"):
+        rotorid.import_logs(file, tmp_path / "set")
+
+
+def test_a_message_with_the_name_of_another_one_is_passed_over(tmp_path: Path):
+    file = write_dataflash(tmp_path / "a.bin", copter(3.0), FUNCTIONS)
+    file.write_bytes(file.read_bytes().replace(b"ATT\x00", b"IMU\x00"))
+    done = rotorid.import_logs(file, tmp_path / "set")
+    assert any("unknown form were passed over (IMU)" in told for told in done.warnings)
+    assert done.channels["p"].source == "IMU.GyrX"
+    assert "phi" not in done.channels
+
+
+def test_pulses_that_no_servo_takes_are_no_commands(tmp_path: Path):
+    topics = copter(3.0)
+    time, columns = topics["RCOU"]
+    columns["C2"][40:42] = 0, 2200  # none, and a little too long
+    columns["C1"][40] = 65535
+    topics["RCOU"] = (time, columns)
+    done = rotorid.import_logs(write_dataflash(tmp_path / "a.bin", topics, FUNCTIONS), tmp_path / "set")
+    assert any(told.startswith("a.bin: motor1 reaches 64.5") for told in done.warnings)
+    channels = rotorid.load(done.folder).flights["a"].channels
+    assert float(channels["motor2"].nan_to_num().min()) >= 0.0
+    assert float(channels["motor1"].nan_to_num().max()) <= 1.0
+
+
+def test_infinite_samples_are_told(tmp_path: Path):
+    columns = table()
+    columns["lat"][300] = np.inf
+    done = rotorid.import_logs(csv(tmp_path / "f.csv", columns), tmp_path / "set")
+    assert any("lat reaches inf" in told for told in done.warnings)
