@@ -15,7 +15,7 @@ import numpy as np
 from rotorid_torch.core.files import open_file
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing.blocks import BLOCK, Blocks, Gathered
-from rotorid_torch.importing.log import Choose, Log, Stream, of_damage
+from rotorid_torch.importing.log import Choose, Log, Stream, is_numbers, of_damage
 
 HEAD = b"\xa3\x95"
 FORMAT = 0x80
@@ -183,6 +183,8 @@ class _Walk:
             yield f"messages of unknown form were passed over ({', '.join(self.bad_formats[:5])})"
 
 
+_NONE = np.empty(0, "S1")
+"""A column that is not there."""
 _RARE = frozenset(("FMT", "TIME", "FMTU"))
 
 
@@ -199,16 +201,17 @@ def _kind(name: str, length: int, form: str, columns: str) -> _Kind:
 
 def _instances(kind: _Kind, columns: dict[str, np.ndarray]) -> dict[tuple[str, int], Stream]:
     """Streams of a topic, one per instance, with time in s; none where nothing says when."""
-    if "TimeUS" in columns:
-        time = columns.pop("TimeUS") * 1e-6
-    elif "TimeMS" in columns:
-        time = columns.pop("TimeMS") * 1e-3
+    clocks = {name: columns.pop(name) for name in ("TimeUS", "TimeMS") if name in columns}
+    if is_numbers(clocks.get("TimeUS", _NONE)):
+        time = clocks["TimeUS"] * 1e-6
+    elif is_numbers(clocks.get("TimeMS", _NONE)):
+        time = clocks["TimeMS"] * 1e-3
     else:
         time = np.array(kind.stamps) * 1e-6
     columns = {name: values[len(values) - len(time) :] for name, values in columns.items()}  # before any clock: lost
     if not len(time):
         return {}
-    if kind.instance not in columns:
+    if columns.get(kind.instance, _NONE).dtype.kind not in "iu":
         return {(kind.name, 0): Stream(time, columns)}
     numbers = columns[kind.instance]
     made = {}

@@ -96,6 +96,11 @@ class Log:
         return f" (there are {', '.join(listed[:TOLD])}{more})" if listed else ""
 
 
+def is_numbers(values: np.ndarray) -> bool:
+    """Whether a column holds numbers; a damaged format may make it text."""
+    return values.dtype.kind in "fiub"
+
+
 def joined(topic: str, name: str) -> str:
     """Name of a field in a map."""
     return f"{topic}.{name}" if topic else name

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rotorid_torch.importing.log import Log, joined
+from rotorid_torch.importing.log import Log, is_numbers, joined
 from rotorid_torch.importing.mapping import Entry
 
 FASTER = 1.8
@@ -78,6 +78,8 @@ def pulse(name: str, low: float, high: float) -> Entry:
 
 
 def moving(values: np.ndarray) -> bool:
-    """Whether a column has two different numbers."""
+    """Whether a column has two different numbers; text has none."""
+    if not is_numbers(values):
+        return False
     finite = values[np.isfinite(values)]
     return len(finite) > 0 and float(finite.min()) < float(finite.max())

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rotorid_torch.errors import InputError
-from rotorid_torch.importing.log import Log
+from rotorid_torch.importing.log import Log, is_numbers
 from rotorid_torch.importing.mapping import Entry
 from rotorid_torch.importing.plan import Group, Plan, first_or_faster, moving, named, pulse, triple
 
@@ -140,7 +140,7 @@ def _motors(log: Log, number: int) -> tuple[dict[str, Entry], list[str]]:
 def _outputs(log: Log, topic: str, instance: int, form: str, number: int) -> list[np.ndarray]:
     """Outputs of one instance in a row. Raises InputError where one is missing before the last, or of so many."""
     columns = log.streams[topic, instance].columns
-    there = [i for i in range(16) if form.format(i) in columns]
+    there = [i for i in range(16) if form.format(i) in columns and is_numbers(columns[form.format(i)])]
     count = max(number, 4, there[-1] + 1 if there else 0)
     if missing := next((form.format(i) for i in range(count) if i not in there), ""):
         raise InputError(

@@ -12,7 +12,7 @@ from rotorid_torch.core.ranges import of_channel
 from rotorid_torch.data.impossible import without_impossible
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing import units
-from rotorid_torch.importing.log import Log, Source, Stream
+from rotorid_torch.importing.log import Log, Source, Stream, is_numbers
 from rotorid_torch.importing.mapping import Entry, check_unit
 from rotorid_torch.importing.plan import rate_of
 
@@ -78,7 +78,7 @@ def signals(log: Log, entries: Mapping[str, Entry], key: str) -> tuple[dict[str,
 
 def _taken(log: Log, source: Source, stream: Stream) -> np.ndarray:
     values = stream.columns[source.field]
-    if values.dtype.kind not in "fiub":
+    if not is_numbers(values):
         raise InputError(log.file, str(source), "is text", "a field of numbers")
     return values
 

@@ -643,3 +643,20 @@ def test_infinite_samples_are_told(tmp_path: Path):
     columns["lat"][300] = np.inf
     done = rotorid.import_logs(csv(tmp_path / "f.csv", columns), tmp_path / "set")
     assert any("lat reaches inf" in told for told in done.warnings)
+
+
+@pytest.mark.parametrize("letters", [("Qfff", "Qnff"), ("Qfff", "nfff"), ("QHHHH", "QHnHH"), ("Qffffff", "Qfnffff")])
+def test_columns_that_a_damaged_format_makes_text(tmp_path: Path, letters: tuple[str, str]):
+    """Whatever becomes of the lengths: a data set without the channel, or one line."""
+    old, new = (letter.encode().ljust(16, b"\0") for letter in letters)
+    file = write_dataflash(tmp_path / "a.bin", copter(3.0), FUNCTIONS)
+    assert old in file.read_bytes()
+    file.write_bytes(file.read_bytes().replace(old, new))
+    assert cli.main(["import", str(file), "--out", str(tmp_path / "set")]) in (0, 2)
+
+
+def test_outputs_that_a_damaged_format_makes_text(tmp_path: Path):
+    file = write_sdlog2(tmp_path / "a.px4log", older_topics())
+    file.write_bytes(file.read_bytes().replace(b"ffffffff".ljust(16, b"\0"), b"fnffffff".ljust(16, b"\0")))
+    with pytest.raises(InputError, match=r"OUT0\.Out1: is missing"):
+        rotorid.import_logs(file, tmp_path / "set")
