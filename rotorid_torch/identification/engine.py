@@ -209,12 +209,8 @@ class NativeEngine:
         """
         nu = len(controls)
         given = torch.cat([controls, controls.new_zeros(1)])
-        traced = Dynamics.of(
-            lambda x, u, theta: system.rates(theta, u[nu], x, u[:nu]),
-            lambda x, u, theta: system.output(theta, x, u[:nu]),
-            states,
-            given,
-            system.theta,
+        traced = Dynamics.of_motion(
+            lambda x, u, theta: system.motion(theta, u[nu], x, u[:nu]), states, given, system.theta
         )
         timed = traced.depends_on("u", nu)
         engine = cls(system, traced if timed else replace(traced, nu=nu), timed)

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from torch.func import functional_call, jvp, vjp, vmap
 
 from rotorid_torch.errors import InputError
+from rotorid_torch.model.model import Model
 
 T = TypeVar("T")
 SAMPLE_POINTS = 128
@@ -106,6 +107,16 @@ class System:
     def output(self, theta: Tensor, x: Tensor, u: Tensor) -> Tensor:
         """Outputs [..., ny]."""
         return self.at(theta, lambda model: model.output(x, u))  # pyright: ignore[reportCallIssue]
+
+    def motion(self, theta: Tensor, t: Tensor, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+        """Rates and outputs, by one pass through the model where it offers that."""
+
+        def both(model: nn.Module) -> tuple[Tensor, Tensor]:
+            if isinstance(model, Model) and (type(model).forward, type(model).output) == (Model.forward, Model.output):
+                return model.motion(model.theta, x, u)
+            return model(t, x, u), model.output(x, u)  # pyright: ignore[reportCallIssue]
+
+        return self.at(theta, both)
 
     def tape(self, theta: Tensor, controls: Tensor, dt: float) -> Tensor:
         """The control record [..., T, nu] as the module's control path passes it on."""

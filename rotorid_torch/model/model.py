@@ -133,7 +133,9 @@ class Model(nn.Module):
 
     def rates(self, theta: Tensor, x: Tensor, u: Tensor) -> Tensor:
         """dx/dt [..., nx] at parameters theta [..., P], states x [..., nx], controls u [..., nu]."""
-        frame, own = self.frame(theta, x, u)
+        return self._rates(x, *self.frame(theta, x, u))
+
+    def _rates(self, x: Tensor, frame: Frame, own: Tensor) -> Tensor:
         return join(*self._body_rates(frame, x), own)
 
     def _angular(self, frame: Frame, rates: Tensor) -> Tensor:
@@ -156,7 +158,14 @@ class Model(nn.Module):
 
     def outputs_at(self, theta: Tensor, x: Tensor, u: Tensor) -> Tensor:
         """Channels `body.outputs` [..., ny] at parameters theta [..., P]."""
-        frame, _ = self.frame(theta, x, u)
+        return self._outputs(theta, x, self.frame(theta, x, u)[0])
+
+    def motion(self, theta: Tensor, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+        """`rates` and `outputs_at` of one frame."""
+        frame, own = self.frame(theta, x, u)
+        return self._rates(x, frame, own), self._outputs(theta, x, frame)
+
+    def _outputs(self, theta: Tensor, x: Tensor, frame: Frame) -> Tensor:
         signals = dict(frame.signals)
         rates = frame.stack(RATES)
         angular = self._angular(frame, rates)

@@ -88,6 +88,15 @@ def test_one_batch_equals_one_row_at_a_time(kind: FlappingKind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_rates_and_outputs_of_one_frame_are_those_of_two(kind: FlappingKind):
+    model = helicopter(kind)
+    x, u = points(model, 5)
+    rates, outputs = model.motion(model.theta, x, u)
+    assert torch.equal(rates, model.rates(model.theta, x, u))
+    assert torch.equal(outputs, model.outputs_at(model.theta, x, u))
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_states_and_controls_broadcast(kind: FlappingKind):
     model = helicopter(kind)
     x, u = points(model, 3)

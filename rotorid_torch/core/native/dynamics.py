@@ -20,6 +20,8 @@ from rotorid_torch.core.native.trace import scalarise
 
 Function = Callable[[Tensor, Tensor, Tensor], Tensor]
 """(x [nx], u [nu], theta [P]) -> [n]: one point, no leading dimensions."""
+Motion = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
+"""The same for rates [nx] and outputs [ny] together."""
 
 
 def traced(graph: Graph, function: Function, x: Tensor, u: Tensor, theta: Tensor) -> list[int]:
@@ -83,8 +85,28 @@ class Dynamics:
         ------
         Unsupported : an operation in them is not known to native code.
         """
+
+        def motion(x: Tensor, u: Tensor, theta: Tensor) -> tuple[Tensor, Tensor]:
+            return rates(x, u, theta), outputs(x, u, theta)
+
+        return cls.of_motion(motion, x, u, theta, path, biased, initial, classic)
+
+    @classmethod
+    def of_motion(
+        cls,
+        motion: Motion,
+        x: Tensor,
+        u: Tensor,
+        theta: Tensor,
+        path: Sequence[int] = (),
+        biased: Sequence[int] = (),
+        initial: bool = True,
+        classic: bool = False,
+    ) -> Dynamics:
+        """The same for a function that gives rates and outputs together: what both need is traced once."""
         graph = Graph()
-        f, h = (traced(graph, function, x, u, theta) for function in (rates, outputs))
+        nodes = traced(graph, lambda *point: torch.cat(motion(*point)), x, u, theta)
+        f, h = nodes[: len(x)], nodes[len(x) :]
         n = len(x), len(u), len(h), len(theta)
         return cls(graph, tuple(f), tuple(h), *n, tuple(path), tuple(biased), initial, classic)
 
