@@ -1,6 +1,7 @@
 """The command line: parser and exit codes only; each command's module is imported inside its function.
 
-Exit codes: 0 done; 2 bad input or usage, one line on stderr; 130 interrupted; 1 anything else, one line and a log.
+Exit codes: 0 done; 2 bad input or usage, one line on stderr; 3 (`check` alone) not fit; 130 interrupted; 1 anything
+else, one line and a log.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     from rotorid_torch.run.monitor import Monitor
 
 Options = argparse.Namespace
+NOT_FIT = 3
+"""Exit code of `check` where no model can be identified from a data set."""
 
 
 class Parser(argparse.ArgumentParser):
@@ -71,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             options = parser().parse_args(arguments)
             _refuse_missing_device(options.device)
             speaks = True
-            options.run(options)
+            code = options.run(options)
             sys.stdout.flush()
     except Told as told:
         return _code(told.error)
@@ -82,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if speaks:
             print("rotorid:", printable(" ".join(_sentence(error).split()), layout=False), file=sys.stderr)
         return _code(error)
-    return 0
+    return code or 0
 
 
 def _code(error: BaseException) -> int:
@@ -118,7 +121,7 @@ def parser() -> Parser:
     return top
 
 
-def _add_command(commands, name: str, run: Callable[[Options], None], about: str) -> argparse.ArgumentParser:
+def _add_command(commands, name: str, run: Callable[[Options], int | None], about: str) -> argparse.ArgumentParser:
     description = about[0].upper() + about[1:] + ("" if about.endswith("?") else ".")
     command = commands.add_parser(name, help=about, description=description, allow_abbrev=False)
     command.set_defaults(run=run)
@@ -213,8 +216,8 @@ def import_logs(options: Options) -> None:
     _answer(options, import_record(done), import_table(done))
 
 
-def check(options: Options) -> None:
-    """Say whether a data set is fit for identification."""
+def check(options: Options) -> int:
+    """Say whether a data set is fit for identification; exit code 3 where it is not."""
     from rotorid_torch.data import load
     from rotorid_torch.run.checking import check as examine
     from rotorid_torch.run.checking import check_table, write_check
@@ -227,6 +230,7 @@ def check(options: Options) -> None:
     if options.out:
         write_check(options.out, dataset, found, options.seed, _monitor(options))
     _answer(options, found, check_table(found))
+    return 0 if found.fit else NOT_FIT
 
 
 def reconstruct(options: Options) -> None:

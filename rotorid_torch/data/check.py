@@ -9,6 +9,7 @@ from rotorid_torch.data import examine_controls, examine_kinematics, examine_rec
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.examine_band import band
 from rotorid_torch.data.finding import Finding, Severity
+from rotorid_torch.data.needs import examinable, needs
 from rotorid_torch.data.surroundings import surroundings
 
 
@@ -27,6 +28,8 @@ class Check:
 
 Examination = Callable[[Dataset], Iterator[Finding]]
 EXAMINATIONS: tuple[Examination, ...] = (
+    needs,
+    examine_records.dead,
     examine_records.reading,
     examine_samples.stamps,
     examine_records.gaps,
@@ -47,20 +50,16 @@ EXAMINATIONS: tuple[Examination, ...] = (
 )
 
 
+ALWAYS = (needs, examine_records.dead, examine_records.reading, examine_records.gaps, examine_records.units)
+"""Those that hold of records on which nothing else can be said."""
 GRAVE = (examine_records.units, examine_records.gravity, examine_kinematics.kinematics)
 """Those that may find an error."""
 
 
 def check(dataset: Dataset, examinations: Sequence[Examination] = EXAMINATIONS) -> Check:
-    """Examine a data set: clocks, samples, units, kinematics, noise, controls, band, trim and length of the flights.
-
-    Raises
-    ------
-    InputError : where a helicopter's flights lack the body rates that every step needs.
-    """
-    if dataset.kind == "helicopter":
-        dataset.require_rates()
-    found = [finding for examine in examinations for finding in examine(dataset)]
+    """Examine a data set: needs, clocks, samples, units, kinematics, noise, controls, band, trim and length."""
+    chosen = examinations if examinable(dataset) else [one for one in examinations if one in ALWAYS]
+    found = [finding for examine in chosen for finding in examine(dataset)]
     rank = {"error": 0, "warning": 1, "note": 2, "good": 3}
     found.sort(key=lambda finding: rank[finding.severity])
     return Check(dataset.name, all(f.severity != "error" for f in found), tuple(found))

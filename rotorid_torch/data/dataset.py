@@ -18,6 +18,7 @@ import numpy as np
 
 from rotorid_torch.core import names
 from rotorid_torch.data import plausible, suspicion
+from rotorid_torch.data.dead import Dead, dead_channels, facts_without, flight_without
 from rotorid_torch.data.declare import Declaration, declare, read_declaration
 from rotorid_torch.data.facts import Facts
 from rotorid_torch.data.flight import Flight
@@ -41,7 +42,8 @@ class Dataset:
     """Flights of one vehicle about one reference point. Made by `load` or `Dataset.from_arrays`, both validating.
 
     `flights` of a folder are read when they are asked for, those used last stay in memory; `facts` of all are known.
-    `derived` are channels that were made from others, which no score knows.
+    `derived` are channels that were made from others, which no score knows. `dead` are those that never change, which
+    flights and facts are without.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Dataset:
     settings: ModelSettings
     warnings: tuple[str, ...]
     derived: frozenset[str] = frozenset()
+    dead: tuple[Dead, ...] = ()
 
     @classmethod
     def from_arrays(
@@ -178,13 +181,19 @@ class Dataset:
         """Flights that no fit has seen and that decide: the validate list, or, where it is empty, the identify list."""
         return self.validate or self.identify
 
-    def require_rates(self) -> None:
-        """Raise InputError where a flight lacks one of the body rates, which every step needs."""
+    def lacking_rates(self) -> Iterator[tuple[str, str, str]]:
+        """Flights that lack one of the body rates, which every step needs; the rate, and how it is lacking."""
+        still = {(flight, one.channel) for one in self.dead for flight in one.flights}
         for flight, facts in self.facts.items():
             for rate in names.RATES:
                 if not facts.has(rate):
                     what = "is all NaN" if rate in facts.channels else "is missing"
-                    raise InputError(self.file(flight), rate, what, "body rates p q r in rad/s in every flight")
+                    yield flight, rate, "never changes: dead, or not connected" if (flight, rate) in still else what
+
+    def require_rates(self) -> None:
+        """Raise InputError where a flight lacks one of the body rates, which every step needs."""
+        for flight, rate, what in self.lacking_rates():
+            raise InputError(self.file(flight), rate, what, "body rates p q r in rad/s that move, in every flight")
 
     @cached_property
     def _quiet(self) -> dict[str, int]:
@@ -341,6 +350,11 @@ def _assemble(
             raise InputError(
                 toml, f"channels.{channel}", f"no flight has this channel{hint}", "a channel of the data set"
             )
+    dead = dead_channels(facts, declaration.flights.identify)
+    if dead:
+        whole = flights
+        flights = OnDemand(whole, lambda name: flight_without(whole[name], dead))
+        facts = facts_without(facts, dead)
     return Dataset(
         name=declaration.name or (printable(folder.resolve().name, layout=False) if folder else "arrays"),
         kind=declaration.kind,
@@ -358,6 +372,7 @@ def _assemble(
         acid=declaration.flights.acid,
         settings=declaration.model,
         warnings=(*declaration.warnings, *warnings, *told),
+        dead=dead,
     )
 
 

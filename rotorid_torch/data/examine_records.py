@@ -37,6 +37,12 @@ def reading(dataset: Dataset) -> Iterator[Finding]:
         yield finding("note", "time", f"flights are sampled at {rates[0]:g} to {rates[-1]:g} Hz.")
 
 
+def dead(dataset: Dataset) -> Iterator[Finding]:
+    """Channels that were left out because they never change."""
+    for one in dataset.dead:
+        yield finding("warning", one.channel, one.sentence)
+
+
 def condensed(warnings: Sequence[str]) -> list[tuple[str, str]]:
     """Flight and sentence of a data set's warnings; those that begin alike become one, the first flight's."""
     found, others = dict[str, tuple[str, str]](), dict[str, list[str]]()

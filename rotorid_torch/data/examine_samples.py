@@ -96,9 +96,6 @@ def rows(dataset: Dataset) -> Iterator[Finding]:
 def _told(dataset: Dataset, channel: str, flights: Mapping[str, Samples]) -> Iterator[Finding]:
     if channel in dataset.controls:
         return
-    if all(s.repeated == 1.0 for s in flights.values()):
-        yield finding("warning", channel, "never changes in any flight: dead, or not connected. Leave it out.")
-        return
     frozen = [name for name, s in flights.items() if s.longest_s > FROZEN_S and s.longest_s * s.renewed_hz > 20.0]
     if frozen:
         longest = max(flights[name].longest_s for name in frozen)

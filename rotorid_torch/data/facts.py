@@ -15,7 +15,8 @@ class Spread:
     """One channel of one flight: its mean over the first 0.5 s, and what it does about that.
 
     start : that mean; the first sample there is, where all of these are missing. count : samples that are there.
-    total, squares : sums of (sample - start) and of its square. low, high : least and largest sample.
+    total, squares : sums of (sample - start) and of its square. low, high : least and largest sample. rests : whether
+    the samples of the first 0.5 s are all the same.
     """
 
     start: float
@@ -24,6 +25,7 @@ class Spread:
     squares: float
     low: float
     high: float
+    rests: bool
 
     def mean(self) -> float:
         """Mean over the record."""
@@ -70,4 +72,6 @@ def _spread(values: np.ndarray, lead: slice) -> Spread | None:
     first = first[~np.isnan(first)]
     start = float(first.mean()) if len(first) else float(there[0])
     away = there - start
-    return Spread(start, len(there), float(away.sum()), float(away @ away), float(there.min()), float(there.max()))
+    rests = not len(first) or bool(first.min() == first.max())
+    sums = float(away.sum()), float(away @ away)
+    return Spread(start, len(there), *sums, float(there.min()), float(there.max()), rests)

@@ -17,7 +17,6 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.registry import predicted_by, refusal
 from rotorid_torch.effects.spec import FlappingKind, ModelSpec, RotorSpec
-from rotorid_torch.errors import InputError
 from rotorid_torch.identification.multirotor import measured_inputs, motors, rotor_speeds, spins
 from rotorid_torch.identification.reconstruct import Reconstruction
 from rotorid_torch.model.inflow import CYCLIC, INDUCED, trim_velocity
@@ -51,9 +50,9 @@ def propose(dataset: Dataset, reconstruction: Reconstruction | None, effects: Se
 
     Raises
     ------
-    InputError : an identify flight lacks a body rate.
+    InputError : a flight lacks a body rate.
     """
-    _require_rates(dataset)
+    dataset.require_rates()
     moving = have(dataset, (*VELOCITIES, *ATTITUDE))
     rotor = _rotor(dataset) if moving else None
     inflow = rotor is not None and dataset.vehicle.mass is not None and dataset.vehicle.inertia is not None
@@ -106,13 +105,6 @@ def rival(spec: ModelSpec) -> ModelSpec | None:
     other = _with_patterns(msgspec.structs.replace(spec, flapping="algebraic", flapping_doubtful=False), drivers)
     fits = all(refusal(e, other) is None for e in spec.effects)
     return other if fits else None
-
-
-def _require_rates(dataset: Dataset) -> None:
-    for name in dataset.identify:
-        for rate in RATES:
-            if not dataset.facts[name].has(rate):
-                raise InputError(dataset.file(name), rate, "is missing", "p, q and r in every identify flight")
 
 
 def _with_patterns(spec: ModelSpec, drivers: Sequence[str]) -> ModelSpec:

@@ -18,6 +18,7 @@ from rotorid_torch.data.coherence import coherences
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.examine_band import RESPONSES
 from rotorid_torch.data.finding import Finding, finding
+from rotorid_torch.data.needs import examinable
 from rotorid_torch.run.check_figures import draw_check
 from rotorid_torch.run.folder import run_folder
 from rotorid_torch.run.html import render
@@ -71,13 +72,10 @@ class Check:
 
 
 def check(dataset: Dataset) -> Check:
-    """Is a data set fit for identification? Every record by itself, all against each other, and the controls.
-
-    Raises
-    ------
-    InputError : where a helicopter's flights lack the body rates that every step needs.
-    """
+    """Is a data set fit for identification? Every record by itself, all against each other, and the controls."""
     quick = records.check(dataset)
+    if not examinable(dataset):
+        return Check(quick.dataset, quick.fit, quick.findings, (), ())
     sensors, told = sensor_errors(dataset)
     findings = tuple(sorted((*quick.findings, *told), key=lambda found: RANK[found.severity]))
     return Check(quick.dataset, quick.fit, findings, _verdicts(dataset, findings), sensors)
@@ -137,7 +135,15 @@ def _misfit(dataset: Dataset) -> float | None:
 def _verdicts(dataset: Dataset, findings: tuple[Finding, ...]) -> tuple[ChannelVerdict, ...]:
     bands = {c.channel: c.band for c in coherences(dataset, RESPONSES)}
     order = [c for c in (*dataset.controls, *names.CHANNELS, *dataset.scales()) if c in dataset.scales()]
-    return tuple(_verdict(dataset, channel, findings, bands.get(channel)) for channel in dict.fromkeys(order))
+    judged = [_verdict(dataset, channel, findings, bands.get(channel)) for channel in dict.fromkeys(order)]
+    left_out = [one for one in dataset.dead if one.everywhere]
+    reason = tuple(_head(one.sentence) for one in left_out)
+    units = [names.unit(one.channel) for one in left_out]
+    judged += [
+        ChannelVerdict(one.channel, VERDICTS["error"], unit, 0.0, 0.0, None, (why,))
+        for one, unit, why in zip(left_out, units, reason, strict=True)
+    ]
+    return tuple(judged)
 
 
 def _verdict(
@@ -182,7 +188,8 @@ def write_check(out: Path, dataset: Dataset, found: Check, seed: int, monitor: M
     with run_folder(out, "check") as folder, monitor.recording(folder):
         for one in found.findings:
             monitor.log(f"{one.severity}: {_told(one)}")
-        pictures = {name: png(figure) for name, figure in draw_check(dataset).items()}
+        drawn = draw_check(dataset) if examinable(dataset) else {}
+        pictures = {name: png(figure) for name, figure in drawn.items()}
         (folder / "figures").mkdir(exist_ok=True)
         for name, content in pictures.items():
             (folder / "figures" / f"{name}.png").write_bytes(content)

@@ -18,6 +18,7 @@ from torch import Tensor
 from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.from_position import with_velocities
+from rotorid_torch.data.needs import refuse_lacks
 from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.effects.registry import of_others, registered
 from rotorid_torch.effects.spec import ModelSpec
@@ -49,8 +50,6 @@ if TYPE_CHECKING:
 
     from rotorid_torch.run.figures import Overlay
 
-SHORTEST_S = 1.5
-"""Least length of a flight to identify from: the regressions need several periods of the slowest motion they hold."""
 OUTSIDE = 0.1
 """Share of the identified range by which a free run may leave it before it is told."""
 
@@ -332,24 +331,11 @@ def refuse(dataset: Dataset, effects: Sequence[str], device: str) -> None:
         raise InputError("--device", device, "there is no such device", "cpu or cuda")
     if device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device", device, "no CUDA device is available here", "cpu")
-    _refuse_unfit(dataset)
+    refuse_lacks(dataset)
     others = of_others()
     own = [name for name in effects if name in others]
     if own:
         refuse_faulty(own, propose(with_velocities(dataset), None))
-
-
-def _refuse_unfit(dataset: Dataset) -> None:
-    """Refuse data that no step can make a model of."""
-    dataset.require_rates()
-    if not any(dataset.scales()[control] > 0.0 for control in dataset.controls):
-        file = dataset.file(dataset.identify[0])
-        raise InputError(file, dataset.controls[0], "no control moves in any identify flight", "a test input on one")
-    for name in dataset.identify:
-        seconds = dataset.facts[name].seconds
-        if seconds < SHORTEST_S:
-            wanted = f"at least {SHORTEST_S:g} s in a flight of the identify list"
-            raise InputError(dataset.file(name), "time", f"the flight lasts {seconds:.3g} s", wanted)
 
 
 def _report(

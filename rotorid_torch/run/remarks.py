@@ -44,6 +44,8 @@ def of_reading(dataset: Dataset) -> Iterator[str]:
     """What was changed or left out when the data set was read; all flights in one sentence."""
     for flight, sentence in condensed(dataset.warnings):
         yield f"flight {flight}: {sentence}" if flight else sentence
+    for dead in dataset.dead:
+        yield f"{dead.channel} {dead.sentence}"
 
 
 def of_check(dataset: Dataset) -> Iterator[str]:

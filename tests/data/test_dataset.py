@@ -72,7 +72,7 @@ def test_csv_equals_npz(folder):
 
 def test_csv_may_leave_samples_out(folder):
     (folder / "flights" / "one.npz").unlink()
-    rows = "\n".join(f"{0.1 * k},0.0,,{'' if k == 3 else 1.0},0.1" for k in range(20))
+    rows = "\n".join(f"{0.1 * k},0.0,,{'' if k == 3 else 0.1 * k},0.1" for k in range(20))
     (folder / "flights" / "one.csv").write_text(f"time, lat,q,p,lon\n{rows}\n", encoding="utf-8")
     flight = load(folder).flights["one"]
     assert flight.channels["p"].isnan().nonzero().flatten().tolist() == [3]

@@ -95,7 +95,7 @@ def test_positions_that_are_held_leave_the_filter_as_it_was_without_them():
     true = {c: 0.05 * np.sin(TIME * (k + 1)) for k, c in enumerate(names)}
     flight = {c: v + (0.002 * rng.standard_normal(len(v)) if c != "lat" else 0.0) for c, v in true.items()}
     slow = {c: np.repeat(5.0 * TIME[::10], 10) for c in POSITIONS}
-    given = {"f": {"time": TIME, **flight, "psi": 0.0 * TIME, **slow}}
+    given = {"f": {"time": TIME, **flight, "psi": 1e-9 * TIME, **slow}}
     records = with_velocities(Dataset.from_arrays(given, identify=["f"]))
     assert "held or missing" in records.warnings[-1]
     found = reconstruct(records)

@@ -84,11 +84,14 @@ def test_a_run_holds_check_json_and_pictures(tmp_path: Path):
 
 def test_data_in_memory_with_gaps_and_a_dead_channel_are_checked():
     flight = small_flight(samples=900)
-    flight["r"][:] = 0.0
+    flight["r"][:], flight["u"][:] = 0.0, 3.0
     flight["theta"][100:160] = np.nan
     found = check(Dataset.from_arrays({"f": flight}, identify=["f"]))
-    assert verdicts(found)["r"] == "with care"
-    assert any("never changes" in one.sentence and one.channel == "r" for one in found.findings)
+    assert [verdicts(found)[name] for name in ("p", "r", "u")] == ["good", "not fit", "not fit"]
+    assert [one.severity for one in found.findings if "never changes" in one.sentence and one.channel == "u"] == [
+        "warning"
+    ]
+    assert not found.fit
 
 
 @pytest.mark.slow

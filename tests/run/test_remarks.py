@@ -43,7 +43,8 @@ def test_late_controls_are_told_with_their_time_and_who_mends_them():
 
 def test_what_reading_changed_in_many_flights_is_one_sentence():
     dataset = SimpleNamespace(
-        warnings=("control lat has no table", "flight a: time is not uniform: resampled", "flight b: time is rough")
+        dead=(),
+        warnings=("control lat has no table", "flight a: time is not uniform: resampled", "flight b: time is rough"),
     )
     assert list(remarks.of_reading(dataset)) == [
         "control lat has no table",
