@@ -127,11 +127,16 @@ class System:
     def tape_jacobian(self, theta: Tensor, controls: Tensor, dt: float) -> tuple[Tensor, Tensor]:
         """Parameters the control path depends on [n], and the derivatives of the record by them [..., T, nu, n]."""
         none = torch.zeros(0, dtype=torch.long), controls.new_zeros(*controls.shape, 0)
-        if not self.has_tape or self.tape(theta, controls, dt) is controls:  # nothing acts on the control path
+        if not self.has_tape:
             return none
-        value, pull = _pullback(lambda th: self.tape(th, controls, dt), theta)
+        own = theta.detach().requires_grad_()
+        with torch.enable_grad():
+            value = self.tape(own, controls, dt)
+        if not value.requires_grad:  # nothing that is free acts on the control path
+            return none
+        # plain autograd: torch's functional one imports a compiler of seconds for its first backward pass
         weights = _random(value.shape, 0).to(value)
-        which = pull(weights)[0].nonzero()[:, 0]
+        which = torch.autograd.grad(value, own, weights, materialize_grads=True)[0].nonzero()[:, 0]
         if len(which) == 0:
             return none
         seeds = torch.eye(len(theta), dtype=theta.dtype)[which]
