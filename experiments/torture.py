@@ -57,6 +57,8 @@ MOMENTS = 20
 """Kills of each command; half of them at moments of its processor time, half just before a change of a file."""
 FEW_MOMENTS = 5
 """Kills during a compilation, and while floors are drawn."""
+PAGE = 4096
+"""Bytes that a file system in memory hands out at once."""
 COMMANDS = ("fly", "import", "reconstruct", "identify", "close-loop")
 
 
@@ -245,7 +247,7 @@ def _damage_one(files: Sequence[Path], damage: Damage, rng: np.random.Generator)
 def disk(folder: Path, room: int, read_only: bool = False) -> Iterator[None]:
     """A small file system in memory at a folder, of so many bytes."""
     folder.mkdir(parents=True, exist_ok=True)
-    subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={max(room, 4096)},mode=755", "tmpfs", str(folder)], check=True)
+    subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={max(room, PAGE)},mode=755", "tmpfs", str(folder)], check=True)
     try:
         if read_only:
             subprocess.run(["mount", "-o", "remount,ro", str(folder)], check=True)
@@ -298,8 +300,8 @@ def leftovers_beside(place: Place, before: dict[str, str]) -> list[str]:
 def full(base: Base, rng: np.random.Generator, place: Place, command: str, share: float) -> dict:
     """The result goes to a disk with room for a share of it."""
     files = [f for f in (base.result(command), *base.result(command).rglob("*")) if f.is_file()]
-    size = sum(4096 * math.ceil(f.stat().st_size / 4096) for f in files)
-    with disk(place.work / "disk", int(share * size)):
+    pages = sum(math.ceil(f.stat().st_size / PAGE) for f in files)
+    with disk(place.work / "disk", int(share * pages) * PAGE):
         return refused(base, place, command, place.work / "disk" / "out", place.work / "disk", early=False)
 
 

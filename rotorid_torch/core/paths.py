@@ -25,9 +25,14 @@ def refuse_foreign(folder: Path, patterns: Sequence[str], kind: str) -> None:
     kind : what the folder is, for the message.
     """
     for name in _entries(folder):
-        if not any(fnmatchcase(name, pattern) for pattern in patterns):
+        if not is_part(name, patterns):
             expected = f"a folder with nothing but {kind}: move the file away, or write to a new name"
             raise InputError(folder, name, f"would be deleted, and is no part of {kind}", expected)
+
+
+def is_part(name: str, patterns: Sequence[str]) -> bool:
+    """Whether a path in a folder is one of those that a command writes there."""
+    return any(fnmatchcase(name, pattern) for pattern in patterns)
 
 
 def _entries(folder: Path) -> Iterable[str]:

@@ -112,7 +112,9 @@ def checkpoint(out: str | Path, key: Mapping[str, str], *, resume: bool, keep: b
         if lock is not None:
             try:
                 _prepare(folder, key, out, resume)
-            except BaseException:
+            except BaseException as error:
+                if not (resume or isinstance(error, InputError)):
+                    shutil.rmtree(folder, ignore_errors=True)
                 os.close(lock)
                 raise
     if lock is None:

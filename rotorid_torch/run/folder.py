@@ -13,7 +13,8 @@ import msgspec
 
 from rotorid_torch.core.atomic import atomic_file, atomic_folder, refuse_unless_writable, restore
 from rotorid_torch.core.files import read_file
-from rotorid_torch.core.paths import absolute, refuse_foreign, same_file
+from rotorid_torch.core.paths import absolute, is_part, refuse_foreign, same_file
+from rotorid_torch.data.write import FILES as DATASET_FILES
 from rotorid_torch.errors import InputError
 from rotorid_torch.printable import printable
 from rotorid_torch.run.records import LARGEST
@@ -66,7 +67,9 @@ def free_run_file(out: str | Path, *, overwrite: bool = False, inputs: Iterable[
 
 
 def refuse_unless_free_run(out: str | Path, *, overwrite: bool = False, inputs: Iterable[Path] = ()) -> None:
-    """Raise InputError where no free run can be written to `out`: another file lies there, or the parent is no use.
+    """Raise InputError where no free run can be written to `out`.
+
+    Another file lies there, or it would be a file of a run or a data set; or the parent is no use.
 
     Parameters
     ----------
@@ -79,6 +82,9 @@ def refuse_unless_free_run(out: str | Path, *, overwrite: bool = False, inputs: 
     same = same_file(place, inputs)
     if same is not None:
         raise InputError(out, "", f"is the file {same}, which is read", "another name")
+    whole = _part_of(place)
+    if whole is not None:
+        raise InputError(out, "", f"has the name of a file of {whole}", "another name")
     if os.path.lexists(place) and not is_free_run(place):
         if place.exists() and not place.is_file():
             raise InputError(out, "", "is in the way and is not a file", "a new name")
@@ -86,6 +92,17 @@ def refuse_unless_free_run(out: str | Path, *, overwrite: bool = False, inputs: 
             wrong = "is in the way and is not a free run that simulate wrote"
             raise InputError(out, "", wrong, "a new name, or --overwrite to replace the file")
     refuse_unless_writable(place)
+
+
+def _part_of(place: Path) -> Path | None:
+    """The run or the data set that has files of this name."""
+    real = place.parent.resolve() / place.name
+    for folder in list(real.parents)[:2]:
+        name = real.relative_to(folder).as_posix()
+        declared = (folder / "dataset.toml").is_file()
+        if (declared and is_part(name, DATASET_FILES)) or (is_part(name, FILES) and command_of(folder) is not None):
+            return folder
+    return None
 
 
 def is_free_run(path: Path) -> bool:

@@ -15,6 +15,7 @@ import pytest
 from rotorid_torch.core import atomic
 from rotorid_torch.errors import InputError
 from rotorid_torch.run import folder
+from tests.helpers import small_folder
 
 OURS = '{"format": 1, "rotorid": "0.1.0", "command": "identify"}'
 WRITES_SLOWLY = """
@@ -280,3 +281,19 @@ def test_a_file_that_is_read_is_replaced_by_nothing(tmp_path: Path, name, free_r
     with pytest.raises(InputError, match="which is read"):
         write_free_run(out, 3.0, overwrite=True, inputs=[flight])
     assert flight.read_bytes() == out.read_bytes() == before
+
+
+@pytest.mark.parametrize("name", ["run/report.json", "run/model.pt", "run/reconstruct/new.npz", "set/flights/new.npz"])
+@pytest.mark.parametrize("linked_folder", [True, False])
+def test_no_free_run_becomes_a_part_of_a_run_or_a_data_set(tmp_path: Path, name: str, linked_folder: bool):
+    small_folder(tmp_path / "set")
+    write(tmp_path / "run")
+    out = tmp_path / name
+    out.parent.mkdir(exist_ok=True)
+    if linked_folder:
+        (tmp_path / "link").symlink_to(out.parent)
+        out = tmp_path / "link" / out.name
+    with pytest.raises(InputError, match="has the name of a file of"):
+        write_free_run(out, 1.0, overwrite=True)
+    write_free_run(tmp_path / "set" / "free.npz", 1.0)
+    write_free_run(tmp_path / "run" / "free.npz", 1.0)

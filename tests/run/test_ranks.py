@@ -15,6 +15,7 @@ import pytest
 from rotorid_torch.core.ranks import Ranks
 from rotorid_torch.data import load
 from rotorid_torch.errors import InputError
+from rotorid_torch.run import checkpoint as checkpointing
 from rotorid_torch.run import pipeline
 from rotorid_torch.run.checkpoint import Checkpoint, Steps, checkpoint
 from rotorid_torch.run.monitor import Monitor
@@ -151,6 +152,13 @@ def test_without_resume_an_interrupted_run_leaves_nothing(data: Path, tmp_path: 
     monkeypatch.setattr(pipeline, "propose", stopped)
     with pytest.raises(KeyboardInterrupt):
         pipeline.identify(load(data), out=tmp_path / "run")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_run_that_is_interrupted_while_it_begins_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(checkpointing.json, "dumps", stopped)
+    with pytest.raises(KeyboardInterrupt), checkpoint(tmp_path / "run", {"seed": "0"}, resume=False, keep=False):
+        pytest.fail("the work began")
     assert not list(tmp_path.iterdir())
 
 
