@@ -50,8 +50,8 @@ class StallingFin(Effect):
     def __init__(self) -> None:
         super().__init__(
             (
-                Parameter("k", 0.0, "rad/(s m)", (-0.5, 0.5), doc="yaw by side speed at the fin", typical=0.05),
-                Parameter("stall", 2.0, "m/s", (0.3, 10.0), 1.0, doc="side speed at which the fin stalls", typical=2.0),
+                Parameter("k", 0.0, "rad/(s m)", (-0.5, 0.5), doc="yaw by side speed at the fin"),
+                Parameter("stall", 2.0, "m/s", (0.3, 10.0), 1.0, doc="side speed at which the fin stalls"),
             )
         )
 
@@ -111,13 +111,14 @@ class Args:
 
 
 def main(args: Args) -> None:
-    """Identify without and with the effect; ends with one JSON line of scores and of what was found."""
+    """Identify without and with the effect; ends with one JSON line of scores, sizes and verdicts."""
     torch.set_num_threads(1)
     data = flown(0.3, 9.0 if args.quick else 15.0, args.seed)
     without, with_fin = rotorid.identify(data), rotorid.identify(data, effects=["my.fin"])
     result: dict[str, object] = {
         "validate": {"without": without.scores["validate"], "with": with_fin.scores["validate"]},
         "found": {p.name: [p.value, p.se] for p in with_fin.parameters if p.name.startswith("my.fin")},
+        "earned": {e.id: e.verdict for e in with_fin.record.effects},
         "true": {"my.fin.k": 0.3, "my.fin.stall": STALL},
     }
     if args.close_loop:

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import importlib
+import json
+import re
+import sys
+from collections.abc import Callable, Iterator
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,9 +16,11 @@ import pytest
 import torch
 from torch import Tensor
 
+from rotorid_torch import cli
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.core.state import State
 from rotorid_torch.data import Dataset
+from rotorid_torch.effects import registry
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
 from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR, example
 from rotorid_torch.effects.registry import EFFECTS, registered
@@ -21,7 +28,7 @@ from rotorid_torch.errors import InputError
 from rotorid_torch.run import closing, pipeline
 from rotorid_torch.run.own_effects import refuse_faulty
 from tests.effects.own_effects import OWN
-from tests.helpers import small_flight
+from tests.helpers import small_flight, small_folder
 
 Forward = Callable[[Frame, Tensor, Values], Any]
 K = Parameter("k", 0.0, "1", (-1.0, 1.0))
@@ -192,21 +199,75 @@ def test_a_signal_that_this_vehicle_lacks_is_told_before_any_work(command: str, 
         begin(dataset)
 
 
-def test_a_package_that_cannot_be_imported_is_told_by_its_entry_point(monkeypatch: pytest.MonkeyPatch):
-    from importlib.metadata import EntryPoint
+PAGE = (Path(__file__).parents[2] / "docs" / "own-effect.md").read_text(encoding="utf-8")
+EXAMPLE = PAGE.partition("```python\n")[2].partition("```")[0]
+"""The effect of the page of the docs."""
 
-    point = EntryPoint("my-effects", "no_such_module_of_mine", "rotorid_torch.effects")
-    monkeypatch.setattr("rotorid_torch.effects.registry.entry_points", lambda group: [point])
-    import rotorid_torch.effects.registry as registry
 
-    registry._import.cache_clear()
-    try:
-        with pytest.raises(InputError, match="effects of my-effects: no_such_module_of_mine: cannot be loaded"):
-            registered()
-    finally:
-        monkeypatch.undo()
+@pytest.fixture
+def packaged(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[[str], None]]:
+    """Installs a module as the page says, by an entry point of a package; what it registers is gone after the test."""
+    place = tmp_path / "site"
+
+    def install(source: str) -> None:
+        information = place / "my_project-1.0.dist-info"
+        information.mkdir(parents=True)
+        (place / "my_effects.py").write_text(source, encoding="utf-8")
+        (information / "METADATA").write_text("Metadata-Version: 2.1\nName: my-project\nVersion: 1.0\n")
+        (information / "entry_points.txt").write_text("[rotorid_torch.effects]\nmy-effects = my_effects\n")
+        monkeypatch.syspath_prepend(place)
+        importlib.invalidate_caches()
         registry._import.cache_clear()
-        registered()
+
+    yield install
+    sys.modules.pop("my_effects", None)
+    monkeypatch.undo()
+    registry._import.cache_clear()
+    registered()
+
+
+def told_by(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    code = cli.main([str(a) for a in arguments])
+    return code, *capsys.readouterr()
+
+
+def test_the_effect_of_the_page_is_listed_once_it_is_installed(
+    packaged: Callable[[str], None], capsys: pytest.CaptureFixture[str]
+):
+    packaged(EXAMPLE)
+    code, out, _ = told_by(capsys, "effects", "--json")
+    assert code == 0
+    mine = next(e for e in json.loads(out)["effects"] if e["id"] == "my.drag")
+    assert [p["name"] for p in mine["parameters"]] == ["x", "y", "z"]
+    refuse_faulty(["my.drag"], HELICOPTER)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("import torch\n", "import no_such_module\n"), "effects of my-effects: my_effects: cannot be loaded"),
+        (('"my.drag"', '"forces.drag"'), "cannot be loaded .*forces.drag.* is taken"),
+        (('("u", "v", "w")', '("u", "v", "W")'), "effect my.drag: forward: asks for 'W'"),
+        (("(0.0, 0.05)", "(0.05, 0.0)"), r"effect my.drag: from_spec: .*bounds 0\.05 to 0\.0 are reversed"),
+    ],
+)
+@pytest.mark.parametrize("command", [("identify", "--effect", "my.drag"), ("close-loop",)])
+def test_the_commands_refuse_a_faulty_package_in_one_line(
+    packaged: Callable[[str], None],
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    command: tuple[str, ...],
+    change: tuple[str, str],
+    said: str,
+):
+    assert change[0] in EXAMPLE
+    packaged(EXAMPLE.replace(*change))
+    data, out = small_folder(tmp_path / "data"), tmp_path / "run"
+    code, _, err = told_by(capsys, command[0], data, "--out", out, *command[1:])
+    assert code == 2
+    assert re.search(said, err)
+    assert err.count("\n") == 1
+    assert not out.exists()
 
 
 def test_nothing_is_left_of_the_trial(monkeypatch: pytest.MonkeyPatch):
