@@ -67,12 +67,12 @@ def screening_sizes(
 ) -> dict[str, float]:
     """Size of each parameter of these effects that changes the outputs, by full name.
 
-    values : parameters of the fitted model that the effects join.
+    values : parameters of the fitted model that the effects join, each at its null.
     """
     found = {}
     for effect in effects:
         model = build(spec.with_effects(effect))
-        model.start_from(values)
+        model.start_from({n: v for n, v in values.items() if not n.startswith(f"{effect}.")})
         change = _changes(model, dataset)
         for parameter in model.parameter_set.sizes(effect):
             size = _size(parameter, change) if parameter.free and not parameter.tried else None

@@ -46,6 +46,14 @@ def test_what_moves_the_outputs_has_a_size_and_what_shapes_it_has_none():
     assert [(f.id, f.verdict) for f in unmoved] == [("own.nothing", "not testable")]
 
 
+def test_sizes_are_those_beside_a_model_without_the_effect():
+    """Whatever sizes the effect had in a model that is compared: at nothing its time constant changes nothing."""
+    known, null = started(flights())
+    fitted = {**null.values, "own.lag.L": 25.0, "own.lag.tau": 0.4}
+    spec, _, _ = with_screening_sizes(null.spec, fitted, known.dataset, ["own.lag"])
+    assert set(spec.screening_sizes) == {"own.lag.L"}
+
+
 @pytest.mark.parametrize("slope", [1e-4, 1.0, 1e5])
 @pytest.mark.parametrize("bounds", [(0.0, 1.0), (-2.0, 0.0), (-math.inf, math.inf)])
 def test_a_size_changes_the_outputs_visibly_and_little(slope: float, bounds: tuple[float, float]):
