@@ -21,6 +21,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from rotorid_torch.core.atomic import OUTPUT, Unwritable, reason, writing
 from rotorid_torch.errors import InputError, LostRank, Told
 from rotorid_torch.printable import printable
 
@@ -75,22 +76,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
             _refuse_missing_device(options.device)
             speaks = True
             code = options.run(options)
-            sys.stdout.flush()
+            with writing(OUTPUT):
+                sys.stdout.flush()
     except Told as told:
         return _code(told.error)
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the reader left; do not fail again at exit
+        _print_no_more()
         return 1
     except (Exception, KeyboardInterrupt) as error:
         if speaks:
             print("rotorid:", printable(" ".join(_sentence(error).split()), layout=False), file=sys.stderr)
+        if isinstance(error, Unwritable) and error.file == OUTPUT:
+            _print_no_more()
         return _code(error)
     return code or 0
 
 
+def _print_no_more() -> None:
+    """What is left to be printed goes nowhere: it would fail again at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+
+
 def _code(error: BaseException) -> int:
     """Exit code of what ended a command."""
-    return 2 if isinstance(error, InputError) else 130 if isinstance(error, KeyboardInterrupt) else 1
+    bad_input = isinstance(error, InputError) or (isinstance(error, OSError) and error.filename is not None)
+    return 2 if bad_input else 130 if isinstance(error, KeyboardInterrupt) else 1
 
 
 def _sentence(error: BaseException) -> str:
@@ -100,6 +110,8 @@ def _sentence(error: BaseException) -> str:
     if isinstance(error, KeyboardInterrupt):
         several = int(os.environ.get("WORLD_SIZE", "1")) > 1
         return "interrupted; torchrun does so when a process of the run is lost" if several else "interrupted"
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{os.fsdecode(error.filename)}: cannot be used ({reason(error)}); expected a place that can be"
     return f"unexpected {type(error).__name__}: {error}; the log is {_write_log(error)}"
 
 
@@ -117,7 +129,8 @@ def parser() -> Parser:
     _add_command(commands, "effects", effects, "the table of effects that a model can hold")
     show_parser = _add_command(commands, "show", show, "the scorecard of one run or of several")
     show_parser.add_argument("runs", metavar="RUN", nargs="+", type=Path)
-    _add_command(commands, "doctor", doctor, "versions, threads and devices; what is missing")
+    doctor_parser = _add_command(commands, "doctor", doctor, "versions, threads, devices and cache; what is missing")
+    doctor_parser.add_argument("--empty-cache", action="store_true", help="remove what is kept between runs")
     return top
 
 
@@ -319,10 +332,12 @@ def show(options: Options) -> None:
 
 
 def doctor(options: Options) -> None:
-    """Print versions, threads and devices."""
+    """Print versions, threads, devices and the cache, emptied first where that is asked for."""
+    from rotorid_torch.core import cache
     from rotorid_torch.run.doctor import findings, table
 
-    found = findings()
+    removed = cache.empty() if options.empty_cache else None
+    found = findings(removed)
     _answer(options, found, table(found))
 
 
@@ -331,7 +346,8 @@ def _answer(options: Options, as_json: object, for_people: object) -> None:
     if options.json:
         import msgspec
 
-        print(json.dumps(_finite(msgspec.to_builtins(as_json, str_keys=True))))  # in ASCII: no terminal obeys it
+        with writing(OUTPUT):
+            print(json.dumps(_finite(msgspec.to_builtins(as_json, str_keys=True))))  # in ASCII: no terminal obeys it
     elif not options.quiet:
         _console().print(for_people)
 
@@ -401,8 +417,11 @@ def _libraries_keep_still() -> Iterator[None]:
 
 
 def _write_log(error: BaseException) -> str:
-    with tempfile.NamedTemporaryFile("w", prefix="rotorid-", suffix=".log", delete=False) as file:
-        traceback.print_exception(error, file=file)
+    try:
+        with tempfile.NamedTemporaryFile("w", prefix="rotorid-", suffix=".log", delete=False) as file:
+            traceback.print_exception(error, file=file)
+    except OSError as refused:
+        return f"lost ({reason(refused)})"
     return file.name
 
 

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from rotorid_torch import cli
+from rotorid_torch.core import cache
 from rotorid_torch.errors import InputError
 from rotorid_torch.run import records
 
@@ -155,6 +156,45 @@ def test_doctor_reports_versions(capsys: pytest.CaptureFixture[str]):
     code, out, _ = run(capsys, "doctor")
     assert code == 0
     assert "torchdiffeq" in out
+
+
+def test_doctor_says_what_is_kept_and_empties_it(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("ROTORID_CACHE", str(tmp_path))
+    cache.keep(f"{24 * 'a'}.so", bytes(2**20))
+    size = (tmp_path / "native" / f"{24 * 'a'}.so").stat().st_size
+    kept = {"folder": str(tmp_path / "native"), "files": 1, "bytes": size}
+    found = json.loads(run(capsys, "doctor", "--json")[1])
+    assert (found["cache"], found["removed"]) == (kept, None)
+    assert "1 files, 1.0 MiB" in run(capsys, "doctor")[1]
+    found = json.loads(run(capsys, "doctor", "--empty-cache", "--json")[1])
+    assert (found["cache"], found["removed"]) == ({**kept, "files": 0, "bytes": 0}, kept)
+    assert not (tmp_path / "native").exists()
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+@pytest.mark.parametrize("how", [[], ["--json"]])
+def test_output_that_goes_nowhere_is_one_line(how: list[str]):
+    with open("/dev/full", "w") as full:
+        result = subprocess.run([*PROGRAM, "effects", *how], stdout=full, stderr=subprocess.PIPE, text=True)
+    assert result.returncode == 2
+    assert result.stderr.startswith("rotorid: standard output: cannot be written to (No space left on device)")
+    assert result.stderr.count("\n") == 1
+
+
+def test_a_file_that_the_system_refuses_is_one_line_with_its_name(monkeypatch, capsys):
+    stub_show(monkeypatch, PermissionError(13, "Permission denied", "/somewhere/file"))
+    code, out, err = run(capsys, "show", "x")
+    assert (code, out) == (2, "")
+    assert err.startswith("rotorid: /somewhere/file: cannot be used (Permission denied)")
+
+
+def test_an_unexpected_error_without_room_for_its_log_is_one_line(monkeypatch, capsys, tmp_path: Path):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "nowhere"))
+    stub_show(monkeypatch, ZeroDivisionError("x"))
+    code, _, err = run(capsys, "show", "x")
+    assert (code, err) == (1, "rotorid: unexpected ZeroDivisionError: x; the log is lost (No such file or directory)\n")
 
 
 def stub_show(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:

@@ -23,6 +23,8 @@ from rotorid_torch.errors import InputError
 _HIDDEN = re.compile(r"\.(?P<name>.+)\.rotorid-[0-9a-f]{8}\.(?P<state>partial|earlier)", re.DOTALL)
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 ROOM = "a place with room and with permission to write"
+OUTPUT = "standard output"
+"""The place that commands print to."""
 TEMPORARY = "room for temporary files; TMPDIR names another folder"
 _OF_DISKS = (None, *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM))
 """Errors that a write may end with, which names no file; None where numpy tells how many bytes it could write."""
@@ -140,7 +142,11 @@ def sweep(folder: Path) -> None:
 def restore(place: Path) -> None:
     """Put back what a process was to replace and hid, where it died before the new one took the place."""
     if not os.path.lexists(place):
-        sweep(place.absolute().parent)
+        with suppress(OSError):
+            for path in place.absolute().parent.iterdir():
+                hidden = _HIDDEN.fullmatch(path.name)
+                if hidden and hidden["state"] == "earlier" and hidden["name"] == place.name:
+                    _put_back(path, place)
 
 
 def _put_back(earlier: Path, place: Path) -> None:

@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 
 from rotorid_torch.core import names
+from rotorid_torch.core.atomic import restore
 from rotorid_torch.data import plausible, suspicion
 from rotorid_torch.data.dead import Dead, dead_channels, facts_without, flight_without
 from rotorid_torch.data.declare import Declaration, declare, read_declaration
@@ -276,6 +277,7 @@ def load(path: str | Path) -> Dataset:
     folder = Path(path)
     if folder.name == "dataset.toml":
         folder = folder.parent
+    restore(folder)
     if not os.path.isdir(folder):
         told = "is not a folder" if os.path.exists(folder) else "there is no such folder"
         raise InputError(folder, "", told, "a data set's folder")

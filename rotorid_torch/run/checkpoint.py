@@ -76,8 +76,8 @@ class Checkpoint:
             return None
         return _made(torch.load(io.BytesIO(content), weights_only=True))
 
-    def write(self, name: str, result: object) -> bool:
-        """Keep the result of a step; the file is whole or absent. Where it cannot be written, one line says so."""
+    def write(self, name: str, result: object, say: Callable[[str], None]) -> bool:
+        """Keep the result of a step; the file is whole or absent. Where it cannot be written, `say` gets a line."""
         if self.folder is None:
             return False
         buffer = io.BytesIO()
@@ -86,7 +86,7 @@ class Checkpoint:
             write_sealed(self.folder / f"{name}.pt", name, buffer.getvalue())
         except OSError as error:
             told = f"{self.folder} cannot be written to ({reason(error)})"
-            say_once(f"{told}; a later --resume will repeat what is not kept")
+            say(f"{told}; a later --resume will repeat what is not kept")
             return False
         return True
 
@@ -185,7 +185,7 @@ class Steps:
             with self.monitor.step(step):
                 found = make()
             give_back()
-            self.kept.write(name, found)
+            self.kept.write(name, found, self.monitor.say)
         return found
 
     def reconstruct(self, names: tuple[str, ...], make: Callable[[], Reconstruction]) -> Reconstruction:
@@ -200,9 +200,10 @@ class Steps:
             made = make()
             give_back()
             if self.kept.folder is not None and all(
-                self.kept.write(f"reconstruct-{name}", made.flights[name]) for name in names
+                self.kept.write(f"reconstruct-{name}", made.flights[name], self.monitor.say) for name in names
             ):
-                self.kept.write("reconstruct", {**vars(made), "flights": {}})  # it says that all flights are there
+                whole = {**vars(made), "flights": {}}  # it says that all flights are there
+                self.kept.write("reconstruct", whole, self.monitor.say)
         return made
 
     def _known(self, step: str, name: str) -> Any:

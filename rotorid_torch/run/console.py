@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 
+from rotorid_torch.core.atomic import OUTPUT, writing
 from rotorid_torch.printable import printable
 
 
@@ -18,6 +20,11 @@ class PlainConsole(Console):
 
     def __init__(self) -> None:
         super().__init__(soft_wrap=True, markup=False, emoji=False, highlight=False)
+
+    def print(self, *objects: Any, **how: Any) -> None:
+        """As rich does. Raises Unwritable where nothing can be printed."""
+        with writing(OUTPUT):
+            super().print(*objects, **how)
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
         """Segments of what is printed, their text made `printable`."""

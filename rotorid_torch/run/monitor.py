@@ -11,7 +11,7 @@ import sys
 import time
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
@@ -21,7 +21,8 @@ from rotorid_torch.run.records import TimeRecord
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
-    from torch.utils.tensorboard.writer import SummaryWriter
+
+    from rotorid_torch.run.board import Board
 
 
 class Monitor:
@@ -37,7 +38,7 @@ class Monitor:
         self.seconds: dict[str, float] = {}
         self._start = time.perf_counter()
         self._log: TextIO | None = None
-        self._board: SummaryWriter | None = None
+        self._board: Board | None = None
         self._progress: Progress | None = None
 
     @contextmanager
@@ -47,10 +48,9 @@ class Monitor:
             self._log = stack.enter_context((folder / "log.txt").open("w", encoding="utf-8"))
             stack.enter_context(warnings.catch_warnings())
             warnings.showwarning = self._warning
-            from torch.utils.tensorboard.writer import SummaryWriter
+            from rotorid_torch.run.board import Board
 
-            self._board = SummaryWriter(str(folder / "tensorboard"))
-            stack.callback(self._board.close)
+            self._board = stack.enter_context(closing(Board(folder / "tensorboard")))
             try:
                 yield
             finally:
@@ -88,18 +88,13 @@ class Monitor:
     def scalars(self, values: Mapping[str, float], iteration: int) -> None:
         """Record numbers of one iteration, by name (`ml/cost`)."""
         if self._board:
-            for name, value in values.items():
-                self._board.add_scalar(name, value, iteration)
+            self._board.scalars(values, iteration)
         self.log(f"{iteration}: " + ", ".join(f"{name} {value:.6g}" for name, value in values.items()))
 
     def picture(self, name: str, png: bytes, iteration: int = 0) -> None:
         """Record a picture for TensorBoard, as it is."""
-        if self._board and self._board.file_writer:
-            from tensorboard.compat.proto.summary_pb2 import Summary  # pyright: ignore[reportAttributeAccessIssue]
-
-            width, height = (int.from_bytes(png[k : k + 4], "big") for k in (16, 20))  # PNG's header
-            image = Summary.Image(width=width, height=height, colorspace=4, encoded_image_string=png)
-            self._board.file_writer.add_summary(Summary(value=[Summary.Value(tag=name, image=image)]), iteration)
+        if self._board:
+            self._board.picture(name, png, iteration)
 
     def time_record(self) -> TimeRecord:
         """Seconds per step so far, and in all since the monitor was made."""

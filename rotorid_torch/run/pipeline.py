@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.atomic import restore
 from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.from_position import with_velocities
@@ -271,6 +272,7 @@ def simulate(
         way.
     """
     place = Path(model)
+    restore(place)
     file = place / "model.pt" if place.is_dir() else place
     how = {"overwrite": overwrite, "inputs": (file, *dataset.files())}
     refuse_unless_free_run(out, **how)

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
+from rotorid_torch.core.atomic import restore
 from rotorid_torch.core.files import read_file
 from rotorid_torch.data.refusal import convert
 from rotorid_torch.errors import InputError
@@ -232,6 +233,7 @@ def read_report(run: str | Path) -> Report:
     ------
     InputError : no such file, or not a report of this format.
     """
+    restore(Path(run))
     file = Path(run) / "report.json"
     content = read_file(file, "a RUN written by rotorid", LARGEST)
     try:

@@ -18,6 +18,7 @@ from rotorid_torch.errors import InputError
 from rotorid_torch.run import checkpoint as checkpointing
 from rotorid_torch.run import pipeline
 from rotorid_torch.run.checkpoint import Checkpoint, Steps, checkpoint
+from rotorid_torch.run.console import PlainConsole
 from rotorid_torch.run.monitor import Monitor
 from rotorid_torch.run.records import Report, read_report
 from tests.known_models import flown, manoeuvres, rate_vehicle, written
@@ -166,7 +167,7 @@ def interrupted(out: Path, key: dict[str, str], **results: object) -> None:
     """Leave the checkpoint of a run that did not end."""
     with suppress(KeyboardInterrupt), checkpoint(out, key, resume=True, keep=True) as kept:
         for name, result in results.items():
-            kept.write(name, result)
+            kept.write(name, result, pytest.fail)
         raise KeyboardInterrupt
 
 
@@ -198,7 +199,7 @@ def test_a_run_from_the_beginning_forgets_the_interrupted_one(tmp_path: Path):
 
 def test_a_file_cut_short_is_a_step_not_finished(tmp_path: Path):
     kept = Checkpoint(tmp_path)
-    kept.write("step", {"values": np.arange(1000.0)})
+    kept.write("step", {"values": np.arange(1000.0)}, pytest.fail)
     np.testing.assert_array_equal(kept.read("step")["values"], np.arange(1000.0))
     whole = (tmp_path / "step.pt").read_bytes()
     one = np.array([1.0, 2.0, 3.0]).tobytes()
@@ -209,12 +210,14 @@ def test_a_file_cut_short_is_a_step_not_finished(tmp_path: Path):
     assert kept.read("step") is not None
 
 
-def test_a_full_disk_ends_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture):
+def test_a_full_disk_ends_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("rotorid_torch.run.checkpoint.write_sealed", full)
-    steps = Steps(Monitor(), Ranks(), Checkpoint(tmp_path))
+    steps = Steps(Monitor(PlainConsole()), Ranks(), Checkpoint(tmp_path))
     assert steps.do("structure", "structure", lambda: "made") == "made"
-    assert "No space left on device" in caplog.text
+    said = capsys.readouterr()
+    assert "No space left on device" in said.out
+    assert said.err == ""
     assert Checkpoint(tmp_path).read("structure") is None
