@@ -91,8 +91,10 @@ def partial(place: Path, make: Callable[[Path], None]) -> Iterator[Path]:
     try:
         yield path
     finally:
-        _remove(path)
-        os.close(lock)
+        try:
+            remove(path)
+        finally:
+            os.close(lock)
 
 
 def _begun(place: Path, make: Callable[[Path], None]) -> tuple[Path, int]:
@@ -153,6 +155,15 @@ def _put_back(earlier: Path, place: Path) -> None:
     with suppress(FileNotFoundError):
         if not os.path.lexists(place):
             earlier.rename(place)
+
+
+def remove(path: Path) -> None:
+    """Remove a file or a folder, if it is there; an interrupt in the midst of that takes effect afterwards."""
+    try:
+        _remove(path)
+    except KeyboardInterrupt:
+        _remove(path)
+        raise
 
 
 def _remove(path: Path) -> None:

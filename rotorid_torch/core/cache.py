@@ -74,7 +74,7 @@ def keep(name: str, content: bytes) -> None:
         file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         write_sealed(file, name, content)
     except OSError as error:
-        say_once(f"{file.parent}: nothing can be kept there ({reason(error)}); it is made anew each time")
+        say_once(f"{cache_folder()}: nothing can be kept there ({reason(error)}); it is made anew each time")
     _trim()
 
 

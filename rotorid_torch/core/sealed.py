@@ -36,11 +36,13 @@ def write_sealed(file: Path, name: str, content: bytes) -> None:
 
 def read_sealed(file: Path, name: str) -> bytes:
     """Content of a file that was written under this name. Raises Damaged, and OSError where there is none."""
-    handle = os.open(file, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe does not make it wait
+    if file.is_symlink():
+        raise Damaged("is a link")
+    handle = os.open(file, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOFOLLOW)  # a pipe does not make it wait
     with open(handle, "rb") as stream:
         about = os.fstat(handle)
-        if file.is_symlink() or not stat.S_ISREG(about.st_mode):
-            raise Damaged("is a link or no file at all")
+        if not stat.S_ISREG(about.st_mode):
+            raise Damaged("is no file")
         if about.st_uid != os.geteuid() or about.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
             raise Damaged("belongs to another user or can be written by others")
         if about.st_size > LARGEST:

@@ -10,7 +10,6 @@ import fcntl
 import io
 import json
 import os
-import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, is_dataclass
@@ -21,7 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.atomic import Unwritable, locked, reason, writing
+from rotorid_torch.core.atomic import Unwritable, locked, reason, remove, writing
 from rotorid_torch.core.large import give_back
 from rotorid_torch.core.native.fallback import say_once
 from rotorid_torch.core.paths import absolute, refuse_foreign
@@ -114,7 +113,7 @@ def checkpoint(out: str | Path, key: Mapping[str, str], *, resume: bool, keep: b
                 _prepare(folder, key, out, resume)
             except BaseException as error:
                 if not (resume or isinstance(error, InputError)):
-                    shutil.rmtree(folder, ignore_errors=True)
+                    remove(folder)
                 os.close(lock)
                 raise
     if lock is None:
@@ -135,7 +134,7 @@ def checkpoint(out: str | Path, key: Mapping[str, str], *, resume: bool, keep: b
         raise
     finally:
         if not left:
-            shutil.rmtree(folder, ignore_errors=True)
+            remove(folder)
         os.close(lock)
 
 

@@ -38,6 +38,18 @@ def test_any_byte_that_changes_and_any_cut_is_noticed(folder: Path):
             assert cache.read(LIBRARY) is None
 
 
+@pytest.mark.parametrize("target", ["whole", "nowhere"])
+def test_a_link_is_not_followed_and_gives_way(folder: Path, target: str, caplog: pytest.LogCaptureFixture):
+    cache.keep(LIBRARY, b"content")
+    (folder / LIBRARY).rename(folder.parent / "whole")
+    (folder / LIBRARY).symlink_to(folder.parent / target)
+    assert cache.read(LIBRARY) is None
+    assert "a kept file is a link" in caplog.text
+    cache.keep(LIBRARY, b"new")
+    assert cache.read(LIBRARY) == b"new"
+    assert not (folder / LIBRARY).is_symlink()
+
+
 def test_a_whole_file_under_another_name_is_not_used(folder: Path):
     cache.keep(LIBRARY, b"content")
     (folder / LIBRARY).rename(folder / OTHER)

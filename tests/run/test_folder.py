@@ -80,6 +80,24 @@ def break_off(out: Path, error: BaseException) -> None:
         raise error
 
 
+@pytest.mark.parametrize("moment", [1, 2, 3])
+def test_an_interrupt_while_something_is_removed_leaves_nothing(tmp_path: Path, monkeypatch, moment: int):
+    out, removals, rmdir = tmp_path / "run", [], os.rmdir
+    write(out)
+
+    def interrupted(*place, **more) -> None:
+        removals.append(place)
+        if len(removals) == moment:
+            raise KeyboardInterrupt
+        rmdir(*place, **more)
+
+    monkeypatch.setattr(os, "rmdir", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write(out, OURS.replace("0.1.0", "new"))
+    assert [p.name for p in tmp_path.iterdir()] == ["run"]
+    assert (out / "figures").is_dir()
+
+
 def test_exception_leaves_none_where_none_was(tmp_path: Path):
     with pytest.raises(ValueError, match="x"):
         break_off(tmp_path / "run", ValueError("x"))
