@@ -225,6 +225,13 @@ def test_exit_codes(monkeypatch, capsys, tmp_path: Path, error: BaseException, e
     assert (code, out, err.count("\n")) == (expected, "", 1)
 
 
+def test_torchs_compiler_leaves_no_folder(tmp_path: Path):
+    program = "from rotorid_torch import cli; cli.main(['effects', '--quiet']); import torch._dynamo"
+    given = {name: value for name, value in os.environ.items() if name != "TORCHINDUCTOR_CACHE_DIR"}
+    subprocess.run([sys.executable, "-c", program], env={**given, "TMPDIR": str(tmp_path)}, check=True)
+    assert not list(tmp_path.iterdir())
+
+
 SLOW_COMMAND = """
 import signal, sys, time
 from rotorid_torch import cli

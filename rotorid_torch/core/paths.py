@@ -45,4 +45,6 @@ def _entries(folder: Path) -> Iterable[str]:
 
 def same_file(path: Path, others: Iterable[Path]) -> Path | None:
     """The first of other files that `path` is too, by whatever name, link or hard link; None where it is none."""
-    return next((other for other in others if other.exists() and path.exists() and path.samefile(other)), None)
+    if not os.path.exists(path):
+        return None
+    return next((other for other in others if os.path.exists(other) and os.path.samefile(path, other)), None)

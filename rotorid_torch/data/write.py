@@ -122,7 +122,7 @@ def refuse_unless_free(out: str | Path, written: str = "", inputs: Iterable[Path
         wrong = f"is in the way and is not a data set whose description begins with '{written}'"
         raise InputError(out, "", wrong, "a new folder, or a data set that the same command wrote")
     refuse_foreign(place, FILES, "a data set")
-    same = next((file for file in inputs if file.exists() and place.resolve() in file.resolve().parents), None)
+    same = next((file for file in inputs if os.path.exists(file) and place.resolve() in file.resolve().parents), None)
     if same is not None:
         raise InputError(out, "", f"holds {same}, which is read", "a new folder")
 

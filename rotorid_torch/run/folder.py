@@ -99,7 +99,7 @@ def _part_of(place: Path) -> Path | None:
     real = place.parent.resolve() / place.name
     for folder in list(real.parents)[:2]:
         name = real.relative_to(folder).as_posix()
-        declared = (folder / "dataset.toml").is_file()
+        declared = os.path.isfile(folder / "dataset.toml")
         if (declared and is_part(name, DATASET_FILES)) or (is_part(name, FILES) and command_of(folder) is not None):
             return folder
     return None

@@ -315,3 +315,11 @@ def test_no_free_run_becomes_a_part_of_a_run_or_a_data_set(tmp_path: Path, name:
         write_free_run(out, 1.0, overwrite=True)
     write_free_run(tmp_path / "set" / "free.npz", 1.0)
     write_free_run(tmp_path / "run" / "free.npz", 1.0)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everywhere")
+def test_an_input_that_cannot_be_reached_is_told_by_its_reader(tmp_path: Path):
+    (tmp_path / "model").mkdir()
+    (tmp_path / "model" / "model.pt").touch()
+    (tmp_path / "model").chmod(0)
+    folder.refuse_unless_free_run(tmp_path / "free.npz", inputs=[tmp_path / "model" / "model.pt"])
