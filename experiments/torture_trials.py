@@ -173,7 +173,7 @@ class Place:
         """Wait for a command; one that does not end is killed, and has the exit code of that."""
         deadline = time.monotonic() + patience_s
         used = 0.0
-        while os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
+        while process.returncode is None and not os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT):
             used = cpu_s(process.pid)
             if time.monotonic() > deadline:
                 os.killpg(process.pid, signal.SIGKILL)

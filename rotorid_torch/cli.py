@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ.setdefault("ROTORID_THREADS", os.environ.get("OMP_NUM_THREADS", ""))  # native loops: all processors
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # read by torch on import; many small steps are fastest on one thread
     # torch's compiler, which some derivatives import and none uses, would leave a folder of its own in this one
-    os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", os.environ.get("TMPDIR") or "/tmp")  # noqa: S108
+    os.environ.setdefault("TORCHINDUCTOR_CACHE_DIR", os.environ.get("TMPDIR") or "/tmp")
     os.environ.setdefault("TORCH_CPP_LOG_LEVEL", "ERROR")  # what torch remarks on lost processes, our line says better
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a terminal of another encoding than UTF-8 gets other signs
