@@ -44,7 +44,7 @@ def test_motors_and_float32_survive(tmp_path):
     time = np.arange(100) * 0.01
     flight = {"time": time, "motor1": 0.5 + 0 * time, "motor2": 0.4 + 0 * time, "p": np.sin(time).astype(np.float32)}
     place = write_dataset(
-        tmp_path / "quad", {"f": flight}, identify=["f"], kind="multirotor", vehicle={"motors": motors, "mass": 1}
+        tmp_path / "quad", {"f": flight}, identify=["f"], kind="multirotor", vehicle={"motors": motors, "mass": 0.03}
     )
     assert load(place).vehicle.motors[1].position == (0.1, -0.1, 0.0)
     with np.load(place / "flights" / "f.npz") as stored:
