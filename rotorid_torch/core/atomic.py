@@ -50,6 +50,8 @@ def atomic_folder(place: Path, refuse: Callable[[], None]) -> Iterator[Path]:
     Unwritable : the place cannot be written to.
     """
     refuse()
+    with suppress(OSError):
+        sweep(Path(tempfile.gettempdir()))
     with writing(place), partial(place, _make_folder) as path:
         yield path
         refuse()

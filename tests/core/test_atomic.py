@@ -95,6 +95,16 @@ def test_leftovers_of_the_dead_go_and_those_of_the_living_stay(tmp_path: Path):
     assert left == ["two"]
 
 
+def test_temporary_folders_of_the_dead_go_with_whatever_is_written_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "temporary" / ".scratch.rotorid-01234567.partial" / "inside").mkdir(parents=True)
+    write(tmp_path / "data", "x")
+    assert below(tmp_path) == ["data", "data/x", "temporary"]
+
+
 def test_files_that_are_alike_but_not_ours_stay(tmp_path: Path):
     names = [".x.partial", ".x.rotorid-0123.partial", "x.rotorid-01234567.partial", ".x.rotorid-0123456g.partial"]
     for name in names:
