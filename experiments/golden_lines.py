@@ -102,6 +102,7 @@ def summary(loop: rotorid.Loop, true: Mapping[str, float]) -> dict:
         "suspected": [row.id for row in loop.effects if row.verdict == "suspected"],
         # what the nominal model has from the start stands there under the name of its own part
         "structure": [row.id for row in accepted if row.role == "structure" and row.id in fitted],
+        "p": {row.id: p for row in loop.effects if (p := getattr(row, "p", None)) is not None},
         "sizes": {p.name: size(p.value, p.se, true.get(p.name)) for row in named for p in row.parameters},
         "unknown": unknown and {"where": unknown.where, "goes_with": unknown.goes_with, "since_s": unknown.since_s},
         "J": {
