@@ -44,10 +44,11 @@ class ChannelRange:
 
 LEAST_NOISE = 1e-9
 """Least standard deviation in any unit: below it lie the digits of a sample, not a sensor."""
+NOISE = "a twentieth of the range; of a heading that of an angle drawn from a whole turn, pi / 3^½"
 
 
 def _channel(names: str, unit: str, low: float, high: float, noise: float | None, bound: str) -> ChannelRange:
-    spread = None if noise is None else Range(LEAST_NOISE, noise, unit, "a twentieth of the range", or_zero=True)
+    spread = None if noise is None else Range(LEAST_NOISE, noise, unit, NOISE, or_zero=True)
     return ChannelRange(tuple(names.split()), Range(low, high, unit, bound), spread)
 
 
@@ -62,7 +63,7 @@ CHANNELS: tuple[ChannelRange, ...] = (
     _channel("p q r", "rad/s", -100.0, 100.0, 5.0, "gyroscopes of 4000 deg/s, and 40 %"),
     _channel("phi", "rad", -3.15, 3.15, 0.15, "half a turn"),
     _channel("theta", "rad", -1.58, 1.58, 0.075, "a quarter of a turn"),
-    _channel("psi", "rad", -1e4, 1e4, 0.15, "1600 turns, unwrapped"),
+    _channel("psi", "rad", -1e4, 1e4, 1.8, "1600 turns, unwrapped"),
     _channel("north east", "m", -1e8, 1e8, 100.0, "grid coordinates with the number of their zone before them"),
     _channel("height", "m", -5000.0, 20_000.0, 100.0, "deepest mine; above the record of 12 442 m"),
     _channel("ax ay az", "m/s²", -2000.0, 2000.0, 100.0, "accelerometers of 200 g"),
