@@ -9,8 +9,9 @@ Another version of the package is measured by the same cases with
 
     PYTHONPATH=CHECKOUT python experiments/golden.py --half judging
 
-where CHECKOUT is a work tree of the project. The loop as it was before its redesign is the git tag `loop-of-rules`:
-`git worktree add CHECKOUT loop-of-rules`. `--table` prints the rates of all versions in the record side by side.
+where CHECKOUT is a work tree of the project. The loop as it was before its redesign is commit dd0228f, the git tag
+`loop-of-rules`: `git worktree add CHECKOUT loop-of-rules`. `--table` prints the rates of all versions in the record
+side by side.
 
 Floors are kept in a folder of each version, so that a vehicle's second data set finds those of its first, as a user's
 would; cases of one aircraft therefore share the luck of its floors. A case takes 60 to 400 s of a processor.
