@@ -13,7 +13,7 @@ ROTOR = {"blades": 4, "radius": 8.0, "chord": 0.5, "speed": 27.0}
 
 def data() -> Dataset:
     stick = 0.02 * np.sin(0.9 * TIME) + 0.01 * np.sin(2.3 * TIME)
-    still = {c: np.zeros_like(TIME) for c in ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi", "ax", "ay", "az")}
+    still = {c: 1e-13 * np.sin(TIME) for c in ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi", "ax", "ay", "az")}
     flights = {f"f{k}": {"time": TIME, "lat": stick, **still} for k in range(2)}
     return Dataset.from_arrays(
         flights,

@@ -59,7 +59,7 @@ from pathlib import Path
 request = json.loads(Path(sys.argv[3]).read_text())
 assert Path(request["dataset"], "dataset.toml").exists()
 for n in request["numbers"]:
-    rest = {{"traces": {{"L": 1.0}}, "forces": {{}}, "each_control": {{}}, "sizes": {{}}}}
+    rest = {{"traces": {{"L": 1.0}}, "forces": {{}}, "each_control": {{}}, "sizes": {{}}, "evidence": {{}}}}
     found = {{"gains": {{"control.delay": n / 7.0}}, "alike": n != 5, **rest}}
     Path(request["folder"], f"{{n}}.json").write_text(json.dumps(found))
 """

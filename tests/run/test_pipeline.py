@@ -154,7 +154,8 @@ def test_simulate_refuses_what_is_not_there(run: tuple[Run, Path], data: Dataset
     with pytest.raises(InputError, match="no such file"):
         simulate(tmp_path / "nowhere", data, "f_lat", tmp_path / "free.npz")
     other = flown(rate_vehicle(), {"f_lat": manoeuvres(3.0, DT)["f_lat"]}, DT)
-    fewer = {"f": {c: other.flights["f_lat"].channels[c] for c in ("time", "p", "q", "r", "lat")}}
+    channels = other.flights["f_lat"].channels
+    fewer = {"f": {c: channels[c] for c in ("time", "p", "q", "lat")} | {"r": 1e-3 * channels["p"]}}
     with pytest.raises(InputError, match="control is missing"):
         simulate(run[1], Dataset.from_arrays(fewer, identify=["f"]), "f", tmp_path / "free.npz")
 

@@ -196,7 +196,7 @@ def test_seconds_on_the_ground_do_not_count():
     time, flying = 0.02 * np.arange(500), 1.0 * (np.arange(500) >= 200)
     command = {n: flying * (0.55 if n == "motor1" else 0.5) for n in names}
     command["motor2"] = command["motor2"] + 0.1 * (1.0 - flying)  # one of them idles
-    still = dict.fromkeys(("p", "q", "r", "u"), 0.0 * time)
+    still = dict.fromkeys(("p", "q", "r", "u"), 1e-12 * np.sin(time))
     flights = {"f": {"time": time, **command, **still}, "no r": {"time": time, **command, "p": time, "q": time}}
     data = Dataset.from_arrays(flights, identify=["f"], validate=["no r"], kind="multirotor")
     (found,) = balances(build(spec), spec, data, ["f", "no r"])

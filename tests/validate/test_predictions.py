@@ -40,8 +40,8 @@ def flown(model: Model, turn: float = 0.0) -> Flight:
         states = simulate(model, x0, u, DT)
         y = model.output(states, u)
     channels = dict(zip(model.body.outputs, y.unbind(-1), strict=True))
-    arrays = {n: channels[n].numpy() for n in (*BODY, "ax", "ay", "az")} | {"psi": (turn * time).numpy()}
-    arrays |= {n: (0.0 * time).numpy() for n in POSITIONS} | dict(zip(MOTORS, u.numpy().T, strict=True))
+    arrays = {n: channels[n].numpy() for n in (*BODY, "ax", "ay", "az")} | {"psi": ((turn + 1e-12) * time).numpy()}
+    arrays |= {n: (1e-12 * time).numpy() for n in POSITIONS} | dict(zip(MOTORS, u.numpy().T, strict=True))
     data = Dataset.from_arrays({"f": {"time": time.numpy(), **arrays}}, identify=["f"], kind="multirotor")
     return data.flights["f"]
 
