@@ -33,7 +33,8 @@ SMALLEST_EIGENVALUE = 1e-13
 class FlightEquations:
     """Normal equations of each flight about a fitted model, initial states and biases eliminated.
 
-    fitted : [F, n, n] flights of the fit. unseen : [V, n, n] flights that no fit has seen, none where V = 0.
+    fitted : [F, n, n] flights of the fit. unseen : [V, n, n] flights that no fit has seen, none where V = 0; zeros
+    where the fitted model flies away in them, which is no evidence.
     prior : [n, n] of the parameters. count : number P of the model's parameters, which are the first columns; the
     signatures of candidates follow, and the residual is the last of the n columns.
     """
@@ -70,7 +71,8 @@ class FlightEquations:
         fall = (sizes * scored[:, columns, -1]).sum(-1)
         fall = 2.0 * fall - torch.einsum("fi,fij,fj->f", sizes, curvature, sizes)
         without = scored[:, -1, -1].clamp_min(1e-300)
-        return -0.5 * torch.log1p(-fall / without)
+        # a signature that is not finite is no evidence either
+        return -0.5 * torch.log1p((-fall / without).clamp_min(-1.0 + 1e-15)).nan_to_num(nan=0.0)
 
 
 def _eliminating(total: Tensor, count: int) -> Tensor:

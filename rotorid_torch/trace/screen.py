@@ -247,9 +247,10 @@ def screens(
     problem, place = null.fit.likelihood, null.fit.minimum.point
     chance = torch.Generator().manual_seed(seed)
     products, raw = _products(probes, problem, place, null.flights.dataset.identify, keep, shuffles, chance)
-    unseen = products[:0]
-    if null.flights.dataset.validate and math.isfinite(null.on_unseen[1].cost):
-        unseen, _ = _products(probes, *null.on_unseen, null.flights.dataset.unseen, keep, 0, chance)
+    listed = null.flights.dataset.validate
+    unseen = products.new_zeros(len(listed), *products.shape[1:])  # nothing is told where the null flies away
+    if listed and math.isfinite(null.on_unseen[1].cost):
+        unseen, _ = _products(probes, *null.on_unseen, listed, keep, 0, chance)
     prior_rows, prior_rest = problem.prior_rows(place)
     none = prior_rest.new_zeros(len(prior_rest), sum(counts))
     prior = torch.cat([prior_rows[:, keep], none, prior_rest[:, None], prior_rest.new_zeros(len(none), shuffles)], 1)

@@ -92,3 +92,16 @@ def test_p_is_monotone_in_the_statistic():
     clean = {e: torch.linspace(-1, 1, 9).double() for e in "abc"}
     p = adjusted_p({"a": 0.9, "b": 0.1, "c": -0.5}, clean)
     assert p["a"] <= p["b"] <= p["c"] <= 1.0
+
+
+def test_flights_in_which_the_fitted_model_flies_away_are_no_evidence():
+    rows, wide = drawn(6, 4), torch.full((1,), torch.inf, dtype=torch.float64)
+    lost = equations(rows, 0.0 * drawn(7, 2), np.zeros((1, P + K + 1))).held_out([0], -wide, wide)
+    assert len(lost) == 6
+    assert not lost[4:].any()
+
+
+def test_a_signature_that_is_not_finite_is_no_evidence():
+    rows, wide = drawn(8, 3), torch.full((1,), torch.inf, dtype=torch.float64)
+    rows[..., P] = np.nan
+    assert not equations(rows, rows[:0], np.zeros((1, P + K + 1))).held_out([0], -wide, wide).any()
