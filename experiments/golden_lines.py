@@ -23,7 +23,7 @@ QUICK_LIBRARY = ("control.delay",)
 
 
 @contextmanager
-def library_without(effects: Sequence[str]) -> Iterator[None]:
+def without_entries(effects: Sequence[str]) -> Iterator[None]:
     """Entries of the library that cannot be tested on any vehicle, as if nobody had written them.
 
     Processes that fly clean aircraft are handed the effects that are testable, so they need not know of it.
@@ -69,7 +69,7 @@ def run_case(case: Case, shared: Path, aircraft: Path) -> dict:
     line |= {"dataset": case.dataset, "seed": None if case.dataset else case.seed}
     cached, began, used = _cached_files(), time.perf_counter(), _processor_seconds()
     try:
-        with tempfile.TemporaryDirectory() as folder, library_without(removed_by(case)):
+        with tempfile.TemporaryDirectory() as folder, without_entries(removed_by(case)):
             flown = flights_of(case, shared, aircraft, Path(folder))
             line |= {"flights": flown.dataset.sha256[:8]}
             began, used = time.perf_counter(), _processor_seconds()

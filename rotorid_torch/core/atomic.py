@@ -299,6 +299,6 @@ def _of_place(file: object, place: str | Path) -> bool:
     return path == own or own in path.parents or any(_HIDDEN.fullmatch(part) for part in path.parts)
 
 
-def reason(error: OSError) -> str:
+def reason(error: OSError | ValueError) -> str:
     """What the system says, without number and name."""
-    return error.strerror or " ".join(str(error).split())[:120]
+    return getattr(error, "strerror", None) or " ".join(str(error).split())[:120]

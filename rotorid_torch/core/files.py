@@ -11,6 +11,7 @@ import stat
 from pathlib import Path
 from typing import BinaryIO
 
+from rotorid_torch.core.atomic import reason
 from rotorid_torch.errors import InputError
 
 LARGEST = 2**35
@@ -40,7 +41,7 @@ def open_file(path: str | Path, expected: str, limit: int = LARGEST) -> BinaryIO
     except FileNotFoundError:
         raise InputError(path, "", "there is no such file", expected) from None
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have
-        raise InputError(path, "", f"cannot be read ({_reason(error)})", expected) from None
+        raise InputError(path, "", f"cannot be read ({reason(error)})", expected) from None
     try:
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):
@@ -59,11 +60,7 @@ def read_file(path: str | Path, expected: str, limit: int) -> bytes:
         try:
             content = stream.read(limit + 1)  # the file may have grown, and some of the system's tell no size
         except OSError as error:
-            raise InputError(path, "", f"cannot be read ({_reason(error)})", expected) from None
+            raise InputError(path, "", f"cannot be read ({reason(error)})", expected) from None
     if len(content) > limit:
         raise InputError(path, "", f"has over {limit} bytes", f"{expected}, of at most {limit} bytes")
     return content
-
-
-def _reason(error: OSError | ValueError) -> str:
-    return (error.strerror if isinstance(error, OSError) else None) or str(error)

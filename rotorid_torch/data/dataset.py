@@ -353,10 +353,7 @@ def _assemble(
                 toml, f"channels.{channel}", f"no flight has this channel{hint}", "a channel of the data set"
             )
     dead = dead_channels(facts, declaration.flights.identify)
-    if dead:
-        whole = flights
-        flights = OnDemand(whole, lambda name: flight_without(whole[name], dead))
-        facts = facts_without(facts, dead)
+    flights, facts = (_living(flights, dead), facts_without(facts, dead)) if dead else (flights, facts)
     return Dataset(
         name=declaration.name or (printable(folder.resolve().name, layout=False) if folder else "arrays"),
         kind=declaration.kind,
@@ -376,6 +373,11 @@ def _assemble(
         warnings=(*declaration.warnings, *warnings, *told),
         dead=dead,
     )
+
+
+def _living(flights: Mapping[str, Flight], dead: Sequence[Dead]) -> Mapping[str, Flight]:
+    """The flights without their dead channels, each when it is asked for."""
+    return OnDemand(flights, lambda name: flight_without(flights[name], dead))
 
 
 def _largest_inputs(commands: Sequence[str], facts: Mapping[str, Facts]) -> list[float]:

@@ -209,7 +209,7 @@ class NativeEngine:
         """
         nu = len(controls)
         given = torch.cat([controls, controls.new_zeros(1)])
-        traced = Dynamics.of_motion(
+        traced = Dynamics.of(
             lambda x, u, theta: system.motion(theta, u[nu], x, u[:nu]), states, given, system.theta
         )
         timed = traced.depends_on("u", nu)

@@ -30,11 +30,11 @@ def p_values(evidence: Mapping[str, Tensor], floors: Floors) -> dict[str, float]
     """Adjusted p of each effect, the smaller of those of its candidates; nothing where no clean aircraft were drawn."""
     observed = {name: float(total(d)) for name, d in evidence.items() if len(d) and name in floors.evidence}
     adjusted = adjusted_p(observed, {name: total(floors.evidence[name]) for name in observed})
-    found = dict[str, float]()
+    smallest = dict[str, float]()
     for name, p in adjusted.items():
         effect = name.removesuffix(EACH)
-        found[effect] = min(p, found.get(effect, 1.0))
-    return found
+        smallest[effect] = min(p, smallest.get(effect, 1.0))
+    return smallest
 
 
 def adjusted_p(observed: Mapping[str, float], clean: Mapping[str, Tensor]) -> dict[str, float]:

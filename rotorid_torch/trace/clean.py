@@ -10,10 +10,11 @@ import hashlib
 import json
 import math
 import os
+import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -53,8 +54,6 @@ CHANCES = 4
 FEWEST = 20
 """Draws below which no quantile of 5 % is told."""
 WIND, TURNING = "environment.wind", ("q", "r", "phi", "theta")
-FORMAT = 3
-"""Of what is cached."""
 NO_ROOM = 2
 """Exit code of a process that finds no room for temporary files."""
 WATCH_S = 0.5
@@ -73,20 +72,20 @@ def gains_on(clean: Dataset, null: Null, effects: Sequence[str]) -> dict[str, di
     below nothing.
     """
     flown = at_one_rate(clean)
-    found = reconstruct(flown)
-    own = propose(flown, found, ())
-    own = msgspec.structs.replace(own, **{name: getattr(null.spec, name) for name in SAME})
+    reconstruction = reconstruct(flown)
+    spec = propose(flown, reconstruction, ())
+    spec = msgspec.structs.replace(spec, **{name: getattr(null.spec, name) for name in SAME})
     # an aircraft in the data's likeness lies near the data's values: from its own regression few fits find their end
-    fitted = refit(own, Flights(flown, found), null.values, null.held)
+    fitted = refit(spec, Flights(flown, reconstruction), null.values, null.held)
     screened, apart = both_screens(fitted, effects, shuffles=CHANCES)
-    traces = scan(left_over(fitted.model, flown, found, flown.identify))
-    alone = of_control_path(effects)
-    seen = seen_in_forces(fitted, (), effects, 0)
+    traces = scan(left_over(fitted.model, flown, reconstruction, flown.identify))
+    path = of_control_path(effects)
+    in_forces = seen_in_forces(fitted, (), effects, 0)
     return {
         "gains": _gains(screened, effects),
-        "each_control": _gains(apart, alone),
-        "sizes": {n: v for s in (screened, apart) for e in alone if e in TIMES for n, v in s.unbounded(e).items()},
-        "forces": {e: one.gain for e, one in seen.items()},
+        "each_control": _gains(apart, path),
+        "sizes": {n: v for s in (screened, apart) for e in path if e in TIMES for n, v in s.unbounded(e).items()},
+        "forces": {e: one.gain for e, one in in_forces.items()},
         "traces": {key: t.weight for key, t in traces.items()},
         "evidence": {k: d.tolist() for k, d in flight_by_flight(screened, apart).items()},
     }
@@ -116,52 +115,50 @@ def clean_floors(
     why = undrawable(dataset)
     if why is not None:
         return Floors({}, f"floors come from shuffled residuals alone: no clean aircraft can be drawn, {why}")
-    kept = f"floors/{_fingerprint(dataset, null, effects, seed)}"
-    known = ranks.from_first(_read(kept, range(draws)))
-    missing = [n for n in range(draws) if n not in known]
+    key = f"floors/{_fingerprint(dataset, null, effects, seed)}"
+    drawn = ranks.from_first(_read(key, range(draws)))
+    missing = [n for n in range(draws) if n not in drawn]
     if missing:
         say(f"floors: {len(missing)} of {draws} clean aircraft to be flown and identified; they are kept for next time")
-        mine = _fly(dataset, null, effects, seed, ranks.mine(missing), kept, ranks)
+        mine = _fly(dataset, null, effects, seed, ranks.mine(missing), key, ranks)
         for part in ranks.gather(mine):
-            known |= part
-        for number in known.keys() & set(missing) - mine.keys() if ranks.first else ():
-            _keep(kept, number, known[number])
-    found = [known[n] for n in range(draws) if n in known]
-    flown = [f for f in found if set(f["gains"]) >= set(effects)]
-    alike = [f for f in flown if f["alike"]]
-    told, note = alike, f"floors come from {len(alike)} clean aircraft drawn in the likeness of this one"
+            drawn |= part
+        for number in drawn.keys() & set(missing) - mine.keys() if ranks.first else ():
+            _keep(key, number, drawn[number])
+    flown = [drawn[n] for n in range(draws) if n in drawn and set(drawn[n]["gains"]) >= set(effects)]
+    alike = [draw for draw in flown if draw["alike"]]
+    chosen, note = alike, f"floors come from {len(alike)} clean aircraft drawn in the likeness of this one"
     if len(alike) < FEWEST:  # those that come nearest are other aircraft of the kind, and as clean
         few = f"only {len(alike)} of {draws} drawn aircraft resemble the data"
-        told = sorted(flown, key=lambda f: f["misfit"])[:FEWEST]
-        note = f"{few}: floors come from the {len(told)} that come nearest"
-    if len(told) < FEWEST:
-        for number in [n for n, f in known.items() if f not in flown] if ranks.first else ():
-            cache.discard(_name(kept, number))  # what cannot follow these records may follow the next ones
-        return Floors(
-            {}, f"floors come from shuffled residuals alone: {len(told)} of {draws} drawn aircraft could be flown"
-        )
-    gains, traces, forces, each_control, sizes = (
-        {key: torch.tensor([f[kind][key] for f in told], dtype=torch.float64) for key in told[0][kind]}
-        for kind in ("gains", "traces", "forces", "each_control", "sizes")
-    )
-    evidence = {
-        key: torch.tensor([f["evidence"][key] for f in told], dtype=torch.float64) for key in told[0]["evidence"]
-    }
-    return Floors(gains, note, traces, forces, each_control, sizes, evidence)
+        chosen = sorted(flown, key=lambda draw: draw["misfit"])[:FEWEST]
+        note = f"{few}: floors come from the {len(chosen)} that come nearest"
+    if len(chosen) < FEWEST:
+        for number in [n for n, draw in drawn.items() if draw not in flown] if ranks.first else ():
+            cache.discard(_name(key, number))  # what cannot follow these records may follow the next ones
+        flew = f"{len(chosen)} of {draws} drawn aircraft could be flown"
+        return Floors({}, f"floors come from shuffled residuals alone: {flew}")
+    tables = (_table(chosen, kind) for kind in ("gains", "traces", "forces", "each_control", "sizes", "evidence"))
+    gains, *others = tables
+    return Floors(gains, note, *others)
 
 
-def _name(kept: str, number: int) -> str:
-    return f"{kept}/{number}.json"
+def _table(draws: Sequence[Mapping[str, Any]], kind: str) -> dict[str, Tensor]:
+    """One kind of number of all draws [D, ...], by its key."""
+    return {key: torch.tensor([draw[kind][key] for draw in draws], dtype=torch.float64) for key in draws[0][kind]}
 
 
-def _read(kept: str, numbers: Iterable[int]) -> dict[int, Any]:
-    """What is kept of these draws."""
-    found = {number: cache.read(_name(kept, number)) for number in numbers}
-    return {number: json.loads(content) for number, content in found.items() if content is not None}
+def _name(key: str, number: int) -> str:
+    return f"{key}/{number}.json"
 
 
-def _keep(kept: str, number: int, found: Mapping[str, Any]) -> None:
-    cache.keep(_name(kept, number), json.dumps(found).encode())
+def _read(key: str, numbers: Iterable[int]) -> dict[int, Any]:
+    """What the cache holds of these draws."""
+    contents = {number: cache.read(_name(key, number)) for number in numbers}
+    return {number: json.loads(content) for number, content in contents.items() if content is not None}
+
+
+def _keep(key: str, number: int, draw: Mapping[str, Any]) -> None:
+    cache.keep(_name(key, number), json.dumps(draw).encode())
 
 
 def _fingerprint(dataset: Dataset, null: Null, effects: Sequence[str], seed: int) -> str:
@@ -172,8 +169,7 @@ def _fingerprint(dataset: Dataset, null: Null, effects: Sequence[str], seed: int
     spec = null.spec
     facts = {name: dataset.facts[name] for name in dataset.flights}
     scales = dataset.scales()
-    told = {
-        "format": FORMAT,
+    facts_of_draws = {
         "seed": seed,
         "kind": dataset.kind,
         "vehicle": msgspec.to_builtins(dataset.vehicle),
@@ -188,7 +184,7 @@ def _fingerprint(dataset: Dataset, null: Null, effects: Sequence[str], seed: int
         "effects": list(effects),
         "code": _code(),
     }
-    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:24]
+    return hashlib.sha256(json.dumps(facts_of_draws, sort_keys=True).encode()).hexdigest()[:24]
 
 
 def _speed(dataset: Dataset, name: str) -> list[int]:
@@ -216,7 +212,7 @@ def _fly(
     effects: Sequence[str],
     seed: int,
     numbers: Sequence[int],
-    kept: str,
+    key: str,
     ranks: Ranks,
 ) -> dict[int, Any]:
     """The draws in as many processes as there are processors for this one, each kept as soon as it is made.
@@ -229,43 +225,54 @@ def _fly(
     RuntimeError : one of them has failed; with the last line of what it said.
     """
     count = min(threads(), len(numbers))
-    alone = {**os.environ, "OMP_NUM_THREADS": "1", "ROTORID_THREADS": "1"}
-    found: dict[int, Any] = {}
+    drawn: dict[int, Any] = {}
     with scratch_folder() as place, ExitStack() as stack:
-        likeness, made = place / "likeness", place / "made"
+        likeness, results = place / "likeness", place / "draws"
         _written(dataset, null, likeness)
-        made.mkdir()
-        workers = []
-        for k in range(count):
-            request = {
-                "dataset": str(likeness),
-                "spec": null.spec.plain(),
-                "values": dict(null.values),
-                "held": list(null.held),
-                "effects": list(effects),
-                "seed": seed,
-                "numbers": list(numbers[k::count]),
-                "folder": str(made),
-            }
-            file = place / f"request-{k}.json"
-            file.write_text(json.dumps(request))
-            command = [sys.executable, "-m", "rotorid_torch.trace.clean", str(file)]
-            log = stack.enter_context(file.with_suffix(".log").open("w"))
-            workers.append(stack.enter_context(child(command, env=alone, stderr=log)))
+        results.mkdir()
+        request = {
+            "dataset": str(likeness),
+            "spec": null.spec.plain(),
+            "values": dict(null.values),
+            "held": list(null.held),
+            "effects": list(effects),
+            "seed": seed,
+            "folder": str(results),
+        }
+        files = [place / f"request-{k}.json" for k in range(count)]
+        for k, file in enumerate(files):
+            file.write_text(json.dumps({**request, "numbers": list(numbers[k::count])}))
+        workers = [stack.enter_context(_worker(file)) for file in files]
         at_work = True
         while at_work:
             at_work = any(ranks.gather(any(worker.poll() is None for worker in workers)))
-            for number in {int(file.stem) for file in made.glob("*.json")} - found.keys():
-                found[number] = json.loads((made / f"{number}.json").read_text())
-                _keep(kept, number, found[number])
+            for number in {int(file.stem) for file in results.glob("*.json")} - drawn.keys():
+                drawn[number] = json.loads((results / f"{number}.json").read_text())
+                _keep(key, number, drawn[number])
             time.sleep(WATCH_S if at_work else 0.0)
-        for k, worker in enumerate(workers):
-            if worker.returncode == NO_ROOM:
-                raise Unwritable(place.parent, "", "cannot be written to", TEMPORARY)
-            if worker.returncode:
-                lines = (place / f"request-{k}.log").read_text().splitlines() or [f"code {worker.returncode}"]
-                raise RuntimeError(f"a process that identifies clean aircraft has failed: {lines[-1]}")
-    return found
+        for worker, file in zip(workers, files, strict=True):
+            _refuse_failure(worker.returncode, file)
+    return drawn
+
+
+@contextmanager
+def _worker(request: Path) -> Iterator[subprocess.Popen[str]]:
+    """A process that makes the draws of a request by this very package, whatever the working folder holds."""
+    root = str(Path(__file__).parents[2])
+    places = os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))
+    alone = {"OMP_NUM_THREADS": "1", "ROTORID_THREADS": "1", "PYTHONPATH": places, "PYTHONSAFEPATH": "1"}
+    command = [sys.executable, "-m", "rotorid_torch.trace.clean", str(request)]
+    with request.with_suffix(".log").open("w") as log, child(command, env=os.environ | alone, stderr=log) as worker:
+        yield worker
+
+
+def _refuse_failure(code: int, request: Path) -> None:
+    """Raise what a worker's exit code says, with the last line of its log."""
+    if code == NO_ROOM:
+        raise Unwritable(request.parents[1], "", "cannot be written to", TEMPORARY)
+    if code:
+        lines = request.with_suffix(".log").read_text().splitlines() or [f"code {code}"]
+        raise RuntimeError(f"a process that identifies clean aircraft has failed: {lines[-1]}")
 
 
 def _through_air(flight: Flight, null: Null) -> dict[str, Tensor]:
@@ -312,18 +319,18 @@ def _work(request: Mapping[str, object]) -> None:
     effects = msgspec.convert(request["effects"], list[str])
     numbers = msgspec.convert(request["numbers"], list[int])
 
-    def tell(number: int, found: Mapping[str, Any]) -> None:
+    def write(number: int, draw: Mapping[str, Any]) -> None:
         with atomic_file(folder / f"{number}.json") as file:
-            file.write_text(json.dumps(found))
+            file.write_text(json.dumps(draw))
 
     with suppress(Untrimmable):  # none flies
         for drawn in clean_flights(dataset, msgspec.convert(request["seed"], int), tuple(numbers)):
             numbers.remove(drawn.number)
             with suppress(*NO_FIT):  # from here; the next data set of the vehicle starts elsewhere
-                found = {**gains_on(drawn.dataset, null, effects), "alike": drawn.alike}
-                tell(drawn.number, {**found, "misfit": drawn.misfit, "rotor": drawn.rotor})
+                likeness = {"alike": drawn.alike, "misfit": drawn.misfit, "rotor": drawn.rotor}
+                write(drawn.number, gains_on(drawn.dataset, null, effects) | likeness)
     for number in numbers:  # aircraft that flew away are not flown again next time
-        tell(number, {"gains": {}, "alike": False})
+        write(number, {"gains": {}, "alike": False})
 
 
 if __name__ == "__main__":

@@ -133,11 +133,11 @@ class Screen:
         At the size and with the other parameters where that is largest over all flights.
         """
         assert self.equations is not None
-        found = []
+        gains = []
         for which in self._variants(effect):
             low, high = torch.tensor([self.signatures[i].reach for i in which], dtype=torch.float64).mT
-            found.append(self.equations.held_out(which, low, high))
-        return max(found, key=lambda gains: float(gains.sum()), default=torch.zeros(0, dtype=torch.float64))
+            gains.append(self.equations.held_out(which, low, high))
+        return max(gains, key=lambda d: float(d.sum()))
 
     def by_chance(self, effect: str) -> Tensor:
         """The same gain against residuals of the same colour that cannot know of the controls [R]."""
@@ -246,26 +246,27 @@ def screens(
     names = [n for n, kept in zip(null.names, keep.tolist(), strict=True) if kept]
     problem, place = null.fit.likelihood, null.fit.minimum.point
     chance = torch.Generator().manual_seed(seed)
-    products, raw = _products(probes, problem, place, null.flights.dataset.identify, keep, shuffles, chance)
+    fitted = _Linearised(problem, place, null.flights.dataset.identify, keep)
+    products, raw = _products(probes, fitted, shuffles, chance)
     listed = null.flights.dataset.validate
     unseen = products.new_zeros(len(listed), *products.shape[1:])  # nothing is told where the null flies away
     if listed and math.isfinite(null.on_unseen[1].cost):
-        unseen, _ = _products(probes, *null.on_unseen, listed, keep, 0, chance)
+        unseen, _ = _products(probes, _Linearised(*null.on_unseen, listed, keep), 0, chance)
     prior_rows, prior_rest = problem.prior_rows(place)
     none = prior_rest.new_zeros(len(prior_rest), sum(counts))
     prior = torch.cat([prior_rows[:, keep], none, prior_rest[:, None], prior_rest.new_zeros(len(none), shuffles)], 1)
     prior = prior.mT @ prior
     left, shares = _eliminated(products, prior, len(names))
-    found, first, behind = [], 0, list(range(sum(counts), left.shape[-1]))
+    screened, first, behind = [], 0, list(range(sum(counts), left.shape[-1]))
     for probe, count in zip(probes, counts, strict=True):
         mine = list(range(first, first + count))
         whole = [*range(len(names)), *(len(names) + k for k in (*mine, behind[0]))]
         equations = FlightEquations(_block(products, whole), _block(unseen, whole), _block(prior, whole), len(names))
         absorbed = tuple([_largest(tuple(names), shares[:, k]) for k in mine])
-        own = _block(left, [*mine, *behind])
-        found.append(Screen(probe.chosen, own, raw[mine], null.per_sample, absorbed, equations))
+        projected = _block(left, [*mine, *behind])
+        screened.append(Screen(probe.chosen, projected, raw[mine], null.per_sample, absorbed, equations))
         first += count
-    return found
+    return screened
 
 
 def both_screens(
@@ -282,27 +283,32 @@ def _block(matrices: Tensor, columns: list[int]) -> Tensor:
     return matrices[..., columns, :][..., columns]
 
 
+@dataclass(frozen=True, eq=False)
+class _Linearised:
+    """The likelihood of flights by name, a place in it, and which of the null's parameters count."""
+
+    problem: Likelihood
+    place: Place
+    names: Sequence[str]
+    keep: Tensor
+
+
 def _products(
-    probes: Sequence[_Probe],
-    problem: Likelihood,
-    place: Place,
-    names: Sequence[str],
-    keep: Tensor,
-    shuffles: int,
-    chance: torch.Generator,
+    probes: Sequence[_Probe], flown: _Linearised, shuffles: int, chance: torch.Generator
 ) -> tuple[Tensor, Tensor]:
     """Products [F, n, n] of each flight, initial states and biases projected out, and squares of signatures [K].
 
     Columns: the null's parameters that are kept, signatures, residual, residuals turned in time.
     """
-    found, raw = [], []
+    products, raw = [], []
+    problem = flown.problem
     tapes = [_tapes(probe.model, problem.records, probe.chosen) for probe in probes]
-    for part, whitener, rows in problem.by_flight(place):
+    for part, whitener, rows in problem.by_flight(flown.place):
         state = part.run.states[:, 0]
         changes = [
             change
             for probe, taped in zip(probes, tapes, strict=True)
-            for change in probe.changes(problem.records, names, taped, part.segments, state)
+            for change in probe.changes(problem.records, flown.names, taped, part.segments, state)
         ]
         signature = _rows(whitener, torch.stack(changes, dim=-1)) if changes else rows[..., :0]
         raw.append(signature.square().sum((0, 1)))
@@ -310,11 +316,11 @@ def _products(
         residual = rows[..., -1:]
         record = residual[..., 0].unflatten(-1, (-1, part.residual.shape[-1])).flatten(0, 1)
         by_chance = turned(record, shuffles, chance).unflatten(0, (len(residual), -1)).flatten(1, 2)
-        matrix = torch.cat([rows[..., first:-1][..., keep], signature, residual, by_chance], dim=-1)
+        matrix = torch.cat([rows[..., first:-1][..., flown.keep], signature, residual, by_chance], dim=-1)
         basis = torch.linalg.qr(rows[..., :first]).Q
         matrix = matrix - basis @ (basis.mT @ matrix)
-        found.append((matrix.mT @ matrix).sum(0))
-    return torch.stack(found), torch.stack(raw).sum(0)
+        products.append((matrix.mT @ matrix).sum(0))
+    return torch.stack(products), torch.stack(raw).sum(0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -115,7 +115,7 @@ class Runs:
             for names in (model.layout.names, model.body.controls)
         )
         try:
-            dynamics = Dynamics.of_motion(lambda x, u, theta: model.motion(theta, x, u), x, u, model.theta.detach())
+            dynamics = Dynamics.of(lambda x, u, theta: model.motion(theta, x, u), x, u, model.theta.detach())
             dynamics.build()
         except Unsupported as error:
             say_once(f"free runs are simulated in torch, many times slower than compiled: {error}")

@@ -22,8 +22,7 @@ def answer(system: System, nx: int, nu: int, ny: int) -> Tensor:
     x0, controls = torch.zeros(1, nx, dtype=torch.float64), torch.zeros(1, 2, nu, dtype=torch.float64)
     now, theta = torch.zeros((), dtype=torch.float64), system.theta
     engine = Dynamics.of(
-        lambda x, u, th: system.rates(th, now, x, u),
-        lambda x, u, th: system.output(th, x, u),
+        lambda x, u, th: system.motion(th, now, x, u),
         x0[0],
         controls[0, 0],
         theta,

@@ -10,7 +10,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.native import build, fallback
+from rotorid_torch.core.native import fallback
+from rotorid_torch.core.native.build import NO_COMPILER, library
 from rotorid_torch.core.native.recursion import SERIES, CompiledRecursion, Step
 from rotorid_torch.core.recursion import followed, linear, reference
 
@@ -65,7 +66,7 @@ def engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> s
     if request.param == "torch":
 
         def refused(self: CompiledRecursion, start: Tensor, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
-            raise fallback.Unsupported(build.NO_COMPILER)
+            raise fallback.Unsupported(NO_COMPILER)
 
         monkeypatch.setattr(CompiledRecursion, "run", refused)
         monkeypatch.setattr("rotorid_torch.core.recursion.say_once", lambda text: None)
@@ -140,14 +141,14 @@ def test_without_a_compiler_torch_does_it_and_says_so_once(
     start, inputs = case()
     native = followed(saturated, start, *inputs)
     monkeypatch.setenv("CXX", "no-such-compiler")
-    build.library.cache_clear()
+    library.cache_clear()
     fallback.say_once.cache_clear()
     with caplog.at_level(logging.WARNING):
         found = [followed(saturated, start, *inputs) for _ in range(2)]
-    build.library.cache_clear()
+    library.cache_clear()
     fallback.say_once.cache_clear()
     assert [r.getMessage() for r in caplog.records] == [
-        f"records are followed in torch, sample by sample: {build.NO_COMPILER}"
+        f"records are followed in torch, sample by sample: {NO_COMPILER}"
     ]
     for one in found:
         agree(one, native)

@@ -203,7 +203,7 @@ def test_processes_load_the_version_that_is_measured(tmp_path: Path, monkeypatch
 
 
 def test_an_entry_is_out_of_the_library_as_long_as_it_is_asked_for() -> None:
-    without = import_module("golden_lines").library_without
+    without = import_module("golden_lines").without_entries
     entry = registered()["environment.turbulence"]
     with without(("environment.turbulence", "outside.product")):
         assert refusal("environment.turbulence", HELICOPTER) == "taken out of the library"

@@ -216,3 +216,14 @@ def test_clean_aircraft_repeat_the_motion_through_the_air():
     torch.testing.assert_close(found["u"], torch.tensor([0.0, -8.0], dtype=torch.float64))
     torch.testing.assert_close(found["v"], torch.zeros(2, dtype=torch.float64), atol=1e-12, rtol=0.0)
     assert clean._through_air(flight, Null(spec, {})) == {}
+
+
+def test_a_file_in_the_working_folder_takes_no_part_in_a_worker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "random.py").write_text("raise RuntimeError('shadowed')")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("PYTHONPATH", raising=False)
+    request = tmp_path / "request.json"
+    request.write_text("{}")
+    with clean._worker(request) as worker:
+        worker.wait()
+    assert request.with_suffix(".log").read_text().endswith("KeyError: 'dataset'\n")

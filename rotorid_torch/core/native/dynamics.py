@@ -67,48 +67,17 @@ class Dynamics:
     classic: bool = False
 
     @classmethod
-    def of(
-        cls,
-        rates: Function,
-        outputs: Function,
-        x: Tensor,
-        u: Tensor,
-        theta: Tensor,
-        path: Sequence[int] = (),
-        biased: Sequence[int] = (),
-        initial: bool = True,
-        classic: bool = False,
-    ) -> Dynamics:
-        """Trace both functions at a point.
+    def of(cls, motion: Motion, x: Tensor, u: Tensor, theta: Tensor) -> Dynamics:
+        """Trace rates and outputs at a point; what both need is traced once. `replace` gives the other settings.
 
         Raises
         ------
-        Unsupported : an operation in them is not known to native code.
+        Unsupported : an operation in the function is not known to native code.
         """
-
-        def motion(x: Tensor, u: Tensor, theta: Tensor) -> tuple[Tensor, Tensor]:
-            return rates(x, u, theta), outputs(x, u, theta)
-
-        return cls.of_motion(motion, x, u, theta, path, biased, initial, classic)
-
-    @classmethod
-    def of_motion(
-        cls,
-        motion: Motion,
-        x: Tensor,
-        u: Tensor,
-        theta: Tensor,
-        path: Sequence[int] = (),
-        biased: Sequence[int] = (),
-        initial: bool = True,
-        classic: bool = False,
-    ) -> Dynamics:
-        """The same for a function that gives rates and outputs together: what both need is traced once."""
         graph = Graph()
         nodes = traced(graph, lambda *point: torch.cat(motion(*point)), x, u, theta)
         f, h = nodes[: len(x)], nodes[len(x) :]
-        n = len(x), len(u), len(h), len(theta)
-        return cls(graph, tuple(f), tuple(h), *n, tuple(path), tuple(biased), initial, classic)
+        return cls(graph, tuple(f), tuple(h), len(x), len(u), len(h), len(theta))
 
     @cached_property
     def columns(self) -> Columns:

@@ -104,7 +104,7 @@ def test_what_varies_and_what_does_not_go_together_in_lanes() -> None:
     x = torch.randn(11, 3, generator=generator, dtype=torch.float64)
     theta = torch.tensor([0.4, -0.7], dtype=torch.float64)
     u = torch.zeros(0, dtype=torch.float64)
-    model = Dynamics.of(lambda x, u, theta: 0.0 * x, outputs, x[0], u, theta)
+    model = Dynamics.of(lambda x, u, theta: (0.0 * x, outputs(x, u, theta)), x[0], u, theta)
     for values in (theta, torch.tensor([0.9, 1.3], dtype=torch.float64)):
         _, got = model.simulate(values, x, torch.zeros(11, 1, 0).double(), 0.1)
         wanted = torch.stack([outputs(row, u, values) for row in x])
