@@ -287,16 +287,16 @@ def writing_temporary() -> Iterator[None]:
     try:
         place = tempfile.gettempdir()
     except OSError as error:  # none of those that Python tries can be written to
-        told = os.environ.get("TMPDIR", "/tmp")
-        raise Unwritable(told, "", "cannot be written to", TEMPORARY) from error
+        named = os.environ.get("TMPDIR", "/tmp")
+        raise Unwritable(named, "", "cannot be written to", TEMPORARY) from error
     with writing(place, TEMPORARY):
         yield
 
 
 def _of_place(file: object, place: str | Path) -> bool:
     """Whether a file that the system names is the place, lies in it, or is what shall take it."""
-    path, own = Path(os.fsdecode(file)) if isinstance(file, str | bytes) else Path(str(file)), Path(place)
-    return path == own or own in path.parents or any(_HIDDEN.fullmatch(part) for part in path.parts)
+    path, root = Path(os.fsdecode(file)) if isinstance(file, str | bytes) else Path(str(file)), Path(place)
+    return path == root or root in path.parents or any(_HIDDEN.fullmatch(part) for part in path.parts)
 
 
 def reason(error: OSError | ValueError) -> str:

@@ -29,6 +29,6 @@ def bounded_least_squares(G: Tensor, d: Tensor, low: Tensor, high: Tensor) -> Te
     if len(d) == 1 or len(root) == 0 or bool((inside == free).all()):
         return inside
     box = (low * scale).numpy(), (high * scale).numpy()
-    found = lsq_linear((root[:, None] * across).numpy(), target.numpy(), box, method="bvls", max_iter=100 * len(d))
-    side = torch.from_numpy(found.active_mask)
-    return torch.where(side < 0, low, torch.where(side > 0, high, torch.from_numpy(found.x) / scale)).clamp(low, high)
+    best = lsq_linear((root[:, None] * across).numpy(), target.numpy(), box, method="bvls", max_iter=100 * len(d))
+    side = torch.from_numpy(best.active_mask)
+    return torch.where(side < 0, low, torch.where(side > 0, high, torch.from_numpy(best.x) / scale)).clamp(low, high)

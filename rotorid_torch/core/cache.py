@@ -106,8 +106,8 @@ def _trim() -> None:
 
 def usage() -> Usage:
     """What is kept now."""
-    kept = [about.st_size for _, about in _kept()]
-    return Usage(str(cache_folder()), len(kept), sum(kept))
+    sizes = [about.st_size for _, about in _kept()]
+    return Usage(str(cache_folder()), len(sizes), sum(sizes))
 
 
 def empty() -> Usage:

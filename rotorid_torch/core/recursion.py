@@ -41,8 +41,8 @@ class _Followed(torch.autograd.Function):
 
     @staticmethod
     def forward(step: Step, start: Tensor, *inputs: Tensor) -> tuple[Tensor, ...]:
-        given = (start, *inputs)
-        if all(value.dtype == torch.float64 and value.device.type == "cpu" for value in given):
+        arguments = (start, *inputs)
+        if all(value.dtype == torch.float64 and value.device.type == "cpu" for value in arguments):
             try:
                 return CompiledRecursion.of(step, len(inputs)).run(start, inputs)
             except Unsupported as error:
@@ -63,8 +63,8 @@ class _Followed(torch.autograd.Function):
         after = torch.cat([by_last[..., 1:, :], torch.zeros_like(by_last[..., :1, :])], dim=-2)
         grad = grad_outputs[0]
         adjoint = followed(linear, torch.zeros_like(grad[..., 0, :]), after.flip(-2), grad.flip(-2)).flip(-2)
-        found = [by_last[..., 0, :] * adjoint[..., 0, :], *(slope * adjoint for slope in slopes)]
-        return None, *(value.sum_to_size(shape) for value, shape in zip(found, ctx.shapes, strict=True))
+        gradients = [by_last[..., 0, :] * adjoint[..., 0, :], *(slope * adjoint for slope in slopes)]
+        return None, *(value.sum_to_size(shape) for value, shape in zip(gradients, ctx.shapes, strict=True))
 
     @staticmethod
     def jvp(ctx: Any, *tangents: Tensor | None) -> tuple[Tensor | None, ...]:
@@ -81,10 +81,10 @@ class _Followed(torch.autograd.Function):
         """The batch is one more leading dimension."""
         step, start, *inputs = args
         dims = in_dims[1:]
-        own = [1, *([2] * len(inputs))]
-        lead = max(v.dim() - (d is not None) - n for v, d, n in zip((start, *inputs), dims, own, strict=True))
+        trailing = [1, *([2] * len(inputs))]
+        lead = max(v.dim() - (d is not None) - n for v, d, n in zip((start, *inputs), dims, trailing, strict=True))
         moved = [
-            v if d is None else _front(v, d, lead + n) for v, d, n in zip((start, *inputs), dims, own, strict=True)
+            v if d is None else _front(v, d, lead + n) for v, d, n in zip((start, *inputs), dims, trailing, strict=True)
         ]
         return _Followed.apply(step, *moved), tuple([0] * (2 + len(inputs)))
 
@@ -103,7 +103,7 @@ def reference(step: Step, start: Tensor, inputs: Sequence[Tensor]) -> tuple[Tens
     return torch.stack(rows[1:], dim=-2), *slopes(torch.ones_like(y))
 
 
-def _front(value: Tensor, batch: int, own: int) -> Tensor:
-    """A value with its batch before `own` other dimensions."""
+def _front(value: Tensor, batch: int, trailing: int) -> Tensor:
+    """A value with its batch before `trailing` other dimensions."""
     value = value.movedim(batch, 0)
-    return value.reshape(value.shape[0], *[1] * (own + 1 - value.dim()), *value.shape[1:])
+    return value.reshape(value.shape[0], *[1] * (trailing + 1 - value.dim()), *value.shape[1:])

@@ -30,8 +30,8 @@ class Dead:
         done = "left out as if it were not recorded. Check the sensor and its connection."
         if self.everywhere:
             return f"never changes in the identify flights ({at} in all samples): dead, or not connected; {done}"
-        told = f"never changes in {', '.join(self.flights)} ({at} in all samples), and moves in other flights"
-        return f"{told}: {done}"
+        where = f"never changes in {', '.join(self.flights)} ({at} in all samples), and moves in other flights"
+        return f"{where}: {done}"
 
 
 def dead_channels(facts: Mapping[str, Facts], identify: Sequence[str]) -> tuple[Dead, ...]:
@@ -40,14 +40,14 @@ def dead_channels(facts: Mapping[str, Facts], identify: Sequence[str]) -> tuple[
     A record without noise rests at trim, and may rest for a whole flight that moves other axes: a channel that rests
     where most of its other flights begin is no dead one. Controls may rest, and channels of other names are not judged.
     """
-    channels = dict.fromkeys(channel for known in facts.values() for channel in known.spreads)
+    channels = dict.fromkeys(channel for each in facts.values() for channel in each.spreads)
     judged = (c for c in channels if c != "time" and names.channel(c) is not None and not names.is_control(c))
-    found = (_dead(channel, facts, set(identify)) for channel in judged)
-    return tuple(one for one in found if one is not None)
+    unchanging = (_dead(channel, facts, set(identify)) for channel in judged)
+    return tuple(one for one in unchanging if one is not None)
 
 
 def _dead(channel: str, facts: Mapping[str, Facts], identify: set[str]) -> Dead | None:
-    spreads = {flight: known.spreads[channel] for flight, known in facts.items() if channel in known.spreads}
+    spreads = {flight: each.spreads[channel] for flight, each in facts.items() if channel in each.spreads}
     still = {flight: spread for flight, spread in spreads.items() if _still(spread)}
     moving = {flight: spread for flight, spread in spreads.items() if flight not in still}
     if not still:
@@ -69,14 +69,14 @@ def _still(spread: Spread) -> bool:
 
 def facts_without(facts: Mapping[str, Facts], dead: Sequence[Dead]) -> dict[str, Facts]:
     """Facts of all flights, without the dead channels of each."""
-    return {flight: _facts_without(known, _gone(flight, dead)) for flight, known in facts.items()}
+    return {flight: _facts_without(each, _gone(flight, dead)) for flight, each in facts.items()}
 
 
 def flight_without(flight: Flight, dead: Sequence[Dead]) -> Flight:
     """A flight without its dead channels."""
     gone = _gone(flight.name, dead)
-    kept = {channel: values for channel, values in flight.channels.items() if channel not in gone}
-    return replace(flight, channels=MappingProxyType(kept))
+    remaining = {channel: values for channel, values in flight.channels.items() if channel not in gone}
+    return replace(flight, channels=MappingProxyType(remaining))
 
 
 def _gone(flight: str, dead: Sequence[Dead]) -> set[str]:

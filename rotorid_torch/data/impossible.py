@@ -25,17 +25,17 @@ def without_impossible(
     ------
     InputError : where more than one, and more than `FEW` of the samples, lie outside, or half of them.
     """
-    there = int((~np.isnan(values)).sum())
+    measured = int((~np.isnan(values)).sum())
     outside = (values < allowed.low) | (values > allowed.high)
     count = int(outside.sum())
     if not count:
         return values, ""
     worst = float(values[outside][np.abs(values[outside]).argmax()])
     reaches, many = f"reaches {worst:.4g} {allowed.unit}".rstrip(), "1 sample" if count == 1 else f"{count} samples"
-    if count > max(1, FEW * there) or 2 * count >= there:
+    if count > max(1, FEW * measured) or 2 * count >= measured:
         guess = "degrees, or another unit?" if allowed.unit.startswith("rad") else "another unit?"
-        told = f"{reaches}, {count} of {there} samples outside {allowed} ({guess})"
-        raise InputError(file, key, told, f"{allowed}, but for {FEW:.0%} of the samples")
+        text = f"{reaches}, {count} of {measured} samples outside {allowed} ({guess})"
+        raise InputError(file, key, text, f"{allowed}, but for {FEW:.0%} of the samples")
     return np.where(
         outside, math.nan, values
     ), f"{channel} {reaches}: {many} outside {allowed} taken as missing samples"

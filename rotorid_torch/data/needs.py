@@ -41,8 +41,8 @@ def examinable(dataset: Dataset) -> bool:
 def _of_records(dataset: Dataset) -> Iterator[Lack]:
     spreads = [dataset.facts[flight].spreads[c] for flight in dataset.identify for c in dataset.controls]
     if not any(spread.low < spread.high for spread in spreads):
-        told = "no control moves in any identify flight"
-        yield Lack(dataset.identify[0], dataset.controls[0], told, "a test input on one")
+        text = "no control moves in any identify flight"
+        yield Lack(dataset.identify[0], dataset.controls[0], text, "a test input on one")
     for flight in dataset.identify:
         yield from _of_length(dataset, flight)
 
@@ -68,10 +68,10 @@ def refuse_lacks(dataset: Dataset) -> None:
 
 def needs(dataset: Dataset) -> Iterator[Finding]:
     """The same as errors of `check`; flights that lack the same are one finding, the first one's."""
-    found = dict[tuple[str, str, str], list[Lack]]()
+    alike = dict[tuple[str, str, str], list[Lack]]()
     for lack in lacks(dataset):
-        found.setdefault((lack.key, lack.wrong.split()[0], lack.expected), []).append(lack)
-    for first, *others in found.values():
+        alike.setdefault((lack.key, lack.wrong.split()[0], lack.expected), []).append(lack)
+    for first, *others in alike.values():
         more = f" (likewise in {', '.join(lack.flight for lack in others)})" if others else ""
-        told = f"{first.wrong}{more}; identify needs {first.expected}."
-        yield finding("error", first.key, told, flight=first.flight)
+        text = f"{first.wrong}{more}; identify needs {first.expected}."
+        yield finding("error", first.key, text, flight=first.flight)

@@ -74,8 +74,8 @@ class Npz:
             _header(self._file, name, header.member, stream)
             data = stream.read(header.bytes + 1)
         if len(data) != header.bytes:
-            told = f"{header.bytes} for an array of shape {header.shape} of {header.dtype}"
-            raise InputError(self._file, name, f"has {len(data)} bytes of data", told)
+            text = f"{header.bytes} for an array of shape {header.shape} of {header.dtype}"
+            raise InputError(self._file, name, f"has {len(data)} bytes of data", text)
         if not header.bytes:
             return np.empty(header.shape, header.dtype)
         return np.frombuffer(data, header.dtype).reshape(header.shape, order="F" if header.fortran else "C")
@@ -86,8 +86,8 @@ def _header(file: Path, name: str, member: zipfile.ZipInfo, stream: IO[bytes]) -
         read = npy.read_array_header_1_0 if npy.read_magic(stream) == (1, 0) else npy.read_array_header_2_0
         shape, fortran, dtype = read(stream)
     except Exception as error:  # a damaged header fails anywhere in the parser of Python's literals
-        told = (str(error).splitlines() or ["an empty one"])[0]
-        raise InputError(file, name, f"is not an array ({told[:120]})", "an array of numbers") from None
+        text = (str(error).splitlines() or ["an empty one"])[0]
+        raise InputError(file, name, f"is not an array ({text[:120]})", "an array of numbers") from None
     if dtype.hasobject:
         raise InputError(file, name, "is a pickled object", "float32 or float64; nothing is unpickled")
     if any(length < 0 for length in shape):
@@ -100,5 +100,5 @@ def refuse_beyond(file: Path, bytes_of: Mapping[str, int], budget: int) -> None:
     total = sum(bytes_of.values())
     if total > budget:
         largest = max(bytes_of, key=lambda name: bytes_of[name])
-        told = f"unpacks to over {budget / 2**20:.0f} MiB in all"
-        raise InputError(file, largest, told, "the arrays of a flight")
+        text = f"unpacks to over {budget / 2**20:.0f} MiB in all"
+        raise InputError(file, largest, text, "the arrays of a flight")

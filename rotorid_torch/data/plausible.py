@@ -54,8 +54,8 @@ def check_vehicle(vehicle: Vehicle, file: str | Path) -> None:
     if rotor.radius is not None and rotor.speed is not None:
         tip, allowed = rotor.radius * rotor.speed, DERIVED["tip speed"]
         if not allowed.holds(tip):
-            told = f"is {rotor.speed:g} rad/s, a tip speed of {tip:.4g} m/s (in rpm?)"
-            raise InputError(file, "vehicle.rotor.speed", told, f"rad/s that make {allowed} at the tip")
+            text = f"is {rotor.speed:g} rad/s, a tip speed of {tip:.4g} m/s (in rpm?)"
+            raise InputError(file, "vehicle.rotor.speed", text, f"rad/s that make {allowed} at the tip")
 
 
 def _require(allowed: Range, value: float, key: str, file: str | Path) -> None:
@@ -78,19 +78,19 @@ def _check_inertia(inertia: np.ndarray, file: str | Path) -> None:
             file, key, "is not symmetric", "[[Ixx, -Ixy, -Ixz], [-Ixy, Iyy, -Iyz], [-Ixz, -Iyz, Izz]] in kg m²"
         )
     principal = np.linalg.eigvalsh((inertia + inertia.T) / 2)
-    told = ", ".join(f"{moment:.6g}" for moment in principal)
+    text = ", ".join(f"{moment:.6g}" for moment in principal)
     if principal[0] <= 0:
-        raise InputError(file, key, f"has principal moments {told} kg m²", "all of them positive")
+        raise InputError(file, key, f"has principal moments {text} kg m²", "all of them positive")
     if principal[2] > (principal[0] + principal[1]) * 1.001:
         raise InputError(
             file,
             key,
-            f"has principal moments {told} kg m²",
+            f"has principal moments {text} kg m²",
             "none larger than the sum of the other two (no body has this)",
         )
     for moment in principal.tolist():
         if not allowed.holds(moment):
-            raise InputError(file, key, f"has principal moments {told} kg m²", f"each of them {allowed}")
+            raise InputError(file, key, f"has principal moments {text} kg m²", f"each of them {allowed}")
 
 
 def _check_gyration(vehicle: Vehicle, file: str | Path) -> None:
@@ -102,13 +102,13 @@ def _check_gyration(vehicle: Vehicle, file: str | Path) -> None:
     rotor = vehicle.rotor.radius if vehicle.rotor and vehicle.rotor.radius else 0.0
     size = max(rotor, *arms, 0.0)
     for radius in radii:
-        told = f"and mass {vehicle.mass:g} kg make a radius of gyration of {radius:.3g} m"
+        text = f"and mass {vehicle.mass:g} kg make a radius of gyration of {radius:.3g} m"
         allowed = DERIVED["radius of gyration"]
         if not allowed.holds(radius):
-            raise InputError(file, "vehicle.inertia", told, str(allowed))
+            raise InputError(file, "vehicle.inertia", text, str(allowed))
         share = DERIVED["radius of gyration over size"]
         if size > 0.0 and not share.holds(radius / size):
-            raise InputError(file, "vehicle.inertia", told, f"{share} times the rotor's radius or arm of {size:.3g} m")
+            raise InputError(file, "vehicle.inertia", text, f"{share} times the rotor's radius or arm of {size:.3g} m")
 
 
 def check_thrust(vehicle: Vehicle, inputs: Sequence[float], file: str | Path) -> None:
@@ -119,8 +119,8 @@ def check_thrust(vehicle: Vehicle, inputs: Sequence[float], file: str | Path) ->
     thrust = sum(c0 + c1 * m + c2 * m**2 for (c0, c1, c2), m in zip(curves, inputs, strict=True))
     share, allowed = thrust / (vehicle.mass * vehicle.gravity), DERIVED["thrust over weight"]
     if not allowed.holds(share):
-        told = f"make {thrust:.3g} N at the largest inputs, {share:.3g} times the weight of {vehicle.mass:g} kg"
-        raise InputError(file, "vehicle.motors.thrust", told, f"{allowed} times the weight")
+        text = f"make {thrust:.3g} N at the largest inputs, {share:.3g} times the weight of {vehicle.mass:g} kg"
+        raise InputError(file, "vehicle.motors.thrust", text, f"{allowed} times the weight")
 
 
 def check_controls(controls: Mapping[str, ControlSpec], file: str | Path) -> None:
@@ -128,10 +128,8 @@ def check_controls(controls: Mapping[str, ControlSpec], file: str | Path) -> Non
     for name, spec in controls.items():
         key = f"controls.{name}"
         if not names.is_control(name):
-            known = (*names.STICKS, "motor1")
-            raise InputError(
-                file, key, f"no such control{names.nearest(name, known)}", "lon, lat, col, ped or motor1, motor2, ..."
-            )
+            hint = names.nearest(name, (*names.STICKS, "motor1"))
+            raise InputError(file, key, f"no such control{hint}", "lon, lat, col, ped or motor1, motor2, ...")
         ranges = of_channel(name, spec.unit)
         _check_noise(ranges, spec.noise, key, file)
         if spec.limits is None:
@@ -162,16 +160,16 @@ def check_lists(lists: FlightLists, file: str | Path) -> None:
     """Refuse an empty identify list, a flight in two lists, and a name that leaves the data set's folder."""
     if not lists.identify:
         raise InputError(file, "flights.identify", "is empty", "at least one flight to fit")
-    seen: dict[str, str] = {}
+    listed: dict[str, str] = {}
     for key in ("identify", "validate", "acid"):
         for name in getattr(lists, key):
             _check_flight_name(name, f"flights.{key}", file)
-            if name in seen:
-                where = f"flights.{seen[name]}" if seen[name] != key else "the same list"
+            if name in listed:
+                where = f"flights.{listed[name]}" if listed[name] != key else "the same list"
                 raise InputError(
                     file, f"flights.{key}", f"flight '{name}' is also in {where}", "each flight once, in one list"
                 )
-            seen[name] = key
+            listed[name] = key
 
 
 def _check_flight_name(name: str, key: str, file: str | Path) -> None:

@@ -74,17 +74,17 @@ def _held(path: str | Path, content: bytes) -> Any:
             warnings.simplefilter("ignore")  # what torch remarks on a foreign file, the refusal says better
             return torch.load(io.BytesIO(content), weights_only=True, map_location="cpu")
     except Exception:  # torch fails in many ways, and its words advise to trust the file
-        told = "is not a model: it is damaged, or holds more than numbers, names and tensors"
-        raise InputError(path, "", told, EXPECTED) from None
+        text = "is not a model: it is damaged, or holds more than numbers, names and tensors"
+        raise InputError(path, "", text, EXPECTED) from None
 
 
 def _take(model: Model, state: Any, path: str | Path) -> None:
     """Give the model its numbers; what follows from the spec has to be the same."""
-    own = model.state_dict()
-    if not isinstance(state, Mapping) or {*state} != {*own}:
-        odd = sorted({str(name) for name in {*own} ^ {*(state if isinstance(state, Mapping) else ())}})
+    built = model.state_dict()
+    if not isinstance(state, Mapping) or {*state} != {*built}:
+        odd = sorted({str(name) for name in {*built} ^ {*(state if isinstance(state, Mapping) else ())}})
         raise InputError(path, "state", f"does not belong to the spec ({', '.join(odd[:3])})", EXPECTED)
-    for name, expected in own.items():
+    for name, expected in built.items():
         wrong = _difference(name, state[name], expected)
         if wrong:
             raise InputError(path, f"state: {name}", wrong, f"{EXPECTED}, unchanged")
@@ -93,8 +93,8 @@ def _take(model: Model, state: Any, path: str | Path) -> None:
     if outside:
         parameter = model.parameter_set.parameters[outside[0]]
         low, high = parameter.bounds
-        told = f"is {float(theta[outside[0]]):g}"
-        raise InputError(path, f"state: {parameter.name}", told, f"{low:g} to {high:g} {parameter.unit}".strip())
+        text = f"is {float(theta[outside[0]]):g}"
+        raise InputError(path, f"state: {parameter.name}", text, f"{low:g} to {high:g} {parameter.unit}".strip())
     model.load_state_dict(dict(state))
 
 
@@ -112,8 +112,8 @@ def _difference(name: str, value: Any, expected: Tensor) -> str:
 
 
 def _short(error: Exception) -> str:
-    told = f"{type(error).__name__} {error}" if isinstance(error, LookupError) else str(error)
-    return told.partition("\n")[0][:120]
+    text = f"{type(error).__name__} {error}" if isinstance(error, LookupError) else str(error)
+    return text.partition("\n")[0][:120]
 
 
 def _slack(expected: Tensor) -> float:

@@ -51,8 +51,8 @@ def refuse_faulty(effects: Iterable[str], spec: ModelSpec) -> None:
                 continue
         without = without or _somewhere(build(spec))
         with _told(name, "from_spec"):
-            made = effect.from_spec(spec)
-        _refuse_declaration(name, made)
+            returned = effect.from_spec(spec)
+        _refuse_declaration(name, returned)
         with _told(name, "from_spec"):
             model = build(spec.with_effects(name))
         model.start_from(without.named_values)
@@ -92,20 +92,20 @@ def _refuse_class(name: str, effect: type[Effect]) -> None:
         _refuse(name, "role", "is Role.NOMINAL, which the model has from the start", "UNDECLARED or STRUCTURE")
 
 
-def _refuse_declaration(name: str, made: Any) -> None:
-    if not isinstance(made, Effect):
-        _refuse(name, "from_spec", f"returns {type(made).__name__}", "an effect")
+def _refuse_declaration(name: str, returned: Any) -> None:
+    if not isinstance(returned, Effect):
+        _refuse(name, "from_spec", f"returns {type(returned).__name__}", "an effect")
     for key, kind in (("declared", Parameter), ("states", State)):
-        entries = getattr(made, key)
+        entries = getattr(returned, key)
         if not isinstance(entries, tuple) or not all(isinstance(one, kind) for one in entries):
             _refuse(name, key, f"is {entries!r}", f"a tuple of {kind.__name__}")
     with _told(name, "parameters"):
-        ParameterSet(made.declared)
+        ParameterSet(returned.declared)
     with _told(name, "states"):
-        StateLayout(made.states)
-    if not made.declared:
+        StateLayout(returned.states)
+    if not returned.declared:
         _refuse(name, "parameters", "none is declared", "a parameter whose declared value changes nothing")
-    fixed = [p.name for p in made.declared if p.free and p.bounds[0] == p.bounds[1]]
+    fixed = [p.name for p in returned.declared if p.free and p.bounds[0] == p.bounds[1]]
     if fixed:
         _refuse(name, fixed[0], "its bounds are equal", "a lower bound below the upper one")
 
@@ -128,18 +128,18 @@ def _refuse_behaviour(name: str, model: Model, without: Model) -> None:
     def everything(of: Model, x: Tensor) -> dict[str, Tensor]:
         theta = of.theta.detach()
         rates, outputs = of.rates(theta, x, u)[..., of.layout.places(names)], of.outputs_at(theta, x, u)
-        found = {f"the rate of {n}": rates[..., k] for k, n in enumerate(names)}
-        found |= {f"the output {n}": outputs[..., k] for k, n in enumerate(of.body.outputs)}
-        found["the controls' record"] = of.tape(_record(of.body.controls), DT)
-        found["the outputs' record"] = of.recorded(_record(of.body.outputs), DT)
-        return found
+        results = {f"the rate of {n}": rates[..., k] for k, n in enumerate(names)}
+        results |= {f"the output {n}": outputs[..., k] for k, n in enumerate(of.body.outputs)}
+        results["the controls' record"] = of.tape(_record(of.body.controls), DT)
+        results["the outputs' record"] = of.recorded(_record(of.body.outputs), DT)
+        return results
 
     effect, theta = model.chain[place], model.theta.detach()
     where = "tape" if effect.stage is Stage.CONTROL else "forward"
     with _told(name, where, signals), torch.no_grad():
-        kept = x.clone(), u.clone()
+        originals = x.clone(), u.clone()
         now, before = everything(model, x), everything(without, x[..., model.layout.places(names)])
-        if not (torch.equal(kept[0], x) and torch.equal(kept[1], u)):
+        if not (torch.equal(originals[0], x) and torch.equal(originals[1], u)):
             _refuse(name, where, "changes the signals that it is handed in place", "new tensors")
         several = theta.repeat(2, 1)[:, None]
         model.rates(several, x, u)
@@ -198,23 +198,23 @@ def _watch(name: str, model: Model) -> None:
 
     def forwarded(frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         parts = {one.name: getattr(frame, one.name) for one in fields(Frame)}
-        made: Any = forward(Watched(**parts), x, p)
-        if not (isinstance(made, tuple) and len(made) == 2 and isinstance(made[0], Frame)):
+        returned: Any = forward(Watched(**parts), x, p)
+        if not (isinstance(returned, tuple) and len(returned) == 2 and isinstance(returned[0], Frame)):
             _refuse(name, "forward", "returns no pair", "a Frame and the rates of its states")
-        if not isinstance(made[1], Tensor) or made[1].shape[-1:] != x.shape[-1:]:
-            shape = tuple(made[1].shape) if isinstance(made[1], Tensor) else type(made[1]).__name__
+        if not isinstance(returned[1], Tensor) or returned[1].shape[-1:] != x.shape[-1:]:
+            shape = tuple(returned[1].shape) if isinstance(returned[1], Tensor) else type(returned[1]).__name__
             _refuse(name, "forward", f"rates are {shape}", f"[..., {x.shape[-1]}], one of each state")
-        for signal, own in made[0].signals.items():
-            _refuse_shape(name, f"signal {signal}", own, tuple(made[0].signals["p"].shape))
-        return Frame(**{one.name: getattr(made[0], one.name) for one in fields(Frame)}), made[1]
+        for signal, entry in returned[0].signals.items():
+            _refuse_shape(name, f"signal {signal}", entry, tuple(returned[0].signals["p"].shape))
+        return Frame(**{one.name: getattr(returned[0], one.name) for one in fields(Frame)}), returned[1]
 
     def recorded(of: str, function: Callable[..., Any]) -> Callable[..., Tensor]:
         def passed(record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
-            made = function(record, names, dt, p)
-            if not isinstance(made, Tensor) or made.shape[-2:] != record.shape[-2:]:
-                shape = tuple(made.shape) if isinstance(made, Tensor) else type(made).__name__
+            returned = function(record, names, dt, p)
+            if not isinstance(returned, Tensor) or returned.shape[-2:] != record.shape[-2:]:
+                shape = tuple(returned.shape) if isinstance(returned, Tensor) else type(returned).__name__
                 _refuse(name, of, f"returns {shape}", f"a record {tuple(record.shape)}, as it is handed")
-            return made
+            return returned
 
         return passed
 
@@ -222,18 +222,18 @@ def _watch(name: str, model: Model) -> None:
     effect.tape, effect.read = recorded("tape", tape), recorded("read", read)
 
 
-def _refuse_shape(name: str, what: str, own: Any, shape: tuple[int, ...]) -> None:
+def _refuse_shape(name: str, what: str, entry: Any, shape: tuple[int, ...]) -> None:
     """Refuse what is no tensor of a shape, further leading dimensions aside; None is nothing added."""
-    if own is None:
+    if entry is None:
         return
-    if not isinstance(own, Tensor):
-        _refuse(name, what, f"is {type(own).__name__}", f"a tensor {shape}")
-    if what in ("force", "moment") and own.shape[-1:] != (3,):
-        _refuse(name, what, f"has the shape {tuple(own.shape)}", f"{shape}, an entry for each axis last")
+    if not isinstance(entry, Tensor):
+        _refuse(name, what, f"is {type(entry).__name__}", f"a tensor {shape}")
+    if what in ("force", "moment") and entry.shape[-1:] != (3,):
+        _refuse(name, what, f"has the shape {tuple(entry.shape)}", f"{shape}, an entry for each axis last")
     try:
-        torch.broadcast_shapes(own.shape, shape)
+        torch.broadcast_shapes(entry.shape, shape)
     except RuntimeError:
-        _refuse(name, what, f"has the shape {tuple(own.shape)}", f"{shape}")
+        _refuse(name, what, f"has the shape {tuple(entry.shape)}", f"{shape}")
 
 
 def _points(model: Model) -> tuple[Tensor, Tensor]:

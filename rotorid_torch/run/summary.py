@@ -115,30 +115,31 @@ def failing(fit: FitRecord) -> str:
 
     Those are the flights that no fit has seen, validate before acid; without any, the flights that were fitted.
     """
-    ahead = {found.name: found for found in short_horizon(fit)}
+    ahead = {flights.name: flights for flights in short_horizon(fit)}
     if ahead:
         return _failing_ahead(next(ahead[name] for name in DECIDING if name in ahead))
     scored = {s.name: s for s in list_summaries(fit) if s.explained is not None and math.isfinite(s.explained)}
-    found = next((scored[name] for name in DECIDING if name in scored), None)
-    share = None if found is None else found.explained
-    if found is None or share is None or share >= USABLE:
+    deciding = next((scored[name] for name in DECIDING if name in scored), None)
+    share = None if deciding is None else deciding.explained
+    if deciding is None or share is None or share >= USABLE:
         return ""
     how = WORSE_THAN_TRIM if share < 0.0 else f"good for {100.0 * share:.0f} % of the motion alone"
-    return f"on the {found.name} flights the model is {how}"
+    return f"on the {deciding.name} flights the model is {how}"
 
 
-def _failing_ahead(found: ShortHorizon) -> str:
+def _failing_ahead(flights: ShortHorizon) -> str:
     """The same for a multirotor: predictions over the longest time, then the mean R² of the accelerations."""
-    last = max((p.seconds for p in found.predictions), default=0.0)
-    worse = [p.quantity for p in found.predictions if p.seconds == last and p.error > p.held]
+    last = max((p.seconds for p in flights.predictions), default=0.0)
+    worse = [p.quantity for p in flights.predictions if p.seconds == last and p.error > p.held]
     if worse:
-        return f"on the {found.name} flights the model predicts {_listed(worse)} worse than holding what was measured"
-    known = [r2 for name, r2 in found.responses.items() if not name.startswith("omega") and math.isfinite(r2)]
-    mean = sum(known) / len(known) if known else 1.0
+        return f"on the {flights.name} flights the model predicts {_listed(worse)} worse than holding what was measured"
+    accelerations = {name: r2 for name, r2 in flights.responses.items() if not name.startswith("omega")}
+    shares = [r2 for r2 in accelerations.values() if math.isfinite(r2)]
+    mean = sum(shares) / len(shares) if shares else 1.0
     if mean >= MOSTLY:
         return ""
     share = f"{100.0 * max(mean, 0.0):.0f} % of the accelerations alone (mean R² at measured states)"
-    return f"on the {found.name} flights the model explains {share}"
+    return f"on the {flights.name} flights the model explains {share}"
 
 
 def _unseen(fit: FitRecord) -> list[ListSummary]:

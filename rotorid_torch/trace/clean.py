@@ -38,11 +38,10 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.gauss_newton import InfiniteCost
 from rotorid_torch.identification.reconstruct import reconstruct
 from rotorid_torch.identification.structure import propose
-from rotorid_torch.trace.calibration import flight_by_flight
 from rotorid_torch.trace.candidates import of_control_path
 from rotorid_torch.trace.decide import TIMES
 from rotorid_torch.trace.fits import Flights, refit
-from rotorid_torch.trace.floor import Floors, Null
+from rotorid_torch.trace.floor import Floors, Null, flight_by_flight
 from rotorid_torch.trace.forces import seen_in_forces
 from rotorid_torch.trace.residual import left_over, scan
 from rotorid_torch.trace.screen import Screen, both_screens

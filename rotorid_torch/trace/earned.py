@@ -39,16 +39,16 @@ def earned(whole: Fitted, effects: Sequence[str], held: Sequence[str] = (), seed
     shown = [e for e in effects if registered()[e].showing not in ELSEWHERE]
     bare = spec.without(shown)
     sized, tested, unmoved = with_screening_sizes(bare, whole.values, flights.dataset, shown)
-    found = {f.id: f for f in unmoved}
+    findings = {f.id: f for f in unmoved}
     for e in effects:
         if e not in shown:
-            found[e] = Finding(e, registered()[e].role.value, "not testable", NOT_IN_TRAJECTORIES)
+            findings[e] = Finding(e, registered()[e].role.value, "not testable", NOT_IN_TRAJECTORIES)
     if tested:
         search = Search(flights, tuple(held), Floors({}, ""), lambda line: None, seed)
         richer = msgspec.structs.replace(spec, screening_sizes=sized.screening_sizes)
         whole = search.settled(refit(richer, flights, whole.values, held), 0.0)
-        found |= {e: _finding(search, whole, e) for e in tested}
-    return [found[e] for e in effects]
+        findings |= {e: _finding(search, whole, e) for e in tested}
+    return [findings[e] for e in effects]
 
 
 def _finding(search: Search, whole: Fitted, effect: str) -> Finding:

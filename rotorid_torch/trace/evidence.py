@@ -54,7 +54,7 @@ class FlightEquations:
         others = total - self.fitted if len(self.fitted) > 1 else self.fitted[:0]
         scored = torch.cat([self.fitted[: len(others)], self.unseen])
         estimating = torch.cat([others, total.expand(len(self.unseen), -1, -1)])
-        passed = _eliminating(estimating, self.count)
+        passed = eliminating(estimating, self.count)
         return passed.mT @ estimating @ passed, passed.mT @ scored @ passed
 
     def held_out(self, columns: list[int], low: Tensor, high: Tensor) -> Tensor:
@@ -75,11 +75,11 @@ class FlightEquations:
         return -0.5 * torch.log1p((-fall / without).clamp_min(-1.0 + 1e-15)).nan_to_num(nan=0.0)
 
 
-def _eliminating(total: Tensor, count: int) -> Tensor:
-    """Matrices [F, n, n - P] that put in place of the first P columns what least squares leave of the others."""
-    scale = total.diagonal(dim1=-2, dim2=-1)[:, :count].clamp_min(1e-300).sqrt()
-    values, vectors = torch.linalg.eigh(total[:, :count, :count] / scale[:, None] / scale[:, :, None])
+def eliminating(total: Tensor, count: int) -> Tensor:
+    """Matrices [..., n, n - P] that put in place of the first P columns what least squares leave of the others."""
+    scale = total.diagonal(dim1=-2, dim2=-1)[..., :count, None].clamp_min(1e-300).sqrt()
+    values, vectors = torch.linalg.eigh(total[..., :count, :count] / scale.mT / scale)
     inverse = torch.where(values > SMALLEST_EIGENVALUE, 1.0 / values.clamp_min(SMALLEST_EIGENVALUE), 0.0)
-    solved = (vectors * inverse[:, None]) @ vectors.mT @ (total[:, :count, count:] / scale[:, :, None])
-    identity = torch.eye(total.shape[-1] - count, dtype=torch.float64).expand(len(total), -1, -1)
-    return torch.cat([-solved / scale[:, :, None], identity], dim=1)
+    solved = (vectors * inverse[..., None, :]) @ vectors.mT @ (total[..., :count, count:] / scale)
+    identity = torch.eye(total.shape[-1] - count, dtype=torch.float64).expand(*total.shape[:-2], -1, -1)
+    return torch.cat([-solved / scale, identity], dim=-2)

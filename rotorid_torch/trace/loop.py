@@ -12,13 +12,12 @@ from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.nominal import rows
-from rotorid_torch.trace.calibration import p_values
 from rotorid_torch.trace.candidates import candidates, untried
 from rotorid_torch.trace.decide import nothing, told
 from rotorid_torch.trace.finding import Finding, Unknown
 from rotorid_torch.trace.findings import findings
 from rotorid_torch.trace.fits import Fitted, Flights, refit
-from rotorid_torch.trace.floor import Floors, Null, family_wise
+from rotorid_torch.trace.floor import Floors, Null, family_wise, p_values
 from rotorid_torch.trace.residual import AT_ONCE, chance, left_over, scan
 from rotorid_torch.trace.screening_sizes import with_screening_sizes
 from rotorid_torch.trace.search import Say, Search

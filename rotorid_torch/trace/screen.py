@@ -28,7 +28,7 @@ from rotorid_torch.identification.whitening import Whitener
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.candidates import of_control_path
-from rotorid_torch.trace.evidence import FlightEquations
+from rotorid_torch.trace.evidence import FlightEquations, eliminating
 from rotorid_torch.trace.fits import Fitted, control_by_control
 from rotorid_torch.trace.significance import turned
 from rotorid_torch.validate.free_run import Runs
@@ -422,12 +422,9 @@ def _eliminated(products: Tensor, prior: Tensor, count: int) -> tuple[Tensor, Te
     Beside it the size of each first column's part in the imitation of the others [count, n - count].
     """
     total = products.sum(0) + prior
-    scale = total.diagonal()[:count].clamp_min(1e-300).sqrt()
-    values, vectors = torch.linalg.eigh(total[:count, :count] / scale / scale[:, None])
-    inverse = torch.where(values > 1e-13, 1.0 / values.clamp_min(1e-13), 0.0)
-    scaled = (vectors * inverse) @ vectors.mT @ (total[:count, count:] / scale[:, None])
-    passed = torch.cat([-scaled / scale[:, None], torch.eye(products.shape[-1] - count, dtype=torch.float64)])
-    return passed.mT @ products @ passed + passed.mT @ prior @ passed / len(products), scaled
+    passed, scale = eliminating(total, count), total.diagonal()[:count].clamp_min(1e-300).sqrt()
+    projected = passed.mT @ products @ passed + passed.mT @ prior @ passed / len(products)
+    return projected, -passed[:count] * scale[:, None]
 
 
 def _starts(

@@ -69,15 +69,15 @@ def screening_sizes(
 
     values : parameters of the fitted model that the effects join, each at its null.
     """
-    found = {}
+    by_name = {}
     for effect in effects:
         model = build(spec.with_effects(effect))
         model.start_from({n: v for n, v in values.items() if not n.startswith(f"{effect}.")})
         change = _changes(model, dataset)
         for parameter in model.parameter_set.sizes(effect):
             size = _size(parameter, change) if parameter.free and not parameter.tried else None
-            found |= {} if size is None else {parameter.name: size}
-    return found
+            by_name |= {} if size is None else {parameter.name: size}
+    return by_name
 
 
 def _changes(model: Model, dataset: Dataset) -> Callable[[str, float], float]:

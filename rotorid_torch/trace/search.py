@@ -14,7 +14,6 @@ from torch import Tensor
 
 from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.trace.by_control import by_control, sizes_of_each
-from rotorid_torch.trace.calibration import flight_by_flight
 from rotorid_torch.trace.candidates import of_control_path
 from rotorid_torch.trace.decide import (
     CLOSE,
@@ -32,7 +31,7 @@ from rotorid_torch.trace.decide import (
 )
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.fits import BEGINNING, CAREFUL, Fitted, Flights, control_by_control, refit
-from rotorid_torch.trace.floor import Floors
+from rotorid_torch.trace.floor import Floors, flight_by_flight
 from rotorid_torch.trace.forces import derivatives_beside, seen_in_forces
 from rotorid_torch.trace.places import explained_trims
 from rotorid_torch.trace.screen import Screen, both_screens, screen

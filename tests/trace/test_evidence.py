@@ -5,8 +5,8 @@ import pytest
 import torch
 from scipy.optimize import lsq_linear
 
-from rotorid_torch.trace.calibration import adjusted_p
 from rotorid_torch.trace.evidence import FlightEquations
+from rotorid_torch.trace.floor import adjusted_p
 
 P, K, ROWS = 5, 3, 40
 

@@ -68,7 +68,7 @@ class CompiledRecursion:
         samples, batch = max(u.shape[-2] for u in inputs), math.prod(lead)
         first = start.expand(*lead, columns).contiguous()
         arrays = [u.expand(*lead, u.shape[-2], columns).contiguous() for u in inputs]
-        given = (_Input * len(arrays))(
+        pointers = (_Input * len(arrays))(
             *(_Input(u.data_ptr(), u.shape[-2] * columns, 0 if u.shape[-2] == 1 else columns) for u in arrays)
         )
         results = tuple(first.new_empty(*lead, samples, columns) for _ in range(2 + len(arrays)))
@@ -76,7 +76,7 @@ class CompiledRecursion:
         series, address = batch * columns, ctypes.c_void_p
         code.follow(
             *(ctypes.c_int64(number) for number in (series, columns, samples)),
-            ctypes.byref(given),
+            ctypes.byref(pointers),
             *(address(array.data_ptr()) for array in (first, self.numbers, results[0])),
             ctypes.byref(slopes),
             threads() if series >= SERIES else 1,
