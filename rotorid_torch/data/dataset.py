@@ -27,7 +27,7 @@ from rotorid_torch.data.grid import make_flight
 from rotorid_torch.data.noise import white_noise
 from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.data.quiet import quiet_samples
-from rotorid_torch.data.read import find_flight, parse_flight, read_flight, take_arrays
+from rotorid_torch.data.read import FOLDERS, find_flight, parse_flight, read_flight, take_arrays
 from rotorid_torch.data.schema import ChannelSpec, ControlSpec, ModelSettings, Vehicle
 from rotorid_torch.errors import InputError
 from rotorid_torch.printable import printable
@@ -167,7 +167,7 @@ class Dataset:
         """Files of the data set's folder, its truth among them; none where the data set was made from arrays."""
         if self.path is None:
             return ()
-        listed = (file for part in ("flights", "truth") for file in sorted((self.path / part).glob("*")))
+        listed = (file for part in FOLDERS for file in sorted((self.path / part).glob("*")))
         return (self.path / "dataset.toml", *listed)
 
     def some(self, most: int) -> tuple[str, ...]:

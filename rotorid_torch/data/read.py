@@ -17,6 +17,8 @@ from rotorid_torch.errors import InputError
 
 Arrays = dict[str, np.ndarray]
 
+FOLDERS = ("flights", "truth")
+"""Of a data set: what was measured, and what a simulator knows."""
 SAMPLES = 20_000_000
 """Longest flight; a longer one is a damaged or hostile file."""
 CHANNELS = 1000

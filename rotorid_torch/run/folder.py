@@ -14,6 +14,7 @@ import msgspec
 from rotorid_torch.core.atomic import atomic_file, atomic_folder, refuse_unless_writable, restore
 from rotorid_torch.core.files import read_file
 from rotorid_torch.core.paths import absolute, is_part, refuse_foreign, same_file
+from rotorid_torch.data.read import FOLDERS
 from rotorid_torch.data.write import FILES as DATASET_FILES
 from rotorid_torch.errors import InputError
 from rotorid_torch.printable import printable
@@ -124,6 +125,9 @@ def refuse_unless_free(out: str | Path, command: str) -> None:
     """
     place = absolute(out)
     refuse_unless_writable(place)
+    above = place.parent.resolve()
+    if above.name in FOLDERS and (above.parent / "dataset.toml").is_file():
+        raise InputError(out, "", f"lies in {above.name} of the data set {above.parent}", "a name outside the data set")
     restore(place)
     if os.path.lexists(place):
         earlier = command_of(place)

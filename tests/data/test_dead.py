@@ -64,6 +64,7 @@ def test_a_dead_rate_is_an_error(rate, flights, tmp_path):
     found = check(dataset)
     assert not found.fit
     assert [(f.flight, f.channel) for f in found.of("error")] == [(first, rate)]
+    assert not [f for f in found.of("warning") if f.channel == rate]  # the error says it
 
 
 @pytest.mark.parametrize("channel", LEFT_OUT)

@@ -301,6 +301,16 @@ def test_a_file_that_is_read_is_replaced_by_nothing(tmp_path: Path, name, free_r
     assert flight.read_bytes() == out.read_bytes() == before
 
 
+@pytest.mark.parametrize("part", ["flights", "truth"])
+@pytest.mark.parametrize("command", ["check", "reconstruct", "identify", "close-loop"])
+def test_no_run_is_written_among_the_flights_of_a_data_set(tmp_path: Path, part: str, command: str):
+    small_folder(tmp_path / "set")
+    (tmp_path / "set" / part).mkdir(exist_ok=True)
+    with pytest.raises(InputError, match=f"lies in {part} of the data set"):
+        folder.refuse_unless_free(tmp_path / "set" / part / "run", command)
+    folder.refuse_unless_free(tmp_path / "set" / "run", command)
+
+
 @pytest.mark.parametrize("name", ["run/report.json", "run/model.pt", "run/reconstruct/new.npz", "set/flights/new.npz"])
 @pytest.mark.parametrize("linked_folder", [True, False])
 def test_no_free_run_becomes_a_part_of_a_run_or_a_data_set(tmp_path: Path, name: str, linked_folder: bool):
