@@ -12,7 +12,7 @@ import torch
 from rotorid_torch.core import names
 from rotorid_torch.core.ranges import of_channel
 from rotorid_torch.data.flight import Flight
-from rotorid_torch.data.impossible import without_impossible
+from rotorid_torch.data.plausible import without_impossible
 from rotorid_torch.data.read import Arrays
 from rotorid_torch.data.spikes import without_spikes
 from rotorid_torch.errors import InputError

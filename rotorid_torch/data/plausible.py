@@ -1,4 +1,8 @@
-"""Declarations that no aircraft has: numbers beyond their ranges, alone and together, and lists of flights."""
+"""Declarations and samples that no aircraft has, by the ranges of `core.ranges`.
+
+Declared numbers beyond their ranges, alone and together, and lists of flights are refused. Samples beyond theirs are
+missing samples from reading on, or an error where they are many.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +20,9 @@ from rotorid_torch.core.ranges import DECLARED, DERIVED, ChannelRange, Range, of
 from rotorid_torch.data.refusal import shown
 from rotorid_torch.data.schema import ChannelSpec, ControlSpec, FlightLists, Rotor, Vehicle
 from rotorid_torch.errors import InputError
+
+FEW = 0.01
+"""Share of a channel's samples that may be impossible; where there are more, the unit or the sensor is wrong."""
 
 
 def _numbers(value: Any, key: str) -> Iterator[tuple[str, float]]:
@@ -181,3 +188,30 @@ def _check_flight_name(name: str, key: str, file: str | Path) -> None:
             f"flight {shown(name)} is not a plain name",
             "NAME of a file flights/NAME.npz inside the data set",
         )
+
+
+def without_impossible(
+    channel: str, values: np.ndarray, allowed: Range, file: str | Path, key: str
+) -> tuple[np.ndarray, str]:
+    """Samples (T,) of a channel with those outside the range as NaN, and a sentence; empty where there are none.
+
+    `file` and `key` are named in errors.
+
+    Raises
+    ------
+    InputError : where more than one, and more than `FEW` of the samples, lie outside, or half of them.
+    """
+    measured = int((~np.isnan(values)).sum())
+    outside = (values < allowed.low) | (values > allowed.high)
+    count = int(outside.sum())
+    if not count:
+        return values, ""
+    worst = float(values[outside][np.abs(values[outside]).argmax()])
+    reaches, many = f"reaches {worst:.4g} {allowed.unit}".rstrip(), "1 sample" if count == 1 else f"{count} samples"
+    if count > max(1, FEW * measured) or 2 * count >= measured:
+        guess = "degrees, or another unit?" if allowed.unit.startswith("rad") else "another unit?"
+        text = f"{reaches}, {count} of {measured} samples outside {allowed} ({guess})"
+        raise InputError(file, key, text, f"{allowed}, but for {FEW:.0%} of the samples")
+    return np.where(
+        outside, math.nan, values
+    ), f"{channel} {reaches}: {many} outside {allowed} taken as missing samples"

@@ -9,7 +9,7 @@ import numpy as np
 
 from rotorid_torch.core import names
 from rotorid_torch.core.ranges import of_channel
-from rotorid_torch.data.impossible import without_impossible
+from rotorid_torch.data.plausible import without_impossible
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing import units
 from rotorid_torch.importing.log import Log, Source, Stream, is_numbers
