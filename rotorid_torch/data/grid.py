@@ -15,6 +15,7 @@ from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.plausible import without_impossible
 from rotorid_torch.data.read import Arrays
 from rotorid_torch.data.spikes import without_spikes
+from rotorid_torch.data.suspicion import unwrapped_roll
 from rotorid_torch.errors import InputError
 
 UNIFORM = 0.01
@@ -38,6 +39,7 @@ def make_flight(
     checked = _check_shapes(arrays, file)
     _check_time(checked["time"], file)
     _check_finite(checked, file)
+    checked = _within_half_a_turn(checked)
     checked, cleaned = _without_impossible(checked, units or {}, file)
     checked, spiky = without_spikes(checked)
     for angle in ("phi", "psi"):
@@ -97,6 +99,14 @@ def _check_finite(arrays: Arrays, file: str | Path) -> None:
         if infinite.any():
             told = f"is infinite at sample {int(infinite.argmax())}"
             raise InputError(file, channel, told, "finite numbers, or NaN for a missing sample")
+
+
+def _within_half_a_turn(arrays: Arrays) -> Arrays:
+    """Arrays whose roll angle, where it goes on turning as its rate says, is wrapped."""
+    time, phi, p = (arrays.get(name) for name in ("time", "phi", "p"))
+    if time is None or phi is None or p is None or not unwrapped_roll(time, phi, time, p):
+        return arrays
+    return arrays | {"phi": (phi + np.pi) % (2.0 * np.pi) - np.pi}
 
 
 def _without_impossible(arrays: Arrays, units: Mapping[str, str], file: str | Path) -> tuple[Arrays, list[str]]:

@@ -29,6 +29,28 @@ def refuse_degrees_of_attitude(flight: Flight, file: str | Path) -> None:
             raise InputError(file, rate, f"is {1.0 / ratio:.0f} times the rate of {angle} (degrees?)", "rad/s")
 
 
+TURNS = 200.0
+"""Largest unwrapped roll angle in rad: 30 turns."""
+
+
+def unwrapped_roll(time: np.ndarray, phi: np.ndarray, rate_time: np.ndarray, rate: np.ndarray) -> bool:
+    """Whether a roll angle (T,) beyond half a turn is one in rad that goes on turning, as its rate (n,) says."""
+    known, measured = np.isfinite(phi), np.isfinite(rate) & np.isfinite(rate_time)
+    if known.sum() < 16 or measured.sum() < 16 or not np.pi < np.abs(phi[known]).max() <= TURNS:
+        return False
+    t, angle = time[known], phi[known]
+    fine = rate_time[measured]
+    steps = 0.5 * (rate[measured][1:] + rate[measured][:-1]) * np.diff(fine)
+    integral = np.interp(t, fine, np.concatenate([[0.0], np.cumsum(steps)]))
+    trend = np.stack([np.ones_like(t), t - t[0]], axis=1)
+    both = np.stack([angle, integral], axis=1)
+    left = both - trend @ np.linalg.lstsq(trend, both, rcond=None)[0]
+    power, turned = (left**2).sum(axis=0), float((left[:, 0] * left[:, 1]).sum())
+    if power.min() <= 0.0:
+        return False
+    return 0.5 < turned / power[1] < 2.0 and turned > 0.9 * math.sqrt(power[0] * power[1])
+
+
 def attitude_over_rate(flight: Flight, angle: str, rate: str) -> tuple[float, float]:
     """Slope of an Euler angle on the integral of its body rate, both without trend, and their correlation."""
     values = flight.bridged([angle, rate]).numpy()

@@ -209,9 +209,7 @@ class NativeEngine:
         """
         nu = len(controls)
         given = torch.cat([controls, controls.new_zeros(1)])
-        traced = Dynamics.of(
-            lambda x, u, theta: system.motion(theta, u[nu], x, u[:nu]), states, given, system.theta
-        )
+        traced = Dynamics.of(lambda x, u, theta: system.motion(theta, u[nu], x, u[:nu]), states, given, system.theta)
         timed = traced.depends_on("u", nu)
         engine = cls(system, traced if timed else replace(traced, nu=nu), timed)
         engine.traced.build(derivatives=True)  # now: what cannot be compiled is told before anything depends on it

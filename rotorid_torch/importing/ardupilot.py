@@ -1,6 +1,7 @@
 """The built-in map of ArduPilot: Copter's messages by their newer and older names.
 
-Source: ArduPilot, "Onboard Message Log Messages" (Copter); parameters SERVOn_FUNCTION, MOT_PWM_MIN, FRAME_CLASS.
+Source: ArduPilot, "Onboard Message Log Messages" (Copter); parameters SERVOn_FUNCTION, MOT_PWM_MIN, FRAME_CLASS,
+EK3_IMU_MASK, INS_USE, AHRS_EKF_TYPE.
 """
 
 from __future__ import annotations
@@ -8,31 +9,39 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+import numpy as np
+
 from rotorid_torch.errors import InputError
-from rotorid_torch.importing.log import Log
+from rotorid_torch.importing.log import Log, Stream, is_numbers
 from rotorid_torch.importing.mapping import Entry
-from rotorid_torch.importing.plan import Group, Plan, first_or_faster, moving, named, pulse, triple
+from rotorid_torch.importing.outputs import of_ardupilot, range_of
+from rotorid_torch.importing.plan import (
+    Chosen,
+    Group,
+    Plan,
+    first_or_faster,
+    lowest,
+    merged,
+    moving,
+    named,
+    rate_of,
+    triple,
+)
 
 ATTITUDE = ("Roll", "Pitch", "Yaw")
 STATE = ("VN", "VE", "VD", "PN", "PE", "PD")
-GROUPS: tuple[tuple[Group, ...], ...] = (
-    (
-        triple("IMU", "p q r", ("GyrX", "GyrY", "GyrZ")),
-        triple("RATE", "p q r", ("R", "P", "Y"), "deg/s"),
-    ),
-    (triple("IMU", "ax ay az", ("AccX", "AccY", "AccZ")),),
-    (
-        triple("ATT", "phi theta psi", ATTITUDE, "deg"),
-        triple("XKF1", "phi theta psi", ATTITUDE, "deg"),
-        triple("NKF1", "phi theta psi", ATTITUDE, "deg"),
-        triple("AHR2", "phi theta psi", ATTITUDE, "deg"),
-    ),
-    tuple(triple(t, "vn ve vd north east height", STATE, "", "+++++-") for t in ("XKF1", "NKF1", "EKF1")),
+GYRO, FORCE = ("GyrX", "GyrY", "GyrZ"), ("AccX", "AccY", "AccZ")
+FILTERS = {3: ("XKF1", "XKF6", "XKF4"), 2: ("NKF1", "NKF6", "NKF4")}
+"""By AHRS_EKF_TYPE: topic of the states, of those of core 1 in older logs, and of what tells the primary core."""
+SENSED = ("IMU", "IMU2", "IMU3")
+COMMON: tuple[tuple[Group, ...], ...] = (
     (triple("BAT", "voltage", ("Volt",)), triple("CURR", "voltage", ("Volt",))),
     (triple("ARSP", "airspeed", ("Airspeed",)),),
 )
 """Per group of channels the messages that may hold them, best first."""
-HELICOPTER = (
+SWASH = (Group("SWSH", {"col": Entry("Col", "deg"), "lon": Entry("Pit", "deg"), "lat": Entry("Rol", "deg")}),)
+"""Blade angles that the swashplate makes."""
+STICKS = (
     Group(
         "RATE",
         {
@@ -43,8 +52,15 @@ HELICOPTER = (
         },
     ),
 )
+"""What the controller asks of the axes of a helicopter."""
+ROTOR = (
+    triple("RPM", "omega", ("rpm1",), "rpm"),
+    triple("RPM", "omega", ("RPM",), "rpm"),
+    triple("HELI", "omega", ("ERRPM",), "rpm"),
+)
 FUNCTIONS = {33 + i: i + 1 for i in range(8)} | {82 + i: i + 9 for i in range(4)}
 """Motor by SERVOn_FUNCTION."""
+OUTPUTS = {"RCOU": range(1, 15), "RCO2": range(15, 19), "RCO3": range(19, 33)}
 HELICOPTERS = (6, 11, 13)
 """FRAME_CLASS of a helicopter with one main rotor, two, four."""
 OTHERS = {
@@ -54,17 +70,37 @@ OTHERS = {
     "Tracker": "an antenna",
     "Blimp": "an airship",
 }
+EXTRA = {
+    **{topic: [f"C{i}" for i in outputs] for topic, outputs in OUTPUTS.items()},
+    **{topic: ["PI", "OFN", "OFE"] for topic in ("XKF4", "NKF4")},
+    **{topic: ["GH", "AH"] for topic in SENSED},
+    **{topic: ["RPM"] for topic in ("ESC", *(f"ESC{i}" for i in range(1, 9)))},
+    "EV": ["Id"],
+    "RCIN": [f"C{i}" for i in range(1, 9)],
+}
 
 
 def fields(topic: str, names: Sequence[str]) -> list[str]:
     """Fields that the map may need."""
-    groups = [group for alternatives in (*GROUPS, HELICOPTER) for group in alternatives]
+    primary = [_groups(kind, core, number) for kind in FILTERS for core in (0, 1) for number in (0, 1, 2)]
+    groups = [g for some in (*primary, COMMON, (SWASH, STICKS, ROTOR)) for alternatives in some for g in alternatives]
     wanted = {entry.field for group in groups if group.topic == topic for entry in group.entries.values()}
-    if topic == "RCOU":
-        wanted = {f"C{i}" for i in range(1, 15)}
-    elif re.fullmatch("ESC[1-8]?", topic):
-        wanted = {"RPM"}
-    return [name for name in names if name in wanted]
+    return [name for name in names if name in wanted or name in EXTRA.get(topic, ())]
+
+
+def _groups(kind: int, core: int, imu: int) -> tuple[tuple[Group, ...], ...]:
+    """Messages of rates, specific force, attitude and state; `core` and `imu` choose those of older logs."""
+    filters = (kind, *(other for other in FILTERS if other != kind))
+    states = [topic for one in filters for topic in (FILTERS[one][:1] if core == 0 else FILTERS[one][1::-1])]
+    sensor = SENSED[imu] if imu < len(SENSED) else SENSED[0]
+    sensed = [sensor] if sensor == SENSED[0] else [sensor, SENSED[0]]
+    attitude = [triple(topic, "phi theta psi", ATTITUDE, "deg") for topic in ("ATT", *states, "AHR2")]
+    return (
+        (*(triple(t, "p q r", GYRO) for t in sensed), triple("RATE", "p q r", ("R", "P", "Y"), "deg/s", spare=True)),
+        tuple(triple(t, "ax ay az", FORCE) for t in sensed),
+        tuple(attitude),
+        tuple(triple(t, "vn ve vd north east height", STATE, "", "+++++-") for t in (*states, "EKF1")),
+    )
 
 
 def plan(log: Log) -> Plan:
@@ -76,40 +112,172 @@ def plan(log: Log) -> Plan:
     if other and not (other == "a fixed wing" and tilted):
         told = f"is the log of {other} ({log.about.partition(';')[0][:60]})"
         raise InputError(log.file, "", told, "a helicopter or a multirotor, or --map to name its controls")
-    entries: dict[str, Entry] = {}
-    for alternatives in GROUPS:
-        entries |= first_or_faster(log, alternatives)
     notes = ["Q_ENABLE tells of a VTOL: only its hover is a rotorcraft"] if tilted else []
-    if int(log.parameters.get("FRAME_CLASS", 0)) in HELICOPTERS or "H_SW_TYPE" in log.parameters:
-        return Plan("helicopter", entries | first_or_faster(log, HELICOPTER), tuple(notes))
-    motors, told = _motors(log)
-    return Plan("multirotor", entries | motors | _speeds(log, len(motors)), (*notes, *told))
+    flown = _Flown(log)
+    chosen = [first_or_faster(log, some, flown.instance) for some in (*flown.groups, *COMMON)]
+    if evidence := _helicopter(log):
+        sticks, told = _sticks(log)
+        return merged("helicopter", [*chosen, *sticks, first_or_faster(log, ROTOR)], [*notes, evidence, *told])
+    motors, told, outputs = _motors(log)
+    speeds, left = _speeds(log, outputs)
+    return merged("multirotor", [*chosen, motors, speeds], [*notes, *told, *left])
 
 
-def _motors(log: Log) -> tuple[dict[str, Entry], list[str]]:
-    """Motor commands 0 to 1 from the servo outputs that drive motors."""
+def _helicopter(log: Log) -> str:
+    """What says that a log is a traditional helicopter's, as a sentence; empty where nothing does."""
+    frame = int(log.parameters.get("FRAME_CLASS", 0))
+    if frame in HELICOPTERS:
+        return f"a helicopter, by FRAME_CLASS {frame}"
+    if match := re.search(r"Frame: HELI\w*", log.about):
+        return f"a helicopter, by '{match[0]}'"
+    own = next((name for name in log.parameters if re.match(r"H_[A-Z]", name)), "")
+    return f"a helicopter, by its setting {own}" if own and not frame else ""
+
+
+class _Flown:
+    """The estimator, its core and the inertial sensor that the vehicle flew with, and why."""
+
+    def __init__(self, log: Log) -> None:
+        there = [kind for kind, topics in FILTERS.items() if log.instances(topics[0])]
+        asked = int(log.parameters.get("AHRS_EKF_TYPE", 3))
+        self.kind = asked if asked in there else (there or [3])[0]
+        states, _, told = FILTERS[self.kind]
+        self.core, self.why = _primary(log, told)
+        self.cores = log.instances(states)
+        numbers = log.instances("IMU") if len(log.instances("IMU")) > 1 else []
+        numbers = numbers or [i for i, topic in enumerate(SENSED) if log.instances(topic)]
+        self.imu, self.why_imu = _sensor(log, self.core if self.why else 0, numbers)
+        self.groups = _groups(self.kind, self.core, self.imu)
+
+    def instance(self, topic: str, numbers: Sequence[int]) -> tuple[int, str]:
+        """Instance of a topic, and why."""
+        if topic in [t for kind in FILTERS.values() for t in kind[:2]]:
+            if self.core in numbers and self.why:
+                others = [n for n in numbers if n != self.core]
+                left = f"; core {', '.join(map(str, others))} left" if others else ""
+                return self.core, f"core {self.core}, {self.why}{left}" if left else ""
+            if topic in [kind[1] for kind in FILTERS.values()] and self.core:
+                return numbers[0], f"core {self.core}, {self.why}; {topic.replace('6', '1')} left"
+        if topic in SENSED:
+            chosen = self.imu if self.imu in numbers else min(numbers)
+            return chosen, self.why_imu
+        return lowest(topic, numbers)
+
+
+def _primary(log: Log, topic: str) -> tuple[int, str]:
+    """The core that was primary last: an estimator leaves a core because another one is better."""
+    numbers = log.instances(topic)
+    said = log.streams[topic, numbers[0]].columns.get("PI", np.empty(0)) if numbers else np.empty(0)
+    if not is_numbers(said) or not len(said):
+        return 0, ""
+    core, earlier = int(said[-1]), {int(value) for value in np.unique(said[:-1])} - {int(said[-1])}
+    return core, f"primary {'at last ' if earlier else ''}by {topic}.PI"
+
+
+def _sensor(log: Log, core: int, numbers: Sequence[int]) -> tuple[int, str]:
+    """The inertial sensor of the primary core, if in use and healthy, else the first that is; and why, of several."""
+    given = log.parameters
+    used = [n for n in numbers if given.get(f"INS_USE{n + 1 if n else ''}", 1.0) != 0.0]
+    healthy = [n for n in used if _healthy(log, n)]
+    mask = int(given.get("EK3_IMU_MASK", given.get("EK2_IMU_MASK", 0.0)))
+    of_cores = [bit for bit in range(8) if mask >> bit & 1] or list(range(8))
+    own = of_cores[core] if core < len(of_cores) else 0
+    usable = healthy or used or list(numbers) or [0]
+    chosen = own if own in usable else usable[0]
+    if len(numbers) < 2:
+        return chosen, ""
+    left = [
+        f"{n} left ({'INS_USE' if n not in used else 'unhealthy' if n not in healthy else 'another core'})"
+        for n in numbers
+        if n != chosen
+    ]
+    return chosen, f"IMU {chosen}, in use{f' by core {core}' if chosen == own else ''}; {', '.join(left)}"
+
+
+def _healthy(log: Log, number: int) -> bool:
+    """Whether a sensor's gyros were healthy for most of the log, where that is told."""
+    stream = log.streams.get(("IMU", number)) or log.streams.get((SENSED[min(number, 2)], 0))
+    health = stream.columns.get("GH") if stream is not None else None
+    return health is None or not is_numbers(health) or float(np.mean(health != 0)) > 0.5
+
+
+def _sticks(log: Log) -> tuple[list[Chosen], list[str]]:
+    """Controls of a helicopter: blade angles of a logged swashplate, else what the controller asks, else sticks."""
+    swash, asked = first_or_faster(log, SWASH), first_or_faster(log, STICKS)
+    if swash.entries:
+        pedal = {name: entry for name, entry in asked.entries.items() if name == "ped"}
+        return [Chosen(pedal, asked.hertz), swash], ["col, lon and lat are blade angles (SWSH), ped is what was asked"]
+    if asked.entries or not log.instances("RCIN"):
+        return [asked], []
+    given, entries = log.parameters, {}
+    for axis, (name, own) in enumerate(
+        zip(("ROLL", "PITCH", "THROTTLE", "YAW"), ("lat", "lon", "col", "ped"), strict=True), 1
+    ):
+        number = int(given.get(f"RCMAP_{name}", axis))
+        low, high = given.get(f"RC{number}_MIN", 1000.0), given.get(f"RC{number}_MAX", 2000.0)
+        middle = low if own == "col" else given.get(f"RC{number}_TRIM", 0.5 * (low + high))
+        span = (high - low) if own == "col" else 0.5 * (high - low)
+        if span > 0.0:
+            entries[own] = Entry(f"C{number}", "norm", 1, 1.0 / span, -middle / span)
+    instance = log.instances("RCIN")[0]
+    there = {n: e for n, e in entries.items() if e.field in log.streams["RCIN", instance].columns}
+    told = "no RATE and no SWSH: the pilot's sticks (RCIN) are the controls"
+    return [Chosen(named(Group("RCIN", there), instance), rate_of(log.streams["RCIN", instance].time))], [told]
+
+
+def _motors(log: Log) -> tuple[Chosen, list[str], dict[int, int]]:
+    """Motor commands 0 to 1 from the outputs that drive motors, how these are known, and the output of each motor."""
+    given = log.parameters
+    functions = {i: int(given.get(f"SERVO{i}_FUNCTION", 0)) for some in OUTPUTS.values() for i in some}
+    outputs = dict(sorted((FUNCTIONS[f], i) for i, f in functions.items() if f in FUNCTIONS))
     if not log.instances("RCOU"):
-        return {}, []
-    instance = log.instances("RCOU")[0]
-    given, columns = log.parameters, log.streams["RCOU", instance].columns
-    outputs = {FUNCTIONS[f]: i for i in range(1, 15) if (f := int(given.get(f"SERVO{i}_FUNCTION", 0))) in FUNCTIONS}
-    notes = []
+        return Chosen(), [], outputs
+    columns, notes = log.streams["RCOU", log.instances("RCOU")[0]].columns, list[str]()
     if not outputs:
         outputs = {i: i for i in range(1, 9) if f"C{i}" in columns and moving(columns[f"C{i}"])}
-        notes = [f"no SERVOn_FUNCTION says which output drives which motor: RCOU outputs {[*outputs]} are motors"]
-    low, high = (given.get(f"MOT_PWM_{end}") or default for end, default in (("MIN", 1000.0), ("MAX", 2000.0)))
-    if missing := next((f"C{i}" for _, i in sorted(outputs.items()) if f"C{i}" not in columns), ""):
-        raise InputError(log.file, f"RCOU.{missing}", "is missing", "an output for every motor of SERVOn_FUNCTION")
-    motors = {f"motor{m}": pulse(f"C{i}", low, high) for m, i in sorted(outputs.items())}
-    return named(Group("RCOU", motors), instance), notes if motors else []
+        told = f"no SERVOn_FUNCTION says which output drives which motor: RCOU outputs {[*outputs]} are motors"
+        notes = [told] if outputs else []
+    entries, hertz = dict[str, Entry](), 0.0
+    for motor, output in outputs.items():
+        topic = next(name for name, some in OUTPUTS.items() if output in some)
+        stream = log.streams.get((topic, 0))
+        if stream is None or f"C{output}" not in stream.columns:
+            told = "an output for every motor of SERVOn_FUNCTION"
+            raise InputError(log.file, f"{topic}.C{output}", "is missing", told)
+        values = _numbers(log, stream, topic, f"C{output}")
+        fitting = range_of(log.file, f"{topic}.C{output} (motor{motor})", values, of_ardupilot(given))
+        entries |= named(Group(topic, {f"motor{motor}": fitting.entry(f"C{output}")}), 0)
+        hertz = rate_of(stream.time)
+    return Chosen(entries, hertz), notes, outputs
 
 
-def _speeds(log: Log, motors: int) -> dict[str, Entry]:
-    """Rotor speeds: instance by instance of ESC, or ESC1, ESC2, ... of older logs."""
-    found: dict[str, Entry] = {}
-    for number in range(1, motors + 1):
-        topic, instance = ("ESC", number - 1) if log.instances("ESC") else (f"ESC{number}", 0)
-        stream = log.streams.get((topic, instance))
-        if stream is not None and "RPM" in stream.columns and moving(stream.columns["RPM"]):
-            found |= named(Group(topic, {f"omega{number}": Entry("RPM", "rpm")}), instance)
-    return found
+def _numbers(log: Log, stream: Stream, topic: str, name: str) -> np.ndarray:
+    values = stream.columns[name]
+    if not is_numbers(values):
+        raise InputError(log.file, f"{topic}.{name}", "is text", "a field of numbers")
+    return values.astype(np.float64)
+
+
+def _speeds(log: Log, outputs: dict[int, int]) -> tuple[Chosen, list[str]]:
+    """Rotor speeds by motor: instance i of ESC, or ESC1, ESC2, ... of older logs, is that of output i + 1.
+
+    Boards that count from their first motor's output have all numbers shifted by one constant.
+    """
+    told = {number: ("ESC", number) for number in log.instances("ESC")}
+    told = told or {i - 1: (f"ESC{i}", 0) for i in range(1, 9) if log.instances(f"ESC{i}")}
+    turning = {i: place for i, place in told.items() if moving(log.streams[place].columns.get("RPM", np.zeros(1)))}
+    if not turning:
+        return Chosen(), []
+    motors = {output: motor for motor, output in outputs.items()} or {i + 1: i + 1 for i in turning}
+    shift = 0
+    if not any(i + 1 in motors for i in turning):
+        shift = min(motors) - 1 - min(turning)
+    pairs = sorted((motors[i + 1 + shift], place) for i, place in turning.items() if i + 1 + shift in motors)
+    entries, hertz = dict[str, Entry](), 0.0
+    for motor, (topic, instance) in pairs:
+        entries |= named(Group(topic, {f"omega{motor}": Entry("RPM", "rpm")}), instance)
+        hertz = rate_of(log.streams[topic, instance].time)
+    left = [f"{place[0]}[{place[1]}]" for i, place in turning.items() if i + 1 + shift not in motors]
+    notes = [f"{', '.join(left)} on outputs that drive no motor: left out"] if left else []
+    crossed = ", ".join(f"{t}[{i}] is motor {m}" for m, (t, i) in pairs if t == "ESC" and m != i + 1)
+    return Chosen(entries, hertz, crossed), notes

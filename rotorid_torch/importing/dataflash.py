@@ -27,17 +27,24 @@ TYPES = {
     "a": ("S64", 1.0),  # 32 numbers of a batch sampler: one field, never a channel
 }
 """Type and factor of every letter of a format."""
-INSTANCE = ("I", "Inst", "Instance", "C")
-"""Names of the field that numbers the instances of a topic, where no unit marks it; C is a filter's core."""
+NUMBERED = ("I", "Inst", "Instance")
+"""Names of the field that numbers the instances of a topic, in ArduPilot's logs that have no units (FMTU) at all."""
+CORE, CORES = "C", "XK"
+"""The same in the topics of the EKF3, which begin so."""
 INSTANCES = 32
 """Instances of a topic that are kept."""
+MESSAGES = 10_000
+"""Messages for people that are kept."""
 ALWAYS = {"PARM": ("Name", "Value"), "MSG": ("Message",), "VER": ("Arch",)}
 """What is read of every log: parameters and what it says of itself."""
 
 
 @dataclass
 class _Kind:
-    """One kind of message: its name, length with the header, columns, and what is gathered of it."""
+    """One kind of message: its name, length with the header, columns, and what is gathered of it.
+
+    `instance` is the column that numbers the topic's instances by its unit, `numbered` by its name alone.
+    """
 
     name: str
     length: int
@@ -45,6 +52,7 @@ class _Kind:
     gathered: Gathered | None = None
     factors: list[float] = field(default_factory=list)
     instance: str = ""
+    numbered: str = ""
     stamps: array[int] = field(default_factory=lambda: array("q"))
 
 
@@ -71,6 +79,7 @@ class _Walk:
         self.kinds: dict[int, _Kind] = {FORMAT: _kind("FMT", 89, "BBnNZ", "Type,Length,Name,Format,Columns")}
         self.skipped = self.left = 0
         self.now = -1
+        self.has_units = False
         self.bad_formats: list[str] = []
 
     def all(self, blocks: Blocks) -> None:
@@ -143,22 +152,24 @@ class _Walk:
         ]
         if not kept:
             return
-        kind.instance = kind.instance or next((c for c in INSTANCE if c in kind.columns), "")
-        names = {*kept, kind.instance, "TimeUS", "TimeMS"} & {*kind.columns}
+        likely = (*NUMBERED, CORE) if kind.name.startswith(CORES) else NUMBERED
+        kind.numbered = next((c for c in likely if c in kind.columns and kind.columns[c][1] == "B"), "")
+        names = {*kept, kind.instance, kind.numbered, "TimeUS", "TimeMS"} & {*kind.columns}
         layout = [(c, place, np.dtype(TYPES[f][0])) for c, (place, f) in kind.columns.items() if c in names]
         kind.factors = [TYPES[kind.columns[c][1]][1] for c, *_ in layout]
         kind.gathered = Gathered(layout, kind.length)
 
     def _units(self, number: int, units: str) -> None:
         """The unit `#` marks the field that numbers a topic's instances."""
-        kind, at = self.kinds.get(number), units.find("#")
+        kind, at, self.has_units = self.kinds.get(number), units.find("#"), True
         if kind is not None and 0 <= at < len(kind.columns) and not (kind.gathered and kind.gathered.places):
             kind.instance = list(kind.columns)[at]
             self._want(kind)
 
     def log(self, file: Path) -> Log:
         """All that was read."""
-        streams, texts, parameters = {}, [], {}
+        streams, texts, parameters, messages = {}, [], {}, []
+        by_name = self.now < 0 and not self.has_units
         for kind in self.kinds.values():
             if kind.gathered is None:
                 continue
@@ -169,13 +180,15 @@ class _Walk:
             if kind.name == "PARM":
                 parameters |= _parameters(columns)
             elif kind.name in ALWAYS:
-                said = columns.get(ALWAYS[kind.name][0], np.empty(0))[:100]
-                texts += [_text(bytes(text)) for text in said if isinstance(text, bytes)]
+                said = columns.get(ALWAYS[kind.name][0], np.empty(0))[:MESSAGES]
+                texts += [_text(bytes(text)) for text in said[:100] if isinstance(text, bytes)]
+                messages += _timed(columns, said)
             else:
-                streams |= _instances(kind, columns)
+                streams |= _instances(kind, columns, kind.instance or (kind.numbered if by_name else ""))
         system = "PX4" if self.now >= 0 else "ArduPilot"
         fields = {kind.name: list(kind.columns) for kind in self.kinds.values()}
-        return Log(file, system, "; ".join(texts), streams, fields, parameters, tuple(self._warnings()))
+        warnings = tuple(self._warnings())
+        return Log(file, system, "; ".join(texts), streams, fields, parameters, warnings, tuple(messages))
 
     def _warnings(self) -> Iterator[str]:
         yield from of_damage(self.left, self.skipped)
@@ -199,27 +212,38 @@ def _kind(name: str, length: int, form: str, columns: str) -> _Kind:
     return _Kind(name, length, placed if place <= length else {})
 
 
-def _instances(kind: _Kind, columns: dict[str, np.ndarray]) -> dict[tuple[str, int], Stream]:
-    """Streams of a topic, one per instance, with time in s; none where nothing says when."""
-    clocks = {name: columns.pop(name) for name in ("TimeUS", "TimeMS") if name in columns}
-    if is_numbers(clocks.get("TimeUS", _NONE)):
-        time = clocks["TimeUS"] * 1e-6
-    elif is_numbers(clocks.get("TimeMS", _NONE)):
-        time = clocks["TimeMS"] * 1e-3
-    else:
-        time = np.array(kind.stamps) * 1e-6
+def _instances(kind: _Kind, columns: dict[str, np.ndarray], numbered: str) -> dict[tuple[str, int], Stream]:
+    """Streams of a topic, one per number in a column of it, with time in s; none where nothing says when."""
+    clock = _clock(columns)
+    time = np.array(kind.stamps) * 1e-6 if clock is None else clock
     columns = {name: values[len(values) - len(time) :] for name, values in columns.items()}  # before any clock: lost
     if not len(time):
         return {}
-    if columns.get(kind.instance, _NONE).dtype.kind not in "iu":
+    if columns.get(numbered, _NONE).dtype.kind not in "iu":
         return {(kind.name, 0): Stream(time, columns)}
-    numbers = columns[kind.instance]
+    numbers = columns[numbered]
     made = {}
     for number in np.unique(numbers)[:INSTANCES]:
         chosen = numbers == number
         picked = {name: values[chosen] for name, values in columns.items()}
         made[kind.name, int(number)] = Stream(time[chosen], picked)
     return made
+
+
+def _clock(columns: dict[str, np.ndarray]) -> np.ndarray | None:
+    """Time (T,) in s by a topic's own stamps, which are taken out of its columns; None where it has none."""
+    clocks = {name: columns.pop(name) for name in ("TimeUS", "TimeMS") if name in columns}
+    for name, factor in (("TimeUS", 1e-6), ("TimeMS", 1e-3)):
+        if is_numbers(clocks.get(name, _NONE)):
+            return clocks[name] * factor
+    return None
+
+
+def _timed(columns: dict[str, np.ndarray], said: np.ndarray) -> list[tuple[float, str]]:
+    """Messages for people with the times at which they were written."""
+    time = _clock(columns)
+    pairs = zip(time.tolist(), said, strict=False) if time is not None else ()
+    return [(float(t), _text(bytes(text))) for t, text in pairs if isinstance(text, bytes)]
 
 
 def _parameters(columns: Mapping[str, np.ndarray]) -> dict[str, float]:

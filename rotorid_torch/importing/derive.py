@@ -10,7 +10,10 @@ from rotorid_torch.importing.signals import Signal
 
 Signals = dict[str, Signal]
 QUATERNION = ("q0", "q1", "q2", "q3")
+ANGLES = ("phi", "theta", "psi")
 VELOCITY = ("vn", "ve", "vd")
+OVER, STEEP = 2.4, 1.2
+"""Roll and pitch angle in rad beyond which Euler angles are not interpolated."""
 EQUATOR_M, FLATTENING = 6378137.0, 1.0 / 298.257223563
 
 
@@ -33,9 +36,69 @@ def before_resampling(signals: Signals) -> Signals:
         latitude, longitude = found.pop("latitude"), found.pop("longitude")
         for name, values in zip(("north", "east"), local(latitude.values, longitude.values), strict=True):
             found.setdefault(name, replace(latitude, name=name, values=values))
+    if _turns_over(found):
+        return as_quaternion(found)
     for name in ("phi", "psi"):
         if name in found:
             found[name] = replace(found[name], values=unwrapped(found[name].values))
+    return found
+
+
+def _turns_over(signals: Signals) -> bool:
+    """Whether attitudes of one clock come where Euler angles jump: upside down, nose up or nose down."""
+    if not all(name in signals for name in ANGLES):
+        return False
+    phi, theta, psi = (signals[name] for name in ANGLES)
+    one = len(phi.time) == len(theta.time) == len(psi.time) and bool((phi.time == psi.time).all())
+    with np.errstate(invalid="ignore"):
+        far = (np.abs(wrapped(phi.values)) > OVER) | (np.abs(theta.values) > STEEP)
+    return one and bool(far.any())
+
+
+def as_quaternion(signals: Signals) -> Signals:
+    """Signals with Euler angles of one clock as a quaternion without jumps, which can be interpolated."""
+    found = dict(signals)
+    angles = [found.pop(name) for name in ANGLES]
+    q = quaternion(*(s.values for s in angles))
+    for name, values in zip(QUATERNION, q, strict=True):
+        found[name] = replace(angles[0], name=name, values=values)
+    return found
+
+
+def quaternion(phi: np.ndarray, theta: np.ndarray, psi: np.ndarray) -> np.ndarray:
+    """Quaternion (4, T) from body to north-east-down axes, scalar first, its sign without jumps; NaN where missing.
+
+    Source: Stevens and Lewis, Aircraft Control and Simulation (3rd ed.), eq. 1.8-15.
+    """
+    (sp, st, sy), (cp, ct, cy) = ([f(0.5 * a) for a in (phi, theta, psi)] for f in (np.sin, np.cos))
+    q = np.stack(
+        [
+            cp * ct * cy + sp * st * sy,
+            sp * ct * cy - cp * st * sy,
+            cp * st * cy + sp * ct * sy,
+            cp * ct * sy - sp * st * cy,
+        ]
+    )
+    known = np.flatnonzero(np.isfinite(q).all(axis=0))
+    along = (q[:, known[1:]] * q[:, known[:-1]]).sum(axis=0)
+    q[:, known] *= np.cumprod(np.concatenate([[1.0], np.where(along < 0.0, -1.0, 1.0)]))[: len(known)]
+    return q
+
+
+def wrapped(angle: np.ndarray) -> np.ndarray:
+    """Angle in rad within half a turn either way."""
+    return (angle + np.pi) % (2.0 * np.pi) - np.pi
+
+
+def angles_on_grid(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Arrays with Euler angles in place of a quaternion: roll within half a turn, heading without jumps."""
+    found = dict(arrays)
+    if all(name in found for name in QUATERNION):
+        angles = euler(*(found.pop(name) for name in QUATERNION))
+        found |= dict(zip(ANGLES, angles, strict=True))
+        found["psi"] = unwrapped(found["psi"])
+    if "phi" in found:
+        found["phi"] = wrapped(found["phi"])
     return found
 
 

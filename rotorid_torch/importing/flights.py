@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from rotorid_torch.core import names
 from rotorid_torch.data.read import SAMPLES
+from rotorid_torch.data.suspicion import unwrapped_roll
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing import manoeuvres
-from rotorid_torch.importing.derive import QUATERNION, before_resampling, body_velocity
+from rotorid_torch.importing.derive import ANGLES, QUATERNION, angles_on_grid, before_resampling, body_velocity, wrapped
 from rotorid_torch.importing.formats import built_in_plan
 from rotorid_torch.importing.log import TOLD, Log
 from rotorid_torch.importing.mapping import Entry, Map, unknown_names
 from rotorid_torch.importing.plan import Plan, moving
 from rotorid_torch.importing.resample import on_grid
+from rotorid_torch.importing.resets import repaired
 from rotorid_torch.importing.signals import Signal, possible, signals
 from rotorid_torch.importing.units import find_unit
 
@@ -35,13 +37,14 @@ Arrays = dict[str, np.ndarray]
 
 @dataclass(frozen=True)
 class Record:
-    """One log on its way: signals by channel and what is told of it."""
+    """One log on its way: signals by channel, what is told of it, times in s at which a flight must end."""
 
     file: Path
     plan: Plan
     entries: Mapping[str, Entry]
     signals: dict[str, Signal]
     warnings: list[str]
+    cuts: tuple[float, ...] = ()
 
 
 def record_of(log: Log, given: Map | None) -> Record:
@@ -55,24 +58,41 @@ def record_of(log: Log, given: Map | None) -> Record:
         wanted = "a map (--map) that names lon, lat, col, ped or motor1, motor2, ..."
         raise InputError(log.file, "", f"has no control that is known (it has {listed or 'nothing'})", wanted)
     found, told = signals(log, entries, "channels")
-    clean: dict[str, Signal] = {}
+    clean, found = dict[str, Signal](), _within_half_a_turn(found)
     for name, signal in found.items():
         unit = find_unit(entries[name].unit)
         clean[name], sentence = possible(signal, unit.measures if unit else "", log.file)
         told += [sentence] if sentence else []
     chosen = {*given.channels} if given else set[str]()
-    slow, dead = _slow_speeds(clean), [name for name, signal in clean.items() if _is_dead(name, signal)]
+    slow, dead = _slow_speeds(clean), _dead(clean)
     for left, why in ((slow, "recorded less often than the motor commands"), (dead, "never changes")):
         left_out = [name for name in left if name not in chosen and log.system]
         clean = {name: signal for name, signal in clean.items() if name not in left_out}
         told += [f"{', '.join(left_out)} left out: {why}"] if left_out else []
-    warnings = [*log.warnings, *plan.notes, *(unknown_names(given.entries()) if given else ()), *told]
-    return Record(log.file, plan, entries, before_resampling(clean), warnings)
+    mended = repaired(log, clean)
+    unknown = unknown_names(given.entries()) if given else ()
+    warnings = [*log.warnings, *plan.notes, *unknown, *told, *mended.told]
+    return Record(log.file, plan, entries, before_resampling(mended.signals), warnings, mended.cuts)
 
 
-def _is_dead(name: str, signal: Signal) -> bool:
-    """Whether a channel is there by name only, as position and velocity without a receiver are."""
-    return not names.is_control(name) and name not in (*names.RATES, *QUATERNION) and not moving(signal.values)
+def _within_half_a_turn(found: dict[str, Signal]) -> dict[str, Signal]:
+    """Signals whose roll angle, where it goes on turning as its rate says, is wrapped."""
+    phi, p = found.get("phi"), found.get("p")
+    if phi is None or p is None or not unwrapped_roll(phi.time, phi.values, p.time, p.values):
+        return found
+    return found | {"phi": replace(phi, values=wrapped(phi.values))}
+
+
+def _dead(found: Mapping[str, Signal]) -> list[str]:
+    """Channels that are there by name only, as position and velocity without a receiver are.
+
+    Angles of an attitude of which one moves are measured, also where the others stand exactly still.
+    """
+    exempt = {*names.RATES, *QUATERNION}
+    if any(moving(found[name].values) for name in ANGLES if name in found):
+        exempt |= {*ANGLES}
+    still = (name for name in found if not names.is_control(name) and name not in exempt)
+    return [name for name in still if not moving(found[name].values)]
 
 
 def _slow_speeds(found: Mapping[str, Signal]) -> list[str]:
@@ -125,11 +145,13 @@ def _spans(record: Record) -> tuple[list[tuple[float, float]], list[str]]:
     if empty := next((n for n, time in known.items() if len(time) < 2), None):
         raise InputError(record.file, f"{needed[empty].source} ({empty})", "has no samples", "a recorded channel")
     clock = min(known.values(), key=len)
-    edges = np.flatnonzero(np.diff(clock) > PAUSE_S)
+    cuts = np.searchsorted(clock, record.cuts)
+    edges = np.union1d(np.flatnonzero(np.diff(clock) > PAUSE_S), cuts[(cuts > 0) & (cuts < len(clock))] - 1).astype(int)
     starts, stops = clock[np.concatenate([[0], edges + 1])], clock[np.concatenate([edges, [len(clock) - 1]])]
     spans, short = [], 0
     for start, stop in zip(starts, stops, strict=True):
-        inside = [time[_between(time, start, stop, 1.0)] for time in known.values()]
+        first, last = _within(record, start, stop, 1.0)
+        inside = [time[slice(*np.searchsorted(time, (first, last)))] for time in known.values()]
         low = max((time[0] for time in inside if len(time)), default=stop)
         high = min((time[-1] for time in inside if len(time)), default=start)
         whole = all(map(len, inside)) and high - low >= LEAST_S
@@ -148,9 +170,11 @@ def _spans(record: Record) -> tuple[list[tuple[float, float]], list[str]]:
     raise InputError(record.file, "time", told, "controls and body rates on one clock")
 
 
-def _between(time: np.ndarray, start: float, stop: float, beyond: float) -> slice:
-    """Samples between two times and so many seconds beyond: no flight has to go through the whole record."""
-    return slice(*np.searchsorted(time, (start - beyond, stop + beyond)))
+def _within(record: Record, start: float, stop: float, beyond: float) -> tuple[float, float]:
+    """Times so many seconds before and after a flight, but not beyond a cut."""
+    before = max((cut for cut in record.cuts if cut <= start + 1e-9), default=-np.inf)
+    after = min((cut for cut in record.cuts if cut > stop), default=np.inf)
+    return max(start - beyond, before), min(stop + beyond, after)
 
 
 def _gridded(record: Record, start: float, stop: float, hertz: float) -> tuple[Arrays, str]:
@@ -160,9 +184,12 @@ def _gridded(record: Record, start: float, stop: float, hertz: float) -> tuple[A
         raise InputError(record.file, "time", f"makes {count} samples at {hertz:g} Hz", f"at most {SAMPLES}")
     grid = start + np.arange(count) / hertz
     reach = {name: max(BEYOND_S, 3.0 / s.hertz, 8.0 / hertz) for name, s in record.signals.items()}
-    parts = {name: (s, _between(s.time, start, stop, reach[name])) for name, s in record.signals.items()}
+    ends = {
+        name: np.searchsorted(s.time, _within(record, start, stop, reach[name])) for name, s in record.signals.items()
+    }
+    parts = {name: (s, slice(*ends[name])) for name, s in record.signals.items()}
     arrays = {name: on_grid(s.time[part], s.values[part], grid) for name, (s, part) in parts.items()}
-    arrays, sentence = body_velocity(arrays)
+    arrays, sentence = body_velocity(angles_on_grid(arrays))
     there = {name: values for name, values in arrays.items() if np.isfinite(values).any()}
     return {"time": np.arange(count) / hertz, **there}, sentence
 

@@ -54,6 +54,7 @@ class Log:
     fields : all topics with all their fields, also those not kept.
     parameters : the vehicle's settings by name.
     warnings : sentences on what could not be read.
+    messages : what the log tells people, each with its time in s.
     """
 
     file: Path
@@ -63,6 +64,7 @@ class Log:
     fields: Mapping[str, Sequence[str]]
     parameters: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    messages: tuple[tuple[float, str], ...] = ()
 
     def instances(self, topic: str) -> list[int]:
         """Instances of a topic that have samples."""

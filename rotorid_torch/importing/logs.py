@@ -13,6 +13,7 @@ from rotorid_torch.core import names
 from rotorid_torch.data.write import declarations, refuse_unless_free, write_dataset
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing import manoeuvres, units
+from rotorid_torch.importing.derive import ANGLES, QUATERNION
 from rotorid_torch.importing.flights import Record, flights_of, record_of
 from rotorid_torch.importing.formats import built_in_fields, read_log
 from rotorid_torch.importing.log import Log, choose
@@ -29,10 +30,14 @@ RATES_HZ = (1.0, 10_000.0)
 
 @dataclass(frozen=True)
 class Taken:
-    """A channel: where it came from and how often it was recorded; `source` is empty for what was computed."""
+    """A channel: where it came from, how often it was recorded, and why it was taken where there was a choice.
+
+    `source` is empty for what was computed.
+    """
 
     source: str
     hertz: float
+    reason: str = ""
 
 
 @dataclass(frozen=True)
@@ -47,6 +52,7 @@ class Imported:
     flights : by name the seconds and the kind of manoeuvre ("" where it was not cut).
     lists : names of flights in identify, validate, acid.
     channels : where each came from.
+    units : of the controls, as dataset.toml declares them.
     warnings : what was left out, taken out or chosen.
     """
 
@@ -56,6 +62,7 @@ class Imported:
     flights: Mapping[str, tuple[float, str]]
     lists: Mapping[str, Sequence[str]]
     channels: Mapping[str, Taken]
+    units: Mapping[str, str]
     warnings: tuple[str, ...]
 
 
@@ -102,7 +109,7 @@ def import_logs(
         kinds |= {name: kind for name, (_, kind) in made.items()}
     seconds = {name: float(arrays["time"][-1]) for name, arrays in flights.items()}
     lists = manoeuvres.share_out([(name, kinds[name], seconds[name]) for name in flights])
-    kind = _vehicle_kind(records, given)
+    kind, controls = _vehicle_kind(records, given), _controls(records, flights)
     write_dataset(
         place,
         flights,
@@ -112,7 +119,7 @@ def import_logs(
         kind=kind,
         description=f"{IMPORTED} {printable(', '.join(f.name for f in files), layout=False)} at {grid_hz:g} Hz.",
         vehicle=(given.vehicle if given else None) or dict(records[0].plan.vehicle) or None,
-        controls=_controls(records, flights),
+        controls=controls,
         texts=kept,
     )
     if there := [file for file in kept if (place / file).exists()]:
@@ -120,7 +127,8 @@ def import_logs(
             f"{place.name}: the data set that was here is replaced; what it declared is kept: {', '.join(there)}"
         )
     durations = {name: (seconds[name], kinds[name]) for name in flights}
-    return Imported(place, kind, grid_hz, durations, lists, channels, tuple(told))
+    measured = {name: table["unit"] for name, table in controls.items()}
+    return Imported(place, kind, grid_hz, durations, lists, channels, measured, tuple(told))
 
 
 def _records(files: Sequence[Path], given: Map | None) -> list[Record]:
@@ -190,6 +198,7 @@ def _taken(record: Record, flights: Mapping[str, tuple[Mapping[str, np.ndarray],
     """Where each channel of a record's flights came from; what was computed on the grid has no source."""
     found: dict[str, Taken] = {}
     for name in {channel: None for arrays, _ in flights.values() for channel in arrays if channel != "time"}:
-        signal = record.signals.get(name)
-        found[name] = Taken(str(signal.source) if signal else "", signal.hertz if signal else 0.0)
+        signal = record.signals.get(name) or (record.signals.get(QUATERNION[0]) if name in ANGLES else None)
+        reason = record.plan.reasons.get(QUATERNION[0] if name in ANGLES else name) or record.plan.reasons.get(name, "")
+        found[name] = Taken(str(signal.source) if signal else "", signal.hertz if signal else 0.0, reason)
     return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,42 +16,102 @@ FASTER = 1.8
 
 @dataclass(frozen=True)
 class Plan:
-    """Which fields become which channels; the kind of vehicle; sentences on choices; what is known of the vehicle."""
+    """Which fields become which channels; the kind of vehicle; sentences on choices; what is known of the vehicle.
+
+    `reasons` say per channel why its source was taken, where the log has another one.
+    """
 
     kind: str
     entries: Mapping[str, Entry]
     notes: tuple[str, ...] = ()
     vehicle: Mapping[str, object] = field(default_factory=dict)
+    reasons: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Group:
-    """Channels that come together from one topic: per channel its entry, with a bare field name."""
+    """Channels that come together from one topic: per channel its entry, with a bare field name.
+
+    A spare one, such as a single sensor before filters and calibration, is taken only where there is no other.
+    """
 
     topic: str
     entries: Mapping[str, Entry]
+    spare: bool = False
 
 
-def triple(topic: str, channels: str, fields: Sequence[str], unit: str = "", sign: str = "+++") -> Group:
+def triple(
+    topic: str, channels: str, fields: Sequence[str], unit: str = "", sign: str = "+++", spare: bool = False
+) -> Group:
     """Group of some channels of one unit; `sign` has a plus or minus per channel."""
     signs = {"+": 1, "-": -1}
     pairs = zip(channels.split(), fields, sign.ljust(len(fields), "+"), strict=False)
-    return Group(topic, {c: Entry(f, unit, 1 if signs[s] == 1 else -1) for c, f, s in pairs})
+    return Group(topic, {c: Entry(f, unit, 1 if signs[s] == 1 else -1) for c, f, s in pairs}, spare)
 
 
-def first_or_faster(log: Log, alternatives: Sequence[Group], instance: int = 0) -> dict[str, Entry]:
-    """Entries of the first group that the log has, or of a later one that is recorded much faster."""
-    best: dict[str, Entry] = {}
-    rate = 0.0
+@dataclass(frozen=True)
+class Chosen:
+    """Entries of one group, how often it is recorded (Hz), and why it was taken; empty where there was no choice."""
+
+    entries: Mapping[str, Entry] = field(default_factory=dict)
+    hertz: float = 0.0
+    reason: str = ""
+
+    def reasons(self) -> dict[str, str]:
+        """The reason by channel; channels of which there is none are left out."""
+        return dict.fromkeys(self.entries, self.reason) if self.reason else {}
+
+
+Instances = Callable[[str, Sequence[int]], tuple[int, str]]
+"""Which instance of a topic is taken, of those there are, and why."""
+
+
+def lowest(topic: str, numbers: Sequence[int]) -> tuple[int, str]:
+    """The lowest instance."""
+    others = ", ".join(str(number) for number in sorted(numbers)[1:])
+    return min(numbers), f"instance {min(numbers)}, the lowest; {others} left" if others else ""
+
+
+def first_or_faster(log: Log, alternatives: Sequence[Group], instance: Instances = lowest) -> Chosen:
+    """Entries of the first group that the log has, or of a later one that is recorded much faster.
+
+    A group without content (all zero or not a number) is none; one that never changes gives way to one that does.
+    """
+    best, moves, chosen_why, left = Chosen(), False, "", list[str]()
     for group in alternatives:
         numbers = log.instances(group.topic)
         if not numbers or not all(e.field in log.fields[group.topic] for e in group.entries.values()):
             continue
-        number = instance if instance in numbers else numbers[0]
-        hertz = rate_of(log.streams[group.topic, number].time)
-        if not best or hertz > FASTER * rate:
-            best, rate = named(group, number), hertz
-    return best
+        if group.spare and best.entries:
+            continue
+        number, why = instance(group.topic, numbers)
+        stream = log.streams[group.topic, number]
+        columns = [stream.columns[e.field] for e in group.entries.values() if e.field in stream.columns]
+        name = _written(group, number)
+        if not any(map(has_content, columns)):
+            left.append(f"{name} left: all zero or not a number")
+            continue
+        hertz, changing = rate_of(stream.time), any(map(moving, columns))
+        if not best.entries or (changing and not moves):
+            left += [f"{best.reason} left: never changes"] if best.entries else []
+            best, moves, chosen_why = Chosen(named(group, number), hertz, name), changing, why
+        elif changing and hertz > FASTER * best.hertz:
+            left.append(f"{best.reason} left: {best.hertz:.3g} Hz against {hertz:.3g} Hz")
+            best, chosen_why = Chosen(named(group, number), hertz, name), why
+    if not best.entries:
+        return Chosen(reason="; ".join(left))
+    return Chosen(best.entries, best.hertz, "; ".join([*([chosen_why] if chosen_why else []), *left]))
+
+
+def _written(group: Group, number: int) -> str:
+    """A group for people: its topic, and its first field where one topic holds several."""
+    instance = f"[{number}]" if number else ""
+    return f"{group.topic}{instance}.{next(iter(group.entries.values())).field}"
+
+
+def has_content(values: np.ndarray) -> bool:
+    """Whether a column has a finite number that is not zero."""
+    return is_numbers(values) and bool((np.isfinite(values) & (values != 0)).any())
 
 
 def named(group: Group, instance: int) -> dict[str, Entry]:
@@ -70,16 +130,19 @@ def rate_of(time: np.ndarray) -> float:
     return 1.0 / float(steps[steps <= 2.5 * np.median(steps)].mean()) if len(steps) else 0.0
 
 
-def pulse(name: str, low: float, high: float) -> Entry:
-    """Motor command from servo pulses in us between what the vehicle takes for 0 and 1."""
-    if not 500.0 <= low < high - 100.0 <= 2900.0:
-        low, high = 1000.0, 2000.0
-    return Entry(name, "norm", 1, 1.0 / (high - low), -low / (high - low))
-
-
 def moving(values: np.ndarray) -> bool:
     """Whether a column has two different numbers; text has none."""
     if not is_numbers(values):
         return False
     finite = values[np.isfinite(values)]
     return len(finite) > 0 and float(finite.min()) < float(finite.max())
+
+
+def merged(
+    kind: str, chosen: Sequence[Chosen], notes: Sequence[str], vehicle: Mapping[str, object] | None = None
+) -> Plan:
+    """Plan of all choices, later ones first where two have a channel; reasons of what was left are notes too."""
+    entries = {name: entry for one in chosen for name, entry in one.entries.items()}
+    reasons = {name: reason for one in chosen for name, reason in one.reasons().items()}
+    told = [f"{', '.join(one.entries) or 'a source'}: {one.reason}" for one in chosen if one.reason]
+    return Plan(kind, entries, (*notes, *told), vehicle or {}, reasons)

@@ -14,10 +14,11 @@ from rotorid_torch.errors import InputError
 from rotorid_torch.importing import units
 from rotorid_torch.importing.log import Log, Source, Stream, is_numbers
 from rotorid_torch.importing.mapping import Entry, check_unit
+from rotorid_torch.importing.outputs import STRAY, beyond
 from rotorid_torch.importing.plan import rate_of
 
 OUT_OF_ORDER = 0.1
-"""Share of stamps that may be out of order; more are two clocks."""
+"""Share of stamps that may repeat, or run back far; more are two clocks."""
 PULSE_SPANS = 3.0
 """Spans between the pulses of 0 and 1 about their middle, within which a pulse, or none, is that of a motor."""
 ASTRAY_S = 1.0
@@ -72,7 +73,7 @@ def signals(log: Log, entries: Mapping[str, Entry], key: str) -> tuple[dict[str,
             continue
         stream = log.streams[place]
         values = _taken(log, source, stream)[usable]
-        found[name] = Signal(name, stream.time[usable], _in_si(name, values, entry), source)
+        found[name] = Signal(name, stream.time[usable], _in_si(name, values, entry, log, source), source)
     return found, told
 
 
@@ -84,44 +85,52 @@ def _taken(log: Log, source: Source, stream: Stream) -> np.ndarray:
 
 
 def _usable(stream: Stream, source: Source, told: list[str]) -> np.ndarray | BadClock:
-    """Samples of a stream whose stamps increase, as a mask."""
+    """Samples of a stream in the order of their stamps, as indices (n,)."""
     try:
         usable = increasing(stream.time)
     except BadClock as bad:
         return bad
-    if lost := int((~usable).sum()):
-        told.append(f"{source.topic or 'the table'}: {lost} samples with a stamp out of order were left out")
+    where = source.topic or "the table"
+    if moved := int((np.diff(usable) < 0).sum()):
+        told.append(f"{where}: {moved} samples with a stamp before the last one were sorted in")
+    if lost := len(stream.time) - len(usable):
+        told.append(f"{where}: {lost} samples with a stamp out of order were left out")
     return usable
 
 
 def increasing(time: np.ndarray) -> np.ndarray:
-    """Samples to keep so that time increases: a stamp that is astray, repeats or runs back is given up.
+    """Samples (n,) to take, in this order, so that time increases.
+
+    What was written a little late is sorted in; a stamp that is far astray or repeats is given up.
 
     Raises
     ------
-    BadClock : where time stands still, or so many stamps are out of order that there are two clocks.
+    BadClock : where time stands still or repeats, or runs back so far that there are two clocks.
     """
-    keep = np.isfinite(time)
-    if not keep.any():
+    finite = np.isfinite(time)
+    if not finite.any():
         raise BadClock("has no stamp", "time in s for every sample")
     steps = np.diff(time)
-    if keep.all() and len(steps) and (steps > 0).all() and steps.max() < ASTRAY_S:
-        return keep
-    keep[keep] = ~_astray(time[keep])
-    known = time[keep]
+    if finite.all() and len(steps) and (steps > 0).all() and steps.max() < ASTRAY_S:
+        return np.arange(len(time))
+    kept = np.flatnonzero(finite)
+    kept = kept[~_astray(time[kept])]
+    known = time[kept]
     if len(known) < 2 or known.min() == known.max():
-        raise BadClock(f"stands still at {time[np.isfinite(time)][0]:.6g} s", "a clock that runs")
-    highest = np.maximum.accumulate(known)
-    ahead = np.concatenate([[True], known[1:] > highest[:-1]])
-    back = np.flatnonzero(known[1:] < highest[:-1])
-    if (~ahead).mean() > OUT_OF_ORDER:
-        if not len(back):
-            raise BadClock(f"repeats its stamps ({(~ahead).mean():.0%} of them)", "a stamp for every sample")
-        at = int(back[0])
-        told = f"runs back from {known[at]:.6g} to {known[at + 1]:.6g} s: two time bases?"
-        raise BadClock(told, "one clock that runs on")
-    keep[keep] = ahead
-    return keep
+        raise BadClock(f"stands still at {time[finite][0]:.6g} s", "a clock that runs")
+    late = np.maximum.accumulate(known) - known
+    if late.max() > ASTRAY_S:
+        ahead = np.concatenate([[True], known[1:] > np.maximum.accumulate(known)[:-1]])
+        if (~ahead).mean() > OUT_OF_ORDER:
+            at = int(np.flatnonzero(known[1:] < known[:-1])[0])
+            told = f"runs back from {known[at]:.6g} to {known[at + 1]:.6g} s: two time bases?"
+            raise BadClock(told, "one clock that runs on")
+        return kept[ahead]
+    order = np.argsort(known, kind="stable")
+    new = np.concatenate([[True], np.diff(known[order]) > 0.0])
+    if (~new).mean() > OUT_OF_ORDER:
+        raise BadClock(f"repeats its stamps ({(~new).mean():.0%} of them)", "a stamp for every sample")
+    return kept[order][new]
 
 
 def _astray(time: np.ndarray) -> np.ndarray:
@@ -133,14 +142,26 @@ def _astray(time: np.ndarray) -> np.ndarray:
     return np.abs(time - middle) > max(ASTRAY_S, 20.0 * float(np.median(np.abs(np.diff(middle)))))
 
 
-def _in_si(name: str, values: np.ndarray, entry: Entry) -> np.ndarray:
-    """Convert to SI as the entry says; a pulse of a motor at rest is 0, one that no servo takes stays as it is."""
+def _in_si(name: str, values: np.ndarray, entry: Entry, log: Log, source: Source) -> np.ndarray:
+    """Convert to SI as the entry says; a pulse of a motor at rest is 0, one that no servo takes stays as it is.
+
+    Raises
+    ------
+    InputError : for a motor's pulses whose range is another one, so that clipping would flatten them.
+    """
     unit = units.find_unit(entry.unit) or units.Unit("")
     factor, offset = unit.factor, unit.offset
     with np.errstate(all="ignore"):  # whatever bytes a damaged log holds
         result = entry.sign * (entry.scale * values.astype(np.float64) + entry.offset) * factor + offset
     if names.is_motor(name) and (entry.unit == "us" or entry.offset):
-        result = np.where(np.abs(result - 0.5) <= PULSE_SPANS, np.clip(result, 0.0, 1.0), result)
+        near = np.abs(result - 0.5) <= PULSE_SPANS
+        if beyond(result[near], 0.0, 1.0) > STRAY * max(int(near.sum()), 1):
+            low, high = float(np.nanmin(values[near])), float(np.nanmax(values[near]))
+            told = f"runs from {low:g} to {high:g}, beyond what stands for commands 0 to 1"
+            raise InputError(
+                log.file, f"{source} ({name})", told, "the range of its protocol: scale and offset in a map"
+            )
+        result = np.where(near, np.clip(result, 0.0, 1.0), result)
     return result
 
 

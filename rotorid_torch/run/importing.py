@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from rich.console import Group, RenderableType
@@ -21,21 +22,22 @@ def import_table(done: Imported) -> RenderableType:
         for name in chosen:
             seconds, kind = done.flights[name]
             flights.add_row(listed, name, f"{seconds:.1f}", kind or "-")
-    channels = Table("channel", "unit", "from", "recorded at")
+    channels = Table("channel", "unit", "from", "recorded at", "because")
     for name, taken in done.channels.items():
         told = f"{taken.hertz:.3g} Hz" if taken.source else "-"
-        channels.add_row(name, _unit(name), taken.source or "computed", told)
+        channels.add_row(name, _unit(name, done.units), taken.source or "computed", told, taken.reason)
     warnings = [Text(f"warning: {sentence}") for sentence in done.warnings]
     where = Text(f"data set: {done.folder}; its lists and its vehicle are yours to edit in dataset.toml")
     return Group(flights, channels, *warnings, where)
 
 
-def _unit(name: str) -> str:
-    return "0…1" if names.is_motor(name) else names.unit(name) or "-"
+def _unit(name: str, declared: Mapping[str, str]) -> str:
+    return "0…1" if names.is_motor(name) else declared.get(name) or names.unit(name) or "-"
 
 
 def import_record(done: Imported) -> dict[str, Any]:
     """All of it for `--json`."""
+    channels = {n: {"source": t.source, "hertz": t.hertz, "because": t.reason} for n, t in done.channels.items()}
     flights = {name: {"seconds": seconds, "kind": kind} for name, (seconds, kind) in done.flights.items()}
     return {
         "dataset": str(done.folder),
@@ -43,6 +45,6 @@ def import_record(done: Imported) -> dict[str, Any]:
         "rate_hz": done.rate,
         "flights": flights,
         "lists": done.lists,
-        "channels": {n: {"source": taken.source, "hertz": taken.hertz} for n, taken in done.channels.items()},
+        "channels": channels,
         "warnings": done.warnings,
     }

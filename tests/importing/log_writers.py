@@ -25,8 +25,15 @@ def ulog_head(parameters: Mapping[str, float] | None = None) -> bytes:
     return head
 
 
-def ulog_format(topic: str, columns: Mapping[str, np.ndarray], arrays: Mapping[str, int] | None = None) -> bytes:
-    """Format message; columns `name[0]`, `name[1]` are one array."""
+def ulog_format(topic: str, columns: Mapping[str, np.ndarray]) -> bytes:
+    """Format message; columns `name[0]`, `name[1]` are one array, `name[0].a`, `name[0].b` topics inside the topic."""
+    inner = {name.partition(".")[2]: v for name, v in columns.items() if "]." in name}
+    if inner:
+        (base,) = {name.partition("[")[0] for name in columns if "]." in name}
+        count = len({name.partition("]")[0] for name in columns if "]." in name})
+        members = ";".join(f"{NAMES[v.dtype.str.replace('|', '<')]} {n}" for n, v in inner.items())
+        outer = f"{topic}:uint64_t timestamp;{topic}_part[{count}] {base};"
+        return message("F", f"{topic}_part:{members};".encode()) + message("F", outer.encode())
     counts: dict[str, int] = {}
     kinds: dict[str, str] = {}
     for name, values in columns.items():
@@ -78,8 +85,14 @@ def dataflash_format(number: int, length: int, name: str, letters: str, columns:
     return b"\xa3\x95\x80" + bytes([number, length]) + texts
 
 
-def write_dataflash(path: Path, topics: Topics, parameters: Mapping[str, float] | None = None, about: str = "") -> Path:
-    """DataFlash log of topics, each time (T,) in s and columns; data by whole seconds."""
+def write_dataflash(
+    path: Path,
+    topics: Topics,
+    parameters: Mapping[str, float] | None = None,
+    about: str = "",
+    units: Mapping[str, str] | None = None,
+) -> Path:
+    """DataFlash log of topics, each time (T,) in s and columns; data by whole seconds; `units` by topic."""
     with path.open("wb") as file:
         file.write(dataflash_format(0x80, 89, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns"))
         file.write(dataflash_format(2, 31, "PARM", "QNf", "TimeUS,Name,Value"))
@@ -97,6 +110,11 @@ def write_dataflash(path: Path, topics: Topics, parameters: Mapping[str, float] 
             letters = "Q" + "".join(LETTERS[v.dtype.str.replace("|", "<")] for v in columns.values())
             file.write(dataflash_format(number, rows.dtype.itemsize, name, letters, ",".join(["TimeUS", *columns])))
             blocks.append(rows)
+        if units:
+            file.write(dataflash_format(4, 44, "FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds"))
+        for name, marks in (units or {}).items():
+            number = 10 + [*topics].index(name)
+            file.write(b"\xa3\x95\x04" + struct.pack("<QB16s16s", 0, number, marks.encode(), b""))
         for second in range(int(max(time[-1] for time, _ in topics.values())) + 1):
             for rows in blocks:
                 file.write(rows[rows["TimeUS"] // 1_000_000 == second].tobytes())

@@ -101,6 +101,6 @@ def test_north_and_east_of_latitude_and_longitude():
 def test_a_slow_channel_reaches_from_before_a_flight_to_after_it():
     times = {50.0: np.arange(0.0, 120.0, 0.02), 0.1: np.arange(0.0, 121.0, 10.0)}
     fast, slow = (SimpleNamespace(time=t, values=0.01 * t, hertz=h) for h, t in times.items())
-    record: Any = SimpleNamespace(signals={"p": fast, "voltage": slow}, file="log")
+    record: Any = SimpleNamespace(signals={"p": fast, "voltage": slow}, file="log", cuts=())
     found, _ = flights._gridded(record, 36.0, 44.0, 50.0)
     np.testing.assert_allclose(found["voltage"], 0.01 * (36.0 + found["time"]), atol=1e-9)

@@ -1,0 +1,129 @@
+"""What an output of an autopilot means: the range that its protocol and settings give, never a guess by its size.
+
+Source: PX4 Guide, "Actuator Configuration" and parameters PWM_MAIN_MINn, PWM_MAIN_TIMn, DSHOT_CONFIG, UAVCAN_ENABLE;
+ArduPilot, parameters MOT_PWM_TYPE, MOT_PWM_MIN, MOT_PWM_MAX; Betaflight, "DSHOT - ESC Protocol".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorid_torch.errors import InputError
+from rotorid_torch.importing.mapping import Entry
+
+SLACK = 0.1
+"""Share of a range by which outputs may lie outside: a trim, a spin-up, an idle below the least command."""
+REST_LEVELS = 3
+"""Different values below a range that are levels of rest (disarmed, failsafe), not commands."""
+STRAY = 0.01
+"""Share of samples that may lie outside: single damaged ones become missing samples."""
+
+
+@dataclass(frozen=True)
+class OutputRange:
+    """Outputs that stand for commands 0 and 1, and what says so."""
+
+    low: float
+    high: float
+    about: str
+
+    def __str__(self) -> str:
+        return f"{self.low:g} to {self.high:g} ({self.about})"
+
+    def holds(self, values: np.ndarray) -> bool:
+        """Whether outputs (T,) lie inside, but for levels of rest and single damaged samples."""
+        return beyond(values, self.low, self.high) <= STRAY * len(values)
+
+    def entry(self, field: str) -> Entry:
+        """Motor command 0 to 1 from a field."""
+        span = self.high - self.low
+        return Entry(field, "norm", 1, 1.0 / span, -self.low / span)
+
+
+UNIT = OutputRange(0.0, 1.0, "commands 0 to 1")
+DSHOT = OutputRange(1.0, 1999.0, "DShot")
+DSHOT_RAW = OutputRange(48.0, 2047.0, "DShot with the first 48 values for orders")
+UAVCAN = OutputRange(1.0, 8191.0, "UAVCAN")
+PULSE = OutputRange(1000.0, 2000.0, "servo pulses in us, by default")
+
+
+def beyond(values: np.ndarray, low: float, high: float) -> int:
+    """Samples outside a range that move there: what clipping would flatten. Levels of rest below it are no commands."""
+    slack = SLACK * (high - low)
+    below = values[values < low - slack]
+    resting = len(np.unique(below[:100_000])) <= REST_LEVELS
+    return int((values > high + slack).sum()) + (0 if resting else len(below))
+
+
+def range_of(file: object, key: str, values: np.ndarray, allowed: Sequence[OutputRange]) -> OutputRange:
+    """The first of the ranges that settings allow which holds all outputs.
+
+    Raises
+    ------
+    InputError : where none does, with the range of the outputs.
+    """
+    known = values[np.isfinite(values)]
+    fitting = next((one for one in allowed if one.holds(known)), None)
+    if fitting is None:
+        low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
+        told = f"runs from {low:g} to {high:g}"
+        expected = f"{' or '.join(map(str, allowed))}, or a map (--map) with scale and offset of each motor"
+        raise InputError(str(file), key, told, expected)
+    return fitting
+
+
+def of_px4(settings: Mapping[str, float], prefix: str, number: int, raw: Sequence[np.ndarray]) -> list[OutputRange]:
+    """Ranges that PX4's settings allow for output `number` (from 1) of a group (`PWM_MAIN`, `UAVCAN_EC`, ...).
+
+    `raw` are the outputs of all motors (T,): fractions are commands, for no protocol of pulses or counts has them.
+    """
+    finite = [values[np.isfinite(values)] for values in raw]
+    parts = np.concatenate(finite) if finite else np.empty(0)
+    if len(parts) and float(np.abs(parts).max()) <= 1.0 and bool((parts % 1.0 != 0.0).any()):
+        return [UNIT]
+    if prefix == "UAVCAN_EC":
+        low, high = settings.get(f"UAVCAN_EC_MIN{number}", 1.0), settings.get(f"UAVCAN_EC_MAX{number}", 8191.0)
+        return [OutputRange(low, high, "UAVCAN_EC_MIN, UAVCAN_EC_MAX")]
+    allowed = []
+    if settings.get("UAVCAN_ENABLE", 0.0) >= 3:
+        allowed.append(OutputRange(UAVCAN.low, UAVCAN.high, "UAVCAN, by UAVCAN_ENABLE"))
+    timers = [int(value) for key, value in settings.items() if key.startswith(f"{prefix}_TIM")]
+    if settings.get("DSHOT_CONFIG", 0.0) > 0 or any(-5 <= timer <= -2 for timer in timers):
+        name = "DSHOT_CONFIG" if settings.get("DSHOT_CONFIG", 0.0) > 0 else f"{prefix}_TIM"
+        allowed.append(OutputRange(DSHOT.low, DSHOT.high, f"DShot, by {name}"))
+    pulses = _px4_pulses(settings, prefix, number)
+    if -1 in timers or settings.get("PWM_RATE") == 0.0:
+        allowed.append(OutputRange(pulses.low / 8.0, pulses.high / 8.0, f"OneShot125, an eighth of {pulses.about}"))
+    return [*allowed, pulses]
+
+
+def _px4_pulses(settings: Mapping[str, float], prefix: str, number: int) -> OutputRange:
+    """Pulses by the settings of the output, of its group or of all; -1 stands for what the group says."""
+    ends, told = [], []
+    for end, default in (("MIN", PULSE.low), ("MAX", PULSE.high)):
+        keys = (f"{prefix}_{end}{number}", f"{prefix}_{end}", *([f"PWM_{end}"] if prefix != "PWM_AUX" else []))
+        key = next((key for key in keys if settings.get(key, -1.0) > 0.0), "")
+        ends.append(settings[key] if key else default)
+        told += [key] if key else []
+    if not ends[0] < ends[1]:
+        return PULSE
+    return OutputRange(ends[0], ends[1], ", ".join(told) if told else PULSE.about)
+
+
+def of_ardupilot(settings: Mapping[str, float]) -> list[OutputRange]:
+    """Ranges of RCOU that ArduPilot's settings allow; digital protocols are logged as pulses of 1000 to 2000."""
+    kind = int(settings.get("MOT_PWM_TYPE", 0))
+    if kind in (4, 5, 6, 7):
+        return [OutputRange(PULSE.low, PULSE.high, f"DShot logged as pulses, by MOT_PWM_TYPE {kind}")]
+    throttle = f"RC{int(settings.get('RCMAP_THROTTLE', 3))}"
+    for low, high in (("MOT_PWM_MIN", "MOT_PWM_MAX"), (f"{throttle}_MIN", f"{throttle}_MAX")):
+        if 0.0 < settings.get(high, 0.0) and 0.0 <= settings.get(low, -1.0) < settings[high]:
+            pulses = OutputRange(settings[low], settings[high], f"{low}, {high}")
+            break
+    else:
+        pulses = PULSE
+    eighth = OutputRange(pulses.low / 8.0, pulses.high / 8.0, f"OneShot125, an eighth of {pulses.about}")
+    return [pulses, eighth] if kind == 2 else [pulses]
