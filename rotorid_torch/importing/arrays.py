@@ -6,6 +6,7 @@ import math
 import struct
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -15,8 +16,9 @@ import numpy as np
 from rotorid_torch.core.files import open_file
 from rotorid_torch.core.memory import bounded_memory
 from rotorid_torch.data import npz
-from rotorid_torch.data.read import BYTES, CHANNELS
+from rotorid_torch.data.read import BYTES, CHANNELS, SAMPLES
 from rotorid_torch.errors import InputError
+from rotorid_torch.importing import sidpac
 from rotorid_torch.importing.log import Choose, Log
 from rotorid_torch.importing.mapping import Clock
 from rotorid_torch.importing.tables import is_clock, table_log
@@ -89,7 +91,10 @@ def read_matlab(file: Path, choose: Choose, clock: Clock | None = None) -> Log:
             raise InputError(file, "", f"is not a whole .mat file ({error})", "a .mat of version 4 to 7") from None
     tables: Tables = {}
     _structs("", {name: v for name, v in content.items() if not name.startswith("__")}, tables, 0)
-    return _log(file, tables, {t: list(columns) for t, columns in tables.items() if columns}, choose, clock)
+    fields = {t: list(columns) for t, columns in tables.items() if columns}
+    own = clock is None and sidpac.is_sidpac(fields.get("", ()))
+    log = _log(file, tables, fields, choose, sidpac.clock() if own else clock)
+    return replace(log, system=sidpac.SYSTEM) if own else log
 
 
 def _unpacked(stream: BinaryIO) -> Iterator[tuple[str, int]]:
@@ -123,11 +128,54 @@ def _inflated(stream: BinaryIO, size: int) -> int:
 
 def _structs(topic: str, content: Mapping[str, Any], tables: Tables, depth: int) -> None:
     """Arrays of a struct become the table of its topic, structs inside it topics `outer.inner`."""
+    content = _unfolded(content)
     arrays = {str(name): value for name, value in content.items() if isinstance(value, np.ndarray)}
     tables[topic] = dict(_columns(arrays))
     for name, value in content.items():
         if isinstance(value, dict) and depth < DEEPEST:
             _structs(f"{topic}.{name}" if topic else str(name), value, tables, depth + 1)
+
+
+def _unfolded(content: Mapping[str, Any]) -> dict[str, Any]:
+    """A struct with each channel under its own name.
+
+    An array of structs of numbers (table2struct) becomes columns; `time` with `signals`, as Simulink saves them, and a
+    timetable saved as `Time`, `Variables` and `VariableNames` (or `Properties.VariableNames`), take the names in them.
+    """
+    found = {str(name): _rows(value) for name, value in content.items()}
+    signals = found.get("signals")
+    if "time" in found and signals is not None:
+        some = (
+            [signals] if isinstance(signals, dict) else list(signals) if isinstance(signals, list | np.ndarray) else []
+        )
+        for number, one in enumerate(s for s in some if isinstance(s, dict) and "values" in s):
+            found[_text(one.get("label")) or f"signal{number + 1}"] = one["values"]
+    properties = found.get("Properties")
+    listed = found.get("VariableNames", properties.get("VariableNames") if isinstance(properties, dict) else None)
+    matrix = found.get("Variables")
+    if listed is not None and isinstance(matrix, np.ndarray) and matrix.ndim == 2:
+        names = [_text(one) for one in listed] if isinstance(listed, list | np.ndarray) else []
+        if len(names) == matrix.shape[1]:
+            found |= {name: matrix[:, i] for i, name in enumerate(names) if name}
+            found.pop("Variables")
+    return found
+
+
+def _rows(value: Any) -> Any:
+    """An array of structs that hold a number each, as one struct of columns."""
+    rows = list(value) if isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype.hasobject) else []
+    if len(rows) < 2 or len(rows) > SAMPLES or not all(isinstance(row, dict) for row in rows):
+        return value
+    keys = [key for key in rows[0] if all(isinstance(row.get(key), int | float | np.number) for row in rows)]
+    return {key: np.array([float(row[key]) for row in rows]) for key in keys} if keys else value
+
+
+def _text(value: Any) -> str:
+    """Text of MATLAB's characters; empty for anything else."""
+    if isinstance(value, str):
+        return value
+    whole = isinstance(value, np.ndarray) and value.dtype.kind == "U"
+    return "".join(str(part) for part in np.ravel(value)).strip() if whole else ""
 
 
 def _columns(arrays: Mapping[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,34 +12,44 @@ import numpy as np
 from rotorid_torch.core.files import open_file
 from rotorid_torch.data.read import CHANNELS, number_of
 from rotorid_torch.errors import InputError
+from rotorid_torch.importing import blackbox
+from rotorid_torch.importing.header import MISSING, Header, find_header, is_number
 from rotorid_torch.importing.log import Choose, Log
-from rotorid_torch.importing.mapping import Clock
+from rotorid_torch.importing.mapping import Clock, Form
 from rotorid_torch.importing.tables import is_clock, table_log
 
 BLOCK = 4 * 2**20
 """Bytes read at a time; also the longest line."""
-MISSING = frozenset(("", "nan", "null", "none", "na", "n/a", "-"))
-"""What stands for a missing sample, in small letters."""
 
 
-def read_csv(file: Path, choose: Choose, clock: Clock | None = None, block: int = BLOCK) -> Log:
-    """Read a table with a header row; commas, semicolons, tabs or blanks between the fields.
+def read_csv(
+    file: Path, choose: Choose, clock: Clock | None = None, block: int = BLOCK, form: Form | None = None
+) -> Log:
+    """Read a table with a row of names; commas, semicolons, tabs or blanks between the fields.
+
+    Rows before the names, a row of units after them and units in brackets are understood; `form` says what a map does:
+    how many rows to skip, and names by position.
 
     Raises
     ------
     InputError : where a wanted field is no number, a row has another number of fields, or no column is the clock.
     """
-    lines = _lines(file, block)
+    form, lines = form or Form(), _lines(file, block)
     number, first = next(lines, (1, []))
-    while first and not first[0].strip():
-        number, first = number + 1, first[1:]
-    if not first:
+    head = find_header(first[form.skip_rows :], form.columns)
+    if head is None:
         raise InputError(file, "", "is empty", "a header row and numbers")
-    table = _Table(file, first[0].lstrip("#% \t"), choose, clock)
-    table.take(number + 1, first[1:])
+    boxed = clock is None and blackbox.is_blackbox(head.names)
+    clock = blackbox.clock(head.names) if boxed else clock
+    table = _Table(file, head, choose, clock)
+    start = form.skip_rows + head.first
+    table.take(number + start, first[start:])
     for number, some in lines:
         table.take(number, some)
-    return table_log(file, {"": table.columns()}, {"": table.header}, clock, table.warnings())
+    log = table_log(file, {"": table.columns()}, {"": table.header}, clock, table.warnings())
+    known = blackbox.settings(head.before)
+    about = " ".join(" ".join(row) for row in head.before if row and row[0].lower().startswith(("product", "firmware")))
+    return replace(log, system=blackbox.SYSTEM if boxed else "", parameters=known, about=about)
 
 
 def _lines(file: Path, size: int) -> Iterator[tuple[int, list[str]]]:
@@ -66,15 +77,14 @@ def _text(file: Path, data: bytes) -> str:
 class _Table:
     """The wanted columns as they come in."""
 
-    def __init__(self, file: Path, head: str, choose: Choose, clock: Clock | None) -> None:
-        mark = max(",;\t", key=head.count)
-        self.file, self.mark = file, mark if mark in head else None
-        self.header = [name.strip().strip('"') for name in head.split(self.mark)]
+    def __init__(self, file: Path, head: Header, choose: Choose, clock: Clock | None) -> None:
+        self.file, self.mark = file, head.mark
+        self.header = [name.strip().strip('"') for name in head.names]
         self.marks = len(self.header) - 1
         if len(self.header) > CHANNELS:
             raise InputError(file, "", f"has {len(self.header)} columns", f"at most {CHANNELS}")
         if twice := next((name for name in self.header if name and self.header.count(name) > 1), None):
-            raise InputError(file, twice, "is there twice" if not _is_number(twice) else "is no name", "a header row")
+            raise InputError(file, twice, "is there twice" if not is_number(twice) else "is no name", "a header row")
         kept = {*choose("", self.header)}
         self.kept = [i for i, name in enumerate(self.header) if name in kept or is_clock("", name, clock)]
         self.parts: list[np.ndarray] = []
@@ -107,7 +117,7 @@ class _Table:
             if len(fields) != len(self.header):
                 self.cut = number  # an error, unless it is the last line, which a full card cuts
                 continue
-            if not self.parts and not self.units and not any(_is_number(field) for field in fields):
+            if not self.parts and not self.units and not any(is_number(field) for field in fields):
                 self.units = number
                 continue
             yield [self._number(number, i, fields[i]) for i in self.kept]
@@ -143,11 +153,3 @@ class _Table:
         """Sentences on lines that were left out."""
         told = [f"line {self.units} holds no numbers (units?) and was left out"] if self.units else []
         return [*told, f"line {self.cut}, the last, is cut and was left out"] if self.cut else told
-
-
-def _is_number(field: str) -> bool:
-    try:
-        number_of(field)
-    except ValueError:
-        return False
-    return True

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from msgspec import structs
 
 from rotorid_torch.core import names
 from rotorid_torch.data.read import SAMPLES
@@ -16,7 +17,7 @@ from rotorid_torch.errors import InputError
 from rotorid_torch.importing import manoeuvres
 from rotorid_torch.importing.derive import ANGLES, QUATERNION, angles_on_grid, before_resampling, body_velocity, wrapped
 from rotorid_torch.importing.formats import built_in_plan
-from rotorid_torch.importing.log import TOLD, Log
+from rotorid_torch.importing.log import TOLD, Log, header_name
 from rotorid_torch.importing.mapping import Entry, Map, unknown_names
 from rotorid_torch.importing.plan import Plan, moving
 from rotorid_torch.importing.resample import on_grid
@@ -50,7 +51,8 @@ class Record:
 def record_of(log: Log, given: Map | None) -> Record:
     """Signals of a log by its map, cleaned; with what follows from them."""
     plan = built_in_plan(log) if given is None or given.built_in else Plan(given.kind, {})
-    entries = {**plan.entries, **(given.entries() if given else {})}
+    mapped = given.entries() if given else {}
+    entries = {**plan.entries, **{n: _in_header_unit(log, n, e) for n, e in mapped.items()}}
     if not any(names.is_control(name) for name in entries):
         listed = ", ".join(sorted(topic for topic in log.fields if topic)[:TOLD]) or ", ".join(
             log.fields.get("", ())[:TOLD]
@@ -73,6 +75,12 @@ def record_of(log: Log, given: Map | None) -> Record:
     unknown = unknown_names(given.entries()) if given else ()
     warnings = [*log.warnings, *plan.notes, *unknown, *told, *mended.told]
     return Record(log.file, plan, entries, before_resampling(mended.signals), warnings, mended.cuts)
+
+
+def _in_header_unit(log: Log, name: str, entry: Entry) -> Entry:
+    """An entry that names no unit, in that of its column's header."""
+    field = log.source(entry.field, f"channels.{name}").field
+    return entry if entry.unit else structs.replace(entry, unit=header_name(field)[1])
 
 
 def _within_half_a_turn(found: dict[str, Signal]) -> dict[str, Signal]:

@@ -7,12 +7,12 @@ from pathlib import Path
 
 from rotorid_torch.core.files import open_file
 from rotorid_torch.errors import InputError
-from rotorid_torch.importing import ardupilot, px4
+from rotorid_torch.importing import ardupilot, blackbox, px4, sidpac
 from rotorid_torch.importing.arrays import read_matlab, read_npz, read_parquet
 from rotorid_torch.importing.csv import read_csv
 from rotorid_torch.importing.dataflash import read_dataflash
 from rotorid_torch.importing.log import Choose, Log
-from rotorid_torch.importing.mapping import Clock
+from rotorid_torch.importing.mapping import Clock, Form
 from rotorid_torch.importing.plan import Plan
 from rotorid_torch.importing.tables import own_entries
 from rotorid_torch.importing.ulog import read_ulog
@@ -24,9 +24,10 @@ FLIGHT_LOGS: Mapping[str, Callable[[Path, Choose], Log]] = {
     ".px4log": read_dataflash,
 }
 """Readers of logs with topics and clocks of their own, by the file's ending in small letters."""
+TEXTS = (".csv", ".txt", ".tsv", ".asc", ".dat")
+"""Endings of tables of text."""
 TABLES: Mapping[str, Callable[[Path, Choose, Clock | None], Log]] = {
-    ".csv": read_csv,
-    ".txt": read_csv,
+    **dict.fromkeys(TEXTS, read_csv),
     ".npz": read_npz,
     ".mat": read_matlab,
     ".parquet": read_parquet,
@@ -34,13 +35,15 @@ TABLES: Mapping[str, Callable[[Path, Choose, Clock | None], Log]] = {
 """Readers of tables."""
 
 
-def read_log(file: Path, choose: Choose, clock: Clock | None) -> Log:
-    """Read a file by the reader of its ending. Raises InputError."""
+def read_log(file: Path, choose: Choose, clock: Clock | None, form: Form | None = None) -> Log:
+    """Read a file by the reader of its ending; `form` is of a table of text. Raises InputError."""
     ending = file.suffix.lower()
     open_file(file, "a log").close()  # before its ending is judged
     try:
         if ending in FLIGHT_LOGS:
             return FLIGHT_LOGS[ending](file, choose)
+        if ending in TEXTS:
+            return read_csv(file, choose, clock, form=form)
         if ending in TABLES:
             return TABLES[ending](file, choose, clock)
     except OSError as error:
@@ -51,7 +54,13 @@ def read_log(file: Path, choose: Choose, clock: Clock | None) -> Log:
 
 def built_in_fields(topic: str, names: list[str]) -> list[str]:
     """Fields that any built-in map may need: a reader's choice where there is no map."""
-    return [*px4.fields(topic, names), *ardupilot.fields(topic, names), *own_fields(topic, names)]
+    return [
+        *blackbox.fields(topic, names),
+        *sidpac.fields(topic, names),
+        *px4.fields(topic, names),
+        *ardupilot.fields(topic, names),
+        *own_fields(topic, names),
+    ]
 
 
 def own_fields(topic: str, names: list[str]) -> list[str]:
@@ -65,4 +74,8 @@ def built_in_plan(log: Log) -> Plan:
         return px4.plan(log)
     if log.system == "ArduPilot":
         return ardupilot.plan(log)
+    if log.system == sidpac.SYSTEM:
+        return sidpac.plan(log)
+    if log.system == blackbox.SYSTEM:
+        return blackbox.plan(log)
     return Plan("", own_entries(log.fields))

@@ -11,11 +11,13 @@ import numpy as np
 
 from rotorid_torch.core import names
 from rotorid_torch.errors import InputError
+from rotorid_torch.importing import units
 
 Choose = Callable[[str, Sequence[str]], Sequence[str]]
 """Called by a reader once per topic with all its fields; gives those to keep, so that the rest costs no memory."""
 
 _INSTANCE = re.compile(r"([^.\[\]]+)\[(\d{1,3})\]\.(.+)", re.DOTALL)
+_UNIT_IN_HEADER = re.compile(r"\s*([A-Za-z][\w.]*)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*")
 TOLD = 8
 """Names that a message lists at most."""
 
@@ -74,6 +76,8 @@ class Log:
         """Field that a map names; `key` is the map's, for the message. Raises InputError where there is none."""
         bare, instance = without_instance(text)
         known = {joined(topic, name): (topic, name) for topic, fields in self.fields.items() for name in fields}
+        for place, (topic, name) in [*known.items()]:
+            known.setdefault(header_name(place)[0], (topic, name))
         if bare not in known:
             raise InputError(self.file, key, f"there is no field '{text[:80]}'{self._hint(bare, known)}", "a field")
         topic, name = known[bare]
@@ -108,6 +112,13 @@ def joined(topic: str, name: str) -> str:
     return f"{topic}.{name}" if topic else name
 
 
+def header_name(column: str) -> tuple[str, str]:
+    """`p [deg/s]` as p and deg/s; without a unit in brackets the column itself and no unit."""
+    match = _UNIT_IN_HEADER.fullmatch(column)
+    known = match is not None and bool(units.find_unit(match[2]) or units.clock_unit(match[2]))
+    return (match[1], match[2]) if match and known else (column.strip(), "")
+
+
 def without_instance(text: str) -> tuple[str, int]:
     """`topic[1].field` as `topic.field` and 1; 0 where no instance is named."""
     match = _INSTANCE.fullmatch(text)
@@ -117,7 +128,11 @@ def without_instance(text: str) -> tuple[str, int]:
 def choose(texts: Iterable[str]) -> Choose:
     """Reader's choice that keeps what these texts of a map name."""
     wanted = {without_instance(text)[0] for text in texts}
-    return lambda topic, fields: [name for name in fields if joined(topic, name) in wanted]
+
+    def kept(topic: str, fields: Sequence[str]) -> list[str]:
+        return [n for n in fields if not wanted.isdisjoint((joined(topic, n), joined(topic, header_name(n)[0])))]
+
+    return kept
 
 
 def of_damage(left: int, skipped: int) -> Iterator[str]:

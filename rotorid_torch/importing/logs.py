@@ -148,7 +148,7 @@ def _read(file: Path, given: Map | None, together: bool) -> Log:
     def wanted(topic: str, fields: Sequence[str]) -> list[str]:
         return [*mapped(topic, fields), *(built_in_fields(topic, list(fields)) if built_in else ())]
 
-    return read_log(file, wanted, given.clock())
+    return read_log(file, wanted, given.clock(), given.form())
 
 
 def _joined(logs: Sequence[Log]) -> Log:

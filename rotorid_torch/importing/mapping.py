@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -38,10 +39,18 @@ class Entry(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Clock(Struct, frozen=True, forbid_unknown_fields=True):
-    """Which column of a table is time, and its unit."""
+    """Which column of a table is time, and its unit; an empty one is that of the column's header, else s."""
 
     field: str
-    unit: Literal["s", "ms", "us", "ns"] = "s"
+    unit: Literal["s", "ms", "us", "ns", ""] = ""
+
+
+@dataclass(frozen=True)
+class Form:
+    """What a map says of a table of text: rows to skip before it begins, and names of its columns by position."""
+
+    skip_rows: int = 0
+    columns: tuple[str, ...] = ()
 
 
 class Map(Struct, frozen=True, forbid_unknown_fields=True):
@@ -49,8 +58,10 @@ class Map(Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes
     ----------
-    channels : per channel its field, or a table with unit, sign, scale and offset.
+    channels : per channel its field (of a table also its place, from 1), or a table with unit, sign, scale and offset.
     time : clock of a table; a flight log has its own.
+    skip_rows : rows of a table before it begins; rows that are no names and no numbers need not be counted.
+    columns : names of a table's columns by position, for one without a row of names.
     kind : of vehicle; by the controls where it is empty.
     together : the files are streams of one flight, and a field is named `FILE.field` (the file's name without ending).
     built_in : what the map does not name comes from the map of the log's maker.
@@ -59,6 +70,8 @@ class Map(Struct, frozen=True, forbid_unknown_fields=True):
 
     channels: dict[str, Any]
     time: Any = None
+    skip_rows: Annotated[int, Meta(ge=0, le=100_000)] = 0
+    columns: tuple[str, ...] = ()
     kind: Literal["helicopter", "multirotor", ""] = ""
     together: bool = False
     built_in: bool = False
@@ -66,13 +79,28 @@ class Map(Struct, frozen=True, forbid_unknown_fields=True):
 
     def entries(self, file: str | Path = "mapping") -> dict[str, Entry]:
         """Channels with their entries written out."""
-        written = {name: {"field": e} if isinstance(e, str) else e for name, e in self.channels.items()}
+        written = {name: _written(e) for name, e in self.channels.items()}
         return {name: convert(e, Entry, file, f"channels.{name}") for name, e in written.items()}
+
+    def form(self) -> Form:
+        """What the map says of a table's beginning."""
+        return Form(self.skip_rows, self.columns)
 
     def clock(self, file: str | Path = "mapping") -> Clock | None:
         """The clock written out."""
-        written = {"field": self.time} if isinstance(self.time, str) else self.time
+        written = _written(self.time)
         return None if written is None else convert(written, Clock, file, "time")
+
+
+def _written(entry: Any) -> Any:
+    """An entry as a table; a field may be a place, from 1."""
+    table = dict(entry) if isinstance(entry, Mapping) else entry
+    place = table.get("field") if isinstance(table, dict) else table
+    if isinstance(place, int) and not isinstance(place, bool):
+        place = str(place)
+    if isinstance(table, dict):
+        return table | {"field": place} if "field" in table else table
+    return {"field": place} if isinstance(place, str) else table
 
 
 def read_map(given: str | Path | Mapping[str, Any]) -> Map:

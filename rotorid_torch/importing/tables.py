@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import numpy as np
 from rotorid_torch.core import names
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing import units
-from rotorid_torch.importing.log import TOLD, Log, Stream, joined
+from rotorid_torch.importing.log import TOLD, Log, Stream, header_name, joined
 from rotorid_torch.importing.mapping import Clock, Entry
 
 CLOCKS = {
@@ -21,23 +20,18 @@ CLOCKS = {
     **dict.fromkeys(("time_ns", "t_ns", "timestamp_ns", "timens"), "ns"),
 }
 """Columns taken for the clock where no map names one, in small letters."""
+DATA = ("Data", "data", "values", "Values")
+"""Column of a topic that holds one channel, named as the topic is: a time series of MATLAB's."""
 USUAL_S = (1e-5, 2.0)
 """Shortest and longest usual interval of a record; beyond them the clock has another unit."""
-_UNIT_IN_HEADER = re.compile(r"\s*([A-Za-z]\w*)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*")
 
 Columns = Mapping[str, np.ndarray]
-
-
-def header_name(column: str) -> tuple[str, str]:
-    """`p [deg/s]` as p and deg/s; without brackets the column itself and no unit."""
-    match = _UNIT_IN_HEADER.fullmatch(column)
-    return (match[1], match[2]) if match else (column.strip(), "")
 
 
 def is_clock(topic: str, column: str, clock: Clock | None) -> bool:
     """Whether a column may be the clock."""
     if clock is not None:
-        return clock.field in (column, joined(topic, column))
+        return clock.field in (column, joined(topic, column), header_name(joined(topic, column))[0])
     return header_name(column)[0].lower() in CLOCKS
 
 
@@ -71,7 +65,7 @@ def _seconds(column: str, clock: Clock | None) -> float:
     """Seconds of one unit of the clock."""
     name, bracketed = header_name(column)
     unit = clock.unit if clock else CLOCKS[name.lower()]
-    return units.clock_unit(bracketed if clock is None and bracketed else unit) or 1.0
+    return units.clock_unit(bracketed if bracketed and not (clock and clock.unit) else unit) or 1.0
 
 
 def _refuse_other_unit(file: Path, name: str, stamps: np.ndarray) -> None:
@@ -88,6 +82,8 @@ def own_entries(fields: Mapping[str, Sequence[str]]) -> dict[str, Entry]:
     for topic, columns in fields.items():
         for column in columns:
             name, unit = header_name(column)
+            if column in DATA and names.channel(topic.rpartition(".")[2]) is not None:
+                name = topic.rpartition(".")[2]
             if names.channel(name) is not None and name != "time" and name not in entries:
                 entries[name] = Entry(joined(topic, column), unit)
     return entries

@@ -1,0 +1,130 @@
+"""The built-in map of Betaflight's and Rotorflight's blackbox, as CSV of the decoder or of the Blackbox Explorer.
+
+Betaflight's axes are x forward, y left, z up; its gyros are logged in deg/s.
+
+Source: Betaflight, src/main/blackbox/blackbox.c (fields and header); Rotorflight, Blackbox Explorer.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+
+from rotorid_torch.importing.log import Log
+from rotorid_torch.importing.mapping import Clock, Entry
+from rotorid_torch.importing.outputs import DSHOT_RAW, PULSE, OutputRange, range_of
+from rotorid_torch.importing.plan import Chosen, Plan, merged, moving
+
+SYSTEM = "blackbox"
+GYROS, FORCES, MOTORS, TURNS = "gyroADC", "accSmooth", "motor", "eRPM"
+OLDER = {GYROS: "gyroData"}
+ACC_1G, POLES = 2048.0, 14.0
+"""What the header says unless it says otherwise: counts of an accelerometer at 1 g, magnets of a motor."""
+STICK = 1000.0
+"""Full travel of what Rotorflight's mixer is asked."""
+CONTROLS = {"lat": ("mixer[0]", 1), "lon": ("mixer[1]", -1), "ped": ("mixer[2]", -1), "col": ("mixer[3]", 1)}
+ASKED = {"lat": ("setpoint[0]", 1), "lon": ("setpoint[1]", -1), "ped": ("setpoint[2]", -1), "col": ("setpoint[3]", 1)}
+_NAME = re.compile(r"\s*([A-Za-z]\w*(?:\[\d\])?)\s*(?:\(([^)]*)\))?\s*")
+
+
+def is_blackbox(names: Sequence[str]) -> bool:
+    """Whether a table's names are a blackbox's."""
+    return "loopIteration" in names and any(_bare(name) == "time" for name in names)
+
+
+def clock(names: Sequence[str]) -> Clock:
+    """The clock of a blackbox, in us."""
+    return Clock(next(name for name in names if _bare(name) == "time"), "us")
+
+
+def settings(rows: Iterable[Sequence[str]]) -> dict[str, float]:
+    """Numbers of the rows of keys and values before the names; of a list `name[0]`, `name[1]`, ..."""
+    found: dict[str, float] = {}
+    for row in rows:
+        if len(row) < 2:
+            continue
+        fields = [part for field in row[1:] for part in field.split(",")]
+        for index, part in enumerate(fields):
+            try:
+                number = float(part)
+            except ValueError:
+                continue
+            found[f"{row[0]}[{index}]" if len(fields) > 1 else row[0]] = number
+    return found
+
+
+def fields(topic: str, names: Sequence[str]) -> list[str]:
+    """Fields that the map may need."""
+    if topic or not is_blackbox(names):
+        return []
+    wanted = (GYROS, *OLDER.values(), FORCES, MOTORS, TURNS, "mixer", "setpoint", "headspeed", "vbat", "Vbat")
+    return [name for name in names if _bare(name).startswith(wanted)]
+
+
+def plan(log: Log) -> Plan:
+    """Channels of a blackbox. Raises InputError where the motors' outputs have an unknown range."""
+    columns = log.streams["", 0].columns
+    own = {_bare(name): name for name in columns}
+    chosen = [_sensors(log, own), _voltage(own)]
+    if "headspeed" in own or any("rotorflight" in str(key).lower() for key in (log.about, *log.parameters)):
+        speed = Chosen({"omega": Entry(own["headspeed"], "rpm")}) if "headspeed" in own else Chosen()
+        return merged("helicopter", [*chosen, _sticks(own, columns), speed], ["a helicopter: Rotorflight"])
+    return merged("multirotor", [*chosen, _motors(log, own), _speeds(log, own)], [])
+
+
+def _bare(name: str) -> str:
+    """`gyroADC[0] (deg/s)` as gyroADC[0]."""
+    match = _NAME.fullmatch(name)
+    return match[1] if match else name
+
+
+def _sensors(log: Log, own: Mapping[str, str]) -> Chosen:
+    entries: dict[str, Entry] = {}
+    gyro = GYROS if f"{GYROS}[0]" in own else OLDER[GYROS]
+    for i, (rate, force) in enumerate((("p", "ax"), ("q", "ay"), ("r", "az"))):
+        if f"{gyro}[{i}]" in own:
+            entries[rate] = Entry(own[f"{gyro}[{i}]"], "deg/s", 1 if i == 0 else -1)
+        if f"{FORCES}[{i}]" in own:
+            scale = 1.0 / log.parameters.get("acc_1G", ACC_1G)
+            entries[force] = Entry(own[f"{FORCES}[{i}]"], "g", 1 if i == 0 else -1, scale)
+    return Chosen(entries)
+
+
+def _voltage(own: Mapping[str, str]) -> Chosen:
+    name = next((name for bare, name in own.items() if bare.lower() in ("vbatlatest", "vbat")), "")
+    return Chosen({"voltage": Entry(name, "V", 1, 1.0 if "(V)" in name else 0.01)}) if name else Chosen()
+
+
+def _sticks(own: Mapping[str, str], columns: Mapping[str, np.ndarray]) -> Chosen:
+    """What the mixer is asked, else what the pilot asks."""
+    mixed = all(field in own for field, _ in CONTROLS.values())
+    table = CONTROLS if mixed else ASKED
+    there = {name: (own[field], sign) for name, (field, sign) in table.items() if field in own}
+    return Chosen({n: Entry(f, "norm", 1 if sign > 0 else -1, 1.0 / STICK) for n, (f, sign) in there.items()})
+
+
+def _motors(log: Log, own: Mapping[str, str]) -> Chosen:
+    """Motor commands by the range that the header names, else the only one that holds the outputs."""
+    given, columns = log.parameters, log.streams["", 0].columns
+    low, high = given.get("motorOutput[0]"), given.get("motorOutput[1]")
+    if low is not None and high is not None and low < high:
+        allowed = [OutputRange(low, high, "motorOutput")]
+    elif "minthrottle" in given:
+        allowed = [OutputRange(given["minthrottle"], given.get("maxthrottle", 2000.0), "minthrottle, maxthrottle")]
+    else:
+        allowed = [PULSE, DSHOT_RAW]
+    raw = {n: columns[own[f"{MOTORS}[{n}]"]] for n in range(8) if f"{MOTORS}[{n}]" in own}
+    used = {n: values for n, values in raw.items() if moving(values)} or raw
+    ranges = [range_of(log.file, f"{own[f'{MOTORS}[{n}]']} (motor{n + 1})", v, allowed) for n, v in used.items()]
+    widest = DSHOT_RAW if DSHOT_RAW in ranges else ranges[0] if ranges else PULSE
+    reason = f"outputs {widest}" if len(allowed) > 1 else ""
+    return Chosen({f"motor{n + 1}": widest.entry(own[f"{MOTORS}[{n}]"]) for n in used}, reason=reason)
+
+
+def _speeds(log: Log, own: Mapping[str, str]) -> Chosen:
+    """Rotor speeds from electrical revolutions, in hundreds a minute, and pairs of magnets."""
+    pairs = log.parameters.get("motor_poles", POLES) / 2.0
+    there = [n for n in range(8) if f"{TURNS}[{n}]" in own]
+    return Chosen({f"omega{n + 1}": Entry(own[f"{TURNS}[{n}]"], "rpm", 1, 100.0 / pairs) for n in there})

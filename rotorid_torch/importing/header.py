@@ -1,0 +1,119 @@
+"""Where a table of text begins: rows before the names, names with units in brackets, names given by position."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rotorid_torch.data.read import number_of
+from rotorid_torch.importing import units
+
+MISSING = frozenset(("", "nan", "null", "none", "na", "n/a", "-"))
+"""What stands for a missing sample, in small letters."""
+MARKS = ",;\t"
+NUMERIC_ROWS = 2
+"""Rows of numbers, with as many fields, that make the beginning of a table."""
+LOOKED_AT = 2000
+"""Lines among which a table must begin."""
+_WORD = re.compile(r"[^\s\[(]+(?:\s*[\[(][^\])]*[\])])?|[\[(][^\])]*[\])]")
+
+
+@dataclass(frozen=True)
+class Header:
+    """How a table begins: its mark (None for blanks), its names, the line (from 0) of its first row, rows before."""
+
+    mark: str | None
+    names: list[str]
+    first: int
+    before: list[list[str]]
+
+
+def split(line: str, mark: str | None) -> list[str]:
+    """Fields of a line; between blanks a unit in brackets belongs to the name before."""
+    if mark is None:
+        return [match[0] for match in _WORD.finditer(line)]
+    try:
+        return [field.strip() for field in next(csv.reader([line], delimiter=mark), [])]
+    except csv.Error:
+        return line.split(mark)
+
+
+def is_number(field: str) -> bool:
+    """Whether a field is a number."""
+    try:
+        number_of(field)
+    except ValueError:
+        return False
+    return True
+
+
+def find_header(lines: Sequence[str], columns: Sequence[str] = ()) -> Header | None:
+    """Header of a table among its lines; None where it has neither names nor numbers.
+
+    `columns` are names by position, where a map gives them.
+    """
+    kept = [index for index, line in enumerate(lines[:LOOKED_AT]) if line.strip()]
+    if not kept:
+        return None
+    head = _bare(lines[kept[0]])
+    mark = _mark(head)
+    names = split(head, mark)
+    after = kept[1] if len(kept) > 1 else len(lines)
+    start = _first_row(lines, kept)
+    if start is None or (not columns and _plain(names, lines, kept, start)):
+        return Header(mark, names, after if not columns else kept[0], [])
+    at, mark, count = start
+    rows = [split(_bare(lines[index]), mark) for index in kept[:at]]
+    if columns:
+        return Header(mark, [*columns, *map(str, range(len(columns) + 1, count + 1))][:count], kept[at], rows)
+    above = [row for row in rows[-2:] if len(row) == count]
+    if rows and len(rows[-1]) != count and len(rows[-1]) > 1 and at == 1:
+        return Header(mark, rows[-1], kept[at], [])
+    if not above or len(rows[-1]) != count:
+        return Header(mark, [str(number) for number in range(1, count + 1)], kept[at], rows)
+    own = above[0] if len(above) == 2 and _are_units(above[1]) else above[-1]
+    return Header(mark, own, kept[at], rows)
+
+
+def _bare(line: str) -> str:
+    return line.lstrip("#% \t")
+
+
+def _mark(line: str) -> str | None:
+    mark = max(MARKS, key=line.count)
+    return mark if mark in line else None
+
+
+def _plain(names: Sequence[str], lines: Sequence[str], kept: Sequence[int], start: tuple[int, str | None, int]) -> bool:
+    """Whether the first line is the header: names, as many as the rows have fields, more than a key and its value."""
+    words = not any(is_number(name) for name in names)
+    return words and len(names) == start[2] and (len(names) > 2 or start[0] == 1)
+
+
+def _first_row(lines: Sequence[str], kept: Sequence[int]) -> tuple[int, str | None, int] | None:
+    """Place among the kept lines of the first row of numbers, its mark and its number of fields."""
+    for at, index in enumerate(kept):
+        mark = _mark(lines[index])
+        count = _numbers(lines[index], mark)
+        following = kept[at + 1 : at + NUMERIC_ROWS]
+        if count and following and all(_numbers(lines[i], mark) == count for i in following):
+            return at, mark, count
+    return None
+
+
+def _numbers(line: str, mark: str | None) -> int:
+    """Number of fields of a row of numbers, two at least; 0 where the line is none."""
+    fields = split(line.strip(), mark)
+    if mark == ";":
+        fields = [field.replace(",", ".") for field in fields]
+    known = [field for field in fields if field.lower() not in MISSING]
+    whole = len(fields) > 1 and len(known) > 0 and all(map(is_number, known))
+    return len(fields) if whole else 0
+
+
+def _are_units(fields: Sequence[str]) -> bool:
+    stripped = [field.strip("[]() ") for field in fields]
+    known = [field for field in stripped if field and field != "-"]
+    return bool(known) and all(units.find_unit(field) or units.clock_unit(field) for field in known)
