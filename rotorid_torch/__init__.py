@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from rotorid_torch.effects.base import Effect as Effect
     from rotorid_torch.effects.registry import register as register
     from rotorid_torch.errors import InputError as InputError
+    from rotorid_torch.identification.filter_error import filter_error as filter_error
     from rotorid_torch.identification.ftr import regress as regress
     from rotorid_torch.identification.ml import output_error as output_error
     from rotorid_torch.identification.reconstruct import reconstruct as reconstruct
@@ -33,6 +34,7 @@ _PUBLIC = {
     "InputError": "errors",
     "regress": "identification.ftr",
     "output_error": "identification.ml",
+    "filter_error": "identification.filter_error",
     "reconstruct": "identification.reconstruct",
     "unscented_filter": "identification.ukf",
     "import_logs": "importing.logs",

@@ -104,12 +104,12 @@ def output_error(
     Identification, ch. 4 and 9 (unstable aircraft).
     """
     system, records = System(model, free, bounds), records_from(flights)
-    settings = _settings(records, x0, noise, noise_floor, segment_lengths, solver, optimiser, max_iterations)
-    _check_shapes(system, records)
-    return _result(system, records, fit(system, records, settings=settings, monitor=monitor))
+    settings = settings_of(records, x0, noise, noise_floor, segment_lengths, solver, optimiser, max_iterations)
+    check_shapes(system, records)
+    return result_of(system, records, fit(system, records, settings=settings, monitor=monitor))
 
 
-def _settings(
+def settings_of(
     records: Records,
     x0: str,
     noise: str | Tensor,
@@ -119,11 +119,12 @@ def _settings(
     optimiser: str,
     max_iterations: int,
 ) -> Settings:
+    """Settings of a fit from the arguments of `output_error`, checked."""
     ny = records.outputs.shape[-1]
-    _one_of("x0", x0, ("free", "fixed"))
-    _one_of("optimiser", optimiser, ("gauss-newton", "lbfgs"))
+    one_of("x0", x0, ("free", "fixed"))
+    one_of("optimiser", optimiser, ("gauss-newton", "lbfgs"))
     if isinstance(noise, str):
-        _one_of("noise", noise, ("diagonal", "full"))
+        one_of("noise", noise, ("diagonal", "full"))
     matrix = None if isinstance(noise, str) else torch.as_tensor(noise).to(torch.float64)
     if matrix is not None and (matrix.shape != (ny, ny) or not bool((torch.linalg.eigvalsh(matrix) > 0).all())):
         raise InputError(
@@ -146,12 +147,13 @@ def _settings(
     )
 
 
-def _one_of(key: str, value: str, allowed: Sequence[str]) -> None:
+def one_of(key: str, value: str, allowed: Sequence[str]) -> None:
+    """Raise InputError where an argument is none of the words that are allowed."""
     if value not in allowed:
         raise InputError("arguments", key, repr(value), " or ".join(f'"{a}"' for a in allowed))
 
 
-def _check_shapes(system: System, records: Records) -> None:
+def check_shapes(system: System, records: Records) -> None:
     """One evaluation, so that a model that does not fit the data says so and not its tenth matrix product."""
     x, u = records.states[:, 0].nan_to_num(0.0), records.controls[:, 0]
     rates = system.rates(system.theta, records.start, x, u)
@@ -161,7 +163,8 @@ def _check_shapes(system: System, records: Records) -> None:
             raise InputError("model", key, f"returns shape {tuple(got)} for {len(x)} states", f"shape {tuple(wanted)}")
 
 
-def _result(system: System, records: Records, found: Fit) -> OutputError:
+def result_of(system: System, records: Records, found: Fit) -> OutputError:
+    """A fit as the caller gets it."""
     minimum, place = found.minimum, found.minimum.point
     se, theta = found.uncertainty.standard_errors, place.theta
     parameters = [
@@ -187,7 +190,7 @@ def _result(system: System, records: Records, found: Fit) -> OutputError:
         noise=found.noise,
         initial_states=place.x0[first],
         converged=minimum.converged,
-        message=_sentence(minimum.message, parameters),
+        message=sentence(minimum.message, parameters),
         history=minimum.history,
         residuals=[r[:n] for r, n in zip(residual, records.lengths.tolist(), strict=True)],
         model_error_ratio=found.model_error_ratio,
@@ -196,7 +199,8 @@ def _result(system: System, records: Records, found: Fit) -> OutputError:
     )
 
 
-def _sentence(message: str, parameters: Sequence[ParameterEstimate]) -> str:
+def sentence(message: str, parameters: Sequence[ParameterEstimate]) -> str:
+    """How a fit ended, and which parameters are in doubt."""
     bound = [p.name for p in parameters if p.at_bound]
     blind = [p.name for p in parameters if p.status == "not identifiable"]
     parts = [message]

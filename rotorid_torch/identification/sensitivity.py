@@ -94,11 +94,11 @@ def corrected(
     x[0] = x0
     inside = segments.inside.mT[1:, :, None]
     size = torch.where(segments.inside.mT[..., None], x.abs(), 0.0).amax(dim=(0, 1)).clamp_min(1e-12)
-    times = _times(segments)[:-1]
+    times = sample_times(segments)[:-1]
     before, slowest = torch.inf, 2.0 if transitions is None else 0.5
     for _ in range(SWEEPS):
         after = step(lambda t, x, u: system.rates(theta, t, x, u), times, x[:-1], u[:-1], u[1:], segments.dt)
-        along = _transitions(system, theta, times, x[:-1], u, segments.dt) if transitions is None else transitions
+        along = step_transitions(system, theta, times, x[:-1], u, segments.dt) if transitions is None else transitions
         change = _carried(along, torch.where(inside, after - x[1:], 0.0))
         x[1:] += change
         largest = float((change.abs() / size).max())
@@ -120,7 +120,7 @@ def _carried(transitions: Tensor, defects: Tensor) -> Tensor:
     return carried.squeeze(-1)
 
 
-def _times(segments: Segments) -> Tensor:
+def sample_times(segments: Segments) -> Tensor:
     """[T, S] time at the samples, s."""
     return segments.start + segments.dt * torch.arange(segments.samples, dtype=torch.float64)[:, None]
 
@@ -138,7 +138,7 @@ class Block:
 def sensitivities(system: System, run: Run, records: Records, segments: Segments) -> Iterator[Block]:
     """Exact derivatives of the segments' outputs by their initial states and by theta, in blocks of samples."""
     theta, nx, total = run.theta, run.states.shape[-1], segments.samples
-    x, u, times = run.states.transpose(0, 1), run.controls.transpose(0, 1), _times(segments)
+    x, u, times = run.states.transpose(0, 1), run.controls.transpose(0, 1), sample_times(segments)
     which, by_tape = control_slopes(system, theta, records, segments)
     width = nx + len(theta)
     length = max(2, BLOCK_NUMBERS // (len(segments) * nx * width))
@@ -183,7 +183,7 @@ def _stages(
     return tuple(stages.shape[:-1]), flat
 
 
-def _transitions(system: System, theta: Tensor, t: Tensor, x: Tensor, u: Tensor, dt: float) -> Tensor:
+def step_transitions(system: System, theta: Tensor, t: Tensor, x: Tensor, u: Tensor, dt: float) -> Tensor:
     """Derivatives of the steps by their start [k, S, nx, nx]."""
     nx, parts = x.shape[-1], []
     length = max(1, BLOCK_NUMBERS // (x.shape[1] * nx * nx))

@@ -144,20 +144,20 @@ class System:
 
     def state_jacobian(self, theta: Tensor, t: Tensor, x: Tensor, u: Tensor) -> Tensor:
         """Derivatives of the rates by x [n, nx, nx] at n points."""
-        return _by_inputs(lambda x, u: self.rates(theta, t, x, u), x, u)[0]
+        return by_inputs(lambda x, u: self.rates(theta, t, x, u), x, u)[0]
 
     def rates_jacobian(self, theta: Tensor, t: Tensor, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Derivatives of the rates by x [n, nx, nx], u [n, nx, nu] and theta [n, nx, P] at n points."""
-        by_x, by_u = _by_inputs(lambda x, u: self.rates(theta, t, x, u), x, u)
+        by_x, by_u = by_inputs(lambda x, u: self.rates(theta, t, x, u), x, u)
         return by_x, by_u, self._rates_structure.jacobian(self.rates, theta, t, x, u)
 
     def output_jacobian(self, theta: Tensor, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Derivatives of the outputs by x [n, ny, nx], u [n, ny, nu] and theta [n, ny, P] at n points."""
-        by_x, by_u = _by_inputs(lambda x, u: self.output(theta, x, u), x, u)
+        by_x, by_u = by_inputs(lambda x, u: self.output(theta, x, u), x, u)
         return by_x, by_u, self._output_structure.jacobian(self.output, theta, x, u)
 
 
-def _by_inputs(function: Callable[[Tensor, Tensor], Tensor], x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+def by_inputs(function: Callable[[Tensor, Tensor], Tensor], x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
     """Derivatives by x and u of a function that treats its rows apart: one backward pass per output, all at once."""
     value, pull = _pullback(function, x, u)
     seeds = torch.eye(value.shape[-1], dtype=value.dtype, device=value.device)

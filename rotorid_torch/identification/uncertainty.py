@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from rotorid_torch.core.least_squares import least_squares
-from rotorid_torch.core.ranks import Ranks
+from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.identification.gauss_newton import Linear
 from rotorid_torch.identification.likelihood import Likelihood, Place
 
@@ -56,13 +56,20 @@ def uncertainty(likelihood: Likelihood, place: Place, linear: Linear, told: Tens
     plain = linear[0].new_zeros(len(told), len(told))
     if not bool(told.any()):
         return Uncertainty(plain, plain, plain.diagonal(), plain, plain.diagonal())
-    inverse = _inverse(linear, told)
+    inverse = inverse_triangle(linear, told)
     plain[told[:, None] & told] = loss * (inverse @ inverse.mT).flatten()
     coloured = torch.zeros_like(plain)
-    coloured[told[:, None] & told] = _coloured(likelihood, place, inverse, told).flatten()
-    variances = _jackknife(place.blocks, likelihood.prior_rows(place), told, likelihood.ranks)
-    limit = _chance(len(place.blocks) - 1)
-    larger = variances > limit * coloured.diagonal()
+    lines, pieces = fast(2 * likelihood.longest), likelihood.pieces
+    flights = lambda directions: _flights(likelihood, place, directions)  # noqa: E731
+    found = coloured_covariance(flights, lines, pieces, inverse, told, likelihood.ranks)
+    coloured[told[:, None] & told] = found.flatten()
+    variances = jackknife(place.blocks, likelihood.prior_rows(place), told, likelihood.ranks)
+    return larger_of(plain, coloured, variances, len(place.blocks))
+
+
+def larger_of(plain: Tensor, coloured: Tensor, variances: Tensor, flights: int) -> Uncertainty:
+    """The coloured covariance, stretched where the jackknife says more by more than chance."""
+    larger = variances > _chance(flights - 1) * coloured.diagonal()
     stretch = torch.where(larger, (variances / coloured.diagonal()).sqrt(), 1.0)
     covariance = coloured * stretch * stretch[:, None]
     return Uncertainty(plain, coloured, variances, covariance, covariance.diagonal().sqrt())
@@ -75,7 +82,7 @@ def _chance(freedom: int) -> float:
     return (1.0 - 2.0 / (9.0 * freedom) + CHANCE * (2.0 / (9.0 * freedom)) ** 0.5) ** 3
 
 
-def _inverse(linear: Linear, told: Tensor) -> Tensor:
+def inverse_triangle(linear: Linear, told: Tensor) -> Tensor:
     """Inverse of the triangle of A's told columns: covariance is this times its transpose."""
     A = linear[0][:, told]
     norms = torch.linalg.vector_norm(A, dim=0)
@@ -85,7 +92,7 @@ def _inverse(linear: Linear, told: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True)
-class _Flight:
+class FlightRows:
     """Whitened rows of one flight's segments: derivatives freed of initial states and biases, their basis, residual."""
 
     derivatives: Tensor  # [s, T, ny, n] in the directions asked for
@@ -94,21 +101,29 @@ class _Flight:
     valid: Tensor  # [s, T, ny]
 
 
-def _coloured(likelihood: Likelihood, place: Place, inverse: Tensor, told: Tensor) -> Tensor:
-    """Covariance [n, n] of the estimate, the residuals being coloured.
+Flights = Callable[[Tensor], Iterator["FlightRows"]]
+"""Flights one after the other, their derivatives in some directions [P, n] of the parameters."""
+
+
+def coloured_covariance(
+    flights: Flights, lines: int, pieces: int, inverse: Tensor, told: Tensor, ranks: Ranks = ALONE
+) -> Tensor:
+    """Covariance [n, n] of the estimate of the told parameters, the residuals being coloured.
+
+    lines : of the Fourier transforms. pieces : segments of all ranks. inverse : [n, n] times its transpose is the
+    covariance for white residuals.
 
     In the frequency domain: the sum over lines of K^H S K, K the transform of how each sample moves the estimate, S the
     residuals' spectrum. The fit has taken its share out of the residuals, most where the derivatives have their power:
     each line is divided by the share left to it (one minus its leverage). The spectrum rests on few lines and scatters;
     the covariance is widened so that 1.96 standard errors hold 95 % as Student's t would.
     """
-    lines, pieces = _fast(2 * likelihood.longest), likelihood.pieces
     reach = max(LEAST_SMOOTHING, round(SMOOTHING / pieces))
     n, gain = int(told.sum()), inverse @ inverse.mT
     directions = inverse.new_zeros(len(told), n)
-    power, left = _powers(_flights(likelihood, place, directions.masked_scatter(told[:, None], inverse)), lines)
-    power = torch.view_as_complex(likelihood.ranks.sum(torch.view_as_real(power)))
-    spectrum = _spectrum(power, likelihood.ranks.sum(left), lines, reach)
+    power, left = _powers(flights(directions.masked_scatter(told[:, None], inverse)), lines)
+    power = torch.view_as_complex(ranks.sum(torch.view_as_real(power)))
+    spectrum = _spectrum(power, ranks.sum(left), lines, reach)
     weights = torch.full((lines // 2 + 1,), 2.0 / lines, dtype=torch.float64)
     weights[0] = weights[-1] = 1.0 / lines
     value, vector = torch.linalg.eigh(spectrum)
@@ -116,7 +131,7 @@ def _coloured(likelihood: Likelihood, place: Place, inverse: Tensor, told: Tenso
     covariance, squares = gain.new_zeros(n, n), gain.new_zeros(len(root), root.shape[-1], n)
     parts, moves = torch.empty_like(squares), torch.empty_like(squares)
     directions.masked_scatter_(told[:, None], gain)
-    for flight in _flights(likelihood, place, directions):  # once more, for all of them need not fit the memory
+    for flight in flights(directions):  # once more, for all of them need not fit the memory
         for piece in flight.derivatives:
             transform = torch.fft.rfft(piece, n=lines, dim=0)
             torch.cat([transform.real, transform.imag], dim=1, out=parts)
@@ -124,19 +139,19 @@ def _coloured(likelihood: Likelihood, place: Place, inverse: Tensor, told: Tenso
             squares.addcmul_(moves, moves)
             flat = moves.flatten(0, 1)
             covariance.addmm_(flat.mT, flat)
-    covariance, share = likelihood.ranks.sum(covariance), likelihood.ranks.sum(squares.sum(dim=1))
+    covariance, share = ranks.sum(covariance), ranks.sum(squares.sum(dim=1))
     freedom = pieces / _smoothed(share / share.sum(dim=0), reach).square().sum(dim=0)
     widened = 1.0 + STUDENT / freedom
     return covariance * widened * widened[:, None]
 
 
-def _fast(samples: int) -> int:
+def fast(samples: int) -> int:
     """The next even number that a Fourier transform takes quickly: one without prime factors above five."""
     rest = even = samples + samples % 2
     for factor in (2, 3, 5):
         while rest % factor == 0:
             rest //= factor
-    return even if rest == 1 else _fast(even + 2)
+    return even if rest == 1 else fast(even + 2)
 
 
 def _real(matrices: Tensor) -> Tensor:
@@ -145,7 +160,7 @@ def _real(matrices: Tensor) -> Tensor:
     return torch.cat([torch.cat([real, -imag], dim=-1), torch.cat([imag, real], dim=-1)], dim=-2)
 
 
-def _powers(flights: Iterable[_Flight], lines: int) -> tuple[Tensor, Tensor]:
+def _powers(flights: Iterable[FlightRows], lines: int) -> tuple[Tensor, Tensor]:
     """Products [lines, ny, ny] of the residuals' transforms, and the share left of each line and output [lines, ny].
 
     The flights' derivatives are in directions of unit variance; with the basis they span what the fit has taken.
@@ -206,20 +221,20 @@ def _smoothed(lines: Tensor, m: int) -> Tensor:
     return torch.stack([wide[k : k + n] for k in range(2 * m + 1)]).mean(dim=0)
 
 
-def _flights(likelihood: Likelihood, place: Place, directions: Tensor) -> Iterator[_Flight]:
+def _flights(likelihood: Likelihood, place: Place, directions: Tensor) -> Iterator[FlightRows]:
     """Each flight with its derivatives in some directions [P, n] of the parameters."""
     nx, nb = likelihood.locals_per_segment, len(likelihood.biased)
     for part, whitener, rows in likelihood.by_flight(place):
         sd = rows.new_zeros(len(part.which), 0) if likelihood.x0_sd is None else likelihood.x0_sd[part.which]
-        first = _basis(rows[..., :nx], sd)
+        first = basis_of(rows[..., :nx], sd)
         biases = _without(rows[..., nx : nx + nb], first)
-        second = _basis(biases.flatten(0, 1), likelihood.bias_sd[likelihood.biased]).unflatten(0, rows.shape[:2])
+        second = basis_of(biases.flatten(0, 1), likelihood.bias_sd[likelihood.biased]).unflatten(0, rows.shape[:2])
         freed = _without(rows[..., nx + nb : -1] @ directions, first)
         if nb:
             freed = freed - second @ torch.einsum("srb,srn->bn", second, freed)
         shape = part.residual.shape
         white = whitener.apply(part.residual.unsqueeze(-1)).squeeze(-1)
-        yield _Flight(
+        yield FlightRows(
             freed.unflatten(1, shape[1:]), torch.cat([first, second], -1).unflatten(1, shape[1:]), white, part.valid
         )
 
@@ -229,15 +244,15 @@ def _without(rows: Tensor, basis: Tensor) -> Tensor:
     return torch.baddbmm(rows, basis, basis.mT @ rows, alpha=-1.0)
 
 
-def _basis(columns: Tensor, prior_sd: Tensor) -> Tensor:
+def basis_of(columns: Tensor, prior_sd: Tensor) -> Tensor:
     """The part of the columns [..., m, n] that an estimate with this prior takes out of the rows."""
     norms = torch.linalg.vector_norm(columns, dim=-2, keepdim=True).clamp_min(1e-12)
     stack = torch.cat([columns / norms, torch.diag_embed(1.0 / prior_sd) / norms], dim=-2)
     return torch.linalg.qr(stack).Q[..., : columns.shape[-2], :]
 
 
-def _jackknife(
-    flights: Sequence[tuple[Tensor, Tensor]], prior: tuple[Tensor, Tensor], told: Tensor, ranks: Ranks
+def jackknife(
+    flights: Sequence[tuple[Tensor, Tensor]], prior: tuple[Tensor, Tensor], told: Tensor, ranks: Ranks = ALONE
 ) -> Tensor:
     """Variances [P] by leaving out one flight in turn, one Gauss-Newton step each; NaN below three flights."""
     variances = torch.full(told.shape, torch.nan, dtype=torch.float64)

@@ -12,7 +12,7 @@ from rotorid_torch.identification.ml import OutputError, output_error
 from rotorid_torch.identification.segments import cut, records_from
 from rotorid_torch.identification.sensitivity import sensitivities, simulated
 from rotorid_torch.identification.system import System
-from rotorid_torch.identification.uncertainty import _fast, _powers_of
+from rotorid_torch.identification.uncertainty import _powers_of, fast
 from tests.identification.output_error_cases import ROLL, Roll, roll_flight
 
 SD = np.array([0.01, 0.02])
@@ -70,7 +70,7 @@ def test_powers_of_products_are_those_of_the_records() -> None:
 
 
 def test_transforms_have_lengths_that_are_quick() -> None:
-    assert [_fast(n) for n in (2, 5, 12, 514, 1026)] == [2, 6, 12, 540, 1080]
+    assert [fast(n) for n in (2, 5, 12, 514, 1026)] == [2, 6, 12, 540, 1080]
 
 
 def test_many_flights_in_parts_and_on_disk_give_the_same(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -67,14 +67,25 @@ class Columns:
 
 
 class Tangent:
-    """C++ of one function's values, derivatives and tangents; `name` is "rates" or "outputs"."""
+    """C++ of one function's values, derivatives and tangents; `name` is "rates" or "outputs".
 
-    def __init__(self, graph: Graph, name: str, results: Sequence[int], columns: Columns, constants: Constants) -> None:
+    rows : its derivatives, where they are known.
+    """
+
+    def __init__(
+        self,
+        graph: Graph,
+        name: str,
+        results: Sequence[int],
+        columns: Columns,
+        constants: Constants,
+        rows: Derivatives | None = None,
+    ) -> None:
         self.graph, self.name, self.columns, self.constants = graph, name, columns, constants
         self.stored: dict[int, int] = {}  # varying derivative by state or control: place in A
         self.pairs: list[tuple[int, int]] = []  # vectors of columns and the results that their parameters reach
         self.values = {f"out[{i}]": node for i, node in enumerate(results)}
-        rows = derivatives(graph, results)
+        rows = derivatives(graph, results) if rows is None else rows
         self.by_state = [self._terms(row, "x", "D") for row in rows]
         self.by_control = [self._terms(row, "u", "U") for row in rows]
         self.by_parameter = self._parameters(rows)

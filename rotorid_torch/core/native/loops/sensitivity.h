@@ -59,7 +59,7 @@ struct Sensitivity {
   alignas(64) double C[OUTPUTS_A], L[OUTPUTS_K] = {};
   alignas(64) Row raw[NY] = {}, rows[ROWS];
   vd path[4][NU + 1][PATH / W + 1];
-  double x[NX];
+  double x[NX], before[NX];
 };
 
 // Adds to the tangents what the parameters of vector b do themselves, and the control path through the controls. Each

@@ -1,0 +1,229 @@
+"""The extended Kalman filter of a model as native code: innovations, and normal equations of its likelihood's rows."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.native.build import lanes, library
+from rotorid_torch.core.native.derive import Columns, Derivatives, Tangent, derivatives
+from rotorid_torch.core.native.dynamics import sizes, traced
+from rotorid_torch.core.native.emit import Constants
+from rotorid_torch.core.native.symbols import Graph, Term
+
+Parts = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor, Tensor, Tensor]]
+"""(x [nx], u [nu], psi [n]) -> rates [nx], outputs [ny], spectral density [nx, nx], noise covariance [ny, ny]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Flights:
+    """Flights F of T samples at most: all float64 and contiguous.
+
+    controls [F, T, nu]; path [F, T, nu, n] derivatives of the controls by the control path's parameters; outputs
+    [F, T, ny], NaN = missing; length [F] samples (int32); x0 [F, nx] and P0 [F, nx, nx] mean and covariance of the
+    first state.
+    """
+
+    dt: float
+    length: Tensor
+    controls: Tensor
+    path: Tensor
+    outputs: Tensor
+    x0: Tensor
+    P0: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What the filter has found, of each flight.
+
+    cost [F]; lost [F, 2] sample and state where it diverged, -1 where it did not; if asked for,
+    innovations [F, T, ny], spreads [F, T, ny, ny], states [F, T, nx], covariances [F, T, nx, nx].
+    """
+
+    cost: Tensor
+    lost: Tensor
+    innovations: Tensor | None = None
+    spreads: Tensor | None = None
+    states: Tensor | None = None
+    covariances: Tensor | None = None
+
+    def histories(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """All that can be asked for."""
+        found = [h for h in (self.innovations, self.spreads, self.states, self.covariances) if h is not None]
+        return found[0], found[1], found[2], found[3]
+
+
+@dataclass(frozen=True, eq=False)
+class Innovations:
+    """State and covariance as one vector of rates, outputs with their derivatives and noise as one of outputs.
+
+    H, R : rows and columns of the entries of dh/dx, and of the upper half of R, behind the ny outputs.
+    varies : whether entries of dh/dx do. path : parameters that the controls depend on.
+    """
+
+    graph: Graph
+    rates: tuple[int, ...]
+    outputs: tuple[int, ...]
+    by: tuple[Derivatives, Derivatives]
+    H: tuple[tuple[int, int], ...]
+    R: tuple[tuple[int, int], ...]
+    varies: bool
+    nx: int
+    nu: int
+    ny: int
+    count: int
+    path: tuple[int, ...] = ()
+
+    @classmethod
+    def of(cls, parts: Parts, x: Tensor, u: Tensor, psi: Tensor) -> Innovations:
+        """Trace a model and its noise at a point.
+
+        Raises
+        ------
+        Unsupported : an operation in the functions is not known to native code.
+        """
+        graph, nx = Graph(), len(x)
+        nodes = traced(graph, lambda *point: torch.cat([p.reshape(-1) for p in parts(*point)]), x, u, psi)
+        ny = round((len(nodes) - nx - nx * nx + 0.25) ** 0.5 - 0.5)
+        f, h = nodes[:nx], nodes[nx : nx + ny]
+        Q, R = nodes[nx + ny : nx + ny + nx * nx], nodes[nx + ny + nx * nx :]
+        rates = [*f, *_covariance_rates(graph, f, Q)]
+        slopes = [(i, j, node) for i, row in enumerate(_by_state(graph, h)) for j, node in sorted(row.items())]
+        noise = [(i, j, R[i * ny + j]) for i in range(ny) for j in range(i, ny) if graph.value(R[i * ny + j]) != 0.0]
+        outputs = [*h, *(node for _, _, node in slopes), *(node for _, _, node in noise)]
+        return cls(
+            graph=graph,
+            rates=tuple(rates),
+            outputs=tuple(outputs),
+            by=(derivatives(graph, rates), derivatives(graph, outputs)),
+            H=tuple((i, j) for i, j, _ in slopes),
+            R=tuple((i, j) for i, j, _ in noise),
+            varies=any(graph.value(node) is None for _, _, node in slopes),
+            nx=nx,
+            nu=len(u),
+            ny=ny,
+            count=len(psi),
+        )
+
+    @cached_property
+    def columns(self) -> Columns:
+        """Where the tangents of the unknowns lie."""
+        return Columns.arranged(self.by, self.count, self.path, self.nx, 0, lanes())
+
+    @cached_property
+    def code(self) -> tuple[str, Tensor]:
+        """C++ of the filter, and the numbers in it."""
+        constants, columns = Constants(self.graph, self.count), self.columns
+        f = Tangent(self.graph, "rates", self.rates, columns, constants, self.by[0]).text()
+        h = Tangent(self.graph, "outputs", self.outputs, columns, constants, self.by[1]).text()
+        size = sizes(NX=len(self.rates), NU=self.nu, NY=len(self.outputs), N=self.nx, M=self.ny)
+        size += sizes(LOOP=columns.loop, PATH=columns.path, STARTS=columns.starts, NBIAS=0)
+        size += sizes(RESIDUAL=columns.residual, WIDTH=columns.total)
+        size += sizes(NH=len(self.H), NR=len(self.R), H_VARIES=int(self.varies))
+        tables: dict[str, Sequence[int]] = {"BIASED": (), "BIAS_COLUMN": ()}
+        for name, places in (("H", self.H), ("R", self.R)):
+            tables |= {f"{name}_ROW": [i for i, _ in places], f"{name}_COL": [j for _, j in places]}
+        size += "".join(f"static const int {k}[] = {{{', '.join(map(str, (*v, 0)))}}};\n" for k, v in tables.items())
+        text = f'#include "lanes.h"\n{size}{constants.prepare()}{f}{h}#include "innovations.h"\n'
+        return text, constants.numbers()
+
+    def build(self) -> None:
+        """Compile now.
+
+        Raises
+        ------
+        Unsupported : there is no compiler, or it refuses the model.
+        """
+        library(self.code[0])
+
+    def depends_on(self, name: str, place: int) -> bool:
+        """Whether rates or outputs depend on an input, "x" or "u"."""
+        return any((name, place) in row for rows in self.by for row in rows)
+
+    def filter(self, psi: Tensor, flights: Flights, threads: int = 1, histories: bool = False) -> Answer:
+        """The flights filtered; histories : with all that the answer can hold."""
+        return self._called(psi, flights, threads, histories)
+
+    def normal_equations(self, psi: Tensor, flights: Flights, threads: int = 1) -> tuple[Answer, Tensor]:
+        """The same, and of each flight the products of the rows' columns [F, m, m]: x0, psi, b."""
+        n = len(self._order())
+        H = torch.zeros(len(flights.length), n, n, dtype=torch.float64)
+        answer = self._called(psi, flights, threads, H=H)
+        return answer, H + H.triu(1).mT
+
+    def rows(self, psi: Tensor, flights: Flights, threads: int = 1) -> Tensor:
+        """The rows themselves [F, T, ny + ny (ny + 1) / 2, m], zero beyond a flight's end."""
+        shape = flights.outputs.shape[:2], self.ny + self.ny * (self.ny + 1) // 2, len(self._order())
+        rows = torch.zeros(*shape[0], *shape[1:], dtype=torch.float64)
+        self._called(psi, flights, threads, rows=rows)
+        return rows
+
+    def _order(self) -> Tensor:
+        columns = self.columns
+        starts = range(columns.loop + columns.path, columns.loop + columns.path + columns.starts)
+        return torch.tensor([*starts, *columns.parameters, columns.residual], dtype=torch.int32)
+
+    def _called(
+        self,
+        psi: Tensor,
+        flights: Flights,
+        threads: int,
+        histories: bool = False,
+        H: Tensor | None = None,
+        rows: Tensor | None = None,
+    ) -> Answer:
+        source, numbers = self.code
+        (count, samples, ny), nx, order = flights.outputs.shape, self.nx, self._order()
+
+        def empty(*shape: int) -> Tensor | None:
+            return torch.full((count, samples, *shape), torch.nan, dtype=torch.float64) if histories else None
+
+        cost, lost = torch.zeros(count, dtype=torch.float64), torch.full((count, 2), -1, dtype=torch.int32)
+        answer = Answer(cost, lost, empty(ny), empty(ny, ny), empty(nx), empty(nx, nx))
+        missing = self.columns.path - len(self.path)
+        path = torch.nn.functional.pad(flights.path, (0, missing)).contiguous() if self.path else None
+        theta = torch.cat([psi, numbers]).contiguous()
+        library(source).innovations(
+            count,
+            samples,
+            ctypes.c_double(flights.dt),
+            *(_address(a) for a in (flights.length, flights.controls, path, flights.outputs)),
+            *(_address(a) for a in (flights.x0, flights.P0, theta)),
+            *(_address(a) for a in (cost, lost, answer.innovations, answer.spreads, answer.states)),
+            _address(answer.covariances),
+            len(order),
+            *(_address(a) for a in (order, H, rows)),
+            threads,
+        )
+        return answer
+
+
+def _by_state(graph: Graph, results: Sequence[int]) -> list[dict[int, int]]:
+    """Of each result the nodes of its derivatives by the states it depends on."""
+    return [{place: node for (kind, place), node in row.items() if kind == "x"} for row in derivatives(graph, results)]
+
+
+def _covariance_rates(graph: Graph, rates: Sequence[int], Q: Sequence[int]) -> list[int]:
+    """Nodes of the upper half of A P + P A' + Q, row by row; P is the input behind the states, in the same order."""
+    n, slopes = len(rates), _by_state(graph, rates)
+    places = {(i, j): n + k for k, (i, j) in enumerate((i, j) for i in range(n) for j in range(i, n))}
+    P = lambda i, j: Term(graph, graph.input("x", places[min(i, j), max(i, j)]))  # noqa: E731
+    found = []
+    for i, j in places:
+        value = Term(graph, Q[i * n + j])
+        for k, slope in sorted(slopes[i].items()):
+            value = value + Term(graph, slope) * P(k, j)
+        for k, slope in sorted(slopes[j].items()):
+            value = value + Term(graph, slope) * P(i, k)
+        found.append(value.node)
+    return found
+
+
+def _address(values: Tensor | None) -> ctypes.c_void_p:
+    return ctypes.c_void_p(None if values is None else values.data_ptr())
