@@ -35,9 +35,10 @@ from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.nominal import build
 from rotorid_torch.run.fit_record import Judged, judge
-from rotorid_torch.trace.clean import clean_floors
+from rotorid_torch.trace.clean_aircraft import clean_draws
+from rotorid_torch.trace.critical import Draws, Null
+from rotorid_torch.trace.family import Family
 from rotorid_torch.trace.fits import Fitted, Flights, refit
-from rotorid_torch.trace.floor import Floors, Null
 from rotorid_torch.trace.loop import trace
 from rotorid_torch.trace.network import learn, memory, regressed
 from rotorid_torch.trace.residual import left_over
@@ -67,7 +68,7 @@ class Args:
     quick: bool = False
     """Physics and networks alone, no effect is looked for; one prior."""
     chance: bool = False
-    """Floors of the search from shuffled residuals, without clean aircraft that are flown for them."""
+    """Critical values of the search from residuals turned in time, without clean aircraft that are flown for them."""
     report: bool = False
     """Run nothing; turn what is in `out` into the table."""
     page: Path = ROOT / "docs" / "closed-loop.md"
@@ -120,10 +121,10 @@ def models(args: Args, data: rotorid.Dataset, say: Console) -> Iterator[tuple[st
     yield "physics", null
     if not args.quick:
 
-        def floors(null: Null, effects: Sequence[str]) -> Floors:
-            return Floors({}, "") if args.chance else clean_floors(seen, null, effects, args.seed, say.print)
+        def drawn(null: Null, effects: Sequence[str], observed: Family) -> Draws | str:
+            return "none wanted" if args.chance else clean_draws(seen, null, effects, observed, args.seed, say.print)
 
-        final = trace(base.spec, start, held, flights, floors, say.print, args.seed).final
+        final = trace(base.spec, start, held, flights, drawn, say.print, args.seed).final
         null = refit(final.spec, flights, final.values, held)
         yield "physics + effects", null
     learnt = learn(null, held, args.seed, say.print)

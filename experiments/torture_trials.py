@@ -30,8 +30,8 @@ LINGER_S = 5.0
 """s that processes of a killed command may go on."""
 EFFECTS = ("control.delay", "control.lag")
 """Candidates of the closed loops here: few, so that a loop takes seconds."""
-FLOWN_S, DRAWS, FEWEST = 1.0, 6, 4
-"""Length of the flights that `fly` flies here, s; clean aircraft that are drawn for floors, and fewest that count."""
+FLOWN_S, DRAWS = 1.0, 6
+"""Length of the flights that `fly` flies here, s; clean aircraft that are drawn, none fewer."""
 DRIVER = """
 import functools, json, os, signal, sys
 plan = json.loads(sys.argv[1])
@@ -58,11 +58,11 @@ import rotorid_torch.cli
 import rotorid_torch.fly
 rotorid_torch.fly.fly = functools.partial(rotorid_torch.fly.fly, seconds=plan["seconds"])
 if sys.argv[2] == "close-loop":
-    from rotorid_torch.run import closing
-    from rotorid_torch.trace import clean, loop
+    from rotorid_torch.trace import loop
+    from rotorid_torch.trace.settings import SETTINGS
     loop.candidates = lambda spec: (plan["effects"], [])
-    closing.clean_floors = functools.partial(clean.clean_floors, draws=plan["draws"])
-    clean.FEWEST = plan["fewest"]
+    for name in ("draws", "earliest"):
+        object.__setattr__(SETTINGS, name, plan["draws"])
 signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.addaudithook(watch)
 code = rotorid_torch.cli.main(sys.argv[2:])
@@ -142,7 +142,7 @@ class Place:
         root to read and write everything.
         """
         number, group = kill.value
-        plan = {"seconds": self.seconds, "effects": EFFECTS, "draws": DRAWS, "fewest": FEWEST}
+        plan = {"seconds": self.seconds, "effects": EFFECTS, "draws": DRAWS}
         plan |= {"event": event, "signal": number, "group": group, "count": str(self.root / "count")}
         command = [sys.executable, "-c", DRIVER, json.dumps(plan), *map(str, arguments)]
         if powerless and os.geteuid() == 0:

@@ -62,6 +62,10 @@ class SizeLastEffect(argparse.Action):
         namespace.effect = [*effects[:-1], (effects[-1][0], values)]
 
 
+PROFILED = 40
+"""Functions that a profile shows."""
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; `--help` leaves by SystemExit(0), as argparse does."""
     os.environ.setdefault("ROTORID_THREADS", os.environ.get("OMP_NUM_THREADS", ""))  # native loops: all processors
@@ -77,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             options = parser().parse_args(arguments)
             _refuse_missing_device(options.device)
             speaks = True
-            code = options.run(options)
+            code = _profiled(options) if options.profile else options.run(options)
             with writing(OUTPUT):
                 sys.stdout.flush()
     except Told as told:
@@ -92,6 +96,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
             _print_no_more()
         return _code(error)
     return code or 0
+
+
+def _profiled(options: Options) -> int | None:
+    """Run a command, and print the functions of the package that took most of the time, with what they call."""
+    import cProfile
+    import pstats
+
+    profile = cProfile.Profile()
+    try:
+        return profile.runcall(options.run, options)
+    finally:
+        stats = pstats.Stats(profile).stats  # pyright: ignore[reportAttributeAccessIssue]
+        rows = [(line[3], line[0], file, name) for (file, _, name), line in stats.items() if "rotorid_torch" in file]
+        print("seconds    calls  function", file=sys.stderr)
+        for seconds, calls, file, name in sorted(rows, reverse=True)[:PROFILED]:
+            place = file.rpartition("rotorid_torch/")[2].removesuffix(".py").replace("/", ".")
+            print(f"{seconds:7.2f} {calls:8d}  {place}.{name}", file=sys.stderr)
 
 
 def _print_no_more() -> None:
@@ -144,6 +165,7 @@ def _add_command(commands, name: str, run: Callable[[Options], int | None], abou
     common.add_argument("--quiet", action="store_true", help="print nothing but errors")
     common.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     common.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of everything random (0)")
+    common.add_argument("--profile", action="store_true", help="print where the time went, to standard error")
     common.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="where torch computes (cpu)")
     return command
 

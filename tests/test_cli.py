@@ -345,3 +345,10 @@ def test_cuda_where_there_is_none_is_bad_input(monkeypatch, capsys: pytest.Captu
 def test_json_of_a_number_that_is_not_finite_is_null(capsys: pytest.CaptureFixture[str]):
     cli._answer(SimpleNamespace(json=True, quiet=False), {"J": float("inf")}, "")
     assert msgspec.json.decode(capsys.readouterr().out) == {"J": None}
+
+
+def test_a_profile_says_where_the_time_went(capsys: pytest.CaptureFixture[str]):
+    assert cli.main(["effects", "--profile", "--quiet"]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "seconds    calls  function"
+    assert any(line.endswith("cli.effects") or "effects" in line for line in lines[1:])

@@ -138,8 +138,10 @@ class Effect(nn.Module):
 
     A subclass sets `id`, `stage`, `role`, declares parameters and states, and writes `forward` or `tape`. Parameter
     names are local ("drag.x"); the model prefixes them with the id. `predicts` names channels beyond the body's that
-    the effect publishes as signals: outputs where the flights have them. `separated_by` are the flights that tell it
-    from derivatives which absorb it.
+    the effect publishes as signals: outputs where the flights have them. `ordinary` is structure that every rotor has,
+    in every comparison from the start. `companion` is the id of an effect that may come with this one at once.
+    `proportional` : whether twice the size does about twice as much. `separated_by` are the flights that tell it from
+    derivatives which absorb it.
     """
 
     id: str = ""
@@ -147,6 +149,9 @@ class Effect(nn.Module):
     role: Role = Role.UNDECLARED
     showing: Showing = Showing.TRAJECTORIES
     predicts: tuple[str, ...] = ()
+    ordinary: bool = False
+    companion: str = ""
+    proportional: bool = True
     separated_by: str = "larger or longer inputs on every control"
 
     def __init__(self, declared: tuple[Parameter, ...] = (), states: tuple[State, ...] = ()) -> None:
@@ -167,6 +172,11 @@ class Effect(nn.Module):
     @classmethod
     def within(cls, spec: ModelSpec) -> str:
         """Id of the part of the nominal model that is this physics already; empty where none is."""
+        return ""
+
+    @classmethod
+    def absorbed_by(cls, spec: ModelSpec) -> str:
+        """Id of the part of the nominal model that takes up all of the effect; empty where none does."""
         return ""
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:

@@ -19,6 +19,7 @@ from rotorid_torch.effects.base import Effect, Role, Stage, Values
 from rotorid_torch.effects.record import lagged, rate_limited, shifted, with_play_behind_noise
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.effects.testable import motor_commands
 
 LONGEST = 0.25
 """s: no control path is slower."""
@@ -106,6 +107,11 @@ class ControlLag(Effect):
         """With the controls of the vehicle."""
         return cls(spec.controls, cls.id in spec.each_control)
 
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Of motor commands, which have a lag of their own."""
+        return motor_commands(spec, "motor commands lag by propulsion.motor_lag")
+
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Controls [..., T, nu], each behind its lag."""
         return lagged(record, per_control(p, "common", names), dt)
@@ -121,6 +127,7 @@ class RateLimit(Effect):
     """
 
     id, stage, role = "control.rate_limit", Stage.CONTROL, Role.UNDECLARED
+    proportional = False
 
     def __init__(self, sizes: Mapping[str, float] = NONE, unit: str = "rad", alone: bool = False) -> None:
         per, doc = {"rad": "s/rad", "m": "s/m"}.get(unit, "s"), "one over the greatest rate of every control"
@@ -136,6 +143,11 @@ class RateLimit(Effect):
         """With the controls of the vehicle; scaled by their excursions."""
         unit = spec.control_units.get(spec.controls[0], "rad")
         return cls(excursions(spec), unit, cls.id in spec.each_control)
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Of motor commands."""
+        return motor_commands(spec, "motor commands pass no actuator with a limit")
 
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Controls [..., T, nu], each followed no faster than its limit."""
@@ -154,6 +166,7 @@ class Backlash(Effect):
     """
 
     id, stage, role = "control.backlash", Stage.CONTROL, Role.UNDECLARED
+    proportional = False
 
     def __init__(self, sizes: Mapping[str, float] = NONE, unit: str = "rad", alone: bool = False) -> None:
         own = unit if unit in ("rad", "m") else "1"
@@ -172,6 +185,11 @@ class Backlash(Effect):
         """With the controls of the vehicle; scaled by their excursions."""
         unit = spec.control_units.get(spec.controls[0], "rad")
         return cls(excursions(spec), unit, cls.id in spec.each_control)
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Of motor commands."""
+        return motor_commands(spec, "motor commands pass no linkage")
 
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Controls [..., T, nu], each through its play."""

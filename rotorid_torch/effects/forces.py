@@ -13,7 +13,7 @@ from rotorid_torch.core.rigid import vec
 from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Values
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.effects.testable import first, multirotor, no_forces, no_rates, no_velocities
+from rotorid_torch.effects.testable import first, motor_commands, multirotor, no_forces, no_rates, no_velocities
 
 DRAG_AREA = 0.01
 """Drag area of a fuselage over the rotor's disc; usual for helicopters."""
@@ -94,8 +94,9 @@ class QuadraticDamping(Effect):
 
     @classmethod
     def untestable(cls, spec: ModelSpec) -> str | None:
-        """Without rates."""
-        return no_rates(spec)
+        """Without rates, or of motor commands: those answer the rates."""
+        answered = "commands answer the rates: a term by rates takes up what is left of a lag"
+        return first(no_rates(spec), motor_commands(spec, answered))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds the damping."""

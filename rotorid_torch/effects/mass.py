@@ -75,6 +75,11 @@ class Payload(Effect):
         """Without declared mass or forces, or where something flies along outside it."""
         return first(no_mass(spec), excluded(spec), no_forces(spec))
 
+    @classmethod
+    def absorbed_by(cls, spec: ModelSpec) -> str:
+        """Of a multirotor."""
+        return "rotors.thrust" if spec.motors else ""
+
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Takes from the force beyond trim what the extra mass swallows."""
         assert frame.force is not None
@@ -119,6 +124,11 @@ class CentreOfGravity(Effect):
         """Without declared mass and inertia or forces, or where something flies along outside them."""
         return first(no_inertia(spec), excluded(spec), no_forces(spec))
 
+    @classmethod
+    def absorbed_by(cls, spec: ModelSpec) -> str:
+        """Of a multirotor."""
+        return "rotors.trim" if spec.motors else ""
+
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds the moment of the other lever; says where the centre of gravity is."""
         assert frame.force is not None
@@ -161,6 +171,11 @@ class Inertia(Effect):
     def untestable(cls, spec: ModelSpec) -> str | None:
         """Without declared inertia, or where something flies along outside it."""
         return first(no_inertia(spec), excluded(spec))
+
+    @classmethod
+    def absorbed_by(cls, spec: ModelSpec) -> str:
+        """Of a multirotor."""
+        return "rotors.power" if spec.motors else ""
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds what the other inertia does to moments and gyroscopic moments; the model adds those of the declared."""

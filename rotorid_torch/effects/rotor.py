@@ -148,6 +148,7 @@ class FlapSecondOrder(Effect):
     """
 
     id, stage, role = "rotor.flap_second_order", Stage.ROTOR, Role.STRUCTURE
+    ordinary = True
 
     def __init__(self, rotor: RotorSpec) -> None:
         times, couplings = (0.02, 0.2), (0.0, FASTEST)
@@ -216,6 +217,7 @@ class LeadLag(Effect):
     """
 
     id, stage, role = "rotor.lead_lag", Stage.FORCES, Role.STRUCTURE
+    ordinary = True
 
     def __init__(
         self,

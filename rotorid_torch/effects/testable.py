@@ -59,6 +59,11 @@ def multirotor(spec: ModelSpec) -> str | None:
     return "the vehicle is a multirotor" if any(map(is_motor, spec.controls)) else None
 
 
+def motor_commands(spec: ModelSpec, why: str) -> str | None:
+    """The controls are motor commands, of which the effect makes no sense for a reason."""
+    return why if any(map(is_motor, spec.controls)) else None
+
+
 def no_channel(spec: ModelSpec, name: str) -> str | None:
     """A channel is missing from the flights."""
     return None if name in spec.reference else f"the channel {name} is missing"

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 
 import msgspec
+from torch import Tensor
 
 from rotorid_torch.core.names import MOMENTS
 from rotorid_torch.core.ranks import ALONE, Ranks
@@ -25,7 +26,7 @@ from rotorid_torch.run.checkpoint import Checkpoint, Steps
 from rotorid_torch.run.figures import Overlay
 from rotorid_torch.run.fit_record import fit_record, judge
 from rotorid_torch.run.folder import run_folder
-from rotorid_torch.run.free_runs import CHANGED, IMITATES, WORSE, best_of, free_run_gain, idle, objection
+from rotorid_torch.run.free_runs import best_of, free_run_gain, worse
 from rotorid_torch.run.loop_record import as_fitted, effect_record, of_sensors, unknown_record
 from rotorid_torch.run.monitor import Monitor, peak_memory_mb
 from rotorid_torch.run.pipeline import Run, estimated, identified, refuse, remarks_on, write_model
@@ -38,16 +39,17 @@ from rotorid_torch.run.records import (
 from rotorid_torch.run.short_horizon import short_horizon
 from rotorid_torch.run.summary import failing
 from rotorid_torch.run.write import write_report
-from rotorid_torch.trace.clean import clean_floors
+from rotorid_torch.trace.clean_aircraft import clean_draws
 from rotorid_torch.trace.clocks import sensor_findings
-from rotorid_torch.trace.decide import clearly_worse
+from rotorid_torch.trace.decide import Reason
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.fits import Fitted, Flights, refit
-from rotorid_torch.trace.loop import Bare, Tracing, trace
+from rotorid_torch.trace.loop import Tracing, trace
 from rotorid_torch.trace.multirotor import Identified, trace_rotors
 from rotorid_torch.trace.network import learn
 from rotorid_torch.trace.stochastic import TURBULENCE, stochastic_findings
 from rotorid_torch.trace.verdict import statement
+from rotorid_torch.trace.words import reason
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +160,7 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
 def _in_gusts(tracing: Tracing, shaken: Sequence[Finding]) -> Tracing:
     """The tracing without what has no name where gusts are left over too: clean aircraft fly in none."""
     rough = any(f.id == TURBULENCE and f.verdict == "accepted" for f in shaken)
-    return replace(tracing, unknown=None, unknown_before=None) if rough else tracing
+    return replace(tracing, unknown=None) if rough else tracing
 
 
 def _before_and_after(
@@ -167,7 +169,9 @@ def _before_and_after(
     """The best run without what was traced, that with it or none where nothing stays, and the tracing that stands.
 
     first : the nominal model. sensors : whether sensors err. wrong, right : the three steps again for a spec from
-    values, on records as they are and on those without the sensors' errors. A multirotor's free runs decide nothing.
+    values, on records as they are and on those without the sensors' errors. Structure stays where free runs of unseen
+    flights are better with it; beside a named effect unless they are clearly worse, for its size takes up what
+    structure explains. A multirotor's free runs decide nothing.
     """
 
     def shapes(spec: ModelSpec, values: Mapping[str, float]) -> list[Run]:
@@ -176,28 +180,18 @@ def _before_and_after(
         return [right(shape, values) for shape in both]
 
     final, null = tracing.final, tracing.null
+    plain = best_of([first, wrong(null.spec, null.values)]) if tracing.structure else first
     if tracing.accepted:
-        # what ordinary physics is left out the named effect takes up, and its size is no longer its own
         whole, *bare = shapes(final.spec, final.values)
-        gone = {} if first.spec.motors else idle([whole, *bare], tracing.accepted)
-        if 0 < len(gone) < len(tracing.accepted):
-            return _before_and_after(first, _without(tracing, gone), sensors, wrong, right)
-        plain = best_of([first, wrong(null.spec, null.values)]) if tracing.structure else first
         if first.spec.motors:
             return plain, whole, tracing
-        tried = [*bare, whole] if any(clearly_worse(free_run_gain(run, whole)) for run in bare) else [whole, *bare]
+        after = next((run for run in bare if worse(run, whole)), whole)
         without = best_of(shapes(null.spec, null.values)) if sensors else plain
-        against = [objection(without, run, tracing) for run in tried]
-        for run, why in zip(tried, against, strict=True):
-            if why is None:
-                return plain, run, tracing
-        why = against[0] or WORSE
-        if sensors:
-            return plain, without, _refused(tracing, why)
-        return first, None if plain is first else plain, _refused(tracing, why)
-    plain = best_of([first, wrong(final.spec, final.values)]) if tracing.structure else first
+        if not worse(without, after):
+            return plain, after, tracing
+        tracing = _suspected(tracing, free_run_gain(without, after))
     if sensors:
-        return plain, best_of(shapes(final.spec, final.values)), tracing
+        return plain, best_of(shapes(null.spec, null.values)), tracing
     return first, None if plain is first else plain, tracing
 
 
@@ -209,7 +203,7 @@ def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
         base.model.named_values,
         base.regressions.held,
         flights,
-        lambda null, effects: clean_floors(flights.dataset, null, effects, seed, say, ranks=ranks),
+        lambda null, effects, observed: clean_draws(flights.dataset, null, effects, observed, seed, say, ranks),
         say,
         seed,
         ranks,
@@ -257,29 +251,13 @@ def _with_network(
     return None, replace(found, verdict="rejected", reason=said)
 
 
-def _refused(tracing: Tracing, said: str) -> Tracing:
-    """The tracing without the undeclared effects that it accepted, for a reason."""
-    members = {e for others in tracing.groups.values() for e in others} | set(tracing.accepted)
-    findings = tuple(_rejected(tracing.findings, members, said))
-    before, beside = tracing.unknown_before, tracing.unknown
-    left = before or (beside if said == IMITATES else None)
-    if said == CHANGED and (before is None or before.since_s is None):  # the onset may show beside it alone
-        left = beside
-    return replace(tracing, final=tracing.null, accepted=(), groups={}, findings=findings, unknown=left)
-
-
-def _without(tracing: Tracing, gone: Mapping[str, str]) -> Tracing:
-    """The tracing without some of the undeclared effects that it accepted, each for a reason."""
-    findings = tracing.findings
-    for effect, why in gone.items():
-        findings = tuple(_rejected(findings, {effect, *tracing.groups.get(effect, ())}, why))
-    return replace(
-        tracing,
-        final=Bare(tracing.final.spec.without([*gone]), tracing.final.values),
-        accepted=tuple(e for e in tracing.accepted if e not in gone),
-        groups={e: others for e, others in tracing.groups.items() if e not in gone},
-        findings=findings,
+def _suspected(tracing: Tracing, runs: Tensor) -> Tracing:
+    """The tracing without its names, for free runs are worse with them, by log ratios of J [F]."""
+    said = reason(Reason.FREE_RUNS_WORSE, worse=int((runs < 0.0).sum()), count=len(runs))
+    findings = (
+        replace(f, verdict="suspected", reason=said) if f.id in tracing.accepted else f for f in tracing.findings
     )
+    return replace(tracing, final=tracing.null, accepted=(), groups={}, findings=tuple(findings))
 
 
 def _dropped(tracing: Tracing) -> list[Finding]:

@@ -33,7 +33,7 @@ CAPTIONS = {
     " edges of controls to delay or missing rotor dynamics, a line to vibration.",
 }
 
-ORDER = ("accepted", "indistinguishable", "rejected", "below floor")
+ORDER = ("accepted", "indistinguishable", "suspected", "rejected", "below floor")
 """Verdicts on effects that were tested, in the order of the page's table."""
 
 

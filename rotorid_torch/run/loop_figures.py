@@ -1,4 +1,4 @@
-"""Pictures of a closed loop: the candidates' evidence over their floors; the error before and after by frequency."""
+"""Pictures of a closed loop: evidence of candidates over critical values; the error before and after by frequency."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from rotorid_torch.run.figures import LETTER, LIST_COLOURS, MEASURED, MODEL, QUI
 from rotorid_torch.run.records import EffectRecord
 
 COLOURS = {"accepted": MODEL, "indistinguishable": LIST_COLOURS["acid"], "rejected": MEASURED}
-LEAST = 1e-3
-"""Ratios of gain and floor below this are drawn there."""
+LEAST, MOST = 1e-2, 1e4
+"""Ratios of statistics and critical values beyond these are drawn there."""
 
 
 def draw_loop(
@@ -32,8 +32,8 @@ def draw_loop(
 
 
 def evidence(effects: Sequence[EffectRecord]) -> Figure:
-    """Gain of each candidate over its floor, largest first; right of the line it counts."""
-    ratio = {e.id: max((e.gain or 0.0) / (e.floor or 1.0), LEAST) for e in effects}
+    """Statistic of each candidate over its critical value, largest first; right of the line p is below 0.05."""
+    ratio = {e.id: min(max((e.gain or 0.0) / (e.floor or 1.0), LEAST), MOST) for e in effects}
     ordered = sorted(effects, key=lambda e: -ratio[e.id])
     figure = Figure(figsize=(WIDTH, 0.9 + 0.24 * len(ordered)))
     FigureCanvasAgg(figure)
@@ -47,7 +47,7 @@ def evidence(effects: Sequence[EffectRecord]) -> Figure:
     axes.set_xlim(LEAST, 2.0 * max(max(ratio.values()), 1.0))
     axes.set_yticks(range(len(ordered)), [e.id for e in ordered], fontsize=9)
     axes.set_ylim(len(ordered) - 0.4, -0.6)
-    axes.set_xlabel("gain over floor", fontsize=9)
+    axes.set_xlabel("statistic over critical value", fontsize=9)
     axes.grid(axis="x", alpha=0.3)
     return figure
 

@@ -29,7 +29,7 @@ LARGEST = 64 * 2**20
 Status = Literal["free", "frozen", "nuisance", "not identifiable"]
 Role = Literal["undeclared", "structure", "learnt"]
 VerdictKind = Literal["nothing undeclared", "undeclared", "group", "unknown", "structure"]
-EffectVerdict = Literal["accepted", "rejected", "below floor", "indistinguishable", "not testable"]
+EffectVerdict = Literal["accepted", "rejected", "below floor", "suspected", "indistinguishable", "not testable"]
 LISTS = ("identify", "validate", "acid")
 
 

@@ -22,7 +22,7 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.rotors import hover_thrust
 from rotorid_torch.trace.finding import Finding, Unknown
-from rotorid_torch.trace.significance import helps, normal_quantile, student_quantile
+from rotorid_torch.trace.significance import exceeds, normal_quantile, student_quantile
 
 AVERAGED_S = 1.0
 """Length of the means."""
@@ -155,7 +155,7 @@ def _going(
     fits = ((None, slopes), (signal, more))
     errors = [[b.centre[:, row] - _columns(b, row, s) @ z for s, z in fits] for b in unseen]
     sizes = torch.stack([torch.stack(pair, dim=1).square().mean(dim=0).sqrt() for pair in errors])
-    if evidence <= 1.0 or not helps((sizes[:, 0] / sizes[:, 1]).log()):
+    if evidence <= 1.0 or not exceeds((sizes[:, 0] / sizes[:, 1]).log()):
         return None
     without, rest = sizes.square().mean(dim=0).sqrt().tolist()
     return Going(ROWS[row], *signal, evidence, without, rest, more)

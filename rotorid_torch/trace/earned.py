@@ -1,6 +1,7 @@
 """Whether effects that somebody asked for earn their place in an identified model, each beside the others.
 
-The evidence is the closed loop's: gain over chance, sizes that are physics, flights that no fit has seen, free runs.
+The evidence is the closed loop's: more than by chance, a size whose interval excludes nothing, flights that no fit has
+seen.
 """
 
 from __future__ import annotations
@@ -12,21 +13,18 @@ import msgspec
 
 from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import registered
+from rotorid_torch.trace.candidate import Candidate
 from rotorid_torch.trace.candidates import ELSEWHERE, NOT_IN_TRAJECTORIES
-from rotorid_torch.trace.decide import (
-    errors,
-    gain,
-    not_joined,
-    objection,
-    smallest_visible,
-    unseen_gain,
-)
+from rotorid_torch.trace.decide import Reason, errors_of, unseen_evidence
+from rotorid_torch.trace.family import effect_of
 from rotorid_torch.trace.finding import Finding
+from rotorid_torch.trace.findings import Outcome
 from rotorid_torch.trace.fits import Fitted, refit
-from rotorid_torch.trace.floor import Floors
 from rotorid_torch.trace.screening_sizes import with_screening_sizes
-from rotorid_torch.trace.search import Search
-from rotorid_torch.trace.significance import helps
+from rotorid_torch.trace.search import Search, Trial, observed
+from rotorid_torch.trace.settings import SETTINGS
+from rotorid_torch.trace.significance import exceeds
+from rotorid_torch.trace.words import reason, size_details
 
 
 def earned(whole: Fitted, effects: Sequence[str], held: Sequence[str] = (), seed: int = 0) -> list[Finding]:
@@ -37,39 +35,38 @@ def earned(whole: Fitted, effects: Sequence[str], held: Sequence[str] = (), seed
     """
     spec, flights = whole.spec, whole.flights
     shown = [e for e in effects if registered()[e].showing not in ELSEWHERE]
-    bare = spec.without(shown)
-    sized, tested, unmoved = with_screening_sizes(bare, whole.values, flights.dataset, shown)
+    sized, tested, unmoved = with_screening_sizes(spec.without(shown), whole.values, flights.dataset, shown)
     findings = {f.id: f for f in unmoved}
     for e in effects:
         if e not in shown:
             findings[e] = Finding(e, registered()[e].role.value, "not testable", NOT_IN_TRAJECTORIES)
     if tested:
-        search = Search(flights, tuple(held), Floors({}, ""), lambda line: None, seed)
         richer = msgspec.structs.replace(spec, screening_sizes=sized.screening_sizes)
-        whole = search.settled(refit(richer, flights, whole.values, held), 0.0)
-        findings |= {e: _finding(search, whole, e) for e in tested}
+        refitted = refit(richer, flights, whole.values, held)
+        whole = Search.alone(flights, held, seed).settled(refitted)
+        findings |= {e: _finding(whole, e, held, seed) for e in tested}
     return [findings[e] for e in effects]
 
 
-def _finding(search: Search, whole: Fitted, effect: str) -> Finding:
+def _finding(whole: Fitted, effect: str, held: Sequence[str], seed: int) -> Finding:
     """What a model without the effect, fitted with the same care, says of it."""
-    role = registered()[effect].role
-    near = refit(whole.spec.without([effect]), search.flights, whole.values, search.held, near=whole)
-    null = search.settled(near, 0.0)
-    gained, better = gain(null, whole), unseen_gain(null, whole)
-    counted = f"{int((better > 0).sum())} of {len(better)} better"
-    sizes = errors(whole, effect, whole.scatter(effect))
-    said = f"flights that no fit has seen are better described with it ({counted})"
+    role, search = registered()[effect].role, Search.alone(whole.flights, held, seed)
+    null = search.settled(refit(whole.spec.without([effect]), whole.flights, whole.values, held, near=whole))
     if role is Role.LEARNT:  # a network has no size of its own
-        why = None if helps(better) else f"it does not help on flights that no fit has seen ({counted})"
-        return Finding(effect, role.value, "rejected" if why else "accepted", why or said, gained)
-    screened = search.screened(null, [effect])
-    floor = Floors.chance(screened, [effect])[effect]
-    numbers = {"gain": gained, "floor": floor, "smallest_visible": smallest_visible(screened, effect, floor)}
-    if gained <= floor:
-        absorbed = not_joined(screened, effect, floor, (), hot=False)
-        if absorbed.verdict == "indistinguishable":
-            return replace(absorbed, gain=gained, values=sizes)
-        return Finding(effect, role.value, "below floor", "it explains no more than by chance", **numbers, values=sizes)
-    why = objection(null, whole, effect, floor, whole.scatter(effect))
-    return Finding(effect, role.value, "rejected" if why else "accepted", why or said, **numbers, values=sizes)
+        better = unseen_evidence(null, whole)
+        verdict = "accepted" if exceeds(better) else "rejected"
+        why = Reason.HELPS if verdict == "accepted" else Reason.UNSEEN_WORSE
+        said = reason(why, better=int((better > 0).sum()), count=len(better))
+        return Finding(effect, role.value, verdict, said)
+    candidate = Candidate(effect, effect in whole.spec.each_control)
+    search.consider(null, [effect])
+    assert search.first is not None
+    p = [one for name, one in search.first[1].items() if effect_of(name) == effect]
+    significant = min(p, default=0.0) <= SETTINGS.level
+    row = replace(observed(null, whole, candidate), significant=significant)
+    search.trials[candidate] = Trial(candidate, null, whole, row)
+    search.joined += [candidate] if search.trials[candidate].stands else []
+    found = Outcome(search, whole, None, {}, {}).findings([effect])[0]
+    if found.verdict == "accepted":
+        found = replace(found, reason=reason(Reason.HELPS, **size_details(null, whole, effect)))
+    return replace(found, role=role.value, values=errors_of(whole, effect, whole.scatter(effect)))

@@ -1,9 +1,8 @@
 """Evidence for a candidate: how much better it predicts flights that its size was not estimated from.
 
 The fitted model M0 and the model with the candidate, M0 + e, are nested. Both are linear about M0: the whitened
-residual
-of a flight f is r_f - X_f theta - S_f a, with the signatures S_f of the candidate at sizes a. The evidence of a flight
-is the difference of log scores per sample, the scale of the flight's residuals being its best value,
+residual of a flight f is r_f - X_f theta - S_f a, with the signatures S_f of the candidate at sizes a. The evidence of
+a flight is the difference of log scores per sample, the scale of the flight's residuals being its best value,
 
     d_f = log(rms of r_f under M0 / rms of r_f under M0 + e), both estimated without flight f,
 
@@ -36,13 +35,15 @@ class FlightEquations:
     fitted : [F, n, n] flights of the fit. unseen : [V, n, n] flights that no fit has seen, none where V = 0; zeros
     where the fitted model flies away in them, which is no evidence.
     prior : [n, n] of the parameters. count : number P of the model's parameters, which are the first columns; the
-    signatures of candidates follow, and the residual is the last of the n columns.
+    signatures of candidates follow, and the last of the n columns are residuals: that of the data, and of so many of
+    the same colour that know nothing of the motion.
     """
 
     fitted: Tensor
     unseen: Tensor
     prior: Tensor
     count: int
+    residuals: int = 1
 
     @cached_property
     def _reduced(self) -> tuple[Tensor, Tensor]:
@@ -57,22 +58,30 @@ class FlightEquations:
         passed = eliminating(estimating, self.count)
         return passed.mT @ estimating @ passed, passed.mT @ scored @ passed
 
-    def held_out(self, columns: list[int], low: Tensor, high: Tensor) -> Tensor:
+    def held_out(self, columns: list[int], low: Tensor, high: Tensor, residual: int = 0) -> Tensor:
         """Evidence d_f [F + V] of signatures; F is 0 where a single flight was fitted.
 
         columns : of the signatures, counted behind the parameters. low, high : [K] bounds of their sizes.
+        residual : which of the residuals.
         """
         estimating, scored = self._reduced
         if not columns:
             return torch.zeros(len(scored), dtype=torch.float64)
-        G, d = estimating[:, columns][:, :, columns], estimating[:, columns, -1]
+        last = scored.shape[-1] - self.residuals + residual
+        G, d = estimating[:, columns][:, :, columns], estimating[:, columns, last]
         sizes = torch.stack([bounded_least_squares(one, right, low, high) for one, right in zip(G, d, strict=True)])
         curvature = scored[:, columns][:, :, columns]
-        fall = (sizes * scored[:, columns, -1]).sum(-1)
+        fall = (sizes * scored[:, columns, last]).sum(-1)
         fall = 2.0 * fall - torch.einsum("fi,fij,fj->f", sizes, curvature, sizes)
-        without = scored[:, -1, -1].clamp_min(1e-300)
+        without = scored[:, last, last].clamp_min(1e-300)
         # a signature that is not finite is no evidence either
         return -0.5 * torch.log1p((-fall / without).clamp_min(-1.0 + 1e-15)).nan_to_num(nan=0.0)
+
+    def expected(self, column: int, size: float) -> float:
+        """Sum of d_f that a signature of a size gives, its residual standing at right angles to what is left."""
+        scored = self._reduced[1]
+        ratio = size**2 * scored[:, column, column] / scored[:, -self.residuals, -self.residuals].clamp_min(1e-300)
+        return 0.5 * float(torch.log1p(ratio).nan_to_num(nan=0.0).sum())
 
 
 def eliminating(total: Tensor, count: int) -> Tensor:

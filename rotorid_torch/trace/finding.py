@@ -6,15 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-Verdict = Literal["accepted", "rejected", "below floor", "indistinguishable", "not testable"]
+Verdict = Literal["accepted", "rejected", "below floor", "suspected", "indistinguishable", "not testable"]
 Kind = Literal["nothing undeclared", "undeclared", "group", "unknown", "structure"]
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One effect: verdict with its reason in words, gain and floor per sample, smallest size these flights show.
+    """One effect: verdict with its reason in words, smallest size these flights show.
 
-    p : family-wise adjusted probability that flights with nothing missing show as much evidence; None where no clean
+    gain, floor : the statistic T and its critical value. p : family-wise adjusted probability that flights with nothing
+    missing show as much evidence; None where no clean
         aircraft were drawn.
     values : parameters by full name with their standard errors, where it was fitted. part : of the model from the
         start that is this effect, where one is.

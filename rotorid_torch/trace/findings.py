@@ -2,81 +2,104 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
-from rotorid_torch.trace.decide import errors, not_joined, smallest_visible
+from rotorid_torch.effects.registry import registered
+from rotorid_torch.trace.candidate import Candidate
+from rotorid_torch.trace.decide import Reason, Row, decide, errors_of
+from rotorid_torch.trace.family import effect_of
 from rotorid_torch.trace.finding import Finding
-from rotorid_torch.trace.fits import Fitted, control_by_control
-from rotorid_torch.trace.screen import Screen
+from rotorid_torch.trace.fits import Fitted
 from rotorid_torch.trace.search import Search
+from rotorid_torch.trace.settings import SETTINGS
+from rotorid_torch.trace.words import reason, size_details
 
 
-def findings(
-    search: Search,
-    final: Fitted,
-    structure: Sequence[str],
-    accepted: Sequence[str],
-    undeclared: Sequence[str],
-    first: Screen,
-    floors: Mapping[str, float],
-) -> list[Finding]:
-    """One finding for each effect that was tested.
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """How a search ended.
 
-    final : the model with what was accepted. structure, accepted : what joined it. undeclared : what was tried.
-    first : their screen before anything joined. floors : by effect.
+    final : the model with what joined. share : of what is missing that the names explain; None where nothing without a
+    name is significant. by_control : words on how controls differ, by effect. spread : standard errors of parameters by
+    their scatter over flights, controls and draws.
     """
-    found = [Finding(e, "structure", "accepted", search.why(e), values=errors(final, e, {})) for e in structure]
-    found += search.ordinary.values()
-    found += [_placed(search, final, effect, accepted) for effect in search.placed]
-    last = search.screened(final, [e for e in undeclared if e not in accepted])
-    left = dict.fromkeys(undeclared, last) | _each_control(search, final, accepted)
-    tried = {**floors, **search.alone, **search.beside}
-    joined = [e for e in accepted if e not in search.placed]
-    grouped = {e: best for best, others in search.groups.items() if best in accepted for e in others}
-    for effect in undeclared:
-        gained, floor = search.gained.get(effect, (first.gain([effect]), floors[effect]))
-        visible = smallest_visible(first, effect, floors[effect])
-        seen = Finding(effect, "undeclared", "accepted", "", gained, floor, visible)
-        if effect in accepted:
-            found.append(_accepted(seen, search, final))
-        elif effect in grouped:
-            best = grouped[effect]
-            group = (best, *(e for e in search.groups[best] if e != effect))
-            said = f"these flights cannot tell it from {best}"
-            found.append(replace(seen, verdict="indistinguishable", reason=said, group=group))
-        elif effect in search.rejected and left[effect].gain([effect]) > tried[effect]:
-            said, gained, values = search.rejected[effect]
-            known = {"gain": gained, "floor": tried[effect], "values": values}
-            found.append(replace(seen, verdict="rejected", reason=said, **known))
+
+    search: Search
+    final: Fitted
+    share: float | None
+    by_control: Mapping[str, str]
+    spread: Mapping[str, float]
+
+    @property
+    def adequate(self) -> bool:
+        """Whether names explain enough of what is missing."""
+        return self.share is None or self.share >= SETTINGS.adequate
+
+    def findings(self, effects: Sequence[str]) -> list[Finding]:
+        """One for each of these effects."""
+        return [self._finding(effect) for effect in effects]
+
+    def _finding(self, effect: str) -> Finding:
+        assert self.search.first is not None
+        beside, p, draws = self.search.first
+        members = [name for name in p if effect_of(name) == effect]
+        found = Finding(effect, "undeclared", "below floor", "")
+        if members:
+            best, critical = min(members, key=lambda name: p[name]), draws.critical_values(beside.statistics)
+            target = max(draws.visible(effect, critical[effect]), 0.0) if effect in critical else 0.0
+            visible = beside.common.visible(effect, target)
+            observable = beside.common.expected(effect) >= target
+            found = replace(
+                found, p=p[best], gain=beside.statistics[best], floor=critical[best], smallest_visible=visible
+            )
+            row = self._row(effect)
+            tried = any(c.effect == effect for c in self.search.trials)  # significant beside what joined before
+            significant = row.significant if tried else p[best] <= SETTINGS.level
+            row = replace(row, significant=significant, observable=observable)
         else:
-            least = search.beside.get(effect, floors[effect])
-            found.append(not_joined(last, effect, least, joined, effect in search.hot))
-    return found
+            row = self._row(effect)
+        return self._told(found, row)
 
+    def _joined(self, effect: str) -> Candidate | None:
+        return next((c for c in self.search.joined if c.effect == effect), None)
 
-def _placed(search: Search, final: Fitted, effect: str, accepted: Collection[str]) -> Finding:
-    """Of an effect of where the vehicle flies, that explains what trims differ by."""
-    gained, floor = search.placed[effect]
-    if effect in accepted:
-        said = "it explains how trims differ between flights, and flights that no fit has seen are better described"
-        values = errors(final, effect, search.spread)
-        return Finding(effect, "undeclared", "accepted", said, gained, floor, values=values)
-    said, gained, values = search.rejected[effect]
-    return Finding(effect, "undeclared", "rejected", said, gained, floor, values=values)
+    def _row(self, effect: str) -> Row:
+        """What was observed of an effect."""
+        trials = [t for c, t in self.search.trials.items() if c.effect == effect]
+        joined = self._joined(effect)
+        if joined is not None:
+            rivals = self.search.rivals.get(effect, ())
+            return replace(self.search.trials[joined].row, alone=not rivals, adequate=self.adequate)
+        if any(effect in others for others in self.search.rivals.values()):
+            return Row(alone=False)
+        refused = [t.row for t in trials if not t.stands]
+        return refused[-1] if refused else Row(still=False, in_set=False)
 
-
-def _accepted(seen: Finding, search: Search, final: Fitted) -> Finding:
-    """Of an effect that joined, alone or in the name of a group."""
-    group, values = search.groups.get(seen.id, ()), errors(final, seen.id, search.spread)
-    said = "no other effect explains it, and flights that no fit has seen are better described"
-    if group:
-        said = f"something of this kind acts, but these flights cannot tell it from {', '.join(group)}"
-    verdict = "indistinguishable" if group else "accepted"
-    return replace(seen, verdict=verdict, reason=said + search.apart.get(seen.id, ""), group=group, values=values)
-
-
-def _each_control(search: Search, final: Fitted, accepted: Collection[str]) -> dict[str, Screen]:
-    """The screen beside what joined of effects that were tried on each control by itself."""
-    alone = [e for e in search.alone if e not in accepted]
-    return dict.fromkeys(alone, search.screened(control_by_control(final, alone), alone)) if alone else {}
+    def _told(self, found: Finding, row: Row) -> Finding:
+        """The finding with verdict, reason and values."""
+        effect, (verdict, why) = found.id, decide(row)
+        joined, names = self._joined(effect), [c.effect for c in self.search.joined]
+        trial = next((t for c, t in reversed(self.search.trials.items()) if c.effect == effect), None)
+        details: dict[str, object] = {"others": " and ".join(names) or "other effects"}
+        if trial is not None:
+            details |= size_details(trial.null, trial.fitted, effect)
+        if joined is not None:
+            group = self.search.rivals.get(effect, ())
+            details |= {"others": ", ".join(group), "share": 100.0 * max(self.share or 0.0, 0.0)}
+            said = reason(why, **details) + self.by_control.get(effect, "")
+            values = errors_of(self.final, effect, self.spread)
+            return replace(found, verdict=verdict, reason=said, group=group, values=values)
+        best = next((e for e, others in self.search.rivals.items() if effect in others), None)
+        if best is not None and verdict == "indistinguishable":
+            group = (best, *(e for e in self.search.rivals[best] if e != effect))
+            said = reason(Reason.OTHER_NAMED, others=best)
+            return replace(found, verdict=verdict, reason=said, group=group)
+        if why is Reason.ABSORBED:
+            assert self.search.first is not None
+            absorbed = self.search.first[0].common.imitators(effect)
+            by = f"{', '.join(absorbed)} take its place" if absorbed else "it hardly moves what was measured"
+            said = reason(why, imitators=by, flights=registered()[effect].separated_by)
+            return replace(found, verdict=verdict, reason=said, group=absorbed)
+        values = {} if trial is None else errors_of(trial.fitted, effect, trial.fitted.scatter(effect))
+        return replace(found, verdict=verdict, reason=reason(why, **details), values=values)

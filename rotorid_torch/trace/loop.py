@@ -2,31 +2,37 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
-from rotorid_torch.core.names import FLAPPING
 from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.model.nominal import rows
+from rotorid_torch.trace.by_control import by_control
+from rotorid_torch.trace.candidate import UNATTRIBUTED, Candidate
 from rotorid_torch.trace.candidates import candidates, untried
-from rotorid_torch.trace.decide import nothing, told
+from rotorid_torch.trace.critical import Draws, Null
+from rotorid_torch.trace.decide import Estimate, decide, estimate, evidence, gain, size_of
+from rotorid_torch.trace.family import TURNED, Family, by_chance
 from rotorid_torch.trace.finding import Finding, Unknown
-from rotorid_torch.trace.findings import findings
+from rotorid_torch.trace.findings import Outcome
 from rotorid_torch.trace.fits import Fitted, Flights, refit
-from rotorid_torch.trace.floor import Floors, Null, family_wise, p_values
-from rotorid_torch.trace.residual import AT_ONCE, chance, left_over, scan
+from rotorid_torch.trace.localisation import in_control_path, localised
+from rotorid_torch.trace.places import explained_trims
 from rotorid_torch.trace.screening_sizes import with_screening_sizes
-from rotorid_torch.trace.search import Say, Search
+from rotorid_torch.trace.search import Say, Search, Trial, observed, of_effects
+from rotorid_torch.trace.settings import SETTINGS
 from rotorid_torch.trace.slips import deflected
-from rotorid_torch.trace.unexplained import unknown
+from rotorid_torch.trace.structure import with_structure
 
 UNJUDGED = "No clean aircraft tells how much of this is ordinary."
 UNCONFIRMED = "No flight was kept back that could confirm it."
-STILL = "which fly in still air, far from the ground: what is left over without a name can not be judged by them"
+STILL = "they fly in still air, far from the ground: what stays without a name is not compared with them"
+DrawClean = Callable[[Null, Sequence[str], Family], Draws | str]
+"""Draws of clean aircraft for a null, effects and the data's family; or, in words, why none can be drawn."""
 
 
 class Named(Protocol):
@@ -57,9 +63,8 @@ class Tracing:
 
     null : the best model without undeclared effects. final : with those accepted. structure, accepted : their ids.
     groups : for an accepted effect the others that explain as much. findings : one of each effect that was tested.
-    unknown : what is left over without a name; unknown_before : what is by the null.
-    spread : standard errors of the accepted effects' parameters by their scatter over flights and controls.
-    sure : whether flight by flight the final model describes segments better than the null by more than chance.
+    unknown : what stays without a name. spread : standard errors of the accepted effects' parameters by their scatter
+    over flights, controls and draws.
     """
 
     null: Named
@@ -70,9 +75,7 @@ class Tracing:
     findings: tuple[Finding, ...]
     notes: tuple[str, ...] = ()
     unknown: Unknown | None = None
-    unknown_before: Unknown | None = None
     spread: Mapping[str, float] = field(default_factory=dict)
-    sure: bool = True
 
 
 def trace(
@@ -80,7 +83,7 @@ def trace(
     start: Mapping[str, float],
     held: Sequence[str],
     flights: Flights,
-    floors: Callable[[Null, Sequence[str]], Floors],
+    draw: DrawClean,
     say: Say = lambda line: None,
     seed: int = 0,
     ranks: Ranks = ALONE,
@@ -90,53 +93,130 @@ def trace(
     Parameters
     ----------
     start : its parameters as identified. held : those that keep their values.
-    floors : gains of these effects on clean aircraft, for the model with its structural effects.
-    say : told what happens, a line at a time. seed : of the shuffled residuals.
+    draw : statistics of effects on clean aircraft, for the model with its structural effects.
+    say : told what happens, a line at a time. seed : of the residuals turned in time.
     ranks : processes that share the candidates, each of which calls this.
     """
-    testable, found = candidates(spec)
+    testable, settled = candidates(spec)
     spec, testable, unmoved = with_screening_sizes(spec, start, flights.dataset, testable)
-    found += unmoved
-    search = Search(flights, tuple(held), Floors({}, ""), say, seed, ranks, dict(start))
     tested = [e for e in testable if registered()[e].role is Role.UNDECLARED]
-    null = search.place(refit(spec, flights, start, held), tested)
-    null = search.structure(null, [e for e in testable if registered()[e].role is Role.STRUCTURE])
-    placed = list(search.placed)
-    structure = tuple(e for e in null.spec.effects if e not in (*spec.effects, *placed))
-    undeclared = [e for e in tested if e not in placed]
-    search.floors = _in_still_air(null, placed, search.held, undeclared, floors)
-    first, _ = search.screened_both(null, undeclared)
-    usual = search.floors.of(first, undeclared)
-    p = p_values(search.evidence(null, undeclared), search.floors)
-    final, joined = search.undeclared(null, undeclared)
-    known = {e: floor for e, (_, floor) in (search.placed | search.gained).items()}
-    final, accepted = search.confirmed(final, [*placed, *joined], known)
+    placed: list[str] = []
+    search = Search(
+        flights, tuple(held), lambda beside, effects: _draws(search, beside, effects, placed, draw, seed), say, ranks
+    )
+    null = refit(spec, flights, start, held)
+    null = _placed(search, null, tested, placed)
+    null, ordinary = with_structure(search, null, [e for e in testable if registered()[e].role is Role.STRUCTURE])
+    structure = tuple(f.id for f in ordinary if f.verdict == "accepted")
+    final = search.back(search.forward(null, tested))
+    idle = [e for e in structure if size_of(final, e).estimate is not Estimate.SIZE]
+    outcome, unknown = _outcome(search, final, tested)
+    accepted = tuple(c.effect for c in search.joined) if outcome.adequate else ()
     if placed:  # the model before has the same structure
         null = refit(null.spec.without(placed), flights, null.values, held, near=null)
-    search.compare_clean(final, accepted)
-    search.compare_controls(final, accepted)
-    before = _missing(null, (), flights, search.floors, seed)
-    # with nothing accepted, what the search made of the null imitates what is missing as well as it can
-    missing = _missing(final, accepted, flights, search.floors, seed) if accepted else before
-    idle = {e: why for e in structure if (why := nothing(final.model, final.error, e)) is not None}
-    for e, why in idle.items():
-        search.refuse(e, why, final)
-    structure = tuple(e for e in structure if e not in idle)
-    tested = findings(search, final, structure, accepted, undeclared, first, usual)
-    found = [replace(f, p=p.get(f.id)) for f in tested] + found
     return Tracing(
         _bare(null, idle),
-        _bare(final, idle),
-        structure,
-        tuple(accepted),
-        search.groups,
-        tuple(found),
-        (search.floors.note, *untried(flights.dataset)),
-        missing,
-        before,
-        search.spread,
-        not accepted or told(final, null),
+        _bare(final, idle) if accepted else _bare(null, idle),
+        tuple(e for e in structure if e not in idle),
+        accepted,
+        {e: others for e, others in search.rivals.items() if e in accepted and others},
+        (*_without(ordinary, idle), *outcome.findings(tested), *settled, *unmoved),
+        (*_notes(search), *untried(flights.dataset)),
+        unknown,
+        outcome.spread,
     )
+
+
+def _draws(
+    search: Search, beside: Family, effects: Sequence[str], placed: Sequence[str], draw: DrawClean, seed: int
+) -> Draws:
+    """Statistics where nothing is missing: of clean aircraft, or of residuals turned in time where none can be drawn.
+
+    Clean aircraft fly in still air far from the ground; what wind or ground leave over these cannot say.
+    """
+    null = beside.null
+    bare = Null(null.spec.without(placed), null.values, search.held)
+    drawn = draw(bare, effects, beside)
+    if isinstance(drawn, str):
+        return by_chance(beside, effects, seed, f"{TURNED}: {drawn}")
+    if not placed:
+        return drawn
+    library = {n: t for n, t in drawn.statistics.items() if not n.startswith(UNATTRIBUTED)}
+    return replace(drawn, statistics=library, note=f"{drawn.note}; {STILL}")
+
+
+def _placed(search: Search, null: Fitted, effects: Sequence[str], placed: list[str]) -> Fitted:
+    """The null with what explains how trims differ from flight to flight: without that, no fit of it means much.
+
+    placed : takes the effects that join.
+    """
+    remaining = list(effects)
+    while found := explained_trims(null.spec, of_effects(null.values, placed), search.flights, remaining):
+        effect, one = next(iter(found.items()))
+        remaining = [e for e in found if e != effect]
+        values = one.start if not placed else of_effects(one.start, [effect])
+        start = {n: v for n, v in values.items() if n not in search.held}
+        spec = null.spec.with_effects(effect)
+        fitted = refit(spec, search.flights, {**null.values, **start}, search.held, near=null)
+        row = observed(null, fitted, Candidate(effect))
+        errors = {n: max(fitted.error(n), one.scatter.get(n, 0.0)) for n in fitted.names}
+        row = replace(row, estimate=estimate(fitted.model, errors, effect).estimate)
+        search.trials[Candidate(effect)] = Trial(Candidate(effect), null, fitted, row)
+        share = f"{effect} explains {100.0 * one.share:.0f} % of what trims of unseen flights differ by"
+        search.say(f"{share}: gain {gain(null, fitted):.3g}, {decide(row)[1].name.lower()}")
+        if decide(row)[0] == "accepted":
+            placed.append(effect)
+            search.joined.append(Candidate(effect))
+            search.scatter.update(one.scatter)
+            null = fitted
+    return null
+
+
+def _outcome(search: Search, final: Fitted, effects: Sequence[str]) -> tuple[Outcome, Unknown | None]:
+    """How the search ended, and what stays without a name."""
+    names = [c.effect for c in search.joined]
+    beside, p = search.beside(final, effects)
+    assert search.first is not None
+    first, _, draws = search.first
+    low = [n for n, one in p.items() if n.startswith(UNATTRIBUTED) and one <= SETTINGS.level]
+    share = None
+    if low and names and draws.clean:
+        explained, left = float(evidence(first.null, final).sum()), beside.nameless(low)
+        share = explained / max(explained + left, 1e-300)
+    unknown = None
+    if low and not (names and share is not None and share > 1.0 - SETTINGS.level):  # else next to nothing stays
+        described = [beside.descriptions.get(n.removeprefix(UNATTRIBUTED)) for n in low]
+        found = [one for one in described if one is not None]
+        unknown = in_control_path(final.flights)
+        if found:
+            unknown = localised(found, beside.residuals, deflected(final.model))
+        doubts = [
+            *([] if draws.clean else [UNJUDGED]),
+            *([] if search.flights.dataset.validate else [UNCONFIRMED]),
+        ]
+        unknown = replace(unknown, sentence=" ".join([unknown.sentence, *doubts]), judged=draws.clean)
+    by_controls, spread = _spread(search, final, draws)
+    return Outcome(search, final, share, by_controls, spread), unknown
+
+
+def _spread(search: Search, final: Fitted, draws: Draws) -> tuple[dict[str, str], dict[str, float]]:
+    """Words on how controls differ, and standard errors by the scatter of sizes over flights, controls and draws."""
+    words: dict[str, str] = {}
+    spread = dict(search.scatter)
+    for effect in (c.effect for c in search.joined):
+        for name, scatter in [*final.scatter(effect).items(), *draws.scatter(effect).items()]:
+            spread[name] = max(spread.get(name, 0.0), scatter)
+        found = by_control(final, effect, search.held)
+        if found is not None:
+            errors = [e for e in (final.error(found.parameter), spread.get(found.parameter, 0.0)) if math.isfinite(e)]
+            spread[found.parameter] = math.hypot(max(errors, default=0.0), found.spread)
+            words[effect] = f"; {found}"
+            search.say(f"{effect}: {found}")
+    return words, spread
+
+
+def _notes(search: Search) -> tuple[str, ...]:
+    return () if search.first is None else (search.first[2].note,)
 
 
 def _bare(fitted: Fitted, idle: Collection[str]) -> Named:
@@ -144,35 +224,7 @@ def _bare(fitted: Fitted, idle: Collection[str]) -> Named:
     return Bare(fitted.spec.without(idle), fitted.values) if idle else fitted
 
 
-def _in_still_air(
-    null: Fitted,
-    placed: Sequence[str],
-    held: Sequence[str],
-    effects: Sequence[str],
-    floors: Callable[[Null, Sequence[str]], Floors],
-) -> Floors:
-    """Floors by clean aircraft in still air far from the ground; what wind or ground leave over these cannot tell."""
-    found = floors(Null(null.spec.without(placed), null.values, tuple(held)), effects)
-    return replace(found, traces={}, note=f"{found.note}, {STILL}") if placed and found.gains else found
-
-
-def _missing(fitted: Fitted, accepted: Sequence[str], flights: Flights, floors: Floors, seed: int) -> Unknown | None:
-    """What a model leaves over without a name, beyond chance, and beyond clean aircraft where any could be drawn.
-
-    Nothing where clean aircraft flew, but not where this one does.
-    """
-    usual = floors.of_traces()
-    if floors.gains and not usual:
-        return None
-    over, unseen = (
-        left_over(fitted.model, flights.dataset, flights.reconstruction, listed, accepted)
-        for listed in (flights.dataset.identify, flights.dataset.unseen)
-    )
-    traces, by_chance = scan(over), family_wise(chance(over, seed))
-    asked = usual or {k: 0.0 for k, t in traces.items() if t.row in (*rows(fitted.spec), *FLAPPING, *AT_ONCE)}
-    levels = {key: max(floor, by_chance[key]) for key, floor in asked.items() if key in by_chance}
-    found = unknown(traces, levels, over, unseen, seed, deflected(fitted.model))
-    if found is None:
-        return None
-    doubts = [*([] if usual else [UNJUDGED]), *([] if flights.dataset.validate else [UNCONFIRMED])]
-    return replace(found, sentence=" ".join([found.sentence, *doubts]), judged=bool(usual))
+def _without(findings: Sequence[Finding], idle: Collection[str]) -> list[Finding]:
+    """The findings, those of structure whose size is nothing rejected."""
+    said = "its size is nothing in the end"
+    return [replace(f, verdict="rejected", reason=said) if f.id in idle else f for f in findings]

@@ -27,31 +27,20 @@ from rotorid_torch.model.nominal import build
 from rotorid_torch.model.rotors import beyond_belief
 from rotorid_torch.trace.balance import out_of_balance
 from rotorid_torch.trace.candidates import ELSEWHERE, NOT_IN_TRAJECTORIES, candidates, untried
-from rotorid_torch.trace.decide import SURE, at_edge
+from rotorid_torch.trace.critical import adjusted_p, critical_values
+from rotorid_torch.trace.decide import Reason, Row, decide, estimate
 from rotorid_torch.trace.finding import Finding
-from rotorid_torch.trace.floor import family_wise
 from rotorid_torch.trace.loop import Tracing
 from rotorid_torch.trace.screening_sizes import with_screening_sizes
-from rotorid_torch.trace.significance import helps
+from rotorid_torch.trace.settings import SETTINGS
+from rotorid_torch.trace.significance import exceeds
+from rotorid_torch.trace.words import reason
 from rotorid_torch.validate.responses import compared
 
 BLOCK_S = 1.0
 """Blocks of the residual that are put in another order: longer than what a motor or a stream is late by."""
 SHUFFLES = 200
 """Orders of the blocks: enough for a quantile of 5 %."""
-ROUNDS = 4
-"""Effects that may join, at most."""
-ABSORBED = {"mass.payload": "rotors.thrust", "mass.inertia": "rotors.power", "mass.cg": "rotors.trim"}
-"""What the free thrust curve, control powers and trims stand for."""
-NONE_OF_MOTORS = {
-    "control.lag": "motor commands lag by propulsion.motor_lag",
-    "control.backlash": "motor commands pass no linkage",
-    "control.rate_limit": "motor commands pass no actuator with a limit",
-    "forces.quadratic_damping": "commands answer the rates: a term by rates takes up what is left of a lag",
-}
-"""What is not tried, and why."""
-COMPANIONS = {"propulsion.motor_lag": "propulsion.rotor_inertia"}
-"""What may come with an effect at once: a rotor that takes time to turn up hands angular momentum to the body."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,20 +78,19 @@ def trace_rotors(
     seed : of the order of the residual's blocks. ranks : processes that share the candidates; each calls this.
     """
     testable, findings = candidates(spec)
-    findings += [Finding(e, "undeclared", "not testable", why) for e, why in NONE_OF_MOTORS.items() if e in testable]
-    undeclared = [e for e in testable if registered()[e].role is Role.UNDECLARED and e not in NONE_OF_MOTORS]
+    undeclared = [e for e in testable if registered()[e].role is Role.UNDECLARED]
     search, null = _Search(dataset, fit, say, seed), fit(spec)
     sized, undeclared, unmoved = with_screening_sizes(null.spec, null.values, dataset, undeclared)
     findings += unmoved
     null = now = replace(null, spec=sized)
-    tried = [e for e in undeclared if e not in ABSORBED]
+    tried = [e for e in undeclared if not registered()[e].absorbed_by(spec)]
     while (joined := search.joined(now, tried, ranks)) is not None:
         now = joined
     final = search.confirmed(now)
     alike = {e: search.in_place_of(final, e, search.near[e]) for e in search.accepted}
     search.groups = {e: others for e, others in alike.items() if others}
     centre, missing = out_of_balance(final.model, final.spec, dataset, dataset.unseen) if spec.motors else (None, None)
-    note = "floors come from residuals whose blocks stand in another order: no clean multirotor is drawn"
+    note = "critical values come from residuals whose blocks stand in another order: no clean multirotor is drawn"
     findings += [search.finding(final, e) for e in undeclared]
     told = tuple(centre if centre and f.id == centre.id else f for f in findings)
     return Tracing(null, final, (), tuple(search.accepted), search.groups, told, (note, *untried(dataset)), missing)
@@ -123,12 +111,14 @@ def rotors_earned(
             continue
         without = fit(whole.spec.without([effect]))
         search.rows = believed([without, whole])
-        floor = search.floors(without, {effect: whole})[effect]
-        why = None if search.stands(without, whole, effect, floor) else search.reasons[effect][0]
-        gained = search.gain_of[effect]
-        verdict = "accepted" if why is None else "rejected" if gained > floor else "below floor"
-        said = why or "accelerations of flights that no fit has seen are better described with it"
-        found.append(Finding(effect, role, verdict, said, gained, floor, values=_errors(whole, effect)))
+        search.observe(without, {effect: whole})
+        trial = search.trials[effect]
+        verdict, why = decide(trial.row)
+        why = Reason.HELPS if verdict == "accepted" else why
+        said = reason(why, **trial.details)
+        found.append(
+            Finding(effect, role, verdict, said, trial.gain, trial.floor, values=_errors(whole, effect), p=trial.p)
+        )
     return found
 
 
@@ -156,6 +146,18 @@ def _again(_: ModelSpec, told: tuple[dict[str, Any], Tensor, dict[str, float]]) 
     return Identified(spec, model, told[2])
 
 
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A candidate identified in full: mean log ratio of errors, its critical value, p, and what was observed."""
+
+    fitted: Identified
+    gain: float
+    floor: float
+    p: float
+    row: Row
+    details: Mapping[str, object]
+
+
 class _Search:
     """What was found on the way."""
 
@@ -164,11 +166,8 @@ class _Search:
         self.chance = torch.Generator().manual_seed(seed)
         self.accepted: list[str] = []
         self.groups: dict[str, tuple[str, ...]] = {}
-        self.floor_of: dict[str, float] = {}
-        self.gain_of: dict[str, float] = {}
-        self.beside: dict[str, tuple[float, float]] = {}
         self.near: dict[str, tuple[str, ...]] = {}
-        self.reasons: dict[str, tuple[str, Identified]] = {}
+        self.trials: dict[str, Trial] = {}
         self.rows: tuple[str, ...] = ()
         self._kept: dict[int, tuple[Identified, Compared]] = {}
 
@@ -211,9 +210,26 @@ class _Search:
         """Mean over the identify flights."""
         return float(self.by_flight(null, other, self.dataset.identify).mean())
 
-    def floors(self, null: Identified, fitted: Mapping[str, Identified]) -> dict[str, float]:
-        """What each candidate's signature would gain on residuals whose blocks stand in another order, family-wise."""
-        return family_wise({e: self._by_chance(null, f) for e, f in fitted.items()})
+    def observe(self, null: Identified, fitted: Mapping[str, Identified]) -> None:
+        """A trial of each candidate: p by its signature on residuals whose blocks stand in another order."""
+        drawn = {e: self._by_chance(null, f) for e, f in fitted.items()}
+        gains = {e: self.gain(null, f) for e, f in fitted.items()}
+        p, floors = adjusted_p(gains, drawn), critical_values(gains, drawn)
+        for effect, one in fitted.items():
+            size = estimate(one.model, one.errors, effect, len(fitted))
+            better = self.by_flight(null, one, self.dataset.unseen)
+            row = Row(significant=p[effect] <= SETTINGS.level, estimate=size.estimate, unseen_better=exceeds(better))
+            details = {
+                "parameter": size.parameter,
+                "value": size.value,
+                "error": size.error,
+                "better": int((better > 0).sum()),
+                "count": len(better),
+                "others": "another effect",
+            }
+            self.trials[effect] = Trial(one, gains[effect], floors[effect], p[effect], row, details)
+            if row.significant:
+                self.say(f"{effect}: gain {gains[effect]:.3g}, p {p[effect]:.3g}: {decide(row)[1].name.lower()}")
 
     def _by_chance(self, null: Identified, other: Identified) -> Tensor:
         before, after, sigma = self.compared(null), self.compared(other), self.sigma(null)
@@ -230,67 +246,44 @@ class _Search:
                 size, count = size + float(signature.square().sum()), count + len(residual)
         return 0.5 * product.square() / max(size, 1e-300) / max(count, 1)
 
-    def accompanied(self, fitted: Identified, companion: str) -> Identified:
-        """The fit with the companion as well, where that gains above its floor and on unseen flights."""
+    def accompanied(self, effect: str, fitted: Identified) -> Identified:
+        """The fit with the effect's companion as well, where that gains more than by chance and on unseen flights.
+
+        No accusation, for every rotor has it: unseen flights alone decide, however few of them tell its size.
+        """
+        companion = registered()[effect].companion
         both = self.fit(fitted.spec.with_effects(companion))
-        gain, floor = self.gain(fitted, both), self.floors(fitted, {companion: both})[companion]
-        if gain <= floor:
-            return fitted
-        self.beside[companion] = gain, floor
-        # no accusation, for every rotor has it: unseen flights alone decide, however few of them tell its size
-        return both if helps(self.by_flight(fitted, both, self.dataset.unseen)) else fitted
+        self.observe(fitted, {companion: both})
+        row = self.trials[companion].row
+        return both if row.significant and row.unseen_better else fitted
 
     def joined(self, now: Identified, tried: Sequence[str], ranks: Ranks) -> Identified | None:
         """The model with the best of the candidates that stand, and its companion; None where none joins."""
         rest = [e for e in tried if e not in self.accepted]
-        fitted = dict(
-            zip(rest, ranks.carry([now.spec.with_effects(e) for e in rest], self.fit, _told, _again), strict=True)
-        )
+        if not rest or len(self.accepted) >= SETTINGS.effects:
+            return None
+        found = ranks.carry([now.spec.with_effects(e) for e in rest], self.fit, _told, _again)
+        fitted = dict(zip(rest, found, strict=True))
         self.rows = believed([now, *fitted.values()])
-        floors = self.floors(now, fitted)
-        for effect, companion in COMPANIONS.items():
-            if effect in fitted and companion in fitted:
-                fitted[effect] = self.accompanied(fitted[effect], companion)
-        standing = [e for e in fitted if self.stands(now, fitted[e], e, floors[e])]
-        if not standing or len(self.accepted) >= ROUNDS:
+        beside: dict[str, Trial] = {}
+        for effect in [e for e in fitted if registered()[e].companion in fitted]:
+            fitted[effect] = self.accompanied(effect, fitted[effect])
+            beside[registered()[effect].companion] = self.trials[registered()[effect].companion]
+        self.observe(now, fitted)
+        standing = [e for e in fitted if decide(self.trials[e].row)[0] == "accepted"]
+        if not standing:
             return None
         best = max(standing, key=lambda e: self.gain(now, fitted[e]))
         joining = [e for e in fitted[best].spec.effects if e not in now.spec.effects]
         self.say(f"{' and '.join(joining)} join{'s' if len(joining) == 1 else ''}")
         self.accepted += joining
-        for e in joining[1:]:  # a companion counts by what it gained beside the first
-            self.gain_of[e], self.floor_of[e] = self.beside[e]
+        self.trials |= {e: beside[e] for e in joining[1:]}  # a companion counts by what it gained beside the first
         self.near |= {e: self.not_told_from(fitted, best, standing) if e == best else () for e in joining}
         return fitted[best]
 
-    def stands(self, null: Identified, fitted: Identified, effect: str, floor: float) -> bool:
-        """Whether nothing speaks against a candidate; why not is kept and said."""
-        reason = self._objection(null, fitted, effect, floor)
-        self.gain_of[effect], self.floor_of[effect] = self.gain(null, fitted), floor
-        if reason is not None:
-            self.reasons[effect] = (reason, fitted)
-        if self.gain_of[effect] > floor:
-            self.say(f"{effect}: gain {self.gain_of[effect]:.3g}, floor {floor:.3g}: {reason or 'stands'}")
-        return reason is None
-
-    def _objection(self, null: Identified, fitted: Identified, effect: str, floor: float) -> str | None:
-        if not self.gain(null, fitted) > floor:
-            return "it explains no more than by chance"
-        edge = at_edge(fitted.model, effect)
-        if edge is not None:
-            return edge
-        if _away(fitted, effect) <= SURE:
-            return f"none of its parameters lies beyond {SURE:g} of its standard errors from nothing"
-        better = self.by_flight(null, fitted, self.dataset.unseen)
-        if not helps(better):
-            return (
-                f"it does not help on flights that no fit has seen ({int((better > 0).sum())} of {len(better)} better)"
-            )
-        return None
-
     def not_told_from(self, fitted: Mapping[str, Identified], best: str, standing: Sequence[str]) -> tuple[str, ...]:
         """Candidates that flights which no fit has seen do not tell from the best."""
-        told = {e: helps(self.by_flight(fitted[e], fitted[best], self.dataset.unseen)) for e in standing if e != best}
+        told = {e: exceeds(self.by_flight(fitted[e], fitted[best], self.dataset.unseen)) for e in standing if e != best}
         return tuple(e for e, better in told.items() if not better)
 
     def in_place_of(self, final: Identified, effect: str, others: Sequence[str]) -> tuple[str, ...]:
@@ -298,44 +291,43 @@ class _Search:
         rivals = [e for e in others if e not in self.accepted]
         swapped = {e: tuple(e if own == effect else own for own in final.spec.effects) for e in rivals}
         fitted = {e: self.fit(msgspec.structs.replace(final.spec, effects=them)) for e, them in swapped.items()}
-        return tuple(e for e, f in fitted.items() if not helps(self.by_flight(f, final, self.dataset.unseen)))
+        return tuple(e for e, f in fitted.items() if not exceeds(self.by_flight(f, final, self.dataset.unseen)))
 
     def confirmed(self, final: Identified) -> Identified:
         """Each accepted effect tested again beside the others; those that explain nothing more are taken out."""
         for effect in list(self.accepted) if len(self.accepted) > 1 else []:
             without = self.fit(final.spec.without([effect]))
-            if self.gain(without, final) <= self.floors(without, {effect: final})[effect]:
+            self.observe(without, {effect: final})
+            trial = self.trials[effect]
+            if not trial.row.significant:
                 self.accepted.remove(effect)
-                self.reasons[effect] = ("beside the others it explains nothing more", final)
+                self.trials[effect] = replace(
+                    trial, row=replace(trial.row, significant=True, still=False, in_set=False)
+                )
                 final = without
         return final
 
     def finding(self, final: Identified, effect: str) -> Finding:
         """What came of a candidate."""
-        if effect in ABSORBED:
-            said = f"{ABSORBED[effect]} stand for it in these flights; weigh the vehicle, or swing it, to tell"
-            return Finding(effect, "undeclared", "indistinguishable", said, group=(ABSORBED[effect],))
+        absorbed = registered()[effect].absorbed_by(final.spec)
+        if absorbed:
+            said = f"{absorbed} stand for it in these flights; weigh the vehicle, or swing it, to tell"
+            return Finding(effect, "undeclared", "indistinguishable", said, group=(absorbed,))
         within = {e: best for best, others in self.groups.items() for e in others}
-        group = self.groups.get(effect, ())
-        gain, floor = self.gain_of[effect], self.floor_of[effect]
-        values = _errors(final, effect)
-        if effect in self.accepted and group:
-            verdict, said = "indistinguishable", f"something of this kind acts, or {' or '.join(group)}"
-        elif effect in self.accepted:
-            verdict, said = "accepted", "accelerations of flights that no fit has seen are better described too"
-        elif effect in within:
-            verdict, said, group = "indistinguishable", f"not to be told from {within[effect]}", (within[effect],)
-        else:
-            said, last = self.reasons.get(effect, ("another effect explains it better", final))
-            verdict, values = "rejected" if gain > floor else "below floor", _errors(last, effect)
-        return Finding(effect, "undeclared", verdict, said, gain, floor, group=group, values=values)
-
-
-def _away(fitted: Identified, effect: str) -> float:
-    """Standard errors by which the surest parameter of an effect lies from nothing."""
-    nulls = {p.name: p.value for p in fitted.model.parameter_set.parameters}
-    own = {n: e for n, e in fitted.errors.items() if n.startswith(f"{effect}.")}
-    return max((abs(fitted.values[n] - nulls[n]) / max(e, 1e-300) for n, e in own.items()), default=0.0)
+        trial, group = self.trials[effect], self.groups.get(effect, ())
+        found = Finding(effect, "undeclared", "accepted", "", trial.gain, trial.floor, p=trial.p)
+        if effect in within:
+            best = within[effect]
+            said = reason(Reason.OTHER_NAMED, others=best)
+            return replace(found, verdict="indistinguishable", reason=said, group=(best,))
+        joined = effect in self.accepted
+        stands = decide(trial.row)[0] == "accepted"
+        row = replace(trial.row, in_set=joined or not stands, alone=not group)
+        verdict, why = decide(row)
+        why = Reason.HELPS if verdict == "accepted" else why
+        said = reason(why, **{**trial.details, "others": " or ".join(group) or " and ".join(self.accepted)})
+        values = _errors(final if joined else trial.fitted, effect)
+        return replace(found, verdict=verdict, reason=said, group=group, values=values)
 
 
 def _errors(model: Identified, effect: str) -> dict[str, tuple[float, float]]:

@@ -20,11 +20,11 @@ from rotorid_torch.identification.gauss_newton import Options
 from rotorid_torch.identification.segments import Records, cut
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
-from rotorid_torch.trace.decide import gain, unseen_gain
+from rotorid_torch.trace.decide import gain, unseen_evidence
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.fits import SEGMENT_S, Fitted, Flights, Residual, refit
 from rotorid_torch.trace.residual import ALIKE_S, LeftOver, left_over
-from rotorid_torch.trace.significance import helps
+from rotorid_torch.trace.significance import exceeds
 
 STARTS = 2
 """Draws of the hidden layer that training begins from."""
@@ -91,13 +91,13 @@ def learn(
     """
     chance = torch.Generator().manual_seed(seed)
     fitted = trained(null, held, seed)
-    better = unseen_gain(null, fitted)
+    better = unseen_evidence(null, fitted)
     say(f"network: gain {gain(null, fitted):.3g} per sample, errors of unseen flights fall by {_percent(better)}")
     by_chance = []
-    for _ in range(MEANINGLESS if helps(better) else 0):
+    for _ in range(MEANINGLESS if exceeds(better) else 0):
         turn = drawn_turn(null, chance)
         base = refit(null.spec, turned(null, turn), null.values, held)
-        found = unseen_gain(base, trained(base, held, seed, turn))
+        found = unseen_evidence(base, trained(base, held, seed, turn))
         by_chance.append(float(found.mean()))
         say(f"network: where nothing is to be learnt they fall by {_percent(found)}")
     return Learnt(null, fitted, better, tuple(by_chance))

@@ -23,9 +23,7 @@ from rotorid_torch.identification.step2 import regress_model, trims_of_flights
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.fits import Flights
-
-EXPLAINED = 0.5
-"""Share of the differences between flights that no fit has seen which an effect explains if it is worth a full fit."""
+from rotorid_torch.trace.settings import SETTINGS
 
 
 @dataclass(frozen=True)
@@ -74,7 +72,7 @@ def explained_trims(
     derivatives = dict(zip(nominal.parameter_set.names, theta.tolist(), strict=True))
     found = {e: _explained(model, e, derivatives, spec.sizes, flights) for e, model in placed.items()}
     best = sorted(found.items(), key=lambda one: -one[1].share)
-    return {e: one for e, one in best if one.share >= EXPLAINED}
+    return {e: one for e, one in best if one.share >= SETTINGS.trims}
 
 
 def _apart(dataset: Dataset, channel: str | None) -> bool:
@@ -111,7 +109,7 @@ def _explained(
     scatter = ((count - 1) / count * (jackknife - jackknife.mean(0)).square().sum(0)).sqrt()
     share, names = 1.0 - left / max(differ, 1e-300), [p.name for p in own]
     model.start_from(dict(zip(names, _sizes(own, seen).tolist(), strict=True)))
-    if share >= EXPLAINED:
+    if share >= SETTINGS.trims:
         beside = regress_model(model, dataset, flights.reconstruction).theta
         with torch.no_grad():
             model.theta.copy_(beside)

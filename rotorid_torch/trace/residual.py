@@ -23,7 +23,7 @@ from rotorid_torch.identification.reconstruct import Reconstruction
 from rotorid_torch.identification.step2 import Measured, measured
 from rotorid_torch.model.flapping import Flapping
 from rotorid_torch.model.model import Model
-from rotorid_torch.trace.floor import FALSE_ALARMS
+from rotorid_torch.trace.settings import SETTINGS
 from rotorid_torch.trace.significance import turned
 
 RATE = 20.0
@@ -45,40 +45,10 @@ AT_ONCE = {f"{name} at once": name for name in FLAPPING}
 whatever else moves it, are no linear terms of these."""
 TIME = "time"
 """What a step goes with."""
-SHUFFLES = 60
-"""Residuals turned in time: the least weight that what goes with nothing reaches by chance."""
 
 
-@dataclass(frozen=True)
-class Trace:
-    """The best description, of a kind, of what an equation leaves over: what it goes with and how, since when.
-
-    row : the equation. size : its rms. share : of the square of all that linear terms leave over. weight : what counts
-    against the floor, the size times its correlation with the rest: what is large must also stand out, for no model of
-    other people's aircraft is perfect.
-    """
-
-    row: str
-    goes_with: str
-    shape: str
-    since_s: float | None
-    size: float
-    share: float
-
-    @property
-    def key(self) -> str:
-        """Equation and kind, each with a floor of its own: ordinary aircraft leave curves over, hardly ever a step."""
-        return _key(self.row, self.named)
-
-    @property
-    def named(self) -> Named:
-        """What it goes with, how, since when."""
-        return self.goes_with, self.shape, self.since_s
-
-    @property
-    def weight(self) -> float:
-        """Its rms times its correlation with what is left over."""
-        return self.size * self.share**0.5
+Named = tuple[str, str, float | None]
+"""What something goes with, how, since when."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,62 +202,27 @@ def loads(frame: Frame) -> Tensor:
     return torch.cat([force, none if frame.moment is None else frame.moment], dim=-1)
 
 
-def scan(left: LeftOver) -> dict[str, Trace]:
-    """The best trace of each equation and kind."""
-    names, columns = _tried(left)
-    found = {}
-    for k, row in enumerate(left.rows):
-        sizes, shares = _fitted(left, columns, left.residual[:, k, None], k)
-        for key, places in _kinds(row, names).items():
-            found[key] = _best(row, [names[i] for i in places], sizes[places], shares[places])
-    return found
-
-
-def chance(left: LeftOver, seed: int) -> dict[str, Tensor]:
-    """Weight of the best trace of each equation and kind in residuals that know nothing of the motion [R]."""
-    (names, columns), residuals = _tried(left), by_chance(left, seed)
-    found = {}
-    for k, row in enumerate(left.rows):
-        sizes, shares = _fitted(left, columns, residuals[:, k], k)
-        weights = sizes * shares.sqrt()
-        found |= {key: weights[places].amax(dim=0) for key, places in _kinds(row, names).items()}
-    return found
-
-
-def _key(row: str, named: Named) -> str:
-    goes_with, _, since_s = named
-    return f"{row}, {'curve' if since_s is None else 'step' if goes_with == TIME else 'onset'}"
-
-
-def _kinds(row: str, names: Sequence[Named]) -> dict[str, list[int]]:
-    """Places of each kind among what an equation may go with."""
-    found: dict[str, list[int]] = {}
-    for i, named in enumerate(names):
-        found.setdefault(_key(row, named), []).append(i)
-    return found
-
-
-def by_chance(left: LeftOver, seed: int) -> Tensor:
-    """Residuals of all flights that know nothing of the motion [N, rows, R].
+def by_chance(left: LeftOver, count: int, seed: int) -> Tensor:
+    """So many residuals R of all flights that know nothing of the motion [N, rows, R].
 
     Turned in time, what linear terms take up is no linear term any more, and would look like chance: as much of it is
     kept as they take of what knows nothing, in 95 % of the turns.
     """
     over = torch.cat([left.beyond(left.residual[:, k, None], k) for k in range(len(left.rows))], dim=1)
-    whole, rest = (_turned(left, values, seed) for values in (left.residual, over))
+    whole, rest = (_turned(left, values, count, seed) for values in (left.residual, over))
     size = torch.linalg.vector_norm
     beyond = torch.stack([left.beyond(whole[:, k], k) for k in range(len(left.rows))], dim=1)
     shares = 1.0 - (size(beyond, dim=0) / size(whole, dim=0).clamp_min(1e-300)).square()
-    most = shares.quantile(1.0 - FALSE_ALARMS, dim=1).clamp(0.0, 1.0 - 1e-12)
+    most = shares.quantile(1.0 - SETTINGS.level, dim=1).clamp(0.0, 1.0 - 1e-12)
     usual = (most / (1.0 - most)).sqrt() * size(over, dim=0)
     kept = (usual / size(left.residual - over, dim=0).clamp_min(1e-300)).clamp_max(1.0)[:, None]
     return kept * whole + (1.0 - kept) * rest
 
 
-def _turned(left: LeftOver, values: Tensor, seed: int) -> Tensor:
+def _turned(left: LeftOver, values: Tensor, count: int, seed: int) -> Tensor:
     """Values of all flights [N, rows] turned in time, each flight by itself [N, rows, R]."""
     generator = torch.Generator().manual_seed(seed)
-    return torch.cat([turned(values[left.flight == f], SHUFFLES, generator) for f in left.flight.unique()])
+    return torch.cat([turned(values[left.flight == f], count, generator) for f in left.flight.unique()])
 
 
 def less_steps(left: LeftOver, onset: float) -> LeftOver:
@@ -297,36 +232,7 @@ def less_steps(left: LeftOver, onset: float) -> LeftOver:
     return replace(left, linear=torch.cat([left.linear, steps], dim=1))
 
 
-def _tried(left: LeftOver) -> tuple[list[Named], Tensor]:
-    """All that something may go with, and its columns [N, m]."""
-    named = [*_shapes(left, left.usual), *_onsets(left)]
-    return [name for name, _ in named], torch.stack([column for _, column in named], dim=-1)
-
-
-def _fitted(left: LeftOver, columns: Tensor, residual: Tensor, row: int) -> tuple[Tensor, Tensor]:
-    """Rms that each column explains of residuals [N, r] of an equation, and its share of their squares: [m, r]."""
-    tried, over = left.beyond(columns, row), left.beyond(residual, row) / len(residual) ** 0.5
-    sizes = ((tried / tried.norm(dim=0).clamp_min(1e-300)).mT @ over).abs()
-    return sizes, (sizes / over.norm(dim=0).clamp_min(1e-300)).square()
-
-
-def _best(row: str, names: Sequence[Named], sizes: Tensor, shares: Tensor) -> Trace:
-    """What explains most."""
-    i = int(sizes[:, 0].argmax())
-    return Trace(row, *names[i], size=float(sizes[i, 0]), share=float(shares[i, 0]))
-
-
-def column(trace: Trace, left: LeftOver, usual: Tensor) -> Tensor:
-    """What a trace goes with on other flights [N]; zero where they end before it begins. usual : size of signals."""
-    columns = dict([*_shapes(left, usual), *_onsets(left)])
-    return columns.get(trace.named, torch.zeros_like(left.time))
-
-
-Named = tuple[str, str, float | None]
-"""What something goes with, how, since when."""
-
-
-def _shapes(left: LeftOver, usual: Tensor) -> Iterator[tuple[Named, Tensor]]:
+def shapes(left: LeftOver, usual: Tensor) -> Iterator[tuple[Named, Tensor]]:
     """What the motion and the controls, of usual sizes [k], make beyond linear terms."""
     for i, j in combinations_with_replacement(range(len(left.names)), 2):
         a, b = left.signals[:, i], left.signals[:, j]
@@ -338,7 +244,7 @@ def _shapes(left: LeftOver, usual: Tensor) -> Iterator[tuple[Named, Tensor]]:
             yield (f"{left.names[i]} {left.names[j]}", "by their product", None), a * b
 
 
-def _onsets(left: LeftOver) -> Iterator[tuple[Named, Tensor]]:
+def onsets(left: LeftOver) -> Iterator[tuple[Named, Tensor]]:
     """What begins at some time and goes on linearly; nothing in flights too short to have a middle."""
     end = max(float(left.time.max()) - EDGE_S, EDGE_S)
     for onset in torch.arange(EDGE_S, end, ONSET_S, dtype=torch.float64).tolist():

@@ -15,12 +15,14 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 
+import msgspec
 import torch
 from torch import Tensor
 
 from rotorid_torch.core.bounded_least_squares import bounded_least_squares
 from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.effects.base import Stage
+from rotorid_torch.effects.record import smoothed
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.likelihood import Likelihood, Place
 from rotorid_torch.identification.segments import Records, Segments
@@ -29,7 +31,7 @@ from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.candidates import of_control_path
 from rotorid_torch.trace.evidence import FlightEquations, eliminating
-from rotorid_torch.trace.fits import Fitted, control_by_control
+from rotorid_torch.trace.fits import Fitted
 from rotorid_torch.trace.significance import turned
 from rotorid_torch.validate.free_run import Runs
 
@@ -37,10 +39,12 @@ PROBE = 1e-4
 """Perturbation of a state for its derivative, in the state's unit."""
 IMITATORS = 3
 """Parameters named as those that take an effect's place."""
-SHUFFLES = 60
-"""Shuffled residuals: the least gain that structured residuals bring by chance."""
 HALVINGS = 6
 """Times that a typical size is halved, at most, where a trajectory with it leaves all that was measured."""
+LARGEST = 1e3
+"""Times its typical size at which an effect is looked for, at most."""
+BISECTIONS = 40
+"""Of a size that flights show."""
 MOVED = 20.0
 """Times its noise that an output must range over to say what is large; noise alone ranges over 6 to 10 times."""
 
@@ -50,6 +54,7 @@ class Signature:
     """One direction of one candidate: its parameter's full name, null, the size it was simulated at, and its bounds.
 
     beside : other parameters of the effect, and where they were. size : which of the sizes it is met at this one is.
+    order : of the derivative of the controls that a pseudo-effect of the control path adds to the controls; else zero.
     """
 
     effect: str
@@ -60,6 +65,7 @@ class Signature:
     unit: str
     beside: tuple[tuple[str, float], ...] = ()
     size: int = 0
+    order: int = 0
 
     @property
     def step(self) -> float:
@@ -78,6 +84,18 @@ class Signature:
         return low, high
 
 
+PATH = "control path"
+"""The pseudo-effect of whatever filter lies between recorded controls and rotor, u + a du/dt + b d2u/dt2."""
+PATH_S = 0.06
+"""s: time constant at which the pseudo-effect is simulated, that of a usual delay."""
+WIDTH_S = 0.1
+"""s: smoothing of controls that are differentiated; their noise is not what acts."""
+PSEUDO = tuple(
+    Signature(PATH, f"{PATH}.{order}", 0.0, PATH_S**order, (-math.inf, math.inf), unit, order=order)
+    for order, unit in ((1, "s"), (2, "s2"))
+)
+
+
 @dataclass(frozen=True, eq=False)
 class Screen:
     """Normal equations of all signatures and the residual, the fitted model projected out, flight by flight.
@@ -87,6 +105,7 @@ class Screen:
     samples : measured values.
     absorbed : for each signature the parameters of the fitted model that imitate most of it.
     equations : the same normal equations before the fitted model was projected out, and those of unseen flights.
+    residuals : how many residuals there are, that of the data first.
     """
 
     signatures: tuple[Signature, ...]
@@ -94,7 +113,8 @@ class Screen:
     raw: Tensor
     samples: float
     absorbed: tuple[tuple[str, ...], ...]
-    equations: FlightEquations | None = None
+    equations: FlightEquations
+    residuals: int = 1
     _chosen: dict[str, list[int]] = field(default_factory=dict, repr=False)
 
     @property
@@ -122,28 +142,35 @@ class Screen:
         """Over all flights."""
         return self.products.sum(0)
 
-    def gain(self, effects: Sequence[str], given: Sequence[str] = ()) -> float:
-        """Fall of minus log-likelihood per sample if the effects join, beyond what those given explain."""
-        both, known = (self._explained(self.places(e)) for e in ((*given, *effects), given))
-        return (both - known) / self.samples
-
-    def evidence(self, effect: str) -> Tensor:
+    def evidence(self, effect: str, residual: int = 0) -> Tensor:
         """How much better flights are predicted with the effect than without, estimated from other flights [F + V].
 
-        At the size and with the other parameters where that is largest over all flights.
+        At the size and with the other parameters where that is largest over all flights. residual : which of them.
         """
-        assert self.equations is not None
         gains = []
         for which in self._variants(effect):
             low, high = torch.tensor([self.signatures[i].reach for i in which], dtype=torch.float64).mT
-            gains.append(self.equations.held_out(which, low, high))
+            gains.append(self.equations.held_out(which, low, high, residual))
         return max(gains, key=lambda d: float(d.sum()))
 
-    def by_chance(self, effect: str) -> Tensor:
-        """The same gain against residuals of the same colour that cannot know of the controls [R]."""
-        columns = range(len(self.signatures) + 1, self.total.shape[-1])
-        found = [max(self._explained(which, c) for which in self._variants(effect)) for c in columns]
-        return torch.tensor(found, dtype=torch.float64) / self.samples
+    def expected(self, effect: str, share: float = 1.0) -> float:
+        """The statistic T that the effect gives at a share of its typical size, in its least visible direction."""
+        return min((self.equations.expected(i, share) for i in self._usual(effect)), default=0.0)
+
+    def visible(self, effect: str, statistic: float) -> tuple[float, str] | None:
+        """Size at which the effect is expected to give a statistic T, and its unit: of its first parameter.
+
+        None where no size does.
+        """
+        which = self._usual(effect)
+        if not which or self.expected(effect, LARGEST) < statistic:
+            return None
+        low, high = 0.0, LARGEST
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (low + high) if low else high / 2.0
+            low, high = (low, middle) if self.expected(effect, middle) >= statistic else (middle, high)
+        first = self.signatures[which[0]]
+        return abs(first.step) * high, first.unit
 
     def sizes(self, effects: Sequence[str]) -> dict[str, float]:
         """Best value of each parameter of these effects, by the straight line through null and typical size."""
@@ -179,10 +206,6 @@ class Screen:
         """Signatures of an effect at its typical size: what flights show of it does not hang on what they hold."""
         typical = [which for which in self._variants(effect) if self.signatures[which[0]].size == 0]
         return max(typical, key=self._explained, default=[])
-
-    def shown(self, effect: str) -> float:
-        """Gain per sample that the effect at its typical size would bring, in its least visible direction."""
-        return 0.5 * float(self.total.diagonal()[self._usual(effect)].min()) / self.samples
 
     def left(self, effect: str) -> float:
         """Share of the signature that initial states, trims and derivatives cannot imitate."""
@@ -227,7 +250,7 @@ def signatures(model: Model, effects: Sequence[str]) -> tuple[Signature, ...]:
     return tuple(found)
 
 
-def screen(null: Fitted, effects: Sequence[str], shuffles: int = SHUFFLES, seed: int = 0) -> Screen:
+def screen(null: Fitted, effects: Sequence[str], shuffles: int = 0, seed: int = 0) -> Screen:
     """Signatures of effects that the null does not have, against its residual.
 
     shuffles : residuals made by turning each flight's residual in time by a random stretch, with a random sign.
@@ -237,7 +260,7 @@ def screen(null: Fitted, effects: Sequence[str], shuffles: int = SHUFFLES, seed:
 
 @torch.no_grad()
 def screens(
-    null: Fitted, groups: Sequence[tuple[ModelSpec, Sequence[str]]], shuffles: int = SHUFFLES, seed: int = 0
+    null: Fitted, groups: Sequence[tuple[ModelSpec, Sequence[str]]], shuffles: int = 0, seed: int = 0
 ) -> list[Screen]:
     """The same of several groups of effects, each with the spec that its effects join, in one pass over the flights."""
     probes = [_Probe.of(null, spec, effects) for spec, effects in groups]
@@ -249,9 +272,9 @@ def screens(
     fitted = _Linearised(problem, place, null.flights.dataset.identify, keep)
     products, raw = _products(probes, fitted, shuffles, chance)
     listed = null.flights.dataset.validate
-    unseen = products.new_zeros(len(listed), *products.shape[1:])  # nothing is told where the null flies away
+    unseen = products.new_zeros(len(listed), *products.shape[1:])  # no evidence where the null flies away
     if listed and math.isfinite(null.on_unseen[1].cost):
-        unseen, _ = _products(probes, _Linearised(*null.on_unseen, listed, keep), 0, chance)
+        unseen, _ = _products(probes, _Linearised(*null.on_unseen, listed, keep), shuffles, chance)
     prior_rows, prior_rest = problem.prior_rows(place)
     none = prior_rest.new_zeros(len(prior_rest), sum(counts))
     prior = torch.cat([prior_rows[:, keep], none, prior_rest[:, None], prior_rest.new_zeros(len(none), shuffles)], 1)
@@ -260,21 +283,26 @@ def screens(
     screened, first, behind = [], 0, list(range(sum(counts), left.shape[-1]))
     for probe, count in zip(probes, counts, strict=True):
         mine = list(range(first, first + count))
-        whole = [*range(len(names)), *(len(names) + k for k in (*mine, behind[0]))]
-        equations = FlightEquations(_block(products, whole), _block(unseen, whole), _block(prior, whole), len(names))
+        whole = [*range(len(names)), *(len(names) + k for k in (*mine, *behind))]
+        ours, theirs, before = (_block(matrices, whole) for matrices in (products, unseen, prior))
+        equations = FlightEquations(ours, theirs, before, len(names), len(behind))
         absorbed = tuple([_largest(tuple(names), shares[:, k]) for k in mine])
         projected = _block(left, [*mine, *behind])
-        screened.append(Screen(probe.chosen, projected, raw[mine], null.per_sample, absorbed, equations))
+        screened.append(Screen(probe.chosen, projected, raw[mine], null.per_sample, absorbed, equations, len(behind)))
         first += count
     return screened
 
 
 def both_screens(
-    null: Fitted, effects: Sequence[str], shuffles: int = SHUFFLES, seed: int = 0
+    null: Fitted, effects: Sequence[str], each_control: Sequence[str], shuffles: int = 0, seed: int = 0
 ) -> tuple[Screen, Screen]:
-    """Effects with one size for all controls, and those of the control path with a size of each control."""
-    path = of_control_path(effects)
-    common, each = screens(null, [(null.spec, effects), (control_by_control(null, path).spec, path)], shuffles, seed)
+    """Effects with one size for all controls, and those of the control path with a size of each control.
+
+    each_control : effects of which those of the control path are screened with a size of each control.
+    """
+    path = of_control_path(each_control) if len(null.spec.controls) > 1 else []
+    richer = msgspec.structs.replace(null.spec, each_control=(*null.spec.each_control, *path))
+    common, each = screens(null, [(null.spec, effects), (richer, path)], shuffles, seed)
     return common, each
 
 
@@ -339,9 +367,10 @@ class _Probe:
     @classmethod
     def of(cls, null: Fitted, spec: ModelSpec, effects: Sequence[str]) -> _Probe:
         """Of effects that join a spec."""
-        model = build(spec.with_effects(*effects))
+        library = [e for e in effects if e != PATH]
+        model = build(spec.with_effects(*library))
         model.start_from(null.values)
-        return cls(null, model, signatures(model, effects))
+        return cls(null, model, signatures(model, library) + (PSEUDO if PATH in effects else ()))
 
     def changes(
         self, records: Records, names: Sequence[str], tapes: _Tapes, segments: Segments, states: Tensor
@@ -362,8 +391,11 @@ class _Probe:
             while True:
                 tried = replace(one, typical=one.null + 0.5**k * one.step) if k else one
                 with sized(self.model, tried):
-                    tape = tapes.of.get(one, tapes.none)
-                    own = self.model.tape(records.controls, records.dt) if k and one in tapes.of else tape
+                    own = tapes.of.get(one, tapes.none)
+                    if k and one.order:
+                        own = tapes.none + 0.5**k * (own - tapes.none)
+                    elif k and one in tapes.of:
+                        own = self.model.tape(records.controls, records.dt)
                     change = self.run(start, segments.take(own), segments.dt)[1] - base
                 if k == HALVINGS or bool((change.abs() <= most).all()):
                     return 2.0**k * change
@@ -384,18 +416,24 @@ class _Tapes:
 def sized(model: Model, one: Signature) -> Iterator[None]:
     """The model with one signature at its typical size, and back again."""
     with model.restored():
-        model.start_from(dict((*one.beside, (one.parameter, one.typical))))
+        if not one.order:
+            model.start_from(dict((*one.beside, (one.parameter, one.typical))))
         yield
 
 
 def _tapes(model: Model, records: Records, chosen: Sequence[Signature]) -> _Tapes:
     """Once for all segments: rate limits and plays go through a record sample by sample."""
     paths, tapes = [e.id for e in model.chain if e.stage is Stage.CONTROL], {}
+    none = model.tape(records.controls, records.dt)
+    moved = none
+    for one in (s for s in chosen if s.order):
+        moved = torch.gradient(smoothed(moved, max(1, round(WIDTH_S / records.dt))), spacing=records.dt, dim=-2)[0]
+        tapes[one] = none + one.step * moved
     for one in chosen:
         if one.effect in paths:
             with sized(model, one):
                 tapes[one] = model.tape(records.controls, records.dt)
-    return _Tapes(model.tape(records.controls, records.dt), tapes)
+    return _Tapes(none, tapes)
 
 
 def output_ranges(outputs: Tensor, noise: Tensor) -> Tensor:

@@ -9,8 +9,7 @@ import torch
 from scipy.special import ndtr, stdtrit
 from torch import Tensor
 
-FAR = math.log(10.0)
-"""Log ratio of errors beyond which a model flies away."""
+from rotorid_torch.trace.settings import SETTINGS
 
 
 def normal_quantile(upper_tail: float) -> float:
@@ -23,14 +22,13 @@ def student_quantile(normal: float, freedom: float) -> float:
     return math.copysign(float(stdtrit(freedom, ndtr(-abs(normal)))), normal)
 
 
-def helps(better: Tensor) -> bool:
-    """Whether unseen flights [F] gain, by log ratios: in the mean by more than its standard error, and half of them.
-
-    One in which a model flew away tells no more than that it did.
-    """
-    count, limited = len(better), better.clamp(-FAR, FAR)
-    error = float(limited.std() / math.sqrt(count)) if count > 1 else 0.0
-    return float(limited.mean()) > error and int((better > 0).sum()) * 2 >= count
+def exceeds(better: Tensor, confidence: float = SETTINGS.confidence) -> bool:
+    """Whether the mean of log ratios [F] lies above zero, by a one-sided t-test; of one flight, whether it does."""
+    better = better[better.isfinite()]
+    if len(better) < 2:
+        return bool((better > 0.0).any())
+    error = float(better.std()) / math.sqrt(len(better))
+    return float(better.mean()) > float(stdtrit(len(better) - 1, confidence)) * error
 
 
 def turned(record: Tensor, count: int, chance: torch.Generator) -> Tensor:

@@ -9,13 +9,8 @@ import torch
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS
 from rotorid_torch.model.model import Model
 from rotorid_torch.trace.residual import AT_ONCE, SECOND_ORDER, LeftOver, loads, on_measured
+from rotorid_torch.trace.settings import SETTINGS
 
-LIKE = 0.9
-"""Part of the square of the steps in all equations that one control's deflection must make.
-
-Controls of other people's simulators that lose their place make 0.987 to 0.998 of it, their other controls at most
-0.47.
-"""
 DEFLECTION = 1e-3
 """By which controls are moved for what they do, rad or as declared."""
 Deflected = Mapping[str, Mapping[str, float]]
@@ -45,8 +40,8 @@ def slipped(row: str, onset: float, left: LeftOver, unseen: LeftOver, does: Defl
     """
     rows = tuple(AT_ONCE) if row in (*FLAPPING, *AT_ONCE) else (*FORCES, *MOMENTS)
     here, there = (_likeness(rows, onset, side, does) for side in (left, unseen))
-    alike = [control for control in here if here[control] ** 2 >= LIKE]
-    again = [c for c in alike if here[c] * there.get(c, 0.0) > 0.0 and there[c] ** 2 >= LIKE]
+    alike = [control for control in here if here[control] ** 2 >= SETTINGS.slipped]
+    again = [c for c in alike if here[c] * there.get(c, 0.0) > 0.0 and there[c] ** 2 >= SETTINGS.slipped]
     return again[0] if alike == again and len(again) == 1 else None
 
 

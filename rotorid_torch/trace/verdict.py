@@ -53,8 +53,11 @@ def _stated(findings: Sequence[Finding], unknown: Unknown | None, failing: bool)
         return Statement("group", (*(f.id for f in named), *members), said)
     if named:
         return Statement("undeclared", tuple(f.id for f in named), f"Undeclared: {_listed(named)}.{more}")
-    if unknown:
-        return Statement("unknown", (), unknown.sentence)
+    suspected = [f for f in findings if f.role == "undeclared" and f.verdict == "suspected"]
+    if unknown or suspected:
+        missing = unknown.sentence if unknown else "Something is missing that these flights do not name."
+        part = f" Suspected, for it explains a part: {_listed(suspected)}." if suspected else ""
+        return Statement("unknown", (), missing + part)
     nothing = NAMELESS if failing else "Nothing undeclared was found"
     if structure:
         said = f"{nothing}; ordinary physics joins the model: {_listed(structure)}."

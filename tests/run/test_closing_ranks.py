@@ -1,4 +1,4 @@
-"""The closed loop by several processes: the report of one, a lost one told, the clean aircraft of the floors shared."""
+"""The closed loop by several processes: the report of one, a lost one told, the clean aircraft shared."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from rotorid_torch.errors import InputError
 from rotorid_torch.run.closing import close_loop
 from rotorid_torch.run.records import Report, read_report
 from rotorid_torch.trace import loop
+from rotorid_torch.trace.settings import SETTINGS
 from tests.helpers import ROOT
 from tests.known_models import flown, manoeuvres, rate_vehicle, with_values, written
 from tests.processes import ended, of_ranks, wait_until, write_earlier
@@ -28,30 +29,33 @@ FEW_CANDIDATES = """
 import sys
 from rotorid_torch import cli
 from rotorid_torch.trace import loop
+from rotorid_torch.trace.settings import SETTINGS
 loop.candidates = lambda spec: (sys.argv[1].split(), [])
 sys.exit(cli.main(sys.argv[2:]))
 """
 PROGRAM = [sys.executable, "-m", "rotorid_torch", "close-loop"]
-FLOORS = """
+DRAWS = """
 import json, os, sys
 from pathlib import Path
+from types import SimpleNamespace
 from rotorid_torch.core.cache import cache_folder
 from rotorid_torch.core.ranks import ranks_of_torchrun
 from rotorid_torch.fly import drawn
 from rotorid_torch.identification.reconstruct import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.data import load
-from rotorid_torch.trace import clean
-from rotorid_torch.trace.floor import Null
-dataset, worker, told = load(sys.argv[1]), sys.argv[2], []
+from rotorid_torch.trace import clean_aircraft
+from rotorid_torch.trace.critical import Null
+dataset, worker, seen, told = load(sys.argv[1]), sys.argv[2], float(sys.argv[3]), []
 drawn.undrawable = lambda dataset: None
-spec = propose(dataset, reconstruct(dataset), ())
+observed = SimpleNamespace(contest={"control.delay": seen}, least={})
+null = Null(propose(dataset, reconstruct(dataset), ()), {})
 sys.executable = worker
 with ranks_of_torchrun() as ranks:
-    floors = clean.clean_floors(dataset, Null(spec, {}), ["control.delay"], say=told.append, ranks=ranks)
-    gains = floors.gains["control.delay"].tolist()
+    found = clean_aircraft.clean_draws(dataset, null, ["control.delay"], observed, say=told.append, ranks=ranks)
+    statistics = found.statistics["control.delay"].tolist()
 files = sorted(int(f.stem) for f in cache_folder().glob("floors/*/[0-9]*.json"))
-print(json.dumps({"gains": gains, "files": files, "note": floors.note, "told": told}))
+print(json.dumps({"statistics": statistics, "files": files, "note": found.note, "told": told}))
 """
 WORKER = """#!{python}
 import json, sys
@@ -59,9 +63,10 @@ from pathlib import Path
 request = json.loads(Path(sys.argv[3]).read_text())
 assert Path(request["dataset"], "dataset.toml").exists()
 for n in request["numbers"]:
-    rest = {{"traces": {{"L": 1.0}}, "forces": {{}}, "each_control": {{}}, "sizes": {{}}, "evidence": {{}}}}
-    found = {{"gains": {{"control.delay": n / 7.0}}, "alike": n != 5, **rest}}
-    Path(request["folder"], f"{{n}}.json").write_text(json.dumps(found))
+    found = {{"statistics": {{"control.delay": n / 7.0}}, "alike": n != 5, "sizes": {{}}}}
+    part = Path(request["folder"], f"{{n}}.part")
+    part.write_text(json.dumps(found))
+    part.rename(part.with_suffix(".json"))
 """
 
 
@@ -144,21 +149,24 @@ def test_more_ranks_than_flights_are_refused(data: Path):
         close_loop(load(data), ranks=Ranks(0, 5))
 
 
-def test_ranks_without_a_common_disk_share_the_draws_and_find_the_same_floors(data: Path, tmp_path: Path):
+def test_ranks_without_a_common_disk_share_the_draws_and_find_the_same(data: Path, tmp_path: Path):
     worker = tmp_path / "worker"
     worker.write_text(WORKER.format(python=sys.executable))
     worker.chmod(0o755)
-    command = [sys.executable, "-c", FLOORS, str(data), str(worker)]
+    command = [sys.executable, "-c", DRAWS, str(data), str(worker), "1e3"]
     caches = [tmp_path / "first", tmp_path / "second"]
     found = together(command, caches)
-    wanted = [n / 7.0 for n in range(24) if n != 5]
-    assert [f["gains"] for f in found] == [wanted, wanted]
-    assert "23 clean aircraft" in found[0]["note"]
-    assert found[0]["files"] == list(range(24))  # the first keeps what all have found
-    assert found[1]["files"] == list(range(1, 24, 2))
+    wanted = [n / 7.0 for n in range(SETTINGS.draws)]
+    assert [f["statistics"] for f in found] == [wanted, wanted]
+    assert f"{SETTINGS.draws} clean aircraft" in found[0]["note"]
+    assert f"of which {SETTINGS.draws - 1} resemble it" in found[0]["note"]
+    assert set(found[0]["files"]) >= set(range(SETTINGS.draws))  # the first keeps what all have found
+    assert found[1]["files"] == []
     again = together(command, caches)
     assert [f["told"] for f in again] == [[], []]  # nobody flies anything: what the first has kept counts for all
-    assert [f["gains"] for f in again] == [wanted, wanted]
+    assert [f["statistics"] for f in again] == [wanted, wanted]
+    fewer = together([*command[:-1], "0.0"], caches)  # draws that are clear count as if no others had been kept
+    assert [f["statistics"] for f in fewer] == [wanted[: SETTINGS.earliest]] * 2
 
 
 def together(command: list[str], caches: list[Path]) -> list[dict[str, Any]]:

@@ -8,7 +8,6 @@ from rotorid_torch.identification.step2 import regress_model
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.fits import Fitted, Flights, refit
-from rotorid_torch.trace.floor import Floors
 from rotorid_torch.trace.loop import Tracing, trace
 from tests.known_models import flown, manoeuvres, rate_vehicle, with_values
 
@@ -38,4 +37,4 @@ def started(data: Dataset) -> tuple[Flights, Fitted]:
 
 def traced(data: Dataset) -> Tracing:
     known, null = started(data)
-    return trace(null.spec, null.values, (), known, lambda spec, effects: Floors({}, "none drawn"))
+    return trace(null.spec, null.values, (), known, lambda null, effects, observed: "none drawn")

@@ -34,11 +34,15 @@ def test_controls_that_are_late_by_different_times_are_told_one_by_one():
     assert "lat" in str(found)
 
 
-def test_the_error_of_a_common_delay_holds_how_far_controls_agree():
+def test_controls_that_differ_have_sizes_of_their_own_and_those_that_agree_a_common_one():
     apart, alike = traced(delayed(common=0.03, lat=0.04)), traced(delayed(common=0.06))
     assert apart.accepted == alike.accepted == (DELAY,)
-    assert apart.spread[f"{DELAY}.common"] > 3.0 * alike.spread[f"{DELAY}.common"]
-    assert "control by control" in next(f for f in apart.findings if f.id == DELAY).reason
+    assert (apart.final.spec.each_control, alike.final.spec.each_control) == ((DELAY,), ())
+    for control, seconds in (("lat", 0.07), ("lon", 0.03)):
+        told = next(f for f in apart.findings if f.id == DELAY).values[f"{DELAY}.{control}"]
+        assert told[0] == pytest.approx(seconds, abs=3.0 * told[1] + 1e-3)
+    assert alike.spread[f"{DELAY}.common"] < 0.01
+    assert "control by control" in next(f for f in alike.findings if f.id == DELAY).reason
 
 
 def test_an_effect_without_controls_of_its_own_has_nothing_to_compare():

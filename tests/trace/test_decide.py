@@ -1,177 +1,199 @@
-"""Verdicts follow from numbers: unseen flights decide, what is absorbed is told with the flights that would tell."""
+"""The one decision: every row of its table, what the interval of a size says, what two fits say."""
 
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
-from typing import Any
+import string
+from dataclasses import fields
+from itertools import product
+from typing import get_args
 
+import numpy as np
 import pytest
 import torch
+from scipy.stats import norm
 
-from rotorid_torch.core.parameters import Parameter, ParameterSet
+from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.model.model import Model
 from rotorid_torch.trace.decide import (
-    astray,
-    at_edge,
-    free_run_gain,
-    not_joined,
-    nothing,
-    objection,
-    rivals,
-    smallest_visible,
+    TABLE,
+    Estimate,
+    Reason,
+    Row,
+    Size,
+    decide,
+    errors_of,
+    estimate,
+    evidence,
+    gain,
+    size_of,
+    unseen_evidence,
 )
+from rotorid_torch.trace.finding import Verdict
+from rotorid_torch.trace.fits import Fitted, refit
+from rotorid_torch.trace.significance import exceeds
+from rotorid_torch.trace.words import REASONS, reason, size_details
+from tests.known_models import rate_vehicle, with_values
+from tests.trace.hidden_flights import flights, started
+
+DELAY, DAMPING = "control.delay", "forces.quadratic_damping"
+CASES = [
+    (Row(), "accepted", Reason.NAMED),
+    (Row(significant=False), "below floor", Reason.BELOW_LEVEL),
+    (Row(significant=False, observable=False), "indistinguishable", Reason.ABSORBED),
+    (Row(observable=False), "accepted", Reason.NAMED),
+    (Row(still=False, in_set=False), "rejected", Reason.BETTER_EXPLAINED),
+    (Row(fitted=False), "rejected", Reason.NO_BETTER_FIT),
+    (Row(estimate=Estimate.ACTIVE_BOUND), "rejected", Reason.ACTIVE_BOUND),
+    (Row(estimate=Estimate.WITHIN_ERROR), "rejected", Reason.WITHIN_ERROR),
+    (Row(unseen_better=False), "rejected", Reason.UNSEEN_WORSE),
+    (Row(in_set=False), "rejected", Reason.BETTER_EXPLAINED),
+    (Row(runs_worse=True), "suspected", Reason.FREE_RUNS_WORSE),
+    (Row(adequate=False), "suspected", Reason.NOT_ADEQUATE),
+    (Row(alone=False), "indistinguishable", Reason.GROUP),
+]
 
 
-def screened(gain: float, shown: float, imitators: tuple[str, ...] = ()) -> Any:
-    signature = SimpleNamespace(effect="forces.drag", step=0.02, unit="1/m")
-    return SimpleNamespace(
-        gain=lambda effects: gain,
-        shown=lambda effect: shown,
-        imitators=lambda effect: imitators,
-        signatures=(signature,),
-    )
+@pytest.mark.parametrize(("row", "verdict", "why"), CASES)
+def test_each_row_of_the_table(row: Row, verdict: str, why: Reason):
+    assert decide(row) == (verdict, why)
 
 
-def test_what_derivatives_absorb_is_told_with_them_and_with_the_flights_that_would_separate_it():
-    found = not_joined(screened(1e-4, 2e-4, ("forces.X.u",)), "forces.drag", 1e-3, (), hot=False)
-    assert (found.verdict, found.group) == ("indistinguishable", ("forces.X.u",))
-    assert found.reason.endswith("forces.X.u take its place; flights trimmed at other speeds would tell")
+def test_no_row_of_the_table_is_left_out():
+    assert {decide(row) for row, _, _ in CASES} == {(verdict, why) for _, verdict, why in TABLE}
 
 
-def test_what_would_have_shown_itself_is_below_its_floor():
-    assert not_joined(screened(1e-4, 1.0), "forces.drag", 1e-3, (), hot=False).verdict == "below floor"
+def every_row() -> list[Row]:
+    """All that can be observed of a candidate."""
+    values = [list(Estimate) if f.name == "estimate" else [False, True] for f in fields(Row)]
+    return [Row(**dict(zip((f.name for f in fields(Row)), one, strict=True))) for one in product(*values)]  # pyright: ignore[reportArgumentType]
 
 
-def test_what_an_accepted_effect_explains_better_is_rejected():
-    found = not_joined(screened(0.0, 1.0), "forces.drag", 1e-3, ("rotor.stall",), hot=True)
-    assert found.verdict == "rejected"
-    assert "rotor.stall explains better" in found.reason
+def test_a_name_is_given_only_where_everything_speaks_for_it():
+    """Of all that can be observed, only what is significant, has a size and helps unseen flights is accepted."""
+    found = {decide(row)[0] for row in every_row()}
+    assert found <= set(get_args(Verdict))
+    for row in every_row():
+        asked = (
+            row.significant,
+            row.fitted,
+            row.unseen_better,
+            row.in_set,
+            row.alone,
+            row.adequate,
+            not row.runs_worse,
+        )
+        assert (decide(row)[0] == "accepted") == (all(asked) and row.estimate is Estimate.SIZE)
 
 
-def test_the_smallest_visible_size_grows_with_the_root_of_the_floor():
-    value, unit = smallest_visible(screened(0.0, 0.01), "forces.drag", 0.0001) or (0.0, "")
-    assert (value, unit) == (pytest.approx(0.02 * 0.1), "1/m")
-    assert smallest_visible(screened(0.0, 0.0), "forces.drag", 0.0001) is None
+def test_what_no_clean_aircraft_would_tell_apart_is_no_name_whatever_else_is_observed():
+    assert {decide(row)[0] for row in every_row() if not row.significant} == {"below floor", "indistinguishable"}
 
 
-def fitted(
-    cost: float, free_runs: tuple[float, ...], error: float = 0.01, value: float = 0.05, flights: int = 8
-) -> Any:
-    """A fit as decisions see it; its segments of unseen flights fit better the less it costs."""
-    size = torch.full((len(free_runs), 1), cost, dtype=torch.float64)
-    parameter = Parameter("forces.drag.x", 0.0, "1/m", (0.0, 1.0), typical=0.02)
-    values = {"forces.drag.x": value}
-    return SimpleNamespace(
-        spec=SimpleNamespace(effects=("forces.drag",)),
-        fit=SimpleNamespace(likelihood=SimpleNamespace(records=SimpleNamespace(dt=0.02))),
-        flights=SimpleNamespace(dataset=SimpleNamespace(identify=tuple(str(f) for f in range(flights)))),
-        cost=cost,
-        per_sample=1.0,
-        values=values,
-        error=lambda name: error,
-        free_runs=torch.tensor(free_runs, dtype=torch.float64),
-        seen=SimpleNamespace(size=lambda: size),
-        unseen=SimpleNamespace(size=lambda: size),
-        model=SimpleNamespace(parameter_set=ParameterSet((parameter,)), named_values=values),
-    )
+def test_every_reason_has_words_and_their_blanks_are_filled():
+    known = {"imitators": "a", "flights": "b", "others": "c", "worse": 1, "share": 2.0}
+    known |= {"parameter": "p", "value": 1.0, "error": 0.1, "better": 1, "count": 2}
+    assert set(REASONS) == set(Reason)
+    for which, words in REASONS.items():
+        assert {name for _, name, _, _ in string.Formatter().parse(words) if name} <= set(known)
+        assert "{" not in reason(which, **known)
 
 
-@pytest.mark.parametrize(
-    ("candidate", "reason"),
-    [
-        (fitted(1.0, (0.08, 0.09)), None),
-        (fitted(1.0, (0.12, 0.14)), "free runs of flights that no fit has seen are worse by it (2 of 2)"),
-        (fitted(1.0, (0.12, 0.09)), None),
-        (fitted(1.0, (0.101, 0.102)), None),
-        (fitted(1.0, (0.08, 0.09), error=float("inf")), "within 3 of its standard errors"),
-        (fitted(1.0, (float("nan"), float("nan"))), None),
-        (fitted(2.5, (0.08, 0.09)), "no more than clean aircraft"),
-    ],
-)
-def test_free_runs_of_unseen_flights_decide_too(candidate: Any, reason: str | None):
-    said = objection(fitted(2.0, (0.1, 0.1)), candidate, "forces.drag", 0.1, {"forces.drag.x": 0.001})
-    assert (said is None) if reason is None else reason in (said or "")
+def late(value: float) -> Model:
+    return with_values(rate_vehicle(effects=(DELAY,)), {f"{DELAY}.common": value})
 
 
-def test_ordinary_physics_is_measured_by_chance_and_by_its_size():
-    """Clean aircraft have it; what is nothing within its errors does not belong into a model."""
-    said = objection(fitted(2.0, (0.1, 0.1)), fitted(2.5, (0.1, 0.1)), "rotor.speed", 0.1, {})
-    assert said == "fitted in full, it explains no more than by chance"
-    model = fitted(1.0, (0.1, 0.1)).model
-    assert nothing(model, lambda name: 0.001, "forces.drag") is None
-    assert "from nothing" in (nothing(model, lambda name: math.inf, "forces.drag") or "")
+@pytest.mark.parametrize("value", [0.05, -0.0, 0.0196, 0.0195])
+def test_a_size_is_one_where_its_interval_of_95_per_cent_excludes_nothing(value: float):
+    error = 0.01
+    found = estimate(late(value), {f"{DELAY}.common": error}, DELAY)
+    outside = abs(value) > norm.ppf(0.975) * error
+    assert found == Size(Estimate.SIZE if outside else Estimate.WITHIN_ERROR, f"{DELAY}.common", value, error)
 
 
-@pytest.mark.parametrize(
-    ("flights", "scatter", "differs"),
-    [(8, 0.018, False), (8, 0.022, True), (40, 0.022, False), (4, 0.018, True), (4, 0.01, False), (2, 0.0, False)],
-)
-def test_a_size_must_be_the_same_in_all_flights_as_far_as_so_few_of_them_tell(
-    flights: int, scatter: float, differs: bool
-):
-    candidate = fitted(1.0, (0.08, 0.09), flights=flights)
-    said = objection(fitted(2.0, (0.1, 0.1)), candidate, "forces.drag", 0.1, {"forces.drag.x": scatter})
-    assert said == ("its size differs from flight to flight" if differs else None)
+@pytest.mark.parametrize("tests", [1, 4, 20])
+def test_intervals_of_several_effects_hold_their_level_together(tests: int):
+    """Bonferroni: each at 0.05 over their number."""
+    error = 0.01
+    edge = float(norm.ppf(1.0 - 0.025 / tests)) * error
+    for value, told in ((1.001 * edge, Estimate.SIZE), (0.999 * edge, Estimate.WITHIN_ERROR)):
+        assert estimate(late(value), {f"{DELAY}.common": error}, DELAY, tests).estimate is told
 
 
-def test_flights_without_a_free_run_are_left_out():
-    nan = float("nan")
-    found = free_run_gain(fitted(1.0, (0.2, nan)), fitted(1.0, (0.1, nan)))
-    assert found.tolist() == pytest.approx([0.6931], rel=1e-3)
+def test_a_size_that_was_not_estimated_is_none():
+    assert estimate(late(0.3), {}, DELAY).estimate is Estimate.WITHIN_ERROR
+    assert estimate(late(0.3), {f"{DELAY}.common": math.inf}, DELAY).estimate is Estimate.WITHIN_ERROR
 
 
-@pytest.mark.parametrize(
-    ("effects", "lag", "told"),
-    [
-        (("control.delay", "control.lag"), 0.011, True),
-        (("control.delay", "control.lag"), 0.025, False),
-        (("control.lag",), 0.011, False),
-        (("forces.drag", "control.lag"), 0.011, False),
-        (("control.backlash", "control.lag"), 0.011, False),
-    ],
-)
-def test_a_lag_shorter_than_the_records_interval_is_no_finding_beside_a_delay(
-    effects: tuple[str, ...], lag: float, told: bool
-):
-    candidate = fitted(1.0, (0.08, 0.09))
-    candidate.spec.effects = effects
-    parameter = Parameter("control.lag.common", 0.0, "s", (0.0, 1.0), typical=0.06)
-    candidate.model.parameter_set = ParameterSet((parameter,))
-    candidate.values = candidate.model.named_values = {"control.lag.common": lag}
-    candidate.error = lambda name: 0.001
-    said = objection(fitted(2.0, (0.1, 0.1)), candidate, "control.lag", 0.1, {"control.lag.common": 0.001})
-    assert (said is not None) == told
-    if told:
-        assert "0.011 s beside control.delay is shorter than the interval of the records" in (said or "")
+def test_of_several_sizes_the_surest_tells():
+    """Roll is damped, pitch and yaw are not known."""
+    model = rate_vehicle(effects=(DAMPING,))
+    values = {f"{DAMPING}.L": 0.5, f"{DAMPING}.M": 5.0, f"{DAMPING}.N": 0.001}
+    errors = {f"{DAMPING}.L": 0.05, f"{DAMPING}.M": 4.0, f"{DAMPING}.N": 0.1}
+    found = estimate(with_values(model, values), errors, DAMPING)
+    assert found == Size(Estimate.SIZE, f"{DAMPING}.L", 0.5, 0.05)
+    assert estimate(model, {n: 20.0 * e for n, e in errors.items()}, DAMPING).estimate is Estimate.WITHIN_ERROR
 
 
-@pytest.mark.parametrize(
-    ("other", "cost", "near"),
-    [
-        ("control.lag", 1.04, True),
-        ("control.lag", 1.06, False),
-        ("forces.drag", 1.04, False),
-        ("forces.drag", 1.0, True),
-    ],
-)
-def test_a_delay_and_a_lag_that_explain_nearly_the_same_are_not_told_apart(other: str, cost: float, near: bool):
-    sizes = (0.1, 0.1)
-    them = {"control.delay": fitted(1.0, sizes), other: fitted(cost, sizes)}
-    found = rivals(fitted(2.0, sizes), them, dict.fromkeys(them, 0.01), list(them))
-    assert found == ("control.delay", [other] if near else [])
+def bounds_of(name: str) -> Parameter:
+    model = late(0.0)
+    return model.parameter_set.parameters[model.parameter_set.index(name)]
 
 
-@pytest.mark.parametrize(("nuisance", "edge"), [(False, True), (True, False)])
-def test_how_flights_begin_may_lie_at_the_edge_of_its_range(nuisance: bool, edge: bool):
-    place = Parameter("control.backlash.place.lon", 0.0, "1", (-1.0, 1.0), nuisance=nuisance)
-    model: Any = SimpleNamespace(
-        parameter_set=ParameterSet((place,)), named_values={"control.backlash.place.lon": -1.0}
-    )
-    assert (at_edge(model, "control.backlash") is not None) == edge
+def test_a_size_at_an_end_of_its_range_is_none_but_nothing_is_no_end():
+    name = f"{DELAY}.common"
+    low, high = bounds_of(name).bounds
+    assert low == bounds_of(name).value == 0.0
+    assert estimate(late(high), {name: 1e-3}, DELAY) == Size(Estimate.ACTIVE_BOUND, name, high)
+    assert estimate(late(0.99 * high), {name: 1e-3}, DELAY).estimate is Estimate.SIZE
+    assert estimate(late(low), {name: 1e-3}, DELAY).estimate is Estimate.WITHIN_ERROR
 
 
-@pytest.mark.parametrize(("runs", "so"), [((0.2, 1e5), True), ((0.2, 2.0), False), ((math.nan, 0.9), True)])
-def test_a_model_that_does_worse_than_held_trim_flies_astray(runs: tuple[float, ...], so: bool):
-    model = fitted(1.0, runs)
-    model.trims = torch.tensor([0.8, 0.8], dtype=torch.float64)
-    assert astray(model) == so
+def test_a_bound_of_a_parameter_that_is_held_is_not_active():
+    """Each control may have a delay of its own; where one size is common to all, those are held at nothing."""
+    model = late(0.05)
+    own = {p.name: p.free for p in model.parameter_set.sizes(DELAY)}
+    assert own[f"{DELAY}.common"]
+    assert len(own) > 1
+    held = with_values(late(0.05), {n: bounds_of(n).bounds[1] for n, free in own.items() if not free})
+    assert estimate(held, {f"{DELAY}.common": 0.001}, DELAY).estimate is Estimate.SIZE
+
+
+@pytest.fixture(scope="module")
+def fits() -> tuple[Fitted, Fitted]:
+    """The model without and with the delay that the flights have."""
+    known, null = started(flights(DELAY, control__delay__common=0.06))
+    return null, refit(null.spec.with_effects(DELAY), known, {**null.values, f"{DELAY}.common": 0.05}, near=null)
+
+
+def test_what_two_fits_say_of_a_candidate(fits: tuple[Fitted, Fitted]):
+    null, late = fits
+    assert gain(null, late) == pytest.approx((null.cost - late.cost) / null.per_sample)
+    assert gain(late, null) == -gain(null, late) < 0.0
+    better = evidence(null, late)
+    identify, validate = null.flights.dataset.identify, null.flights.dataset.validate
+    assert len(better) == len(identify) + len(validate)
+    assert torch.equal(unseen_evidence(null, late), better[len(identify) :])
+    assert exceeds(better)
+    assert not exceeds(-better)
+    residuals = [one.unseen.residual[one.unseen.flight == 0].numpy() for one in fits]
+    rms = [np.sqrt(np.nanmean(r**2, axis=(0, 1))) for r in residuals]
+    assert float(better[len(identify)]) == pytest.approx(float(np.mean(np.log(rms[0] / rms[1]))))
+
+
+def test_a_fit_that_failed_gains_nothing(fits: tuple[Fitted, Fitted], monkeypatch: pytest.MonkeyPatch):
+    null, late = fits
+    monkeypatch.setattr(Fitted, "cost", property(lambda one: math.nan if one is late else 0.0))
+    assert gain(null, late) == -math.inf
+
+
+def test_errors_of_a_size_are_no_smaller_than_its_scatter_over_flights(fits: tuple[Fitted, Fitted]):
+    null, late = fits
+    name = f"{DELAY}.common"
+    told = size_of(late, DELAY)
+    assert (told.estimate, told.parameter, told.value) == (Estimate.SIZE, name, late.values[name])
+    assert told.error == max(late.error(name), late.scatter(DELAY)[name]) > 0.0
+    assert errors_of(late, DELAY, {name: 9.0})[name] == (late.values[name], 9.0)
+    assert errors_of(late, DELAY, {})[name] == (late.values[name], late.error(name))
+    details = size_details(null, late, DELAY)
+    assert (details["parameter"], details["better"], details["count"]) == (name, 4, 4)

@@ -1,4 +1,4 @@
-"""Evidence of nested linear models against refits of every fold by an independent solver; the level of p-values."""
+"""Evidence of nested linear models against refits of every fold by an independent solver; what a size is to show."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,6 @@ import torch
 from scipy.optimize import lsq_linear
 
 from rotorid_torch.trace.evidence import FlightEquations
-from rotorid_torch.trace.floor import adjusted_p
 
 P, K, ROWS = 5, 3, 40
 
@@ -67,33 +66,6 @@ def test_noise_has_no_evidence_in_the_mean():
     assert np.mean(gains) < 0.0  # an estimate from other flights adds its own error
 
 
-def test_p_holds_its_level_for_correlated_effects_of_any_scale():
-    """Exchangeable data and draws: at most 5 % of the families have any p below 5 %."""
-    chance = torch.Generator().manual_seed(0)
-    scales = torch.tensor([1.0, 100.0, 1e-3, 5.0], dtype=torch.float64)
-    alarms, trials = 0, 600
-    for _ in range(trials):
-        common = torch.randn(40, 1, generator=chance, dtype=torch.float64)
-        table = (common + torch.randn(40, 4, generator=chance, dtype=torch.float64)).exp() * scales
-        observed = {str(e): float(table[0, e]) for e in range(4)}
-        p = adjusted_p(observed, {str(e): table[1:, e] for e in range(4)})
-        alarms += min(p.values()) <= 0.05
-    assert alarms / trials < 0.05 + 3.0 * (0.05 * 0.95 / trials) ** 0.5
-
-
-def test_p_counts_draws_and_steps_down():
-    clean = {"a": torch.arange(19.0).double(), "b": torch.arange(19.0).double()}
-    p = adjusted_p({"a": 1e3, "b": 9.5}, clean)
-    assert p["a"] == pytest.approx(1 / 20)
-    assert p["b"] == pytest.approx((1 + 9) / 20)  # once a is set aside, b is compared with its own draws alone
-
-
-def test_p_is_monotone_in_the_statistic():
-    clean = {e: torch.linspace(-1, 1, 9).double() for e in "abc"}
-    p = adjusted_p({"a": 0.9, "b": 0.1, "c": -0.5}, clean)
-    assert p["a"] <= p["b"] <= p["c"] <= 1.0
-
-
 def test_flights_in_which_the_fitted_model_flies_away_are_no_evidence():
     rows, wide = drawn(6, 4), torch.full((1,), torch.inf, dtype=torch.float64)
     lost = equations(rows, 0.0 * drawn(7, 2), np.zeros((1, P + K + 1))).held_out([0], -wide, wide)
@@ -105,3 +77,42 @@ def test_a_signature_that_is_not_finite_is_no_evidence():
     rows, wide = drawn(8, 3), torch.full((1,), torch.inf, dtype=torch.float64)
     rows[..., P] = np.nan
     assert not equations(rows, rows[:0], np.zeros((1, P + K + 1))).held_out([0], -wide, wide).any()
+
+
+def test_each_of_several_residuals_has_its_own_evidence():
+    """Residuals that know nothing of the motion stand beside the data's own, and change nothing of it."""
+    first, second = drawn(9, 4), drawn(10, 4)
+    low = torch.full((K,), -0.3, dtype=torch.float64)
+    both = np.concatenate([first, first[..., :-1] @ np.ones((P + K, 1)) + second[..., -1:]], axis=-1)
+    products = torch.from_numpy(np.einsum("fti,ftj->fij", both, both))
+    none = torch.zeros(both.shape[-1], both.shape[-1], dtype=torch.float64)
+    together = FlightEquations(products, products[:0], none, P, residuals=2)
+    for residual in range(2):
+        alone = both[..., [*range(P + K), P + K + residual]]
+        wanted = equations(alone, alone[:0], np.zeros((1, P + K + 1))).held_out([0, 1, 2], low, -low)
+        torch.testing.assert_close(together.held_out([0, 1, 2], low, -low, residual), wanted, rtol=1e-10, atol=0.0)
+
+
+@pytest.mark.parametrize("size", [0.02, 0.3, 2.0])
+def test_a_size_is_expected_to_give_what_it_gives_where_nothing_else_is_left(size):
+    """A residual of a signature at a size beside noise at right angles to all that is fitted."""
+    chance = np.random.default_rng(11)
+    rows = []
+    for _ in range(5):
+        basis = np.linalg.qr(chance.normal(size=(ROWS, P + 2)))[0]
+        X, S, noise = basis[:, :P], 3.0 * basis[:, P : P + 1] + basis[:, :P] @ chance.normal(size=(P, 1)), basis[:, -1:]
+        rows.append(np.concatenate([X, S, noise, noise + size * S], axis=1))
+    rows, prior = np.array(rows), np.zeros((1, P + 2))
+    bare, full = rows[..., [*range(P + 1), P + 1]], rows[..., [*range(P + 1), P + 2]]
+    wide = torch.full((1,), torch.inf, dtype=torch.float64)
+    told = equations(bare, bare[:0], prior).expected(0, size)
+    assert told > 0.0
+    assert float(equations(full, full[:0], prior).held_out([0], -wide, wide).sum()) == pytest.approx(told, rel=1e-6)
+    assert equations(bare, bare[:0], prior).expected(0, 0.0) == 0.0
+
+
+def test_a_larger_size_is_expected_to_give_more():
+    one = equations(drawn(12, 4), drawn(13, 2), np.zeros((1, P + K + 1)))
+    expected = [one.expected(1, size) for size in (0.1, 1.0, 10.0)]
+    assert 0.0 < expected[0] < expected[1] < expected[2]
+    assert one.expected(1, -1.0) == expected[1]

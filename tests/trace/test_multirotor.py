@@ -13,8 +13,10 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.parameters import Parameter, ParameterSet
+from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR
 from rotorid_torch.effects.spec import ModelSpec, MotorSpec
 from rotorid_torch.trace import multirotor
+from rotorid_torch.trace.candidates import candidates
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.multirotor import Identified, believed, trace_rotors
 
@@ -121,9 +123,16 @@ def test_flights_that_stand_in_for_unseen_ones_are_told(monkeypatch: pytest.Monk
     assert alone.notes[1].startswith("no validate flights: ")
 
 
-def test_a_term_by_rates_is_never_tried(monkeypatch: pytest.MonkeyPatch):
-    tracing = traced(monkeypatch, {LAG: 1.0}, known=(LAG, "forces.quadratic_damping"))
-    assert verdicts(tracing) == {LAG: "accepted", "forces.quadratic_damping": "not testable"}
+def test_what_makes_no_sense_of_motor_commands_is_never_tried():
+    """They pass no linkage and no actuator, have a lag of their own, and answer the rates."""
+    testable, settled = candidates(MULTIROTOR)
+    told = {f.id: (f.verdict, f.reason) for f in settled}
+    for effect in ("control.lag", "control.backlash", "control.rate_limit", "forces.quadratic_damping"):
+        assert effect not in testable
+        assert told[effect][0] == "not testable"
+        assert "commands" in told[effect][1]
+    assert {DELAY, LAG} <= set(testable)
+    assert {"control.lag", "control.backlash"} <= set(candidates(HELICOPTER)[0])
 
 
 def test_rotor_inertia_comes_with_the_lag_where_the_two_explain_more(monkeypatch: pytest.MonkeyPatch):

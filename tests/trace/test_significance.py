@@ -1,10 +1,13 @@
-"""Quantiles for few data against SciPy; unseen flights gain by more than chance, or do not."""
+"""Quantiles for few data and the paired test against SciPy; residuals that know nothing of the motion."""
 
+import math
+
+import numpy as np
 import pytest
 import torch
 from scipy import stats
 
-from rotorid_torch.trace.significance import helps, normal_quantile, student_quantile
+from rotorid_torch.trace.significance import exceeds, normal_quantile, student_quantile, turned
 
 
 @pytest.mark.parametrize("tail", [0.3, 1e-2, 1e-4])
@@ -16,18 +19,35 @@ def test_student_is_the_exact_quantile(tail: float, freedom: float) -> None:
     assert student_quantile(-normal_quantile(tail), freedom) == pytest.approx(-exact, rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("better", "answer"),
-    [
-        ((0.1, 0.12, 0.08, 0.11), True),
-        ((0.3, -0.2, -0.1, 0.25), False),
-        ((1.0, -0.01, -0.01, -0.01), False),
-        ((-0.1, -0.1), False),
-        ((0.1,), True),
-        ((0.1, 0.3, 0.05, float("inf")), True),
-        ((float("inf"), -0.1, -0.1, -0.1), False),
-        ((float("nan"), 0.1, 0.1, 0.1), False),
-    ],
-)
-def test_flights_that_no_fit_has_seen_gain_more_than_by_chance(better: tuple[float, ...], answer: bool):
-    assert helps(torch.tensor(better, dtype=torch.float64)) is answer
+@pytest.mark.parametrize("confidence", [0.9, 0.95])
+def test_log_ratios_exceed_nothing_where_a_one_sided_t_test_says_so(confidence: float):
+    chance = np.random.default_rng(0)
+    told = []
+    for count in (2, 3, 8, 20):
+        for shift in (-0.5, 0.0, 0.3, 0.6, 1.0, 3.0):
+            better = shift + chance.standard_normal(count)
+            p = float(stats.ttest_1samp(better, 0.0, alternative="greater").pvalue)
+            told.append(exceeds(torch.from_numpy(better), confidence))
+            assert told[-1] == (p < 1.0 - confidence)
+    assert True in told
+    assert False in told
+
+
+def test_a_single_flight_exceeds_where_it_gains_and_lost_flights_tell_nothing():
+    assert exceeds(torch.tensor([0.1], dtype=torch.float64))
+    assert not exceeds(torch.tensor([-0.1], dtype=torch.float64))
+    assert not exceeds(torch.tensor([], dtype=torch.float64))
+    assert not exceeds(torch.full((3,), math.nan, dtype=torch.float64))
+    some = torch.tensor([0.10, 0.11, 0.12], dtype=torch.float64)
+    lost = torch.tensor([math.nan, -math.inf], dtype=torch.float64)
+    assert exceeds(some)
+    assert exceeds(torch.cat([some, lost]))
+
+
+def test_a_turned_record_is_the_record_from_another_time_on():
+    record = torch.arange(24.0, dtype=torch.float64).reshape(12, 2)
+    made = turned(record, 8, torch.Generator().manual_seed(0))
+    assert made.shape == (12, 2, 8)
+    rolls = [sign * record.roll(n, dims=0) for n in range(1, 12) for sign in (1.0, -1.0)]
+    assert all(any(torch.equal(one, roll) for roll in rolls) for one in made.unbind(-1))
+    assert turned(record, 0, torch.Generator()).shape == (12, 2, 0)

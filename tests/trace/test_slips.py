@@ -9,21 +9,21 @@ import torch
 
 from rotorid_torch.core.names import FORCES, MOMENTS
 from rotorid_torch.model.nominal import build
-from rotorid_torch.trace.residual import AT_ONCE, scan
+from rotorid_torch.trace.localisation import localised
+from rotorid_torch.trace.residual import AT_ONCE
 from rotorid_torch.trace.slips import deflected, slipped
-from rotorid_torch.trace.unexplained import unknown
+from rotorid_torch.trace.unattributed import Residuals
 from tests.known_models import DERIVATIVES, helicopter_spec, linear_vehicle, rate_vehicle, with_values
-from tests.trace.test_residual import FLIGHTS, ROWS, SAMPLES, STEP, left, levels
+from tests.trace.left_overs import ROWS, after, left
 
 PED, LAT = {"Y": 3.0, "L": 1.0, "N": -8.0}, {"Y": 1.0, "L": 6.0, "N": 0.5}
 DOES = {name: {row: own.get(row, 0.0) for row in ROWS} for name, own in {"ped": PED, "lat": LAT}.items()}
 
 
 def stepped(steps: dict[str, float], onset: float = 6.0):
-    after = (STEP * torch.arange(SAMPLES, dtype=torch.float64).repeat(FLIGHTS) >= onset).to(torch.float64)
     over = left("L", None, 0.3)
     moved = torch.tensor([steps.get(row, 0.0) for row in ROWS], dtype=torch.float64)
-    return replace(over, residual=over.residual + after[:, None] * moved)
+    return replace(over, residual=over.residual + after(onset)[:, None] * moved)
 
 
 def of(control: dict[str, float], size: float) -> dict[str, float]:
@@ -35,8 +35,8 @@ def of(control: dict[str, float], size: float) -> dict[str, float]:
 )
 def test_a_step_is_told_of_the_control_that_makes_it_in_all_equations(steps: dict[str, float], said: str):
     over = stepped(steps)
-    told = unknown(scan(over), levels(ROWS, 0.05), over, over, 0, DOES)
-    assert told is not None
+    residuals = Residuals(over, over)
+    told = localised([one for one in residuals.descriptions().values() if one.statistic > 0.05], residuals, DOES)
     assert (told.goes_with, told.since_s) == (said, 6.0)
     assert ("that it would make" in told.sentence) == (said != "time")
 
@@ -66,8 +66,7 @@ def test_where_two_controls_make_it_alike_none_is_told():
 def test_a_step_of_the_disc_is_told_by_the_disc_alone():
     here = stepped(of(PED, 0.2))
     tilted = torch.cat([here.residual, left("L", None, 0.3).residual[:, :3]], dim=1)
-    after = (here.time >= 6.0).to(torch.float64)
-    tilted[:, 8] += after
+    tilted[:, 8] += after(6.0)
     disc = replace(here, rows=(*ROWS, *AT_ONCE), residual=tilted, named=tilted.new_zeros(*tilted.shape, 0))
     none = dict.fromkeys(AT_ONCE, 0.0)
     does = {"ped": {**DOES["ped"], **none}, "lat": {**DOES["lat"], **none, "b1 at once": 20.0}}

@@ -102,3 +102,13 @@ def test_a_network_that_stays_is_told_and_changes_no_verdict():
     assert told.sentence.startswith(without.sentence)
     assert "network" in told.sentence
     assert statement([QUIET, Finding("neural.forces", "learnt", "rejected", "")], MISSING) == without
+
+
+def test_what_is_suspected_is_told_and_is_no_name():
+    suspected = replace(DELAY, verdict="suspected")
+    for unknown in (MISSING, None):
+        told = statement([suspected, QUIET], unknown)
+        assert (told.kind, told.effects) == ("unknown", ())
+        assert "control.delay (common 0.06 ± 0.004)" in told.sentence
+        assert told.sentence.startswith("Something is missing")
+    assert statement([DELAY, replace(suspected, id="control.lag")], None).effects == ("control.delay",)

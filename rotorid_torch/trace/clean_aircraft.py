@@ -1,7 +1,7 @@
-"""Gains of candidates on clean drawn aircraft: flown, identified and screened as the data set was; cached one by one.
+"""Statistics of candidates on clean drawn aircraft: flown, identified and scored as the data set was; kept one by one.
 
-Draws are spread over ranks, and at each over processes of their own. What was found stays on disk by vehicle,
-manoeuvres and model structure, so that the same vehicle's next data set finds its floors there.
+Draws are spread over ranks, and at each over processes of their own. They stop when the answer is clear. Statistics
+stay on disk by vehicle, manoeuvres and model structure, so that the same vehicle's next data set finds them there.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -38,20 +39,13 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.gauss_newton import InfiniteCost
 from rotorid_torch.identification.reconstruct import reconstruct
 from rotorid_torch.identification.structure import propose
-from rotorid_torch.trace.candidates import of_control_path
-from rotorid_torch.trace.decide import TIMES
+from rotorid_torch.trace.critical import Draws, Null, clear
+from rotorid_torch.trace.family import Family, family
 from rotorid_torch.trace.fits import Flights, refit
-from rotorid_torch.trace.floor import Floors, Null, flight_by_flight
-from rotorid_torch.trace.forces import seen_in_forces
-from rotorid_torch.trace.residual import left_over, scan
-from rotorid_torch.trace.screen import Screen, both_screens
+from rotorid_torch.trace.settings import SETTINGS
 
-DRAWS = 24
-"""Clean aircraft that are drawn: one of them may pass a floor that 5 % may pass."""
-CHANCES = 4
-"""Shuffled residuals of each: a candidate of which clean aircraft show nothing has the floor that chance gives."""
-FEWEST = 20
-"""Draws below which no quantile of 5 % is told."""
+SPARE = 5
+"""Clean aircraft that are drawn beside those needed: some fly away, and are no draws."""
 WIND, TURNING = "environment.wind", ("q", "r", "phi", "theta")
 NO_ROOM = 2
 """Exit code of a process that finds no room for temporary files."""
@@ -63,87 +57,84 @@ SAME = ("flapping", "flapping_doubtful", "patterns", "inflow", "cyclic_inflow", 
 """Structure that a drawn aircraft's model shares with the data's."""
 
 
-def gains_on(clean: Dataset, null: Null, effects: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Gain of each effect on a clean aircraft's flights, its model having the structure of the null.
+def statistics_on(clean: Dataset, null: Null, effects: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Statistics of the family of effects on a clean aircraft's flights, its model having the structure of the null.
 
-    Beside it what those that are looked for in forces explain there, the weight in each equation of what looks most
-    like something unknown, by kind, and the sizes that delays and lags of the controls seem to have, which may be
-    below nothing.
+    Beside them the sizes that effects seem to have there, whatever their bounds.
     """
     flown = at_one_rate(clean)
     reconstruction = reconstruct(flown)
     spec = propose(flown, reconstruction, ())
     spec = msgspec.structs.replace(spec, **{name: getattr(null.spec, name) for name in SAME})
     # an aircraft in the data's likeness lies near the data's values: from its own regression few fits find their end
-    fitted = refit(spec, Flights(flown, reconstruction), null.values, null.held)
-    screened, apart = both_screens(fitted, effects, shuffles=CHANCES)
-    traces = scan(left_over(fitted.model, flown, reconstruction, flown.identify))
-    path = of_control_path(effects)
-    in_forces = seen_in_forces(fitted, (), effects, 0)
-    return {
-        "gains": _gains(screened, effects),
-        "each_control": _gains(apart, path),
-        "sizes": {n: v for s in (screened, apart) for e in path if e in TIMES for n, v in s.unbounded(e).items()},
-        "forces": {e: one.gain for e, one in in_forces.items()},
-        "traces": {key: t.weight for key, t in traces.items()},
-        "evidence": {k: d.tolist() for k, d in flight_by_flight(screened, apart).items()},
-    }
+    found = family(refit(spec, Flights(flown, reconstruction), null.values, null.held), effects)
+    return {"statistics": found.statistics, "sizes": found.sizes()}
 
 
-def _gains(screened: Screen, effects: Sequence[str]) -> dict[str, float]:
-    """Gain of each effect, at least what chance gives."""
-    return {e: max(screened.gain([e]), float(screened.by_chance(e).max())) for e in effects}
-
-
-def clean_floors(
+def clean_draws(
     dataset: Dataset,
     null: Null,
     effects: Sequence[str],
+    observed: Family,
     seed: int = 0,
     say: Callable[[str], None] = lambda line: None,
-    draws: int = DRAWS,
     ranks: Ranks = ALONE,
-) -> Floors:
-    """Gains of effects on clean aircraft drawn in the likeness of a data set, for models of the structure of a null.
+) -> Draws | str:
+    """Statistics of effects on clean aircraft in the likeness of a data set, for models of the structure of a null.
 
-    Where none can be drawn the note says why, and the data's own shuffled residual is all that floors are made of.
+    Or, in words, why none can be drawn.
+
+    Parameters
+    ----------
+    observed : the data's statistics; draws stop when they are clearly no larger than those of clean aircraft.
     ranks : processes that share the draws, each of which calls this; what the first one has cached counts for all.
     """
     from rotorid_torch.fly.drawn import undrawable
 
     why = undrawable(dataset)
     if why is not None:
-        return Floors({}, f"floors come from shuffled residuals alone: no clean aircraft can be drawn, {why}")
+        return why
+    wanted = SETTINGS.draws
+    numbers = range(wanted + SPARE)
     key = f"floors/{_fingerprint(dataset, null, effects, seed)}"
-    drawn = ranks.from_first(_read(key, range(draws)))
-    missing = [n for n in range(draws) if n not in drawn]
-    if missing:
-        say(f"floors: {len(missing)} of {draws} clean aircraft to be flown and identified; they are kept for next time")
-        mine = _fly(dataset, null, effects, seed, ranks.mine(missing), key, ranks)
-        for part in ranks.gather(mine):
-            drawn |= part
-        for number in drawn.keys() & set(missing) - mine.keys() if ranks.first else ():
-            _keep(key, number, drawn[number])
-    flown = [drawn[n] for n in range(draws) if n in drawn and set(drawn[n]["gains"]) >= set(effects)]
-    alike = [draw for draw in flown if draw["alike"]]
-    chosen, note = alike, f"floors come from {len(alike)} clean aircraft drawn in the likeness of this one"
-    if len(alike) < FEWEST:  # those that come nearest are other aircraft of the kind, and as clean
-        few = f"only {len(alike)} of {draws} drawn aircraft resemble the data"
-        chosen = sorted(flown, key=lambda draw: draw["misfit"])[:FEWEST]
-        note = f"{few}: floors come from the {len(chosen)} that come nearest"
-    if len(chosen) < FEWEST:
-        for number in [n for n, draw in drawn.items() if draw not in flown] if ranks.first else ():
+    drawn = ranks.from_first(_read(key, numbers))
+
+    def chosen(draws: Mapping[int, Any]) -> list[Mapping[str, Any]] | None:
+        """The first draws with which the search may stop; None where more are needed."""
+        flown: list[Mapping[str, Any]] = []
+        for number in numbers:
+            if number not in draws:
+                return None
+            if draws[number]["statistics"]:
+                flown.append(draws[number])
+                if len(flown) == wanted or clear(observed.contest, _table(flown, "statistics"), observed.least):
+                    return flown
+        return flown
+
+    if chosen(drawn) is None:
+        missing = [n for n in numbers if n not in drawn]
+        say(f"at most {wanted} clean aircraft are flown and identified; they are kept for next time")
+        drawn |= _fly(
+            _Request(dataset, null, effects, seed, say), missing, key, ranks, lambda new: chosen({**drawn, **new})
+        )
+    flown = chosen(drawn) or []
+    if len(flown) < min(wanted, len(drawn)) and not clear(
+        observed.contest, _table(flown, "statistics"), observed.least
+    ):
+        for number in [n for n, draw in drawn.items() if not draw["statistics"]] if ranks.first else ():
             cache.discard(_name(key, number))  # what cannot follow these records may follow the next ones
-        flew = f"{len(chosen)} of {draws} drawn aircraft could be flown"
-        return Floors({}, f"floors come from shuffled residuals alone: {flew}")
-    tables = (_table(chosen, kind) for kind in ("gains", "traces", "forces", "each_control", "sizes", "evidence"))
-    gains, *others = tables
-    return Floors(gains, note, *others)
+        return f"{len(flown)} of {len(drawn)} drawn aircraft could be flown"
+    alike = sum(bool(draw["alike"]) for draw in flown)
+    note = f"critical values come from {len(flown)} clean aircraft drawn in the likeness of this one"
+    if alike < len(flown):
+        note = f"{note}, of which {alike} resemble it and the others are as near as the drawn aircraft come"
+    return Draws(_table(flown, "statistics"), note, clean=True, least=observed.least, sizes=_table(flown, "sizes"))
 
 
 def _table(draws: Sequence[Mapping[str, Any]], kind: str) -> dict[str, Tensor]:
-    """One kind of number of all draws [D, ...], by its key."""
-    return {key: torch.tensor([draw[kind][key] for draw in draws], dtype=torch.float64) for key in draws[0][kind]}
+    """One kind of number of all draws [D], by its key."""
+    first = draws[0][kind] if draws else {}
+    return {key: torch.tensor([draw[kind].get(key, 0.0) for draw in draws], dtype=torch.float64) for key in first}
 
 
 def _name(key: str, number: int) -> str:
@@ -205,52 +196,67 @@ def _code(package: Path = Path(__file__).parents[1]) -> str:
     return digest.hexdigest()
 
 
+@dataclass(frozen=True)
+class _Request:
+    """What is drawn: in the likeness of which flights, for which null and effects, with which seed; who is told."""
+
+    dataset: Dataset
+    null: Null
+    effects: Sequence[str]
+    seed: int
+    say: Callable[[str], None] = lambda line: None
+
+
 def _fly(
-    dataset: Dataset,
-    null: Null,
-    effects: Sequence[str],
-    seed: int,
+    request: _Request,
     numbers: Sequence[int],
     key: str,
     ranks: Ranks,
+    enough: Callable[[Mapping[int, Any]], object],
 ) -> dict[int, Any]:
-    """The draws in as many processes as there are processors for this one, each kept as soon as it is made.
-
-    Ends when all ranks' processes have ended.
+    """The draws in as many processes as there are processors, each kept as soon as it is made, until there are enough.
 
     Raises
     ------
     Unwritable : one of them has found no room for temporary files.
     RuntimeError : one of them has failed; with the last line of what it said.
     """
-    count = min(threads(), len(numbers))
+    mine = ranks.mine(numbers)
+    count = min(threads(), max(len(mine), 1))
     drawn: dict[int, Any] = {}
     with scratch_folder() as place, ExitStack() as stack:
         likeness, results = place / "likeness", place / "draws"
-        _written(dataset, null, likeness)
+        _written(request.dataset, request.null, likeness)
         results.mkdir()
-        request = {
+        plan = {
             "dataset": str(likeness),
-            "spec": null.spec.plain(),
-            "values": dict(null.values),
-            "held": list(null.held),
-            "effects": list(effects),
-            "seed": seed,
+            "spec": request.null.spec.plain(),
+            "values": dict(request.null.values),
+            "held": list(request.null.held),
+            "effects": list(request.effects),
+            "seed": request.seed,
             "folder": str(results),
         }
         files = [place / f"request-{k}.json" for k in range(count)]
         for k, file in enumerate(files):
-            file.write_text(json.dumps({**request, "numbers": list(numbers[k::count])}))
+            file.write_text(json.dumps({**plan, "numbers": list(mine[k::count])}))
         workers = [stack.enter_context(_worker(file)) for file in files]
-        at_work = True
-        while at_work:
+        at_work, began = True, time.monotonic()
+        while at_work and enough(drawn) is None:
             at_work = any(ranks.gather(any(worker.poll() is None for worker in workers)))
-            for number in {int(file.stem) for file in results.glob("*.json")} - drawn.keys():
-                drawn[number] = json.loads((results / f"{number}.json").read_text())
-                _keep(key, number, drawn[number])
+            new = {int(file.stem): file for file in results.glob("*.json") if int(file.stem) not in drawn}
+            for part in ranks.gather({number: json.loads(file.read_text()) for number, file in new.items()}):
+                drawn |= part
+                for number, draw in part.items() if ranks.first else ():
+                    _keep(key, number, draw)
+            if new and at_work:
+                left = (time.monotonic() - began) / len(drawn) * max(SETTINGS.draws - len(drawn), 0)
+                done = min(len(drawn), SETTINGS.draws)
+                request.say(f"clean aircraft {done} of at most {SETTINGS.draws}, {left:.0f} s to go at most")
             time.sleep(WATCH_S if at_work else 0.0)
         for worker, file in zip(workers, files, strict=True):
-            _refuse_failure(worker.returncode, file)
+            if worker.poll() is not None:
+                _refuse_failure(worker.returncode, file)
     return drawn
 
 
@@ -260,7 +266,7 @@ def _worker(request: Path) -> Iterator[subprocess.Popen[str]]:
     root = str(Path(__file__).parents[2])
     places = os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))
     alone = {"OMP_NUM_THREADS": "1", "ROTORID_THREADS": "1", "PYTHONPATH": places, "PYTHONSAFEPATH": "1"}
-    command = [sys.executable, "-m", "rotorid_torch.trace.clean", str(request)]
+    command = [sys.executable, "-m", "rotorid_torch.trace.clean_aircraft", str(request)]
     with request.with_suffix(".log").open("w") as log, child(command, env=os.environ | alone, stderr=log) as worker:
         yield worker
 
@@ -322,14 +328,19 @@ def _work(request: Mapping[str, object]) -> None:
         with atomic_file(folder / f"{number}.json") as file:
             file.write_text(json.dumps(draw))
 
+    away = {"statistics": {}, "alike": False}
     with suppress(Untrimmable):  # none flies
         for drawn in clean_flights(dataset, msgspec.convert(request["seed"], int), tuple(numbers)):
+            while numbers and numbers[0] < drawn.number:  # aircraft that flew away are not flown again next time
+                write(numbers.pop(0), away)
             numbers.remove(drawn.number)
-            with suppress(*NO_FIT):  # from here; the next data set of the vehicle starts elsewhere
-                likeness = {"alike": drawn.alike, "misfit": drawn.misfit, "rotor": drawn.rotor}
-                write(drawn.number, gains_on(drawn.dataset, null, effects) | likeness)
-    for number in numbers:  # aircraft that flew away are not flown again next time
-        write(number, {"gains": {}, "alike": False})
+            try:
+                found = statistics_on(drawn.dataset, null, effects)
+            except NO_FIT:
+                found = away
+            write(drawn.number, found | {"alike": drawn.alike, "misfit": drawn.misfit, "rotor": drawn.rotor})
+    for number in numbers:
+        write(number, away)
 
 
 if __name__ == "__main__":

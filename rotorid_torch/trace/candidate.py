@@ -1,0 +1,31 @@
+"""A candidate: an effect that a model may lack, nested in it, with one size of all controls or one of each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rotorid_torch.effects.spec import ModelSpec
+
+EACH = " of each control"
+"""Behind the id of an effect that has a size of each control."""
+IN_FORCES = " in forces"
+"""Behind the id of an effect in the forces on the measured motion."""
+UNATTRIBUTED = "unattributed "
+"""Before a pseudo-effect, which has no name: a family of its own."""
+
+
+@dataclass(frozen=True, order=True)
+class Candidate:
+    """An effect of the library. each_control : whether each control has a size of its own."""
+
+    effect: str
+    each_control: bool = False
+
+    @property
+    def name(self) -> str:
+        """As tables and messages show it."""
+        return f"{self.effect}{EACH}" if self.each_control else self.effect
+
+    def joined_to(self, spec: ModelSpec) -> ModelSpec:
+        """The spec with the effect."""
+        return spec.with_effects(self.effect, each_control=self.each_control)
