@@ -13,8 +13,9 @@ where CHECKOUT is a work tree of the project. The loop as it was before its rede
 `loop-of-rules`: `git worktree add CHECKOUT loop-of-rules`. `--table` prints the rates of all versions in the record
 side by side.
 
-Floors are kept in a folder of each version, so that a vehicle's second data set finds those of its first, as a user's
-would; cases of one aircraft therefore share the luck of its floors. A case takes 60 to 400 s of a processor.
+Statistics of clean aircraft are kept in a folder of each version, so that a vehicle's second data set finds those of
+its first, as a user's would; cases of one aircraft therefore share the luck of their clean aircraft. A case takes 60 to
+400 s of a processor.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ class Args:
     record: Path = ROOT / "experiments" / "records" / "golden.jsonl"
     """One line for each case and version."""
     out: Path = Path("runs/golden")
-    """Drawn aircraft, floors by version of the package, TensorBoard records."""
+    """Drawn aircraft, statistics of clean aircraft by version of the package, TensorBoard records."""
 
 
 def cases(args: Args) -> list[Case]:

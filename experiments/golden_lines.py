@@ -142,5 +142,5 @@ def _processor_seconds() -> float:
 
 
 def _cached_files() -> int:
-    """Files in the folder of the cache: a case that adds some had floors to find."""
+    """Files in the folder of the cache: a case that adds some had clean aircraft to fly."""
     return sum(1 for _ in Path(os.environ["ROTORID_CACHE"]).rglob("*"))

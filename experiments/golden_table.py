@@ -111,7 +111,7 @@ def _column(lines: Sequence[dict]) -> dict[str, str]:
     rows["all wrong names"] = rate(answered, wrong)
     held = [s["holds"] for line in whole for s in line["sizes"].values() if s["holds"] is not None]
     rows["95 % intervals of named sizes that hold the truth"] = share(sum(held), len(held))
-    for text, cold in (("floors to be found", True), ("floors kept", False)):
+    for text, cold in (("clean aircraft to be flown", True), ("clean aircraft kept", False)):
         rows[f"seconds of a case (of its processors), {text}: median"] = _times([e for e in whole if e["cold"] == cold])
     rows["ended with an error"] = str(len(lines) - len(whole))
     return rows
