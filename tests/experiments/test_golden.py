@@ -155,7 +155,7 @@ def test_tables_set_versions_side_by_side() -> None:
     assert rates["entry taken out of the library: misnamed"].startswith("1 of 1")
     assert rates["all wrong names"].startswith("3 of 9")
     assert rates["95 % intervals of named sizes that hold the truth"].startswith("1 of 2")
-    assert rates["seconds of a case (of its processors), floors to be found: median"] == "60 (30), 1 runs"
+    assert rates["seconds of a case (of its processors), clean aircraft to be flown: median"] == "60 (30), 1 runs"
     assert rates["ended with an error"] == "1"
     assert "| effect | control.delay | 1 | 1 named, 1 false name | control.lag 1 | 60 (30), 2 runs |" in text
     assert "| shared | uh60-x1 | not stated | other | Nothing. | 0.200 → 0.200 |  →  | 60 |" in text
