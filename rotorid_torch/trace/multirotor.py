@@ -7,7 +7,6 @@ that no fit has seen gain too.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -39,6 +38,8 @@ from rotorid_torch.validate.responses import compared
 
 BLOCK_S = 1.0
 """Blocks of the residual that are put in another order: longer than what a motor or a stream is late by."""
+PAIRED_S = 5.0
+"""s: blocks that are compared as pairs."""
 SHUFFLES = 200
 """Orders of the blocks: enough for a quantile of 5 %."""
 
@@ -185,17 +186,29 @@ class _Search:
 
         Both squares have what the richer model leaves over on the identify flights added for that.
         """
-        before, after, usual = self.compared(null), self.compared(other), self.sigma(other)
-        square = lambda pair: float((pair[0] - pair[1]).square().mean())  # noqa: E731
-        gains = [
-            [
-                0.5 * math.log((square(before[n][c]) + usual[c] ** 2) / (square(after[n][c]) + usual[c] ** 2))
-                for c in before[n]
-                if c in usual
-            ]
-            for n in flights
+        return torch.stack([self._log_ratios(null, other, name, None).mean() for name in flights])
+
+    def by_block(self, null: Identified, other: Identified, flights: Sequence[str]) -> Tensor:
+        """The same of blocks of the flights [B], longer than what couples errors: flights are few and long."""
+        blocks = [self._log_ratios(null, other, name, PAIRED_S) for name in flights]
+        return torch.cat(blocks)
+
+    def _log_ratios(self, null: Identified, other: Identified, flight: str, block_s: float | None) -> Tensor:
+        """Of the blocks of a flight [B], or of all of the flight [1]."""
+        before, after, usual = self.compared(null)[flight], self.compared(other)[flight], self.sigma(other)
+
+        def squares(pair: tuple[Tensor, Tensor]) -> Tensor:
+            error = (pair[0] - pair[1]).square()
+            count = len(error) if block_s is None else round(block_s / self.dataset.facts[flight].dt)
+            whole = max(len(error) // count, 1) * count
+            return error[:whole].unflatten(0, (-1, min(count, len(error)))).mean(dim=1)
+
+        ratios = [
+            0.5 * ((squares(before[c]) + usual[c] ** 2) / (squares(after[c]) + usual[c] ** 2)).log()
+            for c in before
+            if c in usual
         ]
-        return torch.tensor([sum(g) / max(len(g), 1) for g in gains], dtype=torch.float64)
+        return torch.stack(ratios).mean(dim=0) if ratios else torch.zeros(1, dtype=torch.float64)
 
     def sigma(self, null: Identified) -> dict[str, float]:
         """Rms of what a model leaves over in each response on the identify flights."""
@@ -217,7 +230,7 @@ class _Search:
         p, floors = adjusted_p(gains, drawn), critical_values(gains, drawn)
         for effect, one in fitted.items():
             size = estimate(one.model, one.errors, effect, len(fitted))
-            better = self.by_flight(null, one, self.dataset.unseen)
+            better = self.by_block(null, one, self.dataset.unseen)
             row = Row(significant=p[effect] <= SETTINGS.level, estimate=size.estimate, unseen_better=exceeds(better))
             details = {
                 "parameter": size.parameter,
@@ -283,7 +296,7 @@ class _Search:
 
     def not_told_from(self, fitted: Mapping[str, Identified], best: str, standing: Sequence[str]) -> tuple[str, ...]:
         """Candidates that flights which no fit has seen do not tell from the best."""
-        told = {e: exceeds(self.by_flight(fitted[e], fitted[best], self.dataset.unseen)) for e in standing if e != best}
+        told = {e: exceeds(self.by_block(fitted[e], fitted[best], self.dataset.unseen)) for e in standing if e != best}
         return tuple(e for e, better in told.items() if not better)
 
     def in_place_of(self, final: Identified, effect: str, others: Sequence[str]) -> tuple[str, ...]:
@@ -291,15 +304,18 @@ class _Search:
         rivals = [e for e in others if e not in self.accepted]
         swapped = {e: tuple(e if own == effect else own for own in final.spec.effects) for e in rivals}
         fitted = {e: self.fit(msgspec.structs.replace(final.spec, effects=them)) for e, them in swapped.items()}
-        return tuple(e for e, f in fitted.items() if not exceeds(self.by_flight(f, final, self.dataset.unseen)))
+        return tuple(e for e, f in fitted.items() if not exceeds(self.by_block(f, final, self.dataset.unseen)))
 
     def confirmed(self, final: Identified) -> Identified:
         """Each accepted effect tested again beside the others; those that explain nothing more are taken out."""
         for effect in list(self.accepted) if len(self.accepted) > 1 else []:
             without = self.fit(final.spec.without([effect]))
+            joined = self.trials[effect]
             self.observe(without, {effect: final})
             trial = self.trials[effect]
-            if not trial.row.significant:
+            if trial.row.significant:
+                self.trials[effect] = joined
+            else:
                 self.accepted.remove(effect)
                 self.trials[effect] = replace(
                     trial, row=replace(trial.row, significant=True, still=False, in_set=False)
