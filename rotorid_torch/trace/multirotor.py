@@ -230,8 +230,12 @@ class _Search:
         p, floors = adjusted_p(gains, drawn), critical_values(gains, drawn)
         for effect, one in fitted.items():
             size = estimate(one.model, one.errors, effect, len(fitted))
-            better = self.by_block(null, one, self.dataset.unseen)
-            row = Row(significant=p[effect] <= SETTINGS.level, estimate=size.estimate, unseen_better=exceeds(better))
+            better = self.by_flight(null, one, self.dataset.unseen)
+            row = Row(
+                significant=p[effect] <= SETTINGS.level,
+                estimate=size.estimate,
+                unseen_better=float(better.mean()) > 0.0,
+            )
             details = {
                 "parameter": size.parameter,
                 "value": size.value,
@@ -338,7 +342,8 @@ class _Search:
             return replace(found, verdict="indistinguishable", reason=said, group=(best,))
         joined = effect in self.accepted
         stands = decide(trial.row)[0] == "accepted"
-        row = replace(trial.row, in_set=joined or not stands, alone=not group)
+        # what joined as a companion is known by what it gained beside the first, however well its size is
+        row = Row(alone=not group) if joined else replace(trial.row, in_set=not stands)
         verdict, why = decide(row)
         why = Reason.HELPS if verdict == "accepted" else why
         said = reason(why, **{**trial.details, "others": " or ".join(group) or " and ".join(self.accepted)})
