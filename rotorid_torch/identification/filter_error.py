@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
+from rotorid_torch.core.native.trace import Unsupported
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.filter_start import first
-from rotorid_torch.identification.gauss_newton import Linear, Minimum, minimise
+from rotorid_torch.identification.filter_uncertainty import uncertainty
+from rotorid_torch.identification.gauss_newton import Minimum, minimise
+from rotorid_torch.identification.held_gain import HeldEngine, alternated
 from rotorid_torch.identification.initial_states import smallest_noise
-from rotorid_torch.identification.innovations import FilterPlace, InnovationLikelihood, filter_engine
+from rotorid_torch.identification.innovations import (
+    FilterEngine,
+    FilterPlace,
+    InnovationLikelihood,
+    NativeFilter,
+    filter_engine,
+)
 from rotorid_torch.identification.kalman import CovarianceForm, Filtered, FilterProblem, form
 from rotorid_torch.identification.ml import (
     ParameterEstimate,
@@ -28,16 +37,7 @@ from rotorid_torch.identification.segments import Records, records_from
 from rotorid_torch.identification.smoother import smoothed
 from rotorid_torch.identification.stages import FINE, Fit, Monitor, fit
 from rotorid_torch.identification.system import System
-from rotorid_torch.identification.uncertainty import (
-    FlightRows,
-    Uncertainty,
-    basis_of,
-    coloured_covariance,
-    fast,
-    inverse_triangle,
-    jackknife,
-    larger_of,
-)
+from rotorid_torch.identification.uncertainty import Uncertainty
 from rotorid_torch.identification.whiteness import Whiteness, whiteness
 
 LITTLE = 1e-3
@@ -100,6 +100,7 @@ def filter_error(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     noise_floor: Sequence[float] | Tensor | None = None,
     max_iterations: int = 100,
+    gain: str = "exact",
     engine: str | None = None,
     monitor: Monitor | None = None,
 ) -> FilterError:
@@ -120,6 +121,9 @@ def filter_error(
     x0 : "free" estimates the initial states, from those given; "fixed" believes them.
     bounds : lower and upper bound by name.
     noise_floor : [ny] standard deviation of the sensors, below which no noise is believed.
+    gain : "exact", or "held" for models of many states and parameters: the filter's gain is held while parameters move,
+        which costs little more than output error. Parameters are a little less certain, as their errors say; errors of
+        the noises then believe the parameters.
     engine : "native" or "reference" (torch, slow); by default native code where the model can be compiled.
     monitor : called after each accepted step with iteration, cost, theta.
 
@@ -133,6 +137,7 @@ def filter_error(
     system, records = System(model, free, bounds), records_from(flights)
     one_of("x0", x0, ("free", "fixed"))
     one_of("engine", engine or "native", ("native", "reference"))
+    one_of("gain", gain, ("exact", "held"))
     ny, nx = records.outputs.shape[-1], records.states.shape[-1]
     check_shapes(system, records)
     states, units = state_names(model, nx)
@@ -149,40 +154,88 @@ def filter_error(
     if problem.process.matrix is not None and not bool(problem.process.matrix.any()):
         settings = settings_of(records, x0, noise, noise_floor, None, "rk4", "gauss-newton", max_iterations)
         return _without_gusts(problem, fit(system, records, settings=settings, monitor=monitor))
-    likelihood, minimum = _fitted(problem, floor, x0 == "free", max_iterations, engine, monitor)
-    return _result(likelihood, minimum)
+    search = _Search(problem, floor, x0 == "free", max_iterations, gain, engine, monitor)
+    return _result(*search.found())
 
 
-def _fitted(
-    problem: FilterProblem, floor: Tensor, free: bool, iterations: int, engine: str | None, monitor: Monitor | None
-) -> tuple[InnovationLikelihood, Minimum[FilterPlace]]:
-    system, (nx, ny) = problem.system, (len(problem.process.names), len(floor))
-    ones = problem.process.numbers(torch.ones(nx).double()), problem.noise.numbers(torch.ones(ny).double())
-    theta = torch.clamp(system.theta, system.lower, system.upper)
-    start = problem.records.states[:, 0].nan_to_num(0.0)
-    made = filter_engine(problem, torch.cat([theta, *ones]), engine)
-    made, psi, cost = first(made, theta, start, floor, free)
-    if not math.isfinite(cost):
-        raise diverged(problem, made.filter(psi, start))
-    likelihood = InnovationLikelihood(made, start, free)
-    lower = [system.lower, problem.process.lower(torch.zeros(nx).double()), problem.noise.lower(floor.square())]
-    upper = torch.cat([system.upper, torch.full((len(psi) - len(theta),), math.inf, dtype=torch.float64)])
-    shown = None if monitor is None else lambda i, cost, psi: monitor(i, cost, psi[: len(theta)])
-    descend = lambda start: minimise(  # noqa: E731
-        likelihood.evaluate,
-        likelihood.linearise,
-        start,
-        torch.cat(lower),
-        upper,
-        options=replace(FINE, max_iterations=iterations),
-        monitor=shown,
-    )
-    best = descend(psi)
-    calmer = likelihood.at(_with_less(problem, best.point.theta), best.point.x0)
-    if problem.process.count and math.isfinite(calmer.cost):
-        other = descend(calmer)
-        best = other if other.point.cost < best.point.cost - LEAST_GAIN else best
-    return likelihood, best
+class Maximum(NamedTuple):
+    """Where a search ended."""
+
+    engine: FilterEngine
+    likelihood: InnovationLikelihood
+    minimum: Minimum[FilterPlace]
+
+
+@dataclass(frozen=True)
+class _Search:
+    """How the maximum of the likelihood is looked for."""
+
+    problem: FilterProblem
+    floor: Tensor
+    free: bool
+    iterations: int
+    gain: str
+    engine: str | None
+    monitor: Monitor | None
+
+    def found(self) -> Maximum:
+        """From where the filter follows the flights, to the maximum."""
+        problem, system = self.problem, self.problem.system
+        theta, start = torch.clamp(system.theta, system.lower, system.upper), problem.records.states[:, 0]
+        made, psi, cost = first(self._engine(theta), theta, start.nan_to_num(0.0), self.floor, self.free)
+        if not math.isfinite(cost):
+            raise diverged(problem, made.filter(psi, start.nan_to_num(0.0)))
+        seek = self._alternating if isinstance(made, HeldEngine) else self._descending
+        return seek(made, psi, start.nan_to_num(0.0))  # pyright: ignore[reportArgumentType]
+
+    def _engine(self, theta: Tensor) -> FilterEngine:
+        ones = torch.ones(max(len(self.problem.process.names), len(self.floor)), dtype=torch.float64)
+        noises = self.problem.process.numbers(ones[: len(self.problem.process.names)])
+        psi = torch.cat([theta, noises, self.problem.noise.numbers(ones[: len(self.floor)])])
+        if self.gain == "exact" or not self.problem.process.count + self.problem.noise.count:
+            return filter_engine(self.problem, psi, self.engine)
+        try:
+            return HeldEngine(NativeFilter.of(self.problem, psi, held=len(theta)))
+        except Unsupported as error:
+            raise InputError("arguments", "gain", f"the model cannot be compiled: {error}", '"exact"') from error
+
+    @property
+    def _bounds(self) -> tuple[Tensor, Tensor]:
+        system, problem = self.problem.system, self.problem
+        nothing = torch.zeros(len(problem.process.names), dtype=torch.float64)
+        noises = [problem.process.lower(nothing), problem.noise.lower(self.floor.square())]
+        lower = torch.cat([system.lower, *noises])
+        more = torch.full((len(lower) - len(system.upper),), math.inf, dtype=torch.float64)
+        return lower, torch.cat([system.upper, more])
+
+    def _watch(self, iteration: int, cost: float, psi: Tensor) -> None:
+        if self.monitor is not None:
+            self.monitor(iteration, cost, psi[: len(self.problem.system.theta)])
+
+    def _descending(self, engine: FilterEngine, psi: Tensor, x0: Tensor) -> Maximum:
+        """Gauss-Newton on all unknowns, and once more from hardly any process noise."""
+        likelihood = InnovationLikelihood(engine, x0, self.free)
+        options = replace(FINE, max_iterations=self.iterations)
+        descend = lambda start: minimise(  # noqa: E731
+            likelihood.evaluate, likelihood.linearise, start, *self._bounds, options=options, monitor=self._watch
+        )
+        best = descend(psi)
+        calmer = likelihood.at(_with_less(self.problem, best.point.theta), best.point.x0)
+        if self.problem.process.count and math.isfinite(calmer.cost):
+            other = descend(calmer)
+            best = other if other.point.cost < best.point.cost - LEAST_GAIN else best
+        return Maximum(engine, likelihood, best)
+
+    def _alternating(self, engine: HeldEngine, psi: Tensor, x0: Tensor) -> Maximum:
+        """Noises and parameters in turn, gains held while parameters move."""
+        rounds = max(1, self.iterations)
+        held = alternated(engine.filtering, psi, x0, *self._bounds, self.free, rounds, self._watch)
+        likelihood = InnovationLikelihood(engine, held.x0, self.free)
+        place = likelihood.evaluate(held.psi)
+        said = "converged: the likelihood stands still" if held.converged else f"stopped after {rounds} rounds"
+        linear = likelihood.linearise(place)
+        ended = held.at_bound, held.blind, held.converged, said, len(held.history) - 1, held.history
+        return Maximum(engine, likelihood, Minimum(place, linear, *ended))
 
 
 def _with_less(problem: FilterProblem, psi: Tensor) -> Tensor:
@@ -236,14 +289,14 @@ def _floor(noise_floor: Sequence[float] | Tensor | None, records: Records) -> Te
     return torch.maximum(floor, smallest)
 
 
-def _result(likelihood: InnovationLikelihood, minimum: Minimum[FilterPlace]) -> FilterError:
+def _result(engine: FilterEngine, likelihood: InnovationLikelihood, minimum: Minimum[FilterPlace]) -> FilterError:
     problem, place = likelihood.problem, minimum.point
     system, records, psi, count = problem.system, problem.records, place.theta, len(problem.system.theta)
     local = place.x0.numel() if likelihood.free else 0
     loss = likelihood.samples / max(likelihood.samples - count - local, 1)
-    found = _uncertainty(likelihood, minimum, loss)
+    found = uncertainty(engine, likelihood, minimum, loss)
     theta, Q, R = problem.split(psi)
-    run = likelihood.engine.filter(psi, place.x0)
+    run = engine.filter(psi, place.x0)
     states, covariances = smoothed(problem, psi, place.x0, run)
     parameters = [
         ParameterEstimate(
@@ -324,37 +377,6 @@ def sizes(form: CovarianceForm, numbers: Tensor, covariance: Tensor, loss: float
             names, units, bounds, values.tolist(), errors.tolist(), strict=True
         )
     ]
-
-
-def _uncertainty(likelihood: InnovationLikelihood, minimum: Minimum[FilterPlace], loss: float) -> Uncertainty:
-    """As for output error: innovations that are still coloured count as such, and the jackknife over flights."""
-    place, told = minimum.point, ~(minimum.at_bound | minimum.not_identifiable)
-    plain = torch.zeros(len(told), len(told), dtype=torch.float64)
-    if not bool(told.any()):
-        return Uncertainty(plain, plain, plain.diagonal(), plain, plain.diagonal())
-    linear = Linear(minimum.linear.A, minimum.linear.b)
-    inverse = inverse_triangle(linear, told)
-    square, ny = told[:, None] & told, likelihood.problem.records.outputs.shape[-1]
-    plain[square] = loss * (inverse @ inverse.mT).flatten()
-    problem, rows = likelihood.problem, likelihood.engine.rows(place.theta, place.x0)
-    valid, none, nx = ~problem.segments.outputs.isnan(), rows.new_zeros(0), place.x0.shape[-1]
-    freed = rows[..., nx:-1]
-    if place.moves is not None:
-        freed = freed - rows[..., :nx] @ place.moves[:, None, :, :-1]
-
-    def flights(directions: Tensor) -> Iterator[FlightRows]:
-        for one, derivatives, there in zip(rows[:, :, :ny], freed[:, :, :ny], valid, strict=True):
-            starts = one[..., :nx].flatten(0, 1)[None] if likelihood.free else none.view(1, there.numel(), 0)
-            basis = basis_of(starts, torch.full((starts.shape[-1],), math.inf, dtype=torch.float64))
-            shape = basis.unflatten(1, there.shape)
-            yield FlightRows((derivatives @ directions)[None], shape, one[None, ..., -1], there[None])
-
-    found = coloured_covariance(flights, fast(2 * problem.segments.samples), len(rows), inverse, told)
-    moves = freed[:, :, ny:, told] @ (inverse @ inverse.mT)  # of the estimate, by the covariances' rows
-    coloured = torch.zeros_like(plain)
-    coloured[square] = (found + torch.einsum("ftrn,ftrm->nm", moves, moves)).flatten()
-    nothing = none.view(0, len(told)), none
-    return larger_of(plain, coloured, jackknife(place.flights, nothing, told), len(place.flights))
 
 
 def _without_gusts(problem: FilterProblem, found: Fit) -> FilterError:

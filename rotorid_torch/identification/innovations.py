@@ -17,6 +17,7 @@ from torch import Tensor
 from rotorid_torch.core.native.build import threads
 from rotorid_torch.core.native.fallback import say_once
 from rotorid_torch.core.native.innovations import Flights, Innovations
+from rotorid_torch.core.native.observer import Gains
 from rotorid_torch.core.native.trace import Unsupported
 from rotorid_torch.identification.gauss_newton import Linear
 from rotorid_torch.identification.kalman import Filtered, FilterProblem, filtered, rows
@@ -26,7 +27,7 @@ SINGULAR = 1e-13
 """Eigenvalue of scaled normal equations, over the largest, below which a direction is nothing but rounding."""
 
 
-class FilterEngine(Protocol):
+class LikelihoodEngine(Protocol):
     """What the likelihood asks of an engine."""
 
     @property
@@ -34,20 +35,24 @@ class FilterEngine(Protocol):
         """What it filters."""
         ...
 
+    def cost(self, psi: Tensor, x0: Tensor) -> Tensor:
+        """[F] from x0 [F, nx]."""
+        ...
+
+    def normal_equations(self, psi: Tensor, x0: Tensor) -> Tensor:
+        """Products of the rows' columns of each flight [F, nx + n + 1, nx + n + 1]: x0, psi, b."""
+        ...
+
+
+class FilterEngine(LikelihoodEngine, Protocol):
+    """What a filter can tell of flights beyond that."""
+
     def of_problem(self, problem: FilterProblem) -> FilterEngine:
         """The same for other initial states."""
         ...
 
     def filter(self, psi: Tensor, x0: Tensor) -> Filtered:
         """The flights filtered from x0 [F, nx], with all histories."""
-        ...
-
-    def cost(self, psi: Tensor, x0: Tensor) -> Tensor:
-        """[F] alone."""
-        ...
-
-    def normal_equations(self, psi: Tensor, x0: Tensor) -> Tensor:
-        """Products of the rows' columns of each flight [F, nx + n + 1, nx + n + 1]: x0, psi, b."""
         ...
 
     def rows(self, psi: Tensor, x0: Tensor) -> Tensor:
@@ -96,8 +101,8 @@ class NativeFilter:
     made: dict[tuple[int, ...], Innovations] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, problem: FilterProblem, psi: Tensor) -> NativeFilter:
-        """Trace the problem at the mean of the known states.
+    def of(cls, problem: FilterProblem, psi: Tensor, held: int = 0) -> NativeFilter:
+        """Trace the problem at the mean of the known states; the first `held` of psi are no unknowns.
 
         Raises
         ------
@@ -112,12 +117,11 @@ class NativeFilter:
             theta, Q, R = problem.split(psi)
             return *problem.system.motion(theta, u[nu], x, u[:nu]), Q, R
 
-        compiled = Innovations.of(parts, x, torch.cat([u, u.new_zeros(1)]), psi)
+        compiled = Innovations.of(parts, x, torch.cat([u, u.new_zeros(1)]), psi, held)
         timed = compiled.depends_on("u", nu)
         engine = cls(problem, compiled if timed else replace(compiled, nu=nu), timed)
-        engine._of(psi, records.states[:, 0])[
-            0
-        ].build()  # now: what cannot be compiled is told before anything depends on it
+        made, _ = engine.flown(psi, records.states[:, 0])
+        made.build()  # now: what cannot be compiled is told before anything depends on it
         return engine
 
     def of_problem(self, problem: FilterProblem) -> FilterEngine:
@@ -126,28 +130,36 @@ class NativeFilter:
 
     def filter(self, psi: Tensor, x0: Tensor) -> Filtered:
         """See `FilterEngine`."""
-        compiled, flights = self._of(psi, x0)
+        compiled, flights = self.flown(psi, x0)
         answer = compiled.filter(psi, flights, threads(), histories=True)
         diverged = (answer.lost[:, 0] >= 0).nonzero()[:, 0].tolist()
         lost = (diverged[0], *answer.lost[diverged[0]].tolist()) if diverged else None
         return Filtered(answer.cost, *answer.histories(), lost)
 
+    def gains(self, psi: Tensor, x0: Tensor) -> Gains:
+        """How the filter follows the flights."""
+        compiled, flights = self.flown(psi, x0)
+        answer = compiled.filter(psi, flights, threads(), histories=True)
+        assert answer.gains is not None
+        assert answer.white is not None
+        return Gains(answer.gains.nan_to_num(0.0), answer.white.nan_to_num(0.0))
+
     def cost(self, psi: Tensor, x0: Tensor) -> Tensor:
         """See `FilterEngine`."""
-        compiled, flights = self._of(psi, x0)
+        compiled, flights = self.flown(psi, x0)
         return compiled.filter(psi, flights, threads()).cost
 
     def normal_equations(self, psi: Tensor, x0: Tensor) -> Tensor:
         """See `FilterEngine`."""
-        compiled, flights = self._of(psi, x0)
+        compiled, flights = self.flown(psi, x0)
         return compiled.normal_equations(psi, flights, threads())[1]
 
     def rows(self, psi: Tensor, x0: Tensor) -> Tensor:
         """See `FilterEngine`."""
-        compiled, flights = self._of(psi, x0)
+        compiled, flights = self.flown(psi, x0)
         return compiled.rows(psi, flights, threads())
 
-    def _of(self, psi: Tensor, x0: Tensor) -> tuple[Innovations, Flights]:
+    def flown(self, psi: Tensor, x0: Tensor) -> tuple[Innovations, Flights]:
         """The code for what the controls depend on, and the flights with these controls."""
         problem, segments = self.problem, self.problem.segments
         theta = psi[: len(problem.system.theta)]
@@ -157,7 +169,7 @@ class NativeFilter:
             time = segments.start[:, None] + segments.dt * torch.arange(controls.shape[1], dtype=torch.float64)
             controls = torch.cat([controls, time.unsqueeze(-1)], dim=-1)
             slopes = torch.nn.functional.pad(slopes, (0, 0, 0, 1))
-        key = tuple(which.tolist())
+        key = () if self.compiled.held else tuple(which.tolist())
         if key not in self.made:
             self.made[key] = replace(self.compiled, path=key)
         length = segments.inside.sum(dim=1).to(torch.int32)
@@ -203,7 +215,7 @@ class InnovationLikelihood:
     x0 : [F, nx] initial states, to start from or, where they are not free, to hold.
     """
 
-    engine: FilterEngine
+    engine: LikelihoodEngine
     x0: Tensor
     free: bool
 
@@ -231,7 +243,8 @@ class InnovationLikelihood:
 
     def linearise(self, place: FilterPlace) -> Linear:
         """Linear model in psi; the place remembers the elimination of the initial states."""
-        H, nx = self.engine.normal_equations(place.theta, place.x0), place.x0.shape[-1]
+        H = self.engine.normal_equations(place.theta, place.x0)
+        nx = H.shape[-1] - 1 - len(place.theta)  # none where they are no unknowns
         rest, own = H[:, nx:, nx:], 0.0
         if self.free:
             place.moves = solved(H[:, :nx, :nx], H[:, :nx, nx:])

@@ -16,7 +16,7 @@ Source: Jategaonkar, Flight Vehicle System Identification, ch. 5; Gelb, Applied 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
@@ -149,10 +149,18 @@ class FilterProblem:
         """The flights, whole."""
         return cut(self.records, int(self.records.lengths.max()))
 
-    @property
-    def size(self) -> int:
-        """Length of psi."""
-        return len(self.system.theta) + self.process.count + self.noise.count
+    def alone(self, flight: int) -> FilterProblem:
+        """The same for one of the flights."""
+        r, one = self.records, slice(flight, flight + 1)
+        records = replace(
+            r,
+            lengths=r.lengths[one],
+            start=r.start[one],
+            controls=r.controls[one],
+            outputs=r.outputs[one],
+            states=r.states[one],
+        )
+        return replace(self, records=records)
 
     def split(self, psi: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Parameters, spectral density of the process noise [nx, nx], covariance of the outputs' noise [ny, ny]."""

@@ -15,6 +15,7 @@ from rotorid_torch.identification.segments import Records, records_from
 from rotorid_torch.identification.stages import FINE, Fit, Monitor, Settings, fit
 from rotorid_torch.identification.system import System
 from rotorid_torch.identification.uncertainty import Uncertainty
+from rotorid_torch.identification.whiteness import Colour, colour
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,8 @@ class OutputError:
     covariance : [P, P], corrected for coloured residuals; zero for parameters on a bound or not identifiable.
     noise : [ny, ny] covariance of the residuals.
     initial_states : [F, nx] at each flight's first sample.
-    converged, message : whether the optimum was reached, and a sentence that also names parameters in doubt.
+    converged, message : whether the optimum was reached, and a sentence that also names parameters in doubt, and says
+        where residuals are coloured as gusts colour them.
     history : cost after each accepted step of the last stage.
     residuals : per flight (T, ny) measured minus model, NaN = missing.
     model_error_ratio : [ny] residual over sensor noise (declared, or the white part of the residual).
@@ -190,12 +192,23 @@ def result_of(system: System, records: Records, found: Fit) -> OutputError:
         noise=found.noise,
         initial_states=place.x0[first],
         converged=minimum.converged,
-        message=sentence(minimum.message, parameters),
+        message=sentence(minimum.message, parameters) + _coloured(colour(residual)),
         history=minimum.history,
         residuals=[r[:n] for r, n in zip(residual, records.lengths.tolist(), strict=True)],
         model_error_ratio=found.model_error_ratio,
         uncertainty=found.uncertainty,
         stages=found.stages,
+    )
+
+
+def _coloured(seen: Colour) -> str:
+    """What to say where residuals are none of the sensors' noise, as in moving air."""
+    if not seen.outputs:
+        return ""
+    listed = ", ".join(f"{float(seen.lag_one[i]):.2f} of output {i}" for i in seen.outputs)
+    return (
+        f"; successive residuals are correlated ({listed}): where the air moves, filter_error tells more;"
+        f" predicting each from the one before would raise the log-likelihood by {seen.gain:.0f}"
     )
 
 

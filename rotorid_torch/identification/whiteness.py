@@ -9,6 +9,8 @@ from torch import Tensor
 
 LAGS = 20
 """Samples over which innovations are compared with themselves."""
+COLOURED = 0.5
+"""Correlation of successive residuals above which they are no sensors' noise."""
 
 
 @dataclass(frozen=True)
@@ -47,3 +49,32 @@ def whiteness(innovations: Tensor, spreads: Tensor) -> Whiteness:
     return Whiteness(
         lags, r[0], statistic, torch.special.gammaincc(torch.full_like(statistic, lags / 2.0), statistic / 2.0)
     )
+
+
+@dataclass(frozen=True)
+class Colour:
+    """How far residuals are from white: by output the correlation of successive ones, and what knowing it would tell.
+
+    gain : rise of the log-likelihood if each residual were predicted from the one before it, all outputs together.
+    """
+
+    lag_one: Tensor
+    gain: float
+
+    @property
+    def outputs(self) -> list[int]:
+        """Outputs whose residuals are no sensors' noise."""
+        return (self.lag_one > COLOURED).nonzero()[:, 0].tolist()
+
+
+def colour(residual: Tensor) -> Colour:
+    """Of residuals [F, T, ny], NaN = missing.
+
+    Source: Box, Jenkins and Reinsel, Time Series Analysis, sec. 7.1 (likelihood of a first-order process).
+    """
+    both = ~(residual[:, 1:].isnan() | residual[:, :-1].isnan())
+    one, other = (torch.where(both, part, 0.0) for part in (residual[:, 1:], residual[:, :-1]))
+    power = (one.square().sum(dim=(0, 1)) * other.square().sum(dim=(0, 1))).sqrt().clamp_min(1e-300)
+    lag_one = (one * other).sum(dim=(0, 1)) / power
+    gain = -0.5 * both.sum(dim=(0, 1)) * torch.log1p(-lag_one.square().clamp(max=1.0 - 1e-12))
+    return Colour(lag_one, float(gain.sum()))

@@ -35,8 +35,19 @@ def test_roll_and_yaw_derivatives_in_turbulence(lateral: FilterError) -> None:
 def test_output_error_takes_turbulence_for_the_vehicles_own_motion(lateral: FilterError) -> None:
     flights = [lateral_flight(np.random.default_rng([1, k])) for k in range(3)]
     calm, gusty = output_error(lateral_model(0.5), flights), filter_error(lateral_model(0.5), flights)
+    assert "filter_error tells more" in calm.message
     assert abs(calm.parameters[0].value - LATERAL["Lp"]) > 5.0 * calm.parameters[0].se
     assert abs(gusty.parameters[0].value - LATERAL["Lp"]) < 2.5 * gusty.parameters[0].se
+
+
+def test_gains_that_are_held_lead_to_the_same_parameters_and_errors(lateral: FilterError) -> None:
+    flights = [lateral_flight(np.random.default_rng([0, k])) for k in range(3)]
+    held = filter_error(lateral_model(0.5), flights, gain="held")
+    assert held.converged
+    assert abs(held.log_likelihood - lateral.log_likelihood) < 2.0
+    for p, q in zip(held.parameters + held.process_noise, lateral.parameters + lateral.process_noise, strict=True):
+        assert abs(p.value - q.value) < q.se, (p.name, p.value, q.value)
+        assert 0.9 < p.se / q.se < 1.5
 
 
 @pytest.mark.parametrize("start", [(0.0, 0.0, 0.0), (2.0, 3.0, -4.0), (-9.0, -20.0, 30.0)])
@@ -59,6 +70,7 @@ def test_without_process_noise_it_is_output_error(x0: str) -> None:
     assert torch.equal(found.covariance, calm.covariance)
     assert torch.equal(found.innovations[0], calm.residuals[0])
     assert found.process_noise == []
+    assert "filter_error" not in calm.message
     residual = np.concatenate([r.numpy() for r in calm.residuals])
     sd = np.sqrt((residual**2).mean(axis=0))
     expected = -np.log(sd * np.sqrt(2 * np.pi)).sum() * len(residual) - len(residual)
@@ -154,6 +166,7 @@ def test_a_filter_that_diverges_says_where_and_with_which_state() -> None:
         ({"noise_floor": [1.0]}, "noise_floor"),
         ({"x0": "guess"}, "x0"),
         ({"engine": "fast"}, "engine"),
+        ({"gain": "none"}, "gain"),
         ({"free": ["thetta"]}, "thetta"),
     ],
 )

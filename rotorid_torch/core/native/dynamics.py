@@ -154,7 +154,7 @@ class Dynamics:
 
         Columns: initial states where they are unknowns (else the second is NaN), biases, parameters, residual.
         """
-        order = self._order()
+        order = self.order()
         count, n = len(problem.x0), len(order)
         H = torch.zeros(count, n, n, dtype=torch.float64)
         passage = torch.full((count, self.nx, self.nx), math.nan, dtype=torch.float64)
@@ -163,7 +163,7 @@ class Dynamics:
 
     def whitened_rows(self, problem: LinearProblem, threads: int = 1) -> Tensor:
         """The whitened rows themselves [S, T ny, n], zero beyond a segment's end; columns as in `normal_equations`."""
-        order = self._order()
+        order = self.order()
         rows = torch.zeros(len(problem.x0), problem.samples * self.ny, len(order), dtype=torch.float64)
         self._call("whitened_rows", problem, order, (rows,), threads)
         return rows
@@ -180,7 +180,8 @@ class Dynamics:
         )
         return top, rest[:, first:, first:]
 
-    def _order(self) -> Tensor:
+    def order(self) -> Tensor:
+        """Columns of a row in the order of results: initial states, biases, parameters, residual."""
         columns = self.columns
         first_x0 = columns.loop + columns.path
         starts = range(first_x0, first_x0 + columns.starts)
@@ -191,7 +192,7 @@ class Dynamics:
     ) -> None:
         source, numbers = self.sensitivity
         theta = _ready(torch.cat([problem.theta, numbers]))
-        given = (problem.length, problem.controls, self._path(problem), problem.residual, problem.x0, theta)
+        given = (problem.length, problem.controls, self.padded(problem.path), problem.residual, problem.x0, theta)
         whitening = (problem.weight, problem.pattern, problem.table)
         getattr(library(source), name)(
             len(problem.x0),
@@ -203,10 +204,10 @@ class Dynamics:
             threads,
         )
 
-    def _path(self, problem: LinearProblem) -> Tensor | None:
+    def padded(self, path: Tensor) -> Tensor | None:
         """Derivatives of the controls [S, T, nu, n] filled up to whole vectors."""
         missing = self.columns.path - len(self.path)
-        return torch.nn.functional.pad(problem.path, (0, missing)).contiguous() if self.path else None
+        return torch.nn.functional.pad(path, (0, missing)).contiguous() if self.path else None
 
 
 @dataclass(frozen=True, eq=False)

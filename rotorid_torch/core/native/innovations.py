@@ -13,7 +13,7 @@ from torch import Tensor
 from rotorid_torch.core.native.build import lanes, library
 from rotorid_torch.core.native.derive import Columns, Derivatives, Tangent, derivatives
 from rotorid_torch.core.native.dynamics import sizes, traced
-from rotorid_torch.core.native.emit import Constants
+from rotorid_torch.core.native.emit import SHARED, Constants
 from rotorid_torch.core.native.symbols import Graph, Term
 
 Parts = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor, Tensor, Tensor]]
@@ -43,7 +43,8 @@ class Answer:
     """What the filter has found, of each flight.
 
     cost [F]; lost [F, 2] sample and state where it diverged, -1 where it did not; if asked for,
-    innovations [F, T, ny], spreads [F, T, ny, ny], states [F, T, nx], covariances [F, T, nx, nx].
+    innovations [F, T, ny], spreads [F, T, ny, ny], states [F, T, nx], covariances [F, T, nx, nx]; gains
+    [F, T, nx, ny] and white [F, T, ny, ny], factor of the spreads' inverse, with zeros where samples are missing.
     """
 
     cost: Tensor
@@ -52,6 +53,8 @@ class Answer:
     spreads: Tensor | None = None
     states: Tensor | None = None
     covariances: Tensor | None = None
+    gains: Tensor | None = None
+    white: Tensor | None = None
 
     def histories(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """All that can be asked for."""
@@ -65,6 +68,7 @@ class Innovations:
 
     H, R : rows and columns of the entries of dh/dx, and of the upper half of R, behind the ny outputs.
     varies : whether entries of dh/dx do. path : parameters that the controls depend on.
+    held : how many of psi, the first ones, are no unknowns; then nor are the initial states.
     """
 
     graph: Graph
@@ -79,9 +83,10 @@ class Innovations:
     ny: int
     count: int
     path: tuple[int, ...] = ()
+    held: int = 0
 
     @classmethod
-    def of(cls, parts: Parts, x: Tensor, u: Tensor, psi: Tensor) -> Innovations:
+    def of(cls, parts: Parts, x: Tensor, u: Tensor, psi: Tensor, held: int = 0) -> Innovations:
         """Trace a model and its noise at a point.
 
         Raises
@@ -101,7 +106,7 @@ class Innovations:
             graph=graph,
             rates=tuple(rates),
             outputs=tuple(outputs),
-            by=(derivatives(graph, rates), derivatives(graph, outputs)),
+            by=(_unknown(derivatives(graph, rates), held), _unknown(derivatives(graph, outputs), held)),
             H=tuple((i, j) for i, j, _ in slopes),
             R=tuple((i, j) for i, j, _ in noise),
             varies=any(graph.value(node) is None for _, _, node in slopes),
@@ -109,12 +114,14 @@ class Innovations:
             nu=len(u),
             ny=ny,
             count=len(psi),
+            held=held,
         )
 
     @cached_property
     def columns(self) -> Columns:
         """Where the tangents of the unknowns lie."""
-        return Columns.arranged(self.by, self.count, self.path, self.nx, 0, lanes())
+        starts = 0 if self.held else self.nx
+        return Columns.arranged(self.by, self.count - self.held, self.path, starts, 0, lanes())
 
     @cached_property
     def code(self) -> tuple[str, Tensor]:
@@ -185,7 +192,7 @@ class Innovations:
             return torch.full((count, samples, *shape), torch.nan, dtype=torch.float64) if histories else None
 
         cost, lost = torch.zeros(count, dtype=torch.float64), torch.full((count, 2), -1, dtype=torch.int32)
-        answer = Answer(cost, lost, empty(ny), empty(ny, ny), empty(nx), empty(nx, nx))
+        answer = Answer(cost, lost, empty(ny), empty(ny, ny), empty(nx), empty(nx, nx), empty(nx, ny), empty(ny, ny))
         missing = self.columns.path - len(self.path)
         path = torch.nn.functional.pad(flights.path, (0, missing)).contiguous() if self.path else None
         theta = torch.cat([psi, numbers]).contiguous()
@@ -193,15 +200,23 @@ class Innovations:
             count,
             samples,
             ctypes.c_double(flights.dt),
-            *(_address(a) for a in (flights.length, flights.controls, path, flights.outputs)),
-            *(_address(a) for a in (flights.x0, flights.P0, theta)),
-            *(_address(a) for a in (cost, lost, answer.innovations, answer.spreads, answer.states)),
-            _address(answer.covariances),
+            *(address(a) for a in (flights.length, flights.controls, path, flights.outputs)),
+            *(address(a) for a in (flights.x0, flights.P0, theta)),
+            *(address(a) for a in (cost, lost, answer.innovations, answer.spreads, answer.states)),
+            *(address(a) for a in (answer.covariances, answer.gains, answer.white)),
             len(order),
-            *(_address(a) for a in (order, H, rows)),
+            *(address(a) for a in (order, H, rows)),
             threads,
         )
         return answer
+
+
+def _unknown(rows: Derivatives, held: int) -> Derivatives:
+    """Derivatives without those by the first parameters; the others are counted from there."""
+    return [
+        {(n, k - held if n == SHARED else k): node for (n, k), node in row.items() if n != SHARED or k >= held}
+        for row in rows
+    ]
 
 
 def _by_state(graph: Graph, results: Sequence[int]) -> list[dict[int, int]]:
@@ -225,5 +240,6 @@ def _covariance_rates(graph: Graph, rates: Sequence[int], Q: Sequence[int]) -> l
     return found
 
 
-def _address(values: Tensor | None) -> ctypes.c_void_p:
+def address(values: Tensor | None) -> ctypes.c_void_p:
+    """Where values lie, null for none."""
     return ctypes.c_void_p(None if values is None else values.data_ptr())

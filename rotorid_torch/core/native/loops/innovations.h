@@ -2,6 +2,7 @@
 // The loop of `sensitivity.h` carries states and the upper half of their covariance as one vector of NX numbers, first
 // the N states; its NY outputs are M measured ones, then the entries of H = dh/dx that are not zero (H_ROW, H_COL),
 // then those of the upper half of R (R_ROW, R_COL). At each sample the outputs correct both.
+#define TANGENTS_ALONE
 #include "sensitivity.h"
 
 enum { SPREADS = M * (M + 1) / 2, SAMPLE_ROWS = M + SPREADS, BUNDLE = SAMPLE_ROWS * (64 / SAMPLE_ROWS > 0 ? 64 / SAMPLE_ROWS : 1) };
@@ -23,6 +24,8 @@ struct Record {        // of all flights; null where not asked for
   double* spreads;     // [F, n, M, M]
   double* states;      // [F, n, N]
   double* covariances; // [F, n, N, N]
+  double* gains;       // [F, n, N, M]
+  double* white;       // [F, n, M, M]
 };
 
 static inline int place(int i, int j) { return i <= j ? N + i * N - i * (i - 1) / 2 + j - i : place(j, i); }
@@ -199,6 +202,10 @@ static bool filter(const Flights& p, const Record& to, int which, int length, Se
     if (to.spreads) memcpy(to.spreads + sample * M * M, S, sizeof S);
     if (to.states) memcpy(to.states + sample * N, s.x, N * sizeof(double));
     if (to.covariances) for (int i = 0; i < N; i++) for (int j = 0; j < N; j++) to.covariances[(sample * N + i) * N + j] = s.x[place(i, j)];
+    for (int a = 0; a < M; a++) {
+      if (to.gains) for (int i = 0; i < N; i++) to.gains[(sample * N + i) * M + a] = v.there[a] ? v.K[i][a] : 0.0;
+      if (to.white) for (int b = 0; b < M; b++) to.white[(sample * M + a) * M + b] = v.there[a] && v.there[b] ? v.W[a][b] : 0.0;
+    }
     if (DERIVATIVES) {
       for (int b = 0; b < MOVING; b++) {
         output_rows(b, s, p.c);
@@ -229,11 +236,11 @@ static bool filter(const Flights& p, const Record& to, int which, int length, Se
 // order [columns]: column of each entry of the result, the residual last. rows [F, n, SAMPLE_ROWS, columns] or null.
 extern "C" void innovations(int count, int n, double dt, const int* length, const double* u, const double* path, const double* y,
                             const double* x0, const double* P0, const double* th, double* cost, int* lost, double* innovations, double* spreads,
-                            double* states, double* covariances, int columns, const int* order, double* H, double* rows, int threads) {
+                            double* states, double* covariances, double* gains, double* white, int columns, const int* order, double* H, double* rows, int threads) {
   std::vector<double> c(NC);
   prepare(th, c.data());
   const Flights p{n, dt, u, path, y, x0, P0, c.data()};
-  const Record to{cost, lost, innovations, spreads, states, covariances};
+  const Record to{cost, lost, innovations, spreads, states, covariances, gains, white};
   each(count, threads, [&](int f) {
     struct Room { Sensitivity s; alignas(64) Row bundle[BUNDLE] = {}; alignas(64) double upper[WIDTH][WIDTH] = {}; };
     auto room = std::make_unique<Room>();

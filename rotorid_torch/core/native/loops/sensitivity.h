@@ -109,6 +109,22 @@ static void output_rows(int b, Sensitivity& s, const double* c) {
   for (int i = 0; i < NY; i++) *(vd*)&s.raw[i][W * b] = y[i];
 }
 
+static void load_path(const Problem& p, size_t sample, bool last, Sensitivity& s) {
+  if (!PATH) return;
+  const double *a = p.path + sample * NU * PATH, *z = last ? a : a + NU * PATH;
+  for (int g = 0; g < 4; g++) for (int j = 0; j < NU; j++) for (int q = 0; q < PATH; q++)
+    ((double*)s.path[g][j])[q] = a[j * PATH + q] + NODE[g] * (z[j * PATH + q] - a[j * PATH + q]);
+}
+
+static void each(int count, int threads, const std::function<void(int)>& work) {
+  std::vector<std::thread> pool;
+  auto run = [&](int t) { for (int i = t; i < count; i += threads) work(i); };
+  for (int t = 1; t < threads && t < count; t++) pool.emplace_back(run, t);
+  run(0);
+  for (auto& t : pool) t.join();
+}
+
+#ifndef TANGENTS_ALONE  // loops with tangents of their own need nothing of what follows
 // Rows of one sample, whitened; what is missing is zero.
 static void whiten(const Problem& p, size_t sample, Sensitivity& s, Row* rows) {
   const double* r = p.residual + sample * NY;
@@ -128,13 +144,6 @@ static void whiten(const Problem& p, size_t sample, Sensitivity& s, Row* rows) {
     for (int j = 0; j <= i; j++) if (w[j] != 0.0)
       for (int b = 0; b < VECTORS; b++) to[b] += w[j] * ((vd*)s.raw[j])[b];
   }
-}
-
-static void load_path(const Problem& p, size_t sample, bool last, Sensitivity& s) {
-  if (!PATH) return;
-  const double *a = p.path + sample * NU * PATH, *z = last ? a : a + NU * PATH;
-  for (int g = 0; g < 4; g++) for (int j = 0; j < NU; j++) for (int q = 0; q < PATH; q++)
-    ((double*)s.path[g][j])[q] = a[j * PATH + q] + NODE[g] * (z[j * PATH + q] - a[j * PATH + q]);
 }
 
 // One segment: calls sink(rows, count) with whitened rows in order of time; ends with the tangents of its last sample.
@@ -193,14 +202,6 @@ extern "C" void triangles(int count, int n, int first, double weak, double* H, d
   }
 }
 
-static void each(int count, int threads, const std::function<void(int)>& work) {
-  std::vector<std::thread> pool;
-  auto run = [&](int t) { for (int i = t; i < count; i += threads) work(i); };
-  for (int t = 1; t < threads && t < count; t++) pool.emplace_back(run, t);
-  run(0);
-  for (auto& t : pool) t.join();
-}
-
 // order [n]: column of each entry of the result, the residual last; n columns.
 // H [S, n, n] upper part of each segment's normal equations; passage [S, NX, NX]: last state by first.
 extern "C" void normal_equations(int count, int n, double dt, const int* length, const double* u, const double* path,
@@ -240,3 +241,4 @@ extern "C" void whitened_rows(int count, int n, double dt, const int* length, co
     });
   });
 }
+#endif
