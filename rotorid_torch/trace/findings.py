@@ -13,7 +13,7 @@ from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.fits import Fitted
 from rotorid_torch.trace.search import Search
 from rotorid_torch.trace.settings import SETTINGS
-from rotorid_torch.trace.words import reason, size_details
+from rotorid_torch.trace.words import explained_by, reason, size_details
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,7 @@ class Outcome:
         effect, (verdict, why) = found.id, decide(row)
         joined, names = self._joined(effect), [c.effect for c in self.search.joined]
         trial = next((t for c, t in reversed(self.search.trials.items()) if c.effect == effect), None)
-        details: dict[str, object] = {"others": " and ".join(names) or "other effects"}
+        details: dict[str, object] = {"explained_by": explained_by(names)}
         if trial is not None:
             details |= size_details(trial.null, trial.fitted, effect)
         if joined is not None:

@@ -205,7 +205,8 @@ def _spread(search: Search, final: Fitted, draws: Draws) -> tuple[dict[str, str]
     spread = dict(search.scatter)
     for effect in (c.effect for c in search.joined):
         for name, scatter in [*final.scatter(effect).items(), *draws.scatter(effect).items()]:
-            spread[name] = max(spread.get(name, 0.0), scatter)
+            if name in final.names:
+                spread[name] = max(spread.get(name, 0.0), scatter)
         found = by_control(final, effect, search.held)
         if found is not None:
             errors = [e for e in (final.error(found.parameter), spread.get(found.parameter, 0.0)) if math.isfinite(e)]

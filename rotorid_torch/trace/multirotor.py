@@ -33,7 +33,7 @@ from rotorid_torch.trace.loop import Tracing
 from rotorid_torch.trace.screening_sizes import with_screening_sizes
 from rotorid_torch.trace.settings import SETTINGS
 from rotorid_torch.trace.significance import exceeds
-from rotorid_torch.trace.words import reason
+from rotorid_torch.trace.words import explained_by, reason
 from rotorid_torch.validate.responses import compared
 
 BLOCK_S = 1.0
@@ -242,7 +242,7 @@ class _Search:
                 "error": size.error,
                 "better": int((better > 0).sum()),
                 "count": len(better),
-                "others": "another effect",
+                "explained_by": "another effect explains",
             }
             self.trials[effect] = Trial(one, gains[effect], floors[effect], p[effect], row, details)
             if row.significant:
@@ -346,7 +346,8 @@ class _Search:
         row = Row(alone=not group) if joined else replace(trial.row, in_set=not stands)
         verdict, why = decide(row)
         why = Reason.HELPS if verdict == "accepted" else why
-        said = reason(why, **{**trial.details, "others": " or ".join(group) or " and ".join(self.accepted)})
+        details = {**trial.details, "others": " or ".join(group), "explained_by": explained_by(self.accepted)}
+        said = reason(why, **details)
         values = _errors(final if joined else trial.fitted, effect)
         return replace(found, verdict=verdict, reason=said, group=group, values=values)
 

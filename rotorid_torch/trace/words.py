@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rotorid_torch.trace.decide import TABLE, Estimate, Reason, size_of, unseen_evidence
@@ -10,7 +11,7 @@ from rotorid_torch.trace.fits import Fitted
 REASONS = {
     Reason.BELOW_LEVEL: "it explains no more than it does where nothing is missing",
     Reason.ABSORBED: "at its usual size these flights would not show it: {imitators}; {flights} would tell",
-    Reason.BETTER_EXPLAINED: "what it would explain, {others} explain better",
+    Reason.BETTER_EXPLAINED: "what it would explain, {explained_by} better",
     Reason.NO_BETTER_FIT: "fitted in full, it explains nothing",
     Reason.ACTIVE_BOUND: "{parameter} = {value:.3g} lies at the edge of its range",
     Reason.WITHIN_ERROR: "{parameter} = {value:.3g} ± {error:.1g}: the interval holds the size of nothing",
@@ -27,6 +28,11 @@ REASONS = {
 def reason(which: Reason, **details: object) -> str:
     """A reason in words."""
     return REASONS[which].format(**details)
+
+
+def explained_by(names: Sequence[str]) -> str:
+    """What explains something, with its verb."""
+    return f"{' and '.join(names) or 'another effect'} {'explain' if len(names) > 1 else 'explains'}"
 
 
 def size_details(null: Fitted, fitted: Fitted, effect: str) -> dict[str, object]:

@@ -123,7 +123,7 @@ def test_what_the_one_that_joined_explains_better_is_rejected():
     found.search.first = beside, {**found.search.first[1], LAG: 0.05}, draws
     told = of(found, LAG)
     assert (told.verdict, told.values) == ("rejected", {})
-    assert told.reason == f"what it would explain, {DELAY} explain better"
+    assert told.reason == f"what it would explain, {DELAY} explains better"
 
 
 def test_those_that_flights_cannot_tell_apart_are_a_group_of_which_only_the_one_in_the_model_has_values():

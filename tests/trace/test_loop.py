@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import torch
+
 from rotorid_torch.effects.base import Role, Showing
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.model.nominal import build
+from rotorid_torch.trace.critical import Draws, Null
+from rotorid_torch.trace.family import Family
 from rotorid_torch.trace.fits import Fitted
-from tests.trace.hidden_flights import flights, traced
+from rotorid_torch.trace.loop import trace
+from tests.trace.hidden_flights import flights, started, traced
 
 
 def test_a_hidden_rate_limit_is_told_from_a_delay():
@@ -62,3 +69,19 @@ def test_where_nothing_is_hidden_nothing_is_named():
     delay = next(f for f in found.findings if f.id == "control.delay")
     assert delay.smallest_visible is not None
     assert delay.smallest_visible[0] < 0.06
+
+
+def test_errors_hold_the_scatter_over_clean_aircraft_of_what_was_estimated():
+    """A size of each control scatters too, and says nothing of one size of all."""
+    known, null = started(flights("control.delay", control__delay__common=0.06))
+    drawn = 0.01 * torch.randn(19, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+
+    def draw(_null: Null, _effects: Sequence[str], observed: Family) -> Draws:
+        nothing = {name: torch.zeros(19, dtype=torch.float64) for name in observed.statistics}
+        sizes = {"control.delay.common": drawn, "control.delay.lon": 3.0 * drawn}
+        return Draws(nothing, "19 aircraft", clean=True, least=observed.least, sizes=sizes)
+
+    found = trace(null.spec, null.values, (), known, draw)
+    assert found.accepted == ("control.delay",)
+    assert found.spread["control.delay.common"] >= float(drawn.std())
+    assert "control.delay.lon" not in found.spread
