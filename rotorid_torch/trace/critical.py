@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from types import MappingProxyType
 
 import torch
@@ -64,21 +65,23 @@ class Draws:
 def critical_values(
     observed: Mapping[str, float], drawn: Mapping[str, Tensor], least: Mapping[str, float] = NO_LEAST
 ) -> dict[str, float]:
-    """The statistic of each member at which it exceeds the largest of the family in 1 - level of the draws [D].
+    """The statistic of each member above which p of `adjusted_p` is at most the level; none below zero.
 
-    In the units of `adjusted_p`, mean sizes over data and draws: with q that quantile, n draws and S the sum of the
-    sizes of a member's draws, T (n + 1) / (S + T) = q.
+    In the same units, mean sizes over data and draws: with q the quantile 1 - level of the draws' largest statistics, n
+    draws and S the sum of the sizes of a member's draws, T (n + 1) / (S + T) = q. Step-down: the largest are those of
+    the members that are no more extreme; members whose p is larger than the level share one q.
     """
     if not drawn:
         return {}
-    names = list(drawn)
-    table = torch.stack([drawn[name] for name in names])
-    data = torch.tensor([observed[name] for name in names], dtype=torch.float64)
-    size = _sizes(torch.cat([table, data[:, None]], dim=1), names, least)
-    largest = (table / size[:, None]).amax(dim=0)
-    q, count = float(torch.quantile(largest, 1.0 - SETTINGS.level, interpolation="higher")), table.shape[1]
-    shares = q * table.abs().sum(dim=1) / max(count + 1.0 - q, 1e-300)
-    return {name: max(float(s), q * least.get(name, 0.0)) for name, s in zip(names, shares, strict=True)}
+    family = _Family.of({name: observed[name] for name in drawn}, drawn, least)
+    count, critical, q, exceeds = family.table.shape[1], {}, 0.0, True
+    for k, place in enumerate(family.order):
+        if exceeds:
+            q = float(torch.quantile(family.largest(k), 1.0 - SETTINGS.level, interpolation="higher"))
+            exceeds = float(family.data[place]) > q
+        name, total = family.names[place], float((family.table[place] * family.size[place]).abs().sum())
+        critical[name] = max(q * total / max(count + 1.0 - q, 1e-300), q * least.get(name, 0.0), 0.0)
+    return {name: critical[name] for name in drawn}
 
 
 def clear(observed: Mapping[str, float], drawn: Mapping[str, Tensor], least: Mapping[str, float] = NO_LEAST) -> bool:
@@ -112,7 +115,7 @@ def adjusted_p(
 
     Statistics are compared in units of their mean size over the data and the draws, so that all members count alike
     and the data and the draws stay exchangeable: the level holds for any distribution. Step-down: a member is compared
-    with the largest of those that are no more extreme.
+    with the largest of those that are no more extreme. What predicts flights worse is no evidence: p is one.
 
     Parameters
     ----------
@@ -123,22 +126,44 @@ def adjusted_p(
     """
     if not observed:
         return {}
-    names = list(observed)
-    data = torch.tensor([observed[e] for e in names], dtype=torch.float64)
-    table = torch.stack([clean[e] for e in names])
-    size = _sizes(torch.cat([table, data[:, None]], dim=1), names, least)
-    data, table = data / size, table / size[:, None]
-    order = data.argsort(descending=True, stable=True).tolist()
-    adjusted, floor = {}, 0.0
-    for k, place in enumerate(order):
-        largest = table[order[k:]].amax(dim=0)
-        p = (1.0 + int((largest >= data[place]).sum())) / (1.0 + table.shape[1])
-        floor = max(floor, p)
-        adjusted[names[place]] = floor
-    return {e: adjusted[e] for e in names}
+    family, adjusted, floor = _Family.of(observed, clean, least), {}, 0.0
+    for k, place in enumerate(family.order):
+        reached = int((family.largest(k) >= family.data[place]).sum())
+        p = (1.0 + reached) / (1.0 + family.table.shape[1])
+        floor = max(floor, p if float(family.data[place]) > 0.0 else 1.0)
+        adjusted[family.names[place]] = floor
+    return {e: adjusted[e] for e in observed}
 
 
-def _sizes(table: Tensor, names: Sequence[str], least: Mapping[str, float]) -> Tensor:
-    """Mean size of each member's statistics [members, D]."""
-    smallest = torch.tensor([max(least.get(name, 0.0), 1e-300) for name in names], dtype=torch.float64)
-    return torch.maximum(table.abs().mean(dim=1), smallest)
+@dataclass(frozen=True, eq=False)
+class _Family:
+    """Statistics of members in units of their mean sizes [members], those of the data [members] and of draws [.., n].
+
+    A statistic that is not finite is no evidence. order : of the members, the most extreme first.
+    """
+
+    names: list[str]
+    size: Tensor
+    data: Tensor
+    table: Tensor
+
+    @classmethod
+    def of(cls, observed: Mapping[str, float], drawn: Mapping[str, Tensor], least: Mapping[str, float]) -> _Family:
+        """Of the members that are observed."""
+        names = list(observed)
+        data = torch.tensor([[observed[name]] for name in names], dtype=torch.float64)
+        whole = torch.cat([data, torch.stack([drawn[name] for name in names])], dim=1)
+        whole = torch.where(whole.isfinite(), whole, 0.0)
+        smallest = torch.tensor([max(least.get(name, 0.0), 1e-300) for name in names], dtype=torch.float64)
+        size = torch.maximum(whole.abs().mean(dim=1), smallest)
+        scaled = whole / size[:, None]
+        return cls(names, size, scaled[:, 0], scaled[:, 1:])
+
+    @cached_property
+    def order(self) -> list[int]:
+        """Places of the members."""
+        return self.data.argsort(descending=True, stable=True).tolist()
+
+    def largest(self, k: int) -> Tensor:
+        """Of each draw among the members from the k-th on [n]."""
+        return self.table[self.order[k:]].amax(dim=0)

@@ -97,6 +97,35 @@ def test_a_statistic_is_above_its_critical_value_where_hardly_a_draw_shows_as_mu
     assert above > 30 if shift == 3.0 else above < 60
 
 
+@pytest.mark.parametrize("shift", [0.0, 1.0, 3.0])
+def test_each_statistic_is_above_its_critical_value_just_where_p_is_at_most_the_level(shift: float):
+    """Step-down too: what stands out beside a member that stands out more is compared without that one's draws."""
+    for observed, drawn in families(200, SETTINGS.draws, 11, shift):
+        p, critical = adjusted_p(observed, drawn), critical_values(observed, drawn)
+        assert {e: observed[e] > critical[e] for e in NAMES} == {e: p[e] <= LEVEL for e in NAMES}
+    drawn = {"a": torch.tensor([0.9, *[0.1 / 18] * 18], dtype=torch.float64), "b": torch.full((19,), 0.05).double()}
+    observed = {"a": 1.0, "b": 0.5}  # the one large draw of a is no draw of b
+    assert adjusted_p(observed, drawn) == pytest.approx({"a": LEVEL, "b": LEVEL})
+    assert all(observed[e] > one for e, one in critical_values(observed, drawn).items())
+
+
+def test_what_predicts_flights_worse_is_no_evidence_however_much_worse_draws_are():
+    drawn = {"a": torch.full((SETTINGS.draws,), -2.0, dtype=torch.float64)}
+    assert adjusted_p({"a": -1.0}, drawn)["a"] == 1.0
+    assert critical_values({"a": -1.0}, drawn)["a"] >= 0.0
+    assert adjusted_p({"a": 0.1}, drawn)["a"] == pytest.approx(LEVEL)
+
+
+@pytest.mark.parametrize("wrong", [float("nan"), float("inf"), -float("inf")])
+def test_a_statistic_that_is_no_number_tells_nothing_of_the_others(wrong: float):
+    drawn = {e: torch.linspace(0.1, 2.0, SETTINGS.draws).double() for e in "ab"}
+    drawn["a"][3] = wrong
+    assert adjusted_p({"a": 0.5, "b": 0.5}, drawn)["b"] > 0.5
+    assert adjusted_p({"a": wrong, "b": 0.5}, drawn)["b"] > 0.5
+    assert adjusted_p({"a": wrong, "b": 0.5}, drawn)["a"] == 1.0
+    assert critical_values({"a": 0.5, "b": 0.5}, drawn)["b"] > 0.5
+
+
 def test_the_critical_value_of_a_single_member_is_the_largest_draw_where_data_reach_it():
     drawn = torch.arange(1.0, 20.0, dtype=torch.float64)
     assert critical_values({"a": 19.0}, {"a": drawn})["a"] == pytest.approx(19.0)
