@@ -1,6 +1,6 @@
 """The command line: parser and exit codes only; each command's module is imported inside its function.
 
-Exit codes: 0 done; 2 bad input or usage, one line on stderr; 3 (`check` alone) not fit; 130 interrupted; 1 anything
+Exit codes: 0 done; 2 bad input or usage, one line on stderr; 3 (`check` alone) not usable; 130 interrupted; 1 anything
 else, one line and a log.
 """
 
@@ -195,7 +195,7 @@ def _add_import(commands) -> None:
 
 
 def _add_check(commands) -> None:
-    command = _add_command(commands, "check", check, "is the data set fit for identification?")
+    command = _add_command(commands, "check", check, "can a model be identified from it: ready, limited or not usable")
     command.add_argument("dataset", metavar="DATASET", type=Path)
     command.add_argument("--out", metavar="RUN", type=Path, help="also write the findings as a run")
 
@@ -254,7 +254,7 @@ def import_logs(options: Options) -> None:
 
 
 def check(options: Options) -> int:
-    """Say whether a data set is fit for identification; exit code 3 where it is not."""
+    """Grade a data set: ready, limited or not usable; exit code 3 for the last."""
     from rotorid_torch.data import load
     from rotorid_torch.run.checking import check as examine
     from rotorid_torch.run.checking import check_table, write_check

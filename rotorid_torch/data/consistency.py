@@ -56,7 +56,8 @@ class Agreement:
 
     `scale` is the ratio of the two sides' rms, `bounds` has it for all errors on either side; `lag_s` above 0 means
     that left comes later; standard errors are the larger of that of the residuals and that of the jackknife over the
-    pieces. `lags_s` has the lag and its standard error of each piece in which it can be seen.
+    pieces. `lags_s` has the lag and its standard error of each piece in which it can be seen. `power` has the mean
+    squares of left and right.
     """
 
     pair: Pair
@@ -69,6 +70,15 @@ class Agreement:
     bias: float
     bias_se: float
     lags_s: dict[str, tuple[float, float]]
+    power: tuple[float, float]
+
+    def strength(self, noise: tuple[float, float], dt: float) -> float:
+        """Power of left and right over that of the noise of their sensors' samples (standard deviations), the less."""
+        bell, slope = kernel(dt)
+        taps = (slope if self.pair.differentiate else bell, bell)
+        floors = [s**2 * float((t**2).sum()) for s, t in zip(noise, taps, strict=True)]
+        tiny = np.finfo(float).tiny
+        return min(power / max(floor, tiny) for power, floor in zip(self.power, floors, strict=True))
 
 
 def kernel(dt: float, width_s: float = WIDTH_S) -> tuple[Array, Array]:
@@ -92,6 +102,7 @@ def agreement(pair: Pair, flights: Iterable[Flight]) -> Agreement | None:
     best = int(np.argmax(_r2(total)))
     lag, lag_se = _lag(total, list(sides.values()))
     without = [total - one for one in moments.values()]
+    known = sum(int(np.isfinite(side.left).sum()) for side in sides.values())
     bias = np.array([np.nanmean(side.left) - np.nanmean(side.moved(0)) for side in sides.values()])
     return Agreement(
         pair=pair,
@@ -104,6 +115,7 @@ def agreement(pair: Pair, flights: Iterable[Flight]) -> Agreement | None:
         bias=float(bias.mean()),
         bias_se=float(bias.std() / np.sqrt(max(len(bias) - 1, 1))),
         lags_s={name: _lag(m, [sides[name]]) for name, m in moments.items() if _r2(m).max() > 0.6},
+        power=(float(total[best, 1]) / max(known, 1), float(total[best, 0]) / max(known, 1)),
     )
 
 

@@ -8,7 +8,19 @@ import numpy as np
 
 from rotorid_torch.core import names
 from rotorid_torch.data import consistency
-from rotorid_torch.data.consistency import Agreement, Pair, agreement
+from rotorid_torch.data.alignment import (
+    EVERY_S,
+    MOVES,
+    UNITS,
+    Alignment,
+    aligned,
+    alignment,
+    axes_of,
+    right_angles,
+    rotation,
+    rotation_vector,
+)
+from rotorid_torch.data.consistency import REACH_S, Agreement, Pair, agreement
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.finding import Finding, Severity, finding
 from rotorid_torch.data.late_controls import LateControls, coming_first, followed_sticks, known_responses, late_controls
@@ -25,32 +37,122 @@ BIAS = {"rad/s": 0.004, "m/s²": 0.15, "m/s": 0.15}
 """Constant difference that is worth a word."""
 SCALE = 0.04
 """Scale error that is worth a word."""
+AGREES = 0.3
+"""R² below which two sides are not compared."""
+CONTRADICT = {"attitude": 0.5, "velocity": 0.3, "position": 0.3}
+"""R² below which two sides that move far above their noise contradict each other."""
+LEAST_RMS = {"rad/s": 0.02, "m/s²": 0.2}
+"""Motion that both sides must show besides, rms: what an estimator has smoothed seems to have no noise."""
+CLOCKS = {"attitude": ("attitude", "rates"), "velocity": ("velocities", "accelerations")}
+"""Units whose clock a group of pairs compares."""
+MOUNTED = 3.0
+"""Degrees within which a turn is a mounting by right angles."""
 SURE, SURE_LAG = 4.0, 3.0
 """Standard errors that make a finding; of a lag, whose size must mean something besides."""
 
 
 def kinematics(dataset: Dataset) -> Iterator[Finding]:
-    """Attitude against rates, velocity against specific force, position against velocity."""
-    flights = dataset.flights.values()
+    """Attitude against rates, velocity against specific force, position against velocity; large errors first."""
+    by = alignment(dataset)
+    flights = [aligned(f, by) for f in dataset.flights.values()] if by.needed else list(dataset.flights.values())
+    if by.mirror:
+        yield _mirrored(by)
+    elif by.angle > 0.0:
+        yield _turned(by)
     lags: dict[str, list[Agreement]] = {}
     for left, right, pairs in GROUPS:
         results = [a for pair in pairs(dataset) if (a := agreement(pair, flights)) is not None]
         seen = [a for a in results if a.r2 > 0.6]
-        lags[left] = [a for a in seen if _off(a)]
+        yield from _far_off(left, by, seen)
+        lags[left] = [a for a in seen if _off(a) and not _moved(left, by)]
         base = time_base(seen) if left == "attitude" else None
         if base is not None:
             yield _wrong_base(base, dataset)
         if lags[left]:
             yield _late(left, right, lags)
-        elif seen:
+        elif seen and not _moved(left, by):
             told = ", ".join(f"{a.pair.left_name} {a.lag_s:+.3f} s" for a in seen)
             yield finding("good", _channels(seen), f"{left} keeps time with {right} ({told}).")
         for result in seen:
             yield from _drift(result)
+        if by.mirror:
+            continue
         for result in results:
             if result.pair.exact:
-                yield from _bias(result, dataset)
+                yield from _disagreement(result, dataset, left)
+                yield from _bias(result, dataset) if result.r2 > AGREES else ()
                 yield from _scale(result) if base is None else ()
+
+
+def _turned(by: Alignment) -> Finding:
+    """The IMU's axes are not the attitude's."""
+    angle, axis = np.degrees(by.angle), by.turn / by.angle
+    nearest = min(right_angles(), key=lambda m: float(np.linalg.norm(m - rotation(by.turn))))
+    square = float(np.degrees(np.linalg.norm(rotation_vector(rotation(by.turn).T @ nearest)))) < MOUNTED
+    mounted = f" (a mounting by right angles: p q r read {axes_of(nearest.T)})" if square else ""
+    return finding(
+        "error",
+        "p q r phi theta psi",
+        f"the IMU is turned by {angle:.1f}° (± {np.degrees(by.turn_se):.1g}) about the body axis",
+        f"({axis[0]:+.2f}, {axis[1]:+.2f}, {axis[2]:+.2f}) against the attitude{mounted}: turned back, the attitude",
+        f"leaves {by.after:.1%} of the rates' variance instead of {min(by.before, 9.99):.0%}. Turn p q r and ax ay az",
+        "back; close-loop names it as sensors.misalignment.",
+    )
+
+
+def _mirrored(by: Alignment) -> Finding:
+    """No rotation but a sign or an exchange of axes makes the rates those of the attitude."""
+    return finding(
+        "error",
+        "p q r phi theta psi",
+        f"by the attitude p q r read {by.mirror}: a wrong sign or exchanged axes, which no mounting makes. Turned so,",
+        f"the attitude leaves {by.after:.1%} of the rates' variance instead of {min(by.before, 9.99):.0%}.",
+        "Correct signs and order of the rates, or of the attitude.",
+    )
+
+
+def _moved(group: str, by: Alignment) -> bool:
+    """Whether a clock of this group was set right before its pairs were compared."""
+    return bool({*CLOCKS.get(group, ())} & {*by.clocks})
+
+
+def _far_off(group: str, by: Alignment, seen: Sequence[Agreement]) -> Iterator[Finding]:
+    """Clocks that are off by more than pairs of channels are searched for, with what these still say."""
+    moved = [unit for unit in CLOCKS.get(group, ()) if unit in by.clocks]
+    if not moved:
+        return
+    weights = np.array([max(a.lag_se, 1e-3) ** -2.0 for a in seen])
+    rest = float(weights @ [a.lag_s for a in seen] / weights.sum()) if seen else 0.0
+    error = float(weights.sum() ** -0.5) if seen else EVERY_S / 2.0
+    for unit in moved:
+        seconds = by.clocks[unit] + (rest if unit in ("attitude", "velocities") else -rest)
+        word = "late" if seconds > 0.0 else "early"
+        told = f"{unit} {abs(seconds):.3f} s {word} (± {max(error, 1e-3):.3f}) against the other streams:"
+        what = (
+            "two clocks, or one that began later. Shift the stream; nothing that compares channels means much before."
+        )
+        yield finding("error", " ".join(UNITS[unit]), told, what)
+
+
+def _disagreement(a: Agreement, dataset: Dataset, group: str) -> Iterator[Finding]:
+    """Two sensors that move far above their noise and do not agree, or too little motion to compare them."""
+    left, right = a.pair.left_name, a.pair.right_name
+    if a.r2 >= (CONTRADICT[group]):
+        return
+    dt = float(np.median([dataset.facts[name].dt for name in dataset.identify]))
+    noise = dataset.noise(left), max(dataset.noise(name) for name in right.split())
+    strength = a.strength(noise, dt)
+    large = min(a.power) > LEAST_RMS.get(a.pair.unit, 0.0) ** 2
+    if strength > MOVES and large and group != "position":
+        told = (
+            f"{left} and {right} both move far above their noise ({strength:.0f} times its power at least) and do not"
+        )
+        more = f"agree with kinematics (R² {a.r2:.2f}, in no lag up to {REACH_S:g} s): they contradict each other."
+        yield finding("error", f"{left} {right}", told, more, "One of the two is wrong: axes, unit, clock or sensor.")
+    elif a.r2 < AGREES:
+        yield finding(
+            "note", left, f"too little motion, or too much noise, to compare {left} with {right} (R² {a.r2:.2f})."
+        )
 
 
 def time_base(seen: Sequence[Agreement]) -> tuple[float, float] | None:
@@ -124,9 +226,6 @@ def _scale(a: Agreement) -> Iterator[Finding]:
         told = f"the rate of {left} is {a.scale:.3f} (± {a.scale_se:.3f}) times what {right} says by kinematics:"
         cause = "a scale factor or unit of one of the two is off. Calibrate, or let sensors.scale be estimated."
         yield finding("warning", left, told, cause)
-    if a.r2 < 0.3:
-        told = f"too little motion, or too much noise, to compare {left} with {right} (R² {a.r2:.2f})."
-        yield finding("note", left, told)
 
 
 def _bias(a: Agreement, dataset: Dataset) -> Iterator[Finding]:

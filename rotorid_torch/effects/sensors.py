@@ -28,6 +28,9 @@ ANGULAR_ACCELERATIONS = ("pdot", "qdot", "rdot")
 LARGEST_BIAS = {"m/s": 5.0, "rad/s": 0.1, "rad": 0.1, "m/s2": 2.0, "rad/s2": 0.5}
 TYPICAL_BIAS = {"m/s": 0.5, "rad/s": 0.005, "rad": 0.01, "m/s2": 0.2, "rad/s2": 0.02}
 
+TINY = 1e-12
+"""Angle in rad below which a rotation is none."""
+
 
 def _unit(channel: str) -> str:
     return unit(channel).replace("²", "2") or "1"
@@ -100,9 +103,10 @@ class SensorScale(_Sensor):
 
 @register
 class Misalignment(_Sensor):
-    """IMU turned by a small rotation (x, y, z) against the body: gyros and accelerometers read v - rotation x v.
+    """IMU turned by a rotation vector e (x, y, z) of any size against the body: it reads R(e)' times each vector.
 
-    Source: Titterton and Weston, Strapdown Inertial Navigation Technology (2nd ed.), ch. 8 (installation errors).
+    Source: Titterton and Weston, Strapdown Inertial Navigation Technology (2nd ed.), ch. 8 (installation errors);
+    Rodrigues' formula.
     """
 
     id = "sensors.misalignment"
@@ -110,7 +114,7 @@ class Misalignment(_Sensor):
     def __init__(self, channels: tuple[str, ...]) -> None:
         super().__init__(
             tuple(
-                Parameter(a, 0.0, "rad", (-0.2, 0.2), free=False, doc=f"rotation of the IMU about {a}", typical=0.015)
+                Parameter(a, 0.0, "rad", (-3.2, 3.2), free=False, doc=f"rotation of the IMU about {a}", typical=0.015)
                 for a in "xyz"
             )
         )
@@ -123,9 +127,13 @@ class Misalignment(_Sensor):
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Rates and specific forces in the axes of the turned IMU."""
+        e = p.stack("x", "y", "z")
+        angle = torch.sqrt((e * e).sum(-1, keepdim=True) + TINY**2)
+        once, twice = torch.sin(angle) / angle, 0.5 * (torch.sin(0.5 * angle) / (0.5 * angle)) ** 2
         for triad in self.triads:
             true = frame.stack(triad)
-            seen = true - cross(p.stack("x", "y", "z"), true)
+            across = cross(e, true)
+            seen = true - once * across + twice * cross(e, across)
             frame = frame.with_signals(**dict(zip(triad, seen.unbind(-1), strict=True)))
         return frame, x
 
@@ -185,7 +193,7 @@ class SensorDelay(_Sensor):
     def __init__(self, channels: tuple[str, ...]) -> None:
         late = "time by which the record of the controls is late"
         own = Parameter("controls", 0.0, "s", (0.0, 0.5), free=False, doc=late, typical=0.05)
-        super().__init__((*_of_units(channels, -0.3, 0.3, 0.05, "delay"), own))
+        super().__init__((*_of_units(channels, -30.0, 30.0, 0.05, "delay"), own))
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> SensorDelay:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,26 +10,32 @@ import msgspec
 import numpy as np
 from rich.console import Group
 from rich.table import Table
+from rich.text import Text
 
 from rotorid_torch.core import names
 from rotorid_torch.data import check as records
+from rotorid_torch.data.alignment import alignment
 from rotorid_torch.data.coherence import coherences
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.examine_band import RESPONSES
 from rotorid_torch.data.finding import Finding, finding
+from rotorid_torch.data.grade import AxisGrade, Grade, graded, head
 from rotorid_torch.data.needs import examinable
 from rotorid_torch.run.check_figures import draw_check
 from rotorid_torch.run.folder import run_folder
 from rotorid_torch.run.html import render
 from rotorid_torch.run.monitor import Monitor, peak_memory_mb
 from rotorid_torch.run.records import DatasetRecord, Report, encode_report, package_version
+from rotorid_torch.run.summary import GRADED
 from rotorid_torch.run.write import png
 from rotorid_torch.trace.kinematic_equations import UNITS
 from rotorid_torch.trace.kinematic_findings import KinematicFinding
 from rotorid_torch.trace.kinematic_fit import Setting
 from rotorid_torch.trace.kinematic_records import pieces
 from rotorid_torch.trace.kinematic_search import Search
+from rotorid_torch.trace.kinematic_selection import turn_of
 from rotorid_torch.trace.kinematics import kinematic_findings
+from rotorid_torch.trace.sensor_correction import without_errors
 
 GROSS = 300.0
 """Power of what no sensor error explains over that of the noise, above which errors of sensors are not searched for."""
@@ -58,13 +63,18 @@ class ChannelVerdict:
 
 @dataclass(frozen=True)
 class Check:
-    """All findings on a data set, gravest first; `fit` is false where one is an error.
+    """All findings on a data set, gravest first, and its grade; `fit` is false where it is not usable.
 
-    channels : a verdict for each. sensors : joint estimates of sensor errors from kinematics with their standard
-    errors; empty where the channels allow none.
+    because : what stands against "ready". sentence : the grade in words. axes : the grade of each axis. channels : a
+    verdict for each. sensors : joint estimates of sensor errors from kinematics with their standard errors; empty where
+    the channels allow none.
     """
 
     dataset: str
+    grade: Grade
+    sentence: str
+    because: tuple[str, ...]
+    axes: tuple[AxisGrade, ...]
     fit: bool
     findings: tuple[Finding, ...]
     channels: tuple[ChannelVerdict, ...]
@@ -72,13 +82,24 @@ class Check:
 
 
 def check(dataset: Dataset) -> Check:
-    """Is a data set fit for identification? Every record by itself, all against each other, and the controls."""
-    quick = records.check(dataset)
-    if not examinable(dataset):
-        return Check(quick.dataset, quick.fit, quick.findings, (), ())
-    sensors, told = sensor_errors(dataset)
-    findings = tuple(sorted((*quick.findings, *told), key=lambda found: RANK[found.severity]))
-    return Check(quick.dataset, quick.fit, findings, _verdicts(dataset, findings), sensors)
+    """Can a model be identified from it? Every record by itself, all against each other, and the controls."""
+    findings, sensors, verdicts = records.check(dataset).findings, (), ()
+    if examinable(dataset):
+        sensors, told = sensor_errors(dataset)
+        findings = tuple(sorted((*findings, *told), key=lambda found: RANK[found.severity]))
+        verdicts = _verdicts(dataset, findings)
+    whole = graded(dataset, findings)
+    return Check(
+        dataset=dataset.name,
+        grade=whole.grade,
+        sentence=whole.sentence,
+        because=whole.because,
+        axes=whole.axes,
+        fit=whole.grade != "not usable",
+        findings=findings,
+        channels=verdicts,
+        sensors=sensors,
+    )
 
 
 def sensor_errors(dataset: Dataset) -> tuple[tuple[KinematicFinding, ...], tuple[Finding, ...]]:
@@ -119,6 +140,9 @@ def _channels(member: str) -> tuple[str, ...]:
 
 def _misfit(dataset: Dataset) -> float | None:
     """Largest level of what all sensor errors together leave over, in powers of the noise; None without kinematics."""
+    by = alignment(dataset)
+    if by.clocks:
+        dataset = without_errors(dataset, {f"delay.{unit}": seconds for unit, seconds in by.clocks.items()})
     cut = pieces(dataset)
     if not cut:
         return None
@@ -128,7 +152,7 @@ def _misfit(dataset: Dataset) -> float | None:
     if set(names.VELOCITIES) & {name for piece in cut for name in piece.equations}:
         errors += [f"{kind}.{axis}" for kind in ("misalignment", "lever_arm") for axis in "xyz"]
     search = Search(cut, Setting(dataset.vehicle.gravity, np.array(dataset.vehicle.imu or (0.0, 0.0, 0.0))))
-    search.measure({}, errors)
+    search.measure(turn_of(by) if set(turn_of(by)) <= set(errors) else {}, errors)
     return max((float(level.max()) for level in search.levels.values()), default=1.0)
 
 
@@ -137,7 +161,7 @@ def _verdicts(dataset: Dataset, findings: tuple[Finding, ...]) -> tuple[ChannelV
     order = [c for c in (*dataset.controls, *names.CHANNELS, *dataset.scales()) if c in dataset.scales()]
     judged = [_verdict(dataset, channel, findings, bands.get(channel)) for channel in dict.fromkeys(order)]
     left_out = [one for one in dataset.dead if one.everywhere]
-    reason = tuple(_head(one.sentence) for one in left_out)
+    reason = tuple(head(one.sentence) for one in left_out)
     units = [names.unit(one.channel) for one in left_out]
     judged += [
         ChannelVerdict(one.channel, VERDICTS["error"], unit, 0.0, 0.0, None, (why,))
@@ -154,23 +178,16 @@ def _verdict(
     unit = names.unit(channel)
     if channel in dataset.controls:
         unit = dataset.control_specs[channel].unit
-    reasons = tuple(dict.fromkeys(_head(f.sentence) for f in about))
+    reasons = tuple(dict.fromkeys(head(f.sentence) for f in about))
     return ChannelVerdict(
         channel, VERDICTS[worst], unit, dataset.noise(channel), dataset.scales()[channel], band, reasons
     )
 
 
-def _head(sentence: str) -> str:
-    """A sentence's first clause, without what stands in brackets."""
-    clear = re.sub(r" ?\((?:[^()]|\([^()]*\))*\)", "", sentence)
-    return re.split(r"[:;] |\. |\.$", clear)[0]
-
-
 def check_table(found: Check) -> Group:
     """All findings, gravest first, and the verdict on each channel."""
-    verdict = "fit for identification" if found.fit else "not fit for identification"
-    title = f"{found.dataset}: {verdict}"
-    table = Table("", "where", "finding", title=title, title_justify="left")
+    title = Text(f"{found.dataset}: {found.sentence}")
+    table = Table("", "where", "finding")
     for one in found.findings:
         table.add_row(one.severity, _where(one), one.sentence)
     channels = Table("channel", "verdict", "noise", "moves", "follows controls", "because", title="Channel by channel")
@@ -179,7 +196,8 @@ def check_table(found: Check) -> Group:
         band = f"{one.band[0]:.1g}-{one.band[1]:.2g} Hz" if one.band else ""
         size = f"{one.noise:.2g}", f"{one.rms:.2g} {one.unit}".strip()
         channels.add_row(one.channel, one.verdict, *size, band, "; ".join(one.reasons))
-    return Group(table, channels)
+    axes = [f"{one.axis} {one.grade}" for one in found.axes]
+    return Group(title, *([Text(", ".join(axes))] if axes else []), table, channels)
 
 
 def write_check(out: Path, dataset: Dataset, found: Check, seed: int, monitor: Monitor) -> None:
@@ -202,7 +220,7 @@ def write_check(out: Path, dataset: Dataset, found: Check, seed: int, monitor: M
             time_s=monitor.time_record(),
             peak_memory_mb=peak_memory_mb(),
             before=None,
-            warnings=tuple(_told(one) for one in grave),
+            warnings=(f"{GRADED}{found.sentence}", *(_told(one) for one in grave)),
         )
         head = {"format": 1, "rotorid": package_version(), "sha256": dataset.sha256}
         whole = msgspec.json.encode(head | msgspec.to_builtins(found))

@@ -196,8 +196,8 @@ def remarks_on(
 ) -> list[str]:
     """What people should know of the flights that the steps saw, of the steps, and of the fit they came to."""
     return [
-        *remarks.of_reading(seen),
         *remarks.of_check(seen),
+        *remarks.of_reading(seen),
         *reconstruction.notes,
         *remarks.of_clocks(seen),
         *remarks.of_controls(seen, regressions.own_share),

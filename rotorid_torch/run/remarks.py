@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from rotorid_torch.data.check import GRAVE, check
+from rotorid_torch.data.check import check
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.examine_records import condensed
 from rotorid_torch.data.excitation import moves
+from rotorid_torch.data.grade import graded
 from rotorid_torch.data.late_controls import late_controls
 from rotorid_torch.identification.step2 import Step2
 from rotorid_torch.identification.step3 import Step3
 from rotorid_torch.run.records import FitRecord
 from rotorid_torch.run.short_horizon import FREE_RUN, short_horizon
-from rotorid_torch.run.summary import WORSE_THAN_TRIM, at_an_edge, at_once, list_summaries
+from rotorid_torch.run.summary import GRADED, WORSE_THAN_TRIM, at_an_edge, at_once, list_summaries
 
 OWN_SHARE = 0.1
 """Share of a control's own motion below which its derivatives and the states' are told only together."""
@@ -49,11 +50,15 @@ def of_reading(dataset: Dataset) -> Iterator[str]:
 
 
 def of_check(dataset: Dataset) -> Iterator[str]:
-    """What `rotorid check` calls an error, by the first identify flights."""
+    """The grade of the data set where it is not ready, and what `check` calls an error, by the first flights."""
     names = dataset.identify[:COMPARED]
     flights, facts = ({n: whole[n] for n in names} for whole in (dataset.flights, dataset.facts))
     few = replace(dataset, flights=flights, facts=facts, identify=names, validate=(), acid=())
-    for found in check(few, GRAVE).findings:
+    findings = check(few).findings
+    grade = graded(few, findings)
+    if grade.grade != "ready":
+        yield f"{GRADED}{grade.sentence}"
+    for found in findings:
         if found.severity == "error":
             yield f"{found.channel}: {found.sentence}" if found.channel else found.sentence
 

@@ -82,8 +82,16 @@ def shown_flights(fit: FitRecord) -> dict[str, FlightRecord]:
     return {name: fit.flights[name] for flights in ordered for name in flights[:SHOWN]}
 
 
+GRADED = "the data set is "
+"""What a run's first warning begins with where its data set is not ready for identification."""
+NOT_USABLE = f"{GRADED}not usable"
+
+
 def headline(report: Report) -> str:
-    """One sentence: how well the model does on flights that it has not seen."""
+    """One sentence: the grade of a data set that is not usable, else how well the model does on unseen flights."""
+    first = next(iter(report.warnings), "")
+    if first.startswith(NOT_USABLE) or (report.fit is None and first.startswith(GRADED)):
+        return f"{first[0].upper()}{first[1:]}."
     if report.fit is None:
         return "No model was fitted in this run."
     short = short_horizon(report.fit)

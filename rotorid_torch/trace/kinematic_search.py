@@ -9,9 +9,9 @@ import numpy as np
 
 from rotorid_torch.core.names import RATES, VELOCITIES
 from rotorid_torch.effects.base import Effect
-from rotorid_torch.effects.sensors import LeverArm, Misalignment, SensorDelay, SensorFilter, SensorScale
+from rotorid_torch.effects.sensors import LeverArm, Misalignment, SensorFilter, SensorScale
 from rotorid_torch.trace.kinematic_fit import BANDS_HZ, Errors, Levels, Rows, Setting, constant_columns, rows
-from rotorid_torch.trace.kinematic_records import Piece
+from rotorid_torch.trace.kinematic_records import REACH_S, Piece
 
 Array = np.ndarray
 
@@ -156,14 +156,15 @@ def _bounds(effect: Effect) -> tuple[float, float]:
 
 
 LIMITS = {
-    "delay": _bounds(SensorDelay(VELOCITIES)),
+    "delay": (-REACH_S, REACH_S),
     "filter": _bounds(SensorFilter(VELOCITIES)),
     "scale": _bounds(SensorScale(VELOCITIES)),
     "misalignment": _bounds(Misalignment(RATES)),
     "lever_arm": _bounds(LeverArm()),
     "bias": (-np.inf, np.inf),
 }
-"""What a sensor can have, as the effects declare it; a constant has no limit here, its unit differs by channel."""
+"""What a sensor can have, as the effects declare it, and a clock beside what was set right before; a constant has no
+limit here, its unit differs by channel."""
 
 
 def bounded(name: str, value: float) -> float:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
+from rotorid_torch.data.alignment import Alignment
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.trace import kinematic_words as words
 from rotorid_torch.trace.kinematic_findings import Verdict
@@ -37,7 +38,8 @@ VECTORS = ("misalignment", "lever_arm")
 class Case:
     """What is being decided: the candidates, those accepted, and what was learnt about each on the way.
 
-    floor : gain that chance alone does not give. fitted : errors that the data need, `named` those among them that are
+    floor : gain that chance alone does not give. by : large errors; the search begins at that turn of the IMU, and with
+    those clocks set right. fitted : errors that the data need, `named` those among them that are
     sensor errors; the rest, too small or not the same in all flights, only stands aside so that nothing else takes its
     place. refused : reasons by name. gains : of the fitted ones beside the others. rivals : for a named one, the values
     of others that explain as much in its place.
@@ -47,6 +49,7 @@ class Case:
     search: Search
     candidates: tuple[str, ...]
     floor: float
+    by: Alignment = field(default_factory=Alignment)
     fitted: list[str] = field(default_factory=list)
     refused: dict[str, tuple[Verdict, str]] = field(default_factory=dict)
     gains: dict[str, float] = field(default_factory=dict)
@@ -73,7 +76,13 @@ def select(case: Case) -> Point:
 
 def _forward(case: Case) -> Point:
     """The error that explains most joins, the others are weighed again beside it."""
-    point = case.search.measure({}, case.candidates)
+    begin = turn_of(case.by)
+    if begin and set(begin) <= set(case.candidates):
+        case.search.measure(begin, case.candidates)
+        case.fitted += [*begin]
+        point = case.search.measure(case.search.fit(begin, case.fitted).errors, case.candidates)
+    else:
+        point = case.search.measure({}, case.candidates)
     while True:
         base = case.search.fit(point.errors, case.fitted)
         at_base = point if base.errors == point.errors else case.search.at(base.errors, case.candidates)
@@ -85,6 +94,12 @@ def _forward(case: Case) -> Point:
         case.fitted += [name, *(n for n in companions if n not in case.fitted)]
         errors = case.search.fit(fit.errors, case.fitted).errors if companions else fit.errors
         point = case.search.measure(errors, case.candidates)
+
+
+def turn_of(by: Alignment) -> dict[str, float]:
+    """A large turn of the IMU as errors, the largest component first; empty for none."""
+    parts = sorted(zip("xyz", by.turn.tolist(), strict=True), key=lambda part: -abs(part[1]))
+    return {f"misalignment.{axis}": value for axis, value in parts} if by.angle > 0.0 else {}
 
 
 def _ranked(case: Case, point: Point, held: Sequence[str]) -> list[tuple[float, str]]:

@@ -5,11 +5,14 @@ Needs no aerodynamics: exact kinematics of inertial motion over ground, in which
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from rotorid_torch.core.names import RATES
+from rotorid_torch.data.alignment import EVERY_S, alignment
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.trace import kinematic_words as words
 from rotorid_torch.trace.kinematic_constants import Constant, constants
@@ -19,6 +22,7 @@ from rotorid_torch.trace.kinematic_fit import DRIFTING, Setting
 from rotorid_torch.trace.kinematic_records import HIGHEST_HZ, Piece, pieces
 from rotorid_torch.trace.kinematic_search import Point, Search
 from rotorid_torch.trace.kinematic_selection import GRAVITY_RANGE, Case, kind_of, least, select, spread
+from rotorid_torch.trace.sensor_correction import without_errors
 from rotorid_torch.trace.significance import normal_quantile
 
 FALSE_ALARMS = 0.005
@@ -40,6 +44,9 @@ def kinematic_findings(dataset: Dataset) -> KinematicFindings:
     flight; they count only where all flights share one. A delay is that of one unit against the others: what all
     share cannot be seen.
     """
+    by = alignment(dataset)
+    if by.clocks:
+        dataset = without_errors(dataset, {f"delay.{unit}": seconds for unit, seconds in by.clocks.items()})
     cut = pieces(dataset)
     candidates = _candidates(dataset, cut)
     search = Search(cut, Setting(dataset.vehicle.gravity, np.array(dataset.vehicle.imu or (0.0, 0.0, 0.0))))
@@ -47,7 +54,7 @@ def kinematic_findings(dataset: Dataset) -> KinematicFindings:
     floor = normal_quantile(FALSE_ALARMS / 2.0 / max(tests, 1)) ** 2
     if not candidates:
         return KinematicFindings(tuple(_untested(dataset, kind, floor) for kind in KINDS), {})
-    case = Case(dataset, search, candidates, floor)
+    case = Case(dataset, search, candidates, floor, by)
     point = select(case)
     biases = constants(dataset, point, floor, _least_constants(dataset))
     found = tuple(_finding(case, kind, point, biases) for kind in KINDS)
@@ -100,6 +107,7 @@ def _untested(dataset: Dataset, kind: str, floor: float) -> KinematicFinding:
 
 def _finding(case: Case, kind: str, point: Point, biases: Sequence[Constant]) -> KinematicFinding:
     parameters = [_parameter(case, name, point) for name in case.candidates if kind_of(name) == kind]
+    parameters = [_with_clock(case, parameter) for parameter in parameters]
     if kind == "bias":
         parameters += [constant.parameter() for constant in biases]
     if not parameters:
@@ -112,6 +120,16 @@ def _finding(case: Case, kind: str, point: Point, biases: Sequence[Constant]) ->
     return KinematicFinding(
         f"sensors.{kind}", verdict, reason, best.gain, case.floor, tuple(parameters), visible, group
     )
+
+
+def _with_clock(case: Case, parameter: SensorParameter) -> SensorParameter:
+    """A delay with what was set right before the search: that much is certain."""
+    seconds = case.by.clocks.get(parameter.name.removeprefix("sensors.delay."), 0.0)
+    if not seconds:
+        return parameter
+    value = seconds + (parameter.value if parameter.name.removeprefix("sensors.") in case.fitted else 0.0)
+    error = parameter.se if math.isfinite(parameter.se) else EVERY_S
+    return replace(parameter, value=value, se=error, accepted=True, gain=(value / error) ** 2)
 
 
 def _group(case: Case, kind: str) -> tuple[str, ...]:

@@ -196,6 +196,6 @@ def test_check_exits_with_3_where_a_set_is_not_fit(spoil, tmp_path, capsys):
     capsys.readouterr()
     assert cli.main(["check", str(folder), "--out", str(tmp_path / "run")]) == 3
     said = capsys.readouterr()
-    assert "not fit for identification" in said.out
+    assert "not usable" in said.out.splitlines()[0]
     assert said.err == ""
     assert (tmp_path / "run" / "check.json").exists()

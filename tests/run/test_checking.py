@@ -12,9 +12,10 @@ from rich.console import Console
 
 import rotorid_torch as rotorid
 from rotorid_torch.data import Dataset, load
+from rotorid_torch.data.grade import head
 from rotorid_torch.data.write import write_dataset
 from rotorid_torch.fly import fly
-from rotorid_torch.run.checking import _head, check, check_table, write_check
+from rotorid_torch.run.checking import check, check_table, write_check
 from rotorid_torch.run.monitor import Monitor
 from tests.helpers import ROOT, shared, small_flight
 
@@ -60,7 +61,7 @@ def test_measured_defects_are_told_with_what_to_do():
 
 
 def test_a_head_is_the_first_clause_without_brackets():
-    assert _head("late by 0.05 s (± 0.01) (p (x) 0.1): shift it. More.") == "late by 0.05 s"
+    assert head("late by 0.05 s (± 0.01) (p (x) 0.1): shift it. More.") == "late by 0.05 s"
 
 
 def test_a_run_holds_check_json_and_pictures(tmp_path: Path):
