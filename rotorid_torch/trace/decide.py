@@ -112,6 +112,17 @@ def unseen_evidence(null: Fitted, candidate: Fitted) -> Tensor:
     return _log_ratios(null.unseen, candidate.unseen)
 
 
+def total(log_ratios: Tensor) -> float:
+    """Sum over the flights of log ratios [F]; a flight in which a model flies away tells no size."""
+    return float(log_ratios[log_ratios.isfinite()].sum())
+
+
+def improves(log_ratios: Tensor) -> bool:
+    """Whether the mean of log ratios [F] lies above zero; a flight in which both models fly away tells nothing."""
+    log_ratios = log_ratios[~log_ratios.isnan()]
+    return len(log_ratios) > 0 and float(log_ratios.mean()) > 0.0
+
+
 def _log_ratios(before: Residual, after: Residual) -> Tensor:
     return (before.size().log() - after.size().log()).nanmean(dim=1)
 

@@ -42,7 +42,7 @@ class Outcome:
 
     def _finding(self, effect: str) -> Finding:
         assert self.search.first is not None
-        beside, p, draws = self.search.first
+        beside, p, draws = self.search.tested.get(effect, self.search.first)
         members = [name for name in p if effect_of(name) == effect]
         found = Finding(effect, "undeclared", "below floor", "")
         if members:

@@ -15,7 +15,7 @@ from rotorid_torch.trace.by_control import by_control
 from rotorid_torch.trace.candidate import UNATTRIBUTED, Candidate
 from rotorid_torch.trace.candidates import candidates, untried
 from rotorid_torch.trace.critical import Draws, Null
-from rotorid_torch.trace.decide import Estimate, decide, estimate, evidence, gain, size_of
+from rotorid_torch.trace.decide import Estimate, decide, estimate, evidence, gain, size_of, total
 from rotorid_torch.trace.family import TURNED, Family, by_chance
 from rotorid_torch.trace.finding import Finding, Unknown
 from rotorid_torch.trace.findings import Outcome
@@ -134,6 +134,8 @@ def _draws(
 
     Clean aircraft fly in still air far from the ground; what wind or ground leave over these cannot say.
     """
+    if search.first is not None:  # where none could be drawn there are none beside what joined either
+        return by_chance(beside, effects, seed, search.first[2].note)
     null = beside.null
     bare = Null(null.spec.without(placed), null.values, search.held)
     drawn = draw(bare, effects, beside)
@@ -175,13 +177,13 @@ def _placed(search: Search, null: Fitted, effects: Sequence[str], placed: list[s
 def _outcome(search: Search, final: Fitted, effects: Sequence[str]) -> tuple[Outcome, Unknown | None]:
     """How the search ended, and what stays without a name."""
     names = [c.effect for c in search.joined]
-    beside, p = search.beside(final, effects)
+    beside, p, _ = search.beside(final, effects)
     assert search.first is not None
     first, _, draws = search.first
     low = [n for n, one in p.items() if n.startswith(UNATTRIBUTED) and one <= SETTINGS.level]
     share = None
     if low and names and draws.clean:
-        explained, left = float(evidence(first.null, final).sum()), beside.nameless(low)
+        explained, left = total(evidence(search.null or first.null, final)), beside.nameless(low)
         share = explained / max(explained + left, 1e-300)
     unknown = None
     if low and not (names and share is not None and share > 1.0 - SETTINGS.level):  # else next to nothing stays

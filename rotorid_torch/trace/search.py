@@ -14,7 +14,7 @@ from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.trace.candidate import Candidate
 from rotorid_torch.trace.critical import Draws, p_values
-from rotorid_torch.trace.decide import Estimate, Row, decide, evidence, gain, size_of, unseen_evidence
+from rotorid_torch.trace.decide import Estimate, Row, decide, evidence, gain, improves, size_of, unseen_evidence
 from rotorid_torch.trace.family import Family, by_chance, effect_of, family
 from rotorid_torch.trace.fits import BEGINNING, CAREFUL, Fitted, Flights, refit
 from rotorid_torch.trace.forces import derivatives_beside, seen_in_forces
@@ -25,6 +25,8 @@ from rotorid_torch.trace.spread import Wanted, fits
 LONGEST = 4
 """Times that a fit may go on, at most."""
 Say = Callable[[str], None]
+Tested = tuple[Family, dict[str, float], Draws]
+"""A family, the p of its members, and the draws that p comes from."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +50,11 @@ class Search:
 
     held : parameters that keep their values. draws : statistics where nothing is missing, for a family.
     ranks : among which fits of several candidates are spread; everything else is the same at each.
-    first : the family beside the null, its p by member, and the draws. trials : the last of each candidate.
-    joined : in their order. rivals : of each, those that flights cannot tell from it. scatter : standard errors of
-    parameters by what trims of flights say. last : the family beside the model that was asked last, and its p.
+    first : the family beside the null, its p by member, and the draws. null : without candidates, as it ends once the
+    first of them are fitted. trials : the last of each candidate. tested : the family in which an effect was
+    significant when its last trial was made. joined : in their order. rivals : of each, those that flights cannot tell
+    from it. scatter : standard errors of parameters by what trims of flights say. last : the family beside the model
+    that was asked last.
     """
 
     flights: Flights
@@ -58,12 +62,14 @@ class Search:
     draws: Callable[[Family, Sequence[str]], Draws]
     say: Say
     ranks: Ranks = ALONE
-    first: tuple[Family, dict[str, float], Draws] | None = None
+    first: Tested | None = None
+    null: Fitted | None = None
     trials: dict[Candidate, Trial] = field(default_factory=dict)
+    tested: dict[str, Tested] = field(default_factory=dict)
     joined: list[Candidate] = field(default_factory=list)
     rivals: dict[str, tuple[str, ...]] = field(default_factory=dict)
     scatter: dict[str, float] = field(default_factory=dict)
-    last: tuple[Family, dict[str, float]] | None = None
+    last: Tested | None = None
 
     @classmethod
     def alone(cls, flights: Flights, held: Sequence[str], seed: int) -> Search:
@@ -77,12 +83,13 @@ class Search:
 
     def consider(self, null: Fitted, effects: Sequence[str]) -> None:
         """The family of these effects beside a null as the first one."""
-        self.p_values(family(null, effects), effects)
+        self.tested_beside(family(null, effects), effects)
 
     def forward(self, null: Fitted, effects: Sequence[str]) -> Fitted:
         """The null with the effects that join it."""
         for _ in range(SETTINGS.effects + 1):
-            beside, p = self.beside(null, effects)
+            tested = self.beside(null, effects)
+            beside, p, _ = tested
             self._settle_rivals(p)
             promising = self._promising(beside, p)
             if not promising or len(self.joined) == SETTINGS.effects:
@@ -90,32 +97,34 @@ class Search:
             null = self.settled(null)
             fitted = self.fitted(null, {c: self._starts(beside, c) for c in promising})
             null = self.improved(null, fitted)
+            self.null = self.null or null
+            self.tested |= {c.effect: tested for c in promising}
             best = self._best(null, fitted)
             if best is None:
                 break
             null = best.fitted
-            self.joined.append(best.candidate)
+            self._joins(best.candidate)
         return null
 
-    def beside(self, model: Fitted, effects: Sequence[str]) -> tuple[Family, dict[str, float]]:
+    def _joins(self, candidate: Candidate) -> None:
+        """What joins is a rival no more."""
+        self.joined.append(candidate)
+        self.rivals = {e: tuple(one for one in others if one != candidate.effect) for e, others in self.rivals.items()}
+
+    def beside(self, model: Fitted, effects: Sequence[str]) -> Tested:
         """The family beside a model with the effects that joined, and the p of its members; made once for a model."""
         named = tuple(c.effect for c in self.joined)
         if self.last is None or self.last[0].null is not model or self.last[0].accepted != named:
             asked = family(model, [e for e in effects if e not in named], named)
-            self.last = asked, self.p_values(asked, effects)
+            self.last = self.tested_beside(asked, effects)
         return self.last
 
-    def p_values(self, beside: Family, effects: Sequence[str]) -> dict[str, float]:
+    def tested_beside(self, beside: Family, effects: Sequence[str]) -> Tested:
         """Adjusted p of each member: against clean aircraft, drawn once, or the model's own turned residuals."""
         drawn = self.first[2] if self.first is not None and self.first[2].clean else self.draws(beside, effects)
-        p = self._adjusted(beside, drawn)
-        if self.first is None:
-            self.first = beside, p, drawn
-        return p
-
-    @staticmethod
-    def _adjusted(beside: Family, drawn: Draws) -> dict[str, float]:
-        return p_values(beside.contest, drawn.statistics, drawn.least)
+        tested = beside, p_values(beside.contest, drawn.statistics, drawn.least), drawn
+        self.first = self.first or tested
+        return tested
 
     def _promising(self, beside: Family, p: Mapping[str, float]) -> list[Candidate]:
         """Candidates whose p is below the level, those of largest evidence first.
@@ -210,14 +219,15 @@ class Search:
     def back(self, final: Fitted) -> Fitted:
         """The final model without the effects that explain nothing more beside the others."""
         assert self.first is not None
+        several = len(self.joined) > 1
         for c in list(self.joined):
             size = size_of(final, c.effect, self.tests)
             row, draws = replace(self.trials[c].row, estimate=size.estimate), self.first[2].statistics
-            if len(self.joined) > 1 and c.effect in draws:
+            if several and c.effect in draws:
                 spec = final.spec.without([c.effect])
                 without = self.settled(refit(spec, self.flights, final.values, self.held, near=final))
                 named = [one.effect for one in self.joined if one is not c]
-                p = self.p_values(family(without, [c.effect], named), [c.effect])
+                p = self.tested_beside(family(without, [c.effect], named), [c.effect])[1]
                 low = [n for n, one in p.items() if one <= SETTINGS.level and effect_of(n) == c.effect]
                 row = replace(row, still=bool(low), in_set=bool(low))
             elif size.estimate is Estimate.SIZE:
@@ -235,11 +245,10 @@ class Search:
 
 def observed(null: Fitted, fitted: Fitted, candidate: Candidate, tests: int = 1) -> Row:
     """What a full fit says of a candidate, one of so many effects that are tested."""
-    unseen = unseen_evidence(null, fitted)
     return Row(
         fitted=gain(null, fitted) > 0.0,
         estimate=size_of(fitted, candidate.effect, tests).estimate,
-        unseen_better=bool(unseen.isfinite().all()) and float(unseen.mean()) > 0.0,
+        unseen_better=improves(unseen_evidence(null, fitted)),
     )
 
 

@@ -26,7 +26,9 @@ from rotorid_torch.trace.decide import (
     estimate,
     evidence,
     gain,
+    improves,
     size_of,
+    total,
     unseen_evidence,
 )
 from rotorid_torch.trace.finding import Verdict
@@ -179,6 +181,20 @@ def test_what_two_fits_say_of_a_candidate(fits: tuple[Fitted, Fitted]):
     residuals = [one.unseen.residual[one.unseen.flight == 0].numpy() for one in fits]
     rms = [np.sqrt(np.nanmean(r**2, axis=(0, 1))) for r in residuals]
     assert float(better[len(identify)]) == pytest.approx(float(np.mean(np.log(rms[0] / rms[1]))))
+
+
+def test_a_flight_in_which_both_models_fly_away_tells_nothing_of_unseen_flights():
+    inf = math.inf
+    for ratios, better in (
+        ([0.1, math.nan], True),
+        ([-0.1, math.nan], False),
+        ([-0.1, inf], True),  # the null alone flies away
+        ([0.1, -inf], False),
+        ([inf, -inf], False),
+        ([math.nan], False),
+    ):
+        assert improves(torch.tensor(ratios)) is better
+    assert total(torch.tensor([0.5, inf, math.nan, -inf, -0.2])) == pytest.approx(0.3)
 
 
 def test_a_fit_that_failed_gains_nothing(fits: tuple[Fitted, Fitted], monkeypatch: pytest.MonkeyPatch):

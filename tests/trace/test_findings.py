@@ -153,10 +153,17 @@ def test_a_name_that_leaves_most_without_a_name_is_suspected(share: float | None
 
 
 def test_what_joined_beside_another_effect_is_accepted_though_alone_it_was_hidden():
-    """Its p beside the null is large: significant is what counts where it joined."""
-    told = of(outcome(p=0.6))
-    assert told.verdict == "accepted"
-    assert told.values
+    """Its p beside the null is large: p, gain and floor are told of where it joined."""
+    found = outcome(p=0.6)
+    _, fitted, beside, draws = late()
+    there = family(fitted, [LAG, DAMPING])
+    found.search.tested[LAG] = there, {LAG: 0.05}, draws
+    found.search.joined = [Candidate(LAG)]
+    found.search.trials[Candidate(LAG)] = Trial(Candidate(LAG), fitted, fitted, GOOD)
+    found.search.first = beside, {LAG: 0.6}, draws
+    told = of(found, LAG)
+    assert (told.verdict, told.p) == ("accepted", 0.05)
+    assert (told.gain, told.floor) == (there.statistics[LAG], draws.critical_values(there.statistics)[LAG])
 
 
 def test_an_effect_that_was_placed_before_the_family_has_a_finding_too():

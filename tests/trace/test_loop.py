@@ -12,7 +12,8 @@ from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.critical import Draws, Null
 from rotorid_torch.trace.family import Family
 from rotorid_torch.trace.fits import Fitted
-from rotorid_torch.trace.loop import trace
+from rotorid_torch.trace.loop import _draws, trace
+from rotorid_torch.trace.search import Search
 from tests.trace.hidden_flights import flights, started, traced
 
 
@@ -69,6 +70,23 @@ def test_where_nothing_is_hidden_nothing_is_named():
     delay = next(f for f in found.findings if f.id == "control.delay")
     assert delay.smallest_visible is not None
     assert delay.smallest_visible[0] < 0.06
+
+
+def test_where_no_clean_aircraft_could_be_drawn_none_is_asked_for_again():
+    """Beside a delay that joined: residuals of that model are turned, in the words that were said first."""
+    known, null = started(flights("control.delay", control__delay__common=0.06))
+    asked: list[Null] = []
+
+    def draw(null: Null, _effects: Sequence[str], _observed: Family) -> str:
+        asked.append(null)
+        return "none drawn"
+
+    search = Search(known, (), lambda beside, effects: _draws(search, beside, effects, [], draw, 0), lambda line: None)
+    first = search.beside(null, ["control.delay"])
+    again = search.tested_beside(first[0], ["control.delay"])
+    assert len(asked) == 1
+    assert again[2].note == first[2].note
+    assert again[2].note.endswith(": none drawn")
 
 
 def test_errors_hold_the_scatter_over_clean_aircraft_of_what_was_estimated():

@@ -80,6 +80,9 @@ def test_the_delay_joins_with_its_size_and_what_else_is_significant_was_fitted_t
     assert all(gain(t.null, t.fitted) <= gain(delay.null, delay.fitted) for t in search.trials.values())
     assert f"{DELAY} joins" in said
     assert search.rivals[DELAY] == ()
+    assert search.null is delay.null
+    assert search.tested[DELAY][0].null is null
+    assert search.tested[DELAY][1][DELAY] <= SETTINGS.level
     assert search.back(final) is final
 
 
@@ -186,6 +189,28 @@ def test_an_effect_that_no_draw_knows_keeps_its_place_and_the_others_are_still_a
     search.trials = {c: Trial(c, null, both, Row()) for c in search.joined}
     search.back(both)
     assert [c.effect for c in search.joined] == [DELAY]
+
+
+def test_a_candidate_is_no_worse_for_a_flight_in_which_both_models_fly_away():
+    """As the null does: three of four unseen flights are better described."""
+    known, null = late()
+    good = refit(null.spec.with_effects(DELAY), known, {**null.values, f"{DELAY}.common": 0.05}, near=null)
+    away = [replace(one) for one in (null, good)]
+    for one in away:
+        residual = one.unseen.residual.clone()
+        residual[one.unseen.flight == 2] = torch.inf
+        one.__dict__["unseen"] = replace(one.unseen, residual=residual)
+    assert observed(away[0], away[1], Candidate(DELAY)) == Row()
+    assert observed(null, away[1], Candidate(DELAY)).unseen_better is False
+
+
+def test_what_joins_is_no_rival_of_what_joined_before():
+    """One statement cannot say that flights do not tell two effects apart, and that both act."""
+    search = search_of(late()[0])
+    search.joined, search.rivals = [Candidate(DELAY)], {DELAY: (LAG, DAMPING)}
+    search._joins(Candidate(LAG))
+    assert search.joined == [Candidate(DELAY), Candidate(LAG)]
+    assert search.rivals == {DELAY: (DAMPING,)}
 
 
 def test_what_a_full_fit_says_of_a_candidate():
