@@ -41,7 +41,7 @@ from rotorid_torch.run.summary import failing
 from rotorid_torch.run.write import write_report
 from rotorid_torch.trace.clean_aircraft import clean_draws
 from rotorid_torch.trace.clocks import sensor_findings
-from rotorid_torch.trace.decide import Reason
+from rotorid_torch.trace.decide import Row, decide
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.fits import Fitted, Flights, refit
 from rotorid_torch.trace.loop import Tracing, trace
@@ -196,7 +196,7 @@ def _before_and_after(
 
 
 def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
-    """By trajectories over segments, floors from clean aircraft."""
+    """By trajectories over segments, p by clean aircraft."""
     say, ranks = steps.monitor.say, steps.ranks
     return trace(
         base.spec,
@@ -253,10 +253,9 @@ def _with_network(
 
 def _suspected(tracing: Tracing, runs: Tensor) -> Tracing:
     """The tracing without its names, for free runs are worse with them, by log ratios of J [F]."""
-    said = reason(Reason.FREE_RUNS_WORSE, worse=int((runs < 0.0).sum()), count=len(runs))
-    findings = (
-        replace(f, verdict="suspected", reason=said) if f.id in tracing.accepted else f for f in tracing.findings
-    )
+    verdict, why = decide(Row(runs_worse=True))
+    said = reason(why, worse=int((runs < 0.0).sum()), count=len(runs))
+    findings = (replace(f, verdict=verdict, reason=said) if f.id in tracing.accepted else f for f in tracing.findings)
     return replace(tracing, final=tracing.null, accepted=(), groups={}, findings=tuple(findings))
 
 

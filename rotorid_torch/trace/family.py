@@ -132,8 +132,3 @@ def by_chance(beside: Family, effects: Sequence[str], seed: int, note: str = TUR
 def effect_of(member: str) -> str:
     """Id of the effect of a member of the library."""
     return member.removesuffix(IN_FORCES).removesuffix(EACH)
-
-
-def of_library(p: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """The members of the library alone."""
-    return {name: one for name, one in p.items() if not name.startswith(UNATTRIBUTED)}

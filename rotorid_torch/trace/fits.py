@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import msgspec
 import torch
 from torch import Tensor
 
@@ -29,7 +28,6 @@ from rotorid_torch.identification.system import System
 from rotorid_torch.identification.whitening import Noise
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
-from rotorid_torch.validate.windows import flights_J, trims_J
 
 SEGMENT_S = 5.0
 """Length of the segments that all models are compared on, s."""
@@ -111,16 +109,6 @@ class Fitted:
         return _on_unseen(self)
 
     @cached_property
-    def free_runs(self) -> Tensor:
-        """J of each of these flights [F], over all its windows of 8 s; NaN where there is no free run."""
-        return flights_J(self.model, self.flights.dataset, self.flights.dataset.unseen)
-
-    @cached_property
-    def trims(self) -> Tensor:
-        """The same of holding trim, [F]."""
-        return trims_J(self.model, self.flights.dataset, self.flights.dataset.unseen)
-
-    @cached_property
     def seen(self) -> Residual:
         """The identify flights, under this model."""
         problem, place = self.fit.likelihood, self.fit.minimum.point
@@ -174,12 +162,6 @@ def refit(
     with torch.no_grad():
         model.theta[places] = found.theta
     return Fitted(spec, model, names, found, flights)
-
-
-def control_by_control(fitted: Fitted, effects: Sequence[str]) -> Fitted:
-    """The same fit; should these effects of the control path join it, each control has a size of its own."""
-    each = (*fitted.spec.each_control, *effects)
-    return replace(fitted, spec=msgspec.structs.replace(fitted.spec, each_control=each))
 
 
 def _followed(near: Fitted, model: Model, states: Tensor) -> Tensor:

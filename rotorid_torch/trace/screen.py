@@ -207,11 +207,6 @@ class Screen:
         typical = [which for which in self._variants(effect) if self.signatures[which[0]].size == 0]
         return max(typical, key=self._explained, default=[])
 
-    def left(self, effect: str) -> float:
-        """Share of the signature that initial states, trims and derivatives cannot imitate."""
-        which = self._usual(effect)
-        return float((self.total.diagonal()[which] / self.raw[which].clamp_min(1e-300)).clamp(0.0, 1.0).sqrt().max())
-
     def imitators(self, effect: str) -> tuple[str, ...]:
         """Parameters of the fitted model that take the effect's place."""
         return tuple(dict.fromkeys(n for i in self._usual(effect) for n in self.absorbed[i]))

@@ -61,28 +61,6 @@ class Scored:
         return scores.flight_J((outputs - pieces.measured)[..., self.places], self.scale)
 
 
-def flights_J(model: Model, dataset: Dataset, names: Sequence[str]) -> Tensor:
-    """Root mean square of the J of all windows of each flight [F]."""
-    scored = Scored.of(model, dataset)
-    found = {
-        name: scores.list_score(scored.J(pieces, outputs))
-        for name, pieces, outputs in all_windows(model, dataset, names, Runs.of(model))
-    }
-    return torch.stack([found[name] for name in names])
-
-
-def trims_J(model: Model, dataset: Dataset, names: Sequence[str]) -> Tensor:
-    """The same of holding trim over these windows, [F]."""
-    scored, found = Scored.of(model, dataset), []
-    for name in names:
-        flight = dataset.facts[name]
-        places = [(name, k) for k in scores.window_starts(flight.samples, flight.dt)]
-        pieces = windows(model, dataset, places, min(scores.horizon_samples(flight.dt), flight.samples))
-        held = scores.trim_J(pieces.measured[..., scored.places], scored.scale, flight.dt)
-        found.append(scores.list_score(held))
-    return torch.stack(found)
-
-
 def _groups(dataset: Dataset, names: Sequence[str], dt: float) -> Iterator[list[str]]:
     """Flights whose windows are run at once."""
     group, total = [], 0
