@@ -248,8 +248,8 @@ def test_two_that_explain_the_same_are_rivals_until_one_explains_more_beside_the
     assert search.rivals == {DELAY: ()}
 
 
-def test_a_candidate_begins_from_each_of_its_sizes_and_once_over_short_segments(monkeypatch: pytest.MonkeyPatch):
-    known, null = late()
+def noted_fits(monkeypatch: pytest.MonkeyPatch) -> list[Wanted]:
+    """Fits as the search asks for them."""
     asked: list[Wanted] = []
 
     def noted(wanted: Sequence[Wanted], *rest: Any) -> list[Fitted]:
@@ -257,6 +257,12 @@ def test_a_candidate_begins_from_each_of_its_sizes_and_once_over_short_segments(
         return fits(wanted, *rest)
 
     monkeypatch.setattr("rotorid_torch.trace.search.fits", noted)
+    return asked
+
+
+def test_a_candidate_begins_from_each_of_its_sizes_and_once_over_short_segments(monkeypatch: pytest.MonkeyPatch):
+    known, null = late()
+    asked = noted_fits(monkeypatch)
     sizes = [{f"{DELAY}.common": 0.03}, {f"{DELAY}.common": 0.1}]
     found = search_of(known).fitted(null, {Candidate(DELAY): sizes})[Candidate(DELAY)]
     begun = [one for one in asked if one.start.get(f"{DELAY}.common") in (0.03, 0.1)]
@@ -269,13 +275,7 @@ def test_a_candidate_begins_from_each_of_its_sizes_and_once_over_short_segments(
 def test_a_play_begins_once_more_with_derivatives_of_the_measured_motion(monkeypatch: pytest.MonkeyPatch):
     """Far from a straight line the derivatives of a model without it lead astray."""
     known, null = started(flights(PLAY, control__backlash__width=0.012))
-    asked: list[Wanted] = []
-
-    def noted(wanted: Sequence[Wanted], *rest: Any) -> list[Fitted]:
-        asked.extend(wanted)
-        return fits(wanted, *rest)
-
-    monkeypatch.setattr("rotorid_torch.trace.search.fits", noted)
+    asked = noted_fits(monkeypatch)
     sizes = [{f"{PLAY}.width": 0.01}, {f"{PLAY}.width": 0.005}]
     found = search_of(known).fitted(null, {Candidate(PLAY): sizes})[Candidate(PLAY)]
     truth = rate_vehicle().named_values["forces.M.lon"]
