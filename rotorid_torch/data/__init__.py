@@ -1,4 +1,10 @@
-"""Data sets: read, validated once, written."""
+"""Data sets: declared, read, validated once, written.
+
+Read `schema` (what may be declared), `declare` with `refusal` and `plausible` (from text to a declaration, or an error
+that names file and key), `flight` and `dataset` (what every step takes), `facts` and `on_demand` (a thousand flights
+without their samples in memory), `one_rate` and `velocities` (data sets made of another), `write`. `reading/` leads
+from files to flights.
+"""
 
 from rotorid_torch.data.dataset import Dataset as Dataset
 from rotorid_torch.data.dataset import load as load

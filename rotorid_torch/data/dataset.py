@@ -18,16 +18,17 @@ import numpy as np
 
 from rotorid_torch.core import names
 from rotorid_torch.core.atomic import restore
-from rotorid_torch.data import plausible, suspicion
-from rotorid_torch.data.dead import Dead, dead_channels, facts_without, flight_without
+from rotorid_torch.data import plausible
 from rotorid_torch.data.declare import Declaration, declare, read_declaration
 from rotorid_torch.data.facts import Facts
 from rotorid_torch.data.flight import Flight
-from rotorid_torch.data.grid import make_flight
-from rotorid_torch.data.noise import white_noise
 from rotorid_torch.data.on_demand import OnDemand
-from rotorid_torch.data.quiet import quiet_samples
-from rotorid_torch.data.read import FOLDERS, find_flight, parse_flight, read_flight, take_arrays
+from rotorid_torch.data.reading import suspicion
+from rotorid_torch.data.reading.dead import Dead, dead_channels, facts_without, flight_without
+from rotorid_torch.data.reading.grid import make_flight
+from rotorid_torch.data.reading.noise import white_noise
+from rotorid_torch.data.reading.quiet import quiet_samples
+from rotorid_torch.data.reading.read import FOLDERS, find_flight, parse_flight, read_flight, take_arrays
 from rotorid_torch.data.schema import ChannelSpec, ControlSpec, ModelSettings, Vehicle
 from rotorid_torch.errors import InputError
 from rotorid_torch.printable import printable

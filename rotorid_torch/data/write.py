@@ -17,7 +17,7 @@ from rotorid_torch.core.files import read_file
 from rotorid_torch.core.paths import absolute, refuse_foreign
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.declare import TOML_LIMIT
-from rotorid_torch.data.read import Arrays, take_arrays
+from rotorid_torch.data.reading.read import Arrays, take_arrays
 from rotorid_torch.errors import InputError
 from rotorid_torch.printable import printable
 

@@ -8,11 +8,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import torch
 
+from rotorid_torch.consistency.vibration import SPAN_HZ, lines, spectrum
 from rotorid_torch.core import rigid
 from rotorid_torch.core.names import ATTITUDES, POSITIONS, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
-from rotorid_torch.data.vibration import SPAN_HZ, lines, spectrum
 from rotorid_torch.identification.gauss_markov import smear
 
 Array = np.ndarray

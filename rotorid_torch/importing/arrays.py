@@ -15,8 +15,8 @@ import numpy as np
 
 from rotorid_torch.core.files import open_file
 from rotorid_torch.core.memory import bounded_memory
-from rotorid_torch.data import npz
-from rotorid_torch.data.read import BYTES, CHANNELS, SAMPLES
+from rotorid_torch.data.reading import npz
+from rotorid_torch.data.reading.read import BYTES, CHANNELS, SAMPLES
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing import sidpac
 from rotorid_torch.importing.log import Choose, Log

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from rotorid_torch.core.files import open_file
-from rotorid_torch.data.read import CHANNELS, number_of
+from rotorid_torch.data.reading.read import CHANNELS, number_of
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing import blackbox
 from rotorid_torch.importing.header import MISSING, Header, find_header, is_number

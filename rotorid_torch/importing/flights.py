@@ -11,8 +11,8 @@ import numpy as np
 from msgspec import structs
 
 from rotorid_torch.core import names
-from rotorid_torch.data.read import SAMPLES
-from rotorid_torch.data.suspicion import unwrapped_roll
+from rotorid_torch.data.reading.read import SAMPLES
+from rotorid_torch.data.reading.suspicion import unwrapped_roll
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing import manoeuvres
 from rotorid_torch.importing.derive import ANGLES, QUATERNION, angles_on_grid, before_resampling, body_velocity, wrapped

@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rotorid_torch.data.read import number_of
+from rotorid_torch.data.reading.read import number_of
 from rotorid_torch.importing import units
 
 MISSING = frozenset(("", "nan", "null", "none", "na", "n/a", "-"))

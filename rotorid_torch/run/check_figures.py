@@ -8,15 +8,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from rotorid_torch.consistency import sensor_pairs
+from rotorid_torch.consistency.coherence import USABLE, coherences
+from rotorid_torch.consistency.examination.band import RESPONSES
+from rotorid_torch.consistency.excitation import control_axes, correlations
+from rotorid_torch.consistency.sensor_pairs import Agreement, agreement
+from rotorid_torch.consistency.stamps import intervals
+from rotorid_torch.consistency.vibration import lines, spectrum
 from rotorid_torch.core import names
-from rotorid_torch.data import consistency
-from rotorid_torch.data.clock import intervals
-from rotorid_torch.data.coherence import USABLE, coherences
-from rotorid_torch.data.consistency import Agreement, agreement
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.data.examine_band import RESPONSES
-from rotorid_torch.data.excitation import control_axes, correlations
-from rotorid_torch.data.vibration import lines, spectrum
 from rotorid_torch.run.figures import MEASURED, MODEL, QUIET, WIDTH, grid_of, leave
 
 SHOWN = 8
@@ -155,14 +155,14 @@ def correlation(dataset: Dataset) -> Figure:
 
 def kinematics(dataset: Dataset) -> Figure | None:
     """What kinematics leaves over in each pair of sensors, as recorded and with lag, scale and bias taken out."""
-    pairs = (*consistency.attitude_pairs(), *consistency.velocity_pairs(dataset), *consistency.position_pairs())
+    pairs = (*sensor_pairs.attitude_pairs(), *sensor_pairs.velocity_pairs(dataset), *sensor_pairs.position_pairs())
     found = [a for pair in pairs if (a := agreement(pair, dataset.flights.values())) is not None and a.r2 > 0.3]
     if not found:
         return None
     figure, grid = grid_of([f"d{a.pair.left_name}/dt" for a in found], 1, 1.4 * WIDTH, height=0.9)
     for (axes,), a in zip(grid, found, strict=True):
         name = _liveliest(dataset, a)
-        time, left, before, after = consistency.compared(a, dataset.flights[name])
+        time, left, before, after = sensor_pairs.compared(a, dataset.flights[name])
         chosen = _thinned(left)
         axes.plot(time[chosen], (left - before)[chosen], color=MEASURED, linewidth=0.9)
         axes.plot(time[chosen], (left - after)[chosen], color=MODEL, linewidth=0.9)

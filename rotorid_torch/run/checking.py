@@ -12,15 +12,15 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
+from rotorid_torch.consistency.alignment import alignment
+from rotorid_torch.consistency.coherence import coherences
+from rotorid_torch.consistency.examination import check as records
+from rotorid_torch.consistency.examination.band import RESPONSES
+from rotorid_torch.consistency.examination.finding import Finding, finding
+from rotorid_torch.consistency.examination.grade import AxisGrade, Grade, graded, head
+from rotorid_torch.consistency.examination.needs import examinable
 from rotorid_torch.core import names
-from rotorid_torch.data import check as records
-from rotorid_torch.data.alignment import alignment
-from rotorid_torch.data.coherence import coherences
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.data.examine_band import RESPONSES
-from rotorid_torch.data.finding import Finding, finding
-from rotorid_torch.data.grade import AxisGrade, Grade, graded, head
-from rotorid_torch.data.needs import examinable
 from rotorid_torch.run.check_figures import draw_check
 from rotorid_torch.run.folder import run_folder
 from rotorid_torch.run.html import render

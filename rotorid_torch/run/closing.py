@@ -14,8 +14,8 @@ from torch import Tensor
 from rotorid_torch.core.names import MOMENTS
 from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.data.from_position import with_velocities
 from rotorid_torch.data.one_rate import at_one_rate
+from rotorid_torch.data.velocities import with_velocities
 from rotorid_torch.effects.neural import NeuralForces
 from rotorid_torch.effects.registry import of_others
 from rotorid_torch.effects.spec import ModelSpec

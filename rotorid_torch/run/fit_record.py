@@ -13,7 +13,7 @@ from torch import Tensor
 from rotorid_torch.core.names import SPECIFIC_FORCES
 from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.data.from_position import HALF
+from rotorid_torch.data.velocities import HALF
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.step3 import Step3
 from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model

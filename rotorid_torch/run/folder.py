@@ -14,7 +14,7 @@ import msgspec
 from rotorid_torch.core.atomic import atomic_file, atomic_folder, refuse_unless_writable, restore
 from rotorid_torch.core.files import read_file
 from rotorid_torch.core.paths import absolute, is_part, refuse_foreign, same_file
-from rotorid_torch.data.read import FOLDERS
+from rotorid_torch.data.reading.read import FOLDERS
 from rotorid_torch.data.write import FILES as DATASET_FILES
 from rotorid_torch.errors import InputError
 from rotorid_torch.printable import printable

@@ -15,12 +15,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rotorid_torch.consistency.examination.needs import refuse_lacks
 from rotorid_torch.core.atomic import restore
 from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.data.from_position import with_velocities
-from rotorid_torch.data.needs import refuse_lacks
 from rotorid_torch.data.one_rate import at_one_rate
+from rotorid_torch.data.velocities import with_velocities
 from rotorid_torch.effects.registry import of_others, registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError

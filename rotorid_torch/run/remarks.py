@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from rotorid_torch.data.check import check
+from rotorid_torch.consistency.examination.check import check
+from rotorid_torch.consistency.examination.grade import graded
+from rotorid_torch.consistency.examination.records import condensed
+from rotorid_torch.consistency.excitation import moves
+from rotorid_torch.consistency.late_controls import late_controls
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.data.examine_records import condensed
-from rotorid_torch.data.excitation import moves
-from rotorid_torch.data.grade import graded
-from rotorid_torch.data.late_controls import late_controls
 from rotorid_torch.identification.step2 import Step2
 from rotorid_torch.identification.step3 import Step3
 from rotorid_torch.run.records import FitRecord

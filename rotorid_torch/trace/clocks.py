@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from rotorid_torch.consistency.late_controls import SURE_STICKS, LateControls, late_controls
+from rotorid_torch.consistency.velocity_clock import IMITATED_S, VelocityClock, velocity_clock
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.data.late_controls import SURE_STICKS, LateControls, late_controls
-from rotorid_torch.data.velocity_clock import IMITATED_S, VelocityClock, velocity_clock
 from rotorid_torch.trace.kinematic_findings import KinematicFinding, KinematicFindings, SensorParameter
 from rotorid_torch.trace.kinematics import kinematic_findings
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from rotorid_torch.consistency.alignment import Alignment
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
-from rotorid_torch.data.alignment import Alignment
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.trace import kinematic_words as words
 from rotorid_torch.trace.kinematic_findings import Verdict

@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from rotorid_torch.consistency.alignment import EVERY_S, alignment
 from rotorid_torch.core.names import RATES
-from rotorid_torch.data.alignment import EVERY_S, alignment
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.trace import kinematic_words as words
 from rotorid_torch.trace.kinematic_constants import Constant, constants

@@ -9,8 +9,8 @@ from types import MappingProxyType
 import numpy as np
 import torch
 
+from rotorid_torch.consistency.sensor_pairs import kernel
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES, is_control
-from rotorid_torch.data.consistency import kernel
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.facts import Facts
 from rotorid_torch.data.flight import Flight

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rotorid_torch as rotorid
+from rotorid_torch.consistency.examination.check import check
 from rotorid_torch.core.ranges import CHANNELS, DECLARED, OTHER, of_channel
 from rotorid_torch.data import Dataset, load
-from rotorid_torch.data.check import check
 from rotorid_torch.data.declare import declare
 from rotorid_torch.errors import InputError
 from tests.helpers import small_flight, small_folder, small_toml

@@ -9,8 +9,8 @@ from scipy.integrate import solve_ivp
 
 from rotorid_torch.core.names import ATTITUDES, FORCES, MOMENTS, POSITIONS, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.data import Dataset
-from rotorid_torch.data.from_position import with_velocities
 from rotorid_torch.data.schema import Vehicle
+from rotorid_torch.data.velocities import with_velocities
 from rotorid_torch.identification.motion import Motion
 from rotorid_torch.identification.observability import left_out, observable, seen
 from rotorid_torch.identification.reconstruct import reconstruct

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 from numpy.lib import format as npy
 
-from rotorid_torch.data import load, read
+from rotorid_torch.data import load
+from rotorid_torch.data.reading import read
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing import arrays
 from rotorid_torch.importing.formats import own_fields, read_log

@@ -11,7 +11,7 @@ import pytest
 
 import rotorid_torch as rotorid
 from rotorid_torch import cli
-from rotorid_torch.data.check import check
+from rotorid_torch.consistency.examination.check import check
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing import flights
 from rotorid_torch.importing.csv import read_csv

@@ -11,8 +11,8 @@ import pytest
 from rich.console import Console
 
 import rotorid_torch as rotorid
+from rotorid_torch.consistency.examination.grade import head
 from rotorid_torch.data import Dataset, load
-from rotorid_torch.data.grade import head
 from rotorid_torch.data.write import write_dataset
 from rotorid_torch.fly import fly
 from rotorid_torch.run.checking import check, check_table, write_check

@@ -240,7 +240,8 @@ def test_processes_end_as_soon_as_there_are_enough_draws(monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize(
-    "file", ["data/read.py", "validate/free_run.py", "trace/critical.py", "trace/decide.py", "trace/candidates.py"]
+    "file",
+    ["data/reading/read.py", "validate/free_run.py", "trace/critical.py", "trace/decide.py", "trace/candidates.py"],
 )
 def test_no_other_version_of_the_package_reads_kept_draws(tmp_path: Path, file: str):
     package = shutil.copytree(

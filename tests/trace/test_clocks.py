@@ -7,8 +7,8 @@ import pytest
 import torch
 
 import rotorid_torch as rotorid
+from rotorid_torch.consistency.velocity_clock import VelocityClock
 from rotorid_torch.data import Dataset, load
-from rotorid_torch.data.velocity_clock import VelocityClock
 from rotorid_torch.effects.base import Values
 from rotorid_torch.effects.sensors import SensorDelay
 from rotorid_torch.trace.clocks import sensor_findings

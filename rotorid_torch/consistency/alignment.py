@@ -1,0 +1,427 @@
+"""Large errors first: an IMU turned by any angle, and clocks that are off by any time, from the whole record.
+
+Body rates and the rates of change of the attitude are one vector in two sensors' axes. Their covariance (3, 3) at
+every lag has a nuclear norm that no rotation changes: its peak is the lag, and the rotation follows there.
+
+Source: Kabsch, Acta Crystallographica A 32 (1976), 922; Wahba, SIAM Review 7 (1965), 409, problem 65-1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import permutations, product
+from types import MappingProxyType
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import torch
+
+from rotorid_torch.consistency.sensor_pairs import kernel
+from rotorid_torch.core import names
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.flight import Flight
+from rotorid_torch.data.on_demand import OnDemand
+
+Array = np.ndarray
+
+EVERY_S = 0.04
+"""Interval of the samples that are compared: what has passed the Gaussian of 0.08 s loses little."""
+REACH_S, LONGEST_S = 0.2, 30.0
+"""Lags that other examinations look for, and the longest that is looked for here."""
+FLIGHTS = 16
+"""Flights that are looked at, at most."""
+AGREES, HALVED = 0.7, 0.5
+"""Correlation from which on a lag is known, and the share of what lags within `REACH_S` leave that it may leave."""
+TRIED = (0.4, 0.7)
+"""The same of a stream that is tried: rotation times velocity is wrong until it is moved, and then it must agree."""
+SETTLED = 0.8
+"""Correlation of force with velocity and attitude from which on no further stream is moved."""
+REACHED = 0.65
+"""Largest lag as a share of the longest flight."""
+LEAST_TURN = np.radians(3.0)
+"""Smallest turn that is looked for here: smaller ones are found jointly with the other sensor errors."""
+SURE = 5.0
+"""Standard errors of a turn."""
+BETTER = 0.7
+"""Share of the disagreement that a turn must leave at most."""
+MOVES = 25.0
+"""Power of a smoothed signal over that of its noise from which on it moves far above that."""
+STEEP = 1.3
+"""Pitch angle beyond which Euler angles say little of rates."""
+ALIKE_S = 0.06
+"""Lags of two streams that differ by less have one cause."""
+UNITS: Mapping[str, tuple[str, ...]] = {
+    "attitude": names.ATTITUDES,
+    "rates": names.RATES,
+    "accelerations": names.SPECIFIC_FORCES,
+    "velocities": names.VELOCITIES,
+}
+"""Streams that have one clock."""
+IMU = (names.RATES, names.SPECIFIC_FORCES, ("pdot", "qdot", "rdot"))
+"""Vectors that an IMU reads in its own axes."""
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """What large errors the streams have against each other.
+
+    turn : rotation vector e (3,) in rad, zeros for none: the IMU reads R(e)' times the vector in body axes; turn_se its
+    standard error. clocks : by unit, time in s by which it is late (early where negative). mirror : what each rate
+    reads, as `+p -q +r`, where no rotation but a sign or an exchange of axes explains the rates; else empty. before,
+    after : share of the rates' variance that the attitude does not explain, as recorded and with all of this taken out.
+    strength : power of rates and attitude over that of their noise, the smaller.
+    """
+
+    turn: Array = field(default_factory=lambda: np.zeros(3))
+    turn_se: float = 0.0
+    clocks: Mapping[str, float] = field(default_factory=dict)
+    mirror: str = ""
+    before: float = 0.0
+    after: float = 0.0
+    strength: float = 0.0
+
+    @property
+    def angle(self) -> float:
+        """Angle of the turn, rad."""
+        return float(np.linalg.norm(self.turn))
+
+    @property
+    def needed(self) -> bool:
+        """Whether there is anything to take out."""
+        return self.angle > 0.0 or bool(self.clocks)
+
+
+_KNOWN: WeakKeyDictionary[Dataset, Alignment] = WeakKeyDictionary()
+
+
+def alignment(dataset: Dataset) -> Alignment:
+    """Large turns and clock errors of a data set's identify flights; none where rates or attitude are missing."""
+    if dataset not in _KNOWN:
+        _KNOWN[dataset] = _measured(dataset)
+    return _KNOWN[dataset]
+
+
+def without_large_errors(dataset: Dataset) -> Dataset:
+    """The data set with every flight aligned; itself where nothing is to be taken out."""
+    by = alignment(dataset)
+    if not by.needed:
+        return dataset
+    flights = OnDemand(dataset.flights, lambda name: aligned(dataset.flights[name], by))
+    return replace(dataset, flights=MappingProxyType(flights))
+
+
+def _measured(dataset: Dataset) -> Alignment:
+    flights = [dataset.flights[name] for name in dataset.some(FLIGHTS)]
+    flights = [f for f in flights if f.has(*names.RATES, *names.ATTITUDES)]
+    if not flights:
+        return Alignment()
+    sides = [s for s in (_sides(f) for f in flights) if len(s.left) > 50]
+    if not sides:
+        return Alignment()
+    late = _lag(sides)
+    found = _turned(dataset, [s.moved(late) for s in sides])
+    before = _share(sides)
+    clocks = _clocks(flights, found.turn, late)
+    return Alignment(found.turn, found.turn_se, clocks, found.mirror, before, found.after, found.strength)
+
+
+def aligned(flight: Flight, by: Alignment) -> Flight:
+    """A flight with the IMU turned back and its clocks set right; samples beyond the record are missing."""
+    channels = {name: values.numpy() for name, values in flight.channels.items()}
+    for unit, late in by.clocks.items():
+        for name in UNITS[unit]:
+            if name in channels:
+                channels[name] = _moved(channels[name], late / flight.dt)
+    if by.angle > 0.0:
+        matrix = rotation(by.turn)
+        for triad in IMU:
+            if all(name in channels for name in triad):
+                true = matrix @ np.stack([channels[name] for name in triad])
+                channels |= dict(zip(triad, true, strict=True))
+    made = {name: torch.from_numpy(np.ascontiguousarray(values)) for name, values in channels.items()}
+    return Flight(flight.name, flight.dt, MappingProxyType(made))
+
+
+def rotation(vector: Array) -> Array:
+    """Matrix (3, 3) of a rotation vector (3,) in rad.
+
+    Source: Rodrigues' formula; Stevens and Lewis, Aircraft Control and Simulation, 3rd ed., eq. 1.2-12.
+    """
+    angle = float(np.linalg.norm(vector))
+    if angle == 0.0:
+        return np.eye(3)
+    x, y, z = vector / angle
+    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * skew + (1.0 - np.cos(angle)) * skew @ skew
+
+
+def rotation_vector(matrix: Array) -> Array:
+    """Rotation vector (3,) in rad of a rotation matrix (3, 3)."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
+    return Rotation.from_matrix(matrix).as_rotvec()
+
+
+def right_angles() -> list[Array]:
+    """The 24 rotations (3, 3) that take axes to axes."""
+    signed = [
+        np.eye(3)[[*p]] * np.array([*s])[:, None]
+        for p in permutations(range(3))
+        for s in product((1.0, -1.0), repeat=3)
+    ]
+    return [matrix for matrix in signed if np.linalg.det(matrix) > 0.0]
+
+
+def _moved(values: Array, samples: float) -> Array:
+    """Samples (T,) taken so many samples later, between samples by a straight line; missing beyond the record."""
+    at = np.arange(len(values)) + samples
+    low = np.clip(np.floor(at).astype(int), 0, len(values) - 2)
+    share = at - low
+    inside = (at >= 0.0) & (at <= len(values) - 1)
+    exact = np.where(share == 0.0, values[low], (1.0 - share) * values[low] + share * values[low + 1])
+    exact = np.where(share == 1.0, values[low + 1], exact)
+    return np.where(inside, exact, np.nan)
+
+
+@dataclass(frozen=True)
+class _Sides:
+    """Two vectors (T, 3) every `EVERY_S`, zero where unknown, and where both are known (T,)."""
+
+    left: Array
+    right: Array
+
+    def moved(self, lag: int) -> _Sides:
+        """With the left side taken so many samples later."""
+        count = len(self.left) - abs(lag)
+        if lag >= 0:
+            return _Sides(self.left[lag:], self.right[:count])
+        return _Sides(self.left[:count], self.right[-lag:])
+
+
+def _smooth(values: Array, taps: Array) -> Array:
+    return np.stack([np.convolve(column, taps, "valid") for column in values.T], axis=1)
+
+
+def _grid(flight: Flight, channels: Sequence[str]) -> tuple[Array, Array, Array]:
+    """Channels (T, n) and their rates of change, smoothed, every `EVERY_S`; and where nothing was missing (T,)."""
+    bell, slope = kernel(flight.dt)
+    if flight.samples < 2 * len(bell):
+        none = np.zeros((0, len(channels)))
+        return none, none, np.zeros(0, bool)
+    raw = flight.bridged(channels).numpy()
+    missing = flight.stack(channels).isnan().any(dim=1).numpy().astype(float)
+    whole = np.convolve(missing, np.ones(len(bell)), "valid") < 0.5
+    at = np.arange(0.0, len(whole) - 1, EVERY_S / flight.dt)
+    places = np.arange(len(whole))
+
+    def picked(values: Array) -> Array:
+        return np.stack([np.interp(at, places, column) for column in values.T], axis=1)
+
+    return picked(_smooth(raw, bell)), picked(_smooth(raw, slope)), whole[np.round(at).astype(int)]
+
+
+def _centred(values: Array, known: Array) -> Array:
+    """Deviations (T, n) from the mean of what is known, zero where nothing is."""
+    known = known & np.isfinite(values).all(axis=1)
+    mean = values[known].mean(axis=0) if known.any() else 0.0
+    return np.where(known[:, None], values - mean, 0.0)
+
+
+def _sides(flight: Flight) -> _Sides:
+    """Body rates by the attitude's rates of change, and as recorded.
+
+    Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 3.21.
+    """
+    values, changes, known = _grid(flight, names.ATTITUDES)
+    rates, _, known_rates = _grid(flight, names.RATES)
+    if not len(values):
+        return _Sides(values, rates)
+    (phi, theta, _), (dphi, dtheta, dpsi) = values.T, changes.T
+    p = dphi - np.sin(theta) * dpsi
+    q = np.cos(phi) * dtheta + np.sin(phi) * np.cos(theta) * dpsi
+    r = -np.sin(phi) * dtheta + np.cos(phi) * np.cos(theta) * dpsi
+    by_attitude = _centred(np.stack([p, q, r], axis=1), known & (np.abs(theta) < STEEP))
+    return _Sides(by_attitude, _centred(rates, known_rates))
+
+
+def _covariances(sides: Sequence[_Sides], most: int) -> tuple[Array, Array]:
+    """Covariance (lags, 3, 3) of left, so many samples later, with right, from -most to most, and both sides' power.
+
+    The power (lags,) is that of the samples that meet. Sums over flights.
+    """
+    total, power = np.zeros((2 * most + 1, 3, 3)), np.zeros((2, 2 * most + 1))
+    for side in sides:
+        size = 1 << int(np.ceil(np.log2(2 * len(side.left))))
+        left, right = np.fft.rfft(side.left, size, axis=0), np.fft.rfft(side.right, size, axis=0)
+        both = np.fft.irfft(left[:, None, :] * right.conj()[:, :, None], size, axis=0)
+        reach = min(most, int(REACHED * len(side.left)))
+        here = slice(most - reach, most + 1 + reach)
+        total[here] += np.concatenate([both[size - reach :], both[: reach + 1]])
+        power[:, here] += _meeting(side, reach)
+    return total, np.sqrt(np.maximum(power[0] * power[1], np.finfo(float).tiny))
+
+
+def _meeting(side: _Sides, reach: int) -> Array:
+    """Power (2, lags) of the samples of left and right that meet at lags from -reach to reach."""
+    left, right = ((x**2).sum(axis=1) for x in (side.left, side.right))
+    lags = np.arange(1, reach + 1)
+    from_end = [np.concatenate([[0.0], np.cumsum(x)]) for x in (left, right)]
+    count = len(left)
+    whole_left, whole_right = from_end[0][-1], from_end[1][-1]
+    later = np.stack([whole_left - from_end[0][lags], from_end[1][count - lags]])
+    earlier = np.stack([from_end[0][count - lags], whole_right - from_end[1][lags]])
+    return np.concatenate([earlier[:, ::-1], [[whole_left], [whole_right]], later], axis=1)
+
+
+def _best(scores: Array, agrees: float = AGREES, halved: float = HALVED) -> int:
+    """Lag, in samples, of the highest score (lags,); 0 where none is beyond what lies within `REACH_S`."""
+    middle, near = len(scores) // 2, round(REACH_S / EVERY_S)
+    best = int(np.argmax(scores))
+    inside = float(scores[max(middle - near, 0) : middle + near + 1].max())
+    top = float(scores[best])
+    far = abs(best - middle) > near and 0 < best < len(scores) - 1
+    clear = top > agrees and 1.0 - top < halved * (1.0 - inside)
+    return best - middle if far and clear else 0
+
+
+def _most(sides: Sequence[_Sides]) -> int:
+    return min(round(LONGEST_S / EVERY_S), int(REACHED * max(len(s.left) for s in sides)))
+
+
+def _lag(sides: Sequence[_Sides]) -> int:
+    """Samples by which the attitude comes after the rates, whatever turns the one against the other."""
+    covariances, power = _covariances(sides, _most(sides))
+    scores = np.linalg.svd(covariances, compute_uv=False).sum(axis=1) / power
+    return _best(scores)
+
+
+def _share(sides: Sequence[_Sides], matrix: Array | None = None) -> float:
+    """Share of the rates' variance that the attitude, turned by a matrix (3, 3), does not explain."""
+    turn = np.eye(3) if matrix is None else matrix
+    left = sum(float(((s.right - s.left @ turn.T) ** 2).sum()) for s in sides)
+    return left / max(sum(float((s.right**2).sum()) for s in sides), np.finfo(float).tiny)
+
+
+def _turned(dataset: Dataset, sides: Sequence[_Sides]) -> Alignment:
+    """The turn of the rates against the attitude, or a mirror, where one is beyond doubt."""
+    covariance = sum((s.right.T @ s.left for s in sides), np.zeros((3, 3)))
+    u, sizes, vt = np.linalg.svd(covariance)
+    sign = np.linalg.det(u @ vt)
+    turn, free = u @ np.diag([1.0, 1.0, sign]) @ vt, u @ vt
+    straight, after = _share(sides), _share(sides, turn)
+    strength = _strength(dataset, sides)
+    moved = strength > MOVES
+    if sign < 0.0 and moved and _share(sides, free) < 0.5 * min(after, straight) and _share(sides, free) < 0.3:
+        return Alignment(mirror=axes_of(free), before=straight, after=_share(sides, free), strength=strength)
+    vector = rotation_vector(turn.T)
+    together = 2.0 * np.sqrt(np.pi) * 0.08 / EVERY_S
+    left = after * sum(float((s.right**2).sum()) for s in sides) / max(sum(len(s.right) for s in sides) * 3 - 3, 1)
+    weak = max(float(sizes[1] + sign * sizes[2]), np.finfo(float).tiny)
+    error = float(np.sqrt(left * together / weak))
+    angle = float(np.linalg.norm(vector))
+    sure = moved and angle > max(LEAST_TURN, SURE * error) and after < BETTER * straight
+    if not sure:
+        return Alignment(before=straight, after=straight, strength=strength)
+    return Alignment(vector, error, before=straight, after=after, strength=strength)
+
+
+def _strength(dataset: Dataset, sides: Sequence[_Sides]) -> float:
+    """Power of rates and of the attitude's rates over that of their noise, the smaller."""
+    dt = float(np.median([dataset.facts[name].dt for name in dataset.identify]))
+    bell, slope = kernel(dt)
+    count = max(sum(len(s.left) for s in sides), 1)
+    taps = (("left", names.ATTITUDES, slope), ("right", names.RATES, bell))
+    ratios = []
+    for side, channels, weights in taps:
+        noise = sum(dataset.noise(c) ** 2 for c in channels) * float((weights**2).sum())
+        power = sum(float((getattr(s, side) ** 2).sum()) for s in sides) / count
+        ratios.append(power / max(noise, np.finfo(float).tiny))
+    return min(ratios)
+
+
+def axes_of(matrix: Array) -> str:
+    """What each rate reads by the nearest matrix that takes axes to axes."""
+    nearest = [(names.RATES[int(np.argmax(np.abs(row)))], row[int(np.argmax(np.abs(row)))]) for row in matrix]
+    return " ".join(f"{'+' if size > 0.0 else '-'}{name}" for name, size in nearest)
+
+
+def _clocks(flights: Sequence[Flight], turn: Array, late: int) -> dict[str, float]:
+    """Which streams are late, in s: attitude or rates, then velocities or accelerometers against what they are with."""
+    seconds = late * EVERY_S
+    own = {"attitude": seconds} if late else {}
+    felt = [f for f in flights if f.has(*names.VELOCITIES, *names.SPECIFIC_FORCES)]
+    if not felt:
+        return own
+    tried = [own, {"rates": -seconds}, {"rates": -seconds, "accelerations": -seconds}] if late else [{}]
+    scored = [(_motion(felt, turn, clocks), clocks) for clocks in tried]
+    best, clocks = max(scored, key=lambda one: one[0].agreed)
+    if best.agreed > SETTLED:
+        return clocks
+    best, clocks = max(scored, key=lambda one: one[0].moved)
+    if not best.unit:
+        return clocks
+    further = {**clocks, best.unit: clocks.get(best.unit, 0.0) + best.seconds}
+    if _motion(felt, turn, further).agreed < AGREES:
+        return clocks
+    return {name: value for name, value in further.items() if abs(value) > ALIKE_S}
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """How well velocity, attitude and force agree (a correlation) as they are, and with one stream moved.
+
+    unit, seconds : that stream and the time by which it comes after the others; empty where none clearly does.
+    """
+
+    agreed: float = 0.0
+    moved: float = 0.0
+    unit: str = ""
+    seconds: float = 0.0
+
+
+def _motion(flights: Sequence[Flight], turn: Array, clocks: Mapping[str, float]) -> _Motion:
+    by = Alignment(turn=turn, clocks=clocks)
+    every = [_forces(aligned(f, by)) for f in flights]
+    every = [e for e in every if len(e.known)]
+    if not every:
+        return _Motion()
+    velocities = [_Sides(_centred(e.pushed, e.known), _centred(e.felt - e.fallen, e.known)) for e in every]
+    forces = [_Sides(_centred(e.felt, e.known), _centred(e.pushed + e.fallen, e.known)) for e in every]
+    agreed, found = 0.0, list[tuple[float, str, float]]()
+    for unit, sides in (("velocities", velocities), ("accelerations", forces)):
+        covariances, power = _covariances(sides, _most(sides))
+        scores = np.trace(covariances, axis1=1, axis2=2) / power
+        middle, lag = len(scores) // 2, _best(scores, *TRIED)
+        agreed = max(agreed, float(scores[middle]))
+        if lag:
+            found.append((float(scores[middle + lag]), unit, lag * EVERY_S))
+    score, unit, lag = max(found, default=(agreed, "", 0.0))
+    return _Motion(agreed, score, unit, lag)
+
+
+@dataclass(frozen=True)
+class _Forces:
+    """What velocity says (T, 3), what gravity says, what is felt, smoothed; and where all is known (T,).
+
+    pushed : rate of change of velocity over ground in body axes, rotation included; fallen : minus gravity.
+    """
+
+    pushed: Array
+    fallen: Array
+    felt: Array
+    known: Array
+
+
+def _forces(flight: Flight) -> _Forces:
+    """Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 3.35."""
+    velocity, change, known = _grid(flight, names.VELOCITIES)
+    rates, _, whole = _grid(flight, names.RATES)
+    angles, _, turned = _grid(flight, names.ATTITUDES)
+    felt, _, measured = _grid(flight, names.SPECIFIC_FORCES)
+    if not len(velocity):
+        return _Forces(velocity, velocity, velocity, known)
+    phi, theta, _ = angles.T
+    down = np.stack([-np.sin(theta), np.cos(theta) * np.sin(phi), np.cos(theta) * np.cos(phi)], axis=1)
+    pushed = change + np.cross(rates, velocity)
+    return _Forces(pushed, -9.80665 * down, felt, known & whole & turned & measured)

@@ -1,0 +1,68 @@
+"""What stands against identifying a model from a data set, in words of flight test, each with what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+from rotorid_torch.consistency.alignment import without_large_errors
+from rotorid_torch.consistency.examination import controls, kinematics, records, samples
+from rotorid_torch.consistency.examination.band import band
+from rotorid_torch.consistency.examination.finding import Finding, Severity
+from rotorid_torch.consistency.examination.needs import examinable, needs
+from rotorid_torch.consistency.examination.surroundings import surroundings
+from rotorid_torch.data.dataset import Dataset
+
+
+@dataclass(frozen=True)
+class Check:
+    """All findings on a data set, gravest first; `fit` is false where one is an error."""
+
+    dataset: str
+    fit: bool
+    findings: tuple[Finding, ...]
+
+    def of(self, severity: Severity) -> tuple[Finding, ...]:
+        """Findings of one severity."""
+        return tuple(found for found in self.findings if found.severity == severity)
+
+
+Examination = Callable[[Dataset], Iterator[Finding]]
+EXAMINATIONS: tuple[Examination, ...] = (
+    needs,
+    records.dead,
+    records.reading,
+    samples.stamps,
+    records.gaps,
+    samples.repeats,
+    samples.rows,
+    records.units,
+    records.gravity,
+    kinematics.kinematics,
+    kinematics.precedence,
+    surroundings,
+    records.noise,
+    records.vibration,
+    records.supply,
+    controls.controls,
+    band,
+    controls.trim,
+    controls.length,
+)
+
+
+ALWAYS = (needs, records.dead, records.reading, records.gaps, records.units)
+"""Those that hold of records on which nothing else can be said."""
+RIGHTED = (records.gravity, kinematics.precedence, surroundings)
+"""Those that look at the records with large turns and clock errors taken out: these have one cause, told once."""
+
+
+def check(dataset: Dataset, examinations: Sequence[Examination] = EXAMINATIONS) -> Check:
+    """Examine a data set: needs, clocks, samples, units, kinematics, noise, controls, band, trim and length."""
+    whole = examinable(dataset)
+    chosen = examinations if whole else [one for one in examinations if one in ALWAYS]
+    right = without_large_errors(dataset) if whole and any(one in RIGHTED for one in chosen) else dataset
+    found = [finding for examine in chosen for finding in examine(right if examine in RIGHTED else dataset)]
+    rank = {"error": 0, "warning": 1, "note": 2, "good": 3}
+    found.sort(key=lambda finding: rank[finding.severity])
+    return Check(dataset.name, all(f.severity != "error" for f in found), tuple(found))

@@ -1,0 +1,172 @@
+"""Controls: limits, excitation, feedback, folded commands, how the flights begin and whether they last long enough."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from rotorid_torch.consistency.examination.finding import Finding, finding
+from rotorid_torch.consistency.excitation import BAND_HZ, Excitation, excitations, share_at
+from rotorid_torch.core import names
+from rotorid_torch.data.dataset import Dataset
+
+FEEDBACK = 0.1
+"""Share of an axis's own motion below which only a combination of derivatives can be found."""
+TEST_INPUT = 30.0
+"""Power in the band over that of the white part there, below which nothing was flown on an axis."""
+FOLDED = 0.1
+"""White part over the power in the band from which on a motor command was folded by sampling."""
+TURNS = {"roll": "p", "pitch": "q", "yaw": "r"}
+"""What the axes of the motors turn."""
+FREE_RUN_S = 8.0
+PERIODS = 2.0
+"""A mode needs so many of its periods in a flight."""
+
+
+def controls(dataset: Dataset) -> Iterator[Finding]:
+    """Saturation, declared limits, excitation and its share that is not feedback."""
+    yield from _limits(dataset)
+    every = excitations(dataset)
+    idle = [e for e in every if e.above_white < TEST_INPUT and (e.moved or names.is_motor(e.axis.controls[0]))]
+    still = [e for e in every if not e.moved and e not in idle]
+    if still:
+        told = "hardly moves in any identify flight: its derivatives cannot be found. Fly a 3-2-1-1 or doublet on it."
+        yield finding(
+            "warning", _channels(still), f"{_named(still)} {told}" if len(still[0].axis.controls) > 1 else told
+        )
+    for e in every:
+        if e.moved and len(e.axis.controls) == 1:
+            yield from _rests(dataset, e)
+    if idle:
+        yield _no_test_input(idle)
+    yield from _folded([e for e in every if _folds(e)], dataset)
+    flown = [e for e in every if e.moved and e not in idle and not _folds(e)]
+    bound = [e for e in flown if e.independent < FEEDBACK]
+    if feedback := [e for e in bound if not e.leads]:
+        yield _feedback(feedback)
+    if answered := [e for e in bound if e.leads]:
+        yield _answered(answered)
+    for e in flown:
+        if e.independent >= FEEDBACK:
+            yield finding("good", _channels([e]), _moves(dataset, e))
+
+
+def _channels(every: Sequence[Excitation]) -> str:
+    return " ".join(dict.fromkeys(control for e in every for control in e.axis.controls))
+
+
+def _named(every: Sequence[Excitation]) -> str:
+    return ", ".join(e.axis.name for e in every)
+
+
+def _rests(dataset: Dataset, e: Excitation) -> Iterator[Finding]:
+    """Flights in which a control does not move at all: less than a hundredth of what it does elsewhere."""
+    control = e.axis.name
+    spreads = {name: facts.spreads[control] for name, facts in dataset.facts.items()}
+    rests = [name for name, s in spreads.items() if s.high - s.low < 0.01 * e.travel]
+    if rests:
+        told = f"does not move at all in {len(rests)} of {len(spreads)} flights ({', '.join(rests)}):"
+        yield finding("note", control, told, "what it does is known from the others alone. Fly it, or leave it out.")
+
+
+def _no_test_input(idle: Sequence[Excitation]) -> Finding:
+    told = ", ".join(f"{e.axis.name} {e.above_white:.1f} times its white part" for e in idle)
+    answers = [TURNS[e.axis.name] for e in idle if e.axis.name in TURNS]
+    return finding(
+        "warning",
+        " ".join([_channels(idle), *answers]),
+        f"no test input on {_named(idle)}: from {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz the power is no more than {told}.",
+        "What moves is the controller's answer to noise and air: control power, damping, lag and delay of"
+        " these axes cannot be told apart, and damping comes out too large. Fly doublets or sweeps on top of the"
+        " controller, one axis at a time; until then believe none of them alone.",
+    )
+
+
+def _folds(e: Excitation) -> bool:
+    return names.is_motor(e.axis.controls[0]) and e.white**2 > FOLDED * e.in_band**2
+
+
+def _folded(white: Sequence[Excitation], dataset: Dataset) -> Iterator[Finding]:
+    if white:
+        told = ", ".join(f"{e.axis.name} {e.white:.2g} white, {e.in_band:.2g} in the band" for e in white)
+        rate = 1.0 / dataset.facts[dataset.identify[0]].dt
+        yield finding(
+            "warning",
+            _channels(white),
+            f"the recorded commands are white up to {rate / 2:.0f} Hz ({told}): a command has no sensor noise, so they",
+            f"change faster than the {rate:.0f} Hz of the record and were sampled without a filter (folded).",
+            "Regression on them is biased low. Log at the controller's rate, or low-pass before sampling.",
+        )
+
+
+def _feedback(bound: Sequence[Excitation]) -> Finding:
+    told = ", ".join(f"{e.independent:.0%} of {e.axis.name}" for e in bound)
+    return finding(
+        "warning",
+        _channels(bound),
+        f"only {told} from {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz is the control's own motion, the rest follows",
+        "the aircraft and the other controls (feedback): only combinations of derivatives can be found.",
+        "Fly test inputs on top of the controller, one control at a time.",
+    )
+
+
+def _answered(bound: Sequence[Excitation]) -> Finding:
+    told = ", ".join(f"{1.0 - e.independent:.0%} of {e.axis.name}" for e in bound)
+    return finding(
+        "note",
+        _channels(bound),
+        f"the motion moves with {told} from {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz, and follows it: the aircraft answers",
+        "so quickly that its damping and the control's power are told mostly by their ratio. Sharper inputs part them.",
+    )
+
+
+def _moves(dataset: Dataset, e: Excitation) -> str:
+    unit = dataset.control_specs[e.axis.controls[0]].unit
+    where = f"in {len(e.moved)} of {len(dataset.identify)} identify flights"
+    own = f"{e.independent:.0%} of its motion from {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz is its own, not feedback"
+    name = f"{e.axis.name} (of all motors) " if len(e.axis.controls) > 1 else ""
+    return f"{name}moves up to {e.travel:.3g} ({unit}) {where}; {own}."
+
+
+def _limits(dataset: Dataset) -> Iterator[Finding]:
+    every = {control: share_at(dataset, control) for control in dataset.controls}
+    full = {control: share for control, (share, _) in every.items() if share > 0.01}
+    if full:
+        told = ", ".join(f"{control} {share:.0%}" for control, share in full.items())
+        most = f"on a limit for up to {max(full.values()):.0%} of a flight ({told}):"
+        reason = "what was asked beyond the limit is not in the record. Use smaller inputs."
+        yield finding("warning", " ".join(full), most, reason)
+    for control, (_, outside) in every.items():
+        limits = dataset.control_specs[control].limits
+        if limits and outside > 0.02 * (limits[1] - limits[0]):
+            told = f"goes {outside:.3g} beyond its declared limits {list(limits)}. Check limits and unit."
+            yield finding("warning", control, told)
+
+
+def trim(dataset: Dataset) -> Iterator[Finding]:
+    """Whether the identify flights begin quietly enough to know the trim."""
+    moving = [name for name in dataset.identify if dataset.quiet(name) * dataset.facts[name].dt < 0.8]
+    if not moving:
+        yield finding("good", "", "every identify flight begins with a quiet second: the trim is well known.")
+        return
+    whole = "every identify flight" if len(moving) == len(dataset.identify) else ", ".join(moving)
+    told = f"controls move within the first second of {whole}: the trim is only the mean of 0.5 s there."
+    yield finding("note", "", told, "Begin records a second before the input.")
+
+
+def length(dataset: Dataset) -> Iterator[Finding]:
+    """Whether the flights last long enough for what is to be identified from them.
+
+    Source: Tischler and Remple, Aircraft and Rotorcraft System Identification, 2nd ed., ch. 5 (record length).
+    """
+    seconds = sorted(dataset.facts[name].seconds for name in dataset.identify)
+    lowest = PERIODS / seconds[-1]
+    span = f"{seconds[0]:.3g} to {seconds[-1]:.3g} s" if seconds[-1] > 1.02 * seconds[0] else f"{seconds[-1]:.3g} s"
+    told = f"identify flights last {span}: motion from {lowest:.2g} Hz on has {PERIODS:g} periods in one;"
+    slower = "slower modes and derivatives by speed rest on trends. For those fly sweeps of 60 to 90 s."
+    short = [name for name, facts in dataset.facts.items() if facts.seconds < FREE_RUN_S]
+    if short:
+        many = f"{len(short)} of {len(dataset.facts)} flights"
+        own = f"{many} are shorter than the {FREE_RUN_S:g} s of a free run and are judged over their own length."
+        yield finding("note", "", f"{told} {slower}", own)
+    else:
+        yield finding("good", "", told, slower)

@@ -1,0 +1,294 @@
+"""Sensors against each other: clocks, time base, scales, biases; controls against what they command."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from rotorid_torch.consistency import sensor_pairs
+from rotorid_torch.consistency.alignment import (
+    EVERY_S,
+    MOVES,
+    UNITS,
+    Alignment,
+    aligned,
+    alignment,
+    axes_of,
+    right_angles,
+    rotation,
+    rotation_vector,
+)
+from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
+from rotorid_torch.consistency.late_controls import (
+    LateControls,
+    coming_first,
+    followed_sticks,
+    known_responses,
+    late_controls,
+)
+from rotorid_torch.consistency.precedence import Response
+from rotorid_torch.consistency.sensor_pairs import REACH_S, Agreement, Pair, agreement
+from rotorid_torch.core import names
+from rotorid_torch.data.dataset import Dataset
+
+Group = tuple[str, str, Callable[[Dataset], tuple[Pair, ...]]]
+
+GROUPS: tuple[Group, ...] = (
+    ("attitude", "the body rates", lambda _: sensor_pairs.attitude_pairs()),
+    ("velocity", "attitude, rates and specific force", sensor_pairs.velocity_pairs),
+    ("position", "velocity", lambda _: sensor_pairs.position_pairs()),
+)
+BIAS = {"rad/s": 0.004, "m/s²": 0.15, "m/s": 0.15}
+"""Constant difference that is worth a word."""
+SCALE = 0.04
+"""Scale error that is worth a word."""
+AGREES = 0.3
+"""R² below which two sides are not compared."""
+CONTRADICT = {"attitude": 0.5, "velocity": 0.3, "position": 0.3}
+"""R² below which two sides that move far above their noise contradict each other."""
+LEAST_RMS = {"rad/s": 0.02, "m/s²": 0.2}
+"""Motion that both sides must show besides, rms: what an estimator has smoothed seems to have no noise."""
+CLOCKS = {"attitude": ("attitude", "rates"), "velocity": ("velocities", "accelerations")}
+"""Units whose clock a group of pairs compares."""
+MOUNTED = 3.0
+"""Degrees within which a turn is a mounting by right angles."""
+SURE, SURE_LAG = 4.0, 3.0
+"""Standard errors that make a finding; of a lag, whose size must mean something besides."""
+
+
+def kinematics(dataset: Dataset) -> Iterator[Finding]:
+    """Attitude against rates, velocity against specific force, position against velocity; large errors first."""
+    by = alignment(dataset)
+    flights = [aligned(f, by) for f in dataset.flights.values()] if by.needed else list(dataset.flights.values())
+    if by.mirror:
+        yield _mirrored(by)
+    elif by.angle > 0.0:
+        yield _turned(by)
+    lags: dict[str, list[Agreement]] = {}
+    for left, right, pairs in GROUPS:
+        results = [a for pair in pairs(dataset) if (a := agreement(pair, flights)) is not None]
+        seen = [a for a in results if a.r2 > 0.6]
+        yield from _far_off(left, by, seen)
+        lags[left] = [a for a in seen if _off(a) and not _moved(left, by)]
+        base = time_base(seen) if left == "attitude" else None
+        if base is not None:
+            yield _wrong_base(base, dataset)
+        if lags[left]:
+            yield _late(left, right, lags)
+        elif seen and not _moved(left, by):
+            told = ", ".join(f"{a.pair.left_name} {a.lag_s:+.3f} s" for a in seen)
+            yield finding("good", _channels(seen), f"{left} keeps time with {right} ({told}).")
+        for result in seen:
+            yield from _drift(result)
+        if by.mirror:
+            continue
+        for result in results:
+            if result.pair.exact:
+                yield from _disagreement(result, dataset, left)
+                yield from _bias(result, dataset) if result.r2 > AGREES else ()
+                yield from _scale(result) if base is None else ()
+
+
+def _turned(by: Alignment) -> Finding:
+    """The IMU's axes are not the attitude's."""
+    angle, axis = np.degrees(by.angle), by.turn / by.angle
+    nearest = min(right_angles(), key=lambda m: float(np.linalg.norm(m - rotation(by.turn))))
+    square = float(np.degrees(np.linalg.norm(rotation_vector(rotation(by.turn).T @ nearest)))) < MOUNTED
+    mounted = f" (a mounting by right angles: p q r read {axes_of(nearest.T)})" if square else ""
+    return finding(
+        "error",
+        "p q r phi theta psi",
+        f"the IMU is turned by {angle:.1f}° (± {np.degrees(by.turn_se):.1g}) about the body axis",
+        f"({axis[0]:+.2f}, {axis[1]:+.2f}, {axis[2]:+.2f}) against the attitude{mounted}: turned back, the attitude",
+        f"leaves {by.after:.1%} of the rates' variance instead of {min(by.before, 9.99):.0%}. Turn p q r and ax ay az",
+        "back; close-loop names it as sensors.misalignment.",
+    )
+
+
+def _mirrored(by: Alignment) -> Finding:
+    """No rotation but a sign or an exchange of axes makes the rates those of the attitude."""
+    return finding(
+        "error",
+        "p q r phi theta psi",
+        f"by the attitude p q r read {by.mirror}: a wrong sign or exchanged axes, which no mounting makes. Turned so,",
+        f"the attitude leaves {by.after:.1%} of the rates' variance instead of {min(by.before, 9.99):.0%}.",
+        "Correct signs and order of the rates, or of the attitude.",
+    )
+
+
+def _moved(group: str, by: Alignment) -> bool:
+    """Whether a clock of this group was set right before its pairs were compared."""
+    return bool({*CLOCKS.get(group, ())} & {*by.clocks})
+
+
+def _far_off(group: str, by: Alignment, seen: Sequence[Agreement]) -> Iterator[Finding]:
+    """Clocks that are off by more than pairs of channels are searched for, with what these still say."""
+    moved = [unit for unit in CLOCKS.get(group, ()) if unit in by.clocks]
+    if not moved:
+        return
+    weights = np.array([max(a.lag_se, 1e-3) ** -2.0 for a in seen])
+    rest = float(weights @ [a.lag_s for a in seen] / weights.sum()) if seen else 0.0
+    error = float(weights.sum() ** -0.5) if seen else EVERY_S / 2.0
+    for unit in moved:
+        seconds = by.clocks[unit] + (rest if unit in ("attitude", "velocities") else -rest)
+        word = "late" if seconds > 0.0 else "early"
+        told = f"{unit} {abs(seconds):.3f} s {word} (± {max(error, 1e-3):.3f}) against the other streams:"
+        what = (
+            "two clocks, or one that began later. Shift the stream; nothing that compares channels means much before."
+        )
+        yield finding("error", " ".join(UNITS[unit]), told, what)
+
+
+def _disagreement(a: Agreement, dataset: Dataset, group: str) -> Iterator[Finding]:
+    """Two sensors that move far above their noise and do not agree, or too little motion to compare them."""
+    left, right = a.pair.left_name, a.pair.right_name
+    if a.r2 >= (CONTRADICT[group]):
+        return
+    dt = float(np.median([dataset.facts[name].dt for name in dataset.identify]))
+    noise = dataset.noise(left), max(dataset.noise(name) for name in right.split())
+    strength = a.strength(noise, dt)
+    large = min(a.power) > LEAST_RMS.get(a.pair.unit, 0.0) ** 2
+    if strength > MOVES and large and group != "position":
+        told = (
+            f"{left} and {right} both move far above their noise ({strength:.0f} times its power at least) and do not"
+        )
+        more = f"agree with kinematics (R² {a.r2:.2f}, in no lag up to {REACH_S:g} s): they contradict each other."
+        yield finding("error", f"{left} {right}", told, more, "One of the two is wrong: axes, unit, clock or sensor.")
+    elif a.r2 < AGREES:
+        yield finding(
+            "note", left, f"too little motion, or too much noise, to compare {left} with {right} (R² {a.r2:.2f})."
+        )
+
+
+def time_base(seen: Sequence[Agreement]) -> tuple[float, float] | None:
+    """Ratio of the attitudes' rates to the body rates and its standard error, where all share one that is not 1.
+
+    Stamps that run too slow or too fast scale what is differentiated, on all axes alike; one gyro's scale does not.
+    """
+    if len(seen) < 2 or min(a.r2 for a in seen) < 0.8:
+        return None
+    ratios, errors = np.array([a.scale for a in seen]), np.maximum([a.scale_se for a in seen], 0.005)
+    weights = errors**-2.0
+    mean, error = float(weights @ ratios / weights.sum()), float(weights.sum() ** -0.5)
+    beyond = all((a.bounds[0] > 1.0 + SCALE) if mean > 1.0 else (a.bounds[1] < 1.0 - SCALE) for a in seen)
+    alike = bool(np.all(np.abs(ratios - mean) < np.maximum(SURE * errors, 0.03)))
+    return (mean, error) if mean > 0.0 and beyond and alike and abs(mean - 1.0) > SURE * error else None
+
+
+def _wrong_base(base: tuple[float, float], dataset: Dataset) -> Finding:
+    ratio, error = base
+    dt = float(np.median([facts.dt for facts in dataset.facts.values()]))
+    return finding(
+        "warning",
+        "time",
+        f"attitude turns {ratio:.3f} (± {error:.3f}) times as fast as the body rates say, on all axes alike:",
+        f"the time base is wrong, samples are {ratio * dt:.4g} s apart rather than {dt:.4g} s,",
+        "or the rates share a scale or unit error. Correct the stamps before anything else.",
+    )
+
+
+def _off(a: Agreement) -> bool:
+    return abs(a.lag_s) > max(SURE_LAG * a.lag_se, 0.008 if a.pair.exact else 0.06)
+
+
+def _channels(results: Sequence[Agreement]) -> str:
+    return " ".join(a.pair.left_name for a in results)
+
+
+def _late(left: str, right: str, lags: dict[str, list[Agreement]]) -> Finding:
+    late = lags[left]
+    told = ", ".join(
+        f"{a.pair.left_name} {abs(a.lag_s):.3f} s {'late' if a.lag_s > 0 else 'early'} (± {a.lag_se:.3f})" for a in late
+    )
+    grave: Severity = "warning" if max(abs(a.lag_s) for a in late) >= 0.02 else "note"
+    cause = ""
+    if left == "velocity" and any(a.lag_s > 0.02 for a in lags["attitude"]) and sum(a.lag_s for a in late) < 0:
+        cause = "Both comparisons say it: the attitude is late."
+    early = sum(a.lag_s for a in late) < 0
+    who = f"{right} late, or {left} early" if early else f"{left} late, or {right} early"
+    advice = f"A clock or a filter is off ({who}): shift the streams onto one clock, or let sensors.delay be estimated."
+    return finding(grave, _channels(late), f"{told} against {right}.", *([cause] if cause else []), advice)
+
+
+def _drift(a: Agreement) -> Iterator[Finding]:
+    """Lags that differ between flights by more than their errors."""
+    if len(a.lags_s) < 2:
+        return
+    (first, first_se), (last, last_se) = min(a.lags_s.values()), max(a.lags_s.values())
+    if last - first > max(0.06, 6.0 * (first_se + last_se)):
+        told = f"against {a.pair.right_name} the lag runs from {first:+.3f} to {last:+.3f} s from flight to flight:"
+        yield finding("warning", a.pair.left_name, told, "the clocks drift, and one common delay cannot repair it.")
+
+
+def _scale(a: Agreement) -> Iterator[Finding]:
+    left, right, (low, high) = a.pair.left_name, a.pair.right_name, a.bounds
+    if a.r2 > 0.9 and high < 0.0:
+        told = (
+            f"the rate of {left} goes against what {right} says by kinematics ({a.scale:.3f} ± {a.scale_se:.3f} times):"
+        )
+        yield finding("error", left, told, f"one of the two has the wrong sign. Turn {left} or {right}.")
+    elif a.r2 > 0.9 and (low > 1.0 + SCALE or high < 1.0 - SCALE) and abs(a.scale - 1.0) > SURE * a.scale_se:
+        told = f"the rate of {left} is {a.scale:.3f} (± {a.scale_se:.3f}) times what {right} says by kinematics:"
+        cause = "a scale factor or unit of one of the two is off. Calibrate, or let sensors.scale be estimated."
+        yield finding("warning", left, told, cause)
+
+
+def _bias(a: Agreement, dataset: Dataset) -> Iterator[Finding]:
+    left, right, unit = a.pair.left_name, a.pair.right_name, a.pair.unit
+    threshold = BIAS[unit]
+    if abs(a.bias) <= max(threshold, SURE * a.bias_se):
+        return
+    sensor = left if unit == "m/s" else right
+    if unit == "m/s":
+        told = f"changes by {a.bias:+.3g} {unit} (± {a.bias_se:.1g}) more than {right} say:"
+    else:
+        word = "low" if a.bias > 0 else "high"
+        told = f"reads {abs(a.bias):.3g} {unit} (± {a.bias_se:.1g}) too {word} by the kinematics of {left}:"
+    use = "is estimated per flight" if dataset.bias(sensor) == "free" else 'is estimated only with bias = "free"'
+    yield finding("warning" if abs(a.bias) > 3.0 * threshold else "note", sensor, told, f"a sensor bias, which {use}.")
+
+
+def precedence(dataset: Dataset) -> Iterator[Finding]:
+    """Responses that seem to come before their controls, delays that differ between flights, and right ones."""
+    sticks = followed_sticks(dataset)
+    for a in sticks:
+        yield from _drift(a)
+    late = late_controls(dataset)
+    if late is not None and late.sticks:
+        yield _late_sticks(late)
+    elif late is not None:
+        yield _late_controls(late, dataset)
+    elif not sticks and (known := known_responses(dataset)):
+        if coming_first(dataset, known):  # what swings below moves the vehicle first too
+            return
+        told = f"the accelerations follow the controls: {_lags(known, 1.0)} (delay and lag of the whole path together)."
+        yield finding("good", " ".join(r.channel for r in known), told)
+
+
+def _late_sticks(late: LateControls) -> Finding:
+    told = ", ".join(
+        f"{a.pair.right_name} against {a.pair.left_name} {-a.lag_s:.3f} s (± {a.lag_se:.3f})" for a in late.sticks
+    )
+    return finding(
+        "warning",
+        " ".join(a.pair.right_name for a in late.sticks),
+        f"the sticks are stamped {late.seconds:.3f} s (± {late.se:.3f}) late against the rates ({told}):",
+        "the response seems to come first, which no aircraft does: the streams are misaligned by that and by what",
+        f"the aircraft lags besides. Shift all sticks {late.seconds:.3f} s earlier (close-loop does), or expect every",
+        "delay at its bound of zero; no lag or delay of the control path can be told from these streams.",
+    )
+
+
+def _late_controls(late: LateControls, dataset: Dataset) -> Finding:
+    told = f"{_lags(late.accelerations, -1.0)} before the controls move: the response seems to come first."
+    cause = f"The controls' stream is late by at least {late.seconds:.3f} s, or these streams are early."
+    advice = "Shift them onto one clock before identifying, or let sensors.delay be found by close-loop."
+    return finding("warning", " ".join(dataset.controls), told, cause, advice)
+
+
+def _lags(found: Sequence[Response], sign: float) -> str:
+    return ", ".join(
+        f"{f'd{r.channel}/dt' if r.channel in names.RATES else r.channel} {sign * r.lag_s:.3f} s (± {r.lag_se:.3f})"
+        for r in found
+    )

@@ -1,0 +1,179 @@
+"""Each record by itself: gaps, units, gravity, noise, vibration."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
+from rotorid_torch.consistency.vibration import content_ends, lines, spectrum
+from rotorid_torch.core import names
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.reading.noise import white_noise
+
+FEW = 0.005
+"""Share of missing samples that does no harm."""
+
+
+def reading(dataset: Dataset) -> Iterator[Finding]:
+    """What had to be changed or left out on reading."""
+    told_by_clock = dataset.path is not None  # the stamps are told from the files then
+    for flight, sentence in condensed(dataset.warnings):
+        if flight and "taken as missing" in sentence:
+            channel = sentence.partition(" ")[0]
+            advice = "Look at the telemetry; nothing that follows sees these samples."
+            yield finding("warning", channel, f"{sentence}.", advice, flight=flight)
+        elif flight and not (told_by_clock and sentence.startswith("time is not uniform")):
+            advice = "Record on one clock if fast dynamics matter."
+            yield finding("note", "time", f"{sentence}.", advice, flight=flight)
+        elif flight:
+            continue
+        else:
+            yield finding("note", "", f"{sentence}.")
+    rates = sorted({round(1.0 / facts.dt, 2) for facts in dataset.facts.values()})
+    if rates[-1] > 1.05 * rates[0]:
+        yield finding("note", "time", f"flights are sampled at {rates[0]:g} to {rates[-1]:g} Hz.")
+
+
+def dead(dataset: Dataset) -> Iterator[Finding]:
+    """Channels that were left out because they never change; body rates, which every step needs, are errors."""
+    for one in (one for one in dataset.dead if one.channel not in names.RATES):
+        yield finding("warning", one.channel, one.sentence)
+
+
+def condensed(warnings: Sequence[str]) -> list[tuple[str, str]]:
+    """Flight and sentence of a data set's warnings; those that begin alike become one, the first flight's."""
+    found, others = dict[str, tuple[str, str]](), dict[str, list[str]]()
+    for sentence in warnings:
+        name, _, rest = sentence.partition(": ")
+        flight, told = (name.removeprefix("flight "), rest) if name.startswith("flight ") and rest else ("", sentence)
+        words = " ".join(told.split()[:2]).removesuffix("s") if flight else told
+        kind = re.sub("[0-9]+ ", "# ", words)
+        if kind in found and flight not in (found[kind][0], *others[kind]):
+            others[kind].append(flight)
+        elif kind not in found:
+            found[kind], others[kind] = (flight, told), []
+    return [(flight, told + _likewise(others[kind])) for kind, (flight, told) in found.items()]
+
+
+def _likewise(flights: Sequence[str]) -> str:
+    return f" (likewise in {', '.join(flights)})" if flights else ""
+
+
+def gaps(dataset: Dataset) -> Iterator[Finding]:
+    """Missing samples."""
+    for name, flight in dataset.flights.items():
+        for channel, values in flight.channels.items():
+            share = float(values.isnan().double().mean())
+            if share > 0.0:
+                use = "bridged by a straight line" if channel in dataset.controls else "skipped"
+                grave: Severity = "warning" if share > 0.05 else "note"
+                told = f"{share:.2%} of the samples are missing; they are {use}."
+                if share > FEW:
+                    told = f"{share:.1%} of the samples are missing; they are {use}."
+                    told += " Leave the flight out if the manoeuvre itself is lost."
+                yield finding(grave, channel, told, flight=name)
+
+
+def units(dataset: Dataset) -> Iterator[Finding]:
+    """Sizes that speak of another unit."""
+    bounds = ((names.RATES, 35.0, "degrees per second?"), (names.VELOCITIES, 150.0, "knots or feet per second?"))
+    for channels, bound, guess in bounds:
+        for channel in channels:
+            largest = max(_largest(dataset, channel), default=0.0)
+            if largest > bound:
+                told = f"reaches {largest:.3g} {names.unit(channel)} ({guess})."
+                yield finding("warning", channel, told, "Check its unit and look for spikes.")
+    for control in filter(names.is_motor, dataset.controls):
+        spreads = [facts.spreads[control] for facts in dataset.facts.values()]
+        low, high = min(spread.low for spread in spreads), max(spread.high for spread in spreads)
+        if low < -0.05 or high > 1.05:
+            yield finding("error", control, f"runs from {low:.4g} to {high:.4g}. Scale the motor command to 0…1.")
+
+
+def _largest(dataset: Dataset, channel: str) -> Iterator[float]:
+    for facts in dataset.facts.values():
+        if facts.has(channel):
+            yield max(abs(facts.spreads[channel].low), abs(facts.spreads[channel].high))
+
+
+def gravity(dataset: Dataset) -> Iterator[Finding]:
+    """Whether the vertical accelerometer reads gravity where the flights begin."""
+    expected = -dataset.vehicle.gravity
+    starts = [
+        float(flight.channels["az"][: dataset.quiet(name)].nanmean())
+        for name, flight in dataset.flights.items()
+        if flight.has("az")
+    ]
+    if not starts:
+        return
+    az = float(np.nanmedian(starts))
+    told = f"reads {az:.2f} m/s² at the start of the flights"
+    if az > 0.3:
+        yield finding("error", "az", f"{told}; level flight reads {expected:.2f}. Turn the axis: z points down.")
+    elif 0.7 < -az < 1.4:
+        yield finding("error", "az", f"{told}. It seems to be in g: multiply by {-expected:.4g}.")
+    elif abs(az / expected - 1.0) > 0.03:
+        reason = "the flights begin in a manoeuvre, or the accelerometer has a bias or a scale error"
+        yield finding("note", "az", f"{told} instead of {expected:.2f}: {reason}. Calibrate it before believing mass.")
+    else:
+        yield finding("good", "az", f"{told}, as gravity demands.")
+
+
+def noise(dataset: Dataset) -> Iterator[Finding]:
+    """Declared noise against the record's, estimates where none is declared, records that were filtered."""
+    estimated, smooth = [], []
+    for channel in (c for c in dataset.scales() if names.channel(c) is not None):
+        records = dataset.records(channel)
+        floor, spec = white_noise(records), dataset.control_specs.get(channel) or dataset.channel_specs.get(channel)
+        if spec is None or spec.noise is None:
+            estimated.append(f"{channel} {dataset.noise(channel):.2g}")
+            sensor = channel in (*names.RATES, *names.SPECIFIC_FORCES)
+            if sensor and floor < 2e-3 * dataset.scales()[channel]:
+                dt = dataset.facts[dataset.identify[0]].dt
+                smooth.append((channel, content_ends(*spectrum(records, dt))))
+        elif spec.noise > 0.0 and not 0.6 < floor / spec.noise < 1.6 and np.isfinite(floor):
+            told = f"declares noise of {spec.noise:.3g}, the record's white floor is {floor:.3g} {names.unit(channel)}."
+            yield finding("warning", channel, told, "Correct dataset.toml, or leave it out to have it estimated.")
+    if smooth:
+        ends = ", ".join(f"{channel} ends at {hertz:.0f} Hz" for channel, hertz in smooth)
+        told = f"almost no noise: filtered before recording ({ends}), or simulated."
+        yield finding("note", " ".join(c for c, _ in smooth), told, "A filter's lag will count as the aircraft's.")
+    if estimated:
+        told = f"noise estimated from the spectra: {', '.join(estimated)} (standard deviation of a sample)."
+        yield finding("note", "", told, "Declare it in dataset.toml if the sensors' data sheets say otherwise.")
+
+
+def vibration(dataset: Dataset) -> Iterator[Finding]:
+    """Lines of rotor vibration in rates and specific force."""
+    rotor = dataset.vehicle.rotor
+    for channel in (*names.RATES, *names.SPECIFIC_FORCES):
+        records = dataset.records(channel)
+        if not records:
+            continue
+        strongest = lines(*spectrum(records, dataset.facts[dataset.identify[0]].dt))
+        shown = [line for line in strongest if line.share > 0.03 and line.rms > 0.3 * dataset.noise(channel)]
+        if not shown:
+            continue
+        told = ", ".join(
+            f"{line.hertz:.1f} Hz"
+            + (f" ({line.hertz * 2 * np.pi / rotor.speed:.2f} per revolution)" if rotor and rotor.speed else "")
+            + f" {line.rms:.2g} {names.unit(channel)} rms, {line.share:.0%} of the channel's variance"
+            for line in shown
+        )
+        known = rotor is not None and rotor.speed is not None
+        guess = "" if known else f" ({2 * np.pi * shown[0].hertz:.0f} rad/s if this is once per revolution)"
+        advice = f"Isolate the sensor, or declare the rotor's speed{guess}, so that this is not taken for motion."
+        yield finding("warning" if shown[0].share > 0.2 else "note", channel, f"vibration at {told}.", advice)
+
+
+def supply(dataset: Dataset) -> Iterator[Finding]:
+    """A battery that sags: the same command then gives less thrust."""
+    spreads = [facts.spreads["voltage"] for facts in dataset.facts.values() if facts.has("voltage")]
+    low, high = min((s.low for s in spreads), default=0.0), max((s.high for s in spreads), default=0.0)
+    if high > 0.0 and high - low > 0.1 * high:
+        told = f"runs from {low:.3g} to {high:.3g} V over the flights:"
+        told += " the same command gives another rotor speed and thrust, which goes with its square."
+        yield finding("note", "voltage", told, "Let propulsion.voltage be weighed, or use measured rotor speeds.")

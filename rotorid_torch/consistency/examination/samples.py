@@ -1,0 +1,165 @@
+"""Samples of single channels: stamps, values that stand still, repeat, are cut off, or stand alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
+from rotorid_torch.consistency.stamps import clocks
+from rotorid_torch.core import names
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.reading.spikes import running_median
+
+FROZEN_S = 1.0
+"""A measurement that repeats itself exactly for so long, while it moves otherwise, is frozen."""
+HELD = 0.6
+"""Share of samples that repeat the one before, from which on a channel is renewed more slowly than it is recorded."""
+CLIPPED = 4
+"""Samples in a row at a channel's own largest or least value that make a limit."""
+ALONE = 15.0
+"""A sample this many times farther from its neighbours than half of them are stands alone."""
+LIVE, LOST = 4, 0.01
+"""Channels that must repeat at once, and the share of rows that do, to speak of lost samples."""
+OUTLIERS = 0.7
+"""The same as a share of the channel's whole range in the flight."""
+
+
+@dataclass(frozen=True)
+class Samples:
+    """What repeats in one channel of one flight.
+
+    Share of samples that repeat the one before, longest stretch without a change in s, longest run of samples at the
+    largest or least value where nothing else repeats so long, number of samples that stand alone, and how often a
+    second the value changes.
+    """
+
+    repeated: float
+    longest_s: float
+    at_edge: int
+    alone: int
+    renewed_hz: float
+
+
+def stamps(dataset: Dataset) -> Iterator[Finding]:
+    """Jitter of the record's own clock."""
+    found = clocks(dataset)
+    uneven = {name: clock for name, clock in found.items() if clock.uneven > 0.001}
+    if found and not uneven:
+        rates = sorted({round(1.0 / clock.median, 1) for clock in found.values()})
+        shown = f"{rates[0]:g}" if len(rates) == 1 else f"{rates[0]:g} to {rates[-1]:g}"
+        yield finding("good", "time", f"stamps are even within 1 % ({shown} Hz).")
+    if uneven:
+        share = max(clock.uneven for clock in uneven.values())
+        shortest = min(clock.shortest for clock in uneven.values()) * 1e3
+        longest = max(clock.longest for clock in uneven.values()) * 1e3
+        median = float(np.median([c.median for c in uneven.values()])) * 1e3
+        where = f"stamps jitter in {len(uneven)} of {len(found)} flights"
+        told = f"{where}: intervals of {shortest:.3g} to {longest:.3g} ms,"
+        more = f"median {median:.4g} ms, up to {share:.0%} of them over 1 % off; resampled to a uniform grid."
+        grave: Severity = "warning" if longest > 3.0 * median else "note"
+        yield finding(grave, "time", told, more, "Record on one clock if fast dynamics matter.")
+
+
+def repeats(dataset: Dataset) -> Iterator[Finding]:
+    """Channels that freeze, are renewed slowly, are cut off, or hold samples that stand alone."""
+    found: dict[str, dict[str, Samples]] = {}
+    for name, flight in dataset.flights.items():
+        for channel, values in flight.channels.items():
+            if channel != "time" and names.channel(channel) is not None:
+                found.setdefault(channel, {})[name] = examine(values.numpy(), flight.dt)
+    for channel, flights in found.items():
+        yield from _told(dataset, channel, flights)
+    yield from _slow({channel: flights for channel, flights in found.items() if channel not in dataset.controls})
+
+
+def rows(dataset: Dataset) -> Iterator[Finding]:
+    """Rows that repeat the one before in every channel: samples that were lost, and filled by holding the last."""
+    lost: dict[str, float] = {}
+    for name, flight in dataset.flights.items():
+        moving = [values.numpy() for channel, values in flight.channels.items() if channel != "time"]
+        moving = [values for values in moving if np.mean(np.diff(values) == 0.0) < HELD]
+        if len(moving) >= LIVE:
+            same = np.all([np.diff(values) == 0.0 for values in moving], axis=0)
+            lost[name] = float(same.mean())
+    many = {name: share for name, share in lost.items() if share > LOST}
+    if many:
+        told = ", ".join(f"{name} {share:.0%}" for name, share in many.items())
+        reason = (
+            f"of the rows repeat the one before in every channel ({told}): samples were lost and the last one held."
+        )
+        yield finding("warning", "", reason, "Mark them as missing (NaN); held samples are late and spoil derivatives.")
+
+
+def _told(dataset: Dataset, channel: str, flights: Mapping[str, Samples]) -> Iterator[Finding]:
+    if channel in dataset.controls:
+        return
+    frozen = [name for name, s in flights.items() if s.longest_s > FROZEN_S and s.longest_s * s.renewed_hz > 20.0]
+    if frozen:
+        longest = max(flights[name].longest_s for name in frozen)
+        told = f"stands exactly still for up to {longest:.2g} s and moves otherwise ({', '.join(frozen)}): frozen."
+        yield finding("warning", channel, told, "Mark these samples as missing (NaN), or leave the flight out.")
+    cut = [n for n, s in flights.items() if s.at_edge >= CLIPPED]
+    if cut:
+        longest = max(flights[name].at_edge for name in cut)
+        told = f"stays at its largest or least value for up to {longest} samples ({', '.join(cut)}):"
+        yield finding(
+            "warning",
+            channel,
+            told,
+            "cut off by its range. Mark them as missing (NaN), and record with a larger range.",
+        )
+    alone = {n: s.alone for n, s in flights.items() if s.alone}
+    if alone:
+        told = f"{sum(alone.values())} samples stand alone ({', '.join(alone)}), far from their neighbours:"
+        yield finding("warning", channel, told, "look at them, and mark as missing (NaN) what is no motion.")
+
+
+def _slow(found: Mapping[str, Mapping[str, Samples]]) -> Iterator[Finding]:
+    """Channels whose values are held between updates, in one sentence."""
+    rates = {
+        channel: float(np.median([s.renewed_hz for s in flights.values()]))
+        for channel, flights in found.items()
+        if HELD < np.median([s.repeated for s in flights.values()]) < 1.0
+    }
+    if rates:
+        told = ", ".join(f"{channel} {hertz:.3g} Hz" for channel, hertz in rates.items())
+        late = max(0.5 / hertz for hertz in rates.values())
+        yield finding(
+            "note",
+            " ".join(rates),
+            f"renewed more slowly than recorded and held between ({told}): late by up to {late:.2g} s on average.",
+            "Interpolate between the updates before use.",
+        )
+
+
+def examine(values: np.ndarray, dt: float) -> Samples:
+    """Figures of one record (T,), see `Samples`."""
+    x = values[np.isfinite(values)]
+    if len(x) < 16 or np.ptp(x) == 0.0:
+        return Samples(1.0, len(x) * dt, 0, 0, 0.0)
+    same = np.diff(x) == 0.0
+    edges = (x == x.max()) | (x == x.min())
+    usual = _longest(same & ~edges[1:])  # what repeats elsewhere is no limit
+    edge = max(_longest(x == x.max()), _longest(x == x.min()))
+    edge = edge if edge > 2 * (usual + 1) else 0
+    changes = int((~same).sum())
+    return Samples(float(same.mean()), _longest(same) * dt, edge, _alone(x), changes / (len(x) * dt))
+
+
+def _longest(true: np.ndarray) -> int:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], true.astype(np.int8), [0]])))
+    return int((edges[1::2] - edges[::2]).max(initial=0))
+
+
+def _alone(x: np.ndarray) -> int:
+    """Samples far from the median of their neighbours, by their usual distance and by the record's range."""
+    jumps = np.abs(np.diff(x))
+    if jumps.max() < 0.5 * OUTLIERS * np.ptp(x):
+        return 0
+    middle = running_median(x, 3)
+    away = np.abs(x - middle)
+    usual = float(np.median(away[away > 0.0])) if (away > 0.0).any() else 0.0
+    return int((away > max(ALONE * usual, OUTLIERS * float(np.ptp(middle)))).sum())

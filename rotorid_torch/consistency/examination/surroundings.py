@@ -1,0 +1,137 @@
+"""What surrounds the aircraft, from the record alone: local gravity, and wind where there are air data."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorid_torch.consistency.examination.finding import Finding, finding
+from rotorid_torch.consistency.sensor_pairs import Pair, jackknife_error, kernel, pieces, velocity_pairs
+from rotorid_torch.core.names import VELOCITIES
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.flight import Flight
+
+Array = np.ndarray
+
+AIR = ("airspeed", "u", "v", "w", "phi", "theta", "psi")
+ITERATIONS = 30
+KNOWN = 0.02
+"""Standard error of gravity, as a share of it, up to which it is worth telling."""
+GRAVITY_RANGE = 0.0053
+"""Gravity at the poles over that at the equator, less 1: what a declaration may leave open."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Values (n,) with their standard errors (n,), from the spread between pieces of flights."""
+
+    values: Array
+    errors: Array
+
+
+def surroundings(dataset: Dataset) -> Iterator[Finding]:
+    """Gravity against the declared one, and the wind."""
+    local, declared = gravity(dataset), dataset.vehicle.gravity
+    if local is not None and local.errors[0] < KNOWN * declared:
+        g, error = float(local.values[0]), float(local.errors[0])
+        told = f"kinematics with tilt give gravity {g:.3f} m/s² (± {error:.3f}), declared {declared:g}"
+        if abs(g - declared) > max(4.0 * error, GRAVITY_RANGE * declared):
+            cause = "a scale or unit error of attitude or accelerometers, or another vehicle.gravity."
+            yield finding("warning", "", f"{told}:", cause, "Calibrate before believing forces.")
+        else:
+            yield finding("good", "", f"{told}.")
+    air = wind(dataset)
+    if air is not None and (air.errors < 2.0).all():
+        (north, east), (north_se, east_se) = air.values[:2], air.errors[:2]
+        speed, origin = float(np.hypot(north, east)), float(np.degrees(np.arctan2(-east, -north)) % 360.0)
+        told = f"airspeed against ground velocity gives wind of {speed:.1f} m/s from {origin:.0f}°"
+        more = f"(north {north:+.2f} ± {north_se:.2f}, east {east:+.2f} ± {east_se:.2f} m/s)."
+        advice = (
+            "Derivatives by u v w are by velocity over ground: let environment.wind be estimated, or fly in calm air."
+        )
+        windy = speed > max(1.0, 3.0 * float(np.hypot(north_se, east_se)))
+        yield finding("warning" if windy else "good", "airspeed", told, more, *([advice] if windy else []))
+
+
+def gravity(dataset: Dataset) -> Estimate | None:
+    """Gravity in m/s² (1,) from how specific force and velocity change with tilt; None where it cannot be seen.
+
+    A constant on every accelerometer is free in each piece, so that only tilt tells gravity.
+
+    Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 10.11.
+    """
+    nominal = dataset.vehicle.gravity
+    exact = [pair for pair in velocity_pairs(dataset) if pair.exact]
+    flights = dataset.flights.values()
+    sums = np.array([m for f in flights for pair in exact if f.has(*pair.channels) for m in _gravity_moments(f, pair)])
+    if len(sums) < 3 or sums[:, 0].sum() <= 0.0:
+        return None
+    total = sums.sum(axis=0)
+    without = [(total[1] - one[1]) / max(total[0] - one[0], np.finfo(float).tiny) for one in sums]
+    return Estimate(np.array([nominal + total[1] / total[0]]), np.array([jackknife_error(without)]))
+
+
+def _gravity_moments(flight: Flight, pair: Pair) -> Iterator[tuple[float, float]]:
+    """Per piece, sums of (tilt)² and of tilt times what the equation leaves over, about their means."""
+    bell, slope = kernel(flight.dt)
+    if flight.samples < len(bell) + 100:
+        return
+    phi, theta = flight.bridged(["phi", "theta"]).numpy().T
+    falls = (-np.sin(theta), np.cos(theta) * np.sin(phi), np.cos(theta) * np.cos(phi))
+    fall = np.convolve(falls[VELOCITIES.index(pair.left_name)], bell, "valid")
+    left = np.convolve(pair.left(flight), slope, "valid") - np.convolve(pair.right(flight), bell, "valid")
+    for first, last in pieces(len(left), flight.dt, 0):
+        x, y = fall[first:last], left[first:last]
+        known = np.isfinite(x) & np.isfinite(y)
+        if known.sum() > 20:
+            x, y = x[known] - x[known].mean(), y[known] - y[known].mean()
+            yield float(x @ x), float(x @ y)
+
+
+def wind(dataset: Dataset) -> Estimate | None:
+    """Steady wind over ground (north, east) in m/s, and the airspeed's scale error (3,), from air and ground speed.
+
+    Airspeed (1 + scale) = |velocity over ground - wind| at all samples once a second, by Gauss-Newton; None without
+    airspeed, velocity and attitude with heading. Needs headings that differ, else its standard errors are large.
+
+    Source: Morelli and Klein, Aircraft System Identification, 2nd ed., ch. 10 (air data).
+    """
+    parts = [p for f in dataset.flights.values() if f.has(*AIR) for p in _ground(f)]
+    if len(parts) < 3:
+        return None
+    whole = _solve(parts)
+    without = np.array([_solve([*parts[:i], *parts[i + 1 :]]) for i in range(len(parts))])
+    return Estimate(whole, np.array([jackknife_error(list(column)) for column in without.T]))
+
+
+def _ground(flight: Flight) -> Iterator[Array]:
+    """Per piece, rows of airspeed and velocity north, east, down (n, 4), once a second and where all are there."""
+    columns = flight.stack(AIR).numpy()
+    airspeed, u, v, w, phi, theta, psi = columns[:: max(1, round(1.0 / flight.dt))].T
+    level = u * np.cos(theta) + np.sin(theta) * (v * np.sin(phi) + w * np.cos(phi))
+    side = v * np.cos(phi) - w * np.sin(phi)
+    down = -u * np.sin(theta) + np.cos(theta) * (v * np.sin(phi) + w * np.cos(phi))
+    north, east = level * np.cos(psi) - side * np.sin(psi), level * np.sin(psi) + side * np.cos(psi)
+    rows = np.stack([airspeed, north, east, down], axis=1)
+    for first, last in pieces(len(rows), 1.0, 0):
+        part = rows[first:last]
+        part = part[np.isfinite(part).all(axis=1)]
+        if len(part) >= 5:
+            yield part
+
+
+def _solve(parts: list[Array]) -> Array:
+    airspeed, north, east, down = np.concatenate(parts).T
+    guess = np.zeros(3)
+    for _ in range(ITERATIONS):
+        x, y = north - guess[0], east - guess[1]
+        speed = np.maximum(np.sqrt(x**2 + y**2 + down**2), 1e-6)
+        scale = 1.0 + guess[2]
+        jacobian = np.stack([-scale * x / speed, -scale * y / speed, speed], axis=1)
+        step = np.linalg.lstsq(jacobian, airspeed - scale * speed, rcond=1e-6)[0]
+        guess = guess + step
+        if np.abs(step).max() < 1e-6:
+            break
+    return guess

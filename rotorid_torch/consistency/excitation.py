@@ -1,0 +1,200 @@
+"""What the controls did: which moved, how far, and how much of it was not the answer to the aircraft's own motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorid_torch.consistency.vibration import spectrum
+from rotorid_torch.core import names
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.flight import Flight
+from rotorid_torch.data.reading.noise import white_noise
+from rotorid_torch.data.reading.quiet import running_mean
+
+BAND_HZ = (0.2, 4.0)
+"""Band in which a rotorcraft answers its controls; from 2/T where the flights are short."""
+
+
+ANSWER_S = 0.1
+"""Shift of the motion by which an answer of the aircraft and one of a controller are told apart."""
+
+CLEARLY = 0.7
+"""Ratio of what is left then and before, below which it is the aircraft's."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One thing that controls do: a control itself, or what motors do together; `weights` (n,) of the `controls`."""
+
+    name: str
+    weights: np.ndarray
+    controls: tuple[str, ...]
+
+
+def control_axes(dataset: Dataset) -> tuple[Axis, ...]:
+    """The controls, or for motors with declared places their sums about the axes: thrust, roll, pitch and yaw."""
+    controls, motors = dataset.controls, dataset.vehicle.motors or ()
+    if not (motors and len(motors) == len(controls) and all(map(names.is_motor, controls))):
+        return tuple(Axis(c, np.eye(len(controls))[i], (c,)) for i, c in enumerate(controls))
+    x, y, _ = np.array([motor.position for motor in motors]).T
+    spin = np.array([1.0 if motor.spin == "ccw" else -1.0 for motor in motors])
+    weights = {"thrust": np.ones(len(x)), "roll": -y, "pitch": x, "yaw": spin}
+    scaled = {name: w / np.abs(w).sum() for name, w in weights.items() if np.abs(w).sum() > 0.0}
+    return tuple(Axis(name, w, controls) for name, w in scaled.items())
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """One axis of the controls over the identify flights.
+
+    `independent` is the share of its variance in the band that neither the aircraft's motion nor the other axes
+    explain; `leads`: the motion explains it better 0.1 s later than 0.1 s earlier, as an answer of the aircraft does
+    and a controller's does not; `moved` the flights in which it moved beyond its noise; `travel` its largest excursion
+    from trim; `above_white` its power in the band over that of its white part there; `white` the standard deviation of
+    that white part, `in_band` its rms in the band.
+    """
+
+    axis: Axis
+    independent: float
+    leads: bool
+    moved: tuple[str, ...]
+    travel: float
+    above_white: float
+    white: float
+    in_band: float
+
+
+def excitations(dataset: Dataset) -> tuple[Excitation, ...]:
+    """Figures of every axis, see `Excitation`."""
+    flights, axes = [dataset.flights[name] for name in dataset.identify], control_axes(dataset)
+    motion = [c for c in (*names.RATES, "phi", "theta") if all(dataset.facts[f.name].has(c) for f in flights)]
+    mixed = np.stack([axis.weights for axis in axes], axis=1)
+    count = len(dataset.controls)
+    lines = [_in_band(f, [*dataset.controls, *motion]) for f in flights]
+
+    def at(shift_s: float) -> np.ndarray:
+        """Rows of all lines, the axes first, then the motion so much later."""
+        later = [np.exp(2j * np.pi * hertz * shift_s)[:, None] * values[:, count:] for hertz, values in lines]
+        both = [np.concatenate([v[:, :count] @ mixed, m], axis=1) for (_, v), m in zip(lines, later, strict=True)]
+        return np.concatenate([part for values in both for part in (np.real(values), np.imag(values))])
+
+    now, later, earlier = at(0.0), at(ANSWER_S), at(-ANSWER_S)
+    return tuple(
+        _excitation(dataset, axis, _share_left(now, i), _share_left(later, i) < CLEARLY * _share_left(earlier, i))
+        for i, axis in enumerate(axes)
+    )
+
+
+def correlations(dataset: Dataset) -> tuple[list[str], np.ndarray]:
+    """Names of the axes and of the motion, and their correlation (n, n) in the band over the identify flights."""
+    flights, axes = [dataset.flights[name] for name in dataset.identify], control_axes(dataset)
+    motion = [c for c in names.BODY if all(dataset.facts[f.name].has(c) for f in flights)]
+    mixed, count = np.stack([axis.weights for axis in axes], axis=1), len(dataset.controls)
+    lines = np.concatenate([_in_band(f, [*dataset.controls, *motion])[1] for f in flights])
+    both = np.concatenate([lines[:, :count] @ mixed, lines[:, count:]], axis=1)
+    product = np.real(both.conj().T @ both)
+    size = np.sqrt(np.maximum(np.diag(product), np.finfo(float).tiny))
+    return [*(axis.name for axis in axes), *motion], product / np.outer(size, size)
+
+
+def _excitation(dataset: Dataset, axis: Axis, independent: float, leads: bool) -> Excitation:
+    moved, travel, records = [], 0.0, []
+    noise = float(np.sqrt((axis.weights**2) @ [dataset.noise(c) ** 2 for c in dataset.controls]))
+    squares = samples = 0.0
+    for flight in (dataset.flights[name] for name in dataset.identify):
+        values = flight.bridged(dataset.controls).numpy() @ axis.weights
+        width = max(1, round(0.1 / flight.dt))
+        smooth = running_mean(values, width)
+        away = smooth - smooth[flight.lead()].mean()
+        records.append(values)
+        travel = max(travel, float(np.abs(away).max()))
+        squares, samples = squares + float(away @ away), samples + len(away)
+        moved.append((flight.name, float(np.sqrt(np.mean(away**2))), 4.0 * noise / np.sqrt(width)))
+    usual = 0.25 * np.sqrt(squares / samples)
+    white = white_noise(records)
+    dt = dataset.facts[dataset.identify[0]].dt
+    density, in_band = _power_in_band(records, dt)
+    return Excitation(
+        axis=axis,
+        independent=independent,
+        leads=leads,
+        moved=tuple(name for name, rms, least in moved if rms > max(least, usual)),
+        travel=travel,
+        above_white=density / white**2 if white > 0.0 else np.inf,
+        white=white if np.isfinite(white) else 0.0,
+        in_band=in_band,
+    )
+
+
+def _power_in_band(records: Sequence[np.ndarray], dt: float) -> tuple[float, float]:
+    """Mean power of a line in the band, as a white record of that variance had it everywhere, and the rms there."""
+    hertz, power = spectrum(records, dt)
+    chosen = power[(hertz >= BAND_HZ[0]) & (hertz <= BAND_HZ[1])]
+    return float(chosen.mean() * (len(hertz) - 1)), float(np.sqrt(chosen.sum()))
+
+
+def share_at(dataset: Dataset, control: str) -> tuple[float, float]:
+    """Largest share of a flight that a control is on a declared limit, and largest distance beyond one."""
+    limits = dataset.control_specs[control].limits
+    if limits is None:
+        return 0.0, 0.0
+    spreads = [facts.spreads[control] for facts in dataset.facts.values()]
+    on = max(_share_at(f.bridged([control])[:, 0].numpy(), limits) for f in dataset.flights.values())
+    return on, max(max(limits[0] - s.low, s.high - limits[1], 0.0) for s in spreads)
+
+
+@dataclass(frozen=True)
+class Moves:
+    """Identify flights in which a control moved beyond its noise, and its largest excursion from trim in any."""
+
+    flights: tuple[str, ...]
+    travel: float
+
+
+def moves(dataset: Dataset, controls: Sequence[str]) -> dict[str, Moves]:
+    """What these controls did in the identify flights."""
+    width = max(1, round(0.1 / dataset.facts[dataset.identify[0]].dt))
+    moved: dict[str, list[str]] = {control: [] for control in controls}
+    travel = dict.fromkeys(controls, 0.0)
+    for flight in (dataset.flights[name] for name in dataset.identify):
+        for control, values in zip(controls, flight.bridged(controls).numpy().T, strict=True):
+            smooth = running_mean(values, width)
+            away = smooth - smooth[flight.lead()].mean()
+            least = max(4.0 * dataset.noise(control) / np.sqrt(width), 0.25 * dataset.scales()[control])
+            moved[control] += [flight.name] if np.sqrt(np.mean(away**2)) > least else []
+            travel[control] = max(travel[control], float(np.abs(away).max()))
+    return {control: Moves(tuple(moved[control]), travel[control]) for control in controls}
+
+
+def _share_at(values: np.ndarray, limits: tuple[float, float]) -> float:
+    margin = 0.002 * (limits[1] - limits[0])
+    return float(np.mean((values <= limits[0] + margin) | (values >= limits[1] - margin)))
+
+
+def independent_share(flights: Iterable[Flight], control: str, regressors: Sequence[str]) -> float:
+    """Share of a control's variance in the band that real multiples of the regressors leave, pooled over flights; 0…1.
+
+    Source: Tischler and Remple, Aircraft and Rotorcraft System Identification, 2nd ed., ch. 9 (correlated inputs).
+    """
+    lines = [_in_band(flight, [control, *regressors])[1] for flight in flights]
+    return _share_left(np.concatenate([part for values in lines for part in (np.real(values), np.imag(values))]), 0)
+
+
+def _share_left(lines: np.ndarray, column: int) -> float:
+    y, x = lines[:, column], np.delete(lines, column, axis=1)
+    x = x / np.maximum(np.linalg.norm(x, axis=0), np.finfo(float).tiny)
+    left = y - x @ np.linalg.lstsq(x, y, rcond=1e-9)[0] if x.shape[1] else y
+    return float((left @ left) / max(y @ y, np.finfo(float).tiny))
+
+
+def _in_band(flight: Flight, channels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies (lines,) in Hz and Fourier lines (lines, n) in the band of Hann-windowed channels without trend."""
+    values = flight.bridged(channels).nan_to_num(0.0).numpy()
+    ramp = np.stack([np.ones(flight.samples), np.linspace(-1, 1, flight.samples)], axis=1)
+    values = values - ramp @ np.linalg.lstsq(ramp, values, rcond=None)[0]
+    hertz = np.fft.rfftfreq(flight.samples, flight.dt)
+    chosen = (hertz >= max(BAND_HZ[0], 2.0 / (flight.samples * flight.dt))) & (hertz <= BAND_HZ[1])
+    return hertz[chosen], np.fft.rfft(values * np.hanning(flight.samples)[:, None], axis=0)[chosen]

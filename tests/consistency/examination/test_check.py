@@ -1,0 +1,313 @@
+"""What `check` says: silent on good data, plain words on each defect, and on the shared sets what is known of them."""
+
+import numpy as np
+import pytest
+
+from rotorid_torch.consistency.coherence import coherences
+from rotorid_torch.consistency.examination.check import check
+from rotorid_torch.consistency.examination.surroundings import gravity, wind
+from rotorid_torch.consistency.excitation import independent_share
+from rotorid_torch.consistency.sensor_pairs import agreement, attitude_pairs, velocity_pairs
+from rotorid_torch.consistency.vibration import lines, spectrum
+from rotorid_torch.data import Dataset, load
+from tests.helpers import shared, shared_sets, small_flight
+
+DT, SAMPLES = 0.01, 2000
+
+
+def rolling(seed=0, late=0.0, scale=1.0, bias=0.0, arm=(0.0, 0.0, 0.0)):
+    """A flight that turns by sines, with exact sensors but for the stated defects of p, attitude or the IMU's place."""
+    time = DT * np.arange(SAMPLES)
+    phases = np.random.default_rng(seed).uniform(0, 6, 3)
+
+    def attitude(t):
+        return [0.2 * np.sin(w * t + a) for w, a in zip((2.1, 1.7, 1.3), phases, strict=True)]
+
+    def slope(t):
+        return [0.2 * w * np.cos(w * t + a) for w, a in zip((2.1, 1.7, 1.3), phases, strict=True)]
+
+    (phi, theta, _), (dphi, dtheta, dpsi) = attitude(time), slope(time)
+    p = dphi - np.sin(theta) * dpsi
+    q = np.cos(phi) * dtheta + np.sin(phi) * np.cos(theta) * dpsi
+    r = -np.sin(phi) * dtheta + np.cos(phi) * np.cos(theta) * dpsi
+    rates = np.stack([p, q, r], axis=1)
+    speed = np.stack([3 * np.sin(0.9 * time), 2 * np.sin(1.1 * time), np.sin(0.7 * time)], axis=1)
+    change = np.stack([2.7 * np.cos(0.9 * time), 2.2 * np.cos(1.1 * time), 0.7 * np.cos(0.7 * time)], axis=1)
+    down = np.stack([-np.sin(theta), np.sin(phi) * np.cos(theta), np.cos(phi) * np.cos(theta)], axis=1)
+    turning = np.gradient(rates, DT, axis=0)
+    arms = np.cross(turning, arm) + np.cross(rates, np.cross(rates, arm))
+    felt = change + np.cross(rates, speed) - 9.80665 * down + arms
+    told = attitude(time - late)
+    rng = np.random.default_rng(seed + 100)
+    channels = dict(zip(("u", "v", "w"), speed.T, strict=True)) | dict(zip(("ax", "ay", "az"), felt.T, strict=True))
+    channels |= {"p": scale * p + bias, "q": q, "r": r, "phi": told[0], "theta": told[1], "psi": told[2]}
+    channels |= {
+        "lat": 0.05 * np.sign(np.sin(time)) * (time > 1),
+        "lon": 0.05 * np.sign(np.sin(1.7 * time)) * (time > 1),
+    }
+    noisy = {name: values + 1e-3 * rng.standard_normal(SAMPLES) for name, values in channels.items()}
+    return {"time": time, **noisy}
+
+
+def dataset_of(vehicle=None, **defects):
+    flights = {f"f{seed}": rolling(seed, **defects) for seed in range(3)}
+    return Dataset.from_arrays(flights, identify=["f0", "f1"], validate=["f2"], vehicle=vehicle)
+
+
+def sentences(dataset, *severities):
+    return [f.sentence for f in check(dataset).findings if not severities or f.severity in severities]
+
+
+def results(dataset, pairs):
+    found = [agreement(pair, list(dataset.flights.values())) for pair in pairs]
+    return [a for a in found if a is not None]
+
+
+def test_consistent_sensors_agree():
+    dataset = dataset_of()
+    for a in results(dataset, (*attitude_pairs(), *velocity_pairs(dataset))):
+        assert a.r2 > 0.99
+        assert abs(a.lag_s) < max(4 * a.lag_se, 1e-3)
+        assert a.bounds == pytest.approx((1.0, 1.0), abs=0.01)
+        assert a.scale == pytest.approx(1.0, abs=max(0.005, 4 * a.scale_se))
+        assert abs(a.bias) < 0.01
+    assert not [s for s in sentences(dataset, "warning", "error") if "against" in s]
+
+
+@pytest.mark.parametrize("late", [0.05, -0.12])
+def test_a_late_attitude_is_told_with_its_time(late):
+    dataset = dataset_of(late=late)
+    for a in results(dataset, attitude_pairs()):
+        assert a.lag_s == pytest.approx(late, abs=0.004)
+    word = "late" if late > 0 else "early"
+    assert any(f"phi {abs(late):.3f} s {word}" in s for s in sentences(dataset, "warning"))
+
+
+def test_scale_and_bias_of_a_gyro_are_told():
+    assert any("scale factor" in s for s in sentences(dataset_of(scale=1.1), "warning"))
+    assert any("wrong sign" in s for s in sentences(dataset_of(scale=-1.0), "error"))
+    assert any(
+        "reads 0.05 rad/s" in s and "too high by the kinematics of phi" in s
+        for s in sentences(dataset_of(bias=0.05), "warning")
+    )
+
+
+def test_the_lever_arm_of_the_imu_is_taken_out():
+    arm = (1.0, -0.5, 2.0)
+    known, unknown = dataset_of({"imu": list(arm)}, arm=arm), dataset_of(arm=arm)
+    for right, wrong in zip(*(results(d, velocity_pairs(d)) for d in (known, unknown)), strict=True):
+        assert right.r2 > 0.999
+        assert 1 - wrong.r2 > 5 * (1 - right.r2)
+
+
+def test_sticks_after_the_rate_are_told():
+    flights = {}
+    for seed in range(3):
+        arrays = rolling(seed)
+        arrays["p"] = np.roll(np.convolve(arrays["lat"], np.hanning(40) / 20, "same"), -15)
+        flights[f"f{seed}"] = {name: arrays[name] for name in ("time", "lat", "p", "q", "r")}
+    dataset = Dataset.from_arrays(flights, identify=["f0", "f1", "f2"], controls={"lat": {"unit": "norm"}})
+    assert any("late against the rates (lat against p 0.145 s" in s for s in sentences(dataset, "warning"))
+
+
+def test_gravity_axis_and_unit():
+    flight = small_flight()
+    for factor, word in ((-1.0, "Turn the axis"), (1 / 9.80665, "in g"), (1.1, "Calibrate")):
+        dataset = Dataset.from_arrays({"f": flight | {"az": flight["az"] * factor}}, identify=["f"])
+        assert any(word in s for s in sentences(dataset))
+    assert check(Dataset.from_arrays({"f": flight | {"az": -flight["az"]}}, identify=["f"])).fit is False
+
+
+def test_still_saturated_and_missing_controls():
+    flight = small_flight()
+    flight["lat"] = np.clip(flight["lat"], -0.01, 0.01)
+    flight["p"][100:140] = np.nan
+    dataset = Dataset.from_arrays({"f": flight}, identify=["f"], controls={"lat": {"limits": [-0.01, 0.01]}})
+    told = check(dataset).findings
+    assert any(f.channel == "lon" and "hardly moves" in f.sentence for f in told)
+    assert any(f.channel == "lat" and "on a limit" in f.sentence for f in told)
+    assert any((f.channel, f.flight) == ("p", "f") and "10.0% of the samples" in f.sentence for f in told)
+
+
+def test_motor_commands_beyond_their_scale_are_not_fit():
+    time = 0.01 * np.arange(400)
+    motors = {f"motor{k}": 1.0 + 0.3 * np.sin(k * time) for k in (1, 2, 3, 4)}
+    rates = dict.fromkeys(("p", "q", "r"), np.sin(time))
+    dataset = Dataset.from_arrays({"f": {"time": time, **motors, **rates}}, identify=["f"], kind="multirotor")
+    assert [f.channel for f in check(dataset).of("error")] == ["motor1", "motor2", "motor3", "motor4"]
+
+
+def test_wrong_declared_noise_is_told():
+    dataset = Dataset.from_arrays({"f": small_flight()}, identify=["f"], channels={"q": {"noise": 0.01}})
+    assert any("declares noise of 0.01" in s for s in sentences(dataset, "warning"))
+
+
+def test_a_control_that_follows_the_rates_has_no_share_of_its_own():
+    arrays = rolling()
+    rng = np.random.default_rng(9)
+    arrays["lat"] = -0.5 * arrays["p"] - 0.2 * arrays["phi"] + 0.001 * rng.standard_normal(SAMPLES)
+    dataset = Dataset.from_arrays({"f": arrays}, identify=["f"])
+    flights = list(dataset.flights.values())
+    assert independent_share(flights, "lat", ["p", "phi"]) < 0.01
+    assert independent_share(flights, "lat", []) == pytest.approx(1.0)
+    assert any("feedback" in s and "lat" in s for s in sentences(dataset, "warning"))
+
+
+def test_vibration_line_has_its_frequency_and_strength():
+    rng = np.random.default_rng(2)
+    time = DT * np.arange(6000)
+    record = 0.1 * np.sin(2 * np.pi * 17.2 * time) + 0.01 * rng.standard_normal(6000)
+    (line,) = lines(*spectrum([record], DT))
+    assert line.hertz == pytest.approx(17.2, abs=0.4)
+    assert line.rms == pytest.approx(0.1 / np.sqrt(2), rel=0.05)
+    assert line.share > 0.95
+    assert lines(*spectrum([rng.standard_normal(6000)], DT)) == []
+
+
+def test_a_helicopter_without_rates_is_not_fit():
+    arrays = {name: values for name, values in small_flight().items() if name not in ("p", "q", "r")}
+    found = check(Dataset.from_arrays({"f": arrays}, identify=["f"]))
+    assert not found.fit
+    assert [f.channel for f in found.of("error")] == ["p", "q", "r"]
+    assert "is missing; identify needs body rates" in found.of("error")[0].sentence
+
+
+@pytest.mark.parametrize("name", shared_sets())
+def test_shared_sets_are_fit(name):
+    found = check(load(shared("flightdata", name)))
+    assert found.fit
+    assert found.dataset == name
+    if name in ("uh60-hover", "uh60-60kt", "uh60-delay", "uh60b-hover"):
+        assert {f.severity for f in found.findings} == {"good"}
+
+
+def test_known_clocks_of_the_measured_sets():
+    rates = sentences(load(shared("flightdata", "trex550-rates")), "warning")
+    assert any("sticks are stamped 0.054 s (± 0.006) late against the rates (lat against p 0.053 s" in s for s in rates)
+    moves = [f for f in check(load(shared("flightdata", "trex550-translation"))).of("warning")]
+    assert any(f.channel == "u v" and "u 0.145 s early" in f.sentence for f in moves)
+    assert any(f.channel == "p" and "vibration at 34.7 Hz" in f.sentence for f in moves)
+    assert any(f.channel == "az" and "sensor bias" in f.sentence for f in moves)
+
+
+def test_a_wrong_time_base_is_told_with_the_right_interval():
+    flights = {f"f{seed}": rolling(seed) for seed in range(3)}
+    for arrays in flights.values():
+        arrays["time"] = 1.25 * arrays["time"]
+    told = sentences(Dataset.from_arrays(flights, identify=["f0", "f1", "f2"]), "warning")
+    assert any("times as fast as the body rates say, on all axes alike" in s and "are 0.01 s apart" in s for s in told)
+    assert not any("a scale factor or unit" in s and "rate of p" in s for s in told)
+
+
+def test_rates_that_all_go_the_wrong_way_are_no_wrong_time_base():
+    flown = {f"f{seed}": rolling(seed) for seed in range(3)}
+    turned = {n: {c: -v if c in ("p", "q", "r") else v for c, v in f.items()} for n, f in flown.items()}
+    told = sentences(Dataset.from_arrays(turned, identify=list(turned)), "error")
+    assert any("wrong sign" in s for s in told)
+
+
+def test_one_gyro_off_scale_is_not_a_wrong_time_base():
+    assert not any("time base" in s for s in sentences(dataset_of(scale=1.2)))
+
+
+def test_frozen_held_cut_lone_and_repeated_samples_are_told():
+    flights = {f"f{seed}": rolling(seed) for seed in range(2)}
+    first = flights["f0"]
+    first["q"][500:800] = first["q"][500]
+    first["phi"] = np.clip(first["phi"], -0.15, 0.15)
+    first["v"][1000] += 12.0
+    first["theta"] = np.repeat(first["theta"][::10], 10)
+    flights["f1"]["theta"] = np.repeat(flights["f1"]["theta"][::10], 10)
+    by_channel = {}
+    for f in check(Dataset.from_arrays(flights, identify=["f0", "f1"])).findings:
+        by_channel[f.channel] = by_channel.get(f.channel, "") + f.sentence
+    assert "frozen" in by_channel["q"]
+    assert "cut off by its range" in by_channel["phi"]
+    assert "1 samples stand alone" in by_channel["v"]
+    assert "theta 9.95 Hz" in by_channel["theta"]
+    held = {name: values.copy() for name, values in rolling(3).items()}
+    for name in held:
+        if name != "time":
+            held[name][1::8] = held[name][::8]
+    told = sentences(Dataset.from_arrays({"f": held}, identify=["f"]), "warning")
+    assert any("of the rows repeat the one before in every channel (f 13%)" in s for s in told)
+
+
+def closed_loop(test_input):
+    """A multirotor that rolls under a controller fed by a noisy gyro sampled too slowly, with or without doublets."""
+    rng = np.random.default_rng(5)
+    command = 0.01 * rng.standard_normal(SAMPLES)
+    time = DT * np.arange(SAMPLES)
+    command += test_input * np.sign(np.sin(2 * np.pi * 0.7 * time)) * ((time > 2) & (time < 12))
+    p = np.convolve(command, 20 * DT * np.exp(-3 * time))[:SAMPLES] + 1e-3 * rng.standard_normal(SAMPLES)
+    thrust = 0.5 + 0.05 * np.sin(2.0 * time) + 1e-3 * rng.standard_normal(SAMPLES)
+    place = ((1, 1), (-1, 1), (-1, -1), (1, -1))
+    motors = {f"motor{k}": thrust - 0.5 * y * command for k, (_, y) in enumerate(place, 1)}
+    declared = [{"position": [0.1 * x, 0.1 * y, 0.0], "spin": "ccw" if x * y > 0 else "cw"} for x, y in place]
+    flights = {"f": {"time": time, **motors, "p": p, "az": -20.0 * thrust}}
+    return Dataset.from_arrays(flights, identify=["f"], kind="multirotor", vehicle={"motors": declared})
+
+
+def test_folded_commands_without_a_test_input_are_told_and_real_ones_are_not():
+    told = sentences(closed_loop(0.0), "warning")
+    assert any(s.startswith("no test input on roll") and "cannot be told apart" in s for s in told)
+    assert any("sampled without a filter (folded)" in s for s in told)
+    assert not any("no test input" in s or "folded" in s for s in sentences(closed_loop(0.1)) if "roll" in s)
+
+
+def test_blade_angles_after_their_response_are_told():
+    flights = {}
+    for seed in range(4):
+        rng, time = np.random.default_rng(seed), DT * np.arange(SAMPLES)
+        stick = 0.05 * np.repeat(rng.choice([-1.0, 0.0, 1.0], SAMPLES // 50), 50)
+        p = np.convolve(stick, 20 * DT * np.exp(-2 * time))[:SAMPLES] + 1e-3 * rng.standard_normal(SAMPLES)
+        flights[f"f{seed}"] = {"time": time, "lat": np.roll(stick, 6), "p": p, "q": 0 * p, "r": 0 * p}
+    # each sample's stick acts on the rate of that sample already: half an interval early
+    controls = {"lat": {"unit": "rad"}}
+    late = Dataset.from_arrays(flights, identify=list(flights), controls=controls)
+    assert any("dp/dt 0.065 s" in s and "before the controls move" in s for s in sentences(late, "warning"))
+    for arrays in flights.values():
+        arrays["lat"] = np.roll(arrays["lat"], -12)
+    early = Dataset.from_arrays(flights, identify=list(flights), controls=controls)
+    assert any("dp/dt 0.055 s" in s and "follow the controls" in s for s in sentences(early, "good"))
+
+
+def test_an_aircraft_that_answers_at_once_is_no_feedback():
+    assert not any("feedback): only" in f.sentence for f in check(load(shared("flightdata", "ah1-hover"))).findings)
+
+
+def test_gravity_and_wind_have_their_standard_errors():
+    local = gravity(dataset_of())
+    assert local is not None
+    assert local.values[0] == pytest.approx(9.80665, abs=4 * local.errors[0])
+    assert local.errors[0] < 0.05
+    flights = {}
+    for seed in range(4):
+        rng, time = np.random.default_rng(seed), np.arange(0.0, 60.0, 0.1)
+        heading, u = 0.1 * time + seed, 12.0 + np.sin(0.3 * time)
+        north, east = u * np.cos(heading) - 3.0, u * np.sin(heading) + 4.0
+        zero = 1e-9 * time
+        airspeed = np.hypot(north, east) + 0.1 * rng.standard_normal(len(time))
+        lat = np.sign(np.sin(time))
+        flights[f"f{seed}"] = {"time": time, "lat": lat, "airspeed": airspeed, "u": u, "v": zero, "w": zero}
+        flights[f"f{seed}"] |= {"phi": zero, "theta": zero, "psi": heading}
+    air = wind(Dataset.from_arrays(flights, identify=list(flights), controls={"lat": {"unit": "norm"}}))
+    assert air is not None
+    assert np.all(np.abs(air.values - [3.0, -4.0, 0.0]) < 4 * air.errors + 1e-3)
+    assert np.all(air.errors < 0.05)
+
+
+def test_coherence_ends_where_the_noise_begins():
+    rng = np.random.default_rng(3)
+    flights = {}
+    for k in range(4):
+        lat = rng.standard_normal(SAMPLES)
+        p = np.convolve(lat, np.hanning(21) / 10, "same") + 0.3 * rng.standard_normal(SAMPLES)
+        flights[f"f{k}"] = {"time": DT * np.arange(SAMPLES), "lat": lat, "p": p, "q": rng.standard_normal(SAMPLES)}
+    dataset = Dataset.from_arrays(flights, identify=list(flights), controls={"lat": {"unit": "norm"}})
+    p, q = coherences(dataset, ("p", "q"))
+    assert p.band is not None
+    assert p.band[0] < 0.2
+    assert 4.0 < p.band[1] < 10.0
+    assert q.band is None
+    assert np.nanmax(q.values) < 0.4

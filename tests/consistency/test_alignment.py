@@ -1,0 +1,141 @@
+"""Large errors first: an IMU turned by any angle, streams off by any time, signs and exchanged axes; no other name."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rotorid_torch.consistency.alignment import aligned, alignment, right_angles, rotation, rotation_vector
+from rotorid_torch.consistency.examination.check import check
+from rotorid_torch.data import Dataset
+from rotorid_torch.trace.kinematics import kinematic_findings
+from tests.trace.kinematic_cases import UNITS, motion, read
+
+TRUTH = motion(3, 4, seconds=20.0)
+AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0), "between": (0.5, -0.7, 0.51)}
+
+
+def flights(turn: np.ndarray | None = None) -> dict[str, dict[str, np.ndarray]]:
+    made = {}
+    for k, truth in enumerate(TRUTH):
+        flight = read(truth, {}, seed=k)
+        time = flight["time"]
+        flight |= {"lat": 0.1 * np.sin(2.0 * time), "lon": 0.1 * np.cos(1.3 * time)}
+        for triad in (("p", "q", "r"), ("ax", "ay", "az")):
+            if turn is not None:
+                seen = rotation(turn).T @ np.stack([flight[c] for c in triad])
+                flight |= dict(zip(triad, seen, strict=True))
+        made[f"f{k}"] = flight
+    return made
+
+
+def dataset(made: dict[str, dict[str, np.ndarray]]) -> Dataset:
+    return Dataset.from_arrays(made, identify=[*made])
+
+
+def late(made: dict, channels: tuple[str, ...], seconds: float) -> dict:
+    """The flights with these channels so much later than the others; shorter by that."""
+    moved = {}
+    for name, flight in made.items():
+        by, count = round(seconds / 0.01), len(flight["time"])
+        first, last = max(by, 0), count + min(by, 0)
+        kept = {c: v[first - by : last - by] if c in channels else v[first:last] for c, v in flight.items()}
+        moved[name] = kept | {"time": 0.01 * np.arange(last - first)}
+    return moved
+
+
+def away(a: np.ndarray, b: np.ndarray) -> float:
+    """Angle in degrees between two rotation vectors."""
+    return float(np.degrees(Rotation.from_matrix(rotation(a).T @ rotation(b)).magnitude()))
+
+
+def test_records_without_large_errors_have_none():
+    found = alignment(dataset(flights()))
+    assert (found.angle, dict(found.clocks), found.mirror) == (0.0, {}, "")
+    assert len(right_angles()) == 24
+    assert rotation_vector(rotation(np.array([0.3, -0.2, 2.0]))) == pytest.approx([0.3, -0.2, 2.0])
+
+
+@pytest.mark.parametrize("axis", AXES)
+@pytest.mark.parametrize("degrees", [10, 14, 25, 45, 90, 135, 180])
+def test_a_turned_imu_is_right_to_half_a_degree(degrees: int, axis: str):
+    vector = np.array(AXES[axis])
+    turn = np.radians(degrees) * vector / np.linalg.norm(vector)
+    found = alignment(dataset(flights(turn)))
+    assert away(found.turn, turn) < 0.5
+    assert not found.clocks
+
+
+@pytest.mark.parametrize("degrees", [45, 180])
+def test_a_turned_imu_is_one_error_and_no_bias(degrees: int):
+    turn = np.radians(degrees) * np.array([0.0, 0.6, 0.8])
+    turned = dataset(flights(turn))
+    found = check(turned)
+    assert not found.fit
+    (error,) = found.of("error")
+    assert f"turned by {degrees}.0°" in error.sentence
+    assert not any("sensor bias" in f.sentence or "off by" in f.sentence for f in found.findings)
+    values = kinematic_findings(turned).values
+    assert {name.rpartition(".")[0] for name in values} == {"sensors.misalignment"}
+    assert away(np.array([values[f"sensors.misalignment.{a}"] for a in "xyz"]), turn) < 0.2
+
+
+def test_a_mounting_by_right_angles_is_told_by_its_axes():
+    (error,) = check(dataset(flights(np.radians(90.0) * np.array([0.0, 0.0, 1.0])))).of("error")
+    assert "p q r read +q -p +r" in error.sentence
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"q": ("q", -1.0)}, "+p -q +r"),
+        ({"p": ("q", 1.0), "q": ("p", 1.0)}, "+q +p +r"),
+        ({c: (c, -1.0) for c in "pqr"}, "-p -q -r"),
+    ],
+)
+def test_signs_and_exchanged_axes_are_told(change: dict, told: str):
+    made = {name: f | {c: s * f[source] for c, (source, s) in change.items()} for name, f in flights().items()}
+    assert any(told in f.sentence for f in check(dataset(made)).of("error"))
+
+
+@pytest.mark.parametrize("unit", UNITS)
+@pytest.mark.parametrize("seconds", [0.9, -0.81, 1.3, -3.2, 5.0, -5.0])
+def test_streams_that_are_far_off_are_told_with_their_time(unit: str, seconds: float):
+    found = alignment(dataset(late(flights(), UNITS[unit], seconds)))
+    assert {*found.clocks} == {unit}
+    assert found.clocks[unit] == pytest.approx(seconds, abs=0.1)
+    assert found.angle == 0.0
+
+
+@pytest.mark.parametrize("seconds", [1.3, -3.2])
+def test_a_far_clock_is_known_to_5_ms_and_is_the_only_name(seconds: float):
+    moved = dataset(late(flights(), UNITS["rates"], seconds))
+    (error,) = check(moved).of("error")
+    assert f"rates {abs(seconds):.2f}" in error.sentence
+    values = kinematic_findings(moved).values
+    assert values == {"sensors.delay.rates": pytest.approx(seconds, abs=5e-3)}
+
+
+def test_turned_and_late_at_once():
+    turn = np.radians(60.0) * np.array([0.0, 0.0, 1.0])
+    found = alignment(dataset(late(flights(turn), UNITS["attitude"], 2.0)))
+    assert away(found.turn, turn) < 0.5
+    assert dict(found.clocks) == {"attitude": pytest.approx(2.0, abs=0.05)}
+
+
+def test_what_is_aligned_is_as_if_nothing_had_been_wrong():
+    turn = np.radians(120.0) * np.array([1.0, 1.0, 1.0]) / np.sqrt(3.0)
+    turned = dataset(flights(turn))
+    right = aligned(turned.flights["f0"], alignment(turned))
+    for channel in ("p", "q", "r", "ax", "az"):
+        assert np.abs(right.channels[channel].numpy() - flights()["f0"][channel]).max() < 0.1
+
+
+def test_rates_of_another_flight_contradict_the_attitude():
+    made = flights()
+    for name, other in (("f0", "f1"), ("f1", "f0"), ("f2", "f3"), ("f3", "f2")):
+        made[name] |= {c: flights()[other][c] for c in "pqr"}
+    told = [f.sentence for f in check(dataset(made)).of("error")]
+    assert any("contradict each other" in sentence for sentence in told)
+    assert not any("too little motion" in f.sentence for f in check(dataset(made)).findings)
