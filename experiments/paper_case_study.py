@@ -30,12 +30,12 @@ from torch.utils.tensorboard import SummaryWriter
 from rotorid_torch.core.integrate import simulate
 from rotorid_torch.core.names import ATTITUDES, FLAPPING, FORCES, MOMENTS, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.data import Dataset, load
-from rotorid_torch.fly import fly
 from rotorid_torch.identification.reconstruct import Reconstruction
 from rotorid_torch.model.model import Model
 from rotorid_torch.run.figures import Overlay, side_by_side
 from rotorid_torch.run.pipeline import Run, identify
 from rotorid_torch.run.scorecard import scorecard
+from rotorid_torch.simulate import fly
 from rotorid_torch.validate.free_run import equilibrium
 from rotorid_torch.validate.reconstruction import least_slow_error, share_within, slow_error
 from rotorid_torch.validate.scores import r2

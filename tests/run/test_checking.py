@@ -14,9 +14,9 @@ import rotorid_torch as rotorid
 from rotorid_torch.consistency.examination.grade import head
 from rotorid_torch.data import Dataset, load
 from rotorid_torch.data.write import write_dataset
-from rotorid_torch.fly import fly
 from rotorid_torch.run.checking import check, check_table, write_check
 from rotorid_torch.run.monitor import Monitor
+from rotorid_torch.simulate import fly
 from tests.helpers import ROOT, shared, small_flight
 
 CLEAN = (

@@ -40,14 +40,14 @@ from pathlib import Path
 from types import SimpleNamespace
 from rotorid_torch.core.cache import cache_folder
 from rotorid_torch.core.ranks import ranks_of_torchrun
-from rotorid_torch.fly import drawn
+from rotorid_torch.simulate.drawn import data_sets
 from rotorid_torch.identification.reconstruct import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.data import load
 from rotorid_torch.trace import clean_aircraft
 from rotorid_torch.trace.critical import Null
 dataset, worker, seen, told = load(sys.argv[1]), sys.argv[2], float(sys.argv[3]), []
-drawn.undrawable = lambda dataset: None
+data_sets.undrawable = lambda dataset: None
 observed = SimpleNamespace(contest={"control.delay": seen}, least={})
 null = Null(propose(dataset, reconstruct(dataset), ()), {})
 sys.executable = worker
