@@ -31,7 +31,7 @@ import rotorid_torch as rotorid
 from rotorid_torch.data import Dataset
 from rotorid_torch.model.accelerations import Accelerations
 from rotorid_torch.model.model import Model
-from rotorid_torch.run.pipeline import Run
+from rotorid_torch.run.result import Run
 from rotorid_torch.trace.balance import ROWS, balances, going_with, standing
 from rotorid_torch.trace.sensor_correction import without_errors_of_flight
 from rotorid_torch.validate.predictions import predictions

@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from rotorid_torch.identification.ukf import unscented_filter as unscented_filter
     from rotorid_torch.importing.logs import import_logs as import_logs
     from rotorid_torch.model.model import Model as Model
-    from rotorid_torch.run.checking import check as check
-    from rotorid_torch.run.closing import Loop as Loop
-    from rotorid_torch.run.closing import close_loop as close_loop
-    from rotorid_torch.run.pipeline import Run as Run
+    from rotorid_torch.run.check import check as check
+    from rotorid_torch.run.close_loop import Loop as Loop
+    from rotorid_torch.run.close_loop import close_loop as close_loop
     from rotorid_torch.run.pipeline import identify as identify
+    from rotorid_torch.run.result import Run as Run
 
 _PUBLIC = {
     "Dataset": "data.dataset",
@@ -39,9 +39,9 @@ _PUBLIC = {
     "unscented_filter": "identification.ukf",
     "import_logs": "importing.logs",
     "Model": "model.model",
-    "check": "run.checking",
-    "Loop": "run.closing",
-    "close_loop": "run.closing",
+    "check": "run.check",
+    "Loop": "run.close_loop",
+    "close_loop": "run.close_loop",
     "Run": "run.pipeline",
     "identify": "run.pipeline",
 }

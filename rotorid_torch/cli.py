@@ -28,7 +28,7 @@ from rotorid_torch.printable import printable
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from rotorid_torch.run.monitor import Monitor
+    from rotorid_torch.run.output.monitor import Monitor
 
 Options = argparse.Namespace
 NOT_FIT = 3
@@ -246,8 +246,8 @@ def fly(options: Options) -> None:
 
 def import_logs(options: Options) -> None:
     """Turn logs into a data set."""
+    from rotorid_torch.commands.import_log import import_record, import_table
     from rotorid_torch.importing import logs
-    from rotorid_torch.run.importing import import_record, import_table
 
     done = logs.import_logs(options.logs, options.out, options.map, options.rate, options.split)
     _answer(options, import_record(done), import_table(done))
@@ -256,9 +256,9 @@ def import_logs(options: Options) -> None:
 def check(options: Options) -> int:
     """Grade a data set: ready, limited or not usable; exit code 3 for the last."""
     from rotorid_torch.data import load
-    from rotorid_torch.run.checking import check as examine
-    from rotorid_torch.run.checking import check_table, write_check
-    from rotorid_torch.run.folder import refuse_unless_free
+    from rotorid_torch.run.check import check as examine
+    from rotorid_torch.run.check import check_table, write_check
+    from rotorid_torch.run.output.folder import refuse_unless_free
 
     if options.out:
         refuse_unless_free(options.out, "check")
@@ -273,9 +273,9 @@ def check(options: Options) -> int:
 def reconstruct(options: Options) -> None:
     """Step 1 alone."""
     from rotorid_torch.data import load
+    from rotorid_torch.report.records import read_report
     from rotorid_torch.run import pipeline
-    from rotorid_torch.run.folder import refuse_unless_free
-    from rotorid_torch.run.records import read_report
+    from rotorid_torch.run.output.folder import refuse_unless_free
 
     refuse_unless_free(options.out, "reconstruct")
     pipeline.reconstruct(load(options.dataset), options.out, seed=options.seed, monitor=_monitor(options))
@@ -286,9 +286,9 @@ def identify(options: Options) -> None:
     """The three steps, validation and report; under torchrun, by all processes together."""
     from rotorid_torch.core.ranks import ranks_of_torchrun
     from rotorid_torch.data import load
+    from rotorid_torch.report.records import read_report
     from rotorid_torch.run import pipeline
-    from rotorid_torch.run.folder import refuse_unless_free
-    from rotorid_torch.run.records import read_report
+    from rotorid_torch.run.output.folder import refuse_unless_free
 
     with ranks_of_torchrun() as ranks:
         refuse_unless_free(options.out, "identify")
@@ -304,9 +304,9 @@ def close_loop(options: Options) -> None:
     """Find what the model lacks, name it, add it, identify again; under torchrun, by all processes together."""
     from rotorid_torch.core.ranks import PATIENCE_FOR_FITS_S, ranks_of_torchrun
     from rotorid_torch.data import load
-    from rotorid_torch.run.closing import close_loop as close
-    from rotorid_torch.run.folder import refuse_unless_free
-    from rotorid_torch.run.records import read_report
+    from rotorid_torch.report.records import read_report
+    from rotorid_torch.run.close_loop import close_loop as close
+    from rotorid_torch.run.output.folder import refuse_unless_free
 
     with ranks_of_torchrun(PATIENCE_FOR_FITS_S) as ranks:
         refuse_unless_free(options.out, "close-loop")
@@ -320,14 +320,14 @@ def close_loop(options: Options) -> None:
 def simulate(options: Options) -> None:
     """Free run of a model on a flight."""
     from rotorid_torch.data import load
-    from rotorid_torch.run import pipeline
-    from rotorid_torch.run.folder import refuse_unless_free_run
+    from rotorid_torch.run import saved_model
+    from rotorid_torch.run.output.folder import refuse_unless_free_run
 
     refuse_unless_free_run(options.out, overwrite=options.overwrite)
     how = {"start": options.start, "seconds": options.seconds, "overwrite": options.overwrite}
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        pipeline.simulate(options.model, load(options.dataset), options.flight, options.out, **how)
+        saved_model.simulate(options.model, load(options.dataset), options.flight, options.out, **how)
     told = [str(warning.message) for warning in caught if warning.category is UserWarning]
     lines = [f"free run: {options.out}", *(f"warning: {sentence}" for sentence in told)]
     _answer(options, {"file": str(options.out), "warnings": told}, "\n".join(lines))
@@ -335,8 +335,8 @@ def simulate(options: Options) -> None:
 
 def effects(options: Options) -> None:
     """Print the table of effects."""
+    from rotorid_torch.commands.effects_table import effect_rows, effects_table
     from rotorid_torch.effects.registry import registered
-    from rotorid_torch.run.effects_table import effect_rows, effects_table
 
     rows = effect_rows(registered().values())
     _answer(options, {"effects": rows}, effects_table(rows))
@@ -347,8 +347,8 @@ def show(options: Options) -> None:
     import msgspec
     from rich.console import Group
 
-    from rotorid_torch.run.records import read_report
-    from rotorid_torch.run.scorecard import scorecard
+    from rotorid_torch.report.records import read_report
+    from rotorid_torch.report.scorecard import scorecard
 
     reports = {str(run): read_report(run) for run in options.runs}
     parts = [part for run, report in reports.items() for part in (scorecard(report), _where(Path(run)))]
@@ -357,8 +357,8 @@ def show(options: Options) -> None:
 
 def doctor(options: Options) -> None:
     """Print versions, threads, devices and the cache, emptied first where that is asked for."""
+    from rotorid_torch.commands.doctor import findings, table
     from rotorid_torch.core import cache
-    from rotorid_torch.run.doctor import findings, table
 
     removed = cache.empty() if options.empty_cache else None
     found = findings(removed)
@@ -379,7 +379,7 @@ def _answer(options: Options, as_json: object, for_people: object) -> None:
 def _answer_report(options: Options, out: Path, report) -> None:
     from rich.console import Group
 
-    from rotorid_torch.run.scorecard import scorecard
+    from rotorid_torch.report.scorecard import scorecard
 
     _answer(options, report, Group(scorecard(report), _where(out)))
 
@@ -389,7 +389,7 @@ def _where(run: Path) -> str:
 
 
 def _console() -> Console:
-    from rotorid_torch.run.console import PlainConsole
+    from rotorid_torch.commands.console import PlainConsole
 
     return PlainConsole()
 
@@ -404,7 +404,7 @@ def _finite(value: Any) -> Any:
 
 
 def _monitor(options: Options) -> Monitor:
-    from rotorid_torch.run.monitor import Monitor
+    from rotorid_torch.run.output.monitor import Monitor
 
     return Monitor(None if options.quiet or options.json else _console())
 

@@ -18,7 +18,7 @@ import pytest
 from rotorid_torch import cli
 from rotorid_torch.core import cache
 from rotorid_torch.errors import InputError
-from rotorid_torch.run import records
+from rotorid_torch.report import records
 
 COMMANDS = ("fly", "check", "reconstruct", "identify", "close-loop", "simulate", "effects", "show", "doctor")
 PROGRAM = [sys.executable, "-m", "rotorid_torch"]
@@ -235,7 +235,7 @@ def test_torchs_compiler_leaves_no_folder(tmp_path: Path):
 SLOW_COMMAND = """
 import signal, sys, time
 from rotorid_torch import cli
-from rotorid_torch.run.folder import run_folder
+from rotorid_torch.run.output.folder import run_folder
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background is born deaf to it
 

@@ -18,8 +18,8 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.step3 import Step3
 from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
 from rotorid_torch.model.modes import modes
-from rotorid_torch.run.figures import Overlay
-from rotorid_torch.run.records import (
+from rotorid_torch.report.figures import Overlay
+from rotorid_torch.report.records import (
     LISTS,
     ChannelRecord,
     FitRecord,
@@ -32,7 +32,7 @@ from rotorid_torch.run.records import (
     Status,
     WindowsRecord,
 )
-from rotorid_torch.run.summary import SHOWN
+from rotorid_torch.report.summary import SHOWN
 from rotorid_torch.validate import scores
 from rotorid_torch.validate.free_run import Runs, Windows
 from rotorid_torch.validate.predictions import UNITS, predictions

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from rotorid_torch.run.pipeline import Run
-from rotorid_torch.run.records import FlightRecord
+from rotorid_torch.report.records import FlightRecord
+from rotorid_torch.run.result import Run
 from rotorid_torch.trace.settings import SETTINGS
 from rotorid_torch.trace.significance import exceeds
 

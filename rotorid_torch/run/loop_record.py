@@ -7,8 +7,8 @@ from dataclasses import replace
 import msgspec
 
 from rotorid_torch.model.model import Model
-from rotorid_torch.run.pipeline import Run
-from rotorid_torch.run.records import EffectRecord, ParameterRecord, Role, UnknownRecord, VisibleRecord
+from rotorid_torch.report.records import EffectRecord, ParameterRecord, Role, UnknownRecord, VisibleRecord
+from rotorid_torch.run.result import Run
 from rotorid_torch.trace.finding import Finding, Unknown
 from rotorid_torch.trace.kinematic_findings import KinematicFinding
 

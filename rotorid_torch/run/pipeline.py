@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import math
-import warnings as python_warnings
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
-import numpy as np
 import torch
-from torch import Tensor
 
 from rotorid_torch.consistency.examination.needs import refuse_lacks
-from rotorid_torch.core.atomic import restore
 from rotorid_torch.core.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.one_rate import at_one_rate
@@ -26,81 +21,23 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification import reconstruct as step1
 from rotorid_torch.identification.reconstruct import Reconstruction
-from rotorid_torch.identification.rotor_regression import regress_rotors
-from rotorid_torch.identification.step2 import Step2, regress_model
-from rotorid_torch.identification.step3 import Step3, estimate_model
+from rotorid_torch.identification.step2 import Step2
+from rotorid_torch.identification.step3 import Step3
 from rotorid_torch.identification.structure import propose, rival
-from rotorid_torch.model.model import Model
-from rotorid_torch.model.nominal import build
-from rotorid_torch.model.save import load as load_model
-from rotorid_torch.model.save import save as save_model
-from rotorid_torch.run import limits, remarks
-from rotorid_torch.run.checkpoint import Checkpoint, Steps, checkpoint
-from rotorid_torch.run.figures import draw
+from rotorid_torch.report import limits, remarks
+from rotorid_torch.report.records import DatasetRecord, FitRecord, Report, package_version
 from rotorid_torch.run.fit_record import fit_record, judge
-from rotorid_torch.run.folder import free_run_file, refuse_unless_free_run, run_folder
-from rotorid_torch.run.monitor import Monitor, peak_memory_mb
+from rotorid_torch.run.output.checkpoint import Checkpoint, Steps, checkpoint
+from rotorid_torch.run.output.folder import run_folder
+from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
+from rotorid_torch.run.output.write import write_report
 from rotorid_torch.run.own_effects import refuse_faulty
-from rotorid_torch.run.records import DatasetRecord, FitRecord, ParameterRecord, Report, package_version
-from rotorid_torch.run.write import write_report
-from rotorid_torch.validate.free_run import free_run, windows
-from rotorid_torch.validate.predictions import unexplained_moments
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from rotorid_torch.run.figures import Overlay
-
-OUTSIDE = 0.1
-"""Share of the identified range by which a free run may leave it before it is told."""
-
-
-@dataclass(frozen=True, eq=False)
-class Run:
-    """An identified model with everything that is known about it.
-
-    model : the fitted module. fit : parameters, modes and scores. warnings : sentences for people.
-    """
-
-    model: Model
-    spec: ModelSpec
-    fit: FitRecord
-    record: Report
-    reconstruction: Reconstruction
-    regressions: Step2
-    estimate: Step3
-    overlays: tuple[Overlay, ...] = field(repr=False)
-
-    @property
-    def scores(self) -> dict[str, float | None]:
-        """J over the lists of flights: identify, validate, acid."""
-        totals = self.fit.scores
-        return {"identify": totals.identify, "validate": totals.validate, "acid": totals.acid}
-
-    @property
-    def parameters(self) -> tuple[ParameterRecord, ...]:
-        """Every parameter with its standard error, unit, bounds and status."""
-        return self.fit.parameters
-
-    def table(self) -> str:
-        """The parameters as text, one a line."""
-        errors = torch.tensor([p.se if p.se is not None else torch.nan for p in self.fit.parameters])
-        return self.model.parameter_set.table(self.model.theta, errors)
-
-    def plot(self) -> dict[str, Figure]:
-        """The report's pictures as matplotlib figures, by name."""
-        return draw(self.overlays, self.fit)
-
-    def report(self, path: str | Path) -> Path:
-        """Write the RUN (report, pictures, model, reconstruction) to a folder; InputError where it is not free."""
-        with run_folder(path, self.record.command) as folder:
-            self.write(folder)
-        return Path(path)
-
-    def write(self, folder: Path, monitor: Monitor | None = None) -> None:
-        """Write everything but log and TensorBoard records into an open run folder."""
-        write_model(self, folder)
-        write_report(folder, self.record, self.overlays, monitor)
+    pass
+from rotorid_torch.run.estimate import estimated
+from rotorid_torch.run.requested_effects import with_evidence
+from rotorid_torch.run.result import Run, write_reconstruction
 
 
 def reconstruct(dataset: Dataset, out: str | Path, *, seed: int = 0, monitor: Monitor | None = None) -> Reconstruction:
@@ -109,7 +46,7 @@ def reconstruct(dataset: Dataset, out: str | Path, *, seed: int = 0, monitor: Mo
     with run_folder(out, "reconstruct") as folder, monitor.recording(folder):
         with monitor.step("reconstruct"):
             found = step1.reconstruct(dataset)
-        _write_reconstruction(found, folder)
+        write_reconstruction(found, folder)
         told = [*remarks.of_reading(dataset), *found.notes]
         write_report(folder, _report("reconstruct", dataset, seed, monitor, None, told), (), monitor)
     return found
@@ -184,8 +121,6 @@ def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps
     run = Run(model, spec, fit, report, reconstruction, regressions, estimate, judged.overlays)
     if not effects:
         return run
-    from rotorid_torch.run.earned import with_evidence  # which is about runs
-
     with monitor.step("trace"):
         run = with_evidence(run, seen, effects, seed)
     return replace(run, record=msgspec.structs.replace(run.record, time_s=monitor.time_record()))
@@ -207,119 +142,6 @@ def remarks_on(
         *limits.of_rotors(spec, fit),
         *limits.of_flapping(fit),
     ]
-
-
-def estimated(
-    spec: ModelSpec, dataset: Dataset, reconstruction: Reconstruction, steps: Steps
-) -> tuple[ModelSpec, Model, Step2, Step3]:
-    """Steps 2 and 3 of one structure."""
-    model, monitor = build(spec), steps.monitor
-    regress = regress_rotors if spec.motors else regress_model
-    regressions = steps.do("ftr", f"ftr-{spec.flapping}", lambda: regress(model, dataset, reconstruction))
-    if spec.motors:
-        spec, model, regressions = _told(spec, model, regressions, dataset)
-    monitor.scalars({f"ftr/R2/{row}": float(r.r2) for row, r in regressions.regressions.items()}, 0)
-    for line in remarks.regression_table(regressions):
-        monitor.log(line)
-
-    def watch(iteration: int, cost: float, theta: Tensor) -> None:
-        monitor.scalars({"ml/cost": cost}, iteration)
-
-    def third() -> Step3:
-        return estimate_model(model, dataset, reconstruction, regressions, watch, steps.ranks, steps.device)
-
-    estimate = steps.do("ml", f"ml-{spec.flapping}", third)
-    with torch.no_grad():
-        model.theta.copy_(estimate.theta_of(model, regressions))
-    monitor.say(f"flapping {spec.flapping}: Akaike's criterion {estimate.criterion:.6g}")
-    return spec, model, regressions, estimate
-
-
-def _told(spec: ModelSpec, model: Model, regressions: Step2, dataset: Dataset) -> tuple[ModelSpec, Model, Step2]:
-    """A multirotor's structure with those control powers held at zero whose rates are better held than predicted."""
-    with torch.no_grad():
-        model.theta.copy_(regressions.theta)
-    rows = unexplained_moments(model, (dataset.flights[name] for name in dataset.identify))
-    held = [name for row in rows for name in (f"rotors.power.{row}", f"rotors.trim.{row}")]
-    theta = regressions.theta.clone()
-    theta[[model.parameter_set.index(name) for name in held]] = 0.0
-    spec = msgspec.structs.replace(
-        spec, free={**spec.free, **dict.fromkeys(held, False)}, values={**spec.values, **dict.fromkeys(held, 0.0)}
-    )
-    return spec, build(spec), replace(regressions, theta=theta)
-
-
-def simulate(
-    model: str | Path,
-    dataset: Dataset,
-    flight: str,
-    out: str | Path,
-    start: float = 0.0,
-    seconds: float | None = None,
-    *,
-    overwrite: bool = False,
-) -> dict[str, np.ndarray]:
-    """Free run of a saved model on a flight, written as NAME.npz: time, outputs, states; warns outside the range.
-
-    Parameters
-    ----------
-    model : a RUN or a model.pt. start : s, where the run begins. seconds : its length; to the flight's end by default.
-    overwrite : replace a file at `out` that is no earlier free run; files of the model and the data set never.
-
-    Raises
-    ------
-    InputError : no such model or flight, a control is missing, start and seconds leave the flight, or `out` is in the
-        way.
-    """
-    place = Path(model)
-    restore(place)
-    file = place / "model.pt" if place.is_dir() else place
-    how = {"overwrite": overwrite, "inputs": (file, *dataset.files())}
-    refuse_unless_free_run(out, **how)
-    loaded, spec = load_model(file)
-    if flight not in dataset.flights:
-        raise InputError(
-            dataset.path or dataset.name, "flight", f"there is no flight '{flight}'", ", ".join(dataset.flights)
-        )
-    dataset = with_velocities(dataset)
-    record = dataset.flights[flight]
-    first, samples = _span(record.dt, record.samples, start, seconds, dataset.file(flight))
-    missing = [c for c in loaded.body.controls if not record.has(c)]
-    if missing:
-        raise InputError(dataset.file(flight), missing[0], "control is missing", "the controls of the model")
-    pieces = windows(loaded, dataset, [(flight, first)], samples)
-    states, outputs = free_run(loaded, pieces)
-    found = {"time": record.time[first : first + samples].numpy()}
-    found |= dict(zip(loaded.layout.names, states[0].numpy().T, strict=True))
-    found |= dict(zip(loaded.body.outputs, outputs[0].numpy().T, strict=True))
-    _warn_outside(found | dict(zip(loaded.body.controls, pieces.controls[0].numpy().T, strict=True)), spec)
-    with free_run_file(out, **how) as partial, partial.open("wb") as handle:
-        np.savez(handle, **found)  # pyright: ignore[reportArgumentType]
-    return found
-
-
-def _span(dt: float, samples: int, start: float, seconds: float | None, file: str | Path) -> tuple[int, int]:
-    last = (samples - 2) * dt
-    if not -0.5 * dt <= start < last + 0.5 * dt:
-        raise InputError(file, "start", f"{start} s lies outside the flight", f"0 to {last:.2f} s")
-    first = round(start / dt)
-    if seconds is None:
-        return first, samples - first
-    if not 0.5 * dt < seconds < math.inf:
-        raise InputError(file, "seconds", f"is {seconds}", f"at least one sample interval, {dt:.4g} s")
-    wanted = round(seconds / dt) + 1
-    return first, min(wanted, samples - first)
-
-
-def _warn_outside(found: dict[str, np.ndarray], spec: ModelSpec) -> None:
-    left = []
-    for name, (low, high) in spec.ranges.items():
-        margin = OUTSIDE * (high - low)
-        if name in found and (np.nanmin(found[name]) < low - margin or np.nanmax(found[name]) > high + margin):
-            left.append(name)
-    if left:
-        said = f"the run leaves the range of the flights that the model was identified from in {', '.join(left)}"
-        python_warnings.warn(f"{said}; do not trust it there", stacklevel=3)
 
 
 def refuse(dataset: Dataset, effects: Sequence[str], device: str) -> None:
@@ -352,15 +174,3 @@ def _report(
         before=fit,
         warnings=tuple(told),
     )
-
-
-def write_model(run: Run, folder: Path) -> None:
-    """Reconstruction and model.pt of a run."""
-    _write_reconstruction(run.reconstruction, folder)
-    save_model(run.model, run.spec, folder / "model.pt")
-
-
-def _write_reconstruction(found: Reconstruction, folder: Path) -> None:
-    (folder / "reconstruct").mkdir(exist_ok=True)
-    for name in found.flights:
-        np.savez(folder / "reconstruct" / f"{name}.npz", **found.arrays(name))  # pyright: ignore[reportArgumentType]

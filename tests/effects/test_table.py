@@ -6,8 +6,8 @@ import re
 
 import msgspec
 
+from rotorid_torch.commands.effects_table import effect_rows
 from rotorid_torch.effects.registry import registered
-from rotorid_torch.run.effects_table import effect_rows
 from tests.helpers import ROOT
 
 

@@ -5,7 +5,8 @@ from functools import cache
 import pytest
 
 from rotorid_torch.data import load
-from rotorid_torch.run.pipeline import Run, identify
+from rotorid_torch.run.pipeline import identify
+from rotorid_torch.run.result import Run
 from rotorid_torch.validate.responses import responses
 from tests.helpers import shared
 

@@ -13,7 +13,9 @@ import torch
 from rotorid_torch.data import Dataset
 from rotorid_torch.identification import step3
 from rotorid_torch.model.save import load
-from rotorid_torch.run.pipeline import Run, identify, simulate
+from rotorid_torch.run.pipeline import identify
+from rotorid_torch.run.result import Run
+from rotorid_torch.run.saved_model import simulate
 from rotorid_torch.simulate.flight_test import fly
 
 FLIGHTS = ("f321_lon", "f321_lat", "f321_col", "f321_ped", "dbl_lon_n")

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.data import Dataset
+from rotorid_torch.report.records import FlightRecord
 from rotorid_torch.run import fit_record
-from rotorid_torch.run.records import FlightRecord
 from rotorid_torch.validate import windows
 from rotorid_torch.validate.free_run import Windows
 from tests.helpers import small_arrays

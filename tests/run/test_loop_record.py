@@ -6,8 +6,8 @@ from types import SimpleNamespace
 from typing import Any
 
 from rotorid_torch.core.parameters import ParameterSet
+from rotorid_torch.report.records import ParameterRecord
 from rotorid_torch.run.loop_record import as_fitted, effect_record
-from rotorid_torch.run.records import ParameterRecord
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.verdict import statement
 

@@ -25,7 +25,7 @@ from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
 from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR, example
 from rotorid_torch.effects.registry import EFFECTS, registered
 from rotorid_torch.errors import InputError
-from rotorid_torch.run import closing, pipeline
+from rotorid_torch.run import close_loop, pipeline
 from rotorid_torch.run.own_effects import refuse_faulty
 from tests.effects.own_effects import OWN
 from tests.helpers import small_flight, small_folder
@@ -194,7 +194,7 @@ def test_a_signal_that_this_vehicle_lacks_is_told_before_any_work(command: str, 
     monkeypatch.setattr("rotorid_torch.run.pipeline.step1.reconstruct", lambda *_: pytest.fail("step 1 was begun"))
     name = install(an_effect(reading("a1")))
     dataset = Dataset.from_arrays({"f": small_flight()}, identify=["f"])
-    begin = partial(pipeline.identify, effects=[name]) if command == "identify" else closing.close_loop
+    begin = partial(pipeline.identify, effects=[name]) if command == "identify" else close_loop.close_loop
     with pytest.raises(InputError, match=r"effect my\.effect: forward: asks for 'a1'"):
         begin(dataset)
 

@@ -18,10 +18,13 @@ from rotorid_torch.effects.registry import EFFECTS
 from rotorid_torch.errors import InputError
 from rotorid_torch.model.save import load as load_model
 from rotorid_torch.model.save import save as save_model
-from rotorid_torch.run import pipeline, records
-from rotorid_torch.run.folder import refuse_unless_free
-from rotorid_torch.run.pipeline import Run, identify, simulate
-from rotorid_torch.run.scorecard import scorecard
+from rotorid_torch.report import records
+from rotorid_torch.report.scorecard import scorecard
+from rotorid_torch.run import pipeline
+from rotorid_torch.run.output.folder import refuse_unless_free
+from rotorid_torch.run.pipeline import identify
+from rotorid_torch.run.result import Run
+from rotorid_torch.run.saved_model import simulate
 from tests.effects.own_effects import OwnDrag
 from tests.helpers import small_folder
 from tests.known_models import STICKS, flown, linear_vehicle, manoeuvres, rate_vehicle, with_values

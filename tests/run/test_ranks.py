@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rotorid_torch.commands.console import PlainConsole
 from rotorid_torch.core.ranks import Ranks
 from rotorid_torch.data import load
 from rotorid_torch.errors import InputError
-from rotorid_torch.run import checkpoint as checkpointing
+from rotorid_torch.report.records import Report, read_report
 from rotorid_torch.run import pipeline
-from rotorid_torch.run.checkpoint import Checkpoint, Steps, checkpoint
-from rotorid_torch.run.console import PlainConsole
-from rotorid_torch.run.monitor import Monitor
-from rotorid_torch.run.records import Report, read_report
+from rotorid_torch.run.output import checkpoint as checkpointing
+from rotorid_torch.run.output.checkpoint import Checkpoint, Steps, checkpoint
+from rotorid_torch.run.output.monitor import Monitor
 from tests.known_models import flown, manoeuvres, rate_vehicle, written
 from tests.processes import ended, of_ranks, wait_until, write_earlier
 
@@ -214,7 +214,7 @@ def test_a_full_disk_ends_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("rotorid_torch.run.checkpoint.write_sealed", full)
+    monkeypatch.setattr("rotorid_torch.run.output.checkpoint.write_sealed", full)
     steps = Steps(Monitor(PlainConsole()), Ranks(), Checkpoint(tmp_path))
     assert steps.do("structure", "structure", lambda: "made") == "made"
     said = capsys.readouterr()

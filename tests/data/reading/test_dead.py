@@ -9,8 +9,8 @@ from rotorid_torch.core import names
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.reading.dead import STEADY
 from rotorid_torch.errors import InputError
+from rotorid_torch.report.remarks import of_reading
 from rotorid_torch.run import pipeline
-from rotorid_torch.run.remarks import of_reading
 from tests.helpers import small_arrays, small_folder
 
 MEASURED = [n for n in (*names.CHANNELS, "omega1") if n != "time" and not names.is_control(n)]

@@ -1,0 +1,94 @@
+"""What this installation can do: versions, threads, devices, and what is missing for the optional parts."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import platform
+import shlex
+from importlib.metadata import PackageNotFoundError, version
+
+import msgspec
+import torch
+from rich.table import Table
+
+from rotorid_torch.core.cache import Usage, usage
+from rotorid_torch.core.native.build import NO_COMPILER, compiler
+from rotorid_torch.core.native.fallback import Unsupported
+from rotorid_torch.report.records import package_version
+
+NEEDED = ("torch", "torchdiffeq", "numpy", "matplotlib", "tensorboard", "msgspec", "rich", "jinja2")
+ADVICE = "ROTORID_CACHE names another place, --empty-cache empties it"
+OPTIONAL = {"experiments": ("tyro",), "logs": ("pyulog", "pymavlink"), "fmu": ("fmpy", "pythonfmu3")}
+
+
+class Installation(msgspec.Struct, frozen=True, kw_only=True):
+    """What `rotorid doctor` found; a version is None where the package is missing.
+
+    cache : what is kept between runs now. removed : what was, where the cache has been emptied.
+    """
+
+    rotorid: str
+    python: str
+    system: str
+    cores: int
+    threads: int
+    compiler: str | None
+    cuda: str | None
+    packages: dict[str, str | None]
+    extras: dict[str, bool]
+    cache: Usage
+    removed: Usage | None
+
+
+def findings(removed: Usage | None = None) -> Installation:
+    """Look at this installation."""
+    return Installation(
+        rotorid=package_version(),
+        python=platform.python_version(),
+        system=f"{platform.system()} {platform.machine()}",
+        cores=os.cpu_count() or 1,
+        threads=torch.get_num_threads(),
+        compiler=_compiler(),
+        cuda=torch.cuda.get_device_name() if torch.cuda.is_available() else None,
+        packages={name: _version(name) for name in NEEDED},
+        extras={name: all(map(importlib.util.find_spec, modules)) for name, modules in OPTIONAL.items()},
+        cache=usage(),
+        removed=removed,
+    )
+
+
+def table(found: Installation) -> Table:
+    """The findings for people."""
+    rows = Table(show_header=False)
+    rows.add_row("rotorid", found.rotorid)
+    rows.add_row("Python", f"{found.python}, {found.system}")
+    rows.add_row("cores, threads used", f"{found.cores}, {found.threads} (set OMP_NUM_THREADS to change)")
+    rows.add_row("C++ compiler", found.compiler or f"{NO_COMPILER}: torch does its work, 30 to 200 times slower")
+    rows.add_row("CUDA device", found.cuda or "none")
+    rows.add_row("cache", f"{found.cache.folder}: {_size(found.cache)} ({ADVICE})")
+    if found.removed:
+        rows.add_row("", f"removed: {_size(found.removed)}")
+    for name, installed in found.packages.items():
+        rows.add_row(name, installed or f"missing: pip install {name}")
+    for name, there in found.extras.items():
+        rows.add_row(f"extra {name}", "installed" if there else f"not installed: pip install 'rotorid-torch[{name}]'")
+    return rows
+
+
+def _size(cache: Usage) -> str:
+    return f"{cache.files} files, {cache.bytes / 2**20:.1f} MiB"
+
+
+def _compiler() -> str | None:
+    try:
+        return shlex.join(compiler())
+    except Unsupported:
+        return None
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None

@@ -1,0 +1,140 @@
+"""What a user must know about an identification: one sentence per kind, what it means and what to do next."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+from rotorid_torch.consistency.examination.check import check
+from rotorid_torch.consistency.examination.grade import graded
+from rotorid_torch.consistency.examination.records import condensed
+from rotorid_torch.consistency.excitation import moves
+from rotorid_torch.consistency.late_controls import late_controls
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.identification.step2 import Step2
+from rotorid_torch.identification.step3 import Step3
+from rotorid_torch.report.records import FitRecord
+from rotorid_torch.report.short_horizon import FREE_RUN, short_horizon
+from rotorid_torch.report.summary import GRADED, WORSE_THAN_TRIM, at_an_edge, at_once, list_summaries
+
+OWN_SHARE = 0.1
+"""Share of a control's own motion below which its derivatives and the states' are told only together."""
+COMPARED = 20
+"""Flights that are checked, and on which the clocks of controls and responses are compared."""
+SHOWN = 6
+"""Names that a sentence lists; report.json's parameters hold all of them."""
+MEANINGS = {
+    "noise fills a combination of the regressors": "their sum or difference hardly moved in these flights, so the prior"
+    " sets it; fly inputs that move one control at a time",
+    "does not hold even up to": "look for a wrong sign, a time shift between channels, gusts or motion too large to be"
+    " linear; step 3 begins from weak values there",
+}
+"""What a remark of the regressions means to somebody who identifies a vehicle, by its beginning."""
+
+
+def regression_table(step2: Step2) -> list[str]:
+    """One line per equation of step 2: band, R2, condition number, worst variance inflation and reliability."""
+    return [
+        f"{row}: band {r.band[0]:.2f} to {r.band[1]:.2f} Hz, R2 {float(r.r2):.4f}, condition {float(r.condition):.0f},"
+        f" variance inflation up to {float(r.vif.max()):.0f}, reliability from {float(r.reliability.min()):.2f}"
+        for row, r in step2.regressions.items()
+    ]
+
+
+def of_reading(dataset: Dataset) -> Iterator[str]:
+    """What was changed or left out when the data set was read; all flights in one sentence."""
+    for flight, sentence in condensed(dataset.warnings):
+        yield f"flight {flight}: {sentence}" if flight else sentence
+    for dead in dataset.dead:
+        yield f"{dead.channel} {dead.sentence}"
+
+
+def of_check(dataset: Dataset) -> Iterator[str]:
+    """The grade of the data set where it is not ready, and what `check` calls an error, by the first flights."""
+    names = dataset.identify[:COMPARED]
+    flights, facts = ({n: whole[n] for n in names} for whole in (dataset.flights, dataset.facts))
+    few = replace(dataset, flights=flights, facts=facts, identify=names, validate=(), acid=())
+    findings = check(few).findings
+    grade = graded(few, findings)
+    if grade.grade != "ready":
+        yield f"{GRADED}{grade.sentence}"
+    for found in findings:
+        if found.severity == "error":
+            yield f"{found.channel}: {found.sentence}" if found.channel else found.sentence
+
+
+def of_clocks(dataset: Dataset) -> Iterator[str]:
+    """Controls whose record is late, by the first identify flights."""
+    late = late_controls(replace(dataset, identify=dataset.identify[:COMPARED]))
+    if late is not None:
+        yield (
+            f"controls are recorded at least {late.seconds * 1e3:.0f} ± {late.se * 1e3:.1f} ms late: {late.clearest}"
+            " comes first, which no vehicle does; lags and damping are biased by it; `rotorid close-loop` takes it out"
+        )
+
+
+def of_controls(dataset: Dataset, own_share: Mapping[str, float]) -> Iterator[str]:
+    """Controls that the identify flights leave alone, and those that mostly follow the states."""
+    still = [control for control, found in moves(dataset, dataset.controls).items() if not found.flights]
+    if still:
+        yield (
+            f"{listed(still)} hardly moves in any identify flight: what it does stays unknown; fly a doublet or a"
+            " 3-2-1-1 on it"
+        )
+    low = {control: share for control, share in own_share.items() if share < OWN_SHARE and control not in still}
+    if low:
+        told = ", ".join(f"{control} ({share:.0%})" for control, share in low.items())
+        yield (
+            f"little of {told} is its own motion, the rest is feedback of the states: its derivatives"
+            " and theirs are told only in combination; fly inputs on that control, or with the augmentation off"
+        )
+
+
+def of_regressions(step2: Step2) -> Iterator[str]:
+    """What step 2 remarked: every kind of remark once, with the equations that it is about."""
+    rows: dict[str, list[str]] = {}
+    for row, regression in step2.regressions.items():
+        for note in regression.notes:
+            rows.setdefault(note.removeprefix(f"{row}: "), []).append(row)
+    for note, where in rows.items():
+        meaning = next((m for beginning, m in MEANINGS.items() if note.startswith(beginning)), None)
+        told = f"{note.partition(';')[0]}: {meaning}" if meaning else note
+        yield f"step 2, equation{'s' if len(where) > 1 else ''} of {' '.join(where)}: {told}"
+
+
+def of_estimate(step3: Step3, fit: FitRecord) -> Iterator[str]:
+    """What leaves the estimate of step 3 in doubt."""
+    if not step3.fit.minimum.converged:
+        yield (
+            f"step 3 did not converge ({step3.fit.minimum.message}): take the standard errors with care;"
+            " longer flights, or test inputs on every control, would help"
+        )
+    meaningless = bool(short_horizon(fit))
+    if meaningless:
+        yield FREE_RUN
+    for summary in () if meaningless else list_summaries(fit):
+        if summary.grade == WORSE_THAN_TRIM:
+            yield (
+                f"on the {summary.name} flights the model is {WORSE_THAN_TRIM} (J {summary.J:.3g} against"
+                f" {summary.J_trim:.3g}): do not use it; look at the data with rotorid check first"
+            )
+    bound = at_an_edge(fit.parameters)
+    if bound:
+        yield (
+            f"at a bound: {listed(bound)}; the value is the bound's, not the data's: check units, signs of the"
+            " controls and the declared vehicle"
+        )
+    fast = at_once(fit.parameters)
+    if fast:
+        yield f"shorter than these records resolve: {listed(fast)}; what it stands for acts as good as at once"
+    blind = [p.name for p in fit.parameters if p.status == "not identifiable"]
+    if blind:
+        yield (
+            f"not identifiable from these flights, held: {listed(blind)}; fly a manoeuvre that moves what they multiply"
+        )
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names with commas; beyond the first ones their number."""
+    rest = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return ", ".join(names[:SHOWN]) + rest

@@ -1,0 +1,69 @@
+"""The scorecard on the console: scores of the lists against their yardsticks, verdict, warnings."""
+
+from __future__ import annotations
+
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from rotorid_torch.report.records import FitRecord, Report
+from rotorid_torch.report.short_horizon import NAMES, short_horizon
+from rotorid_torch.report.summary import headline, list_summaries, place_of
+
+
+def scorecard(report: Report) -> RenderableType:
+    """All of a report that fits on a screen."""
+    parts: list[RenderableType] = []
+    for title, fit in (("before", report.before), ("after", report.after)):
+        if fit is not None:
+            heading = f"{report.dataset.name}, {title}" if report.after else report.dataset.name
+            if short_horizon(fit):
+                parts.append(_short(heading, fit))
+                heading = "free runs of 8 s, which mean nothing here"
+            parts.append(_scores(heading, fit))
+    parts.append(Text(headline(report)))
+    if report.verdict:
+        parts.append(Text(report.verdict.sentence))
+    else:
+        parts += [Text(f"{e.id} {place_of(e)}: {e.reason}") for e in report.effects]
+    parts += [Text(f"warning: {warning}") for warning in report.warnings]
+    return Group(*parts)
+
+
+def _scores(title: str, fit: FitRecord) -> Table:
+    table = Table(title=title, title_justify="left")
+    table.add_column("flights")
+    for name in ("number", "J", "noise alone", "holding trim", "explained"):
+        table.add_column(name, justify="right")
+    for summary in list_summaries(fit):
+        share = summary.explained
+        table.add_row(
+            summary.name,
+            str(summary.flights),
+            _number(summary.J),
+            _number(summary.J_noise),
+            _number(summary.J_trim),
+            "-" if share is None else f"{100 * share:.1f} %",
+        )
+    return table
+
+
+def _short(title: str, fit: FitRecord) -> Table:
+    """Responses and predictions of a multirotor, list by list."""
+    lists = short_horizon(fit)
+    table = Table(title=title, title_justify="left")
+    table.add_column("")
+    for found in lists:
+        table.add_column(f"{found.name} ({found.flights})", justify="right")
+    for name in dict.fromkeys(name for found in lists for name in found.responses):
+        values = (found.responses.get(name) for found in lists)
+        table.add_row(f"R² of {NAMES.get(name, name)}", *map(_number, values))
+    for p in lists[0].predictions:
+        same = ({(q.quantity, q.seconds): q for q in found.predictions}.get((p.quantity, p.seconds)) for found in lists)
+        cells = ("-" if q is None else f"{q.error:.3g} ({q.held:.3g})" for q in same)
+        table.add_row(f"{p.quantity} after {p.seconds:g} s, {p.unit} (held)", *cells)
+    return table
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f}"

@@ -1,0 +1,288 @@
+"""What a report says in few words: each list's score against its yardsticks, and what to do next."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import partial
+
+from rotorid_torch.core import names
+from rotorid_torch.report.records import (
+    LISTS,
+    ChannelRecord,
+    EffectRecord,
+    FitRecord,
+    FlightRecord,
+    ParameterRecord,
+    Report,
+)
+from rotorid_torch.report.short_horizon import NAMES, ShortHorizon, explained, short_horizon
+
+# Shares of the motion explained, from which on a model is called so.
+GOOD, USABLE = 0.90, 0.70
+GRADES = ((0.97, "very good"), (GOOD, "good"), (USABLE, "usable with care"), (0.0, "poor"))
+WORSE_THAN_TRIM = "worse than holding trim"
+RESOLVED_S = 0.02
+"""Interval of the records that trajectories are fitted to: what is faster acts at once there."""
+MOSTLY = 0.7
+"""R² of a response below which something is missing from the model."""
+DECIDING = ("validate", "acid", "identify")
+"""Lists of flights in the order in which they say whether a model is of use: unseen before fitted."""
+SHOWN = 12
+"""Flights of each list that pictures and tables of channels show; scores are those of all."""
+THEIL_PARTS = (
+    "an offset: look at the trim and the sensor biases",
+    "a wrong amplitude: look at the gains (control and damping derivatives) of that axis",
+    "a wrong shape: look for delay, missing dynamics or gusts",
+)
+
+
+@dataclass(frozen=True)
+class ListSummary:
+    """Score of one list of flights between what the sensor noise alone scores and what holding trim scores."""
+
+    name: str
+    flights: int
+    J: float | None
+    J_noise: float | None
+    J_trim: float | None
+
+    @property
+    def explained(self) -> float | None:
+        """Share of the motion that the model explains, noise removed; None where a score is missing."""
+        if self.J is None or self.J_noise is None or self.J_trim is None or self.J_trim <= self.J_noise:
+            return None
+        left = max(self.J**2 - self.J_noise**2, 0.0)
+        return 1.0 - left / (self.J_trim**2 - self.J_noise**2)
+
+    @property
+    def grade(self) -> str:
+        """The share in a word."""
+        share = self.explained
+        if share is None:
+            return "not scored"
+        return next((word for limit, word in GRADES if share >= limit), WORSE_THAN_TRIM)
+
+
+def list_summaries(fit: FitRecord) -> list[ListSummary]:
+    """One summary for each list that has flights, in the order identify, validate, acid."""
+    summaries = []
+    for name in LISTS:
+        flights = [flight for flight in fit.flights.values() if flight.list == name]
+        if flights:
+            yardsticks = (_rms(f.J_noise for f in flights), _rms(f.J_trim for f in flights))
+            summaries.append(ListSummary(name, len(flights), getattr(fit.scores, name), *yardsticks))
+    return summaries
+
+
+def shown_flights(fit: FitRecord) -> dict[str, FlightRecord]:
+    """The first flights of each list, which pictures and tables show."""
+    ordered = [[name for name, flight in fit.flights.items() if flight.list == which] for which in LISTS]
+    return {name: fit.flights[name] for flights in ordered for name in flights[:SHOWN]}
+
+
+GRADED = "the data set is "
+"""What a run's first warning begins with where its data set is not ready for identification."""
+NOT_USABLE = f"{GRADED}not usable"
+
+
+def headline(report: Report) -> str:
+    """One sentence: the grade of a data set that is not usable, else how well the model does on unseen flights."""
+    first = next(iter(report.warnings), "")
+    if first.startswith(NOT_USABLE) or (report.fit is None and first.startswith(GRADED)):
+        return f"{first[0].upper()}{first[1:]}."
+    if report.fit is None:
+        return "No model was fitted in this run."
+    short = short_horizon(report.fit)
+    if short:
+        return explained(short[-1])
+    unseen = _unseen(report.fit)
+    if not unseen:
+        return "No flight was kept back, so nothing is known about flights the model has not seen."
+    best_known = unseen[-1]
+    share, grade = best_known.explained, best_known.grade
+    if share is None or share < 0.0:
+        return f"On the {best_known.name} flights the model is {WORSE_THAN_TRIM}: do not use it yet."
+    return (
+        f"On the {best_known.name} flights, which it has not seen, the model explains {100 * share:.0f} % of the motion"
+        f" over 8 s from the controls alone ({grade})."
+    )
+
+
+def place_of(effect: EffectRecord) -> str:
+    """Whether an effect that was asked for earned its place, in words."""
+    if effect.verdict == "accepted":
+        return "earns its place"
+    unknown = effect.verdict in ("not testable", "indistinguishable")
+    return "cannot be told from a model without it" if unknown else "does not earn its place"
+
+
+def failing(fit: FitRecord) -> str:
+    """How badly a model does on the flights that decide; empty where it is of use, or no flight is scored.
+
+    Those are the flights that no fit has seen, validate before acid; without any, the flights that were fitted.
+    """
+    ahead = {flights.name: flights for flights in short_horizon(fit)}
+    if ahead:
+        return _failing_ahead(next(ahead[name] for name in DECIDING if name in ahead))
+    scored = {s.name: s for s in list_summaries(fit) if s.explained is not None and math.isfinite(s.explained)}
+    deciding = next((scored[name] for name in DECIDING if name in scored), None)
+    share = None if deciding is None else deciding.explained
+    if deciding is None or share is None or share >= USABLE:
+        return ""
+    how = WORSE_THAN_TRIM if share < 0.0 else f"good for {100.0 * share:.0f} % of the motion alone"
+    return f"on the {deciding.name} flights the model is {how}"
+
+
+def _failing_ahead(flights: ShortHorizon) -> str:
+    """The same for a multirotor: predictions over the longest time, then the mean R² of the accelerations."""
+    last = max((p.seconds for p in flights.predictions), default=0.0)
+    worse = [p.quantity for p in flights.predictions if p.seconds == last and p.error > p.held]
+    if worse:
+        return f"on the {flights.name} flights the model predicts {_listed(worse)} worse than holding what was measured"
+    accelerations = {name: r2 for name, r2 in flights.responses.items() if not name.startswith("omega")}
+    shares = [r2 for r2 in accelerations.values() if math.isfinite(r2)]
+    mean = sum(shares) / len(shares) if shares else 1.0
+    if mean >= MOSTLY:
+        return ""
+    share = f"{100.0 * max(mean, 0.0):.0f} % of the accelerations alone (mean R² at measured states)"
+    return f"on the {flights.name} flights the model explains {share}"
+
+
+def _unseen(fit: FitRecord) -> list[ListSummary]:
+    """Scored lists that no fit has seen: validate first, which decides, then acid."""
+    return [s for s in list_summaries(fit) if s.name != "identify" and s.explained is not None]
+
+
+def next_steps(report: Report) -> list[str]:
+    """What an engineer would look at next, most important first; never empty."""
+    if report.fit is None:
+        return ["Identify a model from these flights: rotorid identify."]
+    traced = report.verdict is not None
+    scores = partial(_steps_of_responses, traced=traced) if short_horizon(report.fit) else _steps_of_scores
+    steps = [*scores(report.fit), *_steps_of_parameters(report.fit.parameters)]
+    return steps or ["Nothing stands out. Use the model within the range of motion that its flights covered."]
+
+
+def weakest_channel(fit: FitRecord) -> tuple[str, str, float] | None:
+    """Flight, body channel and relative error that is largest among flights not fitted; None where none is scored.
+
+    The error is relative to the channel's motion on the flight that moves it most, so that an axis that a flight leaves
+    alone (R² means nothing there) does not come out as the weakest.
+    """
+    motion: dict[str, float] = {}
+    for record in fit.flights.values():
+        for name, channel in record.channels.items():
+            motion[name] = max(motion.get(name, 0.0), _motion(channel))
+    candidates = [
+        (flight, name, (channel.rmse or 0.0) / motion[name])
+        for flight, record in fit.flights.items()
+        if record.list != "identify"
+        for name, channel in record.channels.items()
+        if name in names.BODY and motion[name] > 0.0
+    ]
+    return max(candidates, key=lambda c: c[2], default=None)
+
+
+def _motion(channel: ChannelRecord) -> float:
+    """Standard deviation of the measured channel, from R² = 1 - (rmse / deviation)²."""
+    if channel.rmse is None or channel.r2 is None or channel.r2 >= 1.0:
+        return 0.0
+    return channel.rmse / math.sqrt(1.0 - channel.r2)
+
+
+def _steps_of_scores(fit: FitRecord) -> Iterator[str]:
+    lists = {summary.name: summary for summary in list_summaries(fit)}
+    for summary in lists.values():
+        if summary.grade == WORSE_THAN_TRIM:
+            yield (
+                f"The model is {WORSE_THAN_TRIM} on the {summary.name} flights (J {_text(summary.J)} against"
+                f" {_text(summary.J_trim)}). Do not use it: run rotorid check, then look at the error over time below."
+            )
+    fitted, judged = lists.get("identify"), lists.get("validate")
+    if fitted and judged and fitted.explained is not None and judged.explained is not None:
+        if judged.explained < 0.9 and 1.0 - judged.explained > 3.0 * (1.0 - fitted.explained):
+            yield (
+                "The model follows the flights it was made from much better than the others: it has more freedom than"
+                " the data support. Add identify flights, or free fewer parameters."
+            )
+    weakest = weakest_channel(fit)
+    if weakest and weakest[2] > 0.3:
+        flight, name, relative = weakest
+        shares = [share or 0.0 for share in fit.flights[flight].channels[name].theil_parts]
+        largest = shares.index(max(shares))
+        yield (
+            f"The largest error is in {name} on {flight}: {100 * relative:.0f} % of that channel's usual motion."
+            f" {100 * shares[largest]:.0f} % of its square is {THEIL_PARTS[largest]}."
+        )
+    for mode in fit.modes:
+        real, imaginary = mode.eigenvalue
+        if real is not None and real > 0.05 and (imaginary or 0.0) >= 0.0:
+            yield (
+                f"The mode '{mode.name}' is unstable (time to double {math.log(2) / real:.1f} s): expect a free run to"
+                " drift after a few doubling times."
+            )
+
+
+def _steps_of_responses(fit: FitRecord, traced: bool) -> Iterator[str]:
+    """For a multirotor, of which free runs tell nothing; traced : whether effects were looked for already."""
+    last = short_horizon(fit)[-1]
+    weak = [NAMES.get(name, name) for name, r2 in last.responses.items() if r2 < MOSTLY]
+    if weak:
+        look = (
+            "no effect of the library explains the rest; rotorid check tells what these channels can show"
+            if traced
+            else "look for motor lag, delay, voltage or rotor drag with rotorid close-loop, or name them with --effect"
+        )
+        yield f"Of {_listed(weak)} less than {100 * MOSTLY:.0f} % is explained on the {last.name} flights: {look}."
+    poor = dict.fromkeys(p.quantity for p in last.predictions if p.error > p.held)
+    if poor:
+        yield f"{_listed(list(poor))}: held values are nearer than the model's predictions. Do not use it for these."
+
+
+def at_an_edge(parameters: Iterable[ParameterRecord]) -> list[str]:
+    """Parameters on a bound of their range; nothing of something and a time too short to be seen are no such bounds."""
+    told = (p for p in parameters if p.at_bound and p.status != "nuisance")
+    return [p.name for p in told if not (p.value == p.bounds[0] == 0.0 or _unresolved(p))]
+
+
+def at_once(parameters: Iterable[ParameterRecord]) -> list[str]:
+    """Time constants that are shorter than the records resolve."""
+    return [p.name for p in parameters if p.at_bound and _unresolved(p)]
+
+
+def _unresolved(p: ParameterRecord) -> bool:
+    """Whether a time is no longer than the interval of the records that are fitted."""
+    return p.unit == "s" and p.value is not None and 0.0 < p.value <= RESOLVED_S
+
+
+def _steps_of_parameters(parameters: Iterable[ParameterRecord]) -> Iterator[str]:
+    parameters = list(parameters)
+    bound = at_an_edge(parameters)
+    if bound:
+        yield (
+            f"{_listed(bound)} at a bound: the value is the bound's, not the data's. Check the declared vehicle,"
+            " the units and the sign of the controls."
+        )
+    silent = [p.name for p in parameters if p.status == "not identifiable"]
+    if silent:
+        yield f"The data do not tell {_listed(silent)}: fly a manoeuvre that moves what it multiplies, or leave it out."
+    vague = [p.name for p in parameters if p.status == "free" and p.se and p.value is not None and p.se > abs(p.value)]
+    if vague:
+        yield f"{_listed(vague)} could as well be zero: the standard error is larger than the value."
+
+
+def _listed(parameters: list[str], shown: int = 4) -> str:
+    rest = f" and {len(parameters) - shown} more" if len(parameters) > shown else ""
+    return ", ".join(parameters[:shown]) + rest
+
+
+def _text(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"
+
+
+def _rms(values: Iterable[float | None]) -> float | None:
+    """Of values that are known; a flight without a sample that could be scored has none (NaN), as in the lists' J."""
+    known = [value for value in values if value is not None and not math.isnan(value)]
+    return math.sqrt(sum(v * v for v in known) / len(known)) if known else None

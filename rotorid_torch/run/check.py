@@ -1,0 +1,238 @@
+"""`rotorid check`: the examination of the records, joint sensor errors with standard errors, a verdict per channel."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from rotorid_torch.consistency.alignment import alignment
+from rotorid_torch.consistency.coherence import coherences
+from rotorid_torch.consistency.examination import check as records
+from rotorid_torch.consistency.examination.band import RESPONSES
+from rotorid_torch.consistency.examination.finding import Finding, finding
+from rotorid_torch.consistency.examination.grade import AxisGrade, Grade, graded, head
+from rotorid_torch.consistency.examination.needs import examinable
+from rotorid_torch.core import names
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.report.check_figures import draw_check
+from rotorid_torch.report.html import render
+from rotorid_torch.report.records import DatasetRecord, Report, encode_report, package_version
+from rotorid_torch.report.summary import GRADED
+from rotorid_torch.run.output.folder import run_folder
+from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
+from rotorid_torch.run.output.write import png
+from rotorid_torch.trace.kinematic_equations import UNITS
+from rotorid_torch.trace.kinematic_findings import KinematicFinding
+from rotorid_torch.trace.kinematic_fit import Setting
+from rotorid_torch.trace.kinematic_records import pieces
+from rotorid_torch.trace.kinematic_search import Search
+from rotorid_torch.trace.kinematic_selection import turn_of
+from rotorid_torch.trace.kinematics import kinematic_findings
+from rotorid_torch.trace.sensor_correction import without_errors
+
+GROSS = 300.0
+"""Power of what no sensor error explains over that of the noise, above which errors of sensors are not searched for."""
+RANK = {"error": 0, "warning": 1, "note": 2, "good": 3}
+VERDICTS = {"error": "not fit", "warning": "with care", "note": "good", "good": "good"}
+
+
+@dataclass(frozen=True)
+class ChannelVerdict:
+    """What to think of one channel or control.
+
+    verdict : "good", "with care" or "not fit". noise : standard deviation of a sample, rms : of its motion, both in
+    `unit`. band : in which it follows the controls, Hz; None where it nowhere does or is no response. reasons : the
+    heads of the sentences that speak of it.
+    """
+
+    channel: str
+    verdict: str
+    unit: str
+    noise: float
+    rms: float
+    band: tuple[float, float] | None
+    reasons: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Check:
+    """All findings on a data set, gravest first, and its grade; `fit` is false where it is not usable.
+
+    because : what stands against "ready". sentence : the grade in words. axes : the grade of each axis. channels : a
+    verdict for each. sensors : joint estimates of sensor errors from kinematics with their standard errors; empty where
+    the channels allow none.
+    """
+
+    dataset: str
+    grade: Grade
+    sentence: str
+    because: tuple[str, ...]
+    axes: tuple[AxisGrade, ...]
+    fit: bool
+    findings: tuple[Finding, ...]
+    channels: tuple[ChannelVerdict, ...]
+    sensors: tuple[KinematicFinding, ...]
+
+
+def check(dataset: Dataset) -> Check:
+    """Can a model be identified from it? Every record by itself, all against each other, and the controls."""
+    findings, sensors, verdicts = records.check(dataset).findings, (), ()
+    if examinable(dataset):
+        sensors, told = sensor_errors(dataset)
+        findings = tuple(sorted((*findings, *told), key=lambda found: RANK[found.severity]))
+        verdicts = _verdicts(dataset, findings)
+    whole = graded(dataset, findings)
+    return Check(
+        dataset=dataset.name,
+        grade=whole.grade,
+        sentence=whole.sentence,
+        because=whole.because,
+        axes=whole.axes,
+        fit=whole.grade != "not usable",
+        findings=findings,
+        channels=verdicts,
+        sensors=sensors,
+    )
+
+
+def sensor_errors(dataset: Dataset) -> tuple[tuple[KinematicFinding, ...], tuple[Finding, ...]]:
+    """Bias, scale, misalignment, lever arm, delay and filter, all at once, from exact kinematics; and what to say."""
+    level = _misfit(dataset)
+    if level is None:
+        return (), ()
+    if level > GROSS:
+        told = "kinematics disagree far beyond the noise in ways that no constant sensor error makes:"
+        more = "lags, scales and biases are told from pairs of channels only, not jointly."
+        return (), (finding("note", "", told, more),)
+    found = kinematic_findings(dataset).findings
+    named = [
+        f for f in found if f.verdict in ("accepted", "indistinguishable") and any(p.accepted for p in f.parameters)
+    ]
+    if not named:
+        visible = ", ".join(
+            f"{f.id.removeprefix('sensors.')} {f.smallest_visible[0]:.2g} {f.smallest_visible[1]}".removesuffix(" 1")
+            for f in found
+            if f.smallest_visible and math.isfinite(f.smallest_visible[0])
+        )
+        told = f"all channels together show no constant sensor error; from this size on it would show: {visible}."
+        return found, (finding("good", "", told),)
+    return found, tuple(_sentence(f) for f in named)
+
+
+def _sentence(found: KinematicFinding) -> Finding:
+    members = dict.fromkeys(c for p in found.parameters if p.accepted for c in _channels(p.name.split(".")[2]))
+    told = f"all channels together: {found.reason}."
+    advice = f"Correct the records, or let {found.id} be estimated by close-loop."
+    return finding("warning", " ".join(members), told, advice)
+
+
+def _channels(member: str) -> tuple[str, ...]:
+    """Channels of a sensor error's last name: a unit's, an IMU axis's, or the channel itself."""
+    return UNITS.get(member) or (() if member in ("x", "y", "z") else (member,))
+
+
+def _misfit(dataset: Dataset) -> float | None:
+    """Largest level of what all sensor errors together leave over, in powers of the noise; None without kinematics."""
+    by = alignment(dataset)
+    if by.clocks:
+        dataset = without_errors(dataset, {f"delay.{unit}": seconds for unit, seconds in by.clocks.items()})
+    cut = pieces(dataset)
+    if not cut:
+        return None
+    there = dict.fromkeys(channel for piece in cut for channel in piece.channels)
+    errors = [f"{kind}.{unit}" for kind in ("delay", "filter") for unit in UNITS if set(UNITS[unit]) & set(there)]
+    errors += [f"scale.{channel}" for channel in there if channel in names.CHANNELS]
+    if set(names.VELOCITIES) & {name for piece in cut for name in piece.equations}:
+        errors += [f"{kind}.{axis}" for kind in ("misalignment", "lever_arm") for axis in "xyz"]
+    search = Search(cut, Setting(dataset.vehicle.gravity, np.array(dataset.vehicle.imu or (0.0, 0.0, 0.0))))
+    search.measure(turn_of(by) if set(turn_of(by)) <= set(errors) else {}, errors)
+    return max((float(level.max()) for level in search.levels.values()), default=1.0)
+
+
+def _verdicts(dataset: Dataset, findings: tuple[Finding, ...]) -> tuple[ChannelVerdict, ...]:
+    bands = {c.channel: c.band for c in coherences(dataset, RESPONSES)}
+    order = [c for c in (*dataset.controls, *names.CHANNELS, *dataset.scales()) if c in dataset.scales()]
+    judged = [_verdict(dataset, channel, findings, bands.get(channel)) for channel in dict.fromkeys(order)]
+    left_out = [one for one in dataset.dead if one.everywhere]
+    reason = tuple(head(one.sentence) for one in left_out)
+    units = [names.unit(one.channel) for one in left_out]
+    judged += [
+        ChannelVerdict(one.channel, VERDICTS["error"], unit, 0.0, 0.0, None, (why,))
+        for one, unit, why in zip(left_out, units, reason, strict=True)
+    ]
+    return tuple(judged)
+
+
+def _verdict(
+    dataset: Dataset, channel: str, findings: tuple[Finding, ...], band: tuple[float, float] | None
+) -> ChannelVerdict:
+    about = [f for f in findings if channel in f.channel.split() and f.severity in ("error", "warning")]
+    worst = about[0].severity if about else "good"
+    unit = names.unit(channel)
+    if channel in dataset.controls:
+        unit = dataset.control_specs[channel].unit
+    reasons = tuple(dict.fromkeys(head(f.sentence) for f in about))
+    return ChannelVerdict(
+        channel, VERDICTS[worst], unit, dataset.noise(channel), dataset.scales()[channel], band, reasons
+    )
+
+
+def check_table(found: Check) -> Group:
+    """All findings, gravest first, and the verdict on each channel."""
+    title = Text(f"{found.dataset}: {found.sentence}")
+    table = Table("", "where", "finding")
+    for one in found.findings:
+        table.add_row(one.severity, _where(one), one.sentence)
+    channels = Table("channel", "verdict", "noise", "moves", "follows controls", "because", title="Channel by channel")
+    channels.title_justify = "left"
+    for one in found.channels:
+        band = f"{one.band[0]:.1g}-{one.band[1]:.2g} Hz" if one.band else ""
+        size = f"{one.noise:.2g}", f"{one.rms:.2g} {one.unit}".strip()
+        channels.add_row(one.channel, one.verdict, *size, band, "; ".join(one.reasons))
+    axes = [f"{one.axis} {one.grade}" for one in found.axes]
+    return Group(title, *([Text(", ".join(axes))] if axes else []), table, channels)
+
+
+def write_check(out: Path, dataset: Dataset, found: Check, seed: int, monitor: Monitor) -> None:
+    """Write a run: check.json holds everything, figures show it; errors and warnings become the report's warnings."""
+    grave = [one for one in found.findings if one.severity in ("error", "warning")]
+    with run_folder(out, "check") as folder, monitor.recording(folder):
+        for one in found.findings:
+            monitor.log(f"{one.severity}: {_told(one)}")
+        drawn = draw_check(dataset) if examinable(dataset) else {}
+        pictures = {name: png(figure) for name, figure in drawn.items()}
+        (folder / "figures").mkdir(exist_ok=True)
+        for name, content in pictures.items():
+            (folder / "figures" / f"{name}.png").write_bytes(content)
+            monitor.picture(name, content)
+        about = DatasetRecord(name=dataset.name, sha256=dataset.sha256)
+        report = Report(
+            command="check",
+            dataset=about,
+            seed=seed,
+            time_s=monitor.time_record(),
+            peak_memory_mb=peak_memory_mb(),
+            before=None,
+            warnings=(f"{GRADED}{found.sentence}", *(_told(one) for one in grave)),
+        )
+        head = {"format": 1, "rotorid": package_version(), "sha256": dataset.sha256}
+        whole = msgspec.json.encode(head | msgspec.to_builtins(found))
+        (folder / "check.json").write_bytes(msgspec.json.format(whole, indent=2))
+        (folder / "report.html").write_text(render(report, pictures), encoding="utf-8")
+        (folder / "report.json").write_bytes(encode_report(report))
+
+
+def _where(one: Finding) -> str:
+    return " ".join(part for part in (one.flight, one.channel) if part)
+
+
+def _told(one: Finding) -> str:
+    where = _where(one)
+    return f"{where}: {one.sentence}" if where else one.sentence

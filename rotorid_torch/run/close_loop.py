@@ -1,0 +1,342 @@
+"""Closing the loop: identify, trace what the model lacks, add it, identify again, before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+import msgspec
+from torch import Tensor
+
+from rotorid_torch.core.names import MOMENTS
+from rotorid_torch.core.ranks import ALONE, Ranks
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.one_rate import at_one_rate
+from rotorid_torch.data.velocities import with_velocities
+from rotorid_torch.effects.neural import NeuralForces
+from rotorid_torch.effects.registry import of_others
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.model.model import Model
+from rotorid_torch.model.modes import gust_response
+from rotorid_torch.model.nominal import build
+from rotorid_torch.report.figures import Overlay
+from rotorid_torch.report.records import EffectRecord, FitRecord, Report, VerdictRecord
+from rotorid_torch.report.short_horizon import short_horizon
+from rotorid_torch.report.summary import failing
+from rotorid_torch.run.estimate import estimated
+from rotorid_torch.run.fit_record import fit_record, judge
+from rotorid_torch.run.free_runs import best_of, free_run_gain, worse
+from rotorid_torch.run.loop_record import as_fitted, effect_record, of_sensors, unknown_record
+from rotorid_torch.run.output.checkpoint import Checkpoint, Steps
+from rotorid_torch.run.output.folder import run_folder
+from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
+from rotorid_torch.run.output.write import write_report
+from rotorid_torch.run.pipeline import identified, refuse, remarks_on
+from rotorid_torch.run.result import Run, write_model
+from rotorid_torch.trace.clean_aircraft import clean_draws
+from rotorid_torch.trace.clocks import sensor_findings
+from rotorid_torch.trace.decide import Row, decide
+from rotorid_torch.trace.finding import Finding
+from rotorid_torch.trace.fits import Fitted, Flights, refit
+from rotorid_torch.trace.loop import Tracing, trace
+from rotorid_torch.trace.multirotor import Identified, trace_rotors
+from rotorid_torch.trace.network import learn
+from rotorid_torch.trace.stochastic import TURBULENCE, stochastic_findings
+from rotorid_torch.trace.verdict import statement
+from rotorid_torch.trace.words import reason
+
+
+@dataclass(frozen=True, eq=False)
+class Loop(Run):
+    """A run whose loop was closed: model and fit are those after, or where nothing was added, those before."""
+
+    tracing: Tracing | None = None
+    earlier: tuple[Overlay, ...] = field(default=(), repr=False)
+
+    def write(self, folder: Path, monitor: Monitor | None = None) -> None:
+        """Write everything but log and TensorBoard records into an open run folder."""
+        write_model(self, folder)
+        write_report(folder, self.record, self.overlays, monitor, self.earlier)
+
+    @property
+    def before(self) -> FitRecord | None:
+        """The best model without what was traced."""
+        return self.record.before
+
+    @property
+    def after(self) -> FitRecord | None:
+        """With what was traced; None where nothing was."""
+        return self.record.after
+
+    @property
+    def verdict(self) -> VerdictRecord | None:
+        """The one statement about undeclared effects."""
+        return self.record.verdict
+
+    @property
+    def effects(self) -> tuple[EffectRecord, ...]:
+        """What was found about every effect."""
+        return self.record.effects
+
+
+def close_loop(
+    dataset: Dataset,
+    *,
+    out: str | Path | None = None,
+    hybrid: bool = False,
+    seed: int = 0,
+    device: str = "cpu",
+    monitor: Monitor | None = None,
+    ranks: Ranks = ALONE,
+) -> Loop:
+    """Identify, find what the model cannot explain, trace it to named effects, add them, identify again.
+
+    Parameters
+    ----------
+    out : folder of the run; an earlier RUN there is replaced when the new one is whole.
+    hybrid : let a small network learn what no named effect explains; it stays where unseen flights gain by it.
+    seed : of the drawn clean aircraft and the shuffled residuals.
+    ranks : processes that share the work, each of which calls this; the first one alone writes.
+
+    Raises
+    ------
+    InputError, LostRank : as `identify`.
+    """
+    monitor = monitor or Monitor()
+    refuse(dataset, of_others(), device)
+    ranks.refuse_more_than(len(dataset.identify))
+    with ExitStack() as stack:
+        folder = None
+        if out is not None and ranks.first:
+            folder = stack.enter_context(run_folder(out, "close-loop"))
+            stack.enter_context(monitor.recording(folder))
+        run = _closed(dataset, seed, Steps(monitor, ranks, Checkpoint(), device), hybrid)
+        if folder is not None:
+            run.write(folder, monitor)
+    return run
+
+
+def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
+    """Sensors against each other first, then what acts on the vehicle, on records without the sensors' errors."""
+    monitor = steps.monitor
+    first = identified(dataset, (), seed, steps)
+    recorded, dataset = at_one_rate(dataset), with_velocities(dataset)
+    with monitor.step("trace"):
+        sensors = sensor_findings(recorded)
+    right = with_velocities(sensors.corrected(recorded)) if sensors.effects else at_one_rate(dataset)
+    for name, value in sensors.values.items():
+        monitor.say(f"sensors: {name} = {value:.4g}")
+    base = identified(right, (), seed, steps) if sensors.effects else first
+    flights = Flights(right, base.reconstruction)
+    with monitor.step("trace"):
+        tracing = (_rotors_traced if base.spec.motors else _traced)(base, flights, seed, steps)
+        shaken = stochastic_findings(right, base.spec, gust_response(base.model))
+    tracing = _in_gusts(tracing, shaken)
+    again = partial(_again, dataset=dataset, steps=steps)
+    wrong = partial(again, first, seen=at_one_rate(dataset), sensors={})
+    rerun = partial(again, base, seen=right, sensors=sensors.values)
+    before, after, tracing = _before_and_after(first, tracing, bool(sensors.effects), wrong, rerun)
+    stays = after is not None and set(tracing.structure) <= set(after.spec.effects)
+    traced = tracing.findings if stays else _dropped(tracing)
+    findings = [*map(of_sensors, sensors.findings), *_replaced(traced, shaken)]
+    if hybrid:
+        spec = tracing.final.spec if stays else tracing.final.spec.without(tracing.structure)
+        held = base.regressions.held
+        refitted = partial(refit, spec, flights, tracing.final.values, held)
+        richer, learnt = _with_network(spec, refitted, held, after or before, rerun, seed, monitor)
+        findings.append(learnt)
+        after = richer or after
+    if after is not None:
+        after = replace(after, fit=_with_spread(after.fit, tracing.spread))
+    return _loop(before, after, findings, monitor, tracing)
+
+
+def _in_gusts(tracing: Tracing, shaken: Sequence[Finding]) -> Tracing:
+    """The tracing without what has no name where gusts are left over too: clean aircraft fly in none."""
+    rough = any(f.id == TURBULENCE and f.verdict == "accepted" for f in shaken)
+    return replace(tracing, unknown=None) if rough else tracing
+
+
+def _before_and_after(
+    first: Run, tracing: Tracing, sensors: bool, wrong: Callable[..., Run], right: Callable[..., Run]
+) -> tuple[Run, Run | None, Tracing]:
+    """The best run without what was traced, that with it or none where nothing stays, and the tracing that stands.
+
+    first : the nominal model. sensors : whether sensors err. wrong, right : the three steps again for a spec from
+    values, on records as they are and on those without the sensors' errors. Structure stays where free runs of unseen
+    flights are better with it; beside a named effect unless they are clearly worse, for its size takes up what
+    structure explains. A multirotor's free runs decide nothing.
+    """
+
+    def shapes(spec: ModelSpec, values: Mapping[str, float]) -> list[Run]:
+        """On right records, with the structure that was traced, and without."""
+        both = [spec, *([spec.without(tracing.structure)] if tracing.structure else [])]
+        return [right(shape, values) for shape in both]
+
+    final, null = tracing.final, tracing.null
+    plain = best_of([first, wrong(null.spec, null.values)]) if tracing.structure else first
+    if tracing.accepted:
+        whole, *bare = shapes(final.spec, final.values)
+        if first.spec.motors:
+            return plain, whole, tracing
+        after = next((run for run in bare if worse(run, whole)), whole)
+        without = best_of(shapes(null.spec, null.values)) if sensors else plain
+        if not worse(without, after):
+            return plain, after, tracing
+        tracing = _suspected(tracing, free_run_gain(without, after))
+    if sensors:
+        return plain, best_of(shapes(null.spec, null.values)), tracing
+    return first, None if plain is first else plain, tracing
+
+
+def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
+    """By trajectories over segments, p by clean aircraft."""
+    say, ranks = steps.monitor.say, steps.ranks
+    return trace(
+        base.spec,
+        base.model.named_values,
+        base.regressions.held,
+        flights,
+        lambda null, effects, observed: clean_draws(flights.dataset, null, effects, observed, seed, say, ranks),
+        say,
+        seed,
+        ranks,
+    )
+
+
+def _rotors_traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
+    """By accelerations at measured states, each candidate identified in full."""
+    quiet = Steps(Monitor(), ALONE, Checkpoint())
+    told = [f"rotors.{kind}.{row}" for kind in ("power", "trim") for row in MOMENTS]
+    free, values = ({n: v for n, v in known.items() if n not in told} for known in (base.spec.free, base.spec.values))
+
+    def fit(spec: ModelSpec) -> Identified:
+        _, model, _, found = estimated(spec, flights.dataset, flights.reconstruction, quiet)
+        errors = dict(zip(found.names, found.fit.errors.tolist(), strict=True))
+        return Identified(spec, model, errors)
+
+    # what step 2 could not tell without an effect may be told with it
+    untold = msgspec.structs.replace(base.spec, free=free, values=values)
+    return trace_rotors(untold, flights.dataset, fit, steps.monitor.say, seed, steps.ranks)
+
+
+def _with_network(
+    spec: ModelSpec,
+    refitted: Callable[[], Fitted],
+    held: Sequence[str],
+    best: Run,
+    rerun: Callable[..., Run],
+    seed: int,
+    monitor: Monitor,
+) -> tuple[Run | None, Finding]:
+    """The run with a network beside what was traced, and what is told of it; None where it does not stay."""
+    why = NeuralForces.untestable(spec)
+    if why is not None:
+        return None, Finding(NeuralForces.id, "learnt", "not testable", why)
+    with monitor.step("trace"):
+        learnt = learn(refitted(), held, seed, monitor.say)
+    found = learnt.finding()
+    if found.verdict != "accepted":
+        return None, found
+    run = rerun(learnt.fitted.spec, learnt.fitted.values)
+    if best_of([best, run]) is run:
+        return run, found
+    said = "segments of flights that no fit has seen are better described by it, their free runs are not"
+    return None, replace(found, verdict="rejected", reason=said)
+
+
+def _suspected(tracing: Tracing, runs: Tensor) -> Tracing:
+    """The tracing without its names, for free runs are worse with them, by log ratios of J [F]."""
+    verdict, why = decide(Row(runs_worse=True))
+    said = reason(why, worse=int((runs < 0.0).sum()), count=len(runs))
+    findings = (replace(f, verdict=verdict, reason=said) if f.id in tracing.accepted else f for f in tracing.findings)
+    return replace(tracing, final=tracing.null, accepted=(), groups={}, findings=tuple(findings))
+
+
+def _dropped(tracing: Tracing) -> list[Finding]:
+    """Findings where the structure that was traced beside other effects does not stay in the model."""
+    than = "clearly worse with it" if tracing.accepted else "no better by it"
+    said = f"it describes the motion that was fitted, but free runs of flights that no fit has seen are {than}"
+    return _rejected(tracing.findings, tracing.structure, said)
+
+
+def _rejected(findings: Sequence[Finding], effects: Collection[str], said: str) -> list[Finding]:
+    """The findings, those of some effects rejected with a reason."""
+    return [replace(f, verdict="rejected", reason=said, group=()) if f.id in effects else f for f in findings]
+
+
+def _replaced(findings: Sequence[Finding], others: Sequence[Finding]) -> list[Finding]:
+    """Findings with those of the same ids replaced."""
+    ids = {f.id for f in others}
+    return [*(f for f in findings if f.id not in ids), *others]
+
+
+def _again(
+    base: Run,
+    spec: ModelSpec,
+    values: Mapping[str, float],
+    dataset: Dataset,
+    seen: Dataset,
+    steps: Steps,
+    sensors: Mapping[str, float],
+) -> Run:
+    """The steps again for a traced model, from its traced parameters; sensor errors act on the output that is judged.
+
+    dataset : judged, as recorded. seen : what the steps run on, free of the errors `sensors` that kinematics found.
+    """
+    traced = {n: v for n, v in values.items() if any(n.startswith(f"{e}.") for e in spec.effects)}
+    spec, model, regressions, found = estimated(
+        msgspec.structs.replace(spec, values=traced), seen, base.reconstruction, steps
+    )
+    if sensors:
+        spec, model = _with_sensors(spec, model, sensors)
+    with steps.monitor.step("validate"):
+        judged = judge(model, dataset, steps.ranks)
+    fit = fit_record(model, spec, found, judged)
+    told = remarks_on(seen, spec, fit, base.reconstruction, regressions, found)
+    record = msgspec.structs.replace(base.record, warnings=tuple(told))
+    return Run(model, spec, fit, record, base.reconstruction, regressions, found, judged.overlays)
+
+
+def _with_spread(fit: FitRecord, spread: Mapping[str, float]) -> FitRecord:
+    """The fit with standard errors no smaller than the scatter of a parameter over flights and controls."""
+    parameters = tuple(
+        msgspec.structs.replace(p, se=max(p.se or 0.0, spread[p.name])) if p.name in spread else p
+        for p in fit.parameters
+    )
+    return msgspec.structs.replace(fit, parameters=parameters)
+
+
+def _with_sensors(spec: ModelSpec, model: Model, sensors: Mapping[str, float]) -> tuple[ModelSpec, Model]:
+    """The model with the sensors' errors on its outputs."""
+    effects = dict.fromkeys(".".join(n.split(".")[:2]) for n in sensors)
+    richer = msgspec.structs.replace(spec, effects=(*spec.effects, *effects), values={**spec.values, **sensors})
+    sensing = build(richer)
+    sensing.start_from(model.named_values)
+    return richer, sensing
+
+
+def _loop(before: Run, after: Run | None, findings: Sequence[Finding], monitor: Monitor, tracing: Tracing) -> Loop:
+    run = after or before
+    missing, poor = tracing.unknown, failing(run.fit)
+    if missing is not None and not missing.judged and (not poor or short_horizon(run.fit)):
+        missing = None  # any model of other people's aircraft lacks something
+    told = statement([as_fitted(f, run) for f in findings], missing, poor)
+    record = Report(
+        command="close-loop",
+        dataset=run.record.dataset,
+        seed=run.record.seed,
+        time_s=monitor.time_record(),
+        peak_memory_mb=peak_memory_mb(),
+        before=before.fit,
+        after=None if after is None else after.fit,
+        verdict=VerdictRecord(kind=told.kind, effects=told.effects, sentence=told.sentence),
+        effects=tuple(effect_record(f, run.model, run) for f in findings),
+        unknown=None if missing is None else unknown_record(missing),
+        warnings=(*run.record.warnings, *tracing.notes),
+    )
+    fields = {name: getattr(run, name) for name in Run.__dataclass_fields__}
+    return Loop(**{**fields, "record": record}, tracing=tracing, earlier=before.overlays if after else ())

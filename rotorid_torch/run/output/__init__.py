@@ -1,0 +1,5 @@
+"""The folder of a run: whole or absent.
+
+`folder` (written beside its place, renamed when complete), `checkpoint` (finished steps, for a run that goes on),
+`monitor` with `board` (console, log.txt, TensorBoard), `write` (report and pictures).
+"""

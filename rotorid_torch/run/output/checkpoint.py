@@ -1,0 +1,249 @@
+"""What a run has finished, kept beside its place, so that a run that was killed goes on from its last finished step.
+
+While a run to NAME works, `.NAME.checkpoint` holds `key.json` (data set, settings, version) and one file per finished
+step, in a form that runs no code when it is read. It goes when the run is whole.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import io
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.atomic import Unwritable, locked, reason, remove, writing
+from rotorid_torch.core.large import give_back
+from rotorid_torch.core.native.fallback import say_once
+from rotorid_torch.core.paths import absolute, refuse_foreign
+from rotorid_torch.core.ranks import Ranks
+from rotorid_torch.core.sealed import Damaged, read_sealed, write_sealed
+from rotorid_torch.data.on_demand import OnDemand
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.errors import InputError
+from rotorid_torch.identification.force_noise import ForceNoise
+from rotorid_torch.identification.ftr import Regression
+from rotorid_torch.identification.gauss_newton import Linear, Minimum
+from rotorid_torch.identification.likelihood import Place
+from rotorid_torch.identification.reconstruct import ReconstructedFlight, Reconstruction
+from rotorid_torch.identification.stages import Estimate
+from rotorid_torch.identification.step2 import Step2
+from rotorid_torch.identification.step3 import Step3
+from rotorid_torch.identification.uncertainty import Uncertainty
+from rotorid_torch.identification.whitening import Moments
+from rotorid_torch.run.output.folder import refuse_unless_free
+from rotorid_torch.run.output.monitor import Monitor
+
+Result = TypeVar("Result")
+
+KINDS = {
+    kind.__name__: kind
+    for kind in (
+        *(ForceNoise, ReconstructedFlight),
+        *(Regression, Step2),
+        *(Moments, Place, Minimum, Uncertainty, Estimate, Step3),
+    )
+}
+"""Results that a file may hold, by the name that stands for them in it."""
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """Files of finished steps; without a folder nothing is kept."""
+
+    folder: Path | None = None
+
+    def read(self, name: str) -> Any:
+        """Result of a step; None where it has not been finished, or its file did not reach the disk whole."""
+        if self.folder is None:
+            return None
+        try:
+            content = read_sealed(self.folder / f"{name}.pt", name)
+        except FileNotFoundError:
+            return None
+        except (OSError, Damaged) as error:
+            told = reason(error) if isinstance(error, OSError) else error
+            say_once(f"{self.folder}: the file of a finished step {told}; the step is done once more")
+            return None
+        return _made(torch.load(io.BytesIO(content), weights_only=True))
+
+    def write(self, name: str, result: object, say: Callable[[str], None]) -> bool:
+        """Keep the result of a step; the file is whole or absent. Where it cannot be written, `say` gets a line."""
+        if self.folder is None:
+            return False
+        buffer = io.BytesIO()
+        torch.save(_plain(result), buffer)
+        try:
+            write_sealed(self.folder / f"{name}.pt", name, buffer.getvalue())
+        except OSError as error:
+            told = f"{self.folder} cannot be written to ({reason(error)})"
+            say(f"{told}; a later --resume will repeat what is not kept")
+            return False
+        return True
+
+
+@contextmanager
+def checkpoint(out: str | Path, key: Mapping[str, str], *, resume: bool, keep: bool) -> Iterator[Checkpoint]:
+    """The checkpoint of a run to `out`, new or (with `resume`) that of an interrupted run; removed when the block ends.
+
+    Parameters
+    ----------
+    key : what the results depend on, by words for people.
+    keep : leave it where the block ends by an exception other than bad input; a kill leaves it in any case.
+
+    Raises
+    ------
+    InputError : `resume`, and the interrupted run had another key, or a run works there now.
+    """
+    refuse_unless_free(out, "identify")
+    place = absolute(out)
+    folder = place.with_name(f".{place.name}.checkpoint")
+    with writing(folder), locked(place.parent):
+        lock = _taken(folder)
+        if lock is not None:
+            try:
+                _prepare(folder, key, out, resume)
+            except BaseException as error:
+                if not (resume or isinstance(error, InputError)):
+                    remove(folder)
+                os.close(lock)
+                raise
+    if lock is None:
+        if resume:
+            raise InputError(out, "--resume", "another run is writing there now", "to wait until it has ended")
+        yield Checkpoint()
+        return
+    left = False
+    try:
+        yield Checkpoint(folder)
+    except Unwritable:
+        left = keep
+        raise
+    except InputError:
+        raise
+    except BaseException:
+        left = keep
+        raise
+    finally:
+        if not left:
+            remove(folder)
+        os.close(lock)
+
+
+def _taken(folder: Path) -> int | None:
+    """The lock of the folder, made where it is missing; None where another process holds it."""
+    folder.mkdir(exist_ok=True)
+    lock = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(lock)
+        return None
+    return lock
+
+
+def _prepare(folder: Path, key: Mapping[str, str], out: str | Path, resume: bool) -> None:
+    """Empty the folder, or with `resume` see that it belongs to the same run; write the key."""
+    file = folder / "key.json"
+    found: dict[str, str] = {}
+    with suppress(OSError, ValueError):
+        found = json.loads(file.read_text(encoding="utf-8"))
+    differing = [word for word in key if found and found.get(word) != key[word]]
+    if resume and differing:
+        word = differing[0]
+        wrong = f"the interrupted run has another {word} ({found.get(word)})"
+        raise InputError(out, "--resume", wrong, f"{key[word]}, or no --resume to begin anew")
+    if not (resume and found):
+        refuse_foreign(folder, ("key.json", "*.pt", "*.partial"), "an interrupted run")
+        for leftover in folder.iterdir():
+            leftover.unlink()
+        file.write_text(json.dumps(dict(key)), encoding="utf-8")
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Does the steps of a run, or takes them from the interrupted one; the first rank reads and writes."""
+
+    monitor: Monitor
+    ranks: Ranks
+    kept: Checkpoint
+    device: str = "cpu"
+
+    def do(self, step: str, name: str, make: Callable[[], Result]) -> Result:
+        """The result kept under `name`, or made now, timed as `step`, and kept."""
+        found = self._known(step, name)
+        if found is None:
+            with self.monitor.step(step):
+                found = make()
+            give_back()
+            self.kept.write(name, found, self.monitor.say)
+        return found
+
+    def reconstruct(self, names: tuple[str, ...], make: Callable[[], Reconstruction]) -> Reconstruction:
+        """The same for step 1 on these flights, which lie in files of their own."""
+        found = self._known("reconstruct", "reconstruct")
+        if found is not None:
+            flights = OnDemand[ReconstructedFlight](names, costly=True)
+            for name in names:
+                flights.keep(name, self.ranks.from_first(self.kept.read(f"reconstruct-{name}")))
+            return Reconstruction(**{**found, "flights": flights})
+        with self.monitor.step("reconstruct"):
+            made = make()
+            give_back()
+            if self.kept.folder is not None and all(
+                self.kept.write(f"reconstruct-{name}", made.flights[name], self.monitor.say) for name in names
+            ):
+                whole = {**vars(made), "flights": {}}  # it says that all flights are there
+                self.kept.write("reconstruct", whole, self.monitor.say)
+        return made
+
+    def _known(self, step: str, name: str) -> Any:
+        found = self.ranks.from_first(self.kept.read(name))
+        if found is not None:
+            self.monitor.say(f"{step}: taken from the interrupted run")
+        return found
+
+
+def _plain(value: Any) -> Any:
+    """A result as tensors, numbers, words, lists and dicts; a dict of ours is marked by the key "is"."""
+    if isinstance(value, Tensor):
+        return value.detach().clone()
+    if isinstance(value, np.ndarray):
+        return {"is": "array", "values": torch.from_numpy(value.copy())}
+    if isinstance(value, ModelSpec):
+        return {"is": "ModelSpec", "plain": value.plain()}
+    if isinstance(value, Linear):
+        return {"is": "Linear", "values": [_plain(item) for item in value]}
+    if is_dataclass(value):
+        return {"is": type(value).__name__, **{f.name: _plain(getattr(value, f.name)) for f in fields(value)}}
+    if isinstance(value, Mapping):
+        return {"is": "dict", "keys": list(value), "values": [_plain(item) for item in value.values()]}
+    if isinstance(value, list | tuple):
+        return type(value)(_plain(item) for item in value)
+    return value
+
+
+def _made(plain: Any) -> Any:
+    """The result again."""
+    if isinstance(plain, list | tuple):
+        return type(plain)(_made(item) for item in plain)
+    if not isinstance(plain, dict):
+        return plain
+    kind = plain["is"]
+    if kind == "array":
+        return plain["values"].numpy()
+    if kind == "ModelSpec":
+        return ModelSpec.from_plain(plain["plain"])
+    if kind == "Linear":
+        return Linear(*map(_made, plain["values"]))
+    if kind == "dict":
+        return dict(zip(plain["keys"], map(_made, plain["values"]), strict=True))
+    return KINDS[kind](**{name: _made(item) for name, item in plain.items() if name != "is"})

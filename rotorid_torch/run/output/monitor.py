@@ -1,0 +1,137 @@
+"""What a long command tells while it works: progress on the console, scalars and overlays for TensorBoard, log.txt.
+
+A Monitor without a console and without a folder tells nothing; steps call it all the same.
+"""
+
+from __future__ import annotations
+
+import re
+import resource
+import sys
+import time
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+from rotorid_torch.printable import printable
+from rotorid_torch.report.records import TimeRecord
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from rotorid_torch.run.output.board import Board
+
+
+class Monitor:
+    """Progress, scalars, figures, a log and the clock of a run.
+
+    Parameters
+    ----------
+    console : where people read; None tells nobody (`--quiet`, `--json`, and the Python surface).
+    """
+
+    def __init__(self, console: Console | None = None) -> None:
+        self.console = console
+        self.seconds: dict[str, float] = {}
+        self._start = time.perf_counter()
+        self._log: TextIO | None = None
+        self._board: Board | None = None
+        self._progress: Progress | None = None
+
+    @contextmanager
+    def recording(self, folder: Path) -> Iterator[None]:
+        """Write `folder`/log.txt and `folder`/tensorboard until the block ends; Python's warnings go to the log."""
+        with ExitStack() as stack:
+            self._log = stack.enter_context((folder / "log.txt").open("w", encoding="utf-8"))
+            stack.enter_context(warnings.catch_warnings())
+            warnings.showwarning = self._warning
+            from rotorid_torch.run.output.board import Board
+
+            self._board = stack.enter_context(closing(Board(folder / "tensorboard")))
+            try:
+                yield
+            finally:
+                self._log, self._board = None, None
+
+    @contextmanager
+    def step(self, name: str) -> Iterator[None]:
+        """Time a step under `name` (`reconstruct`, `ftr`, `ml`, `trace`) and show its progress."""
+        begin = time.perf_counter()
+        try:
+            with self._bar(name):
+                yield
+        finally:
+            spent = time.perf_counter() - begin
+            self.seconds[name] = self.seconds.get(name, 0.0) + spent
+        self.say(f"{name}: {spent:.1f} s")
+
+    def progress(self, done: int, total: int) -> None:
+        """Show that `done` of `total` parts of the present step are done."""
+        if self._progress:
+            self._progress.update(self._progress.task_ids[0], completed=done, total=total)
+
+    def say(self, text: str) -> None:
+        """Tell one line to the console and the log."""
+        self.log(text)
+        if self.console:
+            self.console.print(text)
+
+    def log(self, text: str) -> None:
+        """Tell one line to the log only."""
+        if self._log:
+            self._log.write(f"{time.perf_counter() - self._start:9.2f} s  {printable(text, layout=False)}\n")
+            self._log.flush()
+
+    def scalars(self, values: Mapping[str, float], iteration: int) -> None:
+        """Record numbers of one iteration, by name (`ml/cost`)."""
+        if self._board:
+            self._board.scalars(values, iteration)
+        self.log(f"{iteration}: " + ", ".join(f"{name} {value:.6g}" for name, value in values.items()))
+
+    def picture(self, name: str, png: bytes, iteration: int = 0) -> None:
+        """Record a picture for TensorBoard, as it is."""
+        if self._board:
+            self._board.picture(name, png, iteration)
+
+    def time_record(self) -> TimeRecord:
+        """Seconds per step so far, and in all since the monitor was made."""
+        known = {name: self.seconds[name] for name in TimeRecord.__struct_fields__ if name in self.seconds}
+        return TimeRecord(**known, total=time.perf_counter() - self._start)
+
+    @contextmanager
+    def _bar(self, name: str) -> Iterator[None]:
+        if self.console is None or not self.console.is_terminal:
+            yield
+            return
+        from rich.progress import Progress
+
+        with Progress(console=self.console, transient=True) as self._progress:
+            self._progress.add_task(name, total=None)
+            try:
+                yield
+            finally:
+                self._progress = None
+
+    def _warning(
+        self,
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        self.log(f"{category.__name__} at {filename}:{lineno}: {message}")
+
+
+def peak_memory_mb() -> float:
+    """Largest resident memory of this process so far, MB; not that of the program that started it, as Linux counts."""
+    status = Path("/proc/self/status")
+    told = re.search(r"^VmHWM:\s+(\d+) kB", status.read_text(), re.MULTILINE) if status.exists() else None
+    if told:
+        return int(told[1]) / 1024
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 1024**2 if sys.platform == "darwin" else peak / 1024

@@ -1,0 +1,88 @@
+"""An identified model with all that is said of it, and its way into a folder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.identification.reconstruct import Reconstruction
+from rotorid_torch.identification.step2 import Step2
+from rotorid_torch.identification.step3 import Step3
+from rotorid_torch.model.model import Model
+from rotorid_torch.model.save import save as save_model
+from rotorid_torch.report.figures import draw
+from rotorid_torch.report.records import FitRecord, ParameterRecord, Report
+from rotorid_torch.run.output.folder import run_folder
+from rotorid_torch.run.output.monitor import Monitor
+from rotorid_torch.run.output.write import write_report
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from rotorid_torch.report.figures import Overlay
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """An identified model with everything that is known about it.
+
+    model : the fitted module. fit : parameters, modes and scores. warnings : sentences for people.
+    """
+
+    model: Model
+    spec: ModelSpec
+    fit: FitRecord
+    record: Report
+    reconstruction: Reconstruction
+    regressions: Step2
+    estimate: Step3
+    overlays: tuple[Overlay, ...] = field(repr=False)
+
+    @property
+    def scores(self) -> dict[str, float | None]:
+        """J over the lists of flights: identify, validate, acid."""
+        totals = self.fit.scores
+        return {"identify": totals.identify, "validate": totals.validate, "acid": totals.acid}
+
+    @property
+    def parameters(self) -> tuple[ParameterRecord, ...]:
+        """Every parameter with its standard error, unit, bounds and status."""
+        return self.fit.parameters
+
+    def table(self) -> str:
+        """The parameters as text, one a line."""
+        errors = torch.tensor([p.se if p.se is not None else torch.nan for p in self.fit.parameters])
+        return self.model.parameter_set.table(self.model.theta, errors)
+
+    def plot(self) -> dict[str, Figure]:
+        """The report's pictures as matplotlib figures, by name."""
+        return draw(self.overlays, self.fit)
+
+    def report(self, path: str | Path) -> Path:
+        """Write the RUN (report, pictures, model, reconstruction) to a folder; InputError where it is not free."""
+        with run_folder(path, self.record.command) as folder:
+            self.write(folder)
+        return Path(path)
+
+    def write(self, folder: Path, monitor: Monitor | None = None) -> None:
+        """Write everything but log and TensorBoard records into an open run folder."""
+        write_model(self, folder)
+        write_report(folder, self.record, self.overlays, monitor)
+
+
+def write_model(run: Run, folder: Path) -> None:
+    """Reconstruction and model.pt of a run."""
+    write_reconstruction(run.reconstruction, folder)
+    save_model(run.model, run.spec, folder / "model.pt")
+
+
+def write_reconstruction(found: Reconstruction, folder: Path) -> None:
+    """Motion and forces of every flight as step 1 found them, NAME.npz each."""
+    (folder / "reconstruct").mkdir(exist_ok=True)
+    for name in found.flights:
+        np.savez(folder / "reconstruct" / f"{name}.npz", **found.arrays(name))  # pyright: ignore[reportArgumentType]

@@ -1,0 +1,206 @@
+"""The page and the pictures: everything inside, nothing fetched, and words that follow from the numbers."""
+
+from __future__ import annotations
+
+import io
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+
+from rotorid_torch.report import figures, records, summary
+from rotorid_torch.report.figures import Overlay
+from rotorid_torch.report.html import motion_of_mode, render
+from rotorid_torch.report.scorecard import scorecard
+from rotorid_torch.run.output.write import write_report
+
+VOID = {"meta", "img", "br"}
+
+
+class Page(HTMLParser):
+    """Collects references and checks that every tag is closed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.references: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in VOID:
+            self.open.append(tag)
+        self.references += [value or "" for name, value in attrs if name in ("src", "href", "srcset", "action")]
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory, report: records.Report, overlays: list[Overlay]) -> Path:
+    folder = tmp_path_factory.mktemp("run")
+    write_report(folder, report, overlays)
+    return folder
+
+
+@pytest.fixture
+def page(run: Path) -> str:
+    return (run / "report.html").read_text(encoding="utf-8")
+
+
+def test_page_refers_to_nothing_outside_itself(page: str):
+    parsed = Page()
+    parsed.feed(page)
+    assert parsed.open == []
+    assert parsed.references
+    assert all(reference.startswith("data:image/png;base64,") for reference in parsed.references)
+    assert not re.search(r"https?:|@import|url\(|<script|<link", page)
+
+
+def test_page_shows_scorecard_first_and_escapes_names(page: str):
+    assert "&lt;uh60&gt; &amp; hover" in page
+    order = [page.index(heading) for heading in ("Scorecard", "What to do next", "Warnings", "Parameters", "Modes")]
+    assert order == sorted(order)
+    assert "the flight f2 has no height" in page
+    assert "forces.L.p" in page
+    assert "bias.p.f1" not in page
+    assert 'name="viewport"' in page
+
+
+def test_papers_figures_are_written(run: Path):
+    names = sorted(file.stem for file in (run / "figures").iterdir())
+    assert names == [
+        "attitude_sweep",
+        "figure5_flapping",
+        "figure7_velocities_sweep",
+        "figure8_rates_sweep",
+        "figure9_rotor_sweep",
+        "residual",
+        "scores",
+    ]
+    assert all(file.read_bytes().startswith(b"\x89PNG") for file in (run / "figures").iterdir())
+
+
+def test_a_vehicle_without_velocity_and_flapping_gets_what_it_has(fit: records.FitRecord, overlays: list[Overlay]):
+    overlay = overlays[-1]
+    rates_only = Overlay("x", "acid", overlay.time, {"p": overlay.measured["p"]}, {"p": overlay.model["p"]})
+    assert sorted(figures.draw([rates_only], fit)) == ["figure8_rates_x", "residual", "scores"]
+
+
+def test_a_run_without_a_fit_still_has_a_page(report: records.Report):
+    assert "No model was fitted" in render(msgspec.structs.replace(report, before=None), {})
+
+
+def test_a_page_of_close_loop_shows_before_and_after(report: records.Report, fit: records.FitRecord):
+    effect = records.EffectRecord(id="control.delay", role="undeclared", verdict="accepted", reason="gain above floor")
+    verdict = records.VerdictRecord(kind="undeclared", effects=("control.delay",), sentence="The controls are late.")
+    page = render(msgspec.structs.replace(report, after=fit, effects=(effect,), verdict=verdict), {})
+    assert page.index("The controls are late.") < page.index("Scorecard")
+    assert "Before" in page
+    assert "Parameters (after)" in page
+
+
+def with_list(fit: records.FitRecord, J: float) -> records.FitRecord:
+    scores = msgspec.structs.replace(fit.scores, acid=J, validate=J)
+    return msgspec.structs.replace(fit, scores=scores)
+
+
+@pytest.mark.parametrize(
+    ("J", "word"), [(0.06, "100 %"), (0.12, "very good"), (0.3, "good"), (0.5, "usable"), (0.9, "poor"), (7.0, "worse")]
+)
+def test_headline_grades_the_flights_not_seen(report: records.Report, fit: records.FitRecord, J: float, word: str):
+    assert word in summary.headline(msgspec.structs.replace(report, before=with_list(fit, J)))
+
+
+@pytest.mark.parametrize(
+    ("J", "said"),
+    [
+        (0.1, ""),
+        (0.5, ""),
+        (0.8, "on the validate flights the model is good for 36 % of the motion alone"),
+        (1.5, "on the validate flights the model is worse than holding trim"),
+    ],
+)
+def test_a_model_that_is_of_no_use_on_unseen_flights_is_told(fit: records.FitRecord, J: float, said: str):
+    assert summary.failing(with_list(fit, J)) == said
+
+
+@given(J=st.dictionaries(st.sampled_from(records.LISTS), st.floats(0.05, 30.0), min_size=1))
+def test_every_model_that_is_worse_than_trim_is_told_by_the_list_that_decides(J: dict[str, float]):
+    """Of lists whose noise alone scores 0.05, and held trim 1."""
+    windows = records.WindowsRecord(median=None, p10=None, p90=None)
+    flights = {
+        name: records.FlightRecord(list=name, J=value, J_noise=0.05, J_trim=1.0, windows=windows, channels={})
+        for name, value in J.items()
+    }
+    scores = records.ScoresRecord(**{name: J.get(name) for name in records.LISTS})
+    made = records.FitRecord(parameters=(), modes=(), flights=flights, scores=scores)
+    decides = next(name for name in ("validate", "acid", "identify") if name in J)
+    said, explained = summary.failing(made), 1.0 - (J[decides] ** 2 - 0.05**2) / (1.0 - 0.05**2)
+    assert bool(said) == (explained < summary.USABLE)
+    assert said == "" or said.startswith(f"on the {decides} flights")
+    assert ("worse than holding trim" in said) == (explained < 0.0)
+
+
+def test_next_steps_name_what_is_wrong(report: records.Report, fit: records.FitRecord):
+    steps = "\n".join(summary.next_steps(msgspec.structs.replace(report, before=with_list(fit, 7.0))))
+    assert "worse than holding trim on the acid flights" in steps
+    assert "forces.M.q at a bound" in steps
+    assert "do not tell forces.N.u" in steps
+    assert "phugoid" in steps
+    assert "time to double 6.3 s" in steps
+
+
+def test_a_faultless_fit_says_that_nothing_stands_out(report: records.Report, fit: records.FitRecord):
+    clean = msgspec.structs.replace(fit, parameters=fit.parameters[:1], modes=fit.modes[1:])
+    (only,) = summary.next_steps(msgspec.structs.replace(report, before=clean))
+    assert "Nothing stands out" in only
+
+
+def test_weakest_channel_ignores_an_axis_that_hardly_moves(fit: records.FitRecord):
+    def channel(rmse: float, r2: float) -> records.ChannelRecord:
+        return records.ChannelRecord(rmse=rmse, r2=r2, theil=0.5, theil_parts=(0.0, 1.0, 0.0))
+
+    moved, unmoved = channel(0.1, 0.99), channel(0.1, -3.0)
+    flights = {
+        "moves": msgspec.structs.replace(fit.flights["f1"], channels={"p": moved, "q": moved}),
+        "judged": msgspec.structs.replace(fit.flights["f2"], channels={"p": unmoved, "q": channel(0.4, 0.8)}),
+    }
+    assert summary.weakest_channel(msgspec.structs.replace(fit, flights=flights)) == ("judged", "q", pytest.approx(0.4))
+
+
+@pytest.mark.parametrize(
+    ("eigenvalue", "words"),
+    [
+        ((-3.3, 0.0), "halves in 0.21 s"),
+        ((0.0, 0.0), "neutral"),
+        ((0.11, 0.42), "0.069 Hz, damping -0.25, doubles in 6.3 s"),
+        ((float("nan"), 0.0), "–"),
+    ],
+)
+def test_a_mode_in_words(eigenvalue: tuple[float, float], words: str):
+    assert motion_of_mode(records.ModeRecord(eigenvalue=eigenvalue, name="x")) == words
+
+
+def test_scorecard_fits_a_screen(report: records.Report):
+    written = io.StringIO()
+    Console(width=100, file=written).print(scorecard(report))
+    text = written.getvalue()
+    assert "0.120" in text
+    assert "warning: the flight f2" in text
+    assert len(text.splitlines()) < 25
+
+
+def test_of_many_flights_the_page_shows_the_first_of_each_list(report: records.Report, fit: records.FitRecord):
+    one = next(iter(fit.flights.values()))
+    flights = {f"f{k}": msgspec.structs.replace(one, list=records.LISTS[k % 3]) for k in range(60)}
+    many = msgspec.structs.replace(fit, flights=flights)
+    assert list(summary.shown_flights(many)) == [f"f{3 * k + which}" for which in range(3) for k in range(12)]
+    page = render(msgspec.structs.replace(report, before=many), {})
+    assert "36 of the 60 flights" in page
+    assert page.count("<details>") == 36
+    assert "<td>f59</td>" in page
+    assert len(figures.scores(many).axes[0].get_yticks()) == 36

@@ -1,0 +1,106 @@
+"""What cannot be told is named: missing channels, sticks, wind, control powers that no inertia explains."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from rotorid_torch.data import Dataset
+from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.report import limits
+
+TIME = 0.02 * np.arange(200)
+
+
+def data(*channels: str, kind: str = "helicopter", unit: str = "rad") -> Dataset:
+    controls = ("motor1",) if kind == "multirotor" else ("lat",)
+    flight = {"time": TIME, **{c: np.sin(TIME * (k + 1)) for k, c in enumerate((*controls, *channels))}}
+    return Dataset.from_arrays({"f": flight}, identify=["f"], kind=kind, controls={c: {"unit": unit} for c in controls})
+
+
+def spec(**changes: object) -> ModelSpec:
+
+    return msgspec.structs.replace(HELICOPTER, flapping="none", control_units={"lat": "norm"}, **changes)
+
+
+def test_missing_velocities_and_what_is_left_of_them():
+    told = list(
+        limits.of_channels(data("p", "q", "r", "u", unit="norm"), spec(states=("p", "q", "r"), outputs=("p", "q", "r")))
+    )
+    assert told[0].startswith("v, w, phi, theta not measured in every identify flight: u v w are no states")
+    assert any(t.startswith("phi and theta are not measured") for t in told)
+    assert any(t.startswith("u measured, but not all") and "not scored" in t for t in told)
+    assert any(t.startswith("lat: sticks in units of full travel") for t in told)
+
+
+def test_a_model_of_sticks_alone_says_what_it_leaves_out():
+    sticks = data("u", "v", "w", "p", "q", "r", "phi", "theta", unit="norm")
+    bare = spec(mass=None, inertia=None, rotor=None)
+    (told,) = (t for t in limits.of_channels(sticks, bare) if t.startswith("lat: sticks"))
+    assert "moments have derivatives by their own rate and the sticks alone, X and Y by their own velocity" in told
+    assert not any("by their own rate" in t for t in limits.of_channels(sticks, spec()))
+
+
+def test_wind_is_told_unless_airspeed_is_measured():
+    body = ("u", "v", "w", "p", "q", "r", "phi", "theta")
+    told = list(limits.of_channels(data(*body), spec()))
+    assert any("a wind is part of what goes with them" in t for t in told)
+    assert any(t.startswith("no flapping measured") for t in told)
+    assert not any("wind" in t for t in limits.of_channels(data(*body, "airspeed"), spec()))
+
+
+def test_motors_without_places_have_free_derivatives():
+
+    without = msgspec.structs.replace(MULTIROTOR, motors=())
+    said = list(limits.of_channels(data("p", "q", "r", "az", kind="multirotor"), without))
+    assert any("places are not declared" in t for t in said)
+
+
+def powers(**found: float | None) -> SimpleNamespace:
+    """A fit with these control powers; None: held at zero."""
+    return SimpleNamespace(
+        parameters=[
+            SimpleNamespace(name=f"rotors.power.{row}", value=v or 0.0, status="frozen" if v is None else "free")
+            for row, v in found.items()
+        ]
+    )
+
+
+def test_control_powers_are_told_as_inertia_as_far_as_that_is_credible():
+    said = list(limits.of_rotors(MULTIROTOR, powers(L=0.625, M=0.1, N=3.0)))  # pyright: ignore[reportArgumentType]
+    assert "an inertia about x of 2.66e-05 kg m² (+60 %)" in said[0]
+    assert said[1].startswith("control power of M is 0.1 of what places, thrust and declared inertia give: no inertia")
+    assert len(said) == 2  # of yaw nothing: the torque ratio is not declared
+    assert list(limits.of_rotors(MULTIROTOR, powers(L=1.0, M=0.95, N=1.0))) == []  # pyright: ignore[reportArgumentType]
+
+
+def test_moments_that_commands_do_not_explain_are_not_testable():
+    (said,) = limits.of_rotors(MULTIROTOR, powers(L=None, M=None, N=None))  # pyright: ignore[reportArgumentType]
+    assert said.startswith("L M N not testable")
+
+
+@pytest.mark.parametrize(
+    ("cone", "tilt", "doubt", "told"),
+    [
+        (100.0, 12.0, 1.0, True),  # coning at once, tilt late
+        (100.0, 12.0, 8.0, False),  # perhaps not late
+        (34.0, 11.6, 0.5, False),  # a UH-60's blades, J-GenHel
+        (140.0, 140.0, 2.0, False),  # both at once, helisim
+        (100.0, -0.5, 0.1, False),  # no lag at all
+    ],
+)
+def test_a_disc_that_cones_at_once_and_tilts_late_is_remarked_upon(cone: float, tilt: float, doubt: float, told: bool):
+    poles = {"rotor.a0.a0": (-cone, 5.0), "rotor.a1.a1": (-tilt, doubt), "rotor.b1.b1": (-cone, 3.0)}
+    fit: Any = SimpleNamespace(parameters=[SimpleNamespace(name=n, value=v, se=e) for n, (v, e) in poles.items()])
+    found = list(limits.of_flapping(fit))
+    assert len(found) == told
+    if told:
+        assert found[0].startswith("a1 follows lon within 0.083 s, the coning follows col within 0.01 s")
+
+
+def test_a_rotor_without_flapping_states_is_not_remarked_upon():
+    fit: Any = SimpleNamespace(parameters=[SimpleNamespace(name="forces.L.p", value=-1.0, se=None)])
+    assert list(limits.of_flapping(fit)) == []

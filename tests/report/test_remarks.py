@@ -1,0 +1,114 @@
+"""What the report says about an identification: one sentence per kind, with what to do next."""
+
+from types import SimpleNamespace
+
+import msgspec
+import numpy as np
+
+from rotorid_torch.data import Dataset
+from rotorid_torch.report import records, remarks
+from rotorid_torch.report.summary import at_an_edge, at_once
+from tests.helpers import small_arrays, small_flight
+
+
+def test_a_control_at_rest_and_one_that_follows_the_states_are_told_apart():
+    still = {name: np.zeros(400) if name == "lon" else values for name, values in small_flight().items()}
+    dataset = Dataset.from_arrays({"f": still}, identify=["f"])
+    rest, follows = remarks.of_controls(dataset, {"lon": 0.0, "lat": 0.04})
+    assert rest.startswith("lon hardly moves in any identify flight")
+    assert follows.startswith("little of lat (4%) is its own motion")
+    assert [sentence[:3] for sentence in remarks.of_controls(dataset, {"lon": 0.0, "lat": 0.5})] == ["lon"]
+
+
+def test_late_controls_are_told_with_their_time_and_who_mends_them():
+    def recorded(late: float) -> Dataset:
+        rng, dt = np.random.default_rng(0), 0.01
+        time = dt * np.arange(1500)
+
+        def stick(t: np.ndarray, hertz: np.ndarray, phase: np.ndarray) -> np.ndarray:
+            return 0.1 * np.sin(2 * np.pi * hertz * t[:, None] + phase).sum(-1)
+
+        flights = {}
+        for name in "abcd":
+            waves = rng.uniform(0.2, 1.2, 6), rng.uniform(0.0, 2 * np.pi, 6)
+            p = 2.0 * stick(time, *waves) + 0.02 * rng.standard_normal(1500)
+            flights[name] = {"time": time, "lat": stick(time - late, *waves), "p": p}
+        return Dataset.from_arrays(flights, identify=list(flights), controls={"lat": {"unit": "norm"}})
+
+    (said,) = remarks.of_clocks(recorded(0.06))
+    assert said.startswith("controls are recorded at least 60 ± ")
+    assert said.endswith("`rotorid close-loop` takes it out")
+    assert list(remarks.of_clocks(recorded(0.0))) == []
+
+
+def test_what_reading_changed_in_many_flights_is_one_sentence():
+    dataset = SimpleNamespace(
+        dead=(),
+        warnings=("control lat has no table", "flight a: time is not uniform: resampled", "flight b: time is rough"),
+    )
+    assert list(remarks.of_reading(dataset)) == [
+        "control lat has no table",
+        "flight a: time is not uniform: resampled (likewise in b)",
+    ]
+
+
+def test_one_remark_of_several_equations_is_one_sentence():
+    noisy = SimpleNamespace(notes=("noise fills a combination of the regressors; leave one of them out",))
+    doubtful = SimpleNamespace(notes=("N: does not hold even up to 1 Hz; smallest band", *noisy.notes))
+    step2 = SimpleNamespace(regressions={"L": noisy, "N": doubtful})
+    both, one = remarks.of_regressions(step2)
+    assert both.startswith("step 2, equations of L N: noise fills a combination of the regressors: their sum")
+    assert one.startswith("step 2, equation of N: does not hold even up to 1 Hz: look for a wrong sign")
+
+
+def test_a_remark_without_a_meaning_of_its_own_is_told_as_it_is():
+    step2 = SimpleNamespace(regressions={"L": SimpleNamespace(notes=("response: 3 missing samples",))})
+    assert list(remarks.of_regressions(step2)) == ["step 2, equation of L: response: 3 missing samples"]
+
+
+def test_doubts_about_the_estimate_name_parameters_and_say_what_to_do(fit):
+    step3 = SimpleNamespace(fit=SimpleNamespace(minimum=SimpleNamespace(converged=False, message="stopped after 9")))
+    said = list(remarks.of_estimate(step3, fit))
+    assert [sentence.split(":")[0] for sentence in said[1:]] == [
+        "at a bound",
+        "not identifiable from these flights, held",
+    ]
+    assert "did not converge (stopped after 9)" in said[0]
+    assert "forces.M.q" in said[1]
+    assert "forces.N.u" in said[2]
+
+
+def test_a_model_worse_than_holding_trim_is_told(fit):
+    flights = {"f1": msgspec.structs.replace(fit.flights["f1"], J=40.0)}
+    scores = msgspec.structs.replace(fit.scores, identify=40.0)
+    bad = msgspec.structs.replace(fit, flights=flights, scores=scores, parameters=())
+    step3 = SimpleNamespace(fit=SimpleNamespace(minimum=SimpleNamespace(converged=True)))
+    (said,) = remarks.of_estimate(step3, bad)
+    assert said.startswith("on the identify flights the model is worse than holding trim (J 40 against 1): do not use")
+
+
+def test_many_names_end_in_their_number():
+    assert remarks.listed([f"p{i}" for i in range(9)]) == "p0, p1, p2, p3, p4, p5 and 3 more"
+
+
+def test_nothing_of_an_effect_is_no_edge_of_its_range():
+    known = {"se": 0.1, "unit": "s", "at_bound": True}
+    absent = records.ParameterRecord(name="control.delay.lon", value=0.0, bounds=(0.0, 0.25), **known)
+    longest = records.ParameterRecord(name="control.delay.lat", value=0.25, bounds=(0.0, 0.25), **known)
+    undamped = records.ParameterRecord(name="forces.L.p", value=0.0, bounds=(-50.0, 0.0), **known)
+    swift = records.ParameterRecord(name="inflow.tau", value=0.02, bounds=(0.02, 0.6), **known)
+    slow = records.ParameterRecord(name="rotor.speed.tau", value=0.1, bounds=(0.1, 5.0), **known)
+    every = [absent, longest, undamped, swift, slow]
+    assert at_an_edge(every) == ["control.delay.lat", "forces.L.p", "rotor.speed.tau"]
+    assert at_once(every) == ["inflow.tau"]
+
+
+def test_what_check_calls_an_error_is_warned_of():
+    arrays = small_arrays()
+    right = Dataset.from_arrays(arrays, identify=list(arrays))
+    turned = Dataset.from_arrays({n: {**a, "az": -a["az"]} for n, a in arrays.items()}, identify=list(arrays))
+    assert not any(said.startswith("the data set is not usable") for said in remarks.of_check(right))
+    grade, said = remarks.of_check(turned)
+    assert grade.startswith("the data set is not usable, because az: reads 9.8")
+    assert said.startswith("az: reads 9.8")
+    assert said.endswith("Turn the axis: z points down.")
