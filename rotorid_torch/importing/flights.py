@@ -15,15 +15,22 @@ from rotorid_torch.data.reading.read import SAMPLES
 from rotorid_torch.data.reading.suspicion import unwrapped_roll
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing import manoeuvres
-from rotorid_torch.importing.derive import ANGLES, QUATERNION, angles_on_grid, before_resampling, body_velocity, wrapped
 from rotorid_torch.importing.formats import built_in_plan
-from rotorid_torch.importing.log import TOLD, Log, header_name
-from rotorid_torch.importing.mapping import Entry, Map, unknown_names
-from rotorid_torch.importing.plan import Plan, moving
 from rotorid_torch.importing.resample import on_grid
-from rotorid_torch.importing.resets import repaired
-from rotorid_torch.importing.signals import Signal, possible, signals
-from rotorid_torch.importing.units import find_unit
+from rotorid_torch.importing.signals.derive import (
+    ANGLES,
+    QUATERNION,
+    angles_on_grid,
+    before_resampling,
+    body_velocity,
+    wrapped,
+)
+from rotorid_torch.importing.signals.fields import Signal, possible, signals
+from rotorid_torch.importing.signals.mapping import Entry, Map, unknown_names
+from rotorid_torch.importing.signals.plan import Plan, moving
+from rotorid_torch.importing.signals.resets import repaired
+from rotorid_torch.importing.signals.streams import TOLD, Log, header_name
+from rotorid_torch.importing.signals.units import find_unit
 
 PAUSE_S = 10.0
 """A longer pause of all controls and rates ends a flight and begins another."""

@@ -7,15 +7,16 @@ from pathlib import Path
 
 from rotorid_torch.core.files import open_file
 from rotorid_torch.errors import InputError
-from rotorid_torch.importing import ardupilot, blackbox, px4, sidpac
-from rotorid_torch.importing.arrays import read_matlab, read_npz, read_parquet
-from rotorid_torch.importing.csv import read_csv
-from rotorid_torch.importing.dataflash import read_dataflash
-from rotorid_torch.importing.log import Choose, Log
-from rotorid_torch.importing.mapping import Clock, Form
-from rotorid_torch.importing.plan import Plan
-from rotorid_torch.importing.tables import own_entries
-from rotorid_torch.importing.ulog import read_ulog
+from rotorid_torch.importing.autopilots import ardupilot, blackbox, px4
+from rotorid_torch.importing.autopilots.dataflash import read_dataflash
+from rotorid_torch.importing.autopilots.ulog import read_ulog
+from rotorid_torch.importing.signals.mapping import Clock, Form
+from rotorid_torch.importing.signals.plan import Plan
+from rotorid_torch.importing.signals.streams import Choose, Log
+from rotorid_torch.importing.tables import sidpac
+from rotorid_torch.importing.tables.arrays import read_matlab, read_npz, read_parquet
+from rotorid_torch.importing.tables.columns import own_entries
+from rotorid_torch.importing.tables.csv import read_csv
 
 FLIGHT_LOGS: Mapping[str, Callable[[Path, Choose], Log]] = {
     ".ulg": read_ulog,

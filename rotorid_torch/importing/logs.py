@@ -12,12 +12,13 @@ import numpy as np
 from rotorid_torch.core import names
 from rotorid_torch.data.write import declarations, refuse_unless_free, write_dataset
 from rotorid_torch.errors import InputError
-from rotorid_torch.importing import manoeuvres, units
-from rotorid_torch.importing.derive import ANGLES, QUATERNION
+from rotorid_torch.importing import manoeuvres
 from rotorid_torch.importing.flights import Record, flights_of, record_of
 from rotorid_torch.importing.formats import built_in_fields, read_log
-from rotorid_torch.importing.log import Log, choose
-from rotorid_torch.importing.mapping import Map, read_map
+from rotorid_torch.importing.signals import units
+from rotorid_torch.importing.signals.derive import ANGLES, QUATERNION
+from rotorid_torch.importing.signals.mapping import Map, read_map
+from rotorid_torch.importing.signals.streams import Log, choose
 from rotorid_torch.printable import printable
 
 FASTEST_HZ = 250.0

@@ -6,7 +6,7 @@ import pytest
 from rotorid_torch.core import names
 from rotorid_torch.core.ranges import CHANNELS, DECLARED, DERIVED, OTHER, of_channel, page
 from rotorid_torch.data.schema import Motor, Rotor, Vehicle
-from rotorid_torch.importing.mapping import DERIVED as FROM_LOGS
+from rotorid_torch.importing.signals.mapping import DERIVED as FROM_LOGS
 from tests.helpers import ROOT
 
 UNITS = {name: ("rad", "m", "norm") for name in names.STICKS}

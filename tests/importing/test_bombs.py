@@ -18,8 +18,8 @@ from numpy.lib import format as npy
 from rotorid_torch.data import load
 from rotorid_torch.data.reading import read
 from rotorid_torch.errors import InputError
-from rotorid_torch.importing import arrays
 from rotorid_torch.importing.formats import own_fields, read_log
+from rotorid_torch.importing.tables import arrays
 from tests.helpers import ROOT, small_folder
 
 CHANNELS = ("time", "lat", "p", "q", "r", "phi", "theta", "psi", "u", "v", "w", "ax", "ay", "az")

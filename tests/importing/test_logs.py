@@ -14,8 +14,8 @@ from rotorid_torch import cli
 from rotorid_torch.consistency.examination.check import check
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing import flights
-from rotorid_torch.importing.csv import read_csv
 from rotorid_torch.importing.resample import on_grid
+from rotorid_torch.importing.tables.csv import read_csv
 from tests.fuzzing import older_topics, write_sdlog2
 from tests.helpers import shared, small_folder
 from tests.importing.log_writers import motion, px4_topics, write_dataflash, write_ulog
@@ -585,7 +585,8 @@ def test_memory_does_not_grow_with_topics_that_nobody_wants(tmp_path: Path):
     """Peak of a log of 40 MB, nine tenths of it unwanted, against the wanted columns: a few blocks beyond them."""
     import tracemalloc
 
-    from rotorid_torch.importing import formats, ulog
+    from rotorid_torch.importing import formats
+    from rotorid_torch.importing.autopilots import ulog
 
     topics = px4_topics(20.0)
     time = np.arange(100.0, 120.0, 1e-3)

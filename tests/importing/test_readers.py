@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from rotorid_torch.errors import InputError
-from rotorid_torch.importing.dataflash import read_dataflash
-from rotorid_torch.importing.log import Log
-from rotorid_torch.importing.ulog import read_ulog
+from rotorid_torch.importing.autopilots.dataflash import read_dataflash
+from rotorid_torch.importing.autopilots.ulog import read_ulog
+from rotorid_torch.importing.signals.streams import Log
 from tests.helpers import shared
 from tests.importing.log_writers import dataflash_format, message, px4_topics, ulog_head, write_dataflash, write_ulog
 

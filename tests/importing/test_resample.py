@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from rotorid_torch.importing import derive, flights
+from rotorid_torch.importing import flights
 from rotorid_torch.importing.resample import lowpass, on_grid
+from rotorid_torch.importing.signals import derive
 
 
 def fitted(time: np.ndarray, values: np.ndarray, hertz: float) -> tuple[float, float]:

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rotorid_torch.importing.log import Log
-from rotorid_torch.importing.mapping import Clock, Entry
-from rotorid_torch.importing.plan import Chosen, Plan, has_content, merged, moving
+from rotorid_torch.importing.signals.mapping import Clock, Entry
+from rotorid_torch.importing.signals.plan import Chosen, Plan, has_content, merged, moving
+from rotorid_torch.importing.signals.streams import Log
 
 SYSTEM, NAME = "SIDPAC", "fdata"
 LEAST = 16

@@ -12,10 +12,10 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from rotorid_torch.importing.log import Log
-from rotorid_torch.importing.mapping import Clock, Entry
-from rotorid_torch.importing.outputs import DSHOT_RAW, PULSE, OutputRange, range_of
-from rotorid_torch.importing.plan import Chosen, Plan, merged, moving
+from rotorid_torch.importing.signals.mapping import Clock, Entry
+from rotorid_torch.importing.signals.outputs import DSHOT_RAW, PULSE, OutputRange, range_of
+from rotorid_torch.importing.signals.plan import Chosen, Plan, merged, moving
+from rotorid_torch.importing.signals.streams import Log
 
 SYSTEM = "blackbox"
 GYROS, FORCES, MOTORS, TURNS = "gyroADC", "accSmooth", "motor", "eRPM"

@@ -11,11 +11,11 @@ from rotorid_torch.core import names
 from rotorid_torch.core.ranges import of_channel
 from rotorid_torch.data.plausible import without_impossible
 from rotorid_torch.errors import InputError
-from rotorid_torch.importing import units
-from rotorid_torch.importing.log import Log, Source, Stream, is_numbers
-from rotorid_torch.importing.mapping import Entry, check_unit
-from rotorid_torch.importing.outputs import STRAY, beyond
-from rotorid_torch.importing.plan import rate_of
+from rotorid_torch.importing.signals import units
+from rotorid_torch.importing.signals.mapping import Entry, check_unit
+from rotorid_torch.importing.signals.outputs import STRAY, beyond
+from rotorid_torch.importing.signals.plan import rate_of
+from rotorid_torch.importing.signals.streams import Log, Source, Stream, is_numbers
 
 OUT_OF_ORDER = 0.1
 """Share of stamps that may repeat, or run back far; more are two clocks."""

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from rotorid_torch import cli
 from rotorid_torch.importing.manoeuvres import SHARES, share_out
-from rotorid_torch.importing.units import UNITS, find_unit, names_of
+from rotorid_torch.importing.signals.units import UNITS, find_unit, names_of
 
 KNOWN = {
     "deg": (180.0, math.pi),

@@ -11,7 +11,7 @@ import numpy as np
 
 from rotorid_torch.core import names
 from rotorid_torch.errors import InputError
-from rotorid_torch.importing import units
+from rotorid_torch.importing.signals import units
 
 Choose = Callable[[str, Sequence[str]], Sequence[str]]
 """Called by a reader once per topic with all its fields; gives those to keep, so that the rest costs no memory."""

@@ -12,11 +12,11 @@ import numpy as np
 from rotorid_torch.core.files import open_file
 from rotorid_torch.data.reading.read import CHANNELS, number_of
 from rotorid_torch.errors import InputError
-from rotorid_torch.importing import blackbox
-from rotorid_torch.importing.header import MISSING, Header, find_header, is_number
-from rotorid_torch.importing.log import Choose, Log
-from rotorid_torch.importing.mapping import Clock, Form
-from rotorid_torch.importing.tables import is_clock, table_log
+from rotorid_torch.importing.autopilots import blackbox
+from rotorid_torch.importing.signals.mapping import Clock, Form
+from rotorid_torch.importing.signals.streams import Choose, Log
+from rotorid_torch.importing.tables.columns import is_clock, table_log
+from rotorid_torch.importing.tables.header import MISSING, Header, find_header, is_number
 
 BLOCK = 4 * 2**20
 """Bytes read at a time; also the longest line."""

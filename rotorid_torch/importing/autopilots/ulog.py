@@ -14,8 +14,8 @@ import numpy as np
 
 from rotorid_torch.core.files import open_file
 from rotorid_torch.errors import InputError
-from rotorid_torch.importing.blocks import BLOCK, Blocks, Gathered
-from rotorid_torch.importing.log import Choose, Log, Stream, of_damage
+from rotorid_torch.importing.autopilots.blocks import BLOCK, Blocks, Gathered
+from rotorid_torch.importing.signals.streams import Choose, Log, Stream, of_damage
 
 MAGIC = b"ULog\x01\x12\x35"
 SYNC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"

@@ -14,8 +14,8 @@ import numpy as np
 
 from rotorid_torch.core.files import open_file
 from rotorid_torch.errors import InputError
-from rotorid_torch.importing.blocks import BLOCK, Blocks, Gathered
-from rotorid_torch.importing.log import Choose, Log, Stream, is_numbers, of_damage
+from rotorid_torch.importing.autopilots.blocks import BLOCK, Blocks, Gathered
+from rotorid_torch.importing.signals.streams import Choose, Log, Stream, is_numbers, of_damage
 
 HEAD = b"\xa3\x95"
 FORMAT = 0x80

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rotorid_torch.data.reading.read import number_of
-from rotorid_torch.importing import units
+from rotorid_torch.importing.signals import units
 
 MISSING = frozenset(("", "nan", "null", "none", "na", "n/a", "-"))
 """What stands for a missing sample, in small letters."""

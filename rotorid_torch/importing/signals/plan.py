@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rotorid_torch.importing.log import Log, is_numbers, joined
-from rotorid_torch.importing.mapping import Entry
+from rotorid_torch.importing.signals.mapping import Entry
+from rotorid_torch.importing.signals.streams import Log, is_numbers, joined
 
 FASTER = 1.8
 """A later alternative is taken where it is recorded that much faster."""

@@ -9,9 +9,9 @@ import numpy as np
 
 from rotorid_torch.core import names
 from rotorid_torch.errors import InputError
-from rotorid_torch.importing import units
-from rotorid_torch.importing.log import TOLD, Log, Stream, header_name, joined
-from rotorid_torch.importing.mapping import Clock, Entry
+from rotorid_torch.importing.signals import units
+from rotorid_torch.importing.signals.mapping import Clock, Entry
+from rotorid_torch.importing.signals.streams import TOLD, Log, Stream, header_name, joined
 
 CLOCKS = {
     **dict.fromkeys(("time", "t", "time_s", "t_s", "timestamp", "timestamp_s", "seconds", "sec"), "s"),

@@ -18,10 +18,10 @@ from rotorid_torch.core.memory import bounded_memory
 from rotorid_torch.data.reading import npz
 from rotorid_torch.data.reading.read import BYTES, CHANNELS, SAMPLES
 from rotorid_torch.errors import InputError
-from rotorid_torch.importing import sidpac
-from rotorid_torch.importing.log import Choose, Log
-from rotorid_torch.importing.mapping import Clock
-from rotorid_torch.importing.tables import is_clock, table_log
+from rotorid_torch.importing.signals.mapping import Clock
+from rotorid_torch.importing.signals.streams import Choose, Log
+from rotorid_torch.importing.tables import sidpac
+from rotorid_torch.importing.tables.columns import is_clock, table_log
 
 Tables = dict[str, dict[str, np.ndarray]]
 DEEPEST = 6

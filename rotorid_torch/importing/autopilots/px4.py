@@ -11,11 +11,10 @@ from dataclasses import replace
 import numpy as np
 
 from rotorid_torch.errors import InputError
-from rotorid_torch.importing import resets
-from rotorid_torch.importing.log import Log, Stream, is_numbers
-from rotorid_torch.importing.mapping import Entry
-from rotorid_torch.importing.outputs import of_px4, range_of
-from rotorid_torch.importing.plan import (
+from rotorid_torch.importing.signals import resets
+from rotorid_torch.importing.signals.mapping import Entry
+from rotorid_torch.importing.signals.outputs import of_px4, range_of
+from rotorid_torch.importing.signals.plan import (
     FASTER,
     Chosen,
     Group,
@@ -28,6 +27,7 @@ from rotorid_torch.importing.plan import (
     rate_of,
     triple,
 )
+from rotorid_torch.importing.signals.streams import Log, Stream, is_numbers
 
 XYZ = ("xyz[0]", "xyz[1]", "xyz[2]")
 Q = ("q[0]", "q[1]", "q[2]", "q[3]")

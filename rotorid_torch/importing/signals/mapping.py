@@ -15,7 +15,7 @@ from rotorid_torch.core.files import read_file
 from rotorid_torch.data.declare import TOML_LIMIT
 from rotorid_torch.data.refusal import convert
 from rotorid_torch.errors import InputError
-from rotorid_torch.importing import units
+from rotorid_torch.importing.signals import units
 
 Factor = Annotated[float, Meta(ge=-1e12, le=1e12)]
 

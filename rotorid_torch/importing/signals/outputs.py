@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorid_torch.errors import InputError
-from rotorid_torch.importing.mapping import Entry
+from rotorid_torch.importing.signals.mapping import Entry
 
 SLACK = 0.1
 """Share of a range by which outputs may lie outside: a trim, a spin-up, an idle below the least command."""

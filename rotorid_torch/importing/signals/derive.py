@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotorid_torch.importing.signals import Signal
+from rotorid_torch.importing.signals.fields import Signal
 
 Signals = dict[str, Signal]
 QUATERNION = ("q0", "q1", "q2", "q3")

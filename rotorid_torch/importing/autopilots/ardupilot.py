@@ -12,10 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from rotorid_torch.errors import InputError
-from rotorid_torch.importing.log import Log, Stream, is_numbers
-from rotorid_torch.importing.mapping import Entry
-from rotorid_torch.importing.outputs import of_ardupilot, range_of
-from rotorid_torch.importing.plan import (
+from rotorid_torch.importing.signals.mapping import Entry
+from rotorid_torch.importing.signals.outputs import of_ardupilot, range_of
+from rotorid_torch.importing.signals.plan import (
     Chosen,
     Group,
     Plan,
@@ -27,6 +26,7 @@ from rotorid_torch.importing.plan import (
     rate_of,
     triple,
 )
+from rotorid_torch.importing.signals.streams import Log, Stream, is_numbers
 
 ATTITUDE = ("Roll", "Pitch", "Yaw")
 STATE = ("VN", "VE", "VD", "PN", "PE", "PD")
