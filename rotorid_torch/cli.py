@@ -21,7 +21,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from rotorid_torch.core.atomic import OUTPUT, Unwritable, reason, writing
+from rotorid_torch.core.storage.atomic import OUTPUT, Unwritable, reason, writing
 from rotorid_torch.errors import InputError, LostRank, Told
 from rotorid_torch.printable import printable
 
@@ -284,7 +284,7 @@ def reconstruct(options: Options) -> None:
 
 def identify(options: Options) -> None:
     """The three steps, validation and report; under torchrun, by all processes together."""
-    from rotorid_torch.core.ranks import ranks_of_torchrun
+    from rotorid_torch.core.processes.ranks import ranks_of_torchrun
     from rotorid_torch.data import load
     from rotorid_torch.report.records import read_report
     from rotorid_torch.run import pipeline
@@ -302,7 +302,7 @@ def identify(options: Options) -> None:
 
 def close_loop(options: Options) -> None:
     """Find what the model lacks, name it, add it, identify again; under torchrun, by all processes together."""
-    from rotorid_torch.core.ranks import PATIENCE_FOR_FITS_S, ranks_of_torchrun
+    from rotorid_torch.core.processes.ranks import PATIENCE_FOR_FITS_S, ranks_of_torchrun
     from rotorid_torch.data import load
     from rotorid_torch.report.records import read_report
     from rotorid_torch.run.close_loop import close_loop as close
@@ -358,7 +358,7 @@ def show(options: Options) -> None:
 def doctor(options: Options) -> None:
     """Print versions, threads, devices and the cache, emptied first where that is asked for."""
     from rotorid_torch.commands.doctor import findings, table
-    from rotorid_torch.core import cache
+    from rotorid_torch.core.storage import cache
 
     removed = cache.empty() if options.empty_cache else None
     found = findings(removed)

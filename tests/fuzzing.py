@@ -27,7 +27,7 @@ import numpy as np
 import torch
 
 from rotorid_torch import cli
-from rotorid_torch.core.memory import bounded_memory
+from rotorid_torch.core.storage.memory import bounded_memory
 from rotorid_torch.data import load
 from rotorid_torch.model.nominal import build
 from rotorid_torch.model.save import save

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from rotorid_torch import cli
-from rotorid_torch.core import cache
+from rotorid_torch.core.storage import cache
 from rotorid_torch.errors import InputError
 from rotorid_torch.report import records
 

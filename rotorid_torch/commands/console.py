@@ -8,7 +8,7 @@ from typing import Any
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 
-from rotorid_torch.core.atomic import OUTPUT, writing
+from rotorid_torch.core.storage.atomic import OUTPUT, writing
 from rotorid_torch.printable import printable
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorid_torch.core.files import open_file
+from rotorid_torch.core.storage.files import open_file
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.reading import npz
 from rotorid_torch.data.reading.grid import UNIFORM

@@ -1,1 +1,7 @@
-"""Pure torch and floats: names, parameters, states, rigid body, time loop; knows no file, no data set, no effect."""
+"""What every chapter stands on: names, parameters, states, rigid body, time loop; no data set, no effect, no model.
+
+`names` (channels, controls, units) and `ranges` (what an aircraft can be), `parameters` and `state` (flat vectors with
+names), `rigid` (kinematics and equations of motion), `integrate` (the time loop), `recursion` and `table` (memories and
+look-up inside a model), `least_squares`. `native/` is the fast engine (`fallback`: what is said where there is none),
+`storage/` files and memory, `processes/` other processes and devices.
+"""

@@ -12,8 +12,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.native.fallback import Unsupported, say_once
-from rotorid_torch.core.native.recursion import CompiledRecursion, Step
+from rotorid_torch.core.fallback import Unsupported, say_once
+from rotorid_torch.core.native.recurrences import CompiledRecursion, Step
 
 
 def followed(step: Step, start: Tensor, *inputs: Tensor) -> Tensor:

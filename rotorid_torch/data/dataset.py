@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 
 from rotorid_torch.core import names
-from rotorid_torch.core.atomic import restore
+from rotorid_torch.core.storage.atomic import restore
 from rotorid_torch.data import plausible
 from rotorid_torch.data.declare import Declaration, declare, read_declaration
 from rotorid_torch.data.facts import Facts

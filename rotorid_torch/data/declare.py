@@ -10,7 +10,7 @@ from typing import Any, Literal
 from msgspec import Struct
 
 from rotorid_torch.core import names
-from rotorid_torch.core.files import read_file
+from rotorid_torch.core.storage.files import read_file
 from rotorid_torch.data import plausible
 from rotorid_torch.data.refusal import convert
 from rotorid_torch.data.schema import ChannelSpec, ControlSpec, FlightLists, ModelSettings, Vehicle

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.atomic import writing_temporary
+from rotorid_torch.core.storage.atomic import writing_temporary
 
 Item = TypeVar("Item")
 

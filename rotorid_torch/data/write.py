@@ -12,9 +12,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from rotorid_torch.core.atomic import atomic_folder, refuse_unless_writable, restore, writing
-from rotorid_torch.core.files import read_file
-from rotorid_torch.core.paths import absolute, refuse_foreign
+from rotorid_torch.core.storage.atomic import atomic_folder, refuse_unless_writable, restore, writing
+from rotorid_torch.core.storage.files import read_file
+from rotorid_torch.core.storage.paths import absolute, refuse_foreign
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.declare import TOML_LIMIT
 from rotorid_torch.data.reading.read import Arrays, take_arrays

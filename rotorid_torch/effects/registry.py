@@ -14,7 +14,7 @@ from rotorid_torch.errors import InputError
 if TYPE_CHECKING:
     from rotorid_torch.effects.spec import ModelSpec
 
-LIBRARY = ("control", "rotor", "rotor_speed", "forces", "environment", "mass", "sensors", "propulsion", "neural")
+LIBRARY = ("control", "main_rotor", "rotor_speed", "airframe", "environment", "mass", "sensors", "propulsion", "neural")
 LIBRARY_PACKAGE = "rotorid_torch"
 ENTRY_POINTS = "rotorid_torch.effects"
 EFFECTS: dict[str, type[Effect]] = {}
@@ -53,7 +53,7 @@ def registered() -> dict[str, type[Effect]]:
 def _import() -> None:
     """Modules register their effects when they are imported; which there are does not change while a process runs."""
     for name in LIBRARY:
-        import_module(f"rotorid_torch.effects.{name}")
+        import_module(f"rotorid_torch.effects.library.{name}")
     for point in entry_points(group=ENTRY_POINTS):
         try:
             point.load()

@@ -15,10 +15,10 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.fallback import say_once
 from rotorid_torch.core.native.build import threads
 from rotorid_torch.core.native.dynamics import Dynamics, LinearProblem
-from rotorid_torch.core.native.fallback import say_once
-from rotorid_torch.core.native.trace import Unsupported
+from rotorid_torch.core.native.graph.tracing import Unsupported
 from rotorid_torch.identification.segments import Records, Segments
 from rotorid_torch.identification.sensitivity import (
     Run,

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from rotorid_torch.core.native.trace import Unsupported
+from rotorid_torch.core.native.graph.tracing import Unsupported
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.filter_start import first
 from rotorid_torch.identification.filter_uncertainty import uncertainty

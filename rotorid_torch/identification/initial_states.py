@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.least_squares import least_squares
-from rotorid_torch.core.ranks import ALONE, Ranks
+from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.identification.likelihood import Likelihood
 from rotorid_torch.identification.segments import Records, Segments
 from rotorid_torch.identification.whitening import Noise

@@ -14,11 +14,11 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.fallback import say_once
 from rotorid_torch.core.native.build import threads
-from rotorid_torch.core.native.fallback import say_once
+from rotorid_torch.core.native.graph.tracing import Unsupported
 from rotorid_torch.core.native.innovations import Flights, Innovations
 from rotorid_torch.core.native.observer import Gains
-from rotorid_torch.core.native.trace import Unsupported
 from rotorid_torch.identification.gauss_newton import Linear
 from rotorid_torch.identification.kalman import Filtered, FilterProblem, filtered, rows
 from rotorid_torch.identification.sensitivity import control_slopes, controls_at

@@ -1,7 +1,7 @@
 """The output-error likelihood of segments: residuals, linear model, initial states and biases eliminated.
 
 Flights are taken in parts that fit the memory, each rank its own; what belongs to all of them are sums in a fixed
-order (see `core.ranks`), so that every rank knows cost, noise and linear model of all flights.
+order (see `core.processes.ranks`), so that every rank knows cost, noise and linear model of all flights.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from rotorid_torch.core import large
-from rotorid_torch.core.ranks import ALONE, BLOCKS, Ranks
+from rotorid_torch.core.processes.ranks import ALONE, BLOCKS, Ranks
+from rotorid_torch.core.storage import mapped_arrays
 from rotorid_torch.identification.engine import Engine, Part, Unknowns
 from rotorid_torch.identification.gauss_newton import Linear
 from rotorid_torch.identification.segments import Records, Segments
@@ -198,7 +198,7 @@ class Likelihood:
                 near, steps = base.parts[k].run.states, base.transitions[k]
             run = self.engine.run(place.theta, self.records, segments, place.x0[which], near, steps)
             yield self.part(place, which, run)
-            large.let_go()
+            mapped_arrays.let_go()
 
     def part(self, place: Place, which: Tensor, run: Run) -> Part:
         """The run of some segments at a place, with its residual."""
@@ -282,7 +282,7 @@ class Likelihood:
     def linearise(self, place: Place) -> Linear:
         """Linear model of the whitened residual in the shared parameters; the place remembers the elimination."""
         local, rest = self.locals_per_segment, len(place.theta) + 1
-        starts = large.empty(len(self.segments), local, local + len(self.biased) + rest)
+        starts = mapped_arrays.empty(len(self.segments), local, local + len(self.biased) + rest)
         passage = self.x0.new_empty(len(self.segments), self.x0.shape[-1], self.x0.shape[-1])
         blocks = self.x0.new_zeros(min(BLOCKS, self.flights), rest, rest)
         biases, seen, place.transitions = [], set[int](), []
@@ -304,7 +304,7 @@ class Likelihood:
         prior = torch.cat([part if part.dim() == 2 else part[:, None] for part in self.prior_rows(place)], dim=1)
         segment, flight = place.locals.own()
         own = self._sum([(self.segments.flight, segment), (torch.arange(len(flight)), flight)])
-        large.let_go()
+        mapped_arrays.let_go()
         return Linear(*self._triangle(self.engine.joined(blocks, prior)), float(own))
 
     def _of_flight(self, place: Place, flight: int, rests: Tensor) -> tuple[Tensor, Tensor]:
@@ -341,7 +341,7 @@ class Likelihood:
 
     def states_at(self, place: Place, record: Tensor) -> Tensor:
         """A copy of a record of states [F, T, nx] with the place's trajectories written where they belong."""
-        record = large.copied(record)
+        record = mapped_arrays.copied(record)
         for part in self.parts(place):
             part.segments.write(part.run.states, record)
         return record

@@ -14,9 +14,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.device import moved, working_on
 from rotorid_torch.core.names import ATTITUDES, RATES, unit
-from rotorid_torch.core.ranks import ALONE, Ranks
+from rotorid_torch.core.processes.device import moved, working_on
+from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.identification.force_noise import (

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
-from rotorid_torch.core import large
+from rotorid_torch.core.storage import mapped_arrays
 from rotorid_torch.errors import InputError
 
 TOGETHER = 256
@@ -190,9 +190,9 @@ def cut(records: Records, samples: int) -> Segments:
     place = torch.tensor(first)[:, None] + torch.minimum(offset, torch.tensor(length)[:, None] - 1)
     which = torch.tensor(flight)
     beyond = (offset >= torch.tensor(length)[:, None])[..., None]
-    outputs = large.empty(*place.shape, records.outputs.shape[-1])
+    outputs = mapped_arrays.empty(*place.shape, records.outputs.shape[-1])
     for some in torch.arange(len(which)).split(TOGETHER):
         outputs[some] = records.outputs[which[some, None], place[some]].masked_fill(beyond[some], math.nan)
-    large.let_go()
+    mapped_arrays.let_go()
     start = records.start[which] + place[:, 0] * records.dt
     return Segments(records.dt, which, place, start, outputs)

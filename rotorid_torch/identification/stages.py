@@ -10,7 +10,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.ranks import ALONE, Ranks
+from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.identification.engine import Engine, engine_for
 from rotorid_torch.identification.gauss_newton import Minimum, Options, minimise
 from rotorid_torch.identification.initial_states import filled, fitted_states, roughness, smallest_noise

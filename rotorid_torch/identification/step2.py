@@ -23,10 +23,10 @@ from rotorid_torch.identification.ftr import Regression
 from rotorid_torch.identification.reconstruct import Reconstruction
 from rotorid_torch.identification.selection import beyond
 from rotorid_torch.identification.structure import ATTITUDE, have
+from rotorid_torch.model.derivatives import LinearForces
 from rotorid_torch.model.flapping import AlgebraicFlapping, Flapping
-from rotorid_torch.model.forces import LinearForces
 from rotorid_torch.model.inflow import CYCLIC
-from rotorid_torch.model.linear import LinearBlock
+from rotorid_torch.model.linear_equations import LinearBlock
 from rotorid_torch.model.model import Model
 
 HIGHEST = {**dict.fromkeys(FLAPPING, 8.0), **dict.fromkeys((*FORCES, *MOMENTS), 4.0)}

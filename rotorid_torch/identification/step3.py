@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from rotorid_torch.core import large
-from rotorid_torch.core.device import moved, working_on
 from rotorid_torch.core.names import RATES
-from rotorid_torch.core.ranks import ALONE, Ranks
+from rotorid_torch.core.processes.device import moved, working_on
+from rotorid_torch.core.processes.ranks import ALONE, Ranks
+from rotorid_torch.core.storage import mapped_arrays
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.identification.fourier import noise_floor, smoothed
 from rotorid_torch.identification.gauss_newton import Options
@@ -128,7 +128,7 @@ def records(model: Model, dataset: Dataset, reconstruction: Reconstruction, rank
         batch.lengths[i], batch.start[i] = own.lengths[0], own.start[0]
         batch.controls[i], batch.outputs[i, : own.samples] = own.controls[0, -1], own.outputs[0]
         batch.controls[i, : own.samples], batch.states[i, : own.samples] = own.controls[0], own.states[0]
-    large.let_go()
+    mapped_arrays.let_go()
     assert batch is not None
     return replace(batch, dt=ranks.from_first(batch.dt))  # the first flight's, which is the first rank's
 
@@ -208,7 +208,7 @@ def _empty(one: Records, flights: int, samples: int) -> Records:
     """Room for so many flights like this one."""
 
     def nothing(columns: int) -> Tensor:
-        return large.empty(flights, samples, columns).fill_(math.nan)
+        return mapped_arrays.empty(flights, samples, columns).fill_(math.nan)
 
     sizes = (part.shape[-1] for part in (one.controls, one.outputs, one.states))
     return Records(one.dt, one.lengths.repeat(flights), one.start.repeat(flights), *map(nothing, sizes))

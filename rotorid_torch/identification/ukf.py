@@ -20,12 +20,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.fallback import say_once
 from rotorid_torch.core.integrate import step
 from rotorid_torch.core.native import filtering
 from rotorid_torch.core.native.build import threads
-from rotorid_torch.core.native.fallback import say_once
 from rotorid_torch.core.native.filtering import Weights
-from rotorid_torch.core.native.trace import Unsupported
+from rotorid_torch.core.native.graph.tracing import Unsupported
 from rotorid_torch.identification import sigma_points
 from rotorid_torch.identification.iterated import Problem, iterated, learns_constants
 from rotorid_torch.identification.sigma_points import ProcessNoise, SigmaPoints, divide, root

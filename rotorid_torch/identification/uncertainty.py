@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.least_squares import least_squares
-from rotorid_torch.core.ranks import ALONE, Ranks
+from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.identification.gauss_newton import Linear
 from rotorid_torch.identification.likelihood import Likelihood, Place
 

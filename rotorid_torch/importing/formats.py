@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from rotorid_torch.core.files import open_file
+from rotorid_torch.core.storage.files import open_file
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing.autopilots import ardupilot, blackbox, px4
 from rotorid_torch.importing.autopilots.dataflash import read_dataflash

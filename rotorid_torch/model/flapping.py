@@ -10,7 +10,7 @@ from torch import Tensor
 from rotorid_torch.core.names import FLAPPING
 from rotorid_torch.core.state import State
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
-from rotorid_torch.model.linear import LinearBlock
+from rotorid_torch.model.linear_equations import LinearBlock
 
 
 class Flapping(Effect):

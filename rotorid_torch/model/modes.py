@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.names import FLAPPING, SPECIFIC_FORCES, VELOCITIES
-from rotorid_torch.model.forces import FOLLOWED
+from rotorid_torch.model.derivatives import FOLLOWED
 from rotorid_torch.model.inflow import INDUCED
 from rotorid_torch.model.model import Model
 

@@ -14,10 +14,10 @@ from rotorid_torch.effects.base import Effect
 from rotorid_torch.effects.registry import make
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError
+from rotorid_torch.model.derivatives import LinearForces, TailInflow, Tailplane, TailRotor, ThrustTilt
 from rotorid_torch.model.flapping import AlgebraicFlapping, Flapping, reference_vector
-from rotorid_torch.model.forces import LinearForces, TailInflow, Tailplane, TailRotor, ThrustTilt
 from rotorid_torch.model.inflow import CYCLIC, INDUCED, CyclicInflow, Inflow
-from rotorid_torch.model.linear import LinearBlock
+from rotorid_torch.model.linear_equations import LinearBlock
 from rotorid_torch.model.model import Body, Model
 from rotorid_torch.model.rotors import Disturbance, Rotors, RotorSpeed, Telemetry, hover_input
 

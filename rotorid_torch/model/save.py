@@ -12,8 +12,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.files import read_file
-from rotorid_torch.core.memory import bounded_memory
+from rotorid_torch.core.storage.files import read_file
+from rotorid_torch.core.storage.memory import bounded_memory
 from rotorid_torch.effects.spec import ModelSpec, read_spec
 from rotorid_torch.errors import InputError
 from rotorid_torch.model.model import Model

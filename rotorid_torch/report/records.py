@@ -14,8 +14,8 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from rotorid_torch.core.atomic import restore
-from rotorid_torch.core.files import read_file
+from rotorid_torch.core.storage.atomic import restore
+from rotorid_torch.core.storage.files import read_file
 from rotorid_torch.data.refusal import convert
 from rotorid_torch.errors import InputError
 

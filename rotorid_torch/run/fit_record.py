@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.names import SPECIFIC_FORCES
-from rotorid_torch.core.ranks import ALONE, Ranks
+from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.velocities import HALF
 from rotorid_torch.effects.spec import ModelSpec

@@ -12,7 +12,7 @@ import msgspec
 import torch
 
 from rotorid_torch.consistency.examination.needs import refuse_lacks
-from rotorid_torch.core.ranks import ALONE, Ranks
+from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.data.velocities import with_velocities

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import msgspec
 
-from rotorid_torch.core.ranks import ALONE
+from rotorid_torch.core.processes.ranks import ALONE
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.run.estimate import estimated

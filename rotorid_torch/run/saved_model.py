@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rotorid_torch.core.atomic import restore
+from rotorid_torch.core.storage.atomic import restore
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.velocities import with_velocities
 from rotorid_torch.effects.spec import ModelSpec

@@ -23,12 +23,12 @@ import msgspec
 import torch
 from torch import Tensor
 
-from rotorid_torch.core import cache
-from rotorid_torch.core.atomic import TEMPORARY, Unwritable, atomic_file, scratch_folder
-from rotorid_torch.core.children import child
 from rotorid_torch.core.names import VELOCITIES
 from rotorid_torch.core.native.build import threads
-from rotorid_torch.core.ranks import ALONE, Ranks
+from rotorid_torch.core.processes.children import child
+from rotorid_torch.core.processes.ranks import ALONE, Ranks
+from rotorid_torch.core.storage import cache
+from rotorid_torch.core.storage.atomic import TEMPORARY, Unwritable, atomic_file, scratch_folder
 from rotorid_torch.data.dataset import Dataset, load
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.one_rate import at_one_rate

@@ -22,7 +22,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.bounded_least_squares import bounded_least_squares
+from rotorid_torch.core.least_squares import bounded_least_squares
 
 SMALLEST_EIGENVALUE = 1e-13
 """Of scaled normal equations: directions below it are not estimated."""

@@ -14,7 +14,7 @@ from itertools import groupby
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.bounded_least_squares import bounded_least_squares
+from rotorid_torch.core.least_squares import bounded_least_squares
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.step2 import regress_model
 from rotorid_torch.model.nominal import build

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.names import MOMENTS, SPECIFIC_FORCES
-from rotorid_torch.core.ranks import ALONE, Ranks
+from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import registered

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.effects.base import Frame, Values
-from rotorid_torch.effects.neural import TRUST, NeuralForces
+from rotorid_torch.effects.library.neural import TRUST, NeuralForces
 from rotorid_torch.identification.gauss_newton import Options
 from rotorid_torch.identification.segments import Records, cut
 from rotorid_torch.model.model import Model

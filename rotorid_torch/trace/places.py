@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.bounded_least_squares import bounded_least_squares
+from rotorid_torch.core.least_squares import bounded_least_squares
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.base import Showing

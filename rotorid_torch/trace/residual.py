@@ -18,7 +18,7 @@ from torch import Tensor
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.base import Frame
-from rotorid_torch.effects.record import smoothed
+from rotorid_torch.effects.signal_operations import smoothed
 from rotorid_torch.identification.reconstruct import Reconstruction
 from rotorid_torch.identification.step2 import Measured, measured
 from rotorid_torch.model.flapping import Flapping

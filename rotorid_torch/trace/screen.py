@@ -19,10 +19,9 @@ import msgspec
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.bounded_least_squares import bounded_least_squares
-from rotorid_torch.core.least_squares import least_squares
+from rotorid_torch.core.least_squares import bounded_least_squares, least_squares
 from rotorid_torch.effects.base import Stage
-from rotorid_torch.effects.record import smoothed
+from rotorid_torch.effects.signal_operations import smoothed
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.likelihood import Likelihood, Place
 from rotorid_torch.identification.segments import Records, Segments

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from rotorid_torch.core.ranks import ALONE, Ranks
+from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.trace.candidate import Candidate
 from rotorid_torch.trace.critical import Draws, p_values

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.ranks import Ranks
+from rotorid_torch.core.processes.ranks import Ranks
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification import stages
 from rotorid_torch.identification.engine import engine_for

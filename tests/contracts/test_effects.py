@@ -11,8 +11,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.native.symbols import Graph
-from rotorid_torch.core.native.trace import scalarise
+from rotorid_torch.core.native.graph.symbols import Graph
+from rotorid_torch.core.native.graph.tracing import scalarise
 from rotorid_torch.core.parameters import ParameterSet
 from rotorid_torch.effects.base import Effect, Role, Showing, Stage, Values
 from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR, example

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from rotorid_torch.core.bounded_least_squares import bounded_least_squares
+from rotorid_torch.core.least_squares import bounded_least_squares
 
 
 def problem(n: int, seed: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:

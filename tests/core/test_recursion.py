@@ -10,9 +10,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.native import fallback
+from rotorid_torch.core import fallback
 from rotorid_torch.core.native.build import NO_COMPILER, library
-from rotorid_torch.core.native.recursion import SERIES, CompiledRecursion, Step
+from rotorid_torch.core.native.recurrences import SERIES, CompiledRecursion, Step
 from rotorid_torch.core.recursion import followed, linear, reference
 
 agree = partial(torch.testing.assert_close, rtol=1e-12, atol=1e-12)

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from rotorid_torch.core.native.symbols import Graph
-from rotorid_torch.core.native.trace import scalarise
+from rotorid_torch.core.native.graph.symbols import Graph
+from rotorid_torch.core.native.graph.tracing import scalarise
 from rotorid_torch.core.table import lookup
 from rotorid_torch.errors import InputError
 

@@ -18,7 +18,7 @@ import torch
 from rotorid_torch import cli
 from rotorid_torch.model.nominal import build
 from rotorid_torch.model.save import save
-from tests.core.test_files import KINDS, _no_hanging, special
+from tests.core.storage.test_files import KINDS, _no_hanging, special
 from tests.helpers import ROOT, small_flight, small_folder, small_toml
 from tests.known_models import body_spec, scattered
 from tests.test_cli import a_run

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from rotorid_torch.effects.record import lagged, rate_limited
+from rotorid_torch.effects.signal_operations import lagged, rate_limited
 from rotorid_torch.identification.system import System
 
 DT = 0.02

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from rotorid_torch.core import large
+from rotorid_torch.core.storage import mapped_arrays
 from rotorid_torch.identification import likelihood
 from rotorid_torch.identification.ml import OutputError, output_error
 from rotorid_torch.identification.segments import cut, records_from
@@ -77,7 +77,7 @@ def test_many_flights_in_parts_and_on_disk_give_the_same(monkeypatch: pytest.Mon
     rng = np.random.default_rng(3)
     flights = [roll_flight(rng, shift=0.1 * k) for k in range(6)]
     whole = fitted(flights)
-    monkeypatch.setattr(large, "LARGE", 0)
+    monkeypatch.setattr(mapped_arrays, "LARGE", 0)
     monkeypatch.setattr(likelihood, "PART_NUMBERS", 1)
     monkeypatch.setattr(likelihood, "KEPT_NUMBERS", 0)
     monkeypatch.setattr(likelihood, "SOLVED", 4)

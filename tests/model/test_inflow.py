@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from torch import Tensor
 
-from rotorid_torch.model.forces import FOLLOWED
+from rotorid_torch.model.derivatives import FOLLOWED
 from rotorid_torch.model.inflow import CYCLIC, INDUCED, Inflow, induced_velocity, trim_velocity
 from tests.known_models import INERTIA, ROTOR, helicopter, points, with_values
 

@@ -8,7 +8,7 @@ from torch.fx.experimental.proxy_tensor import make_fx
 
 from rotorid_torch.core.names import FLAPPING, RATES, STICKS, VELOCITIES
 from rotorid_torch.effects.spec import FlappingKind
-from rotorid_torch.model.forces import FOLLOWED
+from rotorid_torch.model.derivatives import FOLLOWED
 from rotorid_torch.model.inflow import INDUCED
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.modes import reference_point

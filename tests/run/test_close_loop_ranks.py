@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from rotorid_torch.core.ranks import Ranks
+from rotorid_torch.core.processes.ranks import Ranks
 from rotorid_torch.data import load
 from rotorid_torch.errors import InputError
 from rotorid_torch.report.records import Report, read_report
@@ -38,8 +38,8 @@ DRAWS = """
 import json, os, sys
 from pathlib import Path
 from types import SimpleNamespace
-from rotorid_torch.core.cache import cache_folder
-from rotorid_torch.core.ranks import ranks_of_torchrun
+from rotorid_torch.core.storage.cache import cache_folder
+from rotorid_torch.core.processes.ranks import ranks_of_torchrun
 from rotorid_torch.simulate.drawn import data_sets
 from rotorid_torch.identification.reconstruct import reconstruct
 from rotorid_torch.identification.structure import propose

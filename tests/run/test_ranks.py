@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from rotorid_torch.commands.console import PlainConsole
-from rotorid_torch.core.ranks import Ranks
+from rotorid_torch.core.processes.ranks import Ranks
 from rotorid_torch.data import load
 from rotorid_torch.errors import InputError
 from rotorid_torch.report.records import Report, read_report

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.data import Dataset
-from rotorid_torch.effects.record import lagged
+from rotorid_torch.effects.signal_operations import lagged
 from rotorid_torch.effects.spec import ModelSpec, MotorSpec
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.balance import (

@@ -16,8 +16,8 @@ from typing import Any
 import pytest
 import torch
 
-from rotorid_torch.core.atomic import Unwritable
-from rotorid_torch.core.ranks import ALONE, Ranks
+from rotorid_torch.core.processes.ranks import ALONE, Ranks
+from rotorid_torch.core.storage.atomic import Unwritable
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.registry import registered

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from rotorid_torch.data import Dataset
-from rotorid_torch.effects.neural import TRUST
+from rotorid_torch.effects.library.neural import TRUST
 from rotorid_torch.identification.reconstruct import reconstruct
 from rotorid_torch.identification.step2 import regress_model
 from rotorid_torch.identification.structure import propose

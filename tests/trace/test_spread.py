@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from rotorid_torch.core.names import RATES
-from rotorid_torch.core.ranks import ALONE, Ranks
+from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.identification.reconstruct import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build

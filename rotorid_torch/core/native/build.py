@@ -17,10 +17,10 @@ import shutil
 import subprocess
 from pathlib import Path
 
-from rotorid_torch.core import cache
-from rotorid_torch.core.atomic import scratch_folder
-from rotorid_torch.core.children import child
-from rotorid_torch.core.native.fallback import Unsupported, say_once
+from rotorid_torch.core.fallback import Unsupported, say_once
+from rotorid_torch.core.processes.children import child
+from rotorid_torch.core.storage import cache
+from rotorid_torch.core.storage.atomic import scratch_folder
 from rotorid_torch.errors import InputError
 
 LOOPS = Path(__file__).parent / "loops"

@@ -13,10 +13,10 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.native.build import lanes, library
-from rotorid_torch.core.native.derive import Columns, Tangent, derivatives
-from rotorid_torch.core.native.emit import SHARED, Constants, straight_line
-from rotorid_torch.core.native.symbols import Graph
-from rotorid_torch.core.native.trace import scalarise
+from rotorid_torch.core.native.graph.derivatives import Columns, Tangent, derivatives
+from rotorid_torch.core.native.graph.emit import SHARED, Constants, straight_line
+from rotorid_torch.core.native.graph.symbols import Graph
+from rotorid_torch.core.native.graph.tracing import scalarise
 
 Function = Callable[[Tensor, Tensor, Tensor], Tensor]
 """(x [nx], u [nu], theta [P]) -> [n]: one point, no leading dimensions."""

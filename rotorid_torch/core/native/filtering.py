@@ -11,9 +11,9 @@ from torch import Tensor
 
 from rotorid_torch.core.native.build import library
 from rotorid_torch.core.native.dynamics import evaluation, sizes
-from rotorid_torch.core.native.emit import Constants
-from rotorid_torch.core.native.symbols import Graph
-from rotorid_torch.core.native.trace import Unsupported, scalarise
+from rotorid_torch.core.native.graph.emit import Constants
+from rotorid_torch.core.native.graph.symbols import Graph
+from rotorid_torch.core.native.graph.tracing import Unsupported, scalarise
 
 Function = Callable[[Tensor, Tensor], Tensor]
 """(x [..., nx], u [..., nu]) -> [..., n]"""

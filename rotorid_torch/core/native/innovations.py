@@ -11,10 +11,10 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.native.build import lanes, library
-from rotorid_torch.core.native.derive import Columns, Derivatives, Tangent, derivatives
 from rotorid_torch.core.native.dynamics import sizes, traced
-from rotorid_torch.core.native.emit import SHARED, Constants
-from rotorid_torch.core.native.symbols import Graph, Term
+from rotorid_torch.core.native.graph.derivatives import Columns, Derivatives, Tangent, derivatives
+from rotorid_torch.core.native.graph.emit import SHARED, Constants
+from rotorid_torch.core.native.graph.symbols import Graph, Term
 
 Parts = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor, Tensor, Tensor]]
 """(x [nx], u [nu], psi [n]) -> rates [nx], outputs [ny], spectral density [nx, nx], noise covariance [ny, ny]."""

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorid_torch.core.files import read_file
+from rotorid_torch.core.storage.files import read_file
 from rotorid_torch.data.reading import npz
 from rotorid_torch.errors import InputError
 

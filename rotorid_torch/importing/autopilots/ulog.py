@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorid_torch.core.files import open_file
+from rotorid_torch.core.storage.files import open_file
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing.autopilots.blocks import BLOCK, Blocks, Gathered
 from rotorid_torch.importing.signals.streams import Choose, Log, Stream, of_damage

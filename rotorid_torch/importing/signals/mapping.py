@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta, Struct
 
 from rotorid_torch.core import names
-from rotorid_torch.core.files import read_file
+from rotorid_torch.core.storage.files import read_file
 from rotorid_torch.data.declare import TOML_LIMIT
 from rotorid_torch.data.refusal import convert
 from rotorid_torch.errors import InputError

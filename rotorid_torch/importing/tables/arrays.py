@@ -13,8 +13,8 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from rotorid_torch.core.files import open_file
-from rotorid_torch.core.memory import bounded_memory
+from rotorid_torch.core.storage.files import open_file
+from rotorid_torch.core.storage.memory import bounded_memory
 from rotorid_torch.data.reading import npz
 from rotorid_torch.data.reading.read import BYTES, CHANNELS, SAMPLES
 from rotorid_torch.errors import InputError

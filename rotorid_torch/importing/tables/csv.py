@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorid_torch.core.files import open_file
+from rotorid_torch.core.storage.files import open_file
 from rotorid_torch.data.reading.read import CHANNELS, number_of
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing.autopilots import blackbox

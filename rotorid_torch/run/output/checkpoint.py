@@ -20,12 +20,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.atomic import Unwritable, locked, reason, remove, writing
-from rotorid_torch.core.large import give_back
-from rotorid_torch.core.native.fallback import say_once
-from rotorid_torch.core.paths import absolute, refuse_foreign
-from rotorid_torch.core.ranks import Ranks
-from rotorid_torch.core.sealed import Damaged, read_sealed, write_sealed
+from rotorid_torch.core.fallback import say_once
+from rotorid_torch.core.processes.ranks import Ranks
+from rotorid_torch.core.storage.atomic import Unwritable, locked, reason, remove, writing
+from rotorid_torch.core.storage.mapped_arrays import give_back
+from rotorid_torch.core.storage.paths import absolute, refuse_foreign
+from rotorid_torch.core.storage.sealed import Damaged, read_sealed, write_sealed
 from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import msgspec
 
-from rotorid_torch.core.atomic import atomic_file, atomic_folder, refuse_unless_writable, restore
-from rotorid_torch.core.files import read_file
-from rotorid_torch.core.paths import absolute, is_part, refuse_foreign, same_file
+from rotorid_torch.core.storage.atomic import atomic_file, atomic_folder, refuse_unless_writable, restore
+from rotorid_torch.core.storage.files import read_file
+from rotorid_torch.core.storage.paths import absolute, is_part, refuse_foreign, same_file
 from rotorid_torch.data.reading.read import FOLDERS
 from rotorid_torch.data.write import FILES as DATASET_FILES
 from rotorid_torch.errors import InputError

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from rotorid_torch.core.files import read_file
+from rotorid_torch.core.storage.files import read_file
 from rotorid_torch.data.declare import TOML_LIMIT
 from rotorid_torch.errors import InputError
 

@@ -8,8 +8,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.native import fallback, filtering
-from rotorid_torch.core.native.trace import Unsupported
+from rotorid_torch.core import fallback
+from rotorid_torch.core.native import filtering
+from rotorid_torch.core.native.graph.tracing import Unsupported
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification import ukf
 from rotorid_torch.identification.sigma_points import ProcessNoise, SigmaPoints

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorid_torch.core import atomic
+from rotorid_torch.core.storage import atomic
 from rotorid_torch.errors import InputError
 from rotorid_torch.run.output import folder
 from tests.helpers import small_folder

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from rotorid_torch.core.atomic import Unwritable
+from rotorid_torch.core.storage.atomic import Unwritable
 from rotorid_torch.data.write import write_dataset
 from rotorid_torch.model.nominal import build
 from rotorid_torch.model.save import save

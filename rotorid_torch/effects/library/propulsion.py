@@ -1,0 +1,172 @@
+"""Effects of a multirotor's drives: lag of the motors, battery voltage, the rotors' inertia and drag."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.names import VELOCITIES, is_motor
+from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
+from rotorid_torch.effects.registry import register
+from rotorid_torch.effects.signal_operations import lagged
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.effects.testable import first, no_forces, no_motors, no_velocities
+
+LARGE_SPEED = 1e3
+"""rad/s: speeds of small rotors are thousands, where commands are one."""
+LEAST_VOLTAGE = 0.05
+"""Share of the reference below which a voltage is a fault of its sensor."""
+
+
+def motors_of(spec: ModelSpec) -> tuple[str, ...]:
+    """Names of the motor commands."""
+    return tuple(c for c in spec.controls if is_motor(c))
+
+
+@register
+class MotorLag(Effect):
+    """Motors that follow their commands late: tau dm/dt = command - m, the same for all.
+
+    Source: Foerster, System Identification of the Crazyflie 2.0 (ETH, 2015), sec. 3; Bouabdallah (EPFL, 2007).
+    """
+
+    id, stage, role = "propulsion.motor_lag", Stage.CONTROL, Role.UNDECLARED
+    companion = "propulsion.rotor_inertia"  # a rotor that takes time to turn up hands angular momentum to the body
+
+    def __init__(self, motors: tuple[str, ...]) -> None:
+        super().__init__((Parameter("tau", 0.0, "s", (0.0, 0.5), doc="time constant of the motors", typical=0.07),))
+        self.motors = motors
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> MotorLag:
+        """For the motor commands among the controls."""
+        return cls(motors_of(spec))
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Without motors."""
+        return no_motors(spec)
+
+    def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
+        """Controls [..., T, nu], motor commands behind the lag."""
+        tau = torch.stack([p["tau"] if n in self.motors else torch.zeros_like(p["tau"]) for n in names], dim=-1)
+        return lagged(record, tau, dt)
+
+
+@register
+class Voltage(Effect):
+    """Battery voltage at the motors: commands, or the speeds that follow from them, count times (V/V_ref)^exponent.
+
+    The voltage is the measured one, so that its sag under load is in it.
+
+    Source: Foerster, System Identification of the Crazyflie 2.0 (ETH, 2015), sec. 3.2 (thrust and battery).
+    """
+
+    id, stage, role = "propulsion.voltage", Stage.CONTROL, Role.UNDECLARED
+
+    def __init__(self, motors: tuple[str, ...], voltage: float) -> None:
+        super().__init__(
+            (Parameter("exponent", 0.0, "1", (0.0, 4.0), doc="power of the voltage in command or speed", typical=1.0),)
+        )
+        self.motors, self.voltage = motors, voltage
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> Voltage:
+        """About the reference voltage."""
+        return cls(motors_of(spec), spec.reference["voltage"])
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Without motors or voltage."""
+        unmeasured = None if "voltage" in spec.inputs else "the channel voltage is missing"
+        return first(no_motors(spec), unmeasured)
+
+    def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
+        """Controls [..., T, nu], motor commands as the voltage lets them count."""
+        share = record[..., names.index("voltage"), None].clamp(min=LEAST_VOLTAGE * self.voltage) / self.voltage
+        factor = torch.exp(p["exponent"][..., None, None] * torch.log(share))
+        counted = torch.tensor([n in self.motors for n in names], device=record.device)
+        return torch.where(counted, record * factor, record)
+
+
+@register
+class RotorInertia(Effect):
+    """Rotors that speed up turn the body: body and rotors keep their angular momentum about the yaw axis.
+
+    What the torques integrate is r - N (sum of spin times command or speed, less that at the reference): the state r of
+    the model. The rate itself is a signal and an output; its reaction to a sudden command is exact.
+
+    Source: Mahony, Kumar and Corke, IEEE Robotics and Automation Magazine 19 (2012), eq. 6 (rotor acceleration).
+    """
+
+    id, stage, role = "propulsion.rotor_inertia", Stage.ENVIRONMENT, Role.UNDECLARED
+
+    def __init__(self, driven: tuple[str, ...], spins: tuple[float, ...], reference: dict[str, float]) -> None:
+        size = 1.0 if driven[0] in reference and is_motor(driven[0]) else LARGE_SPEED
+        super().__init__(
+            (
+                Parameter(
+                    "N",
+                    0.0,
+                    "rad/s" if size == 1.0 else "1",
+                    (0.0, 20.0 / size),
+                    doc="yaw rate by the sum of spin times command or speed",
+                    typical=2.0 / size,
+                ),
+            )
+        )
+        self.driven, self.spins = driven, spins
+        self.at = sum(s * reference.get(n, 0.0) for s, n in zip(spins, driven, strict=True))
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> RotorInertia:
+        """With the declared spins."""
+        return cls(spec.driven, spec.spins, spec.reference)
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Without motors or their spins."""
+        spins = None if len(spec.spins) == len(motors_of(spec)) else "the spins of the motors are not declared"
+        return first(no_motors(spec), spins)
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """The rate of the body behind what the rotors have taken of the momentum."""
+        total = sum((s * frame.signals[n] for s, n in zip(self.spins, self.driven, strict=True)), -self.at)
+        return frame.with_signals(r=frame.signals["r"] + p["N"] * total), x
+
+
+@register
+class RotorDrag(Effect):
+    """Drag of the rotors in their own plane and inflow along their axes, linear in speed, growing with the rotors'.
+
+    X -= xy s u, Y -= xy s v, Z -= z s w with s the sum of the commands or speeds over that at the reference.
+
+    Source: Faessler, Franchi and Scaramuzza, IEEE Robotics and Automation Letters 3 (2018); Foerster (2015), sec. 3.4.
+    """
+
+    id, stage, role = "propulsion.rotor_drag", Stage.FORCES, Role.UNDECLARED
+
+    def __init__(self, driven: tuple[str, ...], total: float) -> None:
+        super().__init__(
+            (
+                Parameter("xy", 0.0, "1/s", (0.0, 5.0), doc="drag in the rotors' plane", typical=0.3),
+                Parameter("z", 0.0, "1/s", (0.0, 5.0), doc="axial inflow: thrust lost by climbing", typical=0.3),
+            )
+        )
+        self.driven, self.total = driven, total
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> RotorDrag:
+        """About the reference's commands or speeds."""
+        return cls(spec.driven, sum(spec.reference.get(n, 0.0) for n in spec.driven) or 1.0)
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Without motors, velocities or forces."""
+        return first(no_motors(spec), no_velocities(spec), no_forces(spec))
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Adds the drag."""
+        share = frame.stack(self.driven).sum(-1, keepdim=True) / self.total
+        return frame.add(force=-p.stack("xy", "xy", "z") * share * frame.stack(VELOCITIES)), x
