@@ -96,8 +96,9 @@ def clean_draws(
         return why
     wanted = SETTINGS.draws
     numbers = range(wanted + SPARE)
-    key = f"floors/{_fingerprint(dataset, null, effects, seed)}"
-    drawn = ranks.from_first(_read(key, numbers))
+    key = f"floors/{_fingerprint(dataset, null, seed)}"
+    cached = ranks.from_first(_read(key, numbers))
+    drawn = {number: draw for number, draw in cached.items() if set(effects) <= set(draw["effects"])}
 
     def chosen(draws: Mapping[int, Any]) -> list[Mapping[str, Any]] | None:
         """The first draws with which the search may stop; None where more are needed."""
@@ -151,10 +152,11 @@ def _keep(key: str, number: int, draw: Mapping[str, Any]) -> None:
     cache.keep(_name(key, number), json.dumps(draw).encode())
 
 
-def _fingerprint(dataset: Dataset, null: Null, effects: Sequence[str], seed: int) -> str:
+def _fingerprint(dataset: Dataset, null: Null, seed: int) -> str:
     """What the draws depend on: vehicle, manoeuvres (in coarse steps of their size), model structure, the code.
 
-    The null's values are left out: fits only start there.
+    The null's values are left out: fits only start there. So are the effects: the statistic of one does not depend on
+    the others, and a draw says which effects it has statistics of.
     """
     spec = null.spec
     facts = {name: dataset.facts[name] for name in dataset.flights}
@@ -171,7 +173,6 @@ def _fingerprint(dataset: Dataset, null: Null, effects: Sequence[str], seed: int
         "structure": {name: msgspec.to_builtins(getattr(spec, name)) for name in SAME},
         "held": sorted(null.held),
         "wind": {n: round(v) for n, v in null.values.items() if n.startswith(f"{WIND}.")},
-        "effects": list(effects),
         "code": _code(),
     }
     return hashlib.sha256(json.dumps(facts_of_draws, sort_keys=True).encode()).hexdigest()[:24]
@@ -328,7 +329,7 @@ def _work(request: Mapping[str, object]) -> None:
         with atomic_file(folder / f"{number}.json") as file:
             file.write_text(json.dumps(draw))
 
-    away = {"statistics": {}, "alike": False}
+    away = {"statistics": {}, "alike": False, "effects": effects}
     with suppress(Untrimmable):  # none flies
         for drawn in clean_flights(dataset, msgspec.convert(request["seed"], int), tuple(numbers)):
             while numbers and numbers[0] < drawn.number:  # aircraft that flew away are not flown again next time
@@ -338,7 +339,8 @@ def _work(request: Mapping[str, object]) -> None:
                 found = statistics_on(drawn.dataset, null, effects)
             except NO_FIT:
                 found = away
-            write(drawn.number, found | {"alike": drawn.alike, "misfit": drawn.misfit, "rotor": drawn.rotor})
+            likeness = {"alike": drawn.alike, "misfit": drawn.misfit, "rotor": drawn.rotor}
+            write(drawn.number, found | likeness | {"effects": effects})
     for number in numbers:
         write(number, away)
 

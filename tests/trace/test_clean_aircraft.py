@@ -54,6 +54,7 @@ def draws(
     seen: float = LOUD,
     asked: list[int] | None = None,
     said: list[str] | None = None,
+    effects: Sequence[str] = ("control.delay",),
 ) -> Draws | str:
     """Of numbers of which some resemble the data and some do not fly; `asked` gets those that had to be flown.
 
@@ -69,7 +70,7 @@ def draws(
                 break
             statistics = {"control.delay": 1.0 + n, "unattributed L, curve": 2.0 + n}
             rest = {"statistics": statistics, "sizes": {"control.delay.common": 0.002 * n - 0.02}, "misfit": 1.0 + n}
-            found[n] = {"alike": n < alike, **(rest if flew(n) else {"statistics": {}})}
+            found[n] = {"alike": n < alike, "effects": list(effects), **(rest if flew(n) else {"statistics": {}})}
             clean_aircraft._keep(key, n, found[n])
             if asked is not None:
                 asked.append(n)
@@ -80,7 +81,16 @@ def draws(
     dataset = flown(linear_vehicle(), manoeuvres(4.0, 0.02), 0.02, noise=0.01)
     observed: Any = Observed({"control.delay": seen, "unattributed L, curve": seen}, {"control.delay": 0.1})
     say = (lambda line: None) if said is None else said.append
-    return clean_aircraft.clean_draws(dataset, Null(body_spec(), {}), ["control.delay"], observed, say=say)
+    return clean_aircraft.clean_draws(dataset, Null(body_spec(), {}), effects, observed, say=say)
+
+
+def test_draws_with_more_effects_serve_a_search_with_fewer(monkeypatch: pytest.MonkeyPatch):
+    both, asked = ("control.delay", "control.lag"), []
+    draws(monkeypatch, effects=both)
+    draws(monkeypatch, effects=both[:1], asked=asked)
+    assert not asked
+    draws(monkeypatch, effects=(*both, "forces.drag"), asked=asked)
+    assert asked
 
 
 def drawn(*given: Any, **named: Any) -> Draws:
@@ -157,7 +167,7 @@ def test_a_few_that_fly_are_enough_where_they_show_as_much_as_the_data(monkeypat
 def test_what_cannot_be_drawn_is_said_in_words(monkeypatch: pytest.MonkeyPatch):
     dataset = flown(linear_vehicle(), manoeuvres(4.0, 0.02), 0.02, noise=0.01)
     observed: Any = Observed({}, {})
-    found = clean_aircraft.clean_draws(dataset, Null(body_spec(), {}), ["control.delay"], observed)
+    found = clean_aircraft.clean_draws(dataset, Null(body_spec(), {}), effects, observed)
     assert isinstance(found, str)
     assert "rotor" in found
 
