@@ -167,7 +167,7 @@ def test_a_few_that_fly_are_enough_where_they_show_as_much_as_the_data(monkeypat
 def test_what_cannot_be_drawn_is_said_in_words(monkeypatch: pytest.MonkeyPatch):
     dataset = flown(linear_vehicle(), manoeuvres(4.0, 0.02), 0.02, noise=0.01)
     observed: Any = Observed({}, {})
-    found = clean_aircraft.clean_draws(dataset, Null(body_spec(), {}), effects, observed)
+    found = clean_aircraft.clean_draws(dataset, Null(body_spec(), {}), ["control.delay"], observed)
     assert isinstance(found, str)
     assert "rotor" in found
 
