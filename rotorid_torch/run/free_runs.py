@@ -14,7 +14,8 @@ from rotorid_torch.trace.settings import SETTINGS
 from rotorid_torch.trace.significance import exceeds
 
 DECIDING = ("validate", "identify")
-"""Lists whose free runs decide, the first that has flights: those no fit has seen, or the fitted; never the acid."""
+"""Lists whose free runs decide: flights that no fit has seen, and the fitted ones where those are fewer than two, for
+one flight does not tell what is chance; never the acid."""
 FLOWN_AWAY = 10.0
 """J of a run that has none because its states left all bounds, and the largest that counts: held trim scores 1.
 
@@ -47,6 +48,8 @@ def worse(without: Run, after: Run) -> bool:
 
 
 def _deciding(run: Run) -> list[FlightRecord]:
-    """Flights of the first of the deciding lists that has any."""
-    by_list = ([f for f in run.fit.flights.values() if f.list == name] for name in DECIDING)
-    return next((flights for flights in by_list if flights), [])
+    """Flights of the lists that decide."""
+    flights: list[FlightRecord] = []
+    for name in DECIDING:
+        flights += [f for f in run.fit.flights.values() if f.list == name] if len(flights) < 2 else []
+    return flights

@@ -18,7 +18,7 @@ from rotorid_torch.trace.candidates import of_control_path
 from rotorid_torch.trace.critical import Draws
 from rotorid_torch.trace.fits import Fitted
 from rotorid_torch.trace.forces import Seen, seen_in_forces
-from rotorid_torch.trace.residual import left_over
+from rotorid_torch.trace.residual import AT_ONCE, left_over
 from rotorid_torch.trace.screen import PATH, Screen, both_screens
 from rotorid_torch.trace.settings import SETTINGS
 from rotorid_torch.trace.unattributed import Description, Residuals
@@ -84,7 +84,7 @@ class Family:
 
     def nameless(self, members: Sequence[str]) -> float:
         """The largest of pseudo-effects, as evidence in trajectories: one equation is one of all that are measured."""
-        rows = len(self.residuals.fitted.rows)
+        rows = len([row for row in self.residuals.fitted.rows if row not in AT_ONCE])
         keys = [name.removeprefix(UNATTRIBUTED) for name in members]
         found = [self.descriptions[key].log_ratio / rows for key in keys if key in self.descriptions]
         return max([*found, *(self.statistics[n] for n in members if n == f"{UNATTRIBUTED}{PATH}")], default=0.0)

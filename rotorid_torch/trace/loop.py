@@ -108,7 +108,7 @@ def trace(
     null = _placed(search, null, tested, placed)
     null, ordinary = with_structure(search, null, [e for e in testable if registered()[e].role is Role.STRUCTURE])
     structure = tuple(f.id for f in ordinary if f.verdict == "accepted")
-    final = search.back(search.forward(null, tested))
+    final = search.back(search.forward(null, tested), tested)
     idle = [e for e in structure if size_of(final, e).estimate is not Estimate.SIZE]
     outcome, unknown = _outcome(search, final, tested)
     accepted = tuple(c.effect for c in search.joined) if outcome.adequate else ()

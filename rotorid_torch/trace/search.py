@@ -94,17 +94,28 @@ class Search:
             promising = self._promising(beside, p)
             if not promising or len(self.joined) == SETTINGS.effects:
                 break
-            null = self.settled(null)
-            fitted = self.fitted(null, {c: self._starts(beside, c) for c in promising})
-            null = self.improved(null, fitted)
-            self.null = self.null or null
-            self.tested |= {c.effect: tested for c in promising}
-            best = self._best(null, fitted)
+            null, best = self._joining(self.settled(null), tested, promising)
             if best is None:
                 break
             null = best.fitted
             self._joins(best.candidate)
         return null
+
+    def _joining(self, null: Fitted, tested: Tested, promising: Sequence[Candidate]) -> tuple[Fitted, Trial | None]:
+        """The null, from the best start that fits of candidates came upon, and the candidate that joins, if any stands.
+
+        Those of largest evidence are fitted first; others where none of these stands.
+        """
+        for first in range(0, len(promising), SETTINGS.fits):
+            batch = promising[first : first + SETTINGS.fits]
+            fitted = self.fitted(null, {c: self._starts(tested[0], c) for c in batch})
+            null = self.improved(null, fitted)
+            self.null = self.null or null
+            self.tested |= {c.effect: tested for c in batch}
+            best = self._best(null, fitted)
+            if best is not None:
+                return null, best
+        return null, None
 
     def _joins(self, candidate: Candidate) -> None:
         """What joins is a rival no more."""
@@ -134,7 +145,7 @@ class Search:
         low = {effect_of(name) for name, one in p.items() if one <= SETTINGS.level}
         each = {c.effect for c in beside.candidates if c.each_control and exceeds(beside.over_one_size(c.effect))}
         chosen = [c for c in beside.candidates if c.effect in low and c.each_control == (c.effect in each)]
-        return sorted(chosen, key=lambda c: -beside.statistics[c.name])[: SETTINGS.fits]
+        return sorted(chosen, key=lambda c: -beside.statistics[c.name])
 
     def fitted(
         self, null: Fitted, starts: Mapping[Candidate, Sequence[Mapping[str, float]]]
@@ -216,8 +227,11 @@ class Search:
             low = {effect_of(n) for n, one in p.items() if one <= SETTINGS.level}
             self.rivals[last] = tuple(e for e in self.rivals.get(last, ()) if e not in low)
 
-    def back(self, final: Fitted) -> Fitted:
-        """The final model without the effects that explain nothing more beside the others."""
+    def back(self, final: Fitted, effects: Sequence[str]) -> Fitted:
+        """The final model without the effects that explain nothing more beside the others, by the same test.
+
+        effects : all that are tested, the family of which an effect is one.
+        """
         assert self.first is not None
         several = len(self.joined) > 1
         for c in list(self.joined):
@@ -227,7 +241,8 @@ class Search:
                 spec = final.spec.without([c.effect])
                 without = self.settled(refit(spec, self.flights, final.values, self.held, near=final))
                 named = [one.effect for one in self.joined if one is not c]
-                p = self.tested_beside(family(without, [c.effect], named), [c.effect])[1]
+                others = [e for e in effects if e not in named]
+                p = self.tested_beside(family(without, others, named), others)[1]
                 low = [n for n, one in p.items() if one <= SETTINGS.level and effect_of(n) == c.effect]
                 row = replace(row, still=bool(low), in_set=bool(low))
             elif size.estimate is Estimate.SIZE:

@@ -23,7 +23,7 @@ class Settings:
     tilt : share of the square of a measured angle that goes with a description, for the cause to lie in that angle: a
         controller may hold the disc where it was, and then no angle goes with what acts.
     effects : undeclared effects that may join, at most.
-    fits : candidates that are fitted in full in one round, at most: those of largest evidence.
+    fits : candidates that are fitted in full side by side, those of largest evidence first; others where none stands.
     """
 
     level: float = 0.05

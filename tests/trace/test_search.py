@@ -83,7 +83,7 @@ def test_the_delay_joins_with_its_size_and_what_else_is_significant_was_fitted_t
     assert search.null is delay.null
     assert search.tested[DELAY][0].null is null
     assert search.tested[DELAY][1][DELAY] <= SETTINGS.level
-    assert search.back(final) is final
+    assert search.back(final, SUSPECTS) is final
 
 
 def test_where_nothing_is_hidden_nothing_joins_and_nothing_is_fitted_in_full():
@@ -112,7 +112,7 @@ def test_no_more_effects_join_than_are_allowed(monkeypatch: pytest.MonkeyPatch):
     assert search.joined == []
 
 
-def test_of_candidates_those_of_largest_evidence_are_fitted(monkeypatch: pytest.MonkeyPatch):
+def test_of_candidates_those_of_largest_evidence_are_fitted_first(monkeypatch: pytest.MonkeyPatch):
     known, null = late()
     search = search_of(known, draws_of(True))
     beside = family(null, SUSPECTS)
@@ -122,9 +122,23 @@ def test_of_candidates_those_of_largest_evidence_are_fitted(monkeypatch: pytest.
     assert statistics == sorted(statistics, reverse=True)
     assert {c.effect for c in ranked} == set(SUSPECTS)
     assert len(ranked) == len(SUSPECTS)  # each with one size, or with one of each control, not both
-    monkeypatch.setattr("rotorid_torch.trace.search.SETTINGS", replace(SETTINGS, fits=1))
-    assert search._promising(beside, p) == ranked[:1]
     assert search._promising(beside, {**p, DELAY: 0.2, Candidate(DELAY, True).name: 0.2})[:1] != [Candidate(DELAY)]
+    monkeypatch.setattr("rotorid_torch.trace.search.SETTINGS", replace(SETTINGS, fits=1))
+    _, best = search._joining(null, (beside, p, draws_of(True)), ranked)
+    assert best is not None
+    assert list(search.trials) == [best.candidate] == ranked[:1]
+
+
+def test_where_none_of_the_first_stands_the_next_ones_are_fitted(monkeypatch: pytest.MonkeyPatch):
+    """The damping first, which does not act, one fit at a time."""
+    known, null = late()
+    search = search_of(known, draws_of(True))
+    tested = search.beside(null, SUSPECTS)
+    monkeypatch.setattr("rotorid_torch.trace.search.SETTINGS", replace(SETTINGS, fits=1))
+    null, best = search._joining(null, tested, [Candidate(DAMPING), Candidate(DELAY)])
+    assert best is not None
+    assert best.candidate == Candidate(DELAY)
+    assert not search.trials[Candidate(DAMPING)].stands
 
 
 def test_sizes_of_each_control_are_asked_only_where_flights_are_better_predicted_by_them():
@@ -143,7 +157,7 @@ def test_an_effect_that_joined_is_taken_out_where_it_is_nothing_in_the_end():
     final = refit(null.spec.with_effects(DELAY), known, null.values, near=null)
     search.trials[Candidate(DELAY)] = Trial(Candidate(DELAY), null, final, Row())
     search.joined = [Candidate(DELAY)]
-    assert search.back(final) is null
+    assert search.back(final, [DELAY]) is null
     assert search.joined == []
     assert not search.trials[Candidate(DELAY)].stands
 
@@ -155,7 +169,7 @@ def test_an_effect_that_is_real_in_the_end_stays():
     final = refit(null.spec.with_effects(DELAY), known, {**null.values, f"{DELAY}.common": 0.05}, near=null)
     search.trials[Candidate(DELAY)] = Trial(Candidate(DELAY), null, final, observed(null, final, Candidate(DELAY)))
     search.joined = [Candidate(DELAY)]
-    assert search.back(final) is final
+    assert search.back(final, [DELAY]) is final
     assert search.joined == [Candidate(DELAY)]
 
 
@@ -170,7 +184,7 @@ def test_what_explains_nothing_beside_the_others_goes_whatever_joined_first(firs
     order = [first, DAMPING if first == DELAY else DELAY]
     search.joined = [Candidate(e) for e in order]
     search.trials = {c: Trial(c, null, both, Row()) for c in search.joined}
-    final = search.back(both)
+    final = search.back(both, SUSPECTS)
     assert [c.effect for c in search.joined] == [DELAY]
     assert DAMPING not in final.spec.effects
     assert final.values[f"{DELAY}.common"] == pytest.approx(0.06, abs=0.003)
@@ -187,7 +201,7 @@ def test_an_effect_that_no_draw_knows_keeps_its_place_and_the_others_are_still_a
     both = refit(spec, known, {**null.values, f"{DELAY}.common": 0.05, f"{DAMPING}.L": 0.1}, near=null)
     search.joined = [Candidate(DELAY), Candidate(DAMPING)]
     search.trials = {c: Trial(c, null, both, Row()) for c in search.joined}
-    search.back(both)
+    search.back(both, SUSPECTS)
     assert [c.effect for c in search.joined] == [DELAY]
 
 
