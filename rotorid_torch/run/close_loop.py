@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -23,7 +24,7 @@ from rotorid_torch.model.model import Model
 from rotorid_torch.model.modes import gust_response
 from rotorid_torch.model.nominal import build
 from rotorid_torch.report.figures import Overlay
-from rotorid_torch.report.records import EffectRecord, FitRecord, Report, VerdictRecord
+from rotorid_torch.report.records import EffectRecord, FitRecord, ParameterRecord, Report, VerdictRecord
 from rotorid_torch.report.short_horizon import short_horizon
 from rotorid_torch.report.summary import failing
 from rotorid_torch.run.estimate import estimated
@@ -44,6 +45,7 @@ from rotorid_torch.trace.fits import Fitted, Flights, refit
 from rotorid_torch.trace.loop import Tracing, trace
 from rotorid_torch.trace.multirotor import Identified, trace_rotors
 from rotorid_torch.trace.network import learn
+from rotorid_torch.trace.search import of_effects
 from rotorid_torch.trace.stochastic import TURBULENCE, stochastic_findings
 from rotorid_torch.trace.verdict import statement
 from rotorid_torch.trace.words import reason
@@ -150,7 +152,8 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
         findings.append(learnt)
         after = richer or after
     if after is not None:
-        after = replace(after, fit=_with_spread(after.fit, tracing.spread))
+        traced = of_effects(tracing.final.values, tracing.accepted)
+        after = replace(after, fit=_with_spread(after.fit, tracing.spread, traced))
     return _loop(before, after, findings, monitor, tracing)
 
 
@@ -301,12 +304,20 @@ def _again(
     return Run(model, spec, fit, record, base.reconstruction, regressions, found, judged.overlays)
 
 
-def _with_spread(fit: FitRecord, spread: Mapping[str, float]) -> FitRecord:
-    """The fit with standard errors no smaller than the scatter of a parameter over flights and controls."""
-    parameters = tuple(
-        msgspec.structs.replace(p, se=max(p.se or 0.0, spread[p.name])) if p.name in spread else p
-        for p in fit.parameters
-    )
+def _with_spread(fit: FitRecord, spread: Mapping[str, float], traced: Mapping[str, float]) -> FitRecord:
+    """The fit with standard errors that hold errors of the model too.
+
+    None is smaller than the scatter of a parameter over flights, controls and clean aircraft. The size of a named
+    effect differs between the model that it was traced with and the model of the report, which differ in structure and
+    care, by an error of its own: se^2 = max(se, scatter)^2 + (value - traced)^2.
+    """
+
+    def error(p: ParameterRecord) -> float:
+        other = 0.0 if p.value is None else p.value - traced.get(p.name, p.value)
+        return math.hypot(max(p.se or 0.0, spread.get(p.name, 0.0)), other)
+
+    wider = {*spread, *traced}
+    parameters = tuple(msgspec.structs.replace(p, se=error(p)) if p.name in wider else p for p in fit.parameters)
     return msgspec.structs.replace(fit, parameters=parameters)
 
 

@@ -242,19 +242,20 @@ def _fly(
         for k, file in enumerate(files):
             file.write_text(json.dumps({**plan, "numbers": list(mine[k::count])}))
         workers = [stack.enter_context(_worker(file)) for file in files]
-        at_work, began = True, time.monotonic()
-        while at_work and enough(drawn) is None:
-            at_work = any(ranks.gather(any(worker.poll() is None for worker in workers)))
+        at_work, began, stop = True, time.monotonic(), enough(drawn) is not None
+        while at_work and not stop:
+            at_work, before = any(ranks.gather(any(worker.poll() is None for worker in workers))), len(drawn)
             new = {int(file.stem): file for file in results.glob("*.json") if int(file.stem) not in drawn}
             for part in ranks.gather({number: json.loads(file.read_text()) for number, file in new.items()}):
                 drawn |= part
                 for number, draw in part.items() if ranks.first else ():
                     _keep(key, number, draw)
-            if new and at_work:
+            stop = len(drawn) > before and enough(drawn) is not None
+            if new and at_work and not stop:
                 left = (time.monotonic() - began) / len(drawn) * max(SETTINGS.draws - len(drawn), 0)
                 done = min(len(drawn), SETTINGS.draws)
                 request.say(f"clean aircraft {done} of at most {SETTINGS.draws}, {left:.0f} s to go at most")
-            time.sleep(WATCH_S if at_work else 0.0)
+            time.sleep(WATCH_S if at_work and not stop else 0.0)
         for worker, file in zip(workers, files, strict=True):
             if worker.poll() is not None:
                 _refuse_failure(worker.returncode, file)

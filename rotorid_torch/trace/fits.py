@@ -33,7 +33,7 @@ SEGMENT_S = 5.0
 """Length of the segments that all models are compared on, s."""
 CAREFUL = Options(max_iterations=25, tolerance=1e-6, absolute=0.5)
 """Of every fit that is compared: differences that matter are hundreds of times larger."""
-BEGINNING = replace(CAREFUL, max_iterations=8, damping=1e-2)
+BEGINNING = replace(CAREFUL, max_iterations=4, damping=1e-2)
 """Of fits from several starts, of which the best goes on."""
 SETTLING = 3
 """Gauss-Newton steps for the initial states of flights that no fit has seen."""

@@ -230,32 +230,47 @@ class Search:
     def back(self, final: Fitted, effects: Sequence[str]) -> Fitted:
         """The final model without the effects that explain nothing more beside the others, by the same test.
 
+        The one that explains least goes first, and the others are asked again.
+
         effects : all that are tested, the family of which an effect is one.
         """
-        assert self.first is not None
-        several = len(self.joined) > 1
-        for c in list(self.joined):
-            size = size_of(final, c.effect, self.tests)
-            row, draws = replace(self.trials[c].row, estimate=size.estimate), self.first[2].statistics
-            if several and c.effect in draws:
-                spec = final.spec.without([c.effect])
-                without = self.settled(refit(spec, self.flights, final.values, self.held, near=final))
-                named = [one.effect for one in self.joined if one is not c]
-                others = [e for e in effects if e not in named]
-                p = self.tested_beside(family(without, others, named), others)[1]
-                low = [n for n, one in p.items() if one <= SETTINGS.level and effect_of(n) == c.effect]
-                row = replace(row, still=bool(low), in_set=bool(low))
-            elif size.estimate is Estimate.SIZE:
-                continue
+        while self.joined:
+            trials = {c: self._left_out(c, final, effects) for c in self.joined}
+            failing = [c for c, trial in trials.items() if not trial.stands]
+            if not failing:
+                break
+            c = min(failing, key=lambda c: gain(trials[c].null, final))  # what it leaves may be what others need
+            before, after = self.joined[: self.joined.index(c) + 1], self.joined[self.joined.index(c) + 1 :]
+            if after and gain(self.trials[c].fitted, trials[c].null) <= 0.0:
+                # those behind it take its place, and explain less than it did without them
+                final, going = self.trials[c].fitted, after
+                self.joined = before
             else:
-                without = self.trials[c].null
-            if decide(row)[0] != "accepted":
-                self.say(f"{c.name}: {decide(row)[1].name.lower()} in the end")
-                self.trials[c] = Trial(c, without, final, row)
+                final, going = trials[c].null, [c]
                 self.joined.remove(c)
-                self.rivals.pop(c.effect, None)
-                final = without
+            for one in going:
+                row = replace(trials[one].row, still=False, in_set=False) if one is not c else trials[c].row
+                self.say(f"{one.name}: {decide(row)[1].name.lower()} in the end")
+                self.trials[one] = replace(trials[one], row=row)
+                self.rivals.pop(one.effect, None)
         return final
+
+    def _left_out(self, candidate: Candidate, final: Fitted, effects: Sequence[str]) -> Trial:
+        """A candidate that joined, tried again beside the others that did."""
+        assert self.first is not None
+        row = replace(self.trials[candidate].row, estimate=size_of(final, candidate.effect, self.tests).estimate)
+        alone = len(self.joined) == 1
+        if row.estimate is Estimate.SIZE and (alone or candidate.effect not in self.first[2].statistics):
+            return Trial(candidate, self.trials[candidate].null, final, row)
+        spec = final.spec.without([candidate.effect])
+        without = self.settled(refit(spec, self.flights, final.values, self.held, near=final))
+        if alone or candidate.effect not in self.first[2].statistics:
+            return Trial(candidate, without, final, row)
+        named = [c.effect for c in self.joined if c is not candidate]
+        others = [e for e in effects if e not in named]
+        p = self.tested_beside(family(without, others, named), others)[1]
+        low = any(one <= SETTINGS.level and effect_of(n) == candidate.effect for n, one in p.items())
+        return Trial(candidate, without, final, replace(row, still=low, in_set=low))
 
 
 def observed(null: Fitted, fitted: Fitted, candidate: Candidate, tests: int = 1) -> Row:

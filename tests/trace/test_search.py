@@ -157,7 +157,7 @@ def test_an_effect_that_joined_is_taken_out_where_it_is_nothing_in_the_end():
     final = refit(null.spec.with_effects(DELAY), known, null.values, near=null)
     search.trials[Candidate(DELAY)] = Trial(Candidate(DELAY), null, final, Row())
     search.joined = [Candidate(DELAY)]
-    assert search.back(final, [DELAY]) is null
+    assert search.back(final, [DELAY]).spec == null.spec
     assert search.joined == []
     assert not search.trials[Candidate(DELAY)].stands
 
@@ -181,9 +181,9 @@ def test_what_explains_nothing_beside_the_others_goes_whatever_joined_first(firs
     search.consider(null, SUSPECTS)
     spec = null.spec.with_effects(DELAY, DAMPING)
     both = refit(spec, known, {**null.values, f"{DELAY}.common": 0.05, f"{DAMPING}.L": 0.1}, near=null)
-    order = [first, DAMPING if first == DELAY else DELAY]
-    search.joined = [Candidate(e) for e in order]
-    search.trials = {c: Trial(c, null, both, Row()) for c in search.joined}
+    search.joined = [Candidate(first), Candidate(DAMPING if first == DELAY else DELAY)]
+    alone = refit(null.spec.with_effects(first), known, both.values, near=both)
+    search.trials = {c: Trial(c, null, one, Row()) for c, one in zip(search.joined, (alone, both), strict=True)}
     final = search.back(both, SUSPECTS)
     assert [c.effect for c in search.joined] == [DELAY]
     assert DAMPING not in final.spec.effects
@@ -200,7 +200,8 @@ def test_an_effect_that_no_draw_knows_keeps_its_place_and_the_others_are_still_a
     spec = null.spec.with_effects(DELAY, DAMPING)
     both = refit(spec, known, {**null.values, f"{DELAY}.common": 0.05, f"{DAMPING}.L": 0.1}, near=null)
     search.joined = [Candidate(DELAY), Candidate(DAMPING)]
-    search.trials = {c: Trial(c, null, both, Row()) for c in search.joined}
+    alone = refit(null.spec.with_effects(DELAY), known, both.values, near=both)
+    search.trials = {c: Trial(c, null, one, Row()) for c, one in zip(search.joined, (alone, both), strict=True)}
     search.back(both, SUSPECTS)
     assert [c.effect for c in search.joined] == [DELAY]
 
