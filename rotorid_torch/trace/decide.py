@@ -29,6 +29,7 @@ class Reason(Enum):
     WITHIN_ERROR = auto()
     UNSEEN_WORSE = auto()
     FREE_RUNS_WORSE = auto()
+    OTHER_LAW = auto()
     NOT_ADEQUATE = auto()
     GROUP = auto()
     OTHER_NAMED = auto()
@@ -53,8 +54,9 @@ class Row:
     still : significant beside the effects that joined. fitted : whether a full fit explains more than the null.
     estimate : of its size. unseen_better : whether flights that no fit has seen are better described in the mean.
     runs_worse : whether their free runs are worse by more than chance. in_set : whether it joined, or flights cannot
-    tell it from the one that did. alone : whether the set holds no other. adequate : whether the names explain enough
-    of what stays without a name.
+    tell it from the one that did. alone : whether the set holds no other. law : whether what is left in the control
+    path beside a name of the control path is chance. adequate : whether the names explain enough of what stays without
+    a name.
     """
 
     observable: bool = True
@@ -66,6 +68,7 @@ class Row:
     runs_worse: bool = False
     in_set: bool = True
     alone: bool = True
+    law: bool = True
     adequate: bool = True
 
 
@@ -79,6 +82,7 @@ TABLE: tuple[tuple[Mapping[str, object], Verdict, Reason], ...] = (
     ({"unseen_better": False}, "rejected", Reason.UNSEEN_WORSE),
     ({"in_set": False}, "rejected", Reason.BETTER_EXPLAINED),
     ({"runs_worse": True}, "suspected", Reason.FREE_RUNS_WORSE),
+    ({"law": False}, "suspected", Reason.OTHER_LAW),
     ({"adequate": False}, "suspected", Reason.NOT_ADEQUATE),
     ({"alone": False}, "indistinguishable", Reason.GROUP),
     ({}, "accepted", Reason.NAMED),

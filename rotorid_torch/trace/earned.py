@@ -66,7 +66,7 @@ def _finding(whole: Fitted, effect: str, held: Sequence[str], seed: int) -> Find
     row = replace(observed(null, whole, candidate), significant=significant)
     search.trials[candidate] = Trial(candidate, null, whole, row)
     search.joined += [candidate] if search.trials[candidate].stands else []
-    found = Outcome(search, whole, None, {}, {}).findings([effect])[0]
+    found = Outcome(search, whole, None, (), {}, {}).findings([effect])[0]
     if found.verdict == "accepted":
         found = replace(found, reason=reason(Reason.HELPS, **size_details(null, whole, effect)))
     return replace(found, role=role.value, values=errors_of(whole, effect, whole.scatter(effect)))

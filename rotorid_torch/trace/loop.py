@@ -13,7 +13,7 @@ from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.by_control import by_control
 from rotorid_torch.trace.candidate import UNATTRIBUTED, Candidate
-from rotorid_torch.trace.candidates import candidates, untried
+from rotorid_torch.trace.candidates import candidates, of_control_path, untried
 from rotorid_torch.trace.critical import Draws, Null
 from rotorid_torch.trace.decide import Estimate, decide, estimate, evidence, gain, size_of, total
 from rotorid_torch.trace.family import TURNED, Family, by_chance
@@ -22,6 +22,7 @@ from rotorid_torch.trace.findings import Outcome
 from rotorid_torch.trace.fits import Fitted, Flights, refit
 from rotorid_torch.trace.localisation import in_control_path, localised
 from rotorid_torch.trace.places import explained_trims
+from rotorid_torch.trace.screen import PATH
 from rotorid_torch.trace.screening_sizes import with_screening_sizes
 from rotorid_torch.trace.search import Say, Search, Trial, observed, of_effects
 from rotorid_torch.trace.settings import SETTINGS
@@ -198,7 +199,8 @@ def _outcome(search: Search, final: Fitted, effects: Sequence[str]) -> tuple[Out
         ]
         unknown = replace(unknown, sentence=" ".join([unknown.sentence, *doubts]), judged=draws.clean)
     by_controls, spread = _spread(search, final, draws)
-    return Outcome(search, final, share, by_controls, spread), unknown
+    other_law = tuple(of_control_path(names)) if draws.clean and f"{UNATTRIBUTED}{PATH}" in low else ()
+    return Outcome(search, final, share, other_law, by_controls, spread), unknown
 
 
 def _spread(search: Search, final: Fitted, draws: Draws) -> tuple[dict[str, str], dict[str, float]]:
