@@ -26,8 +26,8 @@ from torch import Tensor, nn
 from torch.utils.tensorboard import SummaryWriter
 
 from rotorid_torch.core.integrate import simulate
-from rotorid_torch.identification.ftr import regress
-from rotorid_torch.identification.ml import output_error
+from rotorid_torch.identification.estimate.output_error import output_error
+from rotorid_torch.identification.regress.ftr import regress
 
 TRUTH = (-1.2, -2.0, 3.0)  # damping 1/s, stiffness 1/s2, control power 1/s2
 NAMES = ("damping", "stiffness", "power")

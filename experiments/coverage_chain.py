@@ -27,9 +27,9 @@ from rotorid_torch.core.integrate import step
 from rotorid_torch.core.names import FORCES, MOMENTS, RATES, STICKS, VELOCITIES
 from rotorid_torch.data import Dataset
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.identification.reconstruct import reconstruct
-from rotorid_torch.identification.step2 import regress_model
-from rotorid_torch.identification.step3 import estimate_model
+from rotorid_torch.identification.model_estimation import estimate_model
+from rotorid_torch.identification.model_regression import regress_model
+from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build

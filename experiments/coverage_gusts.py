@@ -22,9 +22,9 @@ import tyro
 from torch.utils.tensorboard import SummaryWriter
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from rotorid_torch.identification.filter_error import FilterError, filter_error
-from rotorid_torch.identification.ml import ParameterEstimate, output_error
-from tests.identification.gust_cases import (
+from rotorid_torch.identification.estimate.output_error import ParameterEstimate, output_error
+from rotorid_torch.identification.filter_error.method import FilterError, filter_error
+from tests.identification.filter_error.gust_cases import (
     BIASES,
     LATERAL,
     LATERAL_GUSTS,

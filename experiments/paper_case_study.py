@@ -30,7 +30,7 @@ from torch.utils.tensorboard import SummaryWriter
 from rotorid_torch.core.integrate import simulate
 from rotorid_torch.core.names import ATTITUDES, FLAPPING, FORCES, MOMENTS, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.data import Dataset, load
-from rotorid_torch.identification.reconstruct import Reconstruction
+from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.model.model import Model
 from rotorid_torch.report.figures import Overlay, side_by_side
 from rotorid_torch.report.scorecard import scorecard

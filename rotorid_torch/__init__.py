@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     from rotorid_torch.effects.base import Effect as Effect
     from rotorid_torch.effects.registry import register as register
     from rotorid_torch.errors import InputError as InputError
-    from rotorid_torch.identification.filter_error import filter_error as filter_error
-    from rotorid_torch.identification.ftr import regress as regress
-    from rotorid_torch.identification.ml import output_error as output_error
-    from rotorid_torch.identification.reconstruct import reconstruct as reconstruct
-    from rotorid_torch.identification.ukf import unscented_filter as unscented_filter
+    from rotorid_torch.identification.estimate.output_error import output_error as output_error
+    from rotorid_torch.identification.filter_error.method import filter_error as filter_error
+    from rotorid_torch.identification.reconstruct.reconstruction import reconstruct as reconstruct
+    from rotorid_torch.identification.reconstruct.unscented_filter import unscented_filter as unscented_filter
+    from rotorid_torch.identification.regress.ftr import regress as regress
     from rotorid_torch.importing.logs import import_logs as import_logs
     from rotorid_torch.model.model import Model as Model
     from rotorid_torch.run.check import check as check
@@ -32,11 +32,11 @@ _PUBLIC = {
     "Effect": "effects.base",
     "register": "effects.registry",
     "InputError": "errors",
-    "regress": "identification.ftr",
-    "output_error": "identification.ml",
-    "filter_error": "identification.filter_error",
-    "reconstruct": "identification.reconstruct",
-    "unscented_filter": "identification.ukf",
+    "regress": "identification.regress.ftr",
+    "output_error": "identification.estimate.output_error",
+    "filter_error": "identification.filter_error.method",
+    "reconstruct": "identification.reconstruct.reconstruction",
+    "unscented_filter": "identification.reconstruct.unscented_filter",
     "import_logs": "importing.logs",
     "Model": "model.model",
     "check": "run.check",

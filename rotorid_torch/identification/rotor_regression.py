@@ -19,12 +19,12 @@ from rotorid_torch.core.rigid import cross, gravity_in_body
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import bridged
 from rotorid_torch.effects.base import Role, Stage
-from rotorid_torch.identification.equation import Equation, fit_equation
-from rotorid_torch.identification.ftr import Regression
-from rotorid_torch.identification.reconstruct import Reconstruction
-from rotorid_torch.identification.segments import Records
-from rotorid_torch.identification.step2 import Step2, integral
-from rotorid_torch.identification.step3 import records
+from rotorid_torch.identification.estimate.segments import Records
+from rotorid_torch.identification.model_estimation import records
+from rotorid_torch.identification.model_regression import Step2, integral
+from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
+from rotorid_torch.identification.regress.equation import Equation, fit_equation
+from rotorid_torch.identification.regress.ftr import Regression
 from rotorid_torch.identification.structure import ATTITUDE
 from rotorid_torch.model.accelerations import Accelerations
 from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model

@@ -11,8 +11,8 @@ from rotorid_torch.consistency.examination.records import condensed
 from rotorid_torch.consistency.excitation import moves
 from rotorid_torch.consistency.late_controls import late_controls
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.identification.step2 import Step2
-from rotorid_torch.identification.step3 import Step3
+from rotorid_torch.identification.model_estimation import Step3
+from rotorid_torch.identification.model_regression import Step2
 from rotorid_torch.report.records import FitRecord
 from rotorid_torch.report.short_horizon import FREE_RUN, short_horizon
 from rotorid_torch.report.summary import GRADED, WORSE_THAN_TRIM, at_an_edge, at_once, list_summaries

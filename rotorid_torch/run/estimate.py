@@ -11,10 +11,10 @@ from torch import Tensor
 
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.identification.reconstruct import Reconstruction
+from rotorid_torch.identification.model_estimation import Step3, estimate_model
+from rotorid_torch.identification.model_regression import Step2, regress_model
+from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.identification.rotor_regression import regress_rotors
-from rotorid_torch.identification.step2 import Step2, regress_model
-from rotorid_torch.identification.step3 import Step3, estimate_model
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.report import remarks

@@ -15,7 +15,7 @@ from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.velocities import HALF
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.identification.step3 import Step3
+from rotorid_torch.identification.model_estimation import Step3
 from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
 from rotorid_torch.model.modes import modes
 from rotorid_torch.report.figures import Overlay

@@ -19,10 +19,10 @@ from rotorid_torch.data.velocities import with_velocities
 from rotorid_torch.effects.registry import of_others, registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError
-from rotorid_torch.identification import reconstruct as step1
-from rotorid_torch.identification.reconstruct import Reconstruction
-from rotorid_torch.identification.step2 import Step2
-from rotorid_torch.identification.step3 import Step3
+from rotorid_torch.identification.model_estimation import Step3
+from rotorid_torch.identification.model_regression import Step2
+from rotorid_torch.identification.reconstruct import reconstruction as step1
+from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.identification.structure import propose, rival
 from rotorid_torch.report import limits, remarks
 from rotorid_torch.report.records import DatasetRecord, FitRecord, Report, package_version

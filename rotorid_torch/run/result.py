@@ -10,9 +10,9 @@ import numpy as np
 import torch
 
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.identification.reconstruct import Reconstruction
-from rotorid_torch.identification.step2 import Step2
-from rotorid_torch.identification.step3 import Step3
+from rotorid_torch.identification.model_estimation import Step3
+from rotorid_torch.identification.model_regression import Step2
+from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.save import save as save_model
 from rotorid_torch.report.figures import draw

@@ -23,6 +23,7 @@ import msgspec
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.gauss_newton import InfiniteCost
 from rotorid_torch.core.names import VELOCITIES
 from rotorid_torch.core.native.build import threads
 from rotorid_torch.core.processes.children import child
@@ -36,8 +37,7 @@ from rotorid_torch.data.write import write_dataset
 from rotorid_torch.effects.base import Frame, Values
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.identification.gauss_newton import InfiniteCost
-from rotorid_torch.identification.reconstruct import reconstruct
+from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.trace.critical import Draws, Null, clear
 from rotorid_torch.trace.family import Family, family

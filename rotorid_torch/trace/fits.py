@@ -15,17 +15,17 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.gauss_newton import Options
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.identification import stages
-from rotorid_torch.identification.gauss_newton import Options
-from rotorid_torch.identification.initial_states import filled, fitted_states
-from rotorid_torch.identification.likelihood import Likelihood, Place
-from rotorid_torch.identification.reconstruct import Reconstruction
-from rotorid_torch.identification.segments import Records, cut
-from rotorid_torch.identification.step3 import initial_spread, records, sensor_noise
-from rotorid_torch.identification.system import System
-from rotorid_torch.identification.whitening import Noise
+from rotorid_torch.identification.estimate import progressive_fit
+from rotorid_torch.identification.estimate.initial_states import filled, fitted_states
+from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
+from rotorid_torch.identification.estimate.residuals import Noise
+from rotorid_torch.identification.estimate.segments import Records, cut
+from rotorid_torch.identification.estimate.system import System
+from rotorid_torch.identification.model_estimation import initial_spread, records, sensor_noise
+from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 
@@ -62,7 +62,7 @@ class Fitted:
     spec: ModelSpec
     model: Model
     names: tuple[str, ...]
-    fit: stages.Fit
+    fit: progressive_fit.Fit
     flights: Flights
 
     @property
@@ -148,7 +148,7 @@ def refit(
     numbers = model.parameter_set
     names = tuple(n for n in numbers.free if n not in held)
     places = [numbers.index(n) for n in names]
-    settings = stages.Settings(
+    settings = progressive_fit.Settings(
         floor=sensor_noise(model, flights.dataset),
         lengths=lengths,
         prior_mean=numbers.values[places],
@@ -158,7 +158,7 @@ def refit(
     )
     known = flights.records(model, flights.dataset.identify)
     states = None if near is None else _followed(near, model, known.states)
-    found = stages.fit(System(model, names), known, settings=settings, states=states)
+    found = progressive_fit.fit(System(model, names), known, settings=settings, states=states)
     with torch.no_grad():
         model.theta[places] = found.theta
     return Fitted(spec, model, names, found, flights)

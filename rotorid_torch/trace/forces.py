@@ -16,7 +16,7 @@ from torch import Tensor
 
 from rotorid_torch.core.least_squares import bounded_least_squares
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.identification.step2 import regress_model
+from rotorid_torch.identification.model_regression import regress_model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.candidate import Candidate
 from rotorid_torch.trace.fits import Fitted

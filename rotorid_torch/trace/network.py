@@ -14,10 +14,10 @@ import msgspec
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.gauss_newton import Options
 from rotorid_torch.effects.base import Frame, Values
 from rotorid_torch.effects.library.neural import TRUST, NeuralForces
-from rotorid_torch.identification.gauss_newton import Options
-from rotorid_torch.identification.segments import Records, cut
+from rotorid_torch.identification.estimate.segments import Records, cut
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.decide import gain, unseen_evidence

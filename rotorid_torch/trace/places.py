@@ -19,7 +19,7 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.base import Showing
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.identification.step2 import regress_model, trims_of_flights
+from rotorid_torch.identification.model_regression import regress_model, trims_of_flights
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.fits import Flights

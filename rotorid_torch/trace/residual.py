@@ -19,8 +19,8 @@ from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.base import Frame
 from rotorid_torch.effects.signal_operations import smoothed
-from rotorid_torch.identification.reconstruct import Reconstruction
-from rotorid_torch.identification.step2 import Measured, measured
+from rotorid_torch.identification.model_regression import Measured, measured
+from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.model.flapping import Flapping
 from rotorid_torch.model.model import Model
 from rotorid_torch.trace.settings import SETTINGS

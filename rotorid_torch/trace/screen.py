@@ -23,9 +23,9 @@ from rotorid_torch.core.least_squares import bounded_least_squares, least_square
 from rotorid_torch.effects.base import Stage
 from rotorid_torch.effects.signal_operations import smoothed
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.identification.likelihood import Likelihood, Place
-from rotorid_torch.identification.segments import Records, Segments
-from rotorid_torch.identification.whitening import Whitener
+from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
+from rotorid_torch.identification.estimate.residuals import Whitener
+from rotorid_torch.identification.estimate.segments import Records, Segments
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.candidates import of_control_path

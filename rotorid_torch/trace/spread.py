@@ -9,16 +9,16 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.gauss_newton import Minimum, Options
 from rotorid_torch.core.processes.ranks import Ranks
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.identification import stages
-from rotorid_torch.identification.engine import engine_for
-from rotorid_torch.identification.gauss_newton import Minimum, Options
-from rotorid_torch.identification.likelihood import Likelihood, Place
-from rotorid_torch.identification.segments import cut
-from rotorid_torch.identification.sensitivity import Run
-from rotorid_torch.identification.system import System
-from rotorid_torch.identification.uncertainty import Uncertainty
+from rotorid_torch.identification.estimate import progressive_fit
+from rotorid_torch.identification.estimate.engine import engine_for
+from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
+from rotorid_torch.identification.estimate.segments import cut
+from rotorid_torch.identification.estimate.sensitivity import Run
+from rotorid_torch.identification.estimate.system import System
+from rotorid_torch.identification.estimate.uncertainty import Uncertainty
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.fits import SEGMENT_S, Fitted, Flights, refit
 
@@ -102,7 +102,7 @@ def _again(told: _Told, spec: ModelSpec, flights: Flights) -> Fitted:
     known, system = flights.records(model, flights.dataset.identify), System(model, told.names)
     problem = Likelihood(
         system=system,
-        engine=engine_for(system, known.typical(), stages.Settings().solver),
+        engine=engine_for(system, known.typical(), progressive_fit.Settings().solver),
         records=known,
         segments=cut(known, told.samples),
         **told.own,
@@ -110,5 +110,5 @@ def _again(told: _Told, spec: ModelSpec, flights: Flights) -> Fitted:
     place = told.minimum.point
     if told.runs is not None:
         place.parts = [problem.part(place, which, run) for which, run in told.runs]
-    fit = stages.Fit(problem, told.minimum, told.stages, told.floor, told.uncertainty)
+    fit = progressive_fit.Fit(problem, told.minimum, told.stages, told.floor, told.uncertainty)
     return Fitted(spec, model, told.names, fit, flights)

@@ -19,7 +19,7 @@ from unittest.mock import patch
 
 from rotorid_torch.core.native import dynamics, filtering
 from rotorid_torch.core.native.build import library
-from rotorid_torch.identification import gauss_markov
+from rotorid_torch.identification.reconstruct import gauss_markov
 
 LINES = 12
 """Lines of a profile that are shown."""

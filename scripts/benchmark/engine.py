@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.native.dynamics import Dynamics, LinearProblem
-from rotorid_torch.identification.system import System
+from rotorid_torch.identification.estimate.system import System
 from rotorid_torch.model.save import load
 
 

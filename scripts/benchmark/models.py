@@ -14,18 +14,18 @@ from benchmark.clock import interleaved, process, profile
 from benchmark.problems import on_threads
 from benchmark.rows import Figure
 from benchmark.setting import Measured, Setting
+from rotorid_torch.core.gauss_newton import Linear
 from rotorid_torch.data.dataset import Dataset, load
 from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.identification import step3
-from rotorid_torch.identification.engine import engine_for
-from rotorid_torch.identification.gauss_newton import Linear
-from rotorid_torch.identification.likelihood import Likelihood, Place
-from rotorid_torch.identification.reconstruct import Reconstruction, reconstruct
-from rotorid_torch.identification.segments import cut
+from rotorid_torch.identification import model_estimation
+from rotorid_torch.identification.estimate.engine import engine_for
+from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
+from rotorid_torch.identification.estimate.residuals import Noise
+from rotorid_torch.identification.estimate.segments import cut
+from rotorid_torch.identification.estimate.system import System
+from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction, reconstruct
 from rotorid_torch.identification.structure import propose
-from rotorid_torch.identification.system import System
-from rotorid_torch.identification.whitening import Noise
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.model.save import save
@@ -63,7 +63,7 @@ def likelihood(given: Prepared, engine: str) -> Likelihood:
     model = given.model
     system = System(model, tuple(model.parameter_set.free))
     places = [model.parameter_set.index(name) for name in system.names]
-    records = step3.records(model, given.dataset, given.reconstruction)
+    records = model_estimation.records(model, given.dataset, given.reconstruction)
     noise = torch.tensor([given.dataset.noise(c) for c in model.body.outputs], dtype=torch.float64)
     segments = cut(records, min(round(SECONDS / records.dt), int(records.lengths.max())))
     x0 = segments.take(records.states)[:, 0].nan_to_num(0.0)

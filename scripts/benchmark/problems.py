@@ -16,13 +16,13 @@ from benchmark_models import DerivativeModel, LoadedBody, numbers
 from benchmark.clock import interleaved, profile
 from benchmark.rows import Figure, NotMeasured
 from benchmark.setting import Measured, Setting
-from rotorid_torch.identification.engine import engine_for
-from rotorid_torch.identification.likelihood import Likelihood
-from rotorid_torch.identification.segments import Records, cut
-from rotorid_torch.identification.sigma_points import ProcessNoise, SigmaPoints
-from rotorid_torch.identification.system import System
-from rotorid_torch.identification.ukf import Engine, filter_and_smooth
-from rotorid_torch.identification.whitening import Noise
+from rotorid_torch.identification.estimate.engine import engine_for
+from rotorid_torch.identification.estimate.likelihood import Likelihood
+from rotorid_torch.identification.estimate.residuals import Noise
+from rotorid_torch.identification.estimate.segments import Records, cut
+from rotorid_torch.identification.estimate.system import System
+from rotorid_torch.identification.reconstruct.sigma_points import ProcessNoise, SigmaPoints
+from rotorid_torch.identification.reconstruct.unscented_filter import Engine, filter_and_smooth
 
 Program = Callable[[], dict[str, Any]]
 """Solves a problem and returns what the anchors return, as numpy arrays."""

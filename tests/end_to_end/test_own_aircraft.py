@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from rotorid_torch.data import Dataset
-from rotorid_torch.identification import step3
+from rotorid_torch.identification import model_estimation
 from rotorid_torch.model.save import load
 from rotorid_torch.run.pipeline import identify
 from rotorid_torch.run.result import Run
@@ -38,8 +38,8 @@ def run(
     out = tmp_path_factory.mktemp("runs") / "run"
     with pytest.MonkeyPatch.context() as patch:
         if request.param == "hurried":
-            patch.setattr(step3, "LENGTHS", (2.0,))
-            patch.setattr(step3, "ENOUGH", replace(step3.ENOUGH, max_iterations=4))
+            patch.setattr(model_estimation, "LENGTHS", (2.0,))
+            patch.setattr(model_estimation, "ENOUGH", replace(model_estimation.ENOUGH, max_iterations=4))
         begin = time.process_time()
         made = identify(data, out=out)
         return made, out, time.process_time() - begin

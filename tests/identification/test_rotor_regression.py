@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 
 import rotorid_torch as rotorid
 from rotorid_torch.data import Dataset
-from rotorid_torch.identification.reconstruct import Reconstruction, reconstruct
+from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction, reconstruct
 from rotorid_torch.identification.rotor_regression import regress_rotors, with_memory
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from rotorid_torch.data import Dataset
-from rotorid_torch.identification.reconstruct import reconstruct
-from rotorid_torch.identification.step2 import regress_model
+from rotorid_torch.identification.model_regression import regress_model
+from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.fits import Fitted, Flights, refit

@@ -16,13 +16,13 @@ from typing import Any
 import pytest
 import torch
 
+from rotorid_torch.core.gauss_newton import InfiniteCost
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.core.storage.atomic import Unwritable
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.errors import InputError
-from rotorid_torch.identification.gauss_newton import InfiniteCost
 from rotorid_torch.trace import clean_aircraft
 from rotorid_torch.trace.clean_aircraft import SPARE
 from rotorid_torch.trace.critical import Draws, Null

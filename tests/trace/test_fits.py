@@ -9,7 +9,7 @@ import msgspec
 import pytest
 import torch
 
-from rotorid_torch.identification.reconstruct import reconstruct
+from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.trace.fits import Fitted, Flights, refit
 from tests.known_models import flown, manoeuvres, rate_vehicle, with_values

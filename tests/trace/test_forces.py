@@ -12,8 +12,8 @@ import torch
 from scipy.optimize import lsq_linear
 from torch import Tensor
 
-from rotorid_torch.identification.reconstruct import reconstruct
-from rotorid_torch.identification.step2 import regress_model
+from rotorid_torch.identification.model_regression import regress_model
+from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.candidate import Candidate

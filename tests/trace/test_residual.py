@@ -11,7 +11,7 @@ import torch
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES, STICKS, VELOCITIES
 from rotorid_torch.data import Dataset
 from rotorid_torch.effects.spec import RotorSpec
-from rotorid_torch.identification.reconstruct import reconstruct
+from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.trace.localisation import localised
 from rotorid_torch.trace.residual import AT_ONCE, _moved, by_chance, left_over
 from rotorid_torch.trace.unattributed import Description, Residuals

@@ -12,7 +12,7 @@ import torch
 
 from rotorid_torch.core.names import RATES
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
-from rotorid_torch.identification.reconstruct import reconstruct
+from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace import multirotor
@@ -42,7 +42,7 @@ class Others(Ranks):
 @pytest.mark.parametrize("kept", [True, False])
 def test_a_fit_of_another_rank_is_the_same_fit(kept: bool, monkeypatch: pytest.MonkeyPatch):
     if not kept:
-        monkeypatch.setattr("rotorid_torch.identification.likelihood.KEPT_NUMBERS", 0)
+        monkeypatch.setattr("rotorid_torch.identification.estimate.likelihood.KEPT_NUMBERS", 0)
     truth = with_values(rate_vehicle(effects=("control.delay",)), {"control.delay.common": 0.08})
     data = flown(truth, manoeuvres(6.0, DT), DT, noise=0.02, lists=LISTS)
     flights = Flights(data, reconstruct(data))

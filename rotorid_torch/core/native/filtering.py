@@ -53,7 +53,7 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """[F, T, ...] as in `identification.ukf.Filtered`; None where not asked for."""
+    """[F, T, ...] as in `identification.reconstruct.unscented_filter.Filtered`; None where not asked for."""
 
     means: Tensor
     covariances: Tensor

@@ -21,6 +21,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.fallback import say_once
+from rotorid_torch.core.gauss_newton import Linear, Minimum
 from rotorid_torch.core.processes.ranks import Ranks
 from rotorid_torch.core.storage.atomic import Unwritable, locked, reason, remove, writing
 from rotorid_torch.core.storage.mapped_arrays import give_back
@@ -29,16 +30,15 @@ from rotorid_torch.core.storage.sealed import Damaged, read_sealed, write_sealed
 from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError
-from rotorid_torch.identification.force_noise import ForceNoise
-from rotorid_torch.identification.ftr import Regression
-from rotorid_torch.identification.gauss_newton import Linear, Minimum
-from rotorid_torch.identification.likelihood import Place
-from rotorid_torch.identification.reconstruct import ReconstructedFlight, Reconstruction
-from rotorid_torch.identification.stages import Estimate
-from rotorid_torch.identification.step2 import Step2
-from rotorid_torch.identification.step3 import Step3
-from rotorid_torch.identification.uncertainty import Uncertainty
-from rotorid_torch.identification.whitening import Moments
+from rotorid_torch.identification.estimate.likelihood import Place
+from rotorid_torch.identification.estimate.progressive_fit import Estimate
+from rotorid_torch.identification.estimate.residuals import Moments
+from rotorid_torch.identification.estimate.uncertainty import Uncertainty
+from rotorid_torch.identification.model_estimation import Step3
+from rotorid_torch.identification.model_regression import Step2
+from rotorid_torch.identification.reconstruct.force_noise import ForceNoise
+from rotorid_torch.identification.reconstruct.reconstruction import ReconstructedFlight, Reconstruction
+from rotorid_torch.identification.regress.ftr import Regression
 from rotorid_torch.run.output.folder import refuse_unless_free
 from rotorid_torch.run.output.monitor import Monitor
 

@@ -12,9 +12,10 @@ from rotorid_torch.core import fallback
 from rotorid_torch.core.native import filtering
 from rotorid_torch.core.native.graph.tracing import Unsupported
 from rotorid_torch.errors import InputError
-from rotorid_torch.identification import ukf
-from rotorid_torch.identification.sigma_points import ProcessNoise, SigmaPoints
-from rotorid_torch.identification.ukf import Filtered, filter_and_smooth
+from rotorid_torch.identification.reconstruct import unscented_filter as filter_module
+from rotorid_torch.identification.reconstruct.filter_problem import Filtered
+from rotorid_torch.identification.reconstruct.sigma_points import ProcessNoise, SigmaPoints
+from rotorid_torch.identification.reconstruct.unscented_filter import filter_and_smooth
 
 NX, NU, NY, SAMPLES, DT = 5, 2, 3, 60, 0.05
 
@@ -182,7 +183,7 @@ def test_what_cannot_be_compiled_is_done_in_torch_and_said_once(f: object, reaso
     with pytest.raises(Unsupported, match=reason):
         filter_and_smooth(**given, engine="native")  # pyright: ignore[reportArgumentType]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ukf, "WORTH_COMPILING", 0)
+        patch.setattr(filter_module, "WORTH_COMPILING", 0)
         got = [filter_and_smooth(**given) for _ in range(2)]  # pyright: ignore[reportArgumentType]
     wanted = filter_and_smooth(**given, engine="reference")  # pyright: ignore[reportArgumentType]
     assert torch.equal(got[1].means, wanted.means)
@@ -196,7 +197,7 @@ def test_derivatives_come_from_torch() -> None:
     given = problem(1)
     mean, cov = given["prior"]  # pyright: ignore[reportGeneralTypeIssues]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ukf, "WORTH_COMPILING", 0)
+        patch.setattr(filter_module, "WORTH_COMPILING", 0)
         got = filter_and_smooth(**{**given, "prior": (mean.requires_grad_(), cov)}, smooth=False)  # pyright: ignore[reportArgumentType]
     assert got.means.requires_grad
 

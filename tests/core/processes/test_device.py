@@ -12,15 +12,16 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from rotorid_torch.core.gauss_newton import Options
 from rotorid_torch.core.processes.device import moved
-from rotorid_torch.identification import system as system_module
-from rotorid_torch.identification.gauss_newton import Options
-from rotorid_torch.identification.segments import Records, records_from
-from rotorid_torch.identification.stages import Settings, fit
-from rotorid_torch.identification.system import System
-from rotorid_torch.identification.ukf import Filtered, unscented_filter
+from rotorid_torch.identification.estimate import system as system_module
+from rotorid_torch.identification.estimate.progressive_fit import Settings, fit
+from rotorid_torch.identification.estimate.segments import Records, records_from
+from rotorid_torch.identification.estimate.system import System
+from rotorid_torch.identification.reconstruct.filter_problem import Filtered
+from rotorid_torch.identification.reconstruct.unscented_filter import unscented_filter
 from tests.elsewhere import MadeElsewhere, MadeInside, backward, forward, held, one_by_one, there
-from tests.identification.output_error_cases import Roll, roll_flight
+from tests.identification.estimate.output_error_cases import Roll, roll_flight
 from tests.known_models import helicopter, points
 
 FEW = 4

@@ -1,5 +1,5 @@
 // Scalar Gauss-Markov filters and their adjoint smoothers, W rows in lanes, threads over groups of rows: the recursion
-// of identification/gauss_markov.py. Records lie time by time, [T, N] with N a multiple of W.
+// of identification/reconstruct/gauss_markov.py. Records lie time by time, [T, N] with N a multiple of W.
 #include "lanes.h"
 
 struct Rows {

@@ -1,0 +1,307 @@
+"""The two engines behind the likelihood: torch, for any model and solver, and native code, for what can be compiled.
+
+Both simulate segments, eliminate initial states from the segments' linear models, and hand on what is left for the
+parameters: torch as triangles (QR), native code as products of columns (normal equations), which are many times
+cheaper and lose half of the digits of a condition number that the scaling of columns keeps small.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.fallback import say_once
+from rotorid_torch.core.native.build import threads
+from rotorid_torch.core.native.dynamics import Dynamics, LinearProblem
+from rotorid_torch.core.native.graph.tracing import Unsupported
+from rotorid_torch.identification.estimate.residuals import Whitener
+from rotorid_torch.identification.estimate.segments import Records, Segments
+from rotorid_torch.identification.estimate.sensitivity import (
+    Run,
+    control_slopes,
+    controls_at,
+    corrected,
+    sensitivities,
+    simulated,
+)
+from rotorid_torch.identification.estimate.system import System
+
+WEAK = 1e-9
+"""Weight that keeps an initial state no output depends on where it is, relative to its column."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Some of the segments under given parameters: which of all, their run, residual [S, T, ny] (NaN = missing)."""
+
+    which: Tensor
+    segments: Segments
+    run: Run
+    residual: Tensor
+
+    @property
+    def valid(self) -> Tensor:
+        """[S, T, ny] True where an output was measured."""
+        return ~self.segments.outputs.isnan()
+
+
+@dataclass(frozen=True, eq=False)
+class Unknowns:
+    """What the columns of a part's linear model are: initial states (their prior), biases of some outputs, theta.
+
+    x0_sd, x0_rows : [S, nx] prior's standard deviations and its rows at the place; None where they are held.
+    biased : outputs with a constant per flight.
+    """
+
+    x0_sd: Tensor | None
+    x0_rows: Tensor
+    biased: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Elimination:
+    """A part without its initial states: their triangles' rows [S, nx, n], what is left of each segment [S, m, m].
+
+    passage : [S, nx, nx] last state by first. transitions : [T - 1, S, nx, nx] of every step, where they are at hand.
+    """
+
+    starts: Tensor
+    rest: Tensor
+    passage: Tensor
+    transitions: Tensor | None = None
+
+
+class Engine(Protocol):
+    """What the likelihood asks of an engine."""
+
+    @property
+    def solver(self) -> str:
+        """Method of torchdiffeq that gives the same trajectories."""
+        ...
+
+    def run(
+        self, theta: Tensor, records: Records, segments: Segments, x0: Tensor, near: Tensor, steps: Tensor | None
+    ) -> Run:
+        """Trajectories of segments from x0 [S, nx]; near [S, T, nx] and its steps' transitions are known ones."""
+        ...
+
+    def eliminate(self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns) -> Elimination:
+        """The linear model of a part, initial states eliminated."""
+        ...
+
+    def rows(self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns) -> Tensor:
+        """The linear model's whitened rows themselves [S, T ny, nx + nb + P + 1]."""
+        ...
+
+    def joined(self, rests: Tensor, rows: Tensor) -> Tensor:
+        """What is left of several [k, m, m] and further rows [r, m], as one [m, m]."""
+        ...
+
+    def split(self, rest: Tensor, count: int) -> tuple[Tensor, Tensor]:
+        """The first rows of the triangle [count, m], and what is left of the other columns [m - count, m - count]."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class TorchEngine:
+    """Any module, any solver of torchdiffeq."""
+
+    system: System
+    solver: str = "rk4"
+
+    def run(
+        self, theta: Tensor, records: Records, segments: Segments, x0: Tensor, near: Tensor, steps: Tensor | None
+    ) -> Run:
+        """See `Engine`; by Newton's method from the near trajectory where that converges."""
+        run = None
+        if self.solver == "rk4":
+            run = corrected(self.system, theta, records, segments, x0, near, steps)
+        return simulated(self.system, theta, records, segments, x0, self.solver) if run is None else run
+
+    def eliminate(self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns) -> Elimination:
+        """See `Engine`; QR of the rows, block by block."""
+        triangles, transitions = None, []
+        for rows, more in self._blocks(records, part, whitener, unknowns):
+            stack = rows if triangles is None else torch.cat([triangles, rows], dim=1)
+            triangles = torch.linalg.qr(stack, mode="r").R
+            transitions.append(more)
+        assert triangles is not None
+        steps = torch.cat(transitions)
+        passage = torch.eye(part.run.states.shape[-1], dtype=torch.float64).expand(len(part.segments), -1, -1)
+        for step, there in zip(steps, part.segments.inside.mT[1:, :, None, None], strict=True):
+            passage = torch.where(there, step @ passage, passage)
+        nx = 0 if unknowns.x0_sd is None else len(unknowns.x0_sd.mT)
+        triangles = _with_prior(triangles, unknowns)
+        return Elimination(triangles[:, :nx], triangles[:, nx:, nx:], passage, steps)
+
+    def rows(self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns) -> Tensor:
+        """See `Engine`."""
+        return torch.cat([rows for rows, _ in self._blocks(records, part, whitener, unknowns)], dim=1)
+
+    def _blocks(
+        self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns
+    ) -> Iterator[tuple[Tensor, Tensor]]:
+        """Whitened rows [S, k ny, nx + nb + P + 1] of successive blocks of samples, and the steps' transitions."""
+        nx = part.run.states.shape[-1]
+        skip = nx if unknowns.x0_sd is None else 0
+        constant = torch.eye(part.residual.shape[-1], dtype=torch.float64)[:, unknowns.biased]
+        for block in sensitivities(self.system, part.run, records, part.segments):
+            slopes = block.outputs[..., skip:].transpose(0, 1)
+            k, free = slopes.shape[1], nx - skip
+            residual = part.residual[:, block.first : block.first + k].unsqueeze(-1)
+            biases = constant.expand(*slopes.shape[:2], *constant.shape)
+            parts = [slopes[..., :free], biases, slopes[..., free:], residual]
+            yield whitener.apply(torch.cat(parts, dim=-1), block.first).flatten(1, 2), block.transitions
+
+    def joined(self, rests: Tensor, rows: Tensor) -> Tensor:
+        """See `Engine`; triangles."""
+        return _square(torch.linalg.qr(torch.cat([rests.flatten(0, 1), rows]), mode="r").R)
+
+    def split(self, rest: Tensor, count: int) -> tuple[Tensor, Tensor]:
+        """See `Engine`; the triangle is there already."""
+        return rest[:count], rest[count:, count:]
+
+
+def _with_prior(triangles: Tensor, unknowns: Unknowns) -> Tensor:
+    """Triangles [S, n, n] with the rows of the initial states' prior, and a weak pull where nothing else holds them."""
+    if unknowns.x0_sd is None:
+        return _square(triangles)
+    nx = unknowns.x0_sd.shape[-1]
+    pull = triangles.new_zeros(len(triangles), 2 * nx, triangles.shape[-1])
+    pull[:, :nx, :nx] = torch.diag_embed(1.0 / unknowns.x0_sd)
+    pull[:, :nx, -1] = unknowns.x0_rows
+    norms = torch.linalg.vector_norm(triangles[:, :, :nx], dim=1)
+    pull[:, nx:, :nx] = torch.diag_embed(WEAK * norms + 1e-12)
+    return _square(torch.linalg.qr(torch.cat([triangles, pull], dim=1), mode="r").R)
+
+
+def _square(triangles: Tensor) -> Tensor:
+    """Triangles [..., m, n] with m <= n filled up with rows of zeros."""
+    missing = triangles.shape[-1] - triangles.shape[-2]
+    return torch.nn.functional.pad(triangles, (0, 0, 0, missing)) if missing > 0 else triangles
+
+
+@dataclass(frozen=True, eq=False)
+class NativeEngine:
+    """A module that has become native code; `dynamics` by whether initial states are unknowns, and which biases are.
+
+    timed : whether the rates depend on time, which then is one more control.
+    """
+
+    system: System
+    traced: Dynamics
+    timed: bool
+    solver: str = "rk4"
+    made: dict[tuple[bool, tuple[int, ...], tuple[int, ...]], Dynamics] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, system: System, states: Tensor, controls: Tensor) -> NativeEngine:
+        """Trace the system at a state [nx] and controls [nu].
+
+        Raises
+        ------
+        Unsupported : it holds an operation that native code does not know, or there is no compiler.
+        """
+        nu = len(controls)
+        given = torch.cat([controls, controls.new_zeros(1)])
+        traced = Dynamics.of(lambda x, u, theta: system.motion(theta, u[nu], x, u[:nu]), states, given, system.theta)
+        timed = traced.depends_on("u", nu)
+        engine = cls(system, traced if timed else replace(traced, nu=nu), timed)
+        engine.traced.build(derivatives=True)  # now: what cannot be compiled is told before anything depends on it
+        return engine
+
+    def run(
+        self, theta: Tensor, records: Records, segments: Segments, x0: Tensor, near: Tensor, steps: Tensor | None
+    ) -> Run:
+        """See `Engine`; simulated anew, which is cheaper than any correction."""
+        controls = controls_at(self.system, theta, records, segments)
+        given = self._given(controls, segments)
+        states, outputs = self.traced.simulate(theta, x0, given, segments.dt, threads=threads())
+        return Run(theta, controls, states, outputs)
+
+    def _given(self, controls: Tensor, segments: Segments) -> Tensor:
+        """Controls, and time behind them where the rates ask for it."""
+        if not self.timed:
+            return controls
+        time = segments.start[:, None] + segments.dt * torch.arange(controls.shape[1], dtype=torch.float64)
+        return torch.cat([controls, time.unsqueeze(-1)], dim=-1)
+
+    def eliminate(self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns) -> Elimination:
+        """See `Engine`; normal equations."""
+        dynamics, problem = self._problem(records, part, whitener, unknowns)
+        H, passage = dynamics.normal_equations(problem, threads())
+        if not math.isfinite(float(H.sum())) and bool(part.run.outputs.isfinite().all()):
+            raise ArithmeticError(self._infinite(H))
+        nx = 0 if unknowns.x0_sd is None else unknowns.x0_sd.shape[-1]
+        if unknowns.x0_sd is not None:
+            H[:, :nx, :nx] += torch.diag_embed(unknowns.x0_sd**-2.0)
+            H[:, :nx, -1] += unknowns.x0_rows / unknowns.x0_sd
+        starts, rest = dynamics.triangles(H, nx, WEAK)
+        return Elimination(starts, rest, passage)
+
+    def _infinite(self, H: Tensor) -> str:
+        """What to tell of products of columns that are not finite although the trajectories are."""
+        names = self.system.names
+        lost = (~H.diagonal(dim1=-2, dim2=-1).isfinite()).any(dim=0)[-1 - len(names) : -1].tolist()
+        told = ", ".join(name for name, bad in zip(names, lost, strict=True) if bad) or "the initial states"
+        return f"the trajectories are finite, but not their derivatives by {told}: a root or a quotient at zero?"
+
+    def rows(self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns) -> Tensor:
+        """See `Engine`."""
+        dynamics, problem = self._problem(records, part, whitener, unknowns)
+        return dynamics.whitened_rows(problem, threads())
+
+    def joined(self, rests: Tensor, rows: Tensor) -> Tensor:
+        """See `Engine`; products add up."""
+        return rests.sum(dim=0) + rows.mT @ rows
+
+    def split(self, rest: Tensor, count: int) -> tuple[Tensor, Tensor]:
+        """See `Engine`; Cholesky's rows."""
+        top, left = self.traced.triangles(rest.unsqueeze(0), count, 0.0)
+        return top[0], left[0]
+
+    def _problem(
+        self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns
+    ) -> tuple[Dynamics, LinearProblem]:
+        which, slopes = control_slopes(self.system, part.run.theta, records, part.segments)
+        if self.timed and len(which):
+            slopes = torch.nn.functional.pad(slopes, (0, 0, 0, 1))
+        whitening = whitener.table
+        problem = LinearProblem(
+            dt=part.segments.dt,
+            length=part.segments.inside.sum(dim=1).to(torch.int32),
+            controls=self._given(part.run.controls, part.segments).contiguous(),
+            path=slopes,
+            residual=part.residual.contiguous(),
+            x0=part.run.states[:, 0].contiguous(),
+            theta=part.run.theta,
+            weight=whitener.covariance.diagonal().rsqrt().contiguous(),
+            pattern=None if whitener.pattern is None else whitener.pattern.to(torch.int32).contiguous(),
+            table=None if whitening is None else whitening.contiguous(),
+        )
+        key = unknowns.x0_sd is not None, tuple(unknowns.biased.tolist()), tuple(which.tolist())
+        if key not in self.made:
+            self.made[key] = replace(self.traced, initial=key[0], biased=key[1], path=key[2])
+        return self.made[key], problem
+
+
+def engine_for(system: System, records: Records, solver: str, wanted: str | None = None) -> Engine:
+    """Native code where the solver is its own and the system can be compiled; torch otherwise, with a line of why.
+
+    wanted : "native" (which may then raise) or "reference", to choose.
+    """
+    if wanted == "reference" or (wanted is None and solver != "rk4"):
+        return TorchEngine(system, solver)
+    states = records.states.flatten(0, 1).nan_to_num(0.0).mean(dim=0)
+    try:
+        return NativeEngine.of(system, states, records.controls[0, 0])
+    except Unsupported as error:
+        if wanted == "native":
+            raise
+        say_once(f"step 3 runs in torch, many times slower than compiled: {error}")
+        return TorchEngine(system, solver)

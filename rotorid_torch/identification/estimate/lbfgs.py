@@ -1,0 +1,105 @@
+"""L-BFGS on the output-error likelihood, by torch's gradients through the trajectories: the alternative optimiser."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.gauss_newton import FLOOR, Minimum, Options
+from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
+from rotorid_torch.identification.estimate.sensitivity import traced
+
+MEMORY = 20
+"""Steps whose gradients are remembered."""
+ROUND = 5
+"""Iterations between looks at the progress."""
+ROUNDS = 10
+"""Iterations allowed for one of Gauss-Newton."""
+
+
+def minimise_lbfgs(
+    problem: Likelihood, start: Place, options: Options, monitor: Callable[[int, float, Tensor], None] | None = None
+) -> Minimum[Place]:
+    """The likelihood's minimum by torch's L-BFGS, in variables that the linear model at the start makes round.
+
+    Bounds are held by evaluating at the nearest point inside and pulling the variable back to it. Standard errors come
+    from the linear model at the end, as with Gauss-Newton.
+
+    Source: Liu and Nocedal (1989), Math. Programming 45.
+    """
+    variables = _Variables(problem, start)
+    optimiser = torch.optim.LBFGS(
+        variables.free,
+        max_iter=ROUND,
+        history_size=MEMORY,
+        line_search_fn="strong_wolfe",
+        tolerance_grad=0.0,
+        tolerance_change=0.0,
+    )
+
+    def closure() -> Tensor:
+        optimiser.zero_grad()
+        cost = variables.cost()
+        cost.backward()
+        return cost.detach()
+
+    history, converged, iteration = [start.cost], False, 0
+    while iteration < ROUNDS * options.max_iterations and not converged:
+        before = history[-1]
+        optimiser.step(closure)  # pyright: ignore[reportArgumentType]
+        iteration += ROUND
+        history.append(float(variables.cost().detach()))
+        converged = before - history[-1] <= options.tolerance * abs(before) + options.absolute
+        if monitor is not None:
+            monitor(iteration, history[-1], variables.values()[0].detach())
+    place = variables.place()
+    linear = problem.linearise(place)
+    theta, lower, upper = place.theta, problem.system.lower, problem.system.upper
+    blind = torch.linalg.vector_norm(linear.A, dim=0) <= FLOOR
+    message = "converged: the cost no longer falls" if converged else f"stopped after {iteration} iterations"
+    return Minimum(place, linear, (theta <= lower) | (theta >= upper), blind, converged, message, iteration, history)
+
+
+class _Variables:
+    """Steps of parameters, initial states and biases in units of their standard errors, as leaves for torch."""
+
+    def __init__(self, problem: Likelihood, start: Place) -> None:
+        self.problem, self.start = problem, start
+        A = problem.linearise(start).A
+        norms = torch.linalg.vector_norm(A, dim=0).clamp_min(FLOOR)
+        weak = 1e-6 * torch.eye(len(norms), dtype=A.dtype)
+        self.triangle, self.norms = torch.linalg.qr(torch.cat([A / norms, weak]), mode="r").R, norms
+        assert start.locals is not None
+        self.locals = start.locals
+        self.shared = torch.zeros_like(start.theta)
+        self.x0 = torch.zeros_like(start.locals.segment[:, :, -1])
+        self.bias = torch.zeros_like(start.bias)
+        self.free = [v.requires_grad_() for v in (self.shared, self.x0, self.bias) if v.numel()]
+
+    def values(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Parameters within bounds, initial states, biases, and half the squared distance to what was wanted."""
+        step = (
+            torch.linalg.solve_triangular(self.triangle, self.shared.unsqueeze(-1), upper=True).squeeze(-1) / self.norms
+        )
+        wanted = self.start.theta + step
+        theta = torch.minimum(torch.maximum(wanted, self.problem.system.lower), self.problem.system.upper)
+        flight = self.problem.segments.flight
+        x0, bias = self.locals.carry(theta - self.start.theta, flight, self.x0, self.bias)
+        x0 = self.start.x0 + x0 if x0.numel() else self.start.x0
+        return theta, x0, self.start.bias + bias, 0.5 * ((wanted - theta) * self.norms).square().sum()
+
+    def cost(self) -> Tensor:
+        """Minus log-likelihood and the pull back to the bounds."""
+        theta, x0, bias, pull = self.values()
+        p = self.problem
+        run = traced(p.system, theta, p.records, p.segments, x0, p.engine.solver)
+        return p.total(p.place(theta, x0, bias, run)) + pull
+
+    @torch.no_grad()
+    def place(self) -> Place:
+        """Where the variables are."""
+        theta, x0, bias, _ = self.values()
+        p = self.problem
+        return p.place(theta, x0, bias, traced(p.system, theta, p.records, p.segments, x0, p.engine.solver))

@@ -1,0 +1,270 @@
+"""Covariance of estimated parameters: Cramer-Rao, corrected for coloured residuals, and the jackknife over flights."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.gauss_newton import Linear
+from rotorid_torch.core.least_squares import least_squares
+from rotorid_torch.core.processes.ranks import ALONE, Ranks
+from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
+
+SMOOTHING = 20
+"""Spectral lines to each side over which the residuals' spectrum of one segment is averaged; fewer of more segments."""
+LEAST_SMOOTHING = 3
+LEAST_LEFT = 0.1
+"""Share of a line that the fit is never believed to have left below."""
+MOST_COLOUR = 0.99
+"""Correlation of successive residuals taken out before averaging, at most."""
+STUDENT = (1.96**2 + 1.0) / 4.0
+"""Student's 95 % quantile is that of the normal distribution times 1 + this over the degrees of freedom."""
+CHANCE = 2.326  # normal quantile of 99 %
+"""The jackknife counts where it exceeds the other estimate by more than this quantile of its own scatter."""
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Covariances [P, P] of the estimate, zero for what was held; standard errors [P] are the larger of two kinds."""
+
+    cramer_rao: Tensor
+    coloured: Tensor
+    jackknife: Tensor  # variances [P], NaN with fewer than three flights
+    covariance: Tensor
+    standard_errors: Tensor
+
+
+def uncertainty(likelihood: Likelihood, place: Place, linear: Linear, told: Tensor, loss: float) -> Uncertainty:
+    """Covariance of the estimate at its optimum.
+
+    The noise is taken as coloured (its spectrum that of the residuals), as in Morelli and Klein; leaving one flight out
+    in turn judges it without any assumption on the noise within a flight, but with few flights it scatters by
+    sqrt(1/(2 (F - 1))): it replaces the other estimate only where it is larger by more than chance.
+
+    Parameters
+    ----------
+    linear : linear model at the place, as `Likelihood.linearise` gives it.
+    told : [P] mask of the parameters estimated (not held, not on a bound, identifiable).
+    loss : samples over samples minus estimated numbers, by which residuals are too small.
+
+    Source: Morelli and Klein, Aircraft System Identification (2nd ed.), sec. 6.3.2 (coloured residuals);
+    Efron and Stein (1981), Ann. Statist. 9 (jackknife).
+    """
+    plain = linear[0].new_zeros(len(told), len(told))
+    if not bool(told.any()):
+        return Uncertainty(plain, plain, plain.diagonal(), plain, plain.diagonal())
+    inverse = inverse_triangle(linear, told)
+    plain[told[:, None] & told] = loss * (inverse @ inverse.mT).flatten()
+    coloured = torch.zeros_like(plain)
+    lines, pieces = fast(2 * likelihood.longest), likelihood.pieces
+    flights = lambda directions: _flights(likelihood, place, directions)  # noqa: E731
+    found = coloured_covariance(flights, lines, pieces, inverse, told, likelihood.ranks)
+    coloured[told[:, None] & told] = found.flatten()
+    variances = jackknife(place.blocks, likelihood.prior_rows(place), told, likelihood.ranks)
+    return larger_of(plain, coloured, variances, len(place.blocks))
+
+
+def larger_of(plain: Tensor, coloured: Tensor, variances: Tensor, flights: int) -> Uncertainty:
+    """The coloured covariance, stretched where the jackknife says more by more than chance."""
+    larger = variances > _chance(flights - 1) * coloured.diagonal()
+    stretch = torch.where(larger, (variances / coloured.diagonal()).sqrt(), 1.0)
+    covariance = coloured * stretch * stretch[:, None]
+    return Uncertainty(plain, coloured, variances, covariance, covariance.diagonal().sqrt())
+
+
+def _chance(freedom: int) -> float:
+    """Variance over true variance that only one jackknife in a hundred exceeds (Wilson and Hilferty 1931)."""
+    if freedom < 2:
+        return torch.inf
+    return (1.0 - 2.0 / (9.0 * freedom) + CHANCE * (2.0 / (9.0 * freedom)) ** 0.5) ** 3
+
+
+def inverse_triangle(linear: Linear, told: Tensor) -> Tensor:
+    """Inverse of the triangle of A's told columns: covariance is this times its transpose."""
+    A = linear[0][:, told]
+    norms = torch.linalg.vector_norm(A, dim=0)
+    triangle = torch.linalg.qr(A / norms, mode="r").R
+    eye = torch.eye(len(norms), dtype=A.dtype, device=A.device)
+    return torch.linalg.solve_triangular(triangle, eye, upper=True) / norms[:, None]
+
+
+@dataclass(frozen=True)
+class FlightRows:
+    """Whitened rows of one flight's segments: derivatives freed of initial states and biases, their basis, residual."""
+
+    derivatives: Tensor  # [s, T, ny, n] in the directions asked for
+    basis: Tensor  # [s, T, ny, local] orthonormal columns that initial states and biases take out
+    residual: Tensor  # [s, T, ny]
+    valid: Tensor  # [s, T, ny]
+
+
+Flights = Callable[[Tensor], Iterator["FlightRows"]]
+"""Flights one after the other, their derivatives in some directions [P, n] of the parameters."""
+
+
+def coloured_covariance(
+    flights: Flights, lines: int, pieces: int, inverse: Tensor, told: Tensor, ranks: Ranks = ALONE
+) -> Tensor:
+    """Covariance [n, n] of the estimate of the told parameters, the residuals being coloured.
+
+    lines : of the Fourier transforms. pieces : segments of all ranks. inverse : [n, n] times its transpose is the
+    covariance for white residuals.
+
+    In the frequency domain: the sum over lines of K^H S K, K the transform of how each sample moves the estimate, S the
+    residuals' spectrum. The fit has taken its share out of the residuals, most where the derivatives have their power:
+    each line is divided by the share left to it (one minus its leverage). The spectrum rests on few lines and scatters;
+    the covariance is widened so that 1.96 standard errors hold 95 % as Student's t would.
+    """
+    reach = max(LEAST_SMOOTHING, round(SMOOTHING / pieces))
+    n, gain = int(told.sum()), inverse @ inverse.mT
+    directions = inverse.new_zeros(len(told), n)
+    power, left = _powers(flights(directions.masked_scatter(told[:, None], inverse)), lines)
+    power = torch.view_as_complex(ranks.sum(torch.view_as_real(power)))
+    spectrum = _spectrum(power, ranks.sum(left), lines, reach)
+    weights = torch.full((lines // 2 + 1,), 2.0 / lines, dtype=torch.float64)
+    weights[0] = weights[-1] = 1.0 / lines
+    value, vector = torch.linalg.eigh(spectrum)
+    root = _real((vector * (value.clamp_min(0.0) * weights[:, None]).sqrt()[:, None, :]).mH)
+    covariance, squares = gain.new_zeros(n, n), gain.new_zeros(len(root), root.shape[-1], n)
+    parts, moves = torch.empty_like(squares), torch.empty_like(squares)
+    directions.masked_scatter_(told[:, None], gain)
+    for flight in flights(directions):  # once more, for all of them need not fit the memory
+        for piece in flight.derivatives:
+            transform = torch.fft.rfft(piece, n=lines, dim=0)
+            torch.cat([transform.real, transform.imag], dim=1, out=parts)
+            torch.bmm(root, parts, out=moves)  # in units of the noise
+            squares.addcmul_(moves, moves)
+            flat = moves.flatten(0, 1)
+            covariance.addmm_(flat.mT, flat)
+    covariance, share = ranks.sum(covariance), ranks.sum(squares.sum(dim=1))
+    freedom = pieces / _smoothed(share / share.sum(dim=0), reach).square().sum(dim=0)
+    widened = 1.0 + STUDENT / freedom
+    return covariance * widened * widened[:, None]
+
+
+def fast(samples: int) -> int:
+    """The next even number that a Fourier transform takes quickly: one without prime factors above five."""
+    rest = even = samples + samples % 2
+    for factor in (2, 3, 5):
+        while rest % factor == 0:
+            rest //= factor
+    return even if rest == 1 else fast(even + 2)
+
+
+def _real(matrices: Tensor) -> Tensor:
+    """Complex matrices [..., m, n] as real ones [..., 2 m, 2 n], real above imaginary parts: products cost half."""
+    real, imag = matrices.real, matrices.imag
+    return torch.cat([torch.cat([real, -imag], dim=-1), torch.cat([imag, real], dim=-1)], dim=-2)
+
+
+def _powers(flights: Iterable[FlightRows], lines: int) -> tuple[Tensor, Tensor]:
+    """Products [lines, ny, ny] of the residuals' transforms, and the share left of each line and output [lines, ny].
+
+    The flights' derivatives are in directions of unit variance; with the basis they span what the fit has taken.
+    """
+    power, valid = torch.zeros((), dtype=torch.complex128), torch.zeros((), dtype=torch.float64)
+    taken: Tensor | None = None  # [ny, T, T] products of samples, over all that was taken
+    for flight in flights:
+        residual = torch.fft.rfft(flight.residual, n=lines, dim=1)
+        power = power + torch.einsum("slc,sld->lcd", residual, residual.conj())
+        valid = valid + flight.valid.sum(dim=(0, 1))
+        for part in (*flight.basis, *flight.derivatives):
+            rows = part.transpose(0, 1)
+            if taken is None:
+                taken = rows.new_zeros(len(rows), rows.shape[1], rows.shape[1])
+            taken.baddbmm_(rows, rows.mT)
+    assert taken is not None
+    return power, valid - _powers_of(taken, lines)
+
+
+def _powers_of(products: Tensor, lines: int) -> Tensor:
+    """Sum [lines, ny] of the squared transforms of records of which the products of samples [ny, T, T] are known."""
+    lags = torch.stack([products.diagonal(k, -2, -1).sum(-1) for k in range(products.shape[-1])])
+    return 2.0 * torch.fft.rfft(lags, n=lines, dim=0).real - lags[0]
+
+
+def _spectrum(power: Tensor, left: Tensor, lines: int, reach: int) -> Tensor:
+    """Spectrum [lines, ny, ny] of the whitened noise: one where it is white."""
+    filters = _prewhitening(_per_line(_smoothed(power, LEAST_SMOOTHING), _smoothed(left, LEAST_SMOOTHING)), lines)
+    flat = filters[:, :, None] * power * filters[:, None, :].conj()
+    flat = _per_line(_smoothed(flat, reach), _smoothed(left, reach))
+    return flat / filters[:, :, None] / filters[:, None, :].conj()
+
+
+def _prewhitening(spectrum: Tensor, lines: int) -> Tensor:
+    """Transfer functions [lines, ny] of first-order filters that take most of the colour out of each output.
+
+    Averaging over lines is harmless where the spectrum is flat, not where it is steep.
+
+    Source: Andrews and Monahan (1992), Econometrica 60.
+    """
+    turn = torch.exp(-2j * torch.pi * torch.arange(len(spectrum), dtype=torch.float64) / lines)[:, None]
+    density = spectrum.diagonal(dim1=-2, dim2=-1).real
+    weights = torch.full((len(spectrum), 1), 2.0, dtype=torch.float64)
+    weights[0] = weights[-1] = 1.0
+    lag = (weights * density * turn.real).sum(0) / (weights * density).sum(0).clamp_min(1e-300)
+    return 1.0 - lag.clamp(-MOST_COLOUR, MOST_COLOUR) * turn
+
+
+def _per_line(power: Tensor, left: Tensor) -> Tensor:
+    root = torch.maximum(left, LEAST_LEFT * left.amax(dim=0)).clamp_min(1e-9).sqrt()
+    return power / root[:, :, None] / root[:, None, :]
+
+
+def _smoothed(lines: Tensor, m: int) -> Tensor:
+    """Averaged over m lines to each side; the spectrum goes on beyond its ends as its own mirror image."""
+    m, n = min(m, len(lines) - 1), len(lines)
+    wide = torch.cat([lines[1 : m + 1].flip(0).conj(), lines, lines[n - m - 1 : n - 1].flip(0).conj()])
+    return torch.stack([wide[k : k + n] for k in range(2 * m + 1)]).mean(dim=0)
+
+
+def _flights(likelihood: Likelihood, place: Place, directions: Tensor) -> Iterator[FlightRows]:
+    """Each flight with its derivatives in some directions [P, n] of the parameters."""
+    nx, nb = likelihood.locals_per_segment, len(likelihood.biased)
+    for part, whitener, rows in likelihood.by_flight(place):
+        sd = rows.new_zeros(len(part.which), 0) if likelihood.x0_sd is None else likelihood.x0_sd[part.which]
+        first = basis_of(rows[..., :nx], sd)
+        biases = _without(rows[..., nx : nx + nb], first)
+        second = basis_of(biases.flatten(0, 1), likelihood.bias_sd[likelihood.biased]).unflatten(0, rows.shape[:2])
+        freed = _without(rows[..., nx + nb : -1] @ directions, first)
+        if nb:
+            freed = freed - second @ torch.einsum("srb,srn->bn", second, freed)
+        shape = part.residual.shape
+        white = whitener.apply(part.residual.unsqueeze(-1)).squeeze(-1)
+        yield FlightRows(
+            freed.unflatten(1, shape[1:]), torch.cat([first, second], -1).unflatten(1, shape[1:]), white, part.valid
+        )
+
+
+def _without(rows: Tensor, basis: Tensor) -> Tensor:
+    """Rows [s, m, n] less their part in a basis [s, m, local]."""
+    return torch.baddbmm(rows, basis, basis.mT @ rows, alpha=-1.0)
+
+
+def basis_of(columns: Tensor, prior_sd: Tensor) -> Tensor:
+    """The part of the columns [..., m, n] that an estimate with this prior takes out of the rows."""
+    norms = torch.linalg.vector_norm(columns, dim=-2, keepdim=True).clamp_min(1e-12)
+    stack = torch.cat([columns / norms, torch.diag_embed(1.0 / prior_sd) / norms], dim=-2)
+    return torch.linalg.qr(stack).Q[..., : columns.shape[-2], :]
+
+
+def jackknife(
+    flights: Sequence[tuple[Tensor, Tensor]], prior: tuple[Tensor, Tensor], told: Tensor, ranks: Ranks = ALONE
+) -> Tensor:
+    """Variances [P] by leaving out one flight in turn, one Gauss-Newton step each; NaN below three flights."""
+    variances = torch.full(told.shape, torch.nan, dtype=torch.float64)
+    count = len(flights)
+    if count < 3:
+        return variances
+    steps = torch.zeros(count, int(told.sum()), dtype=torch.float64)
+    for left_out in ranks.mine(range(count)):
+        kept = [flights[f] for f in range(count) if f != left_out] + [prior]
+        A, b = torch.cat([a for a, _ in kept])[:, told], torch.cat([c for _, c in kept])
+        norms = torch.linalg.vector_norm(A, dim=0).clamp_min(1e-12)
+        steps[left_out] = least_squares(A / norms, b.unsqueeze(-1))[:, 0] / norms
+    moved = ranks.sum(steps)
+    variances[told] = (count - 1) / count * (moved - moved.mean(0)).square().sum(0)
+    return variances

@@ -1,0 +1,226 @@
+"""The filter error method for large models: gains are held while parameters move, and found anew where they end.
+
+With all unknowns in the derivatives of state, covariance and gain, a model of 15 states and 160 parameters takes a
+hundred times the time of output error. Here two problems alternate. The noises' sizes are those of the exact
+likelihood, the parameters held: few columns. The parameters minimise the innovations that a model makes which follows
+the flights with the gains of that filter: columns of states alone, as in output error. At the true gain innovations are
+white, so that a change of the gain does not correlate with them: neglected are terms of mean zero, not of the optimum.
+
+Source: Ljung, System Identification (2nd ed.), sec. 7.2 and 8.4 (prediction errors; gains that do not depend on the
+parameters); Maine and Iliff (1981), SIAM J. Appl. Math. 41 (gains held within an iteration).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.gauss_newton import Options, minimise
+from rotorid_torch.core.native.build import threads
+from rotorid_torch.core.native.dynamics import Dynamics
+from rotorid_torch.core.native.innovations import Flights
+from rotorid_torch.core.native.observer import Gains, Observer
+from rotorid_torch.identification.estimate.sensitivity import control_slopes
+from rotorid_torch.identification.filter_error.extended_kalman import Filtered, FilterProblem
+from rotorid_torch.identification.filter_error.innovations import FilterPlace, InnovationLikelihood, NativeFilter
+
+ROUNDS = 12
+"""Alternations at most."""
+SHARES = (1.0, 0.5, 0.2, 0.05)
+"""Of a step of the parameters with gains held, tried in turn."""
+ENOUGH = 1.0
+"""Fall of minus log-likelihood in one alternation below which the search ends."""
+NOISES, PARAMETERS = Options(max_iterations=4, absolute=0.2), Options(max_iterations=3, absolute=0.2)
+"""Of the two problems, each time."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Noises:
+    """Engine of the noises, and of what else is told by innovations alone: psi without its first parameters."""
+
+    filter: NativeFilter
+    theta: Tensor  # the first ones
+
+    @property
+    def problem(self) -> FilterProblem:
+        """See `FilterEngine`."""
+        return self.filter.problem
+
+    def cost(self, psi: Tensor, x0: Tensor) -> Tensor:
+        """See `FilterEngine`."""
+        return self.filter.cost(torch.cat([self.theta, psi]), x0)
+
+    def normal_equations(self, psi: Tensor, x0: Tensor) -> Tensor:
+        """See `FilterEngine`, without initial states."""
+        return self.filter.normal_equations(torch.cat([self.theta, psi]), x0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Following:
+    """Engine of the parameters: a model that follows with known gains; psi is theta."""
+
+    filter: NativeFilter
+    dynamics: Dynamics
+    gains: Gains
+    made: dict[tuple[int, ...], Observer] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, filter: NativeFilter, theta: Tensor, x0: Tensor, gains: Gains) -> _Following:
+        """Trace the system."""
+        system, u = filter.problem.system, filter.problem.records.controls[0, 0]
+        nu, given = len(u), torch.cat([u, u.new_zeros(1)])
+        traced = Dynamics.of(lambda x, u, theta: system.motion(theta, u[nu], x, u[:nu]), x0[0], given, theta)
+        return cls(filter, traced if filter.timed else replace(traced, nu=nu), gains)
+
+    @property
+    def problem(self) -> FilterProblem:
+        """See `FilterEngine`."""
+        return self.filter.problem
+
+    def cost(self, psi: Tensor, x0: Tensor) -> Tensor:
+        """See `FilterEngine`; infinite where the model flies away."""
+        observer, flights = self._flown(psi, x0)
+        return observer.cost(psi, x0, flights, self.gains, threads()).nan_to_num(math.inf, math.inf)
+
+    def normal_equations(self, psi: Tensor, x0: Tensor) -> Tensor:
+        """See `FilterEngine`."""
+        observer, flights = self._flown(psi, x0)
+        return observer.normal_equations(psi, x0, flights, self.gains, threads())
+
+    def rows(self, psi: Tensor, x0: Tensor) -> Tensor:
+        """Of the innovations alone [F, T, ny, m]."""
+        observer, flights = self._flown(psi, x0)
+        return observer.rows(psi, x0, flights, self.gains, threads())
+
+    def _flown(self, theta: Tensor, x0: Tensor) -> tuple[Observer, Flights]:
+        _, flights = self.filter.flown(theta, x0)
+        which, _ = control_slopes(self.problem.system, theta, self.problem.records, self.problem.segments)
+        key = tuple(which.tolist())
+        if key not in self.made:
+            self.made[key] = Observer(replace(self.dynamics, path=key))
+        return self.made[key], flights
+
+
+@dataclass(frozen=True, eq=False)
+class HeldEngine:
+    """The filter, and rows in which parameters act through the followed state alone, noises through all."""
+
+    filtering: NativeFilter
+
+    @property
+    def problem(self) -> FilterProblem:
+        """See `FilterEngine`."""
+        return self.filtering.problem
+
+    def of_problem(self, problem: FilterProblem) -> HeldEngine:
+        """See `FilterEngine`."""
+        return HeldEngine(replace(self.filtering, problem=problem))
+
+    def filter(self, psi: Tensor, x0: Tensor) -> Filtered:
+        """See `FilterEngine`."""
+        return self.filtering.filter(psi, x0)
+
+    def cost(self, psi: Tensor, x0: Tensor) -> Tensor:
+        """See `FilterEngine`."""
+        return self.filtering.cost(psi, x0)
+
+    def normal_equations(self, psi: Tensor, x0: Tensor) -> Tensor:
+        """See `FilterEngine`."""
+        flat = self.rows(psi, x0).flatten(1, 2)
+        return flat.mT @ flat
+
+    def rows(self, psi: Tensor, x0: Tensor) -> Tensor:
+        """See `FilterEngine`."""
+        count, held = len(self.problem.system.theta), self.filtering.compiled.held
+        following = _Following.of(self.filtering, psi[:count], x0, self.filtering.gains(psi, x0))
+        first, by_noise = following.rows(psi[:count], x0), self.filtering.rows(psi, x0)
+        wide = torch.nn.functional.pad(by_noise, (x0.shape[-1] + held, 0))
+        wide[:, :, : first.shape[2], : x0.shape[-1] + held] = first[..., : x0.shape[-1] + held]
+        return wide
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """Where the alternation ended.
+
+    psi, x0 : all unknowns. cost : minus log-likelihood of the filter, and of what is known beforehand. at_bound,
+    blind : masks of psi; parameters that cannot be told. history : costs of the rounds.
+    """
+
+    psi: Tensor
+    x0: Tensor
+    cost: float
+    at_bound: Tensor
+    blind: Tensor
+    converged: bool
+    history: list[float]
+
+
+def alternated(
+    filter: NativeFilter,
+    psi: Tensor,
+    x0: Tensor,
+    lower: Tensor,
+    upper: Tensor,
+    free: bool = True,
+    rounds: int = ROUNDS,
+    monitor: Callable[[int, float, Tensor], None] | None = None,
+) -> Held:
+    """Noises and parameters in turn until the likelihood stands still.
+
+    Parameters
+    ----------
+    filter : of which the parameters from `filter.compiled.held` on belong to the noises.
+    psi, x0 : to start from; the filter must not diverge there. lower, upper : bounds of psi.
+    free : whether initial states are to be estimated. monitor : called after each round with round, cost, theta.
+    """
+    count, held = len(filter.problem.system.theta), filter.compiled.held
+    following = _Following.of(filter, psi[:count], x0, filter.gains(psi, x0))
+    history, settled = [float(filter.cost(psi, x0).sum())], False
+    masks = [torch.zeros_like(psi, dtype=torch.bool) for _ in range(2)]
+    for k in range(rounds):
+        noises = InnovationLikelihood(_Noises(filter, psi[:held]), x0, free=False)
+        told = minimise(noises.evaluate, noises.linearise, psi[held:], lower[held:], upper[held:], options=NOISES)
+        psi = torch.cat([psi[:held], told.point.theta])
+        following = replace(following, gains=filter.gains(psi, x0))
+        likelihood = InnovationLikelihood(following, x0, free)
+        found = minimise(
+            likelihood.evaluate,
+            likelihood.linearise,
+            psi[:count],
+            lower[:count],
+            upper[:count],
+            free=torch.arange(count) < held,
+            options=PARAMETERS,
+        )
+        masks = [
+            torch.cat([one[:held], other])
+            for one, other in ((found.at_bound, told.at_bound), (found.not_identifiable, told.not_identifiable))
+        ]
+        moved = _believed(filter, psi, x0, found.point, told.point.cost)
+        if moved is not None:
+            psi, x0 = moved
+        history.append(told.point.cost if moved is None else float(filter.cost(psi, x0).sum()))
+        if monitor is not None:
+            monitor(k + 1, history[-1], psi[:count])
+        settled = history[-2] - history[-1] < ENOUGH
+        if settled:
+            break
+    return Held(psi, x0, history[-1], masks[0], masks[1], settled, history)
+
+
+def _believed(
+    filter: NativeFilter, psi: Tensor, x0: Tensor, end: FilterPlace, before: float
+) -> tuple[Tensor, Tensor] | None:
+    """As far from psi and x0 towards where gains that were held led as the filter's own likelihood is better there."""
+    count = len(end.theta)
+    for share in SHARES:
+        theta = psi[:count] + share * (end.theta - psi[:count])
+        trial, initial = torch.cat([theta, psi[count:]]), x0 + share * (end.x0 - x0)
+        if float(filter.cost(trial, initial).sum()) < before:
+            return trial, initial
+    return None

@@ -1,0 +1,420 @@
+"""Step 3 where the air moves: the filter error method, maximum likelihood with process noise, on anybody's model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from rotorid_torch.core.gauss_newton import Minimum, minimise
+from rotorid_torch.core.native.graph.tracing import Unsupported
+from rotorid_torch.errors import InputError
+from rotorid_torch.identification.estimate.initial_states import smallest_noise
+from rotorid_torch.identification.estimate.output_error import (
+    ParameterEstimate,
+    check_shapes,
+    one_of,
+    result_of,
+    sentence,
+    settings_of,
+)
+from rotorid_torch.identification.estimate.progressive_fit import FINE, Fit, Monitor, fit
+from rotorid_torch.identification.estimate.residuals import Whiteness, whiteness
+from rotorid_torch.identification.estimate.segments import Records, records_from
+from rotorid_torch.identification.estimate.system import System
+from rotorid_torch.identification.estimate.uncertainty import Uncertainty
+from rotorid_torch.identification.filter_error.extended_kalman import CovarianceForm, Filtered, FilterProblem, form
+from rotorid_torch.identification.filter_error.held_gain import HeldEngine, alternated
+from rotorid_torch.identification.filter_error.innovations import (
+    FilterEngine,
+    FilterPlace,
+    InnovationLikelihood,
+    NativeFilter,
+    filter_engine,
+)
+from rotorid_torch.identification.filter_error.smoother import smoothed
+from rotorid_torch.identification.filter_error.start import first
+from rotorid_torch.identification.filter_error.uncertainty import uncertainty
+
+LITTLE = 1e-3
+"""Part of the process noise with which a fit is tried again from where it ended."""
+LEAST_GAIN = 1e-2
+"""In the log-likelihood, for which another optimum is taken."""
+
+
+@dataclass(frozen=True)
+class FilterError:
+    """What `filter_error` found; what has a name of `OutputError` is the same.
+
+    Attributes
+    ----------
+    model : a copy of the module with the fitted parameters, in float64.
+    parameters : one record each, in the order of `covariance`.
+    covariance : [P, P], corrected for coloured innovations; zero for parameters on a bound or not identifiable.
+    process_noise : standard deviations of the noise in the states' rates, per square root of a second, by state; for
+        "full" also correlations. Empty where it was held.
+    process_covariance : [nx, nx] its spectral density, covariance per second.
+    measurement_noise : the same of the outputs' noise, by output. noise : [ny, ny] its covariance.
+    initial_states : [F, nx] at each flight's first sample.
+    converged, message : whether the optimum was reached, and a sentence that also names parameters in doubt.
+    history : cost after each accepted step.
+    innovations : per flight (T, ny) measured minus predicted from all samples before, NaN = missing.
+    states, state_errors : per flight (T, nx) by all samples of the flight (smoothed), and their standard errors, with
+        parameters and initial states believed.
+    log_likelihood : of all innovations.
+    whiteness : of the innovations in units of their own covariance.
+    uncertainty : Cramer-Rao, coloured and jackknife apart.
+    """
+
+    model: nn.Module
+    parameters: list[ParameterEstimate]
+    covariance: Tensor
+    process_noise: list[ParameterEstimate]
+    process_covariance: Tensor
+    measurement_noise: list[ParameterEstimate]
+    noise: Tensor
+    initial_states: Tensor
+    converged: bool
+    message: str
+    history: list[float]
+    innovations: list[Tensor]
+    states: list[Tensor]
+    state_errors: list[Tensor]
+    log_likelihood: float
+    whiteness: Whiteness
+    uncertainty: Uncertainty
+
+
+def filter_error(
+    model: nn.Module,
+    flights: Sequence[Mapping[str, Any]],
+    free: Sequence[str] | None = None,
+    process_noise: str | Sequence[str] | Tensor = "diagonal",
+    noise: str | Tensor = "diagonal",
+    x0: str = "free",
+    *,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    noise_floor: Sequence[float] | Tensor | None = None,
+    max_iterations: int = 100,
+    gain: str = "exact",
+    engine: str | None = None,
+    monitor: Monitor | None = None,
+) -> FilterError:
+    """Maximum-likelihood estimate of the free parameters of any module from flights in moving air.
+
+    Output error takes gusts for the vehicle's own motion. Here the states' rates have white noise of unknown size, and
+    what is fitted are the innovations of an extended Kalman filter: measured minus predicted from all samples before.
+
+    Parameters
+    ----------
+    model : module with forward(t, x, u) -> dx/dt and output(x, u) -> y; it is left as it is. Its states are called
+        x[0], x[1], ..., or as its attribute `states` (a sequence of words) or its `layout` says.
+    flights : dicts of time (T,), controls (T, nu), outputs (T, ny; NaN = missing), x0 (nx,).
+    free : names of the parameters to estimate, all by default; entries of a tensor are named name[i].
+    process_noise : "diagonal" (a size for each state), "full" (correlated), names of the states that have it, or the
+        spectral density [nx, nx] to hold (covariance per second). Of zeros it leaves output error.
+    noise : of the outputs: "diagonal", "full", or a covariance [ny, ny] to hold.
+    x0 : "free" estimates the initial states, from those given; "fixed" believes them.
+    bounds : lower and upper bound by name.
+    noise_floor : [ny] standard deviation of the sensors, below which no noise is believed.
+    gain : "exact", or "held" for models of many states and parameters: the filter's gain is held while parameters move,
+        which costs little more than output error. Parameters are a little less certain, as their errors say; errors of
+        the noises then believe the parameters.
+    engine : "native" or "reference" (torch, slow); by default native code where the model can be compiled.
+    monitor : called after each accepted step with iteration, cost, theta.
+
+    Raises
+    ------
+    InputError
+        Where the flights, a name or a matrix do not fit, or the filter diverges from the start.
+
+    Source: Maine and Iliff (1981), SIAM J. Appl. Math. 41; Jategaonkar, Flight Vehicle System Identification, ch. 5.
+    """
+    system, records = System(model, free, bounds), records_from(flights)
+    one_of("x0", x0, ("free", "fixed"))
+    one_of("engine", engine or "native", ("native", "reference"))
+    one_of("gain", gain, ("exact", "held"))
+    ny, nx = records.outputs.shape[-1], records.states.shape[-1]
+    check_shapes(system, records)
+    states, units = state_names(model, nx)
+    problem = FilterProblem(
+        system,
+        records,
+        form("process_noise", process_noise, states, units),
+        _outputs_form(noise, getattr(model, "body", None), ny),
+        torch.zeros(nx, nx, dtype=torch.float64),
+    )
+    floor = _floor(noise_floor, records)
+    if x0 == "fixed" and bool(records.states[:, 0].isnan().any()):
+        raise InputError("flights", "x0", "absent", 'the initial state of every flight where x0 is "fixed"')
+    if problem.process.matrix is not None and not bool(problem.process.matrix.any()):
+        settings = settings_of(records, x0, noise, noise_floor, None, "rk4", "gauss-newton", max_iterations)
+        return _without_gusts(problem, fit(system, records, settings=settings, monitor=monitor))
+    search = _Search(problem, floor, x0 == "free", max_iterations, gain, engine, monitor)
+    return _result(*search.found())
+
+
+class Maximum(NamedTuple):
+    """Where a search ended."""
+
+    engine: FilterEngine
+    likelihood: InnovationLikelihood
+    minimum: Minimum[FilterPlace]
+
+
+@dataclass(frozen=True)
+class _Search:
+    """How the maximum of the likelihood is looked for."""
+
+    problem: FilterProblem
+    floor: Tensor
+    free: bool
+    iterations: int
+    gain: str
+    engine: str | None
+    monitor: Monitor | None
+
+    def found(self) -> Maximum:
+        """From where the filter follows the flights, to the maximum."""
+        problem, system = self.problem, self.problem.system
+        theta, start = torch.clamp(system.theta, system.lower, system.upper), problem.records.states[:, 0]
+        made, psi, cost = first(self._engine(theta), theta, start.nan_to_num(0.0), self.floor, self.free)
+        if not math.isfinite(cost):
+            raise diverged(problem, made.filter(psi, start.nan_to_num(0.0)))
+        seek = self._alternating if isinstance(made, HeldEngine) else self._descending
+        return seek(made, psi, start.nan_to_num(0.0))  # pyright: ignore[reportArgumentType]
+
+    def _engine(self, theta: Tensor) -> FilterEngine:
+        ones = torch.ones(max(len(self.problem.process.names), len(self.floor)), dtype=torch.float64)
+        noises = self.problem.process.numbers(ones[: len(self.problem.process.names)])
+        psi = torch.cat([theta, noises, self.problem.noise.numbers(ones[: len(self.floor)])])
+        if self.gain == "exact" or not self.problem.process.count + self.problem.noise.count:
+            return filter_engine(self.problem, psi, self.engine)
+        try:
+            return HeldEngine(NativeFilter.of(self.problem, psi, held=len(theta)))
+        except Unsupported as error:
+            raise InputError("arguments", "gain", f"the model cannot be compiled: {error}", '"exact"') from error
+
+    @property
+    def _bounds(self) -> tuple[Tensor, Tensor]:
+        system, problem = self.problem.system, self.problem
+        nothing = torch.zeros(len(problem.process.names), dtype=torch.float64)
+        noises = [problem.process.lower(nothing), problem.noise.lower(self.floor.square())]
+        lower = torch.cat([system.lower, *noises])
+        more = torch.full((len(lower) - len(system.upper),), math.inf, dtype=torch.float64)
+        return lower, torch.cat([system.upper, more])
+
+    def _watch(self, iteration: int, cost: float, psi: Tensor) -> None:
+        if self.monitor is not None:
+            self.monitor(iteration, cost, psi[: len(self.problem.system.theta)])
+
+    def _descending(self, engine: FilterEngine, psi: Tensor, x0: Tensor) -> Maximum:
+        """Gauss-Newton on all unknowns, and once more from hardly any process noise."""
+        likelihood = InnovationLikelihood(engine, x0, self.free)
+        options = replace(FINE, max_iterations=self.iterations)
+        descend = lambda start: minimise(  # noqa: E731
+            likelihood.evaluate, likelihood.linearise, start, *self._bounds, options=options, monitor=self._watch
+        )
+        best = descend(psi)
+        calmer = likelihood.at(_with_less(self.problem, best.point.theta), best.point.x0)
+        if self.problem.process.count and math.isfinite(calmer.cost):
+            other = descend(calmer)
+            best = other if other.point.cost < best.point.cost - LEAST_GAIN else best
+        return Maximum(engine, likelihood, best)
+
+    def _alternating(self, engine: HeldEngine, psi: Tensor, x0: Tensor) -> Maximum:
+        """Noises and parameters in turn, gains held while parameters move."""
+        rounds = max(1, self.iterations)
+        held = alternated(engine.filtering, psi, x0, *self._bounds, self.free, rounds, self._watch)
+        likelihood = InnovationLikelihood(engine, held.x0, self.free)
+        place = likelihood.evaluate(held.psi)
+        said = "converged: the likelihood stands still" if held.converged else f"stopped after {rounds} rounds"
+        linear = likelihood.linearise(place)
+        ended = held.at_bound, held.blind, held.converged, said, len(held.history) - 1, held.history
+        return Maximum(engine, likelihood, Minimum(place, linear, *ended))
+
+
+def _with_less(problem: FilterProblem, psi: Tensor) -> Tensor:
+    """Unknowns with hardly any process noise: an unstable vehicle's likelihood may have a second optimum there."""
+    first, psi = len(problem.system.theta), psi.clone()
+    psi[first : first + len(problem.process.which) * (problem.process.count > 0)] *= LITTLE
+    return psi
+
+
+def diverged(problem: FilterProblem, run: Filtered) -> InputError:
+    """Where a filter that diverged did so, and with which state."""
+    expected = "parameters, x0 and process noise from which the filter follows the flight"
+    if run.lost is None:
+        return InputError("flights", "filter", "the innovations' covariance is not positive definite", expected)
+    flight, sample, state = run.lost
+    time = float(problem.records.start[flight]) + sample * problem.records.dt
+    return InputError(
+        f"flights[{flight}]", problem.process.names[state], f"the filter diverges at {time:.4g} s", expected
+    )
+
+
+def state_names(model: nn.Module, nx: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and units of a module's states."""
+    layout, named = getattr(model, "layout", None), getattr(model, "states", None)
+    if layout is not None and len(layout) == nx:
+        return layout.names, tuple(s.unit for s in layout.states)
+    if isinstance(named, Sequence) and not isinstance(named, str) and len(named) == nx:
+        return tuple(str(name) for name in named), ("",) * nx
+    return tuple(f"x[{i}]" for i in range(nx)), ("",) * nx
+
+
+def _outputs_form(noise: str | Tensor, body: Any, ny: int) -> CovarianceForm:
+    named = getattr(body, "outputs", ())
+    names = tuple(named) if len(named) == ny else tuple(f"y[{i}]" for i in range(ny))
+    if isinstance(noise, str):
+        one_of("noise", noise, ("diagonal", "full"))
+    made = form("noise", noise, names, ("",) * ny)
+    if made.matrix is not None and not bool((torch.linalg.eigvalsh(made.matrix) > 0).all()):
+        raise InputError("arguments", "noise", "matrix that is singular", f"{ny} by {ny}, positive definite")
+    return made
+
+
+def _floor(noise_floor: Sequence[float] | Tensor | None, records: Records) -> Tensor:
+    smallest = smallest_noise(records)
+    if noise_floor is None:
+        return smallest
+    floor = torch.as_tensor(noise_floor).to(torch.float64)
+    if floor.shape != smallest.shape or not bool((floor >= 0).all()):
+        wanted = f"{len(smallest)} numbers, none negative"
+        raise InputError("arguments", "noise_floor", f"shape {tuple(floor.shape)}", wanted)
+    return torch.maximum(floor, smallest)
+
+
+def _result(engine: FilterEngine, likelihood: InnovationLikelihood, minimum: Minimum[FilterPlace]) -> FilterError:
+    problem, place = likelihood.problem, minimum.point
+    system, records, psi, count = problem.system, problem.records, place.theta, len(problem.system.theta)
+    local = place.x0.numel() if likelihood.free else 0
+    loss = likelihood.samples / max(likelihood.samples - count - local, 1)
+    found = uncertainty(engine, likelihood, minimum, loss)
+    theta, Q, R = problem.split(psi)
+    run = engine.filter(psi, place.x0)
+    states, covariances = smoothed(problem, psi, place.x0, run)
+    parameters = [
+        ParameterEstimate(
+            name=e.name,
+            value=float(theta[i]),
+            se=float(found.standard_errors[i]),
+            unit=e.unit,
+            bounds=(e.lower, e.upper),
+            at_bound=bool(minimum.at_bound[i]),
+            status="not identifiable" if bool(minimum.not_identifiable[i]) else "free",
+        )
+        for i, e in enumerate(system.entries)
+    ]
+    errors = found.covariance
+    q, r = slice(count, count + problem.process.count), slice(count + problem.process.count, len(psi))
+    part = lambda matrix: matrix[:count, :count]  # noqa: E731
+    rooted = covariances.diagonal(dim1=-2, dim2=-1).clamp_min(0.0).sqrt()
+    lengths = records.lengths.tolist()
+    each = lambda record: [one[:n] for one, n in zip(record, lengths, strict=True)]  # noqa: E731
+    return FilterError(
+        model=system.fitted(theta),
+        parameters=parameters,
+        covariance=part(errors),
+        process_noise=sizes(problem.process, psi[q], errors[q, q], loss, "/sqrt(s)"),
+        process_covariance=Q * loss if problem.process.count else Q,
+        measurement_noise=sizes(problem.noise, psi[r], errors[r, r], loss, ""),
+        noise=R * loss if problem.noise.count else R,
+        initial_states=states[:, 0],
+        converged=minimum.converged,
+        message=sentence(minimum.message, parameters),
+        history=minimum.history,
+        innovations=each(run.innovations),
+        states=each(states),
+        state_errors=each(rooted),
+        log_likelihood=-float(run.cost.sum()) - 0.5 * likelihood.samples * math.log(2.0 * math.pi),
+        whiteness=whiteness(run.innovations, run.spreads),
+        uncertainty=Uncertainty(
+            part(found.cramer_rao),
+            part(found.coloured),
+            found.jackknife[:count],
+            part(errors),
+            found.standard_errors[:count],
+        ),
+    )
+
+
+def sizes(form: CovarianceForm, numbers: Tensor, covariance: Tensor, loss: float, per: str) -> list[ParameterEstimate]:
+    """Standard deviations and, for a full covariance, correlations, with errors by the numbers' covariance [n, n].
+
+    loss : by which the covariance at the numbers is too small. per : what follows each unit.
+    """
+    if not form.count:
+        return []
+    which = list(form.which)
+    pairs = [(i, j) for i in range(len(which)) for j in range(i)] if form.full else []
+
+    def described(numbers: Tensor) -> Tensor:
+        matrix = form.at(numbers)[which][:, which]
+        sd = matrix.diagonal().clamp_min(1e-300).sqrt()
+        return torch.cat([sd * loss**0.5, *(matrix[i, j, None] / sd[i] / sd[j] for i, j in pairs)])
+
+    values, slopes = described(numbers), torch.func.jacrev(described)(numbers)
+    errors = ((slopes @ covariance) * slopes).sum(dim=1).clamp_min(0.0).sqrt()
+    names = [form.names[i] for i in which] + [f"{form.names[which[i]]}, {form.names[which[j]]}" for i, j in pairs]
+    units = [form.units[i] + per for i in which] + [""] * len(pairs)
+    bounds = [(0.0, math.inf)] * len(which) + [(-1.0, 1.0)] * len(pairs)
+    return [
+        ParameterEstimate(
+            name=name,
+            value=value if value > 1e-149 else 0.0,
+            se=error if value > 1e-149 or math.isinf(high) is False else 0.0,
+            unit=unit,
+            bounds=(low, high),
+            at_bound=not low + 1e-149 < value < high,
+            status="free",
+        )
+        for name, unit, (low, high), value, error in zip(
+            names, units, bounds, values.tolist(), errors.tolist(), strict=True
+        )
+    ]
+
+
+def _without_gusts(problem: FilterProblem, found: Fit) -> FilterError:
+    """Output error in the words of the filter error method."""
+    records, place = problem.records, found.minimum.point
+    calm = result_of(problem.system, records, found)
+    states = found.likelihood.states_at(place, torch.full_like(records.states, math.nan))
+    there = ~records.outputs.isnan()
+    residual = torch.full_like(records.outputs, math.nan)
+    for part in found.likelihood.parts(place):
+        part.segments.write(part.residual, residual)
+    spreads = torch.where(there.unsqueeze(-1) & there.unsqueeze(-2), place.covariance, 0.0)
+    spreads = spreads + torch.diag_embed((~there).to(spreads))
+    root = torch.linalg.cholesky(spreads)
+    white = torch.linalg.solve_triangular(root, residual.nan_to_num(0.0).unsqueeze(-1), upper=False)
+    cost = 0.5 * white.square().sum() + root.diagonal(dim1=-2, dim2=-1).log().sum()
+    count = there.sum(dim=(0, 1)).tolist()
+    sd = calm.noise.diagonal().sqrt().tolist()
+    names = problem.noise.names if problem.noise.count else ()
+    return FilterError(
+        model=calm.model,
+        parameters=calm.parameters,
+        covariance=calm.covariance,
+        process_noise=[],
+        process_covariance=torch.zeros(states.shape[-1], states.shape[-1], dtype=torch.float64),
+        measurement_noise=[
+            ParameterEstimate(name, sd[i], sd[i] / (2.0 * max(count[i], 1)) ** 0.5, "", (0.0, math.inf), False, "free")
+            for i, name in enumerate(names)
+        ],
+        noise=calm.noise,
+        initial_states=calm.initial_states,
+        converged=calm.converged,
+        message=calm.message,
+        history=calm.history,
+        innovations=calm.residuals,
+        states=[one[:n] for one, n in zip(states, records.lengths.tolist(), strict=True)],
+        state_errors=[torch.zeros(n, states.shape[-1], dtype=torch.float64) for n in records.lengths.tolist()],
+        log_likelihood=-float(cost) - 0.5 * sum(count) * math.log(2.0 * math.pi),
+        whiteness=whiteness(residual, spreads),
+        uncertainty=calm.uncertainty,
+    )

@@ -1,0 +1,225 @@
+"""Step 3 on the model: output error over all identify flights, every parameter free within its bounds and prior."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.gauss_newton import Options
+from rotorid_torch.core.names import RATES
+from rotorid_torch.core.processes.device import moved, working_on
+from rotorid_torch.core.processes.ranks import ALONE, Ranks
+from rotorid_torch.core.storage import mapped_arrays
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.identification.estimate.progressive_fit import Estimate, Settings, fit
+from rotorid_torch.identification.estimate.segments import Records, records_from
+from rotorid_torch.identification.estimate.system import System
+from rotorid_torch.identification.model_regression import Step2, measured
+from rotorid_torch.identification.reconstruct.reconstruction import ReconstructedFlight, Reconstruction
+from rotorid_torch.identification.regress.fourier import noise_floor, smoothed
+from rotorid_torch.model.model import Model
+
+RATE = 50.0
+"""Hz: records are averaged down to no less than this; body, flapping and inflow are slower than a fifth of it."""
+ENOUGH = Options(tolerance=1e-5, absolute=0.05)
+"""The search ends where a step could change the log-likelihood by no more than this: less than a standard error."""
+TOLD = 4.5
+"""Fall of minus log-likelihood by which a size must be better than none: three standard errors of one number."""
+LENGTHS = (2.0, 5.0)
+"""s: segments of the two stages; an unstable vehicle's slow modes show in the second, its fast ones set the first."""
+ROTORS_RATE, ROTORS_LENGTHS = 200.0, (0.25,)
+"""Hz and s for multirotors: motors follow within tens of milliseconds, and chains of integrators drift off at once."""
+FOLDED = 4
+"""Recorded samples from one comparison of a multirotor's rates to the next."""
+
+
+@dataclass(frozen=True)
+class Step3:
+    """The estimate, and which parameters of the model it is of (in the order of its theta)."""
+
+    fit: Estimate
+    names: tuple[str, ...]
+
+    def theta_of(self, model: Model, start: Step2) -> Tensor:
+        """The model's whole parameter vector: the estimate, and step 2's values of what was held."""
+        theta = start.theta.clone()
+        theta[[model.parameter_set.index(name) for name in self.names]] = self.fit.theta
+        return theta
+
+    @property
+    def criterion(self) -> float:
+        """Akaike's information criterion; the smaller, the better the structure, on the same records."""
+        cost = self.fit.minimum.point.cost
+        return 2.0 * (cost + len(self.names)) if math.isfinite(cost) else math.inf
+
+
+def estimate_model(
+    model: Model,
+    dataset: Dataset,
+    reconstruction: Reconstruction,
+    start: Step2,
+    monitor: Callable[[int, float, Tensor], None] | None = None,
+    ranks: Ranks = ALONE,
+    device: str = "cpu",
+) -> Step3:
+    """Maximum likelihood from step 2's values, which only start it; the model's theta is set to the estimate.
+
+    The identify flights are spread over the ranks; each comes to the same estimate. On another device than the
+    processor, torch does the work.
+    """
+    names = tuple(n for n in model.parameter_set.free if n not in start.held)
+    with torch.no_grad():
+        model.theta.copy_(start.theta)
+    places = [model.parameter_set.index(n) for n in names]
+    settings = Settings(
+        floor=sensor_noise(model, dataset),
+        lengths=lengths(model),
+        prior_mean=model.parameter_set.values[places],
+        prior_sd=model.parameter_set.prior_sd[places],
+        x0_sd=initial_spread(model, dataset),
+        options=ENOUGH,
+        engine=None if device == "cpu" else "reference",
+    )
+    flights, settings = moved((records(model, dataset, reconstruction, ranks), settings), device)
+    with working_on(device):
+        found = fit(System(model, names), flights, settings=settings, monitor=monitor, ranks=ranks).estimate()
+        if acting := {names.index(n): size for n, size in _idle(model).items() if n in names}:
+            place = found.theta.clone()
+            place[list(acting)] = place.new_tensor(list(acting.values()))
+            other = fit(System(model, names), flights, place, settings, monitor, ranks).estimate()
+            found = other if other.minimum.point.cost < found.minimum.point.cost - TOLD else found
+    found = moved(found, "cpu")
+    with torch.no_grad():
+        model.theta[places] = found.theta
+    return Step3(found, names)
+
+
+def initial_spread(model: Model, dataset: Dataset) -> Tensor:
+    """Prior of the initial states about those that are followed [nx], infinite where there is none.
+
+    What a channel tells is known as well as it is measured: more freedom would give each segment a nuisance of its own.
+    """
+    spreads = [
+        s.spread if s.channel is None or math.isinf(s.spread) else min(s.spread, dataset.noise(s.channel))
+        for s in model.layout.states
+    ]
+    return torch.tensor(spreads, dtype=torch.float64)
+
+
+def sensor_noise(model: Model, dataset: Dataset) -> Tensor:
+    """Sensor noise of the outputs after averaging, [ny]."""
+    every = _every(model, dataset.facts[dataset.identify[0]].dt)
+    return torch.tensor([dataset.noise(c) for c in model.body.outputs], dtype=torch.float64) / math.sqrt(every)
+
+
+def records(model: Model, dataset: Dataset, reconstruction: Reconstruction, ranks: Ranks = ALONE) -> Records:
+    """The rank's identify flights as one batch: measured outputs, and smoothed states to start segments from."""
+    batch: Records | None = None
+    names = ranks.mine(dataset.identify)
+    count = [dataset.facts[name].samples // _every(model, dataset.facts[name].dt) for name in names]
+    for i, name in enumerate(names):
+        own = _record(model, dataset, reconstruction, name)
+        if batch is None:
+            batch = _empty(own, len(count), max(count))
+        batch.lengths[i], batch.start[i] = own.lengths[0], own.start[0]
+        batch.controls[i], batch.outputs[i, : own.samples] = own.controls[0, -1], own.outputs[0]
+        batch.controls[i, : own.samples], batch.states[i, : own.samples] = own.controls[0], own.states[0]
+    mapped_arrays.let_go()
+    assert batch is not None
+    return replace(batch, dt=ranks.from_first(batch.dt))  # the first flight's, which is the first rank's
+
+
+def lengths(model: Model) -> tuple[float, ...]:
+    """Lengths of the segments that a model's parameters are estimated on, s, stage by stage."""
+    return LENGTHS if model.effect("rotors") is None else ROTORS_LENGTHS
+
+
+def _idle(model: Model) -> dict[str, float]:
+    """Free parameters at nothing where a little of them does nothing, with the least of the sizes they are met at.
+
+    Those of effects that act already are left out. From nothing no slope leads to them; from there a smaller size is
+    found too.
+    """
+    known, values = model.parameter_set.parameters, model.named_values
+    acting = {p.name.rpartition(".")[0] for p in known if p.met and values[p.name] != p.value}
+    idle = [p for p in known if p.met and p.free and values[p.name] == p.value]
+    resting = [p for p in idle if p.name.rpartition(".")[0] not in acting]
+    return {p.name: min(p.met, key=lambda size: abs(size - p.value)) for p in resting}
+
+
+def _every(model: Model, dt: float) -> int:
+    """Samples that are averaged to one."""
+    return max(1, int(1.0 / (dt * (RATE if model.effect("rotors") is None else ROTORS_RATE))))
+
+
+def _record(model: Model, dataset: Dataset, reconstruction: Reconstruction, name: str) -> Records:
+    """One flight alone."""
+    flight, step1 = dataset.flights[name], reconstruction.flights[name]
+    every = _every(model, flight.dt)
+    unknown = torch.full_like(flight.time, math.nan)
+    untold = {s.name: unknown for s in model.layout.states if s.channel is not None and not flight.has(s.channel)}
+    signals = {**measured(model, dataset, reconstruction, name).signals, **untold}
+    states = [step1.channels.get(s.channel or s.name, signals.get(s.name, unknown)) for s in model.layout.states]
+    return records_from(
+        [
+            {
+                "time": averaged(flight.time, every),
+                "controls": averaged(_controls(dataset, name, model.body.controls), every),
+                "outputs": _compared(
+                    model, averaged(flight.stack(model.body.outputs) - _biases(model, step1), every), every
+                ),
+                "states": averaged(torch.stack(states, dim=-1), every),
+            }
+        ]
+    )
+
+
+def _controls(dataset: Dataset, name: str, controls: Sequence[str]) -> Tensor:
+    """Controls (T, nu) of a flight as they acted: without the noise that their sensors are declared to have.
+
+    Trajectories take them for exact: noise would make delays short, and play in a linkage wide. Where no noise is
+    declared nothing tells it from what an autopilot or the motors' controller sent, and all of it acted.
+    """
+    measured = dataset.flights[name].bridged(controls).mT
+    specs = [dataset.control_specs.get(c) or dataset.channel_specs.get(c) for c in controls]  # rotors turn on record
+    declared = torch.tensor([(s.noise if s else None) or 0.0 for s in specs], dtype=torch.float64)
+    return smoothed(measured, torch.minimum(declared, noise_floor(measured))).mT
+
+
+def _compared(model: Model, outputs: Tensor, every: int) -> Tensor:
+    """Outputs (T, ny) as they count: a multirotor's rates at a quarter of the recorded rate at most.
+
+    Its commands are a rate controller's, which runs faster than most records: what is folded into a record says nothing
+    of how the vehicle follows.
+    """
+    apart = -(-FOLDED // every)
+    if model.effect("rotors") is None or apart == 1:
+        return outputs
+    rates = torch.tensor([name in RATES for name in model.body.outputs])
+    skipped = torch.arange(len(outputs)) % apart != 0
+    return outputs.masked_fill(skipped[:, None] & rates, math.nan)
+
+
+def _empty(one: Records, flights: int, samples: int) -> Records:
+    """Room for so many flights like this one."""
+
+    def nothing(columns: int) -> Tensor:
+        return mapped_arrays.empty(flights, samples, columns).fill_(math.nan)
+
+    sizes = (part.shape[-1] for part in (one.controls, one.outputs, one.states))
+    return Records(one.dt, one.lengths.repeat(flights), one.start.repeat(flights), *map(nothing, sizes))
+
+
+def _biases(model: Model, step1: ReconstructedFlight) -> Tensor:
+    """Constants per flight that step 1 found on the sensors, [ny]; nuisance, so no score knows them."""
+    return torch.tensor([step1.biases.get(c, 0.0) for c in model.body.outputs], dtype=torch.float64)
+
+
+def averaged(record: Tensor, every: int) -> Tensor:
+    """Means over `every` samples of a record (T, ...), all channels alike; a missing sample counts for nothing."""
+    whole = len(record) // every * every
+    return record[:whole].unflatten(0, (-1, every)).nanmean(dim=1)

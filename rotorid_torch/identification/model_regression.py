@@ -1,0 +1,364 @@
+"""Step 2 on the model's own equations: Fourier transform regression of flapping, forces and moments.
+
+Response and regressors are measured quantities; what the declared physics adds beyond the linear terms is computed
+from them and from step 1's thrust, and subtracted before.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES, SPECIFIC_FORCES, VELOCITIES
+from rotorid_torch.core.rigid import cross, gravity_in_body, gyroscopic
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.on_demand import OnDemand
+from rotorid_torch.effects.base import Effect, Frame, Stage, Values
+from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
+from rotorid_torch.identification.regress.equation import Equation, fit_equation
+from rotorid_torch.identification.regress.ftr import Regression
+from rotorid_torch.identification.regress.selection import beyond
+from rotorid_torch.identification.structure import ATTITUDE, have
+from rotorid_torch.model.derivatives import LinearForces
+from rotorid_torch.model.flapping import AlgebraicFlapping, Flapping
+from rotorid_torch.model.inflow import CYCLIC
+from rotorid_torch.model.linear_equations import LinearBlock
+from rotorid_torch.model.model import Model
+
+HIGHEST = {**dict.fromkeys(FLAPPING, 8.0), **dict.fromkeys((*FORCES, *MOMENTS), 4.0)}
+"""Hz: highest frequency of each equation, if its data reach it."""
+
+END_S = 0.2
+"""s: over which noise is averaged at either end of a record whose mean rate is asked for."""
+MIDDLE = 2.0
+"""Hz: where the noise of an integrated accelerometer is read."""
+
+FOLLOWING = 10.0
+"""1/s: rate at which a body rate follows its controls, or flapping what drives it, where the regression sees no lag."""
+SLOWEST = 1.0
+"""1/s: no blade flaps with less damping; a regression that says so has lost the lag in the noise."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One flight as step 2 sees it: every signal bridged over gaps, step 1's loads, and the physics' known part."""
+
+    signals: Mapping[str, Tensor]  # each (T,)
+    known: Tensor  # (T, 6) forces m/s2 and moments rad/s2 of the physics beyond the linear terms
+    specific: Tensor  # (T, 6) step 1
+
+
+@dataclass(frozen=True)
+class Step2:
+    """Regressions by row, the parameter vector that starts step 3, and the parameters that step 3 is to hold.
+
+    Where a regression finds a body rate that its controls drive without lag, and so no damping, the rate follows its
+    controls instead: cross-axis rates are held at zero in that row, for they would only imitate the missing lead.
+    Flapping that seems undamped follows what drives it in the same way, as a start; step 3 finds its lag.
+    """
+
+    regressions: Mapping[str, Regression]
+    theta: Tensor
+    held: tuple[str, ...]
+    own_share: Mapping[str, float]  # of each control's in-band motion, what body states do not explain (feedback)
+
+
+def regress_model(model: Model, dataset: Dataset, reconstruction: Reconstruction) -> Step2:
+    """All linear parameters of the model from the identify flights, in closed form; the others keep their prior."""
+    theta = model.theta.detach().clone()
+    flights = _measured(model, dataset, reconstruction)
+    found: dict[str, Regression] = {}
+    held: list[str] = []
+    shares: dict[str, float] = {}
+    for effect, equation in _equations(model, dataset, flights):
+        row = equation.name
+        found[row] = fit_equation(equation)
+        _store(model, theta, effect, row, found[row].selected, found[row].coefficients)
+        own = _own_state(model, row)
+        if own in equation.names and _undamped(model, theta, f"{effect}.{row}.{own}", row):
+            held += _follow(model, theta, effect, row, own, equation, flights)
+        if row == MOMENTS[0]:
+            shares = _own_shares(equation, model)
+    return Step2(found, model.parameter_set.clamp(theta), tuple(held), shares)
+
+
+def _measured(model: Model, dataset: Dataset, reconstruction: Reconstruction) -> Mapping[str, Measured]:
+    """The identify flights as step 2 sees them, each made when it is asked for."""
+    return OnDemand(dataset.identify, lambda name: measured(model, dataset, reconstruction, name), costly=True)
+
+
+def _equations(model: Model, dataset: Dataset, flights: Mapping[str, Measured]) -> Iterator[tuple[str, Equation]]:
+    """Each equation of the model that is linear in its derivatives, with the id of the effect that has it."""
+    for effect in model.chain:
+        if isinstance(effect, LinearForces | Flapping | AlgebraicFlapping):
+            for row in effect.block.rows:
+                yield effect.id, _equation(row, effect, effect.block, model, dataset, flights)
+
+
+def trims_of_flights(
+    model: Model, theta: Tensor, dataset: Dataset, reconstruction: Reconstruction
+) -> tuple[tuple[str, ...], Tensor]:
+    """What each equation has as a constant in each identify flight, its derivatives and the physics as in theta.
+
+    Returns
+    -------
+    Names of the equations, and their constants [rows, flights] in the rows' units. The model is set to theta.
+    """
+    with torch.no_grad():
+        model.theta.copy_(theta)
+    names, found = [], []
+    for effect, equation in _equations(model, dataset, _measured(model, dataset, reconstruction)):
+        places = [model.parameter_set.index(f"{effect}.{equation.name}.{c}") for c in equation.names]
+        derivatives = theta[places]
+        mean = _mean_rate if equation.kind == "derivative" else _mean
+        each = zip(equation.response, equation.regressors, equation.steps(), strict=True)
+        found.append([float(mean(y, dt) - z.mean(0) @ derivatives) for y, z, dt in each])
+        names.append(equation.name)
+    return tuple(names), torch.tensor(found, dtype=torch.float64)
+
+
+def _mean(signal: Tensor, dt: float) -> Tensor:
+    return signal.mean()
+
+
+def _mean_rate(signal: Tensor, dt: float) -> Tensor:
+    """Mean rate of change, between means over the two ends."""
+    ends = max(1, min(round(END_S / dt), len(signal) // 2))
+    return (signal[-ends:].mean() - signal[:ends].mean()) / (dt * (len(signal) - ends))
+
+
+def _own_shares(equation: Equation, model: Model) -> dict[str, float]:
+    """Share of each control's motion in the equation's band that is its own and not feedback of the body states."""
+    states = [n for n in equation.names if n in model.body.states]
+    if not states:
+        return dict.fromkeys(model.body.controls, 1.0)
+    return {b.name: b.share for b in beyond(equation, model.body.controls, states)}
+
+
+def _own_state(model: Model, row: str) -> str | None:
+    """The state whose rate a row is, where it can lose its damping: a body rate, or flapping with a lag."""
+    if row in MOMENTS:
+        return RATES[MOMENTS.index(row)]
+    return row if row in model.layout.names else None
+
+
+def _undamped(model: Model, theta: Tensor, name: str, row: str) -> bool:
+    """Whether a state's own derivative came out beyond its bound, or flapping's slower than any blade's."""
+    place = model.parameter_set.index(name)
+    return bool(theta[place] > (-SLOWEST if row in FLAPPING else model.parameter_set.upper[place]))
+
+
+def _follow(
+    model: Model,
+    theta: Tensor,
+    effect: str,
+    row: str,
+    own: str,
+    equation: Equation,
+    flights: Mapping[str, Measured],
+) -> list[str]:
+    """Let a state follow the other signals at `FOLLOWING`: gains by regression of the state itself; names to hold."""
+    kin = RATES if row in MOMENTS else (*FLAPPING, *CYCLIC)
+    others = [c for c in equation.names if c not in kin]
+
+    def state(name: str, flight: Measured) -> Tensor:
+        return flight.signals[own]
+
+    gains = fit_equation(
+        replace(equation, response=_each(flights, state), kind="value", prior_mean=None, prior_sd=None),
+        others,
+    )
+    known = [c for c in equation.names if c in kin]
+    follow = torch.tensor([-FOLLOWING if c == own else 0.0 for c in known], dtype=torch.float64)
+    _store(model, theta, effect, row, known, follow)
+    _store(model, theta, effect, row, others, FOLLOWING * gains.coefficients)
+    return [f"{effect}.{row}.{c}" for c in known if c != own] if row in MOMENTS else []
+
+
+def _store(model: Model, theta: Tensor, effect: str, row: str, names: Sequence[str], values: Tensor) -> None:
+    """Write derivatives of a row into theta, in place."""
+    for name, value in zip(names, values.tolist(), strict=True):
+        theta[model.parameter_set.index(f"{effect}.{row}.{name}")] = value
+
+
+def measured(model: Model, dataset: Dataset, reconstruction: Reconstruction, name: str) -> Measured:
+    """A flight's signals and what the declared physics beyond the derivatives gives on them.
+
+    Flapping that this flight does not measure stands still where physics asks for it, and is no signal.
+    """
+    flight, step1 = dataset.flights[name], reconstruction.flights[name]
+    names = tuple(dict.fromkeys((*(s for s in model.layout.names), *FLAPPING, *model.body.controls)))
+    present = [n for n in names if flight.has(n)]
+    signals = dict(zip(present, flight.bridged(present).unbind(-1), strict=True))
+    with torch.no_grad():
+        controls = model.tape(flight.bridged(model.body.controls), flight.dt)
+    signals |= zip(model.body.controls, controls.unbind(-1), strict=True)
+    given = {s.name: s.channel for s in model.layout.states if s.channel is not None and flight.has(s.channel)}
+    signals |= {name: flight.bridged([channel])[:, 0] for name, channel in given.items()}
+    rates = {n: torch.gradient(signals[n], spacing=flight.dt)[0] for n in FLAPPING if n in present}
+    unseen = [n for n in FLAPPING if n in model.layout.names and n not in present]
+    signals |= {n: torch.full_like(flight.time, model.reference.get(n, 0.0)) for n in unseen}
+    specific = step1.specific.nan_to_num(0.0)
+    theta = model.theta.detach()
+    frame = Frame(signals, force=specific[:, :3], moment=torch.zeros_like(specific[:, 3:]), rates=rates)
+    for k, effect in enumerate(model.chain):
+        if isinstance(effect, LinearForces | Flapping | AlgebraicFlapping) or effect.stage is Stage.SENSORS:
+            continue
+        values = model.values(theta, k)
+        own = _followed(effect, frame, values, flight.dt)
+        for i, name in enumerate(model.state_names(k)):
+            own[:, i] = signals.get(name, own[:, i])
+        frame = replace(
+            frame, signals={**frame.signals, **dict(zip(model.state_names(k), own.unbind(-1), strict=True))}
+        )
+        frame, _ = effect(frame, own, values)
+    assert frame.force is not None
+    assert frame.moment is not None
+    seen = {n: signal for n, signal in frame.signals.items() if n not in unseen}
+    return Measured(seen, torch.cat([frame.force - specific[:, :3], frame.moment], dim=-1), specific)
+
+
+def _followed(effect: Effect, frame: Frame, values: Values, dt: float) -> Tensor:
+    """States of an effect [T, n] integrated along measured signals, from rest; implicit in its own state."""
+    samples = frame.force.shape[0] if frame.force is not None else 0
+    if not effect.states:
+        return torch.empty(samples, 0, dtype=torch.float64)
+    # linear in its own state for as long as a sample is short: dx/dt = c + A x with A by differences at the start
+    state = torch.zeros(samples, len(effect.states), dtype=torch.float64)
+    constant = effect(frame, state, values)[1]
+    slope = torch.stack(
+        [effect(frame, state + e, values)[1] - constant for e in torch.eye(len(effect.states), dtype=torch.float64)], -1
+    )
+    passed = torch.linalg.inv(torch.eye(len(effect.states), dtype=torch.float64) - dt * slope)
+    steps = torch.nn.functional.pad(passed, (0, 1, 0, 1))  # of [x, 1]
+    steps[:, :-1, -1] = (passed @ (dt * constant).unsqueeze(-1)).squeeze(-1)
+    steps[:, -1, -1] = 1.0
+    rest = -torch.linalg.pinv(slope[0]) @ constant[0]
+    return chained(steps, torch.cat([rest, rest.new_ones(1)]))[:, :-1]
+
+
+def chained(steps: Tensor, start: Tensor) -> Tensor:
+    """States [T, n] before each of the linear steps [T, n, n]: in blocks, all at once, then over the blocks."""
+    samples, size = steps.shape[:2]
+    blocks = math.isqrt(samples) + 1
+    length = -(-samples // blocks)
+    still = torch.eye(size, dtype=steps.dtype)
+    padded = torch.cat([steps, still.expand(blocks * length - samples, size, size)])
+    since, inside = still.expand(blocks, size, size), []
+    for step in padded.unflatten(0, (blocks, length)).unbind(1):
+        inside.append(since)
+        since = step @ since
+    starts = [start]
+    for block in since[:-1]:
+        starts.append(block @ starts[-1])
+    states = torch.stack(inside, dim=1) @ torch.stack(starts)[:, None, :, None]
+    return states.flatten(0, 1)[:samples, :, 0]
+
+
+def _each(flights: Mapping[str, Measured], take: Callable[[str, Measured], Tensor]) -> Collection[Tensor]:
+    """One record per flight, made when it is asked for."""
+    return OnDemand(flights, lambda name: take(name, flights[name]), budget=0).values()
+
+
+def _equation(
+    row: str, effect: Effect, block: LinearBlock, model: Model, dataset: Dataset, flights: Mapping[str, Measured]
+) -> Equation:
+    pattern = tuple(c for c in block.columns if f"{row}.{c}" in {p.name for p in effect.declared})
+    responses, kind, noise = _responses(row, model, dataset, flights)
+    reference = model.reference
+    declared = {p.name: p for p in effect.declared}
+    prior = [declared[f"{row}.{c}"] for c in pattern]
+    known = {c: dataset.noise(c) for c in pattern if have(dataset, (c,))}
+
+    def regressors(name: str, flight: Measured) -> Tensor:
+        return torch.stack([flight.signals[c] - reference.get(c, 0.0) for c in pattern], dim=-1)
+
+    return Equation(
+        name=row,
+        response=responses,
+        regressors=_each(flights, regressors),
+        names=pattern,
+        dt=[dataset.facts[f].dt for f in dataset.identify],
+        kind=kind,
+        response_noise=noise,
+        regressor_noise=[known.get(c, 0.0) for c in pattern],
+        prior_mean=[p.value for p in prior],
+        prior_sd=[p.prior_sd for p in prior],
+        highest=HIGHEST[row],
+        trend=False,
+    )
+
+
+def _responses(
+    row: str, model: Model, dataset: Dataset, flights: Mapping[str, Measured]
+) -> tuple[Collection[Tensor], str, float]:
+    """Measured response of a row without its known part, the regression's kind, and the response's noise."""
+    if row in FLAPPING:
+        return (
+            _each(flights, lambda name, flight: flight.signals[row]),
+            "value" if isinstance(model.effect("rotor"), AlgebraicFlapping) else "derivative",
+            dataset.noise(row),
+        )
+    axis = (*FORCES, *MOMENTS).index(row)
+    if row in MOMENTS:
+
+        def rate(name: str, flight: Measured) -> Tensor:
+            rates, own = torch.stack([flight.signals[n] for n in RATES], -1), flight.known[:, axis]
+            if model.body.inertia is not None:
+                own = own + gyroscopic(rates, model.inertia)[:, axis - 3]
+            return rates[:, axis - 3] - integral(own, dataset.facts[name].dt)
+
+        return _each(flights, rate), "derivative", dataset.noise(RATES[axis - 3])
+    if have(dataset, SPECIFIC_FORCES):
+        return _accelerometer_response(model, dataset, flights, axis)
+    return (
+        _each(flights, lambda name, flight: _velocity_response(model, flight, axis, dataset.facts[name].dt)),
+        "derivative",
+        dataset.noise(VELOCITIES[axis]),
+    )
+
+
+def _accelerometer_response(
+    model: Model, dataset: Dataset, flights: Mapping[str, Measured], axis: int
+) -> tuple[Collection[Tensor], str, float]:
+    """Specific force at the centre of gravity without its known part, from an IMU that may sit elsewhere.
+
+    There the arm's angular acceleration is the rate of measured rates, so response and arm are integrated and regressed
+    by their derivative: step 1's smoothed moments would leave their attenuation in the force.
+    """
+    channel = SPECIFIC_FORCES[axis]
+    noise = dataset.noise(channel)
+
+    def force(name: str, flight: Measured) -> Tensor:
+        return dataset.flights[name].bridged([channel])[:, 0] - flight.known[:, axis]
+
+    if not bool(model.imu.any()):
+        return _each(flights, force), "value", noise
+    reach = cross(torch.eye(3, dtype=torch.float64), model.imu)[:, axis]  # of each gyro
+    gyros = float((reach * torch.tensor([dataset.noise(n) for n in RATES], dtype=torch.float64)).norm())
+
+    def velocity(name: str, flight: Measured) -> Tensor:
+        rates = torch.stack([flight.signals[n] for n in RATES], -1)
+        speed = cross(rates, model.imu)
+        inward = cross(rates, speed)[:, axis]
+        return integral(force(name, flight) - inward, dataset.facts[name].dt) - speed[:, axis]
+
+    return _each(flights, velocity), "derivative", math.hypot(gyros, noise / (2.0 * math.pi * MIDDLE))
+
+
+def _velocity_response(model: Model, flight: Measured, axis: int, dt: float) -> Tensor:
+    """Velocity without gravity, turning axes and known force, integrated: its rate is the linear force."""
+    rates, attitude = (torch.stack([flight.signals[n] for n in group], -1) for group in (RATES, ATTITUDE))
+    velocity = Frame(flight.signals).over_ground()
+    other = gravity_in_body(attitude, model.body.gravity) - cross(rates, velocity) + flight.known[:, :3]
+    return velocity[:, axis] - integral(other[:, axis], dt)
+
+
+def integral(signal: Tensor, dt: float) -> Tensor:
+    """Trapezoidal integral from the first sample, (T,)."""
+    steps = 0.5 * dt * (signal[1:] + signal[:-1])
+    return torch.cat([torch.zeros_like(signal[:1]), steps.cumsum(0)])

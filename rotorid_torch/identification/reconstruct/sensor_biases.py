@@ -1,0 +1,211 @@
+"""What sensors add that is not motion: constant biases seen through kinematics, and lines of rotor vibration."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+
+from rotorid_torch.consistency.vibration import SPAN_HZ, lines, spectrum
+from rotorid_torch.core import rigid
+from rotorid_torch.core.names import ATTITUDES, POSITIONS, RATES, SPECIFIC_FORCES, VELOCITIES
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.flight import Flight
+from rotorid_torch.identification.reconstruct.gauss_markov import smear
+
+Array = np.ndarray
+
+WANDER_S = 0.25
+"""Time over which a channel is compared with the integral of its rate."""
+TOLERATED = 1.5
+"""Ratio of seen to expected variance up to which the sensors' noise explains the difference."""
+SIGNIFICANT = 5.0
+"""Standard errors beyond which a bias is believed."""
+LINE_OVER_NOISE = 2.0
+"""A line is modelled where its rms exceeds this share of the sensor's noise and 5 % of the channel's variance."""
+
+
+def kinematic_biases(dataset: Dataset, flight: Flight) -> dict[str, float]:
+    """Constant errors of gyros and accelerometers of a flight that kinematics shows beyond doubt, by channel.
+
+    Gyros against attitude, accelerometers against velocity and attitude, both integrated; only channels whose bias is
+    free. Without attitude (and velocity) a bias cannot be told from a trim and is left in it.
+    """
+    found: dict[str, float] = {}
+    if flight.has("phi", "theta", *RATES):
+        found |= _rate_biases(dataset, flight)
+        if flight.has(*VELOCITIES):
+            found |= _force_biases(dataset, flight, found)
+    return found
+
+
+def _rate_biases(dataset: Dataset, flight: Flight) -> dict[str, float]:
+    angles = [name for name in ("phi", "theta", "psi") if flight.has(name)]
+    p, q, r, phi, theta = flight.bridged(("p", "q", "r", "phi", "theta")).numpy().T
+    sin, cos, zero, one = np.sin(phi), np.cos(phi), np.zeros_like(p), np.ones_like(p)
+    turn = {
+        "phi": (one, np.tan(theta) * sin, np.tan(theta) * cos),
+        "theta": (zero, cos, -sin),
+        "psi": (zero, sin / np.cos(theta), cos / np.cos(theta)),
+    }
+    left, right, weights = [], [], []
+    for i, name in enumerate(angles):
+        rates = sum(c * w for c, w in zip(turn[name], (p, q, r), strict=True))
+        gap = flight.channels[name].numpy() - integral(np.asarray(rates), flight.dt)
+        offset = [one if j == i else zero for j in range(len(angles))]
+        columns = np.stack([*(-integral(c, flight.dt) for c in turn[name]), *offset], axis=-1)
+        known = ~np.isnan(gap)
+        left.append(columns[known])
+        right.append(gap[known])
+        weights.append(np.full(known.sum(), 1.0 / dataset.noise(name)))
+    w = np.concatenate(weights)
+    solution = np.linalg.lstsq(np.concatenate(left) * w[:, None], np.concatenate(right) * w, rcond=1e-8)[0]
+    span = flight.dt * (flight.samples - 1)
+    angle_error = max(dataset.noise(name) for name in angles) / span * math.sqrt(12.0 / flight.samples)
+    return {
+        name: float(value)
+        for name, value in zip(RATES, solution, strict=False)
+        if _believed(dataset, flight, name, float(value), angle_error)
+    }
+
+
+def _force_biases(dataset: Dataset, flight: Flight, rate_biases: Mapping[str, float]) -> dict[str, float]:
+    known = kinematic_acceleration(dataset, flight, rate_biases) - lever_arm(dataset, flight)
+    span = flight.dt * (flight.samples - 1)
+    tilt = dataset.vehicle.gravity * max(dataset.noise("phi"), dataset.noise("theta")) * math.sqrt(1 / flight.samples)
+    found: dict[str, float] = {}
+    for i, (name, speed) in enumerate(zip(SPECIFIC_FORCES, VELOCITIES, strict=True)):
+        if not flight.has(name):
+            continue
+        force = flight.bridged((name,)).numpy()[:, 0]
+        gap = flight.channels[speed].numpy() - integral(force + known[:, i], flight.dt)
+        there = ~np.isnan(gap)
+        slope = float(np.polyfit(flight.time.numpy()[there], gap[there], 1)[0])
+        speed_error = dataset.noise(speed) / span * math.sqrt(12.0 / flight.samples)
+        if _believed(dataset, flight, name, -slope, math.hypot(tilt, speed_error)):
+            found[name] = -slope
+    return found
+
+
+def _believed(dataset: Dataset, flight: Flight, name: str, value: float, reference_error: float) -> bool:
+    error = math.hypot(dataset.noise(name) / math.sqrt(flight.samples), reference_error)
+    return dataset.bias(name) == "free" and abs(value) > SIGNIFICANT * error
+
+
+def kinematic_acceleration(dataset: Dataset, flight: Flight, bias: Mapping[str, float]) -> Array:
+    """d(u, v, w)/dt less specific force, m/s2 (T, 3), from attitude, velocity and rates less their bias."""
+    u, v, w, p, q, r, phi, theta = flight.bridged((*VELOCITIES, *RATES, "phi", "theta")).numpy().T
+    p, q, r = (rate - bias.get(name, 0.0) for rate, name in zip((p, q, r), RATES, strict=True))
+    g = dataset.vehicle.gravity
+    return np.stack(
+        [
+            r * v - q * w - g * np.sin(theta),
+            p * w - r * u + g * np.cos(theta) * np.sin(phi),
+            q * u - p * v + g * np.cos(theta) * np.cos(phi),
+        ],
+        axis=-1,
+    )
+
+
+def lever_arm(dataset: Dataset, flight: Flight) -> Array:
+    """Specific force (T, 3) that an IMU away from the centre of gravity feels by rotation, from smoothed gyros."""
+    imu = dataset.vehicle.imu
+    if imu is None or not any(imu) or not flight.has(*RATES):
+        return np.zeros((flight.samples, 3))
+    omega = smear(flight.bridged(RATES).numpy() + 1e3, flight.dt, 0.03) - 1e3
+    arm = np.array(imu)
+    return np.cross(np.gradient(omega, flight.dt, axis=0), arm) + np.cross(omega, np.cross(omega, arm))
+
+
+def integral(rate: Array, dt: float) -> Array:
+    """Integral over time by the trapezoidal rule, zero at the first sample."""
+    return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]))]) * dt
+
+
+def kinematic_disagreement(
+    dataset: Dataset, names: Sequence[str], biases: Mapping[str, Mapping[str, float]]
+) -> dict[str, float]:
+    """Power, unit squared per s, by which attitude, velocity and position wander from their own rates, by channel.
+
+    Clocks that differ, filters and scale errors inside a sensor make measured angles something else than the integral
+    of measured rates. What changes within a quarter of a second beyond the sensors' noise is taken as a random walk,
+    pooled over the named flights; nothing where the noise explains it.
+    """
+    excess: dict[str, list[tuple[float, float]]] = {}
+    for flight in (dataset.flights[name] for name in names):
+        for name, (value, rate, rate_noise) in _paths(dataset, flight, biases[flight.name]).items():
+            lag = max(1, round(WANDER_S / flight.dt))
+            gap = value - integral(rate, flight.dt)
+            change = gap[lag:] - gap[:-lag]
+            change = change[~np.isnan(change)]
+            if change.size > lag:
+                expected = 2.0 * dataset.noise(name) ** 2 + rate_noise**2 * flight.dt * WANDER_S
+                excess.setdefault(name, []).append((float(change.var()), expected))
+    power = {name: np.mean(pairs, axis=0) for name, pairs in excess.items()}
+    return {n: float(seen - made) / WANDER_S for n, (seen, made) in power.items() if seen > TOLERATED * made}
+
+
+def _paths(dataset: Dataset, flight: Flight, bias: Mapping[str, float]) -> dict[str, tuple[Array, Array, float]]:
+    """Channels with the rate that kinematics gives them from other channels, and that rate's noise."""
+    found: dict[str, tuple[Array, Array, float]] = {}
+    if not flight.has("phi", "theta", *RATES):
+        return found
+    offset = torch.tensor([bias.get(name, 0.0) for name in RATES], dtype=torch.float64)
+    rates, attitude = flight.bridged(RATES) - offset, flight.bridged(ATTITUDES if flight.has("psi") else ATTITUDES[:2])
+    turning = rigid.euler_rates(rates, attitude).numpy()
+    for i, name in enumerate(ATTITUDES[: attitude.shape[-1]]):
+        found[name] = (flight.channels[name].numpy(), turning[:, i], max(dataset.noise(rate) for rate in RATES))
+    if not flight.has(*VELOCITIES):
+        return found
+    velocity, speed = flight.bridged(VELOCITIES), max(dataset.noise(name) for name in VELOCITIES)
+    if "psi" in found:
+        moving = rigid.position_rates(velocity, attitude).numpy()
+        for i, name in enumerate(POSITIONS):
+            if flight.has(name):
+                found[name] = (flight.channels[name].numpy(), moving[:, i], speed)
+    known, lever = kinematic_acceleration(dataset, flight, bias), lever_arm(dataset, flight)
+    tilt = dataset.vehicle.gravity * max(dataset.noise("phi"), dataset.noise("theta"))
+    for i, (name, force) in enumerate(zip(VELOCITIES, SPECIFIC_FORCES, strict=True)):
+        if flight.has(force):
+            pushed = flight.bridged((force,)).numpy()[:, 0] - bias.get(force, 0.0) - lever[:, i]
+            found[name] = (flight.channels[name].numpy(), pushed + known[:, i], math.hypot(dataset.noise(force), tilt))
+    return found
+
+
+def vibration_lines(
+    dataset: Dataset, names: Sequence[str], channels: tuple[str, ...]
+) -> dict[str, tuple[float, float]]:
+    """Strongest vibration line (Hz, rms) of each of these channels that has one worth a state, over the named flights.
+
+    Only lines well below the Nyquist frequency; flights of other sample rates than the first are left out.
+    """
+    flights = [dataset.flights[name] for name in names]
+    dt, found = flights[0].dt, {}
+    for channel in channels:
+        records = [f.channels[channel].numpy() for f in flights if f.has(channel) and abs(f.dt / dt - 1.0) < 1e-2]
+        if not records:
+            continue
+        for line in lines(*spectrum(records, dt), largest=1):
+            strong = line.rms > LINE_OVER_NOISE * dataset.noise(channel) and line.share > 0.05
+            if strong and line.hertz < 0.45 / dt:
+                found[channel] = (line.hertz, line.rms)
+    return found
+
+
+def without_line(record: Array, dt: float, hertz: float) -> Array:
+    """The record (T,) with the spectrum around a line lowered to the level beside it; NaN stays NaN."""
+    known = ~np.isnan(record)
+    if not known.any():
+        return record
+    filled = np.interp(np.arange(len(record)), np.flatnonzero(known), record[known])
+    ramp = np.linspace(filled[0], filled[-1], len(filled))
+    parts = np.fft.rfft(filled - ramp)
+    away = np.abs(np.fft.rfftfreq(len(filled), dt) - hertz)
+    line, beside = away < SPAN_HZ, (away >= SPAN_HZ) & (away < 2.0 * SPAN_HZ)
+    if not beside.any():
+        return record
+    level = np.median(np.abs(parts[beside]))
+    parts[line] *= np.minimum(1.0, level / np.maximum(np.abs(parts[line]), 1e-300))
+    return np.where(known, np.fft.irfft(parts, len(filled)) + ramp, np.nan)

@@ -1,0 +1,353 @@
+"""Non-augmented unscented Kalman filter with two concatenated unscented transforms, and the unscented RTS smoother.
+
+Sigma points sit at the mean and at +- sqrt(n) columns of the covariance's root (alpha 1, kappa 0, beta 2): no weight
+is negative, so that each covariance is a sum of squares (Joseph form) and stays symmetric positive definite.
+Two engines do the same to rounding: `core.native`, compiled for the functions at hand, and torch below.
+Sources: Julier and Uhlmann, Proc. IEEE 92 (2004); Wu et al., IEEE Signal Processing Letters 12 (2005), on redrawing
+the sigma points after the process noise; Sarkka, IEEE Trans. Automatic Control 53 (2008), on the smoother.
+"""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.fallback import say_once
+from rotorid_torch.core.integrate import step
+from rotorid_torch.core.native import filtering
+from rotorid_torch.core.native.build import threads
+from rotorid_torch.core.native.filtering import Weights
+from rotorid_torch.core.native.graph.tracing import Unsupported
+from rotorid_torch.identification.reconstruct import sigma_points
+from rotorid_torch.identification.reconstruct.filter_problem import Dynamics, Filtered, Problem, check
+from rotorid_torch.identification.reconstruct.iterated import iterated, learns_constants
+from rotorid_torch.identification.reconstruct.sigma_points import ProcessNoise, SigmaPoints, divide, root
+
+Engine = Literal["native", "reference"]
+"""compiled code for these functions (CPU), or torch, eager and differentiable"""
+WORTH_COMPILING = 500
+"""Samples that take torch about as long as a compiler needs for the model."""
+
+
+def unscented_filter(
+    f: Dynamics,
+    h: Dynamics,
+    x0: Any,
+    P0: Any,
+    Q: Any,
+    R: Any,
+    controls: Any,
+    outputs: Any,
+    dt: float,
+    smooth: bool = True,
+) -> Filtered:
+    """Filter and smooth sampled outputs of dx/dt = f(x, u) + noise, y = h(x, u) + noise, for any f and h.
+
+    Parameters
+    ----------
+    f, h : f(x, u) -> dx/dt [..., nx] and h(x, u) -> y [..., ny]; both broadcast over x [..., nx], u [..., nu].
+        f is integrated by one Runge-Kutta step a sample, controls linear between samples.
+    x0, P0 : [..., nx], [..., nx, nx] mean and covariance of the first sample's state before its outputs are seen.
+    Q : [nx, nx] covariance of the noise added to the state at each sample.
+    R : [ny, ny] covariance of the outputs' noise.
+    controls : [..., T, nu]; nu may be 0.
+    outputs : [..., T, ny]; NaN marks a missing one, which is left out exactly.
+    dt : sample interval, s.
+    smooth : also run the Rauch-Tung-Striebel smoother.
+
+    Leading dimensions (flights) are a batch. Arrays of numpy are taken as well; all is done in float64.
+    To estimate a constant parameter, append it to the state with a rate of zero. Where f or h are not linear with it,
+    filter and smoother are then repeated, linearised about what the whole record says (`iterated`), until nothing
+    changes: the estimate no longer depends on how far off or how wide the prior was, and reaches the Cramer-Rao bound.
+
+    Returns
+    -------
+    Filtered : .means .covariances .innovations .innovation_covariances .log_likelihood .smoothed_means
+        .smoothed_covariances
+
+    Raises
+    ------
+    InputError : shapes that do not fit, functions that do not broadcast, NaN in anything but the outputs, a covariance
+        that is not symmetric.
+    """
+    x0, P0, Q, R, controls, outputs = (
+        torch.as_tensor(a, dtype=torch.float64) for a in (x0, P0, Q, R, controls, outputs)
+    )
+    given = Problem(f, h, x0, P0, Q, R, controls, outputs, dt)
+    with torch.no_grad():
+        check(given)
+        noise = ProcessNoise.constant(Q)
+        if not learns_constants(given):
+            return filter_and_smooth(f, h, (x0, P0), noise, R, controls, outputs, dt, smooth)
+        got = iterated(given, lambda cov: filter_and_smooth(f, h, (x0, cov), noise, R, controls, outputs, dt))
+    return got if smooth else replace(got, smoothed_means=None, smoothed_covariances=None)
+
+
+def filter_and_smooth(
+    f: Dynamics,
+    h: Dynamics,
+    prior: tuple[Tensor, Tensor],
+    noise: ProcessNoise,
+    R: Tensor,
+    controls: Tensor,
+    outputs: Tensor,
+    dt: float,
+    smooth: bool = True,
+    points: SigmaPoints | None = None,
+    engine: Engine | None = None,
+) -> Filtered:
+    """`unscented_filter` without its checks, with process noise that may change with time, and any sigma points.
+
+    engine : None takes native code from `WORTH_COMPILING` samples on, and says once why where it cannot.
+
+    Raises
+    ------
+    InputError : sigma points with which a covariance could become indefinite.
+    Unsupported : engine "native", and these functions cannot become native code, or not here.
+    """
+    batch = np.broadcast_shapes(prior[0].shape[:-1], prior[1].shape[:-2], controls.shape[:-2], outputs.shape[:-2])
+    mean, cov, controls, outputs = (
+        a.expand(*batch, *a.shape[-k:]) for a, k in ((prior[0], 1), (prior[1], 2), (controls, 2), (outputs, 2))
+    )
+    given = _Given(f, h, mean, cov, noise, R, controls, outputs, dt)
+    weights = (points or SigmaPoints()).weights(mean.shape[-1])
+    long = outputs.shape[-2] >= WORTH_COMPILING
+    if engine == "native" or (engine is None and long and _plain(mean, cov, noise.values, R, controls, outputs)):
+        try:
+            return _filter_natively(given, weights, smooth)
+        except Unsupported as reason:
+            if engine == "native":
+                raise
+            say_once(f"the filter runs in torch, 30 to 200 times slower than compiled: {reason}")
+    return _filter_in_torch(given, weights, smooth)
+
+
+@dataclass(frozen=True, eq=False)
+class _Given:
+    """The filter's arguments, all with the batch's leading dimensions but noise and R."""
+
+    f: Dynamics
+    h: Dynamics
+    mean: Tensor
+    cov: Tensor
+    noise: ProcessNoise
+    R: Tensor
+    controls: Tensor
+    outputs: Tensor
+    dt: float
+
+
+def _plain(*tensors: Tensor) -> bool:
+    """Numbers in float64 on the CPU, and nobody asks for derivatives."""
+    plain = all(a.dtype == torch.float64 and a.device.type == "cpu" for a in tensors)
+    return plain and not (torch.is_grad_enabled() and any(a.requires_grad for a in tensors))
+
+
+def _filter_natively(given: _Given, weights: Weights, smooth: bool) -> Filtered:
+    """All leading dimensions as one list of flights."""
+    batch, ny = given.mean.shape[:-1], given.outputs.shape[-1]
+    flights, values = math.prod(batch), given.noise.values
+    if values.dim() == 2:
+        values = values.unsqueeze(0)
+    else:
+        values = values.expand(*batch, *values.shape[-2:]).reshape(flights, *values.shape[-2:])
+
+    def listed(a: Tensor, kept: int) -> Tensor:
+        return a.reshape(flights, *a.shape[-kept:])
+
+    with torch.no_grad():
+        mean, controls = listed(given.mean, 1), listed(given.controls, 2)
+        compiled = _compiled(given.f, given.h, mean, controls[:, 0], ny)
+        problem = filtering.Problem(
+            mean=mean,
+            covariance=listed(given.cov, 2),
+            R=given.R,
+            controls=controls,
+            outputs=listed(given.outputs, 2),
+            rows=given.noise.rows,
+            columns=given.noise.columns,
+            values=values,
+            dt=given.dt,
+        )
+        got = compiled.run(problem, weights, smooth, threads=threads())
+    shaped = {name: a if a is None else a.reshape((*batch, *a.shape[1:])) for name, a in vars(got).items()}
+    return Filtered(**shaped)  # pyright: ignore[reportArgumentType]
+
+
+@dataclass(frozen=True, eq=False)
+class _Traced:
+    """Code of two functions, where they were tried [F, points, nx + nu], and what they gave there."""
+
+    functions: tuple[object, ...]
+    there: Tensor
+    gave: Tensor
+    code: filtering.CompiledFilter
+
+
+_TRACED: WeakKeyDictionary[object, _Traced] = WeakKeyDictionary()
+"""The last code by the object that f belongs to."""
+AWAY = (0.0, 1e-3, 0.3)
+"""How far from where they were traced functions are tried: at rest alone, another damping would not show."""
+
+
+def _compiled(f: Dynamics, h: Dynamics, x: Tensor, u: Tensor, ny: int) -> filtering.CompiledFilter:
+    """The code of f and h, traced once; where they give something else than then, they are traced anew."""
+    owner = getattr(f, "__self__", f)
+    functions = tuple(getattr(g, "__func__", id(g)) for g in (f, h))
+    there = _around(torch.cat([x, u], dim=-1))
+
+    def values(at: Tensor) -> Tensor:
+        given = at.split([x.shape[-1], u.shape[-1]], dim=-1)
+        return torch.cat([f(*given), h(*given)], dim=-1)
+
+    known = None
+    with suppress(TypeError):  # owners that cannot be keys: without a hash, or without weak references
+        known = _TRACED.get(owner)
+    if known is not None and known.functions == functions and known.there.shape == there.shape:
+        if torch.equal(values(known.there), known.gave):
+            return known.code
+    made = filtering.CompiledFilter.of(f, h, x, u, ny)
+    with suppress(TypeError):
+        _TRACED[owner] = _Traced(functions, there, values(there), made)
+    return made
+
+
+def _around(at: Tensor) -> Tensor:
+    """Points [F, n] and others beside them, differently in all entries: [F, points, n]."""
+    turn = torch.cos(torch.arange(1.0, at.shape[-1] + 1.0, dtype=at.dtype))
+    return torch.stack([at + share * (1.0 + at.abs()) * turn for share in AWAY], dim=-2)
+
+
+def _filter_in_torch(given: _Given, weights: Weights, smooth: bool) -> Filtered:
+    mean, cov, f, h, R, dt = given.mean, given.cov, given.f, given.h, given.R, given.dt
+    tape = _Tape(mean, given.outputs.shape[-2], given.outputs.shape[-1], smooth)
+    points = 2 * mean.shape[-1] + 1
+    u = given.controls.movedim(-2, 0).unsqueeze(-2).expand(-1, *mean.shape[:-1], points, -1)
+    y = given.outputs.movedim(-2, 0)
+    missing = y.isnan()
+    gaps = missing.flatten(1).any(dim=1).tolist()
+    root_R = root(R)
+    for k in range(len(y)):
+        if k:
+            mean, cov = _predict(tape, k - 1, f, mean, cov, given.noise.at(k - 1), u[k - 1], u[k], dt, weights)
+        mean, cov = _update(tape, k, h, mean, cov, R, root_R, u[k], y[k], missing[k] if gaps[k] else None, weights)
+    if smooth:
+        _smooth(tape)
+    return tape.result()
+
+
+class _Tape:
+    """What filter and smoother write down, time first; the smoother overwrites `leak` and reads `gain`."""
+
+    def __init__(self, mean: Tensor, samples: int, ny: int, smooth: bool) -> None:
+        batch, nx = mean.shape[:-1], mean.shape[-1]
+
+        def empty(rows: int, *shape: int) -> Tensor:
+            return torch.empty(rows, *batch, *shape, dtype=torch.float64, device=mean.device)
+
+        self.mean, self.cov = empty(samples, nx), empty(samples, nx, nx)
+        self.innovation, self.spread = empty(samples, ny), empty(samples, ny, ny)
+        self.log_likelihood = torch.zeros(batch, dtype=torch.float64, device=mean.device)
+        kept = samples if smooth else 0
+        self.predicted, self.gain, self.leak = empty(kept, nx), empty(kept, nx, nx), empty(kept, nx, nx)
+        self.smoothed = empty(kept, nx)
+
+    def result(self) -> Filtered:
+        kept = bool(self.smoothed.shape[0])
+        return Filtered(
+            means=self.mean.movedim(0, -2),
+            covariances=_symmetric(self.cov).movedim(0, -3),
+            innovations=self.innovation.movedim(0, -2),
+            innovation_covariances=_symmetric(self.spread).movedim(0, -3),
+            log_likelihood=self.log_likelihood,
+            smoothed_means=self.smoothed.movedim(0, -2) if kept else None,
+            smoothed_covariances=_symmetric(self.leak).movedim(0, -3) if kept else None,
+        )
+
+
+def _predict(
+    tape: _Tape,
+    k: int,
+    f: Dynamics,
+    mean: Tensor,
+    cov: Tensor,
+    Q: Tensor,
+    u0: Tensor,
+    u1: Tensor,
+    dt: float,
+    weights: Weights,
+) -> tuple[Tensor, Tensor]:
+    """Process transform from sample k to k + 1; the smoother's gain and the covariance it cannot remove."""
+    offsets, root_weight = sigma_points.offsets(root(cov), weights), sigma_points.root_weights(mean, weights)
+    points = step(lambda t, x, u: f(x, u), torch.zeros(()), mean.unsqueeze(-2) + offsets, u0, u1, dt)
+    ahead = sigma_points.mean_of(points, weights)
+    spread = root_weight * (points - ahead.unsqueeze(-2))
+    cov_ahead = spread.mT @ spread + Q
+    if tape.gain.shape[0]:
+        start = root_weight * offsets
+        gain = divide(start.mT @ spread, cov_ahead)
+        rest = start - spread @ gain.mT
+        tape.predicted[k + 1], tape.gain[k], tape.leak[k] = ahead, gain, rest.mT @ rest + gain @ Q @ gain.mT
+    return ahead, cov_ahead
+
+
+def _update(
+    tape: _Tape,
+    k: int,
+    h: Dynamics,
+    mean: Tensor,
+    cov: Tensor,
+    R: Tensor,
+    root_R: Tensor,
+    u: Tensor,
+    y: Tensor,
+    missing: Tensor | None,
+    weights: Weights,
+) -> tuple[Tensor, Tensor]:
+    """Measurement transform on redrawn sigma points; rows that are missing get no cross covariance, so no gain."""
+    offsets, root_weight = sigma_points.offsets(root(cov), weights), sigma_points.root_weights(mean, weights)
+    points = h(mean.unsqueeze(-2) + offsets, u)
+    expected = sigma_points.mean_of(points, weights)
+    start, spread = root_weight * offsets, root_weight * (points - expected.unsqueeze(-2))
+    innovation, S = y - expected, spread.mT @ spread + R
+    tape.innovation[k], tape.spread[k] = innovation, S
+    count = y.shape[-1]
+    if missing is not None:
+        present = (~missing).to(S.dtype)
+        innovation, spread = innovation.nan_to_num(nan=0.0), spread * present.unsqueeze(-2)
+        S = S * present.unsqueeze(-1) * present.unsqueeze(-2) + torch.diag_embed(1.0 - present)
+        count = present.sum(dim=-1)
+    root_S = torch.linalg.cholesky(S)
+    gain = torch.cholesky_solve(spread.mT @ start, root_S).mT
+    factor = torch.cat([start - spread @ gain.mT, (gain @ root_R).mT], dim=-2)
+    white = torch.linalg.solve_triangular(root_S, innovation.unsqueeze(-1), upper=False).squeeze(-1)
+    logdet = root_S.diagonal(dim1=-2, dim2=-1).log().sum(dim=-1)
+    tape.log_likelihood -= 0.5 * (white.square().sum(dim=-1) + count * math.log(2.0 * math.pi)) + logdet
+    tape.mean[k] = mean = mean + (gain @ innovation.unsqueeze(-1)).squeeze(-1)
+    tape.cov[k] = cov = factor.mT @ factor
+    return mean, cov
+
+
+def _smooth(tape: _Tape) -> None:
+    """Rauch-Tung-Striebel recursion; the covariance is the leak plus what the next sample passes back."""
+    tape.smoothed[-1], tape.leak[-1] = tape.mean[-1], tape.cov[-1]
+    for k in range(len(tape.mean) - 2, -1, -1):
+        change = tape.smoothed[k + 1] - tape.predicted[k + 1]
+        tape.smoothed[k] = tape.mean[k] + (tape.gain[k] @ change.unsqueeze(-1)).squeeze(-1)
+        tape.leak[k] += tape.gain[k] @ tape.leak[k + 1] @ tape.gain[k].mT
+
+
+def _symmetric(cov: Tensor) -> Tensor:
+    """Rounding of the matrix products taken out; in place, piece by piece, to spare memory unless derivatives flow."""
+    if cov.requires_grad:
+        return 0.5 * (cov + cov.mT)
+    for part in cov.split(256):
+        part.copy_(0.5 * (part + part.mT))
+    return cov

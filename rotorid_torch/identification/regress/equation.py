@@ -1,0 +1,191 @@
+"""One equation of a model as data: response, candidate regressors, noise, prior and band; its rows and its fit."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from math import ceil
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.errors import InputError
+from rotorid_torch.identification.regress.ftr import Regression, solve
+from rotorid_torch.identification.regress.noisy_least_squares import noisy_least_squares
+from rotorid_torch.identification.regress.rows import Rows, flight_rows, total_noise
+
+HIGHEST = 8.0
+"""Hz: default cap of a band chosen from the data."""
+SAMPLES_PER_PERIOD = 5.0
+"""No band goes higher than this allows."""
+COHERENT = 0.5
+"""Multiple coherence below which a response no longer follows its regressors."""
+MISSED = 0.2
+"""Share of a response at the top of its band that one set of coefficients may miss."""
+START = 1.0
+"""Hz: upper edge of the smallest band tried."""
+
+
+@dataclass(frozen=True)
+class Equation:
+    """A response and its candidate regressors on several flights; a known part is subtracted from the response before.
+
+    name : for people. response : one (T,) per flight. regressors : one (T, n) per flight. names : (n) of regressors.
+        Records are read flight by flight and may be made on demand.
+    dt : s, or one per flight. kind : "derivative" or "value", see `regress`.
+    response_noise : standard deviation of a sample, or None to estimate it.
+    regressor_noise : (n,), or None to estimate it from every record.
+    prior_mean, prior_sd : (n,) Gaussian prior of the coefficients; an infinite deviation is none, and a prior without
+        mean is about zero.
+    band : Hz, or None to choose it from the data. highest : cap of that choice, Hz.
+    trend : whether a trend in time is a nuisance, as a constant always is.
+    """
+
+    name: str
+    response: Collection[Tensor]
+    regressors: Collection[Tensor]
+    names: tuple[str, ...]
+    dt: float | Sequence[float]
+    kind: str = "derivative"
+    response_noise: float | None = None
+    regressor_noise: Tensor | Sequence[float] | None = None
+    prior_mean: Tensor | Sequence[float] | None = None
+    prior_sd: Tensor | Sequence[float] | None = None
+    band: tuple[float, float] | None = None
+    highest: float = HIGHEST
+    trend: bool = True
+
+    def prior(self) -> tuple[Tensor, Tensor] | None:
+        """Mean and standard deviation (n,), or None."""
+        if self.prior_sd is None:
+            return None
+        sd = torch.as_tensor(self.prior_sd, dtype=torch.float64)
+        mean = (
+            torch.zeros_like(sd) if self.prior_mean is None else torch.as_tensor(self.prior_mean, dtype=torch.float64)
+        )
+        return mean, sd
+
+    def steps(self) -> list[float]:
+        """Sample interval of each flight, s."""
+        return (
+            [float(self.dt)] * len(self.response) if isinstance(self.dt, int | float) else [float(d) for d in self.dt]
+        )
+
+    def index(self, names: Sequence[str]) -> list[int]:
+        """Columns of the named regressors, or InputError."""
+        for name in names:
+            if name not in self.names:
+                raise InputError("arrays", self.name, f"no regressor {name!r}", "one of " + ", ".join(self.names))
+        return [self.names.index(name) for name in names]
+
+
+def equation_rows(equation: Equation, band: tuple[float, float], notes: list[str] | None = None) -> list[Rows]:
+    """Transform every flight of an equation; see `flight_rows`."""
+    if not len(equation.response) == len(equation.regressors) == len(equation.steps()) > 0:
+        counts = f"{len(equation.response)} responses, {len(equation.regressors)} regressors"
+        raise InputError("arrays", equation.name, counts, "as many of each as flights, and of dt where it is a list")
+    noise = "estimated" if equation.regressor_noise is None else equation.regressor_noise
+    return [
+        flight_rows(
+            response,
+            regressors,
+            dt,
+            band,
+            equation.kind,
+            noise=noise,
+            response_noise=equation.response_noise,
+            trend=equation.trend,
+            notes=notes,
+        )
+        for response, regressors, dt in zip(equation.response, equation.regressors, equation.steps(), strict=True)
+    ]
+
+
+def columns_of(rows: Rows, columns: Sequence[int]) -> Rows:
+    """Keep the given columns of the regressors."""
+    chosen = list(columns)
+    return replace(rows, regressors=rows.regressors[..., chosen], noise=rows.noise[..., chosen])
+
+
+def fit_equation(equation: Equation, columns: Sequence[str] | None = None) -> Regression:
+    """Regress an equation on all its regressors or on the named ones, in its band or one chosen from the data.
+
+    Returns
+    -------
+    Regression whose coefficients are in the order of `.selected`.
+    """
+    notes: list[str] = []
+    band = equation.band or choose_band(equation, notes)
+    held = equation.names if columns is None else tuple(columns)
+    return fit_rows(equation, equation_rows(equation, band, notes), band, held, notes)
+
+
+def fit_rows(
+    equation: Equation, flights: Sequence[Rows], band: tuple[float, float], held: tuple[str, ...], notes: list[str]
+) -> Regression:
+    """Solve an equation on transformed flights with the named regressors and their part of the prior."""
+    index = equation.index(held)
+    prior = equation.prior()
+    if prior is not None:
+        prior = (prior[0][index], prior[1][index])
+    result = solve([columns_of(f, index) for f in flights], band, prior=prior, names=equation.names, notes=notes)
+    return replace(result, selected=held)
+
+
+def choose_band(equation: Equation, notes: list[str] | None = None) -> tuple[float, float]:
+    """Choose the band of an equation: from 2/T up to where it stops holding.
+
+    The band grows from `START` as long as, in the harmonics just below its upper edge, the response still follows its
+    regressors (multiple coherence) and one set of coefficients for the whole band leaves little but noise.
+    It ends where either fails twice in a row: by noise, or by dynamics that the equation does not have.
+
+    Returns
+    -------
+    Lowest and highest frequency, Hz; notes says where an equation does not hold even in the smallest band.
+
+    Source: Tischler and Remple, Aircraft and Rotorcraft System Identification, ch. 9 (multiple coherence).
+    """
+    steps = equation.steps()
+    lowest = 2.0 / max((len(y) - 1) * dt for y, dt in zip(equation.response, steps, strict=True))
+    cap = max(min(equation.highest, 1.0 / (SAMPLES_PER_PERIOD * max(steps))), 4.0 * lowest)
+    flights = equation_rows(equation, (lowest, cap))
+    density = sum(f.information for f in flights) / (cap - lowest)
+    start = lowest + 2.0 * (len(equation.names) + 4) / density
+    start = min(max(start, START, 4.0 * lowest), cap)
+    edge, failures = start, 0
+    for centre in max((f.frequencies for f in flights), key=len).tolist():
+        if centre < start:
+            continue
+        coherence, missed = _top_of_band(flights, centre)
+        holds = coherence >= COHERENT and missed <= MISSED
+        failures = 0 if holds else failures + 1
+        edge = centre if holds else edge
+        if failures == 2:
+            break
+    if edge <= start and failures and notes is not None:
+        notes.append(f"{equation.name}: does not hold even up to {start:.2g} Hz; smallest band")
+    return lowest, edge
+
+
+def _top_of_band(flights: Sequence[Rows], edge: float) -> tuple[float, float]:
+    """Look at the top harmonics of a band that ends at edge.
+
+    Returns the multiple coherence there, corrected for the number of regressors, and the share of the response,
+    without noise, that the fit of the whole band misses there.
+    """
+    z, y = torch.cat([f.regressors for f in flights], dim=-2), torch.cat([f.response for f in flights], dim=-1)
+    frequency = torch.cat([f.frequencies.repeat(2) for f in flights])
+    own = torch.cat([f.response_noise for f in flights])
+    noise = total_noise(flights) / sum(f.information for f in flights)
+    longest = max((f.frequencies for f in flights), key=len)
+    harmonics = max(4.0, ceil(2.0 * z.shape[-1] / len(flights)))
+    inside = frequency <= edge * (1.0 + 1e-9)
+    top = inside & (frequency > edge - (harmonics - 0.5) * (longest[1] - longest[0]))
+    theta = noisy_least_squares(z[inside], y[inside], noise * inside.sum()).coefficients
+    total = y[top].square().sum()
+    chance = (own[top] + (noise * theta.square()).sum()).sum()
+    missed = ((y[top] - z[top] @ theta).square().sum() - chance) / (total - own[top].sum()).clamp(min=1e-300)
+    local = noisy_least_squares(z[top], y[top], torch.zeros_like(noise)).coefficients
+    rest = (y[top] - z[top] @ local).square().sum() / total.clamp(min=1e-300)
+    freedom = float(top.sum()) / max(float(top.sum()) - z.shape[-1], 1.0)
+    return 1.0 - float(rest) * freedom, float(missed)

@@ -1,0 +1,226 @@
+"""Fourier transform regression: closed-form least squares on finite transforms, noisy regressors, honest errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.errors import InputError
+from rotorid_torch.identification.regress.noisy_least_squares import Solution, noisy_least_squares, smooth_variance
+from rotorid_torch.identification.regress.rows import Rows, flight_rows, total_noise
+
+REACH = 3
+"""Harmonics on each side over which the colour of the residual is taken for smooth."""
+PRIOR_PASSES = 3
+"""Repetitions in which the weight of a prior follows the residual variance."""
+
+
+@dataclass(frozen=True)
+class Regression:
+    """Result of a Fourier transform regression.
+
+    coefficients, standard_errors : (..., n); a coefficient that the data cannot tell is 0 with an infinite error.
+    covariance : (..., n, n), for coloured residuals and noisy regressors. r2 : (...) in the band, nuisance removed.
+    residual : (..., M) complex residual spectrum per square root of T. frequencies : (M,) Hz, flight after flight.
+    reliability : (..., n) share of each regressor's in-band power that is not noise.
+    reliability_beyond : (..., n) the same for the part that the other regressors do not explain.
+    condition : (...) condition number on unit columns. vif : (..., n) variance inflation factors.
+    residual_ratio : (...) residual over what the noise alone would leave (1: nothing but noise; inf: no noise known).
+    information : independent real data, two per 1/T of band, less nuisance columns. band : Hz.
+    names, selected : of the candidates, and of those held. reasons : for each one left out, why.
+    notes : what the user must know.
+    """
+
+    coefficients: Tensor
+    standard_errors: Tensor
+    covariance: Tensor
+    r2: Tensor
+    residual: Tensor
+    frequencies: Tensor
+    reliability: Tensor
+    reliability_beyond: Tensor
+    condition: Tensor
+    vif: Tensor
+    residual_ratio: Tensor
+    information: float
+    band: tuple[float, float]
+    names: tuple[str, ...] = ()
+    selected: tuple[str, ...] = ()
+    reasons: dict[str, str] | None = None
+    notes: tuple[str, ...] = ()
+
+
+def regress(
+    response: Tensor | Sequence[Tensor],
+    regressors: Tensor | Sequence[Tensor],
+    dt: float | Sequence[float],
+    band: tuple[float, float] = (0.1, 2.0),
+    kind: str = "derivative",
+    *,
+    noise: str | Tensor | Sequence[float] = "estimated",
+    trend: bool = True,
+    oversample: int = 1,
+) -> Regression:
+    """Regress a response, or its derivative, on sampled regressors over a band of frequencies.
+
+    Finite transforms with exact ends at the harmonics k/T of each flight; the derivative is j w x(w) plus end terms.
+    Records are taken for smooth between samples, and for straight lines where they have edges.
+    Per flight, a constant, a trend and the two end terms (whose samples are noisy) are nuisance columns. White noise
+    of the regressors is taken out of the normal matrix. Standard errors hold for residuals of any colour that is
+    smooth over a few harmonics, and count two data per 1/T.
+
+    Parameters
+    ----------
+    response : (..., T), or a list of flights of any lengths that share the coefficients. Leading dimensions are
+        regressions of their own and broadcast.
+    regressors : (..., T, n), or a list of as many flights.
+    dt : sample interval, s; or one per flight.
+    band : lowest and highest frequency, Hz.
+    kind : "derivative" regresses d(response)/dt, "value" the response itself.
+    noise : standard deviation of a sample of each regressor (n,); "estimated" from each record's high differences;
+        or "none".
+    trend : whether a trend in time joins the constant as nuisance.
+    oversample : points per 1/T. More than one make a finer picture; they count as data no more than the harmonics do.
+
+    Returns
+    -------
+    Regression, with `.coefficients .standard_errors .covariance` (..., n) and `.r2` (...).
+    Missing samples (NaN) are filled by straight lines, and `.notes` says so.
+
+    Raises
+    ------
+    InputError : shapes that do not fit, a band without enough points, infinite samples, a record mostly missing.
+
+    Source: Morelli and Klein, Aircraft System Identification, 2nd ed., ch. 7; Fuller, Measurement Error Models, ch. 2.
+    """
+    responses, matrices = _as_flights(response, "response"), _as_flights(regressors, "regressors")
+    steps = _as_steps(dt, len(responses))
+    if not len(responses) == len(matrices) == len(steps):
+        counts = f"{len(responses)} responses, {len(matrices)} sets of regressors and {len(steps)} sample intervals"
+        raise InputError("arrays", "flights", counts, "as many of each")
+    notes: list[str] = []
+    rows = [
+        flight_rows(y, x, step, band, kind, noise=noise, trend=trend, oversample=oversample, notes=notes)
+        for y, x, step in zip(responses, matrices, steps, strict=True)
+    ]
+    return solve(rows, band, notes=notes)
+
+
+def solve(
+    flights: Sequence[Rows],
+    band: tuple[float, float],
+    *,
+    prior: tuple[Tensor, Tensor] | None = None,
+    names: tuple[str, ...] = (),
+    notes: Sequence[str] = (),
+) -> Regression:
+    """Least squares over the rows of several flights, noise taken out, with an optional Gaussian prior.
+
+    prior : mean and standard deviation (n,) of the coefficients; an infinite deviation is no prior.
+    """
+    z, y = torch.cat([f.regressors for f in flights], dim=-2), torch.cat([f.response for f in flights], dim=-1)
+    noise, information = total_noise(flights), sum(f.information for f in flights)
+    if information <= z.shape[-1]:
+        wrong = f"{information:.0f} independent data in the band for {z.shape[-1]} coefficients"
+        raise InputError("arrays", "band", wrong, "a wider band, longer flights or fewer regressors")
+    plain = solution = noisy_least_squares(z, y, noise)
+    prior_power = torch.zeros_like(solution.coefficients)
+    mean, sd = (prior_power, torch.full_like(prior_power, torch.inf)) if prior is None else prior
+    for _ in range(PRIOR_PASSES if prior is not None else 0):
+        weight = _variance(z, y, solution, information).unsqueeze(-1) / sd.square()
+        solution = noisy_least_squares(z, y, noise, (mean, weight))
+        prior_power = torch.where(weight > 0.0, weight.square() * sd.square(), 0.0)
+    covariance = solution.inverse @ _scatter(flights, solution, prior_power) @ solution.inverse.mT
+    covariance = covariance + torch.diag_embed(torch.where(solution.unknown, torch.inf, 0.0))
+    residual = _residual(z, y, solution)
+    expected = (noise * solution.coefficients.square()).sum(-1)
+    for flight in flights:
+        expected = expected + (flight.response_noise * (1.0 - flight.leverage)).sum(-1)
+    error, signal = residual.square().sum(-1), y.square().sum(-1)
+    freedom = (information - z.shape[-1]) / information
+    if bool(solution.noise_filled.any()):
+        notes = [*notes, "noise fills a combination of the regressors; leave one of them out"]
+    return Regression(
+        coefficients=solution.coefficients,
+        standard_errors=covariance.diagonal(dim1=-2, dim2=-1).clamp(min=0.0).sqrt(),
+        covariance=covariance,
+        r2=1.0 - error / signal,
+        residual=_as_spectrum(residual, flights),
+        frequencies=torch.cat([f.frequencies for f in flights]),
+        reliability=1.0 - noise / z.square().sum(-2),
+        reliability_beyond=plain.reliability_beyond,
+        condition=plain.condition,
+        vif=plain.vif,
+        residual_ratio=(error / (expected * freedom)).sqrt(),
+        information=information,
+        band=band,
+        names=names,
+        selected=names,
+        notes=tuple(dict.fromkeys(notes)),
+    )
+
+
+def _residual(z: Tensor, y: Tensor, solution: Solution) -> Tensor:
+    return y - (z @ solution.coefficients.unsqueeze(-1)).squeeze(-1)
+
+
+def _variance(z: Tensor, y: Tensor, solution: Solution, information: float) -> Tensor:
+    """Mean residual variance of one independent datum."""
+    return _residual(z, y, solution).square().sum(-1) / (information - z.shape[-1])
+
+
+def _scatter(flights: Sequence[Rows], solution: Solution, prior_power: Tensor) -> Tensor:
+    """Covariance (..., n, n) of the normal equations' right-hand side, given the truth.
+
+    Coloured residual times regressors, noise of the regressors times its own share of the residual, doubt about an
+    estimated noise power, and the prior.
+    """
+    total, start = torch.diag_embed(prior_power), 0
+    for flight in flights:
+        stop = start + flight.response.shape[-1]
+        variance = _residual_variance(flight, solution, solution.leverage[..., start:stop])
+        shared = flight.noise * solution.coefficients
+        total = total + flight.regressors.mT @ (variance.unsqueeze(-1) * flight.regressors)
+        total = total + shared.unsqueeze(-1) * shared.unsqueeze(-2) / flight.information
+        total = total + torch.diag_embed((flight.noise_scatter * shared).square())
+        start = stop
+    return total
+
+
+def _residual_variance(flight: Rows, solution: Solution, leverage: Tensor) -> Tensor:
+    """Variance (..., 2 M) of one independent datum's residual: smooth over REACH harmonics, relative to a shape.
+
+    The shape is what noise leaves (for a derivative it rises with the square of frequency) plus a flat rest.
+    """
+    freedom = 1.0 / flight.oversample - leverage - flight.leverage
+    power = _residual(flight.regressors, flight.response, solution).square()
+    through = (flight.noise * solution.coefficients.square()).sum(-1, keepdim=True) / flight.information
+    shape = flight.response_noise * flight.oversample + through
+    mean = (power.sum(-1) / freedom.sum(-1).clamp(min=1.0)).unsqueeze(-1)
+    shape = shape + (mean - shape.mean(-1, keepdim=True)).clamp(min=0.0)
+    shape = torch.where(shape > 0.0, shape, 1.0)
+    return shape * smooth_variance(power / shape, freedom, REACH * flight.oversample)
+
+
+def _as_spectrum(rows: Tensor, flights: Sequence[Rows]) -> Tensor:
+    """Rows of all flights back to one complex spectrum (..., M), flight after flight."""
+    parts = rows.split([f.response.shape[-1] for f in flights], dim=-1)
+    return torch.cat([torch.complex(*part.chunk(2, dim=-1)) for part in parts], dim=-1)
+
+
+def _as_flights(records: Tensor | Sequence[Tensor], key: str) -> list[Tensor]:
+    """One tensor or a list of them (arrays and lists of numbers too) as a list in double precision."""
+    many = records if isinstance(records, list | tuple) else [records]
+    flights = [torch.as_tensor(record, dtype=torch.float64) for record in many]
+    if not flights:
+        raise InputError("arrays", key, "no flight", "one or more")
+    return flights
+
+
+def _as_steps(dt: float | Sequence[float], flights: int) -> list[float]:
+    """One sample interval per flight."""
+    steps = torch.as_tensor(dt, dtype=torch.float64).reshape(-1).tolist()
+    return steps * flights if len(steps) == 1 else steps

@@ -1,0 +1,175 @@
+"""Rows of a regression in the frequency domain: one flight transformed, nuisance projected out, noise accounted for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import ceil, floor
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.errors import InputError
+from rotorid_torch.identification.regress.fourier import (
+    as_rows,
+    derivative_transform,
+    fill_gaps,
+    finite_transform,
+    kinks,
+    noise_floor,
+    noise_floor_scatter,
+    nuisance_basis,
+)
+
+KINDS = ("derivative", "value")
+NOISES = ("estimated", "none")
+BELIEVED_RELIABILITY = 0.5
+"""Below this, an estimated noise floor cannot be told from a broad-band signal and is not taken out."""
+MISSING_LIMIT = 0.25
+"""Share of missing samples above which a record is refused."""
+ROUNDING = 1e-12
+"""Share of a regressor below which its content in the band is nothing but rounding."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """One flight's regression rows: real over imaginary parts, nuisance columns projected out, per square root of T.
+
+    response : (..., 2 M). regressors : (..., 2 M, n).
+    noise : (..., n) power that noise of the regressors adds, summed over the rows.
+    noise_scatter : relative standard deviation of `noise`; zero where the noise was declared.
+    response_noise : (..., 2 M) variance of each row from noise of the response.
+    leverage : (2 M) share of each row taken by the nuisance columns.
+    information : independent real data, two per 1/T of band less the nuisance columns.
+    frequencies : (M,) Hz. oversample : points per 1/T.
+    """
+
+    response: Tensor
+    regressors: Tensor
+    noise: Tensor
+    noise_scatter: float
+    response_noise: Tensor
+    leverage: Tensor
+    information: float
+    frequencies: Tensor
+    oversample: int
+
+
+def flight_rows(
+    response: Tensor,
+    regressors: Tensor,
+    dt: float,
+    band: tuple[float, float],
+    kind: str = "derivative",
+    *,
+    noise: str | Tensor | Sequence[float] = "estimated",
+    response_noise: float | None = None,
+    trend: bool = True,
+    oversample: int = 1,
+    notes: list[str] | None = None,
+) -> Rows:
+    """Transform one flight and project its nuisance columns out; arguments as in `regress`.
+
+    response_noise is the standard deviation of a sample of the response (None: estimated); notes collects sentences.
+    """
+    notes = [] if notes is None else notes
+    _check(response, regressors, dt, kind, band, oversample)
+    y, x = _without_gaps(response, "response", notes), _without_gaps(regressors.mT, "regressors", notes)
+    duration = (y.shape[-1] - 1) * dt
+    first, count = _harmonics(duration, band, oversample)
+    frequencies = torch.arange(first, first + count, dtype=torch.float64, device=y.device) / (duration * oversample)
+    floor, own_floor = noise_floor(x), noise_floor(y)
+    spectrum = finite_transform(y, dt, first, count, oversample, kinks(y, own_floor))
+    rates = torch.ones_like(frequencies)
+    if kind == "derivative":
+        spectrum = derivative_transform(y, spectrum, frequencies, duration)
+        rates = (2.0 * torch.pi * frequencies).square()
+    basis = nuisance_basis(frequencies, duration, ends=kind == "derivative", trend=trend)
+    project = torch.eye(2 * count, dtype=torch.float64, device=y.device) - basis @ basis.T
+    scale = (duration * oversample) ** -0.5
+    z = project @ as_rows(finite_transform(x, dt, first, count, oversample, kinks(x, floor))).mT * scale
+    still = torch.linalg.vector_norm(z, dim=-2) <= ROUNDING * x.abs().amax(-1) * duration**0.5
+    z = torch.where(still.unsqueeze(-2), 0.0, z)
+    response_sd = own_floor if response_noise is None else y.new_full(y.shape[:-1], response_noise)
+    information = 2.0 * count / oversample - basis.shape[-1]
+    power, scatter = _noise_power(floor, x.shape[-1], noise, dt * information / 2.0, z.square().sum(-2), notes)
+    return Rows(
+        response=(project @ as_rows(spectrum).unsqueeze(-1)).squeeze(-1) * scale,
+        regressors=z,
+        noise=power,
+        noise_scatter=scatter,
+        response_noise=response_sd.square().unsqueeze(-1) * rates.repeat(2) * (dt / 2.0 / oversample),
+        leverage=basis.square().sum(-1),
+        information=information,
+        frequencies=frequencies,
+        oversample=oversample,
+    )
+
+
+def total_noise(flights: Sequence[Rows]) -> Tensor:
+    """Noise power (..., n) of the regressors over the rows of all flights."""
+    return torch.stack(torch.broadcast_tensors(*[f.noise for f in flights])).sum(0)
+
+
+def _check(
+    response: Tensor, regressors: Tensor, dt: float, kind: str, band: tuple[float, float], oversample: int
+) -> None:
+    """Raise InputError where arguments do not fit together."""
+    if kind not in KINDS:
+        raise InputError("arrays", "kind", f"{kind!r}", " or ".join(repr(k) for k in KINDS))
+    if not dt > 0.0:
+        raise InputError("arrays", "dt", f"{dt}", "a positive sample interval in seconds")
+    if oversample < 1:
+        raise InputError("arrays", "oversample", f"{oversample}", "1 or more points per 1/T")
+    if response.dim() < 1 or regressors.dim() < 2 or response.shape[-1] != regressors.shape[-2]:
+        shapes = f"response {tuple(response.shape)}, regressors {tuple(regressors.shape)}"
+        raise InputError("arrays", "regressors", shapes, "response (..., T) and regressors (..., T, n)")
+    if not 0.0 <= band[0] < band[1]:
+        raise InputError("arrays", "band", f"{band[0]} to {band[1]} Hz", "a lower and a higher frequency in Hz")
+    if band[1] >= 0.5 / dt:
+        raise InputError("arrays", "band", f"{band[1]} Hz with samples {dt} s apart", f"less than {0.5 / dt:.4g} Hz")
+    for key, record in (("response", response), ("regressors", regressors)):
+        if bool(torch.isinf(record).any()):
+            raise InputError("arrays", key, "infinite samples", "finite numbers, or NaN where a sample is missing")
+
+
+def _without_gaps(record: Tensor, key: str, notes: list[str]) -> Tensor:
+    """Fill missing samples along the last dimension and say so, or refuse what is mostly missing."""
+    share = float(torch.isnan(record).to(torch.float64).mean(-1).max())
+    if share > MISSING_LIMIT:
+        limit = f"at most {MISSING_LIMIT:.0%}, which straight lines fill"
+        raise InputError("arrays", key, f"{share:.0%} of the samples of a record are missing", limit)
+    filled, count, longest = fill_gaps(record)
+    if count:
+        notes.append(f"{key}: {count} missing samples filled by straight lines, the longest gap {longest} samples")
+    return filled
+
+
+def _harmonics(duration: float, band: tuple[float, float], oversample: int) -> tuple[int, int]:
+    """First multiple of 1 / (oversample T) in the band, not below 1/T, and how many there are."""
+    grid = duration * oversample
+    first = max(oversample, ceil(band[0] * grid - 1e-9))
+    count = floor(band[1] * grid + 1e-9) - first + 1
+    if count < 2 * oversample:
+        wrong = f"{band[0]:.3g} to {band[1]:.3g} Hz holds fewer than two harmonics of a record of {duration:.3g} s"
+        raise InputError("arrays", "band", wrong, "a wider band or a longer record")
+    return first, count
+
+
+def _noise_power(
+    floor: Tensor, samples: int, noise: str | Tensor | Sequence[float], weight: float, power: Tensor, notes: list[str]
+) -> tuple[Tensor, float]:
+    """Noise power (..., n) of the regressors over the rows, given or estimated, and its relative scatter."""
+    if not isinstance(noise, str):
+        sd = torch.as_tensor(noise, dtype=torch.float64, device=power.device)
+        return (sd.square() * weight).expand(power.shape), 0.0
+    if noise not in NOISES:
+        raise InputError("arrays", "noise", f"{noise!r}", "'estimated', 'none' or a standard deviation per regressor")
+    if noise == "none":
+        return torch.zeros_like(power), 0.0
+    estimate = floor.square() * weight
+    doubtful = estimate > (1.0 - BELIEVED_RELIABILITY) * power
+    if bool(doubtful.any()):
+        columns = sorted({int(i) for i in doubtful.nonzero()[:, -1]})
+        notes.append(f"regressors {columns}: broad-band, noise not told from signal and not taken out")
+    return torch.where(doubtful, 0.0, estimate), noise_floor_scatter(samples)

@@ -1,0 +1,108 @@
+"""Linear systems flown in moving air, exactly: a roll axis, and roll and yaw with the derivatives of a transport."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.linalg import expm
+from torch import Tensor, nn
+
+from tests.identification.estimate.output_error_cases import ROLL, Named, steps
+
+LATERAL = {
+    **{"Lp": -5.82, "Lr": 1.782, "Lda": -16.4, "Ldr": 0.434, "Lv": -0.097},
+    **{"Np": -0.665, "Nr": -0.712, "Nda": -0.428, "Ndr": -2.82, "Nv": 0.0084},
+    **{"Yp": -0.278, "Yr": 1.41, "Yda": -0.447, "Ydr": 2.66, "Yv": -0.18},
+}
+BIASES = {"L0": 0.02, "N0": -0.01, "bpdot": 0.03, "brdot": -0.01, "bay": 0.05}
+LATERAL_GUSTS, LATERAL_NOISE = (0.3, 0.08), (0.05, 0.02, 0.05, 0.005, 0.003)
+
+
+class Lateral(Named):
+    """Roll and yaw rate by aileron, rudder and lateral velocity; outputs pdot, rdot, ay, p, r."""
+
+    states = ("p", "r")
+
+    def moments(self, x: Tensor, u: Tensor) -> Tensor:
+        """Angular accelerations."""
+        (p, r), (da, dr, v) = x.unbind(-1), u.unbind(-1)
+        roll = self.L0 + self.Lp * p + self.Lr * r + self.Lda * da + self.Ldr * dr + self.Lv * v
+        yaw = self.N0 + self.Np * p + self.Nr * r + self.Nda * da + self.Ndr * dr + self.Nv * v
+        return torch.stack([roll, yaw], dim=-1)
+
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Tensor:
+        return self.moments(x, u)
+
+    def output(self, x: Tensor, u: Tensor) -> Tensor:
+        (p, r), (da, dr, v) = x.unbind(-1), u.unbind(-1)
+        pdot, rdot = self.moments(x, u).unbind(-1)
+        ay = self.Yp * p + self.Yr * r + self.Yda * da + self.Ydr * dr + self.Yv * v
+        return torch.stack([pdot + self.bpdot, rdot + self.brdot, ay + self.bay, p, r], dim=-1)
+
+
+def linear_motion(
+    A: np.ndarray, B: np.ndarray, Q: np.ndarray, u: np.ndarray, dt: float, rng: np.random.Generator
+) -> np.ndarray:
+    """States [T, nx] of dx = (A x + B u) dt + dw from rest, exactly, controls linear between samples.
+
+    Q : spectral density of the noise. Source: Van Loan (1978), IEEE Trans. Autom. Control 23.
+    """
+    n, m = B.shape
+    big = np.zeros((n + 2 * m, n + 2 * m))
+    big[:n, :n], big[:n, n : n + m], big[n : n + m, n + m :] = A, B, np.eye(m) / dt
+    whole = expm(big * dt)[:n]
+    pair = expm(np.block([[-A, Q], [np.zeros((n, n)), A.T]]) * dt)
+    covariance = pair[n:, n:].T @ pair[:n, n:]
+    values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    x = np.zeros((len(u), n))
+    for k in range(len(u) - 1):
+        x[k + 1] = whole @ np.concatenate([x[k], u[k], u[k + 1] - u[k]]) + root @ rng.standard_normal(n)
+    return x
+
+
+def gusty_roll(
+    rng: np.random.Generator,
+    seconds: float = 15.0,
+    gusts: Sequence[float] = (0.0, 0.1),
+    noise: Sequence[float] = (0.01, 0.02),
+    shift: float = 0.0,
+) -> dict[str, Any]:
+    """The roll axis of `output_error_cases` with noise in its rates."""
+    time = 0.05 * np.arange(round(seconds / 0.05))
+    controls = 0.1 * (steps(time, (1, 2, 3), (1, -1)) + steps(time, (6 + shift, 7.5 + shift), (1,)))[:, None]
+    A, B = np.array([[0.0, 1.0], [ROLL[1], ROLL[0]]]), np.array([[0.0], [ROLL[2]]])
+    states = linear_motion(A, B, np.diag(np.square(gusts)), controls, 0.05, rng)
+    outputs = states + np.asarray(noise) * rng.standard_normal(states.shape)
+    return {"time": time, "controls": controls, "outputs": outputs, "x0": np.zeros(2)}
+
+
+def lateral_model(factor: float = 1.0) -> nn.Module:
+    """The model with all derivatives times a factor, without biases."""
+    return Lateral(**{name: factor * value for name, value in LATERAL.items()}, **dict.fromkeys(BIASES, 0.0))
+
+
+def lateral_flight(
+    rng: np.random.Generator, seconds: float = 16.0, gusts: Sequence[float] = LATERAL_GUSTS
+) -> dict[str, Any]:
+    """Aileron and rudder multisteps in turbulence at 20 Hz; lateral velocity is measured and taken as a control."""
+    dt = 0.05
+    time = dt * np.arange(round(seconds / dt) + 1)
+    aileron = 0.04 * (steps(time, (1, 2.4, 3.4, 3.9, 4.4), (1, -1, 1, -1)) + steps(time, (10.5, 11.5, 12.5), (1, -1)))
+    rudder = 0.06 * (steps(time, (6, 7, 8), (-1, 1)) + steps(time, (13, 14, 14.7), (1, -1)))
+    v = np.zeros_like(time)
+    for k in range(len(time) - 1):
+        v[k + 1] = 0.96 * v[k] + 2.0 * rudder[k] + 0.3 * rng.standard_normal()
+    u = np.stack([aileron, rudder, v], axis=-1)
+    truth = Lateral(**LATERAL, **BIASES)
+    with torch.no_grad():
+        x, one = torch.eye(2, dtype=torch.float64), torch.eye(3, dtype=torch.float64)
+        rest = truth.moments(0.0 * x[0], 0.0 * one[0])
+        A = (truth.moments(x, torch.zeros(2, 3)) - rest).T.numpy()
+        B = torch.cat([truth.moments(torch.zeros(3, 2), one) - rest, rest[None]]).T.numpy()
+        constant = np.concatenate([u, np.ones((len(time), 1))], axis=1)
+        states = linear_motion(A, B, np.diag(np.square(gusts)), constant, dt, rng)
+        outputs = truth.output(torch.as_tensor(states), torch.as_tensor(u)).numpy()
+    outputs = outputs + np.asarray(LATERAL_NOISE) * rng.standard_normal(outputs.shape)
+    return {"time": time, "controls": u, "outputs": outputs, "x0": np.zeros(2)}

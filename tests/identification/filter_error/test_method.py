@@ -1,0 +1,190 @@
+"""The filter error method on flights in moving air, and on calm ones, where output error says the same."""
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+
+import rotorid_torch as rotorid
+from rotorid_torch.errors import InputError
+from rotorid_torch.identification.estimate.output_error import output_error
+from rotorid_torch.identification.filter_error.method import FilterError, filter_error
+from tests.identification.estimate.output_error_cases import (
+    ROLL,
+    SHORT_PERIOD,
+    Roll,
+    ShortPeriod,
+    roll_flight,
+    unstable_flight,
+)
+from tests.identification.filter_error.gust_cases import (
+    BIASES,
+    LATERAL,
+    LATERAL_GUSTS,
+    gusty_roll,
+    lateral_flight,
+    lateral_model,
+)
+
+
+@pytest.fixture(scope="module")
+def lateral() -> FilterError:
+    flights = [lateral_flight(np.random.default_rng([0, k])) for k in range(3)]
+    return rotorid.filter_error(lateral_model(0.5), flights)
+
+
+def test_roll_and_yaw_derivatives_in_turbulence(lateral: FilterError) -> None:
+    assert lateral.converged
+    for p in lateral.parameters:
+        truth = (LATERAL | BIASES)[p.name]
+        assert abs(p.value - truth) < max(2.5 * p.se, 0.05 * abs(truth)), (p.name, p.value, p.se)
+    lp = lateral.parameters[0]
+    assert lp.se < 0.05
+    assert [p.name for p in lateral.process_noise] == ["p", "r"]
+    for p, truth in zip(lateral.process_noise, LATERAL_GUSTS, strict=True):
+        assert abs(p.value - truth) < 3.0 * p.se < 0.15 * truth
+    assert float(lateral.whiteness.p.min()) > 0.01
+
+
+def test_output_error_takes_turbulence_for_the_vehicles_own_motion(lateral: FilterError) -> None:
+    flights = [lateral_flight(np.random.default_rng([1, k])) for k in range(3)]
+    calm, gusty = output_error(lateral_model(0.5), flights), filter_error(lateral_model(0.5), flights)
+    assert "filter_error tells more" in calm.message
+    assert abs(calm.parameters[0].value - LATERAL["Lp"]) > 5.0 * calm.parameters[0].se
+    assert abs(gusty.parameters[0].value - LATERAL["Lp"]) < 2.5 * gusty.parameters[0].se
+
+
+def test_gains_that_are_held_lead_to_the_same_parameters_and_errors(lateral: FilterError) -> None:
+    flights = [lateral_flight(np.random.default_rng([0, k])) for k in range(3)]
+    held = filter_error(lateral_model(0.5), flights, gain="held")
+    assert held.converged
+    assert abs(held.log_likelihood - lateral.log_likelihood) < 2.0
+    for p, q in zip(held.parameters + held.process_noise, lateral.parameters + lateral.process_noise, strict=True):
+        assert abs(p.value - q.value) < q.se, (p.name, p.value, q.value)
+        assert 0.9 < p.se / q.se < 1.5
+
+
+@pytest.mark.parametrize("start", [(0.0, 0.0, 0.0), (2.0, 3.0, -4.0), (-9.0, -20.0, 30.0)])
+def test_any_start_leads_to_the_same_optimum(start: tuple[float, ...]) -> None:
+    flights = [gusty_roll(np.random.default_rng(k), shift=0.5 * k) for k in range(3)]
+    best, found = filter_error(Roll(), flights), filter_error(Roll(start), flights)
+    assert found.converged
+    for p, q in zip(found.parameters + found.process_noise, best.parameters + best.process_noise, strict=True):
+        assert abs(p.value - q.value) < 0.05 * q.se
+    for p, truth in zip(found.parameters, ROLL, strict=True):
+        assert abs(p.value - truth) < 3.0 * p.se
+
+
+@pytest.mark.parametrize("x0", ["free", "fixed"])
+def test_without_process_noise_it_is_output_error(x0: str) -> None:
+    flights = [roll_flight(np.random.default_rng(k)) for k in range(2)]
+    calm = output_error(Roll((-0.5, -1.0, 1.0)), flights, x0=x0)
+    found = filter_error(Roll((-0.5, -1.0, 1.0)), flights, process_noise=torch.zeros(2, 2), x0=x0)
+    assert [p.value for p in found.parameters] == [p.value for p in calm.parameters]
+    assert torch.equal(found.covariance, calm.covariance)
+    assert torch.equal(found.innovations[0], calm.residuals[0])
+    assert found.process_noise == []
+    assert "filter_error" not in calm.message
+    residual = np.concatenate([r.numpy() for r in calm.residuals])
+    sd = np.sqrt((residual**2).mean(axis=0))
+    expected = -np.log(sd * np.sqrt(2 * np.pi)).sum() * len(residual) - len(residual)
+    assert abs(found.log_likelihood - expected) < 0.5
+
+
+def test_calm_air_has_no_process_noise_and_the_same_parameters() -> None:
+    flights = [roll_flight(np.random.default_rng(k)) for k in range(2)]
+    calm, found = output_error(Roll(), flights), filter_error(Roll((-0.5, -1.0, 1.0)), flights)
+    for p, q in zip(found.parameters, calm.parameters, strict=True):
+        assert abs(p.value - q.value) < 0.1 * q.se
+        assert 0.9 < p.se / q.se < 1.1
+    for p in found.process_noise:
+        assert p.value < 0.002
+    np.testing.assert_allclose(found.noise.diagonal().sqrt(), [0.01, 0.02], rtol=0.1)
+
+
+def test_an_unstable_vehicle_needs_no_care() -> None:
+    flight = unstable_flight(20.0, noise=(0.003, 0.00015, 0.003), seed=3)
+    for factor in (3.0, -1.0, 0.0):
+        found = filter_error(ShortPeriod(**{n: factor * v for n, v in SHORT_PERIOD.items()}), [flight])
+        assert found.converged
+        for p in found.parameters:
+            assert abs(p.value - SHORT_PERIOD[p.name]) < 3.5 * p.se, (p.name, p.value)
+
+
+def test_missing_samples_full_noises_bounds_and_what_comes_back() -> None:
+    flights = [gusty_roll(np.random.default_rng(k), seconds=12.0 + k) for k in range(3)]
+    flights[1]["outputs"][40:80, 0] = np.nan
+    flights[1]["outputs"][::5, 1] = np.nan
+    found = filter_error(
+        Roll((-0.5, -1.0, 1.0)),
+        flights,
+        process_noise="full",
+        noise="full",
+        bounds={"theta[0]": (-0.9, 0.0)},
+    )
+    by_name = {p.name: p for p in found.parameters}
+    assert by_name["theta[0]"].at_bound
+    assert by_name["theta[0]"].value == -0.9
+    assert float(torch.linalg.eigvalsh(found.process_covariance).min()) > -1e-15
+    assert [p.name for p in found.process_noise] == ["x[0]", "x[1]", "x[1], x[0]"]
+    assert [p.name for p in found.measurement_noise] == ["y[0]", "y[1]", "y[1], y[0]"]
+    assert [p.unit for p in found.process_noise] == ["/sqrt(s)", "/sqrt(s)", ""]
+    assert [tuple(e.shape) for e in found.innovations] == [(240, 2), (260, 2), (280, 2)]
+    assert [tuple(e.shape) for e in found.states] == [(240, 2), (260, 2), (280, 2)]
+    assert bool(found.innovations[1][40:80, 0].isnan().all())
+    assert bool(torch.stack([e.isfinite().all() for e in found.states + found.state_errors]).all())
+
+
+def test_smoothed_states_lie_nearer_to_the_truth_than_what_is_measured() -> None:
+    rng = np.random.default_rng(5)
+    flight = gusty_roll(rng, noise=(0.0, 0.0))
+    truth = flight["outputs"]
+    flight |= {"outputs": truth + rng.standard_normal(truth.shape) * (0.01, 0.02)}
+    found = filter_error(Roll(), [flight], process_noise=["x[1]"])
+    wrong = (found.states[0] - torch.as_tensor(truth)) / found.state_errors[0]
+    assert float((wrong.abs() < 1.96).double().mean()) > 0.85
+    rms = (found.states[0] - torch.as_tensor(truth)).square().mean(dim=0).sqrt()
+    assert bool((rms < torch.tensor([0.004, 0.016])).all())
+
+
+class Stiff(nn.Module):
+    """A lag far shorter than a sample."""
+
+    states = ("lag",)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.rate = nn.Parameter(torch.tensor(-400.0, dtype=torch.float64))
+
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Tensor:
+        return self.rate * (x - u)
+
+    def output(self, x: Tensor, u: Tensor) -> Tensor:
+        return 0.0 * x + u
+
+
+def test_a_filter_that_diverges_says_where_and_with_which_state() -> None:
+    flight = roll_flight(np.random.default_rng(0)) | {"outputs": np.random.default_rng(1).standard_normal((300, 1))}
+    with pytest.raises(InputError, match=r"flights\[0\]: lag: the filter diverges at .* s"):
+        filter_error(Stiff(), [flight | {"x0": np.zeros(1)}])
+
+
+@pytest.mark.parametrize(
+    ("more", "key"),
+    [
+        ({"process_noise": ["q"]}, "process_noise"),
+        ({"process_noise": -torch.eye(2)}, "process_noise"),
+        ({"process_noise": "white"}, "process_noise"),
+        ({"noise": torch.zeros(2, 2)}, "noise"),
+        ({"noise": "white"}, "noise"),
+        ({"noise_floor": [1.0]}, "noise_floor"),
+        ({"x0": "guess"}, "x0"),
+        ({"engine": "fast"}, "engine"),
+        ({"gain": "none"}, "gain"),
+        ({"free": ["thetta"]}, "thetta"),
+    ],
+)
+def test_bad_arguments_are_named(more: dict[str, object], key: str) -> None:
+    with pytest.raises(InputError) as caught:
+        filter_error(Roll(), [roll_flight(np.random.default_rng(0))], **more)  # pyright: ignore[reportArgumentType]
+    assert caught.value.key == key
