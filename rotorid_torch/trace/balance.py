@@ -17,6 +17,7 @@ from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.core.names import RATES, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
+from rotorid_torch.effects.library.mass import CentreOfGravity
 from rotorid_torch.effects.signal_operations import lagged
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model
@@ -302,6 +303,8 @@ def _centre_of_gravity(off: Standing, spec: ModelSpec) -> Finding:
     """It may lie elsewhere, or rotors differ."""
     rotor = _rotor(off, spec)
     rival = "several rotors may differ" if rotor is None else f"the rotor of {rotor} may give {_less(off)}"
-    values = {f"mass.cg.{axis}": (float(off.centre[i]), float(off.errors[i])) for i, axis in enumerate("xy")}
+    values = {
+        f"{CentreOfGravity.id}.{axis}": (float(off.centre[i]), float(off.errors[i])) for i, axis in enumerate("xy")
+    }
     said = f"{_where(off)}: it lies there, or {rival}; swing the vehicle to tell"
-    return Finding("mass.cg", "undeclared", "indistinguishable", said, group=("rotors.thrust",), values=values)
+    return Finding(CentreOfGravity.id, "undeclared", "indistinguishable", said, group=("rotors.thrust",), values=values)

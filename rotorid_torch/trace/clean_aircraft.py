@@ -35,6 +35,7 @@ from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.data.write import write_dataset
 from rotorid_torch.effects.base import Frame, Values
+from rotorid_torch.effects.library.environment import Wind
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
@@ -46,7 +47,7 @@ from rotorid_torch.trace.settings import SETTINGS
 
 SPARE = 5
 """Clean aircraft that are drawn beside those needed: some fly away, and are no draws."""
-WIND, TURNING = "environment.wind", ("q", "r", "phi", "theta")
+WIND, TURNING = Wind.id, ("q", "r", "phi", "theta")
 NO_ROOM = 2
 """Exit code of a process that finds no room for temporary files."""
 WATCH_S = 0.5

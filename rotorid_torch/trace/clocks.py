@@ -8,10 +8,12 @@ from dataclasses import replace
 from rotorid_torch.consistency.late_controls import SURE_STICKS, LateControls, late_controls
 from rotorid_torch.consistency.velocity_clock import IMITATED_S, VelocityClock, velocity_clock
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.effects.library.airframe import Drag
+from rotorid_torch.effects.library.sensors import SensorDelay
 from rotorid_torch.trace.kinematic_findings import KinematicFinding, KinematicFindings, SensorParameter
 from rotorid_torch.trace.kinematics import kinematic_findings
 
-CLOCKS = "sensors.delay"
+CLOCKS = SensorDelay.id
 VELOCITIES, CONTROLS = f"{CLOCKS}.velocities", f"{CLOCKS}.controls"
 
 
@@ -49,7 +51,7 @@ def _of_velocities(found: KinematicFinding, clock: VelocityClock) -> KinematicFi
     joined = _joined(found, own, said)
     if any(p.accepted for p in found.parameters):
         return joined  # other clocks are certain; the words tell what this one is worth
-    return replace(joined, verdict="indistinguishable", group=(*found.group, "forces.drag"))
+    return replace(joined, verdict="indistinguishable", group=(*found.group, Drag.id))
 
 
 def _of_controls(found: KinematicFinding, late: LateControls) -> KinematicFinding:

@@ -10,6 +10,7 @@ import numpy as np
 
 from rotorid_torch.core.names import unit
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.effects.library.sensors import SensorBias
 from rotorid_torch.trace.kinematic_findings import SensorParameter
 from rotorid_torch.trace.kinematic_search import Point
 from rotorid_torch.trace.significance import student_quantile
@@ -40,7 +41,7 @@ class Constant:
         """As a parameter of sensors.bias."""
         gain = (self.value / self.se) ** 2
         visible = max(self.quantile * self.se, self.least + 2.0 * self.se)
-        name = f"sensors.bias.{self.channel}"
+        name = f"{SensorBias.id}.{self.channel}"
         return SensorParameter(name, self.value, self.se, unit(self.channel), self.accepted, gain, visible)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from rotorid_torch.consistency.alignment import EVERY_S, alignment
 from rotorid_torch.core.names import RATES
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.effects.library.sensors import SensorDelay
 from rotorid_torch.trace import kinematic_words as words
 from rotorid_torch.trace.kinematic_constants import Constant, constants
 from rotorid_torch.trace.kinematic_equations import UNITS, unit_of
@@ -124,7 +125,7 @@ def _finding(case: Case, kind: str, point: Point, biases: Sequence[Constant]) ->
 
 def _with_clock(case: Case, parameter: SensorParameter) -> SensorParameter:
     """A delay with what was set right before the search: that much is certain."""
-    seconds = case.by.clocks.get(parameter.name.removeprefix("sensors.delay."), 0.0)
+    seconds = case.by.clocks.get(parameter.name.removeprefix(f"{SensorDelay.id}."), 0.0)
     if not seconds:
         return parameter
     value = seconds + (parameter.value if parameter.name.removeprefix("sensors.") in case.fitted else 0.0)

@@ -18,6 +18,7 @@ from torch import Tensor
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.base import Frame
+from rotorid_torch.effects.library.main_rotor import FlapSecondOrder
 from rotorid_torch.effects.signal_operations import smoothed
 from rotorid_torch.identification.model_regression import Measured, measured
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
@@ -36,7 +37,7 @@ SMOOTH_S = 0.4
 """Width of the smoothing of all records, s: rates differentiated are noise, and lines of the rotor would fold."""
 ALIKE_S = SMOOTH_S / 1.5
 """What smoothing makes one sample of, s: a Hann window's noise bandwidth is 1.5 over its width."""
-SECOND_ORDER = "rotor.flap_second_order.share"
+SECOND_ORDER = f"{FlapSecondOrder.id}.share"
 """Without it flapping's rates are what first-order flapping makes them: second order keeps that for slow motion."""
 MOVED = 1e-2
 """Share of its typical size by which a parameter is moved for what the residuals change by."""

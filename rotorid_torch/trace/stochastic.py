@@ -15,12 +15,13 @@ import numpy as np
 from rotorid_torch.consistency.vibration import lines, spectrum
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.effects.library.environment import Turbulence, Vibration
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.significance import normal_quantile
 
-TURBULENCE, VIBRATION = "environment.turbulence", "environment.vibration"
+TURBULENCE, VIBRATION = Turbulence.id, Vibration.id
 FALSE_ALARMS = 1e-3
 """Share of flights in calm air in which chance alone may show turbulence."""
 BLOCK_S = 0.1
