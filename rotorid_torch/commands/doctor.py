@@ -58,21 +58,21 @@ def findings(removed: Usage | None = None) -> Installation:
     )
 
 
-def table(found: Installation) -> Table:
+def table(installation: Installation) -> Table:
     """The findings for people."""
     rows = Table(show_header=False)
-    rows.add_row("rotorid", found.rotorid)
-    rows.add_row("Python", f"{found.python}, {found.system}")
-    rows.add_row("cores, threads used", f"{found.cores}, {found.threads} (set OMP_NUM_THREADS to change)")
-    rows.add_row("C++ compiler", found.compiler or f"{NO_COMPILER}: torch does its work, 30 to 200 times slower")
-    rows.add_row("CUDA device", found.cuda or "none")
-    rows.add_row("cache", f"{found.cache.folder}: {_size(found.cache)} ({ADVICE})")
-    if found.removed:
-        rows.add_row("", f"removed: {_size(found.removed)}")
-    for name, installed in found.packages.items():
+    rows.add_row("rotorid", installation.rotorid)
+    rows.add_row("Python", f"{installation.python}, {installation.system}")
+    rows.add_row("cores, threads used", f"{installation.cores}, {installation.threads} (set OMP_NUM_THREADS to change)")
+    rows.add_row("C++ compiler", installation.compiler or f"{NO_COMPILER}: torch does its work, 30 to 200 times slower")
+    rows.add_row("CUDA device", installation.cuda or "none")
+    rows.add_row("cache", f"{installation.cache.folder}: {_size(installation.cache)} ({ADVICE})")
+    if installation.removed:
+        rows.add_row("", f"removed: {_size(installation.removed)}")
+    for name, installed in installation.packages.items():
         rows.add_row(name, installed or f"missing: pip install {name}")
-    for name, there in found.extras.items():
-        rows.add_row(f"extra {name}", "installed" if there else f"not installed: pip install 'rotorid-torch[{name}]'")
+    for name, present in installation.extras.items():
+        rows.add_row(f"extra {name}", "installed" if present else f"not installed: pip install 'rotorid-torch[{name}]'")
     return rows
 
 

@@ -51,8 +51,8 @@ def effects_table(rows: Iterable[EffectRow]) -> Table:
     """The rows for people."""
     table = Table("id", "role, stage", "shows in", "what", "parameters", show_lines=True)
     for row in rows:
-        told = _told(row.parameters)
-        table.add_row(row.id, f"{row.role}, {row.stage}", row.showing, row.what.partition(": ")[0], told)
+        parameters = _told(row.parameters)
+        table.add_row(row.id, f"{row.role}, {row.stage}", row.showing, row.what.partition(": ")[0], parameters)
     return table
 
 

@@ -24,8 +24,8 @@ def import_table(done: Imported) -> RenderableType:
             flights.add_row(listed, name, f"{seconds:.1f}", kind or "-")
     channels = Table("channel", "unit", "from", "recorded at", "because")
     for name, taken in done.channels.items():
-        told = f"{taken.hertz:.3g} Hz" if taken.source else "-"
-        channels.add_row(name, _unit(name, done.units), taken.source or "computed", told, taken.reason)
+        rate = f"{taken.hertz:.3g} Hz" if taken.source else "-"
+        channels.add_row(name, _unit(name, done.units), taken.source or "computed", rate, taken.reason)
     warnings = [Text(f"warning: {sentence}") for sentence in done.warnings]
     where = Text(f"data set: {done.folder}; its lists and its vehicle are yours to edit in dataset.toml")
     return Group(flights, channels, *warnings, where)

@@ -120,10 +120,10 @@ def _measured(dataset: Dataset) -> Alignment:
     if not sides:
         return Alignment()
     late = _lag(sides)
-    found = _turned(dataset, [s.moved(late) for s in sides])
+    turn = _turned(dataset, [s.moved(late) for s in sides])
     before = _share(sides)
-    clocks = _clocks(flights, found.turn, late)
-    return Alignment(found.turn, found.turn_se, clocks, found.mirror, before, found.after, found.strength)
+    clocks = _clocks(flights, turn.turn, late)
+    return Alignment(turn.turn, turn.turn_se, clocks, turn.mirror, before, turn.after, turn.strength)
 
 
 def aligned(flight: Flight, by: Alignment) -> Flight:
@@ -139,8 +139,8 @@ def aligned(flight: Flight, by: Alignment) -> Flight:
             if all(name in channels for name in triad):
                 true = matrix @ np.stack([channels[name] for name in triad])
                 channels |= dict(zip(triad, true, strict=True))
-    made = {name: torch.from_numpy(np.ascontiguousarray(values)) for name, values in channels.items()}
-    return Flight(flight.name, flight.dt, MappingProxyType(made))
+    columns = {name: torch.from_numpy(np.ascontiguousarray(values)) for name, values in channels.items()}
+    return Flight(flight.name, flight.dt, MappingProxyType(columns))
 
 
 def rotation(vector: Array) -> Array:
@@ -221,11 +221,11 @@ def _grid(flight: Flight, channels: Sequence[str]) -> tuple[Array, Array, Array]
     return picked(_smooth(raw, bell)), picked(_smooth(raw, slope)), whole[np.round(at).astype(int)]
 
 
-def _centred(values: Array, known: Array) -> Array:
+def _centred(values: Array, present: Array) -> Array:
     """Deviations (T, n) from the mean of what is known, zero where nothing is."""
-    known = known & np.isfinite(values).all(axis=1)
-    mean = values[known].mean(axis=0) if known.any() else 0.0
-    return np.where(known[:, None], values - mean, 0.0)
+    present = present & np.isfinite(values).all(axis=1)
+    mean = values[present].mean(axis=0) if present.any() else 0.0
+    return np.where(present[:, None], values - mean, 0.0)
 
 
 def _sides(flight: Flight) -> _Sides:
@@ -233,7 +233,7 @@ def _sides(flight: Flight) -> _Sides:
 
     Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 3.21.
     """
-    values, changes, known = _grid(flight, names.ATTITUDES)
+    values, changes, present = _grid(flight, names.ATTITUDES)
     rates, _, known_rates = _grid(flight, names.RATES)
     if not len(values):
         return _Sides(values, rates)
@@ -241,7 +241,7 @@ def _sides(flight: Flight) -> _Sides:
     p = dphi - np.sin(theta) * dpsi
     q = np.cos(phi) * dtheta + np.sin(phi) * np.cos(theta) * dpsi
     r = -np.sin(phi) * dtheta + np.cos(phi) * np.cos(theta) * dpsi
-    by_attitude = _centred(np.stack([p, q, r], axis=1), known & (np.abs(theta) < STEEP))
+    by_attitude = _centred(np.stack([p, q, r], axis=1), present & (np.abs(theta) < STEEP))
     return _Sides(by_attitude, _centred(rates, known_rates))
 
 
@@ -349,11 +349,11 @@ def axes_of(matrix: Array) -> str:
 def _clocks(flights: Sequence[Flight], turn: Array, late: int) -> dict[str, float]:
     """Which streams are late, in s: attitude or rates, then velocities or accelerometers against what they are with."""
     seconds = late * EVERY_S
-    own = {"attitude": seconds} if late else {}
+    shifts = {"attitude": seconds} if late else {}
     felt = [f for f in flights if f.has(*names.VELOCITIES, *names.SPECIFIC_FORCES)]
     if not felt:
-        return own
-    tried = [own, {"rates": -seconds}, {"rates": -seconds, "accelerations": -seconds}] if late else [{}]
+        return shifts
+    tried = [shifts, {"rates": -seconds}, {"rates": -seconds, "accelerations": -seconds}] if late else [{}]
     scored = [(_motion(felt, turn, clocks), clocks) for clocks in tried]
     best, clocks = max(scored, key=lambda one: one[0].agreed)
     if best.agreed > SETTLED:
@@ -388,15 +388,15 @@ def _motion(flights: Sequence[Flight], turn: Array, clocks: Mapping[str, float])
         return _Motion()
     velocities = [_Sides(_centred(e.pushed, e.known), _centred(e.felt - e.fallen, e.known)) for e in every]
     forces = [_Sides(_centred(e.felt, e.known), _centred(e.pushed + e.fallen, e.known)) for e in every]
-    agreed, found = 0.0, list[tuple[float, str, float]]()
+    agreed, shifts = 0.0, list[tuple[float, str, float]]()
     for unit, sides in (("velocities", velocities), ("accelerations", forces)):
         covariances, power = _covariances(sides, _most(sides))
         scores = np.trace(covariances, axis1=1, axis2=2) / power
         middle, lag = len(scores) // 2, _best(scores, *TRIED)
         agreed = max(agreed, float(scores[middle]))
         if lag:
-            found.append((float(scores[middle + lag]), unit, lag * EVERY_S))
-    score, unit, lag = max(found, default=(agreed, "", 0.0))
+            shifts.append((float(scores[middle + lag]), unit, lag * EVERY_S))
+    score, unit, lag = max(shifts, default=(agreed, "", 0.0))
     return _Motion(agreed, score, unit, lag)
 
 
@@ -415,13 +415,13 @@ class _Forces:
 
 def _forces(flight: Flight) -> _Forces:
     """Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 3.35."""
-    velocity, change, known = _grid(flight, names.VELOCITIES)
+    velocity, change, present = _grid(flight, names.VELOCITIES)
     rates, _, whole = _grid(flight, names.RATES)
     angles, _, turned = _grid(flight, names.ATTITUDES)
     felt, _, measured = _grid(flight, names.SPECIFIC_FORCES)
     if not len(velocity):
-        return _Forces(velocity, velocity, velocity, known)
+        return _Forces(velocity, velocity, velocity, present)
     phi, theta, _ = angles.T
     down = np.stack([-np.sin(theta), np.cos(theta) * np.sin(phi), np.cos(theta) * np.cos(phi)], axis=1)
     pushed = change + np.cross(rates, velocity)
-    return _Forces(pushed, -9.80665 * down, felt, known & whole & turned & measured)
+    return _Forces(pushed, -9.80665 * down, felt, present & whole & turned & measured)

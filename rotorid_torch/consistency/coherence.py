@@ -43,8 +43,8 @@ def coherences(dataset: Dataset, channels: Sequence[str]) -> tuple[Coherence, ..
     Identification, 2nd ed., ch. 7 and 9.
     """
     flights = [dataset.flights[name] for name in dataset.identify]
-    there = [c for c in channels if all(dataset.facts[name].has(c) for name in dataset.identify)]
-    lines = [_lines(f, [*dataset.controls, *there]) for f in flights]
+    recorded = [c for c in channels if all(dataset.facts[name].has(c) for name in dataset.identify)]
+    lines = [_lines(f, [*dataset.controls, *recorded]) for f in flights]
     hertz, values = (np.concatenate(both) for both in zip(*lines, strict=True))
     m = len(dataset.controls)
     edges = _edges(hertz, int(np.ceil(ENOUGH * HANN * m)))
@@ -52,8 +52,8 @@ def coherences(dataset: Dataset, channels: Sequence[str]) -> tuple[Coherence, ..
         _explained(values[(hertz >= a) & (hertz < b), :m], values[(hertz >= a) & (hertz < b), m:])
         for a, b in pairwise(edges)
     ]
-    columns = np.array(power).reshape(-1, len(there)).T
-    return tuple(Coherence(c, edges, column, _band(column, edges)) for c, column in zip(there, columns, strict=True))
+    columns = np.array(power).reshape(-1, len(recorded)).T
+    return tuple(Coherence(c, edges, column, _band(column, edges)) for c, column in zip(recorded, columns, strict=True))
 
 
 def _edges(hertz: np.ndarray, least: int) -> np.ndarray:
@@ -72,16 +72,16 @@ def _edges(hertz: np.ndarray, least: int) -> np.ndarray:
 def _lines(flight: Flight, channels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies (n,) and Fourier lines (n, channels) of a flight's pieces, Hann-windowed and without trend."""
     values = flight.bridged(channels).nan_to_num(0.0).numpy()
-    found, places = [], []
+    transforms, places = [], []
     for first, last in pieces(flight.samples, flight.dt, 0):
         part = values[first:last]
         ramp = np.stack([np.ones(len(part)), np.linspace(-1.0, 1.0, len(part))], axis=1)
         left = part - ramp @ np.linalg.lstsq(ramp, part, rcond=None)[0]
         hertz = np.fft.rfftfreq(len(part), flight.dt)
         keep = (hertz >= max(RANGE_HZ[0], 1.5 / (len(part) * flight.dt))) & (hertz < min(RANGE_HZ[1], 0.45 / flight.dt))
-        found.append(np.fft.rfft(left * np.hanning(len(part))[:, None], axis=0)[keep])
+        transforms.append(np.fft.rfft(left * np.hanning(len(part))[:, None], axis=0)[keep])
         places.append(hertz[keep])
-    return np.concatenate(places), np.concatenate(found)
+    return np.concatenate(places), np.concatenate(transforms)
 
 
 def _explained(controls: np.ndarray, responses: np.ndarray) -> np.ndarray:

@@ -46,8 +46,8 @@ class LateControls:
 def followed_sticks(dataset: Dataset) -> tuple[Agreement, ...]:
     """Rates that follow their sticks closely enough for a lag, in the identify flights."""
     flights = [dataset.flights[name] for name in dataset.identify]
-    found = (agreement(pair, flights) for pair in stick_pairs(dataset))
-    return tuple(a for a in found if a is not None and a.r2 > SEEN)
+    agreements = (agreement(pair, flights) for pair in stick_pairs(dataset))
+    return tuple(a for a in agreements if a is not None and a.r2 > SEEN)
 
 
 def known_responses(dataset: Dataset) -> tuple[Response, ...]:
@@ -80,9 +80,9 @@ def late_controls(dataset: Dataset) -> LateControls | None:
     return LateControls(-least.lag_s, least.lag_se, accelerations=felt)
 
 
-def coming_first(dataset: Dataset, found: Sequence[Response]) -> tuple[Response, ...]:
+def coming_first(dataset: Dataset, responses: Sequence[Response]) -> tuple[Response, ...]:
     """Those of a data set's responses that precede their controls, by more than chance and more than a sample."""
-    return tuple(r for r in found if r.lag_s < -max(SURE * r.lag_se, EARLY_S, _sample(dataset)))
+    return tuple(r for r in responses if r.lag_s < -max(SURE * r.lag_se, EARLY_S, _sample(dataset)))
 
 
 def _sample(dataset: Dataset) -> float:
@@ -105,8 +105,8 @@ def _commands_attitude(a: Agreement, flights: Sequence[Flight]) -> bool:
     """Whether the rate goes with the stick's rate of change rather than with the stick."""
     stick = a.pair.right
     moving = replace(a.pair, right=lambda flight: np.gradient(stick(flight), flight.dt))
-    found = agreement(moving, flights)
-    return found is not None and found.r2 >= a.r2
+    moved = agreement(moving, flights)
+    return moved is not None and moved.r2 >= a.r2
 
 
 def _mean(early: tuple[Agreement, ...]) -> LateControls:

@@ -46,8 +46,8 @@ def responses(dataset: Dataset, fast: bool = False) -> tuple[Response, ...]:
 
     fast : compare what is left of all signals without slow motion, which other causes than the controls make too.
     """
-    found = (_response(dataset, channel, fast) for channel in (*names.RATES, "az"))
-    return tuple(response for response in found if response is not None)
+    measured = (_response(dataset, channel, fast) for channel in (*names.RATES, "az"))
+    return tuple(response for response in measured if response is not None)
 
 
 def _response(dataset: Dataset, channel: str, fast: bool) -> Response | None:
@@ -74,20 +74,20 @@ def _moments(flight: Flight, channel: str, controls: tuple[str, ...], states: li
         return
     columns = flight.bridged([channel, *controls, *states]).numpy().T
     left = np.convolve(columns[0], bell if channel == "az" else slope, "valid")
-    rest = np.stack([np.convolve(column, bell, "valid") for column in columns[1:]])
+    smoothed = np.stack([np.convolve(column, bell, "valid") for column in columns[1:]])
     grid = np.arange(0.0, (len(left) - 1) * flight.dt, STEP_S) / flight.dt
     places, count = np.arange(len(left)), len(controls)
-    left, *rows = (np.interp(grid, places, row) for row in (left, *rest))
+    left, *rows = (np.interp(grid, places, row) for row in (left, *smoothed))
     moved, states_rows = np.array(rows[:count]), np.array(rows[count:]).reshape(len(states), len(grid))
     for first, last in pieces(len(grid), STEP_S, LAGS // 2):
         fixed = _centred(np.concatenate([left[None, first:last:EVERY], states_rows[:, first:last:EVERY]]))
         among = fixed @ fixed.T
-        made = []
+        filtered = []
         for lag in range(-(LAGS // 2), LAGS // 2 + 1):
             shifted = _centred(moved[:, first - lag : last - lag : EVERY])
             across = fixed @ shifted.T
-            made.append(np.block([[among, across], [across.T, shifted @ shifted.T]]))
-        yield np.array(made)
+            filtered.append(np.block([[among, across], [across.T, shifted @ shifted.T]]))
+        yield np.array(filtered)
 
 
 def _without_slow(dt: float) -> tuple[Array, Array]:

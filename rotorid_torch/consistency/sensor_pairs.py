@@ -102,7 +102,7 @@ def agreement(pair: Pair, flights: Iterable[Flight]) -> Agreement | None:
     best = int(np.argmax(_r2(total)))
     lag, lag_se = _lag(total, list(sides.values()))
     without = [total - one for one in moments.values()]
-    known = sum(int(np.isfinite(side.left).sum()) for side in sides.values())
+    measured = sum(int(np.isfinite(side.left).sum()) for side in sides.values())
     bias = np.array([np.nanmean(side.left) - np.nanmean(side.moved(0)) for side in sides.values()])
     return Agreement(
         pair=pair,
@@ -115,7 +115,7 @@ def agreement(pair: Pair, flights: Iterable[Flight]) -> Agreement | None:
         bias=float(bias.mean()),
         bias_se=float(bias.std() / np.sqrt(max(len(bias) - 1, 1))),
         lags_s={name: _lag(m, [sides[name]]) for name, m in moments.items() if _r2(m).max() > 0.6},
-        power=(float(total[best, 1]) / max(known, 1), float(total[best, 0]) / max(known, 1)),
+        power=(float(total[best, 1]) / max(measured, 1), float(total[best, 0]) / max(measured, 1)),
     )
 
 
@@ -186,10 +186,10 @@ def _moments(side: Side, lag: int) -> tuple[float, float, float]:
     """Sums of right², left² and right * left about their means, right taken so many steps earlier."""
     moved = side.moved(lag)
     left = side.left[: len(moved)]
-    known = np.isfinite(moved) & np.isfinite(left)
-    if not known.any():
+    present = np.isfinite(moved) & np.isfinite(left)
+    if not present.any():
         return 0.0, 0.0, 0.0
-    x, y = moved[known] - moved[known].mean(), left[known] - left[known].mean()
+    x, y = moved[present] - moved[present].mean(), left[present] - left[present].mean()
     return float(x @ x), float(y @ y), float(x @ y)
 
 

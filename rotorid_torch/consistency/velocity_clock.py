@@ -91,14 +91,14 @@ def _fit(moments: Array) -> _Fit:
     """Lag and drag of least misfit from cross moments (axes, lags, 3, 3) of rate of change, kinematics and velocity."""
     change, both, moved = moments[..., 0, 0], moments[..., 0, 1], moments[..., 1, 1]
     power = np.maximum(moments[..., 2, 2], np.finfo(float).tiny)
-    rest = change - 2.0 * both + moved
+    misfit = change - 2.0 * both + moved
     along = moments[..., 0, 2] - moments[..., 1, 2]
-    plain, dragged = rest.sum(0), (rest - along**2 / power).sum(0)
+    plain, dragged = misfit.sum(0), (misfit - along**2 / power).sum(0)
     total = max(float(change[:, 0].sum()), np.finfo(float).tiny)
     best, none = int(np.argmin(dragged)), LAGS // 2
-    kept = plain[none], dragged[none], plain.min(), dragged[best]
+    misfits = plain[none], dragged[none], plain.min(), dragged[best]
     drag = tuple((-along[:, best] / power[:, best]).tolist())
-    r2 = tuple(1.0 - float(part) / total for part in kept)
+    r2 = tuple(1.0 - float(part) / total for part in misfits)
     return _Fit(lag_of_top(-dragged), drag, (r2[0], r2[1], r2[2], r2[3]))
 
 
@@ -110,8 +110,8 @@ def _moments(dataset: Dataset, flight: Flight) -> Iterator[Array]:
     bell, slope = kernel(flight.dt)
     if flight.samples < len(bell) + 2 * int(np.ceil(REACH_S / flight.dt)) + 50:
         return
-    known = ~np.isnan(flight.stack(CHANNELS).numpy()).any(axis=1)
-    whole = np.convolve(known, np.ones(len(bell)), "valid") > len(bell) - 0.5
+    present = ~np.isnan(flight.stack(CHANNELS).numpy()).any(axis=1)
+    whole = np.convolve(present, np.ones(len(bell)), "valid") > len(bell) - 0.5
     grid = np.arange(0.0, (len(whole) - 1) * flight.dt, STEP_S) / flight.dt
     places = np.arange(len(whole))
     sure = np.interp(grid, places, whole.astype(float)) > 0.999
@@ -132,10 +132,10 @@ def _sides(dataset: Dataset, flight: Flight) -> list[tuple[Array, Array, Array]]
 
 def _over_lags(rows: list[Array], sure: Array, first: int, last: int) -> Array:
     change, kinematics, velocity = rows
-    made = []
+    products = []
     for lag in range(-(LAGS // 2), LAGS // 2 + 1):
-        kept = sure[first:last] & sure[first - lag : last - lag]
-        three = np.stack([change[first:last], kinematics[first - lag : last - lag], velocity[first:last]])[:, kept]
-        three = three - three.mean(axis=1, keepdims=True) if kept.any() else three
-        made.append(three @ three.T)
-    return np.array(made)
+        inside = sure[first:last] & sure[first - lag : last - lag]
+        three = np.stack([change[first:last], kinematics[first - lag : last - lag], velocity[first:last]])[:, inside]
+        three = three - three.mean(axis=1, keepdims=True) if inside.any() else three
+        products.append(three @ three.T)
+    return np.array(products)

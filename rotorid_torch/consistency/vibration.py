@@ -50,16 +50,16 @@ def spectrum(records: Sequence[np.ndarray], dt: float) -> tuple[np.ndarray, np.n
 def lines(hertz: np.ndarray, power: np.ndarray, largest: int = 3) -> list[Line]:
     """Strongest lines above 5 Hz that stand 10 times above the median of their surroundings, strongest first."""
     total, reach = power.sum(), max(5, int(np.searchsorted(hertz, 5.0)))
-    found: list[Line] = []
+    peaks: list[Line] = []
     for index in np.argsort(power)[::-1]:
-        if hertz[index] < LOWEST_HZ or total <= 0.0 or len(found) == largest:
+        if hertz[index] < LOWEST_HZ or total <= 0.0 or len(peaks) == largest:
             continue
         near = power[max(0, index - reach) : index + reach + 1]
-        if power[index] < 10.0 * np.median(near) or any(abs(hertz[index] - line.hertz) < SPAN_HZ for line in found):
+        if power[index] < 10.0 * np.median(near) or any(abs(hertz[index] - line.hertz) < SPAN_HZ for line in peaks):
             continue
         strength = float(power[np.abs(hertz - hertz[index]) <= SPAN_HZ].sum())
-        found.append(Line(float(hertz[index]), float(np.sqrt(strength)), strength / float(total)))
-    return found
+        peaks.append(Line(float(hertz[index]), float(np.sqrt(strength)), strength / float(total)))
+    return peaks
 
 
 def content_ends(hertz: np.ndarray, power: np.ndarray, share: float = 0.999) -> float:

@@ -166,7 +166,7 @@ def _subproblem(
     linear: Linear, theta: Tensor, lower: Tensor, upper: Tensor, free: Tensor
 ) -> tuple[_Subproblem, Tensor]:
     """The bounded linear problem at a point, directions that the data cannot tell held; and the mask of those named."""
-    A, b, own = linear
+    A, b, prior_weight = linear
     norms = torch.linalg.vector_norm(A, dim=0)
     A, norms = (torch.where(norms.isfinite(), part, 0.0) for part in (A, norms))  # what has exploded tells nothing
     zero = norms <= FLOOR
@@ -175,7 +175,9 @@ def _subproblem(
     mask = free & inward & ~zero
     mask, named = _told(A, norms, upper - lower, mask)
     scale = torch.where(zero, torch.ones_like(norms), norms)
-    return _Subproblem(Linear(A, b, own), (lower, upper), lower - theta, upper - theta, mask, scale), zero | named
+    return _Subproblem(
+        Linear(A, b, prior_weight), (lower, upper), lower - theta, upper - theta, mask, scale
+    ), zero | named
 
 
 def _told(A: Tensor, norms: Tensor, span: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
@@ -221,8 +223,8 @@ def _bounded_step(problem: _Subproblem, damping: float) -> Tensor:
     move = problem.free.clone()
     step = torch.zeros_like(problem.lower)
     while bool(move.any()):
-        rest = b - A[:, ~move] @ step[~move]
-        step[move] = least_squares(scaled[:, move], rest.unsqueeze(-1))[:, 0] / problem.scale[move]
+        remainder = b - A[:, ~move] @ step[~move]
+        step[move] = least_squares(scaled[:, move], remainder.unsqueeze(-1))[:, 0] / problem.scale[move]
         inside = torch.clamp(step, problem.lower, problem.upper)
         crossed = move & (inside != step)
         if not bool(crossed.any()):

@@ -19,11 +19,11 @@ def least_squares(A: Tensor, B: Tensor, rcond: float | None = None) -> Tensor:
     finite = (left.isfinite().all(-1) & right.isfinite().all(-1)).all(-1)[..., None, None]  # LAPACK refuses the others
     left, right = (torch.where(finite, part, 0.0) for part in (left, right))
     try:
-        found = torch.linalg.lstsq(left, right, rcond=rcond, driver="gelsd")
+        fit = torch.linalg.lstsq(left, right, rcond=rcond, driver="gelsd")
     except torch.linalg.LinAlgError:  # pyright: ignore[reportPrivateImportUsage]
         # hundreds of equal singular values, as heavy damping makes them, may not converge by dividing
-        found = torch.linalg.lstsq(left, right, rcond=rcond, driver="gelss")
-    return torch.where(finite, found.solution, torch.nan).to(A.device)
+        fit = torch.linalg.lstsq(left, right, rcond=rcond, driver="gelss")
+    return torch.where(finite, fit.solution, torch.nan).to(A.device)
 
 
 DEPENDENT = 1e-10

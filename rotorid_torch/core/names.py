@@ -122,14 +122,14 @@ def is_control(name: str) -> bool:
 
 def unit(name: str) -> str:
     """Unit of a channel; an empty string for a name outside the table."""
-    known = channel(name)
-    return known.unit if known else ""
+    listed = channel(name)
+    return listed.unit if listed else ""
 
 
 def default_bias(name: str) -> Bias:
     """Whether the channel's sensor has a free constant per flight unless the data set says otherwise, see `Channel`."""
-    known = channel(name)
-    return known.bias if known else "none"
+    listed = channel(name)
+    return listed.bias if listed else "none"
 
 
 def ordered_controls(names: Iterable[str]) -> tuple[str, ...]:
@@ -139,7 +139,7 @@ def ordered_controls(names: Iterable[str]) -> tuple[str, ...]:
     return (*(n for n in STICKS if n in chosen), *motors)
 
 
-def nearest(name: str, known: Iterable[str]) -> str:
+def nearest(name: str, words: Iterable[str]) -> str:
     """Hint for a misspelt name, " (did you mean 'x'?)" or an empty string."""
-    match = difflib.get_close_matches(name, list(known), n=1)
+    match = difflib.get_close_matches(name, list(words), n=1)
     return f" (did you mean '{match[0]}'?)" if match else ""

@@ -108,7 +108,7 @@ class Dataset:
         }
         declaration = declare(document, "arrays")
         digest = hashlib.sha256(json.dumps(document, sort_keys=True).encode())
-        made, facts, warnings = {}, {}, []
+        flown, facts, warnings = {}, {}, []
         for flight_name in declaration.flights.all():
             if flight_name not in flights:
                 raise InputError(
@@ -118,11 +118,11 @@ class Dataset:
             arrays = take_arrays(flights[flight_name], place)
             for channel, values in arrays.items():
                 digest.update(channel.encode() + values.tobytes())
-            made[flight_name], told = make_flight(flight_name, arrays, place, declaration.units())
-            facts[flight_name] = _facts(made[flight_name], place)
-            warnings += told
-        places: dict[str, str | Path] = {flight: f"arrays: flight {flight}" for flight in made}
-        return _assemble(declaration, made, facts, None, "arrays", places, digest.hexdigest(), warnings)
+            flown[flight_name], remarks = make_flight(flight_name, arrays, place, declaration.units())
+            facts[flight_name] = _facts(flown[flight_name], place)
+            warnings += remarks
+        places: dict[str, str | Path] = {flight: f"arrays: flight {flight}" for flight in flown}
+        return _assemble(declaration, flown, facts, None, "arrays", places, digest.hexdigest(), warnings)
 
     def noise(self, channel: str) -> float:
         """Standard deviation of a sample of a channel or control: declared, else from the identify flights.
@@ -241,8 +241,8 @@ class Dataset:
 
     def _measured(self) -> tuple[str, ...]:
         """Channels besides time that any identify flight has, in order of appearance."""
-        found = {channel: None for facts in self._identified() for channel in facts.spreads}
-        return tuple(channel for channel in found if channel != "time")
+        floors = {channel: None for facts in self._identified() for channel in facts.spreads}
+        return tuple(channel for channel in floors if channel != "time")
 
     @cached_property
     def _estimates(self) -> dict[str, float]:
@@ -256,8 +256,8 @@ class Dataset:
 
     def records(self, channel: str) -> list[np.ndarray]:
         """A channel's records (T,) in the identify flights that have it, a hundred at most: enough for a spectrum."""
-        there = [name for name in self.identify if self.facts[name].has(channel)]
-        return [self.flights[name].channels[channel].numpy() for name in _some(there, ENOUGH)]
+        flights = [name for name in self.identify if self.facts[name].has(channel)]
+        return [self.flights[name].channels[channel].numpy() for name in _some(flights, ENOUGH)]
 
 
 def _some(flights: Sequence[str], most: int) -> tuple[str, ...]:
@@ -280,8 +280,8 @@ def load(path: str | Path) -> Dataset:
         folder = folder.parent
     restore(folder)
     if not os.path.isdir(folder):
-        told = "is not a folder" if os.path.exists(folder) else "there is no such folder"
-        raise InputError(folder, "", told, "a data set's folder")
+        wrong = "is not a folder" if os.path.exists(folder) else "there is no such folder"
+        raise InputError(folder, "", wrong, "a data set's folder")
     toml = folder / "dataset.toml"
     declaration, content = read_declaration(toml)
     digest = hashlib.sha256(content)
@@ -294,10 +294,10 @@ def load(path: str | Path) -> Dataset:
         data = read_flight(file)
         digest.update(data)
         digests[name] = hashlib.sha256(data).digest()
-        flight, told = make_flight(name, parse_flight(file, data), file, units)
+        flight, wrong = make_flight(name, parse_flight(file, data), file, units)
         facts[name], places[name] = _facts(flight, file), file
         flights.keep(name, flight)
-        warnings += told
+        warnings += wrong
     return _assemble(declaration, flights, facts, folder, toml, places, digest.hexdigest(), warnings)
 
 
@@ -334,7 +334,7 @@ def _assemble(
     warnings: list[str],
 ) -> Dataset:
     """Checks that need declaration and flights together, then the Dataset."""
-    controls, told = _controls(declaration, facts, places)
+    controls, remarks = _controls(declaration, facts, places)
     specs = {
         name: declaration.controls.get(name) or ControlSpec(unit="norm" if names.is_motor(name) else "rad")
         for name in controls
@@ -346,7 +346,7 @@ def _assemble(
             toml, "vehicle.motors", f"declares {len(motors)} motors", f"{len(commands)}, one per motor command"
         )
     plausible.check_thrust(declaration.vehicle, _largest_inputs(commands, facts), toml)
-    present = {channel for known in facts.values() for channel in known.channels}
+    present = {channel for flight_facts in facts.values() for channel in flight_facts.channels}
     for channel in declaration.channels:
         if names.channel(channel) is None and channel not in present:
             hint = names.nearest(channel, names.CHANNELS)
@@ -371,7 +371,7 @@ def _assemble(
         validate=declaration.flights.validate,
         acid=declaration.flights.acid,
         settings=declaration.model,
-        warnings=(*declaration.warnings, *warnings, *told),
+        warnings=(*declaration.warnings, *warnings, *remarks),
         dead=dead,
     )
 
@@ -384,9 +384,9 @@ def _living(flights: Mapping[str, Flight], dead: Sequence[Dead]) -> Mapping[str,
 def _largest_inputs(commands: Sequence[str], facts: Mapping[str, Facts]) -> list[float]:
     """What the declared thrusts are of: 1 of a motor command, or the largest rotor speeds where all are recorded."""
     speeds = [f"omega{command.removeprefix('motor')}" for command in commands]
-    if not all(known.has(*speeds) for known in facts.values()):
+    if not all(flight_facts.has(*speeds) for flight_facts in facts.values()):
         return [1.0] * len(commands)
-    spreads = ([known.spreads[speed] for known in facts.values()] for speed in speeds)
+    spreads = ([flight_facts.spreads[speed] for flight_facts in facts.values()] for speed in speeds)
     return [max(max(abs(s.low), abs(s.high)) for s in every) for every in spreads]
 
 
@@ -394,22 +394,24 @@ def _controls(
     declaration: Declaration, facts: Mapping[str, Facts], places: Mapping[str, str | Path]
 ) -> tuple[tuple[str, ...], list[str]]:
     """Controls: the declared ones and those of the vehicle's kind that are recorded; every flight must have them."""
-    recorded = {channel for known in facts.values() for channel in known.channels if names.is_control(channel)}
+    recorded = {
+        channel for flight_facts in facts.values() for channel in flight_facts.channels if names.is_control(channel)
+    }
     motors = declaration.kind == "multirotor"
-    own = {name for name in recorded if names.is_motor(name) == motors}
-    chosen = names.ordered_controls(set(declaration.controls) | own or recorded)
+    of_kind = {name for name in recorded if names.is_motor(name) == motors}
+    chosen = names.ordered_controls(set(declaration.controls) | of_kind or recorded)
     if not chosen:
         file = places[declaration.flights.identify[0]]
         raise InputError(file, "controls", "there is no control", "at least one of lon, lat, col, ped, motor1, ...")
-    for name, known in facts.items():
+    for name, flight_facts in facts.items():
         for control in chosen:
-            if not known.has(control):
-                what = "is all NaN" if control in known.channels else "is missing"
+            if not flight_facts.has(control):
+                what = "is all NaN" if control in flight_facts.channels else "is missing"
                 raise InputError(places[name], control, what, "every control of the data set in every flight")
     undeclared = [name for name in chosen if name not in declaration.controls]
-    told = [
+    remarks = [
         f"control {name} has no [controls.{name}]: taken as {'norm' if names.is_motor(name) else 'rad'}"
         for name in undeclared
     ]
     unused = sorted(recorded - set(chosen))
-    return chosen, told + [f"channel {name} is recorded, not declared as a control and not used" for name in unused]
+    return chosen, remarks + [f"channel {name} is recorded, not declared as a control and not used" for name in unused]

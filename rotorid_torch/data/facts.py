@@ -51,8 +51,8 @@ class Facts:
         """Take them from a flight."""
         lead = flight.lead()
         spreads = {name: _spread(values.numpy(), lead) for name, values in flight.channels.items()}
-        known = {name: spread for name, spread in spreads.items() if spread is not None}
-        return cls(flight.dt, flight.samples, tuple(flight.channels), known)
+        measured = {name: spread for name, spread in spreads.items() if spread is not None}
+        return cls(flight.dt, flight.samples, tuple(flight.channels), measured)
 
     @property
     def seconds(self) -> float:
@@ -65,13 +65,13 @@ class Facts:
 
 
 def _spread(values: np.ndarray, lead: slice) -> Spread | None:
-    there = values[~np.isnan(values)]
-    if not len(there):
+    present = values[~np.isnan(values)]
+    if not len(present):
         return None
     first = values[lead]
     first = first[~np.isnan(first)]
-    start = float(first.mean()) if len(first) else float(there[0])
-    away = there - start
+    start = float(first.mean()) if len(first) else float(present[0])
+    away = present - start
     rests = not len(first) or bool(first.min() == first.max())
     sums = float(away.sum()), float(away @ away)
-    return Spread(start, len(there), *sums, float(there.min()), float(there.max()), rests)
+    return Spread(start, len(present), *sums, float(present.min()), float(present.max()), rests)

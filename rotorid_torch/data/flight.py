@@ -60,8 +60,8 @@ def bridged(columns: Tensor) -> Tensor:
 
 
 def _bridge(column: Tensor) -> Tensor:
-    known = (~column.isnan()).nonzero().squeeze(-1)
-    if len(known) in (0, len(column)):
+    present = (~column.isnan()).nonzero().squeeze(-1)
+    if len(present) in (0, len(column)):
         return column
-    index, there = np.arange(len(column)), known.numpy()
-    return torch.from_numpy(np.interp(index, there, column.numpy()[there]))
+    index, samples = np.arange(len(column)), present.numpy()
+    return torch.from_numpy(np.interp(index, samples, column.numpy()[samples]))

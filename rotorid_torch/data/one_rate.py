@@ -29,11 +29,11 @@ def at_one_rate(dataset: Dataset) -> Dataset:
         return dataset
     flights = OnDemand(dataset.flights, lambda name: _slowed(dataset.flights[name], slow))
     facts = {name: Facts.of(flight) for name, flight in flights.items()}
-    told = (
+    remark = (
         f"flights are recorded at {1.0 / slow:.4g} to {1.0 / min(intervals):.4g} Hz: the three steps see all of them at"
         f" {1.0 / slow:.4g} Hz, free runs are judged as recorded; record at one rate if fast dynamics matter"
     )
-    warnings = (*dataset.warnings, told)
+    warnings = (*dataset.warnings, remark)
     return replace(dataset, flights=MappingProxyType(flights), facts=MappingProxyType(facts), warnings=warnings)
 
 

@@ -35,10 +35,10 @@ def _told(message: str, document: Any, kind: Any, file: str | Path, prefix: str)
     if missing := re.fullmatch(r"Object missing required field `(.*)`", text):
         allowed = _allowed(_type_at(kind, [*steps, missing[1]]))
         return InputError(file, f"{key}.{missing[1]}" if key else missing[1], "is missing", allowed or "this key")
-    found = _value_at(document, steps)
+    refused = _value_at(document, steps)
     allowed = _allowed(_type_at(kind, steps))
     expected = re.sub(r"^Expected ", "", text.split(", got")[0]).replace("`", "").replace(" | null", "")
-    return InputError(file, key, f"is {shown(found)}", allowed or expected)
+    return InputError(file, key, f"is {shown(refused)}", allowed or expected)
 
 
 def shown(value: Any) -> str:

@@ -31,25 +31,25 @@ def with_velocities(dataset: Dataset) -> Dataset:
     body axes. Where positions are held or missing so often that this cannot be, a warning says so. `derived` tells that
     no score is to know these channels.
     """
-    known = dataset.facts.values()
-    measured = any(facts.has(c) for facts in known for c in VELOCITIES)
-    if measured or not all(facts.has(*POSITIONS, *ATTITUDES) for facts in known):
+    flights_facts = dataset.facts.values()
+    measured = any(facts.has(c) for facts in flights_facts for c in VELOCITIES)
+    if measured or not all(facts.has(*POSITIONS, *ATTITUDES) for facts in flights_facts):
         return dataset
     flights = OnDemand(dataset.flights, lambda name: _with_velocities(dataset.flights[name]))
     facts = {name: Facts.of(flight) for name, flight in flights.items()}
     held = any(_held(flight) for flight in dataset.flights.values())
     if held or not all(one.has(*VELOCITIES) for one in facts.values()):
-        told = "u v w are not measured, nor can they be had from position: it is held or missing for too long"
-        return replace(dataset, warnings=tuple(dict.fromkeys((*dataset.warnings, told))))
+        remark = "u v w are not measured, nor can they be had from position: it is held or missing for too long"
+        return replace(dataset, warnings=tuple(dict.fromkeys((*dataset.warnings, remark))))
     noise = _noise(dataset, flights)
     size = f"{noise['u'].noise:.2g}, w to {noise['w'].noise:.2g} m/s"
-    told = f"u v w are not measured: made from position and attitude, to about {size}, and not scored"
+    remark = f"u v w are not measured: made from position and attitude, to about {size}, and not scored"
     return replace(
         dataset,
         flights=MappingProxyType(flights),
         facts=MappingProxyType(facts),
         channel_specs=MappingProxyType({**dataset.channel_specs, **noise}),
-        warnings=(*dataset.warnings, told),
+        warnings=(*dataset.warnings, remark),
         derived=frozenset(VELOCITIES),
     )
 
@@ -78,9 +78,9 @@ def _noise(dataset: Dataset, flights: Mapping[str, Flight]) -> dict[str, Channel
 def _held(flight: Flight) -> bool:
     """Whether a position that moves at all stays for longer than half the window before it changes, on average."""
     steps = np.diff(flight.stack(POSITIONS).numpy(), axis=0)
-    there = (~np.isnan(steps)).sum(axis=0)
+    measured = (~np.isnan(steps)).sum(axis=0)
     changes = (np.nan_to_num(steps) != 0.0).sum(axis=0)
-    return bool(((changes > 0) & (there * flight.dt > HALF * changes)).any())
+    return bool(((changes > 0) & (measured * flight.dt > HALF * changes)).any())
 
 
 def _half(dt: float) -> int:

@@ -83,14 +83,14 @@ def write_dataset(
     }
     with writing(place):
         place.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_folder(place, lambda: refuse_unless_free(place)) as beside:
-        (beside / "dataset.toml").write_text(to_toml(document), encoding="utf-8")
-        _write_arrays(beside / "flights", {flight: flights[flight] for flight in (*identify, *validate, *acid)})
+    with atomic_folder(place, lambda: refuse_unless_free(place)) as partial:
+        (partial / "dataset.toml").write_text(to_toml(document), encoding="utf-8")
+        _write_arrays(partial / "flights", {flight: flights[flight] for flight in (*identify, *validate, *acid)})
         if truth:
-            _write_arrays(beside / "truth", truth)
+            _write_arrays(partial / "truth", truth)
         for file, text in (texts or {}).items():
             if text != to_toml(document):
-                (beside / file).write_text(text, encoding="utf-8")
+                (partial / file).write_text(text, encoding="utf-8")
     return place
 
 
@@ -133,8 +133,8 @@ def declarations(out: str | Path) -> dict[str, str]:
     if not (place / "dataset.toml").is_file():
         return {}
     text = _text(place / "dataset.toml")
-    known = {f.name: _text(f) for f in sorted(place.glob(f"{BEFORE}*.toml"))}
-    return known if text in known.values() else {**known, f"{BEFORE}{len(known) + 1}.toml": text}
+    texts = {f.name: _text(f) for f in sorted(place.glob(f"{BEFORE}*.toml"))}
+    return texts if text in texts.values() else {**texts, f"{BEFORE}{len(texts) + 1}.toml": text}
 
 
 def _text(file: Path) -> str:
@@ -151,8 +151,8 @@ def _description(file: Path) -> str:
 
 def _write_arrays(folder: Path, flights: Mapping[str, Mapping[str, Any]]) -> None:
     folder.mkdir()
-    for name, given in flights.items():
-        arrays: Arrays = take_arrays(given, f"arrays: flight {name}")
+    for name, columns in flights.items():
+        arrays: Arrays = take_arrays(columns, f"arrays: flight {name}")
         with (folder / f"{name}.npz").open("wb") as stream:
             np.savez(stream, allow_pickle=False, **arrays)
 

@@ -71,8 +71,8 @@ def of_others() -> list[str]:
 
 def predicted_by(names: Iterable[str]) -> tuple[str, ...]:
     """Channels beyond the body's that these effects predict."""
-    known = registered()
-    return tuple(dict.fromkeys(c for name in names if name in known for c in known[name].predicts))
+    effects_by_id = registered()
+    return tuple(dict.fromkeys(c for name in names if name in effects_by_id for c in effects_by_id[name].predicts))
 
 
 def refusal(name: str, spec: ModelSpec) -> str | None:
@@ -84,10 +84,10 @@ def refusal(name: str, spec: ModelSpec) -> str | None:
 
 def make(name: str, spec: ModelSpec) -> Effect:
     """The effect of this id for a vehicle; InputError where there is none, or the vehicle's data cannot test it."""
-    known = registered()
-    if name not in known:
-        raise InputError("--effect", name, "there is no such effect", f"one of {', '.join(sorted(known))}")
+    effects_by_id = registered()
+    if name not in effects_by_id:
+        raise InputError("--effect", name, "there is no such effect", f"one of {', '.join(sorted(effects_by_id))}")
     reason = refusal(name, spec)
     if reason is not None:
         raise InputError("--effect", name, f"this data set cannot test it: {reason}", "another effect, or other data")
-    return known[name].from_spec(spec)
+    return effects_by_id[name].from_spec(spec)

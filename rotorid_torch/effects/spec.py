@@ -109,8 +109,8 @@ class ModelSpec(msgspec.Struct, frozen=True, kw_only=True):
 
     def without(self, effects: Collection[str]) -> ModelSpec:
         """With these effects less, where it has them."""
-        kept, each = (tuple(e for e in own if e not in effects) for own in (self.effects, self.each_control))
-        return msgspec.structs.replace(self, effects=kept, each_control=each)
+        remaining, each = (tuple(e for e in listed if e not in effects) for listed in (self.effects, self.each_control))
+        return msgspec.structs.replace(self, effects=remaining, each_control=each)
 
     def plain(self) -> dict[str, Any]:
         """As builtins, for model.pt."""
@@ -161,5 +161,5 @@ def _vehicle(spec: ModelSpec) -> dict[str, Any]:
     motors = [
         {**motor, "spin": {1.0: "ccw", -1.0: "cw"}.get(motor["spin"], motor["spin"])} for motor in plain["motors"]
     ]
-    kept = {name: value for name, value in plain.items() if name in Vehicle.__struct_fields__}
-    return {**kept, "motors": motors}
+    fields = {name: value for name, value in plain.items() if name in Vehicle.__struct_fields__}
+    return {**fields, "motors": motors}

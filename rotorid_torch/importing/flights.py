@@ -55,10 +55,10 @@ class Record:
     cuts: tuple[float, ...] = ()
 
 
-def record_of(log: Log, given: Map | None) -> Record:
+def record_of(log: Log, user_map: Map | None) -> Record:
     """Signals of a log by its map, cleaned; with what follows from them."""
-    plan = built_in_plan(log) if given is None or given.built_in else Plan(given.kind, {})
-    mapped = given.entries() if given else {}
+    plan = built_in_plan(log) if user_map is None or user_map.built_in else Plan(user_map.kind, {})
+    mapped = user_map.entries() if user_map else {}
     entries = {**plan.entries, **{n: _in_header_unit(log, n, e) for n, e in mapped.items()}}
     if not any(names.is_control(name) for name in entries):
         listed = ", ".join(sorted(topic for topic in log.fields if topic)[:TOLD]) or ", ".join(
@@ -66,21 +66,21 @@ def record_of(log: Log, given: Map | None) -> Record:
         )
         wanted = "a map (--map) that names lon, lat, col, ped or motor1, motor2, ..."
         raise InputError(log.file, "", f"has no control that is known (it has {listed or 'nothing'})", wanted)
-    found, told = signals(log, entries, "channels")
-    clean, found = dict[str, Signal](), _within_half_a_turn(found)
-    for name, signal in found.items():
+    extracted, notes = signals(log, entries, "channels")
+    clean, extracted = dict[str, Signal](), _within_half_a_turn(extracted)
+    for name, signal in extracted.items():
         unit = find_unit(entries[name].unit)
         clean[name], sentence = possible(signal, unit.measures if unit else "", log.file)
-        told += [sentence] if sentence else []
-    chosen = {*given.channels} if given else set[str]()
+        notes += [sentence] if sentence else []
+    chosen = {*user_map.channels} if user_map else set[str]()
     slow, dead = _slow_speeds(clean), _dead(clean)
     for left, why in ((slow, "recorded less often than the motor commands"), (dead, "never changes")):
         left_out = [name for name in left if name not in chosen and log.system]
         clean = {name: signal for name, signal in clean.items() if name not in left_out}
-        told += [f"{', '.join(left_out)} left out: {why}"] if left_out else []
+        notes += [f"{', '.join(left_out)} left out: {why}"] if left_out else []
     mended = repaired(log, clean)
-    unknown = unknown_names(given.entries()) if given else ()
-    warnings = [*log.warnings, *plan.notes, *unknown, *told, *mended.told]
+    unknown = unknown_names(user_map.entries()) if user_map else ()
+    warnings = [*log.warnings, *plan.notes, *unknown, *notes, *mended.told]
     return Record(log.file, plan, entries, before_resampling(mended.signals), warnings, mended.cuts)
 
 
@@ -90,56 +90,56 @@ def _in_header_unit(log: Log, name: str, entry: Entry) -> Entry:
     return entry if entry.unit else structs.replace(entry, unit=header_name(field)[1])
 
 
-def _within_half_a_turn(found: dict[str, Signal]) -> dict[str, Signal]:
+def _within_half_a_turn(extracted: dict[str, Signal]) -> dict[str, Signal]:
     """Signals whose roll angle, where it goes on turning as its rate says, is wrapped."""
-    phi, p = found.get("phi"), found.get("p")
+    phi, p = extracted.get("phi"), extracted.get("p")
     if phi is None or p is None or not unwrapped_roll(phi.time, phi.values, p.time, p.values):
-        return found
-    return found | {"phi": replace(phi, values=wrapped(phi.values))}
+        return extracted
+    return extracted | {"phi": replace(phi, values=wrapped(phi.values))}
 
 
-def _dead(found: Mapping[str, Signal]) -> list[str]:
+def _dead(extracted: Mapping[str, Signal]) -> list[str]:
     """Channels that are there by name only, as position and velocity without a receiver are.
 
     Angles of an attitude of which one moves are measured, also where the others stand exactly still.
     """
     exempt = {*names.RATES, *QUATERNION}
-    if any(moving(found[name].values) for name in ANGLES if name in found):
+    if any(moving(extracted[name].values) for name in ANGLES if name in extracted):
         exempt |= {*ANGLES}
-    still = (name for name in found if not names.is_control(name) and name not in exempt)
-    return [name for name in still if not moving(found[name].values)]
+    still = (name for name in extracted if not names.is_control(name) and name not in exempt)
+    return [name for name in still if not moving(extracted[name].values)]
 
 
-def _slow_speeds(found: Mapping[str, Signal]) -> list[str]:
+def _slow_speeds(extracted: Mapping[str, Signal]) -> list[str]:
     """Rotor speeds that would replace commands which are better known."""
-    commands = [signal.hertz for name, signal in found.items() if names.is_motor(name)]
-    speeds = [name for name in found if name.startswith("omega") and name != "omega"]
-    return [name for name in speeds if commands and found[name].hertz < 0.8 * min(commands)]
+    commands = [signal.hertz for name, signal in extracted.items() if names.is_motor(name)]
+    speeds = [name for name in extracted if name.startswith("omega") and name != "omega"]
+    return [name for name in speeds if commands and extracted[name].hertz < 0.8 * min(commands)]
 
 
 def flights_of(
     record: Record, hertz: float, split: bool, taken: set[str]
 ) -> tuple[dict[str, tuple[Arrays, str]], list[str]]:
     """Flights of a record with their kinds, on the grid, and what was left out."""
-    told = _slow_controls(record)
+    notes = _slow_controls(record)
     spans, left = _spans(record)
-    told += left
-    made: dict[str, tuple[Arrays, str]] = {}
+    notes += left
+    flights: dict[str, tuple[Arrays, str]] = {}
     for number, (start, stop) in enumerate(spans, 1):
-        name = _free(_plain(record.file.stem) + (f"_{number}" if len(spans) > 1 else ""), taken | {*made})
+        name = _free(_plain(record.file.stem) + (f"_{number}" if len(spans) > 1 else ""), taken | {*flights})
         arrays, sentence = _gridded(record, start, stop, hertz)
-        told += [sentence] if sentence and number == 1 else []
+        notes += [sentence] if sentence and number == 1 else []
         pieces = manoeuvres.cut(arrays, 1.0 / hertz) if split else []
         if split and not pieces:
-            told.append(f"{name}: no control moves for {manoeuvres.SHORTEST_S:g} s: not cut")
+            notes.append(f"{name}: no control moves for {manoeuvres.SHORTEST_S:g} s: not cut")
         for piece in pieces:
             at = arrays["time"][piece.start]
             part = {channel: values[piece.start : piece.stop] for channel, values in arrays.items()}
             part["time"] = part["time"] - at
-            made[_free(f"{name}_{round(at):04d}s_{piece.kind}", taken | {*made})] = (part, piece.kind)
+            flights[_free(f"{name}_{round(at):04d}s_{piece.kind}", taken | {*flights})] = (part, piece.kind)
         if not pieces:
-            made[name] = (arrays, "")
-    return made, told
+            flights[name] = (arrays, "")
+    return flights, notes
 
 
 def _slow_controls(record: Record) -> list[str]:
@@ -149,24 +149,24 @@ def _slow_controls(record: Record) -> list[str]:
     if not slow:
         return []
     hertz = min(slow.values())
-    told = f"{', '.join(slow)} recorded at {hertz:.3g} Hz, the body rates at {max(rates):.3g} Hz"
-    return [f"{told}: above {hertz / 2:.2g} Hz nothing is known of the controls"]
+    rates_words = f"{', '.join(slow)} recorded at {hertz:.3g} Hz, the body rates at {max(rates):.3g} Hz"
+    return [f"{rates_words}: above {hertz / 2:.2g} Hz nothing is known of the controls"]
 
 
 def _spans(record: Record) -> tuple[list[tuple[float, float]], list[str]]:
     """Times from and to which all controls and body rates are there, one per flight; what was left out."""
     needed = {n: s for n, s in record.signals.items() if names.is_control(n) or n in names.RATES}
-    known = {n: s.time[np.isfinite(s.values)] for n, s in needed.items()}
-    if empty := next((n for n, time in known.items() if len(time) < 2), None):
+    stamps = {n: s.time[np.isfinite(s.values)] for n, s in needed.items()}
+    if empty := next((n for n, time in stamps.items() if len(time) < 2), None):
         raise InputError(record.file, f"{needed[empty].source} ({empty})", "has no samples", "a recorded channel")
-    clock = min(known.values(), key=len)
+    clock = min(stamps.values(), key=len)
     cuts = np.searchsorted(clock, record.cuts)
     edges = np.union1d(np.flatnonzero(np.diff(clock) > PAUSE_S), cuts[(cuts > 0) & (cuts < len(clock))] - 1).astype(int)
     starts, stops = clock[np.concatenate([[0], edges + 1])], clock[np.concatenate([edges, [len(clock) - 1]])]
     spans, short = [], 0
     for start, stop in zip(starts, stops, strict=True):
         first, last = _within(record, start, stop, 1.0)
-        inside = [time[slice(*np.searchsorted(time, (first, last)))] for time in known.values()]
+        inside = [time[slice(*np.searchsorted(time, (first, last)))] for time in stamps.values()]
         low = max((time[0] for time in inside if len(time)), default=stop)
         high = min((time[-1] for time in inside if len(time)), default=start)
         whole = all(map(len, inside)) and high - low >= LEAST_S
@@ -174,15 +174,15 @@ def _spans(record: Record) -> tuple[list[tuple[float, float]], list[str]]:
         short += not whole
     if spans:
         return spans, [f"{short} stretches of under {LEAST_S:g} s or without all controls left out"] if short else []
-    ends = {n: f"{time[0]:.6g} to {time[-1]:.6g} s" for n, time in known.items()}
-    first = min(known, key=lambda n: known[n][-1])
-    last = max(known, key=lambda n: known[n][0])
-    lasts = max(time[-1] for time in known.values()) - min(time[0] for time in known.values())
+    ends = {n: f"{time[0]:.6g} to {time[-1]:.6g} s" for n, time in stamps.items()}
+    first = min(stamps, key=lambda n: stamps[n][-1])
+    last = max(stamps, key=lambda n: stamps[n][0])
+    lasts = max(time[-1] for time in stamps.values()) - min(time[0] for time in stamps.values())
     if lasts < 2.0 * LEAST_S or len({*ends.values()}) == 1:
-        told = f"lasts {lasts:.2g} s" if lasts < PAUSE_S else f"has no {LEAST_S:g} s without a pause of {PAUSE_S:g} s"
-        raise InputError(record.file, "time", told, f"a flight of {LEAST_S:g} s at least")
-    told = f"{first} runs from {ends[first]}, {last} from {ends[last]}: less than {LEAST_S:g} s in common"
-    raise InputError(record.file, "time", told, "controls and body rates on one clock")
+        wrong = f"lasts {lasts:.2g} s" if lasts < PAUSE_S else f"has no {LEAST_S:g} s without a pause of {PAUSE_S:g} s"
+        raise InputError(record.file, "time", wrong, f"a flight of {LEAST_S:g} s at least")
+    wrong = f"{first} runs from {ends[first]}, {last} from {ends[last]}: less than {LEAST_S:g} s in common"
+    raise InputError(record.file, "time", wrong, "controls and body rates on one clock")
 
 
 def _within(record: Record, start: float, stop: float, beyond: float) -> tuple[float, float]:
@@ -205,8 +205,8 @@ def _gridded(record: Record, start: float, stop: float, hertz: float) -> tuple[A
     parts = {name: (s, slice(*ends[name])) for name, s in record.signals.items()}
     arrays = {name: on_grid(s.time[part], s.values[part], grid) for name, (s, part) in parts.items()}
     arrays, sentence = body_velocity(angles_on_grid(arrays))
-    there = {name: values for name, values in arrays.items() if np.isfinite(values).any()}
-    return {"time": np.arange(count) / hertz, **there}, sentence
+    measured = {name: values for name, values in arrays.items() if np.isfinite(values).any()}
+    return {"time": np.arange(count) / hertz, **measured}, sentence
 
 
 def _plain(stem: str) -> str:

@@ -49,8 +49,8 @@ def read_log(file: Path, choose: Choose, clock: Clock | None, form: Form | None 
             return TABLES[ending](file, choose, clock)
     except OSError as error:
         raise InputError(file, "", f"cannot be read ({error.strerror or error})", "a readable file") from None
-    known = ", ".join((*FLIGHT_LOGS, *TABLES))
-    raise InputError(file, "", f"has the ending '{ending}', which no reader reads", f"one of {known}")
+    endings = ", ".join((*FLIGHT_LOGS, *TABLES))
+    raise InputError(file, "", f"has the ending '{ending}', which no reader reads", f"one of {endings}")
 
 
 def built_in_fields(topic: str, names: list[str]) -> list[str]:

@@ -91,26 +91,26 @@ def import_logs(
     """
     place, files = Path(out), [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
     refuse_unless_free(place, IMPORTED, [*files, *([Path(mapping)] if isinstance(mapping, str | Path) else [])])
-    kept = declarations(place)
+    earlier_declarations = declarations(place)
     if not files:
         raise InputError("import", "", "has no log", "at least one file")
     if rate is not None and not RATES_HZ[0] <= rate <= RATES_HZ[1]:
         raise InputError("--rate", str(rate), "is out of range", f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz")
-    given = read_map(mapping) if mapping is not None else None
-    records = _records(files, given)
+    user_map = read_map(mapping) if mapping is not None else None
+    records = _records(files, user_map)
     grid_hz = rate or _usual_rate(records)
-    flights, kinds, told = dict[str, dict[str, np.ndarray]](), dict[str, str](), list[str]()
+    flights, kinds, notes = dict[str, dict[str, np.ndarray]](), dict[str, str](), list[str]()
     channels = dict[str, Taken]()
     for record in records:
-        made, more = flights_of(record, grid_hz, split, set(flights))
-        channels |= {n: taken for n, taken in _taken(record, made).items() if n not in channels}
+        cut, more = flights_of(record, grid_hz, split, set(flights))
+        channels |= {n: taken for n, taken in _taken(record, cut).items() if n not in channels}
         record.signals.clear()  # the next log needs the memory
-        told += [f"{record.file.name}: {sentence}" for sentence in (*record.warnings, *more)]
-        flights |= {name: arrays for name, (arrays, _) in made.items()}
-        kinds |= {name: kind for name, (_, kind) in made.items()}
+        notes += [f"{record.file.name}: {sentence}" for sentence in (*record.warnings, *more)]
+        flights |= {name: arrays for name, (arrays, _) in cut.items()}
+        kinds |= {name: kind for name, (_, kind) in cut.items()}
     seconds = {name: float(arrays["time"][-1]) for name, arrays in flights.items()}
     lists = manoeuvres.share_out([(name, kinds[name], seconds[name]) for name in flights])
-    kind, controls = _vehicle_kind(records, given), _controls(records, flights)
+    kind, controls = _vehicle_kind(records, user_map), _controls(records, flights)
     write_dataset(
         place,
         flights,
@@ -119,37 +119,37 @@ def import_logs(
         acid=lists["acid"],
         kind=kind,
         description=f"{IMPORTED} {printable(', '.join(f.name for f in files), layout=False)} at {grid_hz:g} Hz.",
-        vehicle=(given.vehicle if given else None) or dict(records[0].plan.vehicle) or None,
+        vehicle=(user_map.vehicle if user_map else None) or dict(records[0].plan.vehicle) or None,
         controls=controls,
-        texts=kept,
+        texts=earlier_declarations,
     )
-    if there := [file for file in kept if (place / file).exists()]:
-        told.append(
-            f"{place.name}: the data set that was here is replaced; what it declared is kept: {', '.join(there)}"
+    if replaced := [file for file in earlier_declarations if (place / file).exists()]:
+        notes.append(
+            f"{place.name}: the data set that was here is replaced; what it declared is kept: {', '.join(replaced)}"
         )
     durations = {name: (seconds[name], kinds[name]) for name in flights}
     measured = {name: table["unit"] for name, table in controls.items()}
-    return Imported(place, kind, grid_hz, durations, lists, channels, measured, tuple(told))
+    return Imported(place, kind, grid_hz, durations, lists, channels, measured, tuple(notes))
 
 
-def _records(files: Sequence[Path], given: Map | None) -> list[Record]:
+def _records(files: Sequence[Path], user_map: Map | None) -> list[Record]:
     """Every log read and turned into signals; one record of all where they are streams of one flight."""
-    if given is not None and given.together:
-        return [record_of(_joined([_read(file, given, together=True) for file in files]), given)]
-    return [record_of(_read(file, given, together=False), given) for file in files]
+    if user_map is not None and user_map.together:
+        return [record_of(_joined([_read(file, user_map, together=True) for file in files]), user_map)]
+    return [record_of(_read(file, user_map, together=False), user_map) for file in files]
 
 
-def _read(file: Path, given: Map | None, together: bool) -> Log:
-    if given is None:
+def _read(file: Path, user_map: Map | None, together: bool) -> Log:
+    if user_map is None:
         return read_log(file, lambda topic, fields: built_in_fields(topic, list(fields)), None)
     stem = f"{file.stem}." if together else ""
-    mapped = choose(e.field.removeprefix(stem) for e in given.entries().values() if e.field.startswith(stem))
-    built_in = given.built_in
+    mapped = choose(e.field.removeprefix(stem) for e in user_map.entries().values() if e.field.startswith(stem))
+    built_in = user_map.built_in
 
     def wanted(topic: str, fields: Sequence[str]) -> list[str]:
         return [*mapped(topic, fields), *(built_in_fields(topic, list(fields)) if built_in else ())]
 
-    return read_log(file, wanted, given.clock(), given.form())
+    return read_log(file, wanted, user_map.clock(), user_map.form())
 
 
 def _joined(logs: Sequence[Log]) -> Log:
@@ -178,28 +178,28 @@ def _usual_rate(records: Sequence[Record]) -> float:
     return float(f"{min(*usual, FASTEST_HZ):.2g}") if min(usual) < FASTEST_HZ else FASTEST_HZ
 
 
-def _vehicle_kind(records: Sequence[Record], given: Map | None) -> str:
-    if given is not None and given.kind:
-        return given.kind
+def _vehicle_kind(records: Sequence[Record], user_map: Map | None) -> str:
+    if user_map is not None and user_map.kind:
+        return user_map.kind
     motors = any(names.is_motor(name) for record in records for name in record.entries)
     return records[0].plan.kind or ("multirotor" if motors else "helicopter")
 
 
 def _controls(records: Sequence[Record], flights: Mapping[str, Mapping[str, np.ndarray]]) -> dict[str, Any]:
     """Tables of the controls with their units: motors are 0 to 1, sticks what their map says."""
-    found: dict[str, Any] = {}
+    declared: dict[str, Any] = {}
     for name in names.ordered_controls({name for arrays in flights.values() for name in arrays}):
         entry = next(record.entries[name] for record in records if name in record.entries)
         unit = units.find_unit(entry.unit)
-        found[name] = {"unit": "norm" if names.is_motor(name) else unit.measures if unit else "rad"}
-    return found
+        declared[name] = {"unit": "norm" if names.is_motor(name) else unit.measures if unit else "rad"}
+    return declared
 
 
 def _taken(record: Record, flights: Mapping[str, tuple[Mapping[str, np.ndarray], str]]) -> dict[str, Taken]:
     """Where each channel of a record's flights came from; what was computed on the grid has no source."""
-    found: dict[str, Taken] = {}
+    taken: dict[str, Taken] = {}
     for name in {channel: None for arrays, _ in flights.values() for channel in arrays if channel != "time"}:
         signal = record.signals.get(name) or (record.signals.get(QUATERNION[0]) if name in ANGLES else None)
         reason = record.plan.reasons.get(QUATERNION[0] if name in ANGLES else name) or record.plan.reasons.get(name, "")
-        found[name] = Taken(str(signal.source) if signal else "", signal.hertz if signal else 0.0, reason)
-    return found
+        taken[name] = Taken(str(signal.source) if signal else "", signal.hertz if signal else 0.0, reason)
+    return taken

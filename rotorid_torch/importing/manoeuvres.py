@@ -60,10 +60,10 @@ def cut(arrays: Mapping[str, np.ndarray], dt: float) -> list[Piece]:
 
 def activity(values: np.ndarray, dt: float) -> np.ndarray:
     """How far a control (T,) is from its slow mean, smoothed; a missing sample counts as no activity."""
-    known = np.isfinite(values)
-    if not known.any():
+    finite = np.isfinite(values)
+    if not finite.any():
         return np.zeros(len(values))
-    filled = np.interp(np.arange(len(values)), np.flatnonzero(known), values[known])
+    filled = np.interp(np.arange(len(values)), np.flatnonzero(finite), values[finite])
     return np.abs(_mean(filled, round(QUICK_S / dt)) - _mean(filled, round(SLOW_S / dt)))
 
 

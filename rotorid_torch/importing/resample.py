@@ -23,8 +23,8 @@ def on_grid(time: np.ndarray, values: np.ndarray, grid: np.ndarray) -> np.ndarra
     A faster signal is interpolated to the next multiple of the grid's rate and averaged with a symmetric window of a
     sinc, so no phase is lost; missing samples have no weight. Others are interpolated linearly.
     """
-    known = np.isfinite(values)
-    time, values = time[known], values[known]
+    finite = np.isfinite(values)
+    time, values = time[finite], values[finite]
     if len(time) < 2:
         return np.full(len(grid), np.nan)
     dt = float(grid[1] - grid[0]) if len(grid) > 1 else 1.0
@@ -63,11 +63,11 @@ def _filtered(
 ) -> np.ndarray:
     reach = len(kernel) // 2
     fine = grid[0] + fine_dt * np.arange(-reach, (len(grid) - 1) * multiple + reach + 1)
-    there = _known(time, gaps, fine, fine_dt)
-    held = np.where(there, np.interp(fine, time, values), 0.0)
-    windows = (np.lib.stride_tricks.sliding_window_view(x, len(kernel))[::multiple] for x in (held, there * 1.0))
+    present = _known(time, gaps, fine, fine_dt)
+    held = np.where(present, np.interp(fine, time, values), 0.0)
+    windows = (np.lib.stride_tricks.sliding_window_view(x, len(kernel))[::multiple] for x in (held, present * 1.0))
     total, weight = (window @ kernel for window in windows)
-    usable = there[reach : len(fine) - reach : multiple] & (weight > 0.5)
+    usable = present[reach : len(fine) - reach : multiple] & (weight > 0.5)
     return np.where(usable, total / np.where(usable, weight, 1.0), np.nan)
 
 

@@ -31,19 +31,19 @@ class Accelerations:
         The states' rates are those of the body, as a gyro tells them, and not what is left of them where spinning-up
         rotors take their share. theta : [P], or [..., 1, P] for many at once.
         """
-        found = self.model.outputs_at(theta, states, taped)
+        outputs = self.model.outputs_at(theta, states, taped)
         yaw = self._yaw(states)
-        share = found[..., -1] - yaw  # of the rate by the rotors' momentum
+        share = outputs[..., -1] - yaw  # of the rate by the rotors' momentum
         if bool((share != 0.0).any()):
-            found = self.model.outputs_at(theta, self._less(states, share), taped)
-        values = dict(zip(self.names, found.unbind(-1), strict=False))
+            outputs = self.model.outputs_at(theta, self._less(states, share), taped)
+        values = dict(zip(self.names, outputs.unbind(-1), strict=False))
         values["rdot"] = values["rdot"] + torch.gradient(share, spacing=dt, dim=-1)[0]
         return values
 
     def inside(self, states: Tensor, taped: Tensor) -> Tensor:
         """The model's states [T, nx] where the rates are those of the body, as measured."""
-        found = self.model.outputs_at(self.model.theta, states, taped)
-        return self._less(states, found[..., -1] - self._yaw(states))
+        outputs = self.model.outputs_at(self.model.theta, states, taped)
+        return self._less(states, outputs[..., -1] - self._yaw(states))
 
     def _yaw(self, states: Tensor) -> Tensor:
         return self.model.layout.pick(states, RATES[2])[..., 0]

@@ -49,8 +49,8 @@ class Model(nn.Module):
         declared = [replace(p, name=f"{e.id}.{p.name}") for e in self.chain for p in e.declared]
         self.parameter_set = ParameterSet(tuple(declared))
         self.theta = nn.Parameter(self.parameter_set.values)
-        own = [replace(s, name=_state_name(e, s)) for e in self.chain for s in e.states]
-        self.layout = StateLayout(tuple([State(n, BODY_UNITS[n]) for n in body.states] + own))
+        effect_states = [replace(s, name=_state_name(e, s)) for e in self.chain for s in e.states]
+        self.layout = StateLayout(tuple([State(n, BODY_UNITS[n]) for n in body.states] + effect_states))
         inertia = (
             torch.eye(3, dtype=torch.float64)
             if body.inertia is None
@@ -125,9 +125,9 @@ class Model(nn.Module):
         for k, effect in enumerate(self.chain):
             if effect.stage in (Stage.CONTROL, Stage.SENSORS):
                 continue
-            frame, own = effect(frame, x[..., self._slices[k][1]], self.values(theta, k))
+            frame, effect_rates = effect(frame, x[..., self._slices[k][1]], self.values(theta, k))
             if effect.states:
-                frame = frame.with_rates(**dict(zip(self.state_names(k), own.unbind(-1), strict=True)))
+                frame = frame.with_rates(**dict(zip(self.state_names(k), effect_rates.unbind(-1), strict=True)))
         names = self.layout.names[n:]
         return frame, vec(*(frame.rates[name] for name in names)) if names else x[..., :0]
 
@@ -135,8 +135,8 @@ class Model(nn.Module):
         """dx/dt [..., nx] at parameters theta [..., P], states x [..., nx], controls u [..., nu]."""
         return self._rates(x, *self.frame(theta, x, u))
 
-    def _rates(self, x: Tensor, frame: Frame, own: Tensor) -> Tensor:
-        return join(*self._body_rates(frame, x), own)
+    def _rates(self, x: Tensor, frame: Frame, effect_rates: Tensor) -> Tensor:
+        return join(*self._body_rates(frame, x), effect_rates)
 
     def _angular(self, frame: Frame, rates: Tensor) -> Tensor:
         assert frame.moment is not None
@@ -162,8 +162,8 @@ class Model(nn.Module):
 
     def motion(self, theta: Tensor, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
         """`rates` and `outputs_at` of one frame."""
-        frame, own = self.frame(theta, x, u)
-        return self._rates(x, frame, own), self._outputs(theta, x, frame)
+        frame, effect_rates = self.frame(theta, x, u)
+        return self._rates(x, frame, effect_rates), self._outputs(theta, x, frame)
 
     def _outputs(self, theta: Tensor, x: Tensor, frame: Frame) -> Tensor:
         signals = dict(frame.signals)

@@ -37,9 +37,9 @@ def _by_state(model: Model, of: Callable[[Tensor, Tensor, Tensor], Tensor]) -> T
     """Derivatives by the states, at the reference, of what the model makes of theta, states and controls."""
     x, u = reference_point(model)
     theta = model.theta.detach()
-    found = torch.autograd.functional.jacobian(lambda a: of(theta, a, u), x)
-    assert isinstance(found, Tensor)
-    return found
+    jacobian = torch.autograd.functional.jacobian(lambda a: of(theta, a, u), x)
+    assert isinstance(jacobian, Tensor)
+    return jacobian
 
 
 def state_matrix(model: Model) -> Tensor:
@@ -72,11 +72,11 @@ def modes(model: Model, sizes: dict[str, float]) -> list[Mode]:
     values, vectors = torch.linalg.eig(matrix[moving][:, moving] * scale / scale[:, None])
     left = torch.linalg.pinv(vectors)
     share = (vectors * left.mT).abs()  # participation of state i in mode k
-    found = [
+    unnamed = [
         Mode(complex(v), _name(complex(v), dict(zip(names, share[:, k].tolist(), strict=True))))
         for k, v in enumerate(values)
     ]
-    return sorted((m for m in found if m.eigenvalue.imag >= 0.0), key=lambda m: abs(m.eigenvalue))
+    return sorted((m for m in unnamed if m.eigenvalue.imag >= 0.0), key=lambda m: abs(m.eigenvalue))
 
 
 def _name(value: complex, share: dict[str, float]) -> str:

@@ -57,8 +57,8 @@ def build(spec: ModelSpec) -> Model:
     model = Model(body, effects, spec.reference)
     for name in (*spec.free, *spec.values):
         if name not in model.parameter_set:
-            known = ", ".join(model.parameter_set.names)
-            raise InputError("model", name, "there is no such parameter", f"one of {known}")
+            listed = ", ".join(model.parameter_set.names)
+            raise InputError("model", name, "there is no such parameter", f"one of {listed}")
     model.start_from(spec.values)
     return model
 
@@ -110,13 +110,13 @@ def _row(spec: ModelSpec, row: str, unit: str) -> list[Parameter]:
     """Trim and derivatives of one equation, with priors scaled by the excursions of row and regressor."""
     size = spec.sizes.get(f"row.{row}", 1.0)
     trim = spec.reference.get(f"{row}.trim", 0.0)
-    made = [Parameter(f"{row}.trim", trim, unit, prior_sd=PRIOR_SPAN * size, doc="value at the reference")]
+    parameters = [Parameter(f"{row}.trim", trim, unit, prior_sd=PRIOR_SPAN * size, doc="value at the reference")]
     for column in spec.patterns[row]:
         per = SIGNAL_UNITS.get(column) or spec.control_units.get(column, "1")
         sd = PRIOR_SPAN * size / max(spec.sizes.get(column, 1.0), 1e-12)
         bounds = (-FASTEST, 0.0) if (row, column) in DAMPING and FLAPPING[0] not in spec.patterns[row] else EVERYTHING
-        made.append(Parameter(f"{row}.{column}", 0.0, per_unit(unit, per), bounds, sd, doc=f"d{row}/d{column}"))
-    return made
+        parameters.append(Parameter(f"{row}.{column}", 0.0, per_unit(unit, per), bounds, sd, doc=f"d{row}/d{column}"))
+    return parameters
 
 
 def _physics(spec: ModelSpec) -> list[Effect]:
@@ -125,19 +125,19 @@ def _physics(spec: ModelSpec) -> list[Effect]:
     if rotor is None or mass is None or inertia is None or "Z" not in spec.patterns or "u" not in spec.states:
         return []
     tensor, lift = torch.tensor(inertia, dtype=torch.float64), thrust(spec)
-    made: list[Effect] = []
+    effects: list[Effect] = []
     if spec.flapping != "none" and spec.hub is not None:
         hub = torch.tensor(spec.hub, dtype=torch.float64)
-        made.append(ThrustTilt(hub, mass, tensor, rotor.spin, spec.reference, lift))
+        effects.append(ThrustTilt(hub, mass, tensor, rotor.spin, spec.reference, lift))
     if spec.inflow:
-        made.append(Inflow(rotor, spec.air_density, mass, tensor, spec.reference, lift))
+        effects.append(Inflow(rotor, spec.air_density, mass, tensor, spec.reference, lift))
     if spec.cyclic_inflow:
-        made.append(CyclicInflow(rotor, spec.reference))
+        effects.append(CyclicInflow(rotor, spec.reference))
     if "ped" in spec.controls:
-        made.append(TailRotor(TAIL_ARM * rotor.radius, spec.reference, spec.sizes))
-        made.append(TailInflow(spec.reference, spec.sizes, spec.control_units.get("ped", "rad")))
-        made.append(Tailplane(TAILPLANE_ARM * rotor.radius, spec.reference, spec.sizes))
-    return made
+        effects.append(TailRotor(TAIL_ARM * rotor.radius, spec.reference, spec.sizes))
+        effects.append(TailInflow(spec.reference, spec.sizes, spec.control_units.get("ped", "rad")))
+        effects.append(Tailplane(TAILPLANE_ARM * rotor.radius, spec.reference, spec.sizes))
+    return effects
 
 
 def per_unit(above: str, below: str) -> str:

@@ -105,17 +105,17 @@ def _curve(spec: ModelSpec) -> tuple[Parameter, ...]:
     curves = [m.thrust for m in spec.motors if m.thrust is not None]
     mean = [sum(c[k] for c in curves) / len(curves) for k in range(3)] if curves else [0.0, 0.0, lift / at**2]
     docs = ("thrust at rest", "thrust by the rotor's input", "thrust by its square")
-    seen = "Z" in spec.patterns
+    shown = "Z" in spec.patterns
     return tuple(
-        Parameter(f"thrust.c{k}", mean[k], units[k], prior_sd=lift / at**k, free=seen, doc=docs[k]) for k in range(3)
+        Parameter(f"thrust.c{k}", mean[k], units[k], prior_sd=lift / at**k, free=shown, doc=docs[k]) for k in range(3)
     )
 
 
 def _powers(spec: ModelSpec) -> tuple[Parameter, ...]:
     """Control power of each axis: 1 where mass and inertia are declared and right, else one over the inertia."""
-    known = _declared(spec)
-    unit, most = ("1", MOST) if known else ("rad/m2" if spec.mass is None else "rad/(kg m2)", math.inf)
-    sd = 1.0 if known else math.inf
+    declared = _declared(spec)
+    unit, most = ("1", MOST) if declared else ("rad/m2" if spec.mass is None else "rad/(kg m2)", math.inf)
+    sd = 1.0 if declared else math.inf
     return tuple(
         Parameter(f"power.{axis}", 1.0, unit, (0.0, most), sd, doc=f"{about} by the rotors, over what is declared")
         for axis, about in zip(MOMENTS, ("roll", "pitch", "yaw"), strict=True)
@@ -175,8 +175,8 @@ class Telemetry(Effect):
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """The speeds that follow from the commands in place of the measured ones."""
-        told = {o: self.factor * frame.signals[m] for m, o in zip(self.commands, self.speeds, strict=True)}
-        return frame.with_signals(**told), x
+        speeds = {o: self.factor * frame.signals[m] for m, o in zip(self.commands, self.speeds, strict=True)}
+        return frame.with_signals(**speeds), x
 
 
 class Disturbance(Effect):

@@ -93,11 +93,11 @@ def spectra(dataset: Dataset) -> Figure | None:
 
 def coherence(dataset: Dataset) -> Figure | None:
     """Multiple coherence of every response with all controls, and above which it is usable."""
-    found = coherences(dataset, RESPONSES)
-    if not found or len(found[0].values) < 2:
+    measured = coherences(dataset, RESPONSES)
+    if not measured or len(measured[0].values) < 2:
         return None
-    figure, grid = grid_of([c.channel for c in found], 1, WIDTH, height=0.65)
-    for (axes,), one in zip(grid, found, strict=True):
+    figure, grid = grid_of([c.channel for c in measured], 1, WIDTH, height=0.65)
+    for (axes,), one in zip(grid, measured, strict=True):
         axes.stairs(np.nan_to_num(one.values), one.edges, color=MODEL, linewidth=1.2)
         if one.band:
             axes.axvspan(*one.band, color=QUIET, alpha=0.4, linewidth=0)
@@ -156,11 +156,11 @@ def correlation(dataset: Dataset) -> Figure:
 def kinematics(dataset: Dataset) -> Figure | None:
     """What kinematics leaves over in each pair of sensors, as recorded and with lag, scale and bias taken out."""
     pairs = (*sensor_pairs.attitude_pairs(), *sensor_pairs.velocity_pairs(dataset), *sensor_pairs.position_pairs())
-    found = [a for pair in pairs if (a := agreement(pair, dataset.flights.values())) is not None and a.r2 > 0.3]
-    if not found:
+    compared = [a for pair in pairs if (a := agreement(pair, dataset.flights.values())) is not None and a.r2 > 0.3]
+    if not compared:
         return None
-    figure, grid = grid_of([f"d{a.pair.left_name}/dt" for a in found], 1, 1.4 * WIDTH, height=0.9)
-    for (axes,), a in zip(grid, found, strict=True):
+    figure, grid = grid_of([f"d{a.pair.left_name}/dt" for a in compared], 1, 1.4 * WIDTH, height=0.9)
+    for (axes,), a in zip(grid, compared, strict=True):
         name = _liveliest(dataset, a)
         time, left, before, after = sensor_pairs.compared(a, dataset.flights[name])
         chosen = _thinned(left)
@@ -168,8 +168,8 @@ def kinematics(dataset: Dataset) -> Figure | None:
         axes.plot(time[chosen], (left - after)[chosen], color=MODEL, linewidth=0.9)
         axes.set_ylabel(f"d{a.pair.left_name}/dt\n{a.pair.unit}", fontsize=8)
         less = f"{_rms(left - before):.2g} to {_rms(left - after):.2g} of {_rms(left):.2g} rms"
-        told = f"{name}: lag {a.lag_s:+.3f} s, scale {a.scale:.3f}; {less}"
-        axes.text(0.99, 0.95, told, transform=axes.transAxes, ha="right", va="top", fontsize=7)
+        heading = f"{name}: lag {a.lag_s:+.3f} s, scale {a.scale:.3f}; {less}"
+        axes.text(0.99, 0.95, heading, transform=axes.transAxes, ha="right", va="top", fontsize=7)
     title = "rate of the channel less what the others say. Red: as recorded; blue: lag, scale, bias out"
     grid[0][0].set_title(title, loc="left", fontsize=8)
     grid[-1][0].set_xlabel("time, s")
@@ -178,9 +178,10 @@ def kinematics(dataset: Dataset) -> Figure | None:
 
 def _liveliest(dataset: Dataset, a: Agreement) -> str:
     """The flight in which the pair's left side does most."""
-    there = {n: f for n, f in dataset.facts.items() if f.has(*a.pair.channels)}
+    recorded = {n: f for n, f in dataset.facts.items() if f.has(*a.pair.channels)}
     return max(
-        there, key=lambda n: there[n].spreads[a.pair.left_name].squares / there[n].spreads[a.pair.left_name].count
+        recorded,
+        key=lambda n: recorded[n].spreads[a.pair.left_name].squares / recorded[n].spreads[a.pair.left_name].count,
     )
 
 

@@ -157,8 +157,8 @@ def grid_of(
     for axes, name in zip((row[0] for row in grid), rows, strict=True):
         unit = names.unit(name)
         axes.set_ylabel(f"{name}, {unit}" if unit else name)
-        beside = blended_transform_factory(figure.transFigure, axes.transAxes)
-        axes.yaxis.set_label_coords(0.2 / width, 0.5, transform=beside)
+        edge = blended_transform_factory(figure.transFigure, axes.transAxes)
+        axes.yaxis.set_label_coords(0.2 / width, 0.5, transform=edge)
     for row in grid:
         for axes in row:
             axes.set_title("", y=1.0)  # set, not searched for: ticks would be measured twice

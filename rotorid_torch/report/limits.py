@@ -74,19 +74,19 @@ def of_rotors(spec: ModelSpec, fit: FitRecord) -> Iterator[str]:
         )
     wrong = beyond_belief(spec, {p.name: p.value or 0.0 for p in fit.parameters})
     for row in MOMENTS:
-        found = values[f"rotors.power.{row}"].value
-        if row in silent or found is None or (row == "N" and any(m.torque_ratio is None for m in spec.motors)):
+        power = values[f"rotors.power.{row}"].value
+        if row in silent or power is None or (row == "N" and any(m.torque_ratio is None for m in spec.motors)):
             continue
         if row in wrong:
             yield (
-                f"control power of {row} is {found:.2g} of what places, thrust and declared inertia give: no inertia is"
+                f"control power of {row} is {power:.2g} of what places, thrust and declared inertia give: no inertia is"
                 " that far off; commands that answer the rates, or a lag that is not in the model, bias it"
             )
-        elif abs(found - 1.0) > AGREES:
+        elif abs(power - 1.0) > AGREES:
             declared = spec.inertia[MOMENTS.index(row)][MOMENTS.index(row)]
             yield (
-                f"control power of {row} is {found:.2f} of what is declared; an inertia about {AXES[row]} of"
-                f" {declared / found:.3g} kg m² ({100 * (1 / found - 1):+.0f} %) would explain it, if mass and arms are"
+                f"control power of {row} is {power:.2f} of what is declared; an inertia about {AXES[row]} of"
+                f" {declared / power:.3g} kg m² ({100 * (1 / power - 1):+.0f} %) would explain it, if mass and arms are"
                 " right and no lag is missing"
             )
 

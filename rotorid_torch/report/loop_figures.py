@@ -58,10 +58,10 @@ def spectra(pairs: Sequence[tuple[Overlay, Overlay]]) -> Figure:
     figure, grid = grid_of(rows, 1, WIDTH, height=1.1)
     for axes, name in zip((row[0] for row in grid), rows, strict=True):
         for which, colour, label in ((0, QUIET, "before"), (1, MODEL, "after")):
-            found = [_spectrum(pair[which], name) for pair in pairs if pair[which].common([name])]
-            length = min(len(power) for _, power in found)
-            mean = np.sqrt(np.mean([power[:length] for _, power in found], axis=0))
-            axes.loglog(found[0][0][1:length], mean[1:], color=colour, linewidth=1.2, label=label)
+            spectra_of = [_spectrum(pair[which], name) for pair in pairs if pair[which].common([name])]
+            length = min(len(power) for _, power in spectra_of)
+            mean = np.sqrt(np.mean([power[:length] for _, power in spectra_of], axis=0))
+            axes.loglog(spectra_of[0][0][1:length], mean[1:], color=colour, linewidth=1.2, label=label)
     grid[0][0].set_title("measured - model: before (grey), after (blue)", loc="left", fontsize=10, y=1.0)
     grid[-1][0].set_xlabel("frequency, Hz")
     return figure

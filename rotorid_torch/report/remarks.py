@@ -58,9 +58,9 @@ def of_check(dataset: Dataset) -> Iterator[str]:
     grade = graded(few, findings)
     if grade.grade != "ready":
         yield f"{GRADED}{grade.sentence}"
-    for found in findings:
-        if found.severity == "error":
-            yield f"{found.channel}: {found.sentence}" if found.channel else found.sentence
+    for finding in findings:
+        if finding.severity == "error":
+            yield f"{finding.channel}: {finding.sentence}" if finding.channel else finding.sentence
 
 
 def of_clocks(dataset: Dataset) -> Iterator[str]:
@@ -75,7 +75,7 @@ def of_clocks(dataset: Dataset) -> Iterator[str]:
 
 def of_controls(dataset: Dataset, own_share: Mapping[str, float]) -> Iterator[str]:
     """Controls that the identify flights leave alone, and those that mostly follow the states."""
-    still = [control for control, found in moves(dataset, dataset.controls).items() if not found.flights]
+    still = [control for control, movement in moves(dataset, dataset.controls).items() if not movement.flights]
     if still:
         yield (
             f"{listed(still)} hardly moves in any identify flight: what it does stays unknown; fly a doublet or a"
@@ -83,9 +83,9 @@ def of_controls(dataset: Dataset, own_share: Mapping[str, float]) -> Iterator[st
         )
     low = {control: share for control, share in own_share.items() if share < OWN_SHARE and control not in still}
     if low:
-        told = ", ".join(f"{control} ({share:.0%})" for control, share in low.items())
+        shares = ", ".join(f"{control} ({share:.0%})" for control, share in low.items())
         yield (
-            f"little of {told} is its own motion, the rest is feedback of the states: its derivatives"
+            f"little of {shares} is its own motion, the rest is feedback of the states: its derivatives"
             " and theirs are told only in combination; fly inputs on that control, or with the augmentation off"
         )
 
@@ -98,8 +98,8 @@ def of_regressions(step2: Step2) -> Iterator[str]:
             rows.setdefault(note.removeprefix(f"{row}: "), []).append(row)
     for note, where in rows.items():
         meaning = next((m for beginning, m in MEANINGS.items() if note.startswith(beginning)), None)
-        told = f"{note.partition(';')[0]}: {meaning}" if meaning else note
-        yield f"step 2, equation{'s' if len(where) > 1 else ''} of {' '.join(where)}: {told}"
+        sentence = f"{note.partition(';')[0]}: {meaning}" if meaning else note
+        yield f"step 2, equation{'s' if len(where) > 1 else ''} of {' '.join(where)}: {sentence}"
 
 
 def of_estimate(step3: Step3, fit: FitRecord) -> Iterator[str]:
@@ -136,5 +136,5 @@ def of_estimate(step3: Step3, fit: FitRecord) -> Iterator[str]:
 
 def listed(names: Sequence[str]) -> str:
     """Names with commas; beyond the first ones their number."""
-    rest = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    return ", ".join(names[:SHOWN]) + rest
+    remainder = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return ", ".join(names[:SHOWN]) + remainder

@@ -39,43 +39,45 @@ class ShortHorizon:
 
 def short_horizon(fit: FitRecord) -> list[ShortHorizon]:
     """One for each list whose flights have responses; none for a vehicle that a free run tells of."""
-    found = []
+    horizons = []
     for name in LISTS:
         flights = [f for f in fit.flights.values() if f.list == name and f.responses]
         if flights:
-            found.append(ShortHorizon(name, len(flights), _pooled(flights), tuple(_means(flights))))
-    return found
+            horizons.append(ShortHorizon(name, len(flights), _pooled(flights), tuple(_means(flights))))
+    return horizons
 
 
-def explained(found: ShortHorizon) -> str:
+def explained(horizon: ShortHorizon) -> str:
     """What the model explains and predicts on a list of flights, as a sentence."""
-    values = {NAMES.get(name, name): r2 for name, r2 in found.responses.items() if not name.startswith("omega")}
-    speeds = [r2 for name, r2 in found.responses.items() if name.startswith("omega")]
+    values = {NAMES.get(name, name): r2 for name, r2 in horizon.responses.items() if not name.startswith("omega")}
+    speeds = [r2 for name, r2 in horizon.responses.items() if name.startswith("omega")]
     if speeds:
         values["rotor speeds"] = sum(speeds) / len(speeds)
     parts = [f"{name} {round(r2, 2) + 0.0:.2f}" for name, r2 in values.items()]  # no minus before a zero
-    seen = "" if found.name == "identify" else ", which it has not seen"
+    unseen = "" if horizon.name == "identify" else ", which it has not seen"
     ahead = [
         f"{p.quantity} {p.error:.3g} {p.unit} ({p.held:.3g} if held)"
-        for p in found.predictions
-        if p.seconds == found.predictions[-1].seconds
+        for p in horizon.predictions
+        if p.seconds == horizon.predictions[-1].seconds
     ]
-    told = f"; errors after {found.predictions[-1].seconds:g} s: {', '.join(ahead)}" if ahead else ""
-    return f"On the {found.name} flights{seen}, the model explains (R² at measured states) {', '.join(parts)}{told}."
+    errors = f"; errors after {horizon.predictions[-1].seconds:g} s: {', '.join(ahead)}" if ahead else ""
+    return (
+        f"On the {horizon.name} flights{unseen}, the model explains (R² at measured states) {', '.join(parts)}{errors}."
+    )
 
 
 def _pooled(flights: list[FlightRecord]) -> dict[str, float]:
     """R2 over all flights: their errors over their deviations, so that an axis left alone counts for little."""
     names = dict.fromkeys(name for flight in flights for name in flight.responses)
-    found = {}
+    pooled = {}
     for name in names:
         error, spread = 0.0, 0.0
         for r in (flight.responses[name] for flight in flights if name in flight.responses):
             if r.rmse is not None and r.r2 is not None and r.r2 < 1.0:
                 error += r.rmse**2
                 spread += r.rmse**2 / (1.0 - r.r2)
-        found[name] = 1.0 - error / spread if spread else math.nan
-    return found
+        pooled[name] = 1.0 - error / spread if spread else math.nan
+    return pooled
 
 
 def _means(flights: list[FlightRecord]) -> Iterator[Ahead]:

@@ -85,8 +85,8 @@ def check(dataset: Dataset) -> Check:
     """Can a model be identified from it? Every record by itself, all against each other, and the controls."""
     findings, sensors, verdicts = records.check(dataset).findings, (), ()
     if examinable(dataset):
-        sensors, told = sensor_errors(dataset)
-        findings = tuple(sorted((*findings, *told), key=lambda found: RANK[found.severity]))
+        sensors, sensor_words = sensor_errors(dataset)
+        findings = tuple(sorted((*findings, *sensor_words), key=lambda finding: RANK[finding.severity]))
         verdicts = _verdicts(dataset, findings)
     whole = graded(dataset, findings)
     return Check(
@@ -108,29 +108,29 @@ def sensor_errors(dataset: Dataset) -> tuple[tuple[KinematicFinding, ...], tuple
     if level is None:
         return (), ()
     if level > GROSS:
-        told = "kinematics disagree far beyond the noise in ways that no constant sensor error makes:"
+        sentence = "kinematics disagree far beyond the noise in ways that no constant sensor error makes:"
         more = "lags, scales and biases are told from pairs of channels only, not jointly."
-        return (), (finding("note", "", told, more),)
-    found = kinematic_findings(dataset).findings
+        return (), (finding("note", "", sentence, more),)
+    traced = kinematic_findings(dataset).findings
     named = [
-        f for f in found if f.verdict in ("accepted", "indistinguishable") and any(p.accepted for p in f.parameters)
+        f for f in traced if f.verdict in ("accepted", "indistinguishable") and any(p.accepted for p in f.parameters)
     ]
     if not named:
         visible = ", ".join(
             f"{f.id.removeprefix('sensors.')} {f.smallest_visible[0]:.2g} {f.smallest_visible[1]}".removesuffix(" 1")
-            for f in found
+            for f in traced
             if f.smallest_visible and math.isfinite(f.smallest_visible[0])
         )
-        told = f"all channels together show no constant sensor error; from this size on it would show: {visible}."
-        return found, (finding("good", "", told),)
-    return found, tuple(_sentence(f) for f in named)
+        sentence = f"all channels together show no constant sensor error; from this size on it would show: {visible}."
+        return traced, (finding("good", "", sentence),)
+    return traced, tuple(_sentence(f) for f in named)
 
 
-def _sentence(found: KinematicFinding) -> Finding:
-    members = dict.fromkeys(c for p in found.parameters if p.accepted for c in _channels(p.name.split(".")[2]))
-    told = f"all channels together: {found.reason}."
-    advice = f"Correct the records, or let {found.id} be estimated by close-loop."
-    return finding("warning", " ".join(members), told, advice)
+def _sentence(error: KinematicFinding) -> Finding:
+    members = dict.fromkeys(c for p in error.parameters if p.accepted for c in _channels(p.name.split(".")[2]))
+    sentence = f"all channels together: {error.reason}."
+    advice = f"Correct the records, or let {error.id} be estimated by close-loop."
+    return finding("warning", " ".join(members), sentence, advice)
 
 
 def _channels(member: str) -> tuple[str, ...]:
@@ -146,9 +146,9 @@ def _misfit(dataset: Dataset) -> float | None:
     cut = pieces(dataset)
     if not cut:
         return None
-    there = dict.fromkeys(channel for piece in cut for channel in piece.channels)
-    errors = [f"{kind}.{unit}" for kind in ("delay", "filter") for unit in UNITS if set(UNITS[unit]) & set(there)]
-    errors += [f"scale.{channel}" for channel in there if channel in names.CHANNELS]
+    channels = dict.fromkeys(channel for piece in cut for channel in piece.channels)
+    errors = [f"{kind}.{unit}" for kind in ("delay", "filter") for unit in UNITS if set(UNITS[unit]) & set(channels)]
+    errors += [f"scale.{channel}" for channel in channels if channel in names.CHANNELS]
     if set(names.VELOCITIES) & {name for piece in cut for name in piece.equations}:
         errors += [f"{kind}.{axis}" for kind in ("misalignment", "lever_arm") for axis in "xyz"]
     search = Search(cut, Setting(dataset.vehicle.gravity, np.array(dataset.vehicle.imu or (0.0, 0.0, 0.0))))
@@ -184,27 +184,27 @@ def _verdict(
     )
 
 
-def check_table(found: Check) -> Group:
+def check_table(result: Check) -> Group:
     """All findings, gravest first, and the verdict on each channel."""
-    title = Text(f"{found.dataset}: {found.sentence}")
+    title = Text(f"{result.dataset}: {result.sentence}")
     table = Table("", "where", "finding")
-    for one in found.findings:
+    for one in result.findings:
         table.add_row(one.severity, _where(one), one.sentence)
     channels = Table("channel", "verdict", "noise", "moves", "follows controls", "because", title="Channel by channel")
     channels.title_justify = "left"
-    for one in found.channels:
+    for one in result.channels:
         band = f"{one.band[0]:.1g}-{one.band[1]:.2g} Hz" if one.band else ""
         size = f"{one.noise:.2g}", f"{one.rms:.2g} {one.unit}".strip()
         channels.add_row(one.channel, one.verdict, *size, band, "; ".join(one.reasons))
-    axes = [f"{one.axis} {one.grade}" for one in found.axes]
+    axes = [f"{one.axis} {one.grade}" for one in result.axes]
     return Group(title, *([Text(", ".join(axes))] if axes else []), table, channels)
 
 
-def write_check(out: Path, dataset: Dataset, found: Check, seed: int, monitor: Monitor) -> None:
+def write_check(out: Path, dataset: Dataset, result: Check, seed: int, monitor: Monitor) -> None:
     """Write a run: check.json holds everything, figures show it; errors and warnings become the report's warnings."""
-    grave = [one for one in found.findings if one.severity in ("error", "warning")]
+    grave = [one for one in result.findings if one.severity in ("error", "warning")]
     with run_folder(out, "check") as folder, monitor.recording(folder):
-        for one in found.findings:
+        for one in result.findings:
             monitor.log(f"{one.severity}: {_told(one)}")
         drawn = draw_check(dataset) if examinable(dataset) else {}
         pictures = {name: png(figure) for name, figure in drawn.items()}
@@ -220,10 +220,10 @@ def write_check(out: Path, dataset: Dataset, found: Check, seed: int, monitor: M
             time_s=monitor.time_record(),
             peak_memory_mb=peak_memory_mb(),
             before=None,
-            warnings=(f"{GRADED}{found.sentence}", *(_told(one) for one in grave)),
+            warnings=(f"{GRADED}{result.sentence}", *(_told(one) for one in grave)),
         )
         head = {"format": 1, "rotorid": package_version(), "sha256": dataset.sha256}
-        whole = msgspec.json.encode(head | msgspec.to_builtins(found))
+        whole = msgspec.json.encode(head | msgspec.to_builtins(result))
         (folder / "check.json").write_bytes(msgspec.json.format(whole, indent=2))
         (folder / "report.html").write_text(render(report, pictures), encoding="utf-8")
         (folder / "report.json").write_bytes(encode_report(report))

@@ -13,25 +13,25 @@ from rotorid_torch.trace.finding import Finding, Unknown
 from rotorid_torch.trace.kinematic_findings import KinematicFinding
 
 
-def of_sensors(found: KinematicFinding) -> Finding:
+def of_sensors(error: KinematicFinding) -> Finding:
     """A kinematic finding as one of the loop; its gain is in squares of the noise."""
-    values = {p.name: (p.value, p.se) for p in found.parameters if p.accepted}
+    values = {p.name: (p.value, p.se) for p in error.parameters if p.accepted}
     return Finding(
-        found.id,
+        error.id,
         "undeclared",
-        found.verdict,
-        found.reason,
-        found.gain,
-        found.floor,
-        found.smallest_visible,
-        found.group,
+        error.verdict,
+        error.reason,
+        error.gain,
+        error.floor,
+        error.smallest_visible,
+        error.group,
         values,
     )
 
 
-def as_fitted(finding: Finding, told: Run) -> Finding:
+def as_fitted(finding: Finding, run: Run) -> Finding:
     """The finding with the values of the fit that is told, where that estimated them: sentence and tables agree."""
-    values = {p.name: (p.value, p.se) for p in _fitted(finding, told) if p.value is not None and p.se is not None}
+    values = {p.name: (p.value, p.se) for p in _fitted(finding, run) if p.value is not None and p.se is not None}
     return replace(finding, values=values) if values else finding
 
 
@@ -40,7 +40,7 @@ def unknown_record(missing: Unknown) -> UnknownRecord:
     return UnknownRecord(**{name: getattr(missing, name) for name in UnknownRecord.__struct_fields__})
 
 
-def effect_record(finding: Finding, model: Model, told: Run) -> EffectRecord:
+def effect_record(finding: Finding, model: Model, run: Run) -> EffectRecord:
     """A finding for the report; parameters are those of the fit that is told, where that estimated them."""
     traced = [
         ParameterRecord(name=n, value=v, se=e, unit=_unit(model, n), status="free" if e > 0.0 else "frozen")
@@ -57,14 +57,14 @@ def effect_record(finding: Finding, model: Model, told: Run) -> EffectRecord:
         p=finding.p,
         smallest_visible=None if visible is None else VisibleRecord(value=visible[0], unit=visible[1]),
         group=finding.group,
-        parameters=tuple(_fitted(finding, told) or traced),
+        parameters=tuple(_fitted(finding, run) or traced),
     )
 
 
-def _fitted(finding: Finding, told: Run) -> list[ParameterRecord]:
+def _fitted(finding: Finding, run: Run) -> list[ParameterRecord]:
     """Sizes of the effect that a fit estimated."""
-    own = f"{finding.part or finding.id}."
-    return [p for p in told.fit.parameters if p.name.startswith(own) and p.se and p.status != "nuisance"]
+    prefix = f"{finding.part or finding.id}."
+    return [p for p in run.fit.parameters if p.name.startswith(prefix) and p.se and p.status != "nuisance"]
 
 
 def _unit(model: Model, name: str) -> str:

@@ -30,8 +30,8 @@ def with_evidence(run: Run, dataset: Dataset, effects: Sequence[str], seed: int)
         quiet = Steps(Monitor(), kept=Checkpoint(), ranks=ALONE)
 
         def fit(spec: ModelSpec) -> Identified:
-            _, model, _, found = estimated(spec, dataset, run.reconstruction, quiet)
-            return Identified(spec, model, dict(zip(found.names, found.fit.errors.tolist(), strict=True)))
+            _, model, _, estimate = estimated(spec, dataset, run.reconstruction, quiet)
+            return Identified(spec, model, dict(zip(estimate.names, estimate.fit.errors.tolist(), strict=True)))
 
         findings = rotors_earned(fit(run.spec), dataset, fit, effects, seed)
     else:

@@ -66,13 +66,13 @@ def simulate(
         raise InputError(dataset.file(flight), missing[0], "control is missing", "the controls of the model")
     pieces = windows(loaded, dataset, [(flight, first)], samples)
     states, outputs = free_run(loaded, pieces)
-    found = {"time": record.time[first : first + samples].numpy()}
-    found |= dict(zip(loaded.layout.names, states[0].numpy().T, strict=True))
-    found |= dict(zip(loaded.body.outputs, outputs[0].numpy().T, strict=True))
-    _warn_outside(found | dict(zip(loaded.body.controls, pieces.controls[0].numpy().T, strict=True)), spec)
+    arrays = {"time": record.time[first : first + samples].numpy()}
+    arrays |= dict(zip(loaded.layout.names, states[0].numpy().T, strict=True))
+    arrays |= dict(zip(loaded.body.outputs, outputs[0].numpy().T, strict=True))
+    _warn_outside(arrays | dict(zip(loaded.body.controls, pieces.controls[0].numpy().T, strict=True)), spec)
     with free_run_file(out, **how) as partial, partial.open("wb") as handle:
-        np.savez(handle, **found)  # pyright: ignore[reportArgumentType]
-    return found
+        np.savez(handle, **arrays)  # pyright: ignore[reportArgumentType]
+    return arrays
 
 
 def _span(dt: float, samples: int, start: float, seconds: float | None, file: str | Path) -> tuple[int, int]:
@@ -88,11 +88,11 @@ def _span(dt: float, samples: int, start: float, seconds: float | None, file: st
     return first, min(wanted, samples - first)
 
 
-def _warn_outside(found: dict[str, np.ndarray], spec: ModelSpec) -> None:
+def _warn_outside(arrays: dict[str, np.ndarray], spec: ModelSpec) -> None:
     left = []
     for name, (low, high) in spec.ranges.items():
         margin = OUTSIDE * (high - low)
-        if name in found and (np.nanmin(found[name]) < low - margin or np.nanmax(found[name]) > high + margin):
+        if name in arrays and (np.nanmin(arrays[name]) < low - margin or np.nanmax(arrays[name]) > high + margin):
             left.append(name)
     if left:
         said = f"the run leaves the range of the flights that the model was identified from in {', '.join(left)}"

@@ -259,14 +259,14 @@ EFFECT_CLASSES: dict[str, EffectClass] = {name: hidden.kind for name, hidden in 
 
 def differences(clean: Any, altered: Any, place: str = "") -> dict[str, tuple[Any, Any]]:
     """What an effect changed: value before and after by its place in the aircraft, such as `fuselage.drag_area`."""
-    found: dict[str, tuple[Any, Any]] = {}
+    changed: dict[str, tuple[Any, Any]] = {}
     for one in dataclasses.fields(clean):
         before, after, name = getattr(clean, one.name), getattr(altered, one.name), place + one.name
         if dataclasses.is_dataclass(before) and dataclasses.is_dataclass(after):
-            found |= differences(before, after, f"{name}.")
+            changed |= differences(before, after, f"{name}.")
         elif before != after:
-            found[name] = _plain(before), _plain(after)
-    return found
+            changed[name] = _plain(before), _plain(after)
+    return changed
 
 
 def _plain(value: Any) -> Any:

@@ -116,17 +116,17 @@ def _trims(aircraft: Aircraft, conditions: set[Condition]) -> tuple[dict[Conditi
     """
     sense = -1.0 if aircraft.clockwise else 1.0
     trims: dict[Condition, Trim] = {}
-    found: dict[tuple[float, float, float], Trim] = {}
+    equilibria: dict[tuple[float, float, float], Trim] = {}
     gains: dict[float, Augmentation] = {}
     for one in sorted(conditions, key=lambda one: (one.speed, one.height, one.heading)):
         heading = sense * one.heading if aircraft.knows_directions else 0.0
         key = (one.speed, one.height if aircraft.wake.ground else 0.0, heading)
-        if key not in found:
-            found[key] = find_trim(aircraft, one.speed, one.height, heading)
-        trim = found[key] if aircraft.knows_directions else with_heading(found[key], sense * one.heading)
+        if key not in equilibria:
+            equilibria[key] = find_trim(aircraft, one.speed, one.height, heading)
+        trim = equilibria[key] if aircraft.knows_directions else with_heading(equilibria[key], sense * one.heading)
         trims[one] = with_height(trim, one.height)
         if one.speed not in gains:
-            gains[one.speed] = design(linearise(aircraft, found[key]))
+            gains[one.speed] = design(linearise(aircraft, equilibria[key]))
     return trims, gains
 
 
@@ -140,8 +140,8 @@ def _write(
     """The flown set as a data set with its truth and effects; an earlier data set there is replaced."""
     keys = ("name", "kind", "description", "vehicle", "controls", "channels", "model")
     tables: dict[str, Any] = {key: declaration.get(key) for key in keys}
-    told = json.dumps({"effects": list(hidden)}, indent=1) + "\n"
-    texts = {"truth/effects.json": told, **declarations(out)}
+    declared = json.dumps({"effects": list(hidden)}, indent=1) + "\n"
+    texts = {"truth/effects.json": declared, **declarations(out)}
     write_dataset(out, measured, **declaration["flights"], **tables, truth=truth, texts=texts)
 
 
@@ -161,16 +161,16 @@ def _altered(
     aircraft: Aircraft, effects: Sequence[tuple[str, float | None]]
 ) -> tuple[Aircraft, tuple[dict[str, Any], ...]]:
     """The aircraft with all effects switched on, and a list of what each one changed."""
-    told = []
-    for effect, given in effects:
-        size = 1.0 if given is None else given
+    changes = []
+    for effect, factor in effects:
+        size = 1.0 if factor is None else factor
         _check_effect(effect, size)
-        if effect in (one["id"] for one in told):
+        if effect in (one["id"] for one in changes):
             raise InputError("usage", "effect", f"'{effect}' is there twice", "each effect once")
         changed = EFFECTS[effect](aircraft, size)
-        told.append({"id": effect, "size": size, "changes": differences(aircraft, changed)})
+        changes.append({"id": effect, "size": size, "changes": differences(aircraft, changed)})
         aircraft = changed
-    return aircraft, tuple(told)
+    return aircraft, tuple(changes)
 
 
 def _check_effect(effect: str, size: float) -> None:

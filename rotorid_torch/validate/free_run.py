@@ -73,13 +73,13 @@ def windows(model: Model, dataset: Dataset, places: Sequence[tuple[str, int]], s
 
 def _measured_starts(model: Model, flight: Flight, start: int) -> Tensor:
     """Values at which the effects' own states start by a channel, its first moments' mean [n]; NaN for the others."""
-    found = []
+    starts = []
     for state in model.own_states:
         values = torch.full((1,), torch.nan, dtype=torch.float64)
         if state.channel is not None and flight.has(state.channel):
             values = flight.stack([state.channel])[start : start + max(1, _first(flight.dt) // MOMENT), 0]
-        found.append(values.nanmean())
-    return torch.stack(found) if found else torch.zeros(0, dtype=torch.float64)
+        starts.append(values.nanmean())
+    return torch.stack(starts) if starts else torch.zeros(0, dtype=torch.float64)
 
 
 def _first(dt: float) -> int:
@@ -129,10 +129,10 @@ class Runs:
             return states, self.model.output(states, controls)
         shape = x0.shape[:-1]
         flat = controls.expand(*shape, *controls.shape[-2:]).reshape(-1, *controls.shape[-2:])
-        made = self.compiled.simulate(
+        simulated = self.compiled.simulate(
             self.model.theta.detach(), x0.reshape(-1, x0.shape[-1]), flat, dt, STRAYED, threads()
         )
-        return made[0].unflatten(0, shape), made[1].unflatten(0, shape)
+        return simulated[0].unflatten(0, shape), simulated[1].unflatten(0, shape)
 
     def _in_torch(self, x0: Tensor, controls: Tensor, dt: float) -> Tensor:
         def rates(t: Tensor, x: Tensor, u: Tensor) -> Tensor:
@@ -148,8 +148,8 @@ def _initial(run: Runs, pieces: Windows) -> Tensor:
     body, samples = model.body.states, max(2, min(_first(pieces.dt), pieces.controls.shape[1]))
     controls, outputs = pieces.controls[:, :samples], [i for i, c in enumerate(model.body.outputs) if c in body]
     wanted = pieces.measured[:, :samples, outputs]
-    known = ~wanted.isnan()
-    weight = known / pieces.noise[outputs]
+    present = ~wanted.isnan()
+    weight = present / pieces.noise[outputs]
     columns = [body.index(model.body.outputs[i]) for i in outputs]
     x = torch.tensor([model.reference.get(n, 0.0) for n in body], dtype=torch.float64).repeat(len(wanted), 1)
     first = wanted[:, : max(1, samples // MOMENT)].nanmean(dim=1)
@@ -160,7 +160,7 @@ def _initial(run: Runs, pieces: Windows) -> Tensor:
         x0 = equilibrium(model, trials, controls[:, 0], pieces.starts_at)
         runs = model.recorded(run(x0, controls, pieces.dt)[1], pieces.dt)[..., outputs]
         jacobian = ((runs[1:] - runs[0]) / PROBE * weight).permute(1, 2, 3, 0).flatten(1, 2)
-        residual = torch.where(known, (wanted - runs[0]) * weight, 0.0).flatten(1, 2)
+        residual = torch.where(present, (wanted - runs[0]) * weight, 0.0).flatten(1, 2)
         norms = jacobian.norm(dim=1, keepdim=True).clamp_min(1e-12)
         step = least_squares(jacobian / norms, residual.unsqueeze(-1), rcond=1e-8)
         x = x + step.squeeze(-1) / norms[:, 0]
@@ -173,13 +173,13 @@ def equilibrium(model: Model, body: Tensor, controls: Tensor, starts_at: Tensor 
 
     States that have a channel start at `starts_at` [..., n] (of all own states), at the reference where that is NaN.
     """
-    n, own = body.shape[-1], model.own_states
-    if not own:
+    n, effect_states = body.shape[-1], model.own_states
+    if not effect_states:
         return body
-    start = torch.tensor([model.reference.get(s.channel or s.name, 0.0) for s in own], dtype=torch.float64)
+    start = torch.tensor([model.reference.get(s.channel or s.name, 0.0) for s in effect_states], dtype=torch.float64)
     start = start if starts_at is None else torch.where(starts_at.isnan(), start, starts_at)
-    x = torch.cat([body, start.expand(*body.shape[:-1], len(own))], dim=-1)
-    places = [n + k for k, s in enumerate(own) if s.channel is None]
+    x = torch.cat([body, start.expand(*body.shape[:-1], len(effect_states))], dim=-1)
+    places = [n + k for k, s in enumerate(effect_states) if s.channel is None]
     steps = PROBE * torch.eye(len(model.layout), dtype=torch.float64)[places]
     for _ in range(4 if places else 0):
         rows = torch.cat([x[None], x + steps.view(len(places), *(1,) * (x.dim() - 1), -1)])

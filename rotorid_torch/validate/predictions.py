@@ -54,7 +54,7 @@ def predictions(
     longest = round(HORIZONS_S[-1] / flight.dt)
     if flight.samples <= longest:
         return ()
-    known = _measured(flight)
+    measured = _measured(flight)
     with torch.no_grad():
         taped = model.tape(flight.bridged(model.body.controls), flight.dt)
         states = Accelerations(model).inside(measured_states(model, flight), taped)
@@ -62,10 +62,10 @@ def predictions(
         places = torch.arange(0, count, 1 if starts is None else max(1, count // starts))
         errors: dict[tuple[str, float], list[Tensor]] = {}
         for some in places.split(max(1, TOGETHER // longest)):
-            _predicted(model, flight.dt, run, states, taped, known, some, errors)
+            _predicted(model, flight.dt, run, states, taped, measured, some, errors)
     return tuple(
-        Prediction(quantity, seconds, *torch.cat(found).nanmean(0).tolist())
-        for (quantity, seconds), found in errors.items()
+        Prediction(quantity, seconds, *torch.cat(error).nanmean(0).tolist())
+        for (quantity, seconds), error in errors.items()
     )
 
 
@@ -84,10 +84,10 @@ def unexplained_moments(model: Model, flights: Iterable[Flight]) -> tuple[str, .
             taped = model.tape(flight.bridged(model.body.controls), flight.dt)
             states = Accelerations(model).inside(measured_states(model, flight), taped)
             x0 = equilibrium(model, states[starts][:, : len(model.body.states)], taped[starts])
-            found = run(x0, taped[starts[:, None] + torch.arange(ahead + 1)], flight.dt)[1][:, -1, places]
+            predicted = run(x0, taped[starts[:, None] + torch.arange(ahead + 1)], flight.dt)[1][:, -1, places]
         rates = flight.bridged(RATES)
         truth = rates[starts + ahead]
-        sums += torch.stack([(found - truth).std(0), (rates[starts] - truth).std(0)])
+        sums += torch.stack([(predicted - truth).std(0), (rates[starts] - truth).std(0)])
     worse = (sums[0] > WORSE * sums[1]).tolist()
     return MOMENTS if worse[0] and worse[1] else tuple(row for row, bad in zip(MOMENTS, worse, strict=True) if bad)
 
@@ -98,7 +98,7 @@ def _predicted(
     run: Runs,
     states: Tensor,
     taped: Tensor,
-    known: Mapping[str, Tensor],
+    measured: Mapping[str, Tensor],
     places: Tensor,
     errors: dict[tuple[str, float], list[Tensor]],
 ) -> None:
@@ -110,31 +110,31 @@ def _predicted(
     path = dict(zip(model.body.outputs, outputs.unbind(-1), strict=True))
     if not set(RATES) <= set(path):
         return
-    motion = _motion(path, known, places, dt)
+    motion = _motion(path, measured, places, dt)
     for seconds in HORIZONS_S:
         k = round(seconds / dt)
         for quantity, values in motion.items():
-            truth = known[quantity]
+            truth = measured[quantity]
             both = (values[:, k], truth[places])
-            found = torch.stack([_distance(quantity, value, truth[places + k]) for value in both], dim=-1)
-            errors.setdefault((quantity, seconds), []).append(found)
+            distances = torch.stack([_distance(quantity, value, truth[places + k]) for value in both], dim=-1)
+            errors.setdefault((quantity, seconds), []).append(distances)
 
 
-def _motion(path: Mapping[str, Tensor], known: Mapping[str, Tensor], places: Tensor, dt: float) -> dict[str, Tensor]:
+def _motion(path: Mapping[str, Tensor], measured: Mapping[str, Tensor], places: Tensor, dt: float) -> dict[str, Tensor]:
     """Predicted quantities [starts, T, 3] that are measured: heading and position integrated from the outputs."""
     stack = lambda names: torch.stack([path[n] for n in names], dim=-1)  # noqa: E731
     rates = stack(RATES)
-    found = {"rates": rates}
-    if "attitude" not in known or not set(ATTITUDES[:2]) <= set(path):
-        return found
+    moved = {"rates": rates}
+    if "attitude" not in measured or not set(ATTITUDES[:2]) <= set(path):
+        return moved
     level = stack(ATTITUDES[:2])
-    psi = _integrated(euler_rates(rates, level)[..., 2:], known["attitude"][places, 2:], dt)
-    found["attitude"] = torch.cat([level, psi], dim=-1)
-    if "velocity" in known and set(VELOCITIES) <= set(path):
-        found["velocity"] = position_rates(stack(VELOCITIES), found["attitude"])
-        if "position" in known:
-            found["position"] = _integrated(found["velocity"], known["position"][places], dt)
-    return found
+    psi = _integrated(euler_rates(rates, level)[..., 2:], measured["attitude"][places, 2:], dt)
+    moved["attitude"] = torch.cat([level, psi], dim=-1)
+    if "velocity" in measured and set(VELOCITIES) <= set(path):
+        moved["velocity"] = position_rates(stack(VELOCITIES), moved["attitude"])
+        if "position" in measured:
+            moved["position"] = _integrated(moved["velocity"], measured["position"][places], dt)
+    return moved
 
 
 def _integrated(rate: Tensor, start: Tensor, dt: float) -> Tensor:
@@ -164,11 +164,11 @@ def _measured(flight: Flight) -> dict[str, Tensor]:
     def has(names: Sequence[str]) -> bool:
         return flight.has(*names)
 
-    known = {"rates": flight.stack(RATES)} if has(RATES) else {}
+    channels = {"rates": flight.stack(RATES)} if has(RATES) else {}
     if has(ATTITUDES):
-        known["attitude"] = flight.stack(ATTITUDES)
+        channels["attitude"] = flight.stack(ATTITUDES)
         if has(VELOCITIES):
-            known["velocity"] = position_rates(flight.stack(VELOCITIES), known["attitude"])
+            channels["velocity"] = position_rates(flight.stack(VELOCITIES), channels["attitude"])
             if has(POSITIONS):
-                known["position"] = flight.stack(POSITIONS)
-    return known
+                channels["position"] = flight.stack(POSITIONS)
+    return channels

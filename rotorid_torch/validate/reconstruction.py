@@ -69,9 +69,9 @@ def least_slow_error(signal: Tensor, noise: Callable[[Tensor], Tensor], dt: floa
 def _local_cosines(signal: Tensor, length: int) -> Tensor:
     """Orthonormal lapped cosine transform, [..., T, n] -> [..., windows, length, n]; mirrored at the ends."""
     windows = math.ceil(signal.shape[-2] / length)
-    rest = windows * length - signal.shape[-2]
+    beyond = windows * length - signal.shape[-2]
     before, after = signal[..., :length, :].flip(-2), torch.cat([signal.flip(-2), signal], dim=-2)
-    padded = torch.cat([before, signal, after[..., : length + rest, :]], dim=-2).unfold(-2, 2 * length, length)
+    padded = torch.cat([before, signal, after[..., : length + beyond, :]], dim=-2).unfold(-2, 2 * length, length)
     place = torch.arange(2 * length, dtype=signal.dtype)
     order = torch.arange(length, dtype=signal.dtype)
     bell = (math.pi * (place + 0.5) / (2 * length)).sin() * math.sqrt(2.0 / length)

@@ -42,10 +42,10 @@ def compared(model: Model, flight: Flight, smoothed: float = SMOOTHED_S) -> dict
     x = measured_states(model, flight)
     with torch.no_grad():
         taped = model.tape(flight.bridged(model.body.controls), flight.dt)
-        found = Accelerations(model)(model.theta, x, taped, flight.dt)
+        modelled = Accelerations(model)(model.theta, x, taped, flight.dt)
     half = round(smoothed / flight.dt / 2.0)
-    made = {}
-    for name, values in found.items():
+    pairs = {}
+    for name, values in modelled.items():
         channel = RATES[ANGULAR_ACCELERATIONS.index(name)] if name in ANGULAR_ACCELERATIONS else name
         if not flight.has(channel):
             continue
@@ -53,8 +53,8 @@ def compared(model: Model, flight: Flight, smoothed: float = SMOOTHED_S) -> dict
         if channel != name:
             measured = torch.gradient(measured, spacing=flight.dt)[0]
         inner = slice(half + 1, len(measured) - half - 1)
-        made[name] = measured[inner], averaged(values, half)[inner]
-    return made
+        pairs[name] = measured[inner], averaged(values, half)[inner]
+    return pairs
 
 
 def _judged(measured: Tensor, model: Tensor) -> Response:

@@ -94,8 +94,8 @@ def r2(error: Tensor, measured: Tensor) -> Tensor:
 
     `error` and `measured` [..., T, n] -> [..., n]. Not finite where the measured channel does not move.
     """
-    known = torch.where(error.isnan(), torch.nan, measured)
-    spread = known - torch.nanmean(known, dim=-2, keepdim=True)
+    present = torch.where(error.isnan(), torch.nan, measured)
+    spread = present - torch.nanmean(present, dim=-2, keepdim=True)
     return 1.0 - torch.nansum(error.square(), dim=-2) / torch.nansum(spread.square(), dim=-2)
 
 

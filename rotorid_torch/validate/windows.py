@@ -34,9 +34,9 @@ def all_windows(
         _, outputs = free_run(model, pieces, run)
         first = 0
         for name in names:
-            own = range(first, first + len(starts[name]))
-            yield name, pieces.pick(own), outputs[list(own)]
-            first = own.stop
+            first_starts = range(first, first + len(starts[name]))
+            yield name, pieces.pick(first_starts), outputs[list(first_starts)]
+            first = first_starts.stop
         del pieces, outputs  # before the next group's
 
 
@@ -65,9 +65,9 @@ def _groups(dataset: Dataset, names: Sequence[str], dt: float) -> Iterator[list[
     """Flights whose windows are run at once."""
     group, total = [], 0
     for name in names:
-        own = len(scores.window_starts(dataset.facts[name].samples, dt)) * scores.horizon_samples(dt)
-        if group and total + own > TOGETHER:
+        numbers = len(scores.window_starts(dataset.facts[name].samples, dt)) * scores.horizon_samples(dt)
+        if group and total + numbers > TOGETHER:
             yield group
             group, total = [], 0
-        group, total = [*group, name], total + own
+        group, total = [*group, name], total + numbers
     yield group

@@ -14,17 +14,19 @@ RESPONSES = (*names.RATES, *names.SPECIFIC_FORCES, *names.VELOCITIES)
 
 def band(dataset: Dataset) -> Iterator[Finding]:
     """Rates and specific forces (else velocities) that follow the controls, and those that nowhere do."""
-    found = coherences(dataset, RESPONSES)
-    good = [c for c in found if c.band is not None]
-    forces = set(names.SPECIFIC_FORCES) <= {c.channel for c in found}
-    lost = [c for c in found if c.band is None and not (forces and c.channel in names.VELOCITIES)]
+    measured = coherences(dataset, RESPONSES)
+    good = [c for c in measured if c.band is not None]
+    forces = set(names.SPECIFIC_FORCES) <= {c.channel for c in measured}
+    lost = [c for c in measured if c.band is None and not (forces and c.channel in names.VELOCITIES)]
     if good:
-        told = f"follow the controls with coherence above 0.6: {', '.join(map(_stretch, good))}."
-        yield finding("good", " ".join(c.channel for c in good), told, "Outside that fits and scores see other causes.")
+        sentence = f"follow the controls with coherence above 0.6: {', '.join(map(_stretch, good))}."
+        yield finding(
+            "good", " ".join(c.channel for c in good), sentence, "Outside that fits and scores see other causes."
+        )
     if lost:
-        told = "nowhere follow the controls with coherence above 0.6: noise, air or a controller moves them."
+        sentence = "nowhere follow the controls with coherence above 0.6: noise, air or a controller moves them."
         advice = "Models of them rest on little: fly larger inputs, in calm air, on one control at a time."
-        yield finding("warning", " ".join(c.channel for c in lost), told, advice)
+        yield finding("warning", " ".join(c.channel for c in lost), sentence, advice)
 
 
 def _stretch(c: Coherence) -> str:

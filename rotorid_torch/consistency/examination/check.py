@@ -24,7 +24,7 @@ class Check:
 
     def of(self, severity: Severity) -> tuple[Finding, ...]:
         """Findings of one severity."""
-        return tuple(found for found in self.findings if found.severity == severity)
+        return tuple(one for one in self.findings if one.severity == severity)
 
 
 Examination = Callable[[Dataset], Iterator[Finding]]
@@ -62,7 +62,7 @@ def check(dataset: Dataset, examinations: Sequence[Examination] = EXAMINATIONS) 
     whole = examinable(dataset)
     chosen = examinations if whole else [one for one in examinations if one in ALWAYS]
     right = without_large_errors(dataset) if whole and any(one in RIGHTED for one in chosen) else dataset
-    found = [finding for examine in chosen for finding in examine(right if examine in RIGHTED else dataset)]
+    findings = [finding for examine in chosen for finding in examine(right if examine in RIGHTED else dataset)]
     rank = {"error": 0, "warning": 1, "note": 2, "good": 3}
-    found.sort(key=lambda finding: rank[finding.severity])
-    return Check(dataset.name, all(f.severity != "error" for f in found), tuple(found))
+    findings.sort(key=lambda finding: rank[finding.severity])
+    return Check(dataset.name, all(f.severity != "error" for f in findings), tuple(findings))

@@ -29,9 +29,11 @@ def controls(dataset: Dataset) -> Iterator[Finding]:
     idle = [e for e in every if e.above_white < TEST_INPUT and (e.moved or names.is_motor(e.axis.controls[0]))]
     still = [e for e in every if not e.moved and e not in idle]
     if still:
-        told = "hardly moves in any identify flight: its derivatives cannot be found. Fly a 3-2-1-1 or doublet on it."
+        sentence = (
+            "hardly moves in any identify flight: its derivatives cannot be found. Fly a 3-2-1-1 or doublet on it."
+        )
         yield finding(
-            "warning", _channels(still), f"{_named(still)} {told}" if len(still[0].axis.controls) > 1 else told
+            "warning", _channels(still), f"{_named(still)} {sentence}" if len(still[0].axis.controls) > 1 else sentence
         )
     for e in every:
         if e.moved and len(e.axis.controls) == 1:
@@ -64,17 +66,19 @@ def _rests(dataset: Dataset, e: Excitation) -> Iterator[Finding]:
     spreads = {name: facts.spreads[control] for name, facts in dataset.facts.items()}
     rests = [name for name, s in spreads.items() if s.high - s.low < 0.01 * e.travel]
     if rests:
-        told = f"does not move at all in {len(rests)} of {len(spreads)} flights ({', '.join(rests)}):"
-        yield finding("note", control, told, "what it does is known from the others alone. Fly it, or leave it out.")
+        sentence = f"does not move at all in {len(rests)} of {len(spreads)} flights ({', '.join(rests)}):"
+        yield finding(
+            "note", control, sentence, "what it does is known from the others alone. Fly it, or leave it out."
+        )
 
 
 def _no_test_input(idle: Sequence[Excitation]) -> Finding:
-    told = ", ".join(f"{e.axis.name} {e.above_white:.1f} times its white part" for e in idle)
+    sizes = ", ".join(f"{e.axis.name} {e.above_white:.1f} times its white part" for e in idle)
     answers = [TURNS[e.axis.name] for e in idle if e.axis.name in TURNS]
     return finding(
         "warning",
         " ".join([_channels(idle), *answers]),
-        f"no test input on {_named(idle)}: from {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz the power is no more than {told}.",
+        f"no test input on {_named(idle)}: from {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz the power is no more than {sizes}.",
         "What moves is the controller's answer to noise and air: control power, damping, lag and delay of"
         " these axes cannot be told apart, and damping comes out too large. Fly doublets or sweeps on top of the"
         " controller, one axis at a time; until then believe none of them alone.",
@@ -87,34 +91,34 @@ def _folds(e: Excitation) -> bool:
 
 def _folded(white: Sequence[Excitation], dataset: Dataset) -> Iterator[Finding]:
     if white:
-        told = ", ".join(f"{e.axis.name} {e.white:.2g} white, {e.in_band:.2g} in the band" for e in white)
+        sizes = ", ".join(f"{e.axis.name} {e.white:.2g} white, {e.in_band:.2g} in the band" for e in white)
         rate = 1.0 / dataset.facts[dataset.identify[0]].dt
         yield finding(
             "warning",
             _channels(white),
-            f"the recorded commands are white up to {rate / 2:.0f} Hz ({told}): a command has no sensor noise, so they",
+            f"the recorded commands are white to {rate / 2:.0f} Hz ({sizes}): a command has no sensor noise, so they",
             f"change faster than the {rate:.0f} Hz of the record and were sampled without a filter (folded).",
             "Regression on them is biased low. Log at the controller's rate, or low-pass before sampling.",
         )
 
 
 def _feedback(bound: Sequence[Excitation]) -> Finding:
-    told = ", ".join(f"{e.independent:.0%} of {e.axis.name}" for e in bound)
+    shares = ", ".join(f"{e.independent:.0%} of {e.axis.name}" for e in bound)
     return finding(
         "warning",
         _channels(bound),
-        f"only {told} from {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz is the control's own motion, the rest follows",
+        f"only {shares} from {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz is the control's own motion, the rest follows",
         "the aircraft and the other controls (feedback): only combinations of derivatives can be found.",
         "Fly test inputs on top of the controller, one control at a time.",
     )
 
 
 def _answered(bound: Sequence[Excitation]) -> Finding:
-    told = ", ".join(f"{1.0 - e.independent:.0%} of {e.axis.name}" for e in bound)
+    parts = ", ".join(f"{1.0 - e.independent:.0%} of {e.axis.name}" for e in bound)
     return finding(
         "note",
         _channels(bound),
-        f"the motion moves with {told} from {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz, and follows it: the aircraft answers",
+        f"the motion moves with {parts} from {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz, and follows it: the aircraft answers",
         "so quickly that its damping and the control's power are told mostly by their ratio. Sharper inputs part them.",
     )
 
@@ -122,24 +126,26 @@ def _answered(bound: Sequence[Excitation]) -> Finding:
 def _moves(dataset: Dataset, e: Excitation) -> str:
     unit = dataset.control_specs[e.axis.controls[0]].unit
     where = f"in {len(e.moved)} of {len(dataset.identify)} identify flights"
-    own = f"{e.independent:.0%} of its motion from {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz is its own, not feedback"
+    independence = (
+        f"{e.independent:.0%} of its motion from {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz is its own, not feedback"
+    )
     name = f"{e.axis.name} (of all motors) " if len(e.axis.controls) > 1 else ""
-    return f"{name}moves up to {e.travel:.3g} ({unit}) {where}; {own}."
+    return f"{name}moves up to {e.travel:.3g} ({unit}) {where}; {independence}."
 
 
 def _limits(dataset: Dataset) -> Iterator[Finding]:
     every = {control: share_at(dataset, control) for control in dataset.controls}
     full = {control: share for control, (share, _) in every.items() if share > 0.01}
     if full:
-        told = ", ".join(f"{control} {share:.0%}" for control, share in full.items())
-        most = f"on a limit for up to {max(full.values()):.0%} of a flight ({told}):"
+        shares = ", ".join(f"{control} {share:.0%}" for control, share in full.items())
+        most = f"on a limit for up to {max(full.values()):.0%} of a flight ({shares}):"
         reason = "what was asked beyond the limit is not in the record. Use smaller inputs."
         yield finding("warning", " ".join(full), most, reason)
     for control, (_, outside) in every.items():
         limits = dataset.control_specs[control].limits
         if limits and outside > 0.02 * (limits[1] - limits[0]):
-            told = f"goes {outside:.3g} beyond its declared limits {list(limits)}. Check limits and unit."
-            yield finding("warning", control, told)
+            sentence = f"goes {outside:.3g} beyond its declared limits {list(limits)}. Check limits and unit."
+            yield finding("warning", control, sentence)
 
 
 def trim(dataset: Dataset) -> Iterator[Finding]:
@@ -149,8 +155,8 @@ def trim(dataset: Dataset) -> Iterator[Finding]:
         yield finding("good", "", "every identify flight begins with a quiet second: the trim is well known.")
         return
     whole = "every identify flight" if len(moving) == len(dataset.identify) else ", ".join(moving)
-    told = f"controls move within the first second of {whole}: the trim is only the mean of 0.5 s there."
-    yield finding("note", "", told, "Begin records a second before the input.")
+    sentence = f"controls move within the first second of {whole}: the trim is only the mean of 0.5 s there."
+    yield finding("note", "", sentence, "Begin records a second before the input.")
 
 
 def length(dataset: Dataset) -> Iterator[Finding]:
@@ -161,12 +167,14 @@ def length(dataset: Dataset) -> Iterator[Finding]:
     seconds = sorted(dataset.facts[name].seconds for name in dataset.identify)
     lowest = PERIODS / seconds[-1]
     span = f"{seconds[0]:.3g} to {seconds[-1]:.3g} s" if seconds[-1] > 1.02 * seconds[0] else f"{seconds[-1]:.3g} s"
-    told = f"identify flights last {span}: motion from {lowest:.2g} Hz on has {PERIODS:g} periods in one;"
+    span_sentence = f"identify flights last {span}: motion from {lowest:.2g} Hz on has {PERIODS:g} periods in one;"
     slower = "slower modes and derivatives by speed rest on trends. For those fly sweeps of 60 to 90 s."
     short = [name for name, facts in dataset.facts.items() if facts.seconds < FREE_RUN_S]
     if short:
         many = f"{len(short)} of {len(dataset.facts)} flights"
-        own = f"{many} are shorter than the {FREE_RUN_S:g} s of a free run and are judged over their own length."
-        yield finding("note", "", f"{told} {slower}", own)
+        short_sentence = (
+            f"{many} are shorter than the {FREE_RUN_S:g} s of a free run and are judged over their own length."
+        )
+        yield finding("note", "", f"{span_sentence} {slower}", short_sentence)
     else:
-        yield finding("good", "", told, slower)
+        yield finding("good", "", span_sentence, slower)

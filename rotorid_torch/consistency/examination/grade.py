@@ -130,8 +130,8 @@ def _axis(
         wrong.append("its control hardly moves in any identify flight")
     elif flown is not None and flown.independent < FEEDBACK and not flown.leads:
         doubts.append("its control follows the motion: only combinations of derivatives can be identified")
-    own = {response, *(flown.axis.controls if flown is not None and not motors else ())} - {""}
-    about = [f for f in findings if f.severity == "warning" and own & {*f.channel.split()}]
+    channels = {response, *(flown.axis.controls if flown is not None and not motors else ())} - {""}
+    about = [f for f in findings if f.severity == "warning" and channels & {*f.channel.split()}]
     doubts += [] if wrong else [head(f.sentence) for f in about]
     if wrong:
         return AxisGrade(axis, "not usable", tuple(dict.fromkeys(wrong)))

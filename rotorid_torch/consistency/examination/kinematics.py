@@ -68,18 +68,18 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
     lags: dict[str, list[Agreement]] = {}
     for left, right, pairs in GROUPS:
         results = [a for pair in pairs(dataset) if (a := agreement(pair, flights)) is not None]
-        seen = [a for a in results if a.r2 > 0.6]
-        yield from _far_off(left, by, seen)
-        lags[left] = [a for a in seen if _off(a) and not _moved(left, by)]
-        base = time_base(seen) if left == "attitude" else None
+        agreeing = [a for a in results if a.r2 > 0.6]
+        yield from _far_off(left, by, agreeing)
+        lags[left] = [a for a in agreeing if _off(a) and not _moved(left, by)]
+        base = time_base(agreeing) if left == "attitude" else None
         if base is not None:
             yield _wrong_base(base, dataset)
         if lags[left]:
             yield _late(left, right, lags)
-        elif seen and not _moved(left, by):
-            told = ", ".join(f"{a.pair.left_name} {a.lag_s:+.3f} s" for a in seen)
-            yield finding("good", _channels(seen), f"{left} keeps time with {right} ({told}).")
-        for result in seen:
+        elif agreeing and not _moved(left, by):
+            lag_words = ", ".join(f"{a.pair.left_name} {a.lag_s:+.3f} s" for a in agreeing)
+            yield finding("good", _channels(agreeing), f"{left} keeps time with {right} ({lag_words}).")
+        for result in agreeing:
             yield from _drift(result)
         if by.mirror:
             continue
@@ -122,22 +122,22 @@ def _moved(group: str, by: Alignment) -> bool:
     return bool({*CLOCKS.get(group, ())} & {*by.clocks})
 
 
-def _far_off(group: str, by: Alignment, seen: Sequence[Agreement]) -> Iterator[Finding]:
+def _far_off(group: str, by: Alignment, agreeing: Sequence[Agreement]) -> Iterator[Finding]:
     """Clocks that are off by more than pairs of channels are searched for, with what these still say."""
     moved = [unit for unit in CLOCKS.get(group, ()) if unit in by.clocks]
     if not moved:
         return
-    weights = np.array([max(a.lag_se, 1e-3) ** -2.0 for a in seen])
-    rest = float(weights @ [a.lag_s for a in seen] / weights.sum()) if seen else 0.0
-    error = float(weights.sum() ** -0.5) if seen else EVERY_S / 2.0
+    weights = np.array([max(a.lag_se, 1e-3) ** -2.0 for a in agreeing])
+    remaining_lag = float(weights @ [a.lag_s for a in agreeing] / weights.sum()) if agreeing else 0.0
+    error = float(weights.sum() ** -0.5) if agreeing else EVERY_S / 2.0
     for unit in moved:
-        seconds = by.clocks[unit] + (rest if unit in ("attitude", "velocities") else -rest)
+        seconds = by.clocks[unit] + (remaining_lag if unit in ("attitude", "velocities") else -remaining_lag)
         word = "late" if seconds > 0.0 else "early"
-        told = f"{unit} {abs(seconds):.3f} s {word} (± {max(error, 1e-3):.3f}) against the other streams:"
+        sentence = f"{unit} {abs(seconds):.3f} s {word} (± {max(error, 1e-3):.3f}) against the other streams:"
         what = (
             "two clocks, or one that began later. Shift the stream; nothing that compares channels means much before."
         )
-        yield finding("error", " ".join(UNITS[unit]), told, what)
+        yield finding("error", " ".join(UNITS[unit]), sentence, what)
 
 
 def _disagreement(a: Agreement, dataset: Dataset, group: str) -> Iterator[Finding]:
@@ -150,28 +150,30 @@ def _disagreement(a: Agreement, dataset: Dataset, group: str) -> Iterator[Findin
     strength = a.strength(noise, dt)
     large = min(a.power) > LEAST_RMS.get(a.pair.unit, 0.0) ** 2
     if strength > MOVES and large and group != "position":
-        told = (
+        sentence = (
             f"{left} and {right} both move far above their noise ({strength:.0f} times its power at least) and do not"
         )
         more = f"agree with kinematics (R² {a.r2:.2f}, in no lag up to {REACH_S:g} s): they contradict each other."
-        yield finding("error", f"{left} {right}", told, more, "One of the two is wrong: axes, unit, clock or sensor.")
+        yield finding(
+            "error", f"{left} {right}", sentence, more, "One of the two is wrong: axes, unit, clock or sensor."
+        )
     elif a.r2 < AGREES:
         yield finding(
             "note", left, f"too little motion, or too much noise, to compare {left} with {right} (R² {a.r2:.2f})."
         )
 
 
-def time_base(seen: Sequence[Agreement]) -> tuple[float, float] | None:
+def time_base(agreeing: Sequence[Agreement]) -> tuple[float, float] | None:
     """Ratio of the attitudes' rates to the body rates and its standard error, where all share one that is not 1.
 
     Stamps that run too slow or too fast scale what is differentiated, on all axes alike; one gyro's scale does not.
     """
-    if len(seen) < 2 or min(a.r2 for a in seen) < 0.8:
+    if len(agreeing) < 2 or min(a.r2 for a in agreeing) < 0.8:
         return None
-    ratios, errors = np.array([a.scale for a in seen]), np.maximum([a.scale_se for a in seen], 0.005)
+    ratios, errors = np.array([a.scale for a in agreeing]), np.maximum([a.scale_se for a in agreeing], 0.005)
     weights = errors**-2.0
     mean, error = float(weights @ ratios / weights.sum()), float(weights.sum() ** -0.5)
-    beyond = all((a.bounds[0] > 1.0 + SCALE) if mean > 1.0 else (a.bounds[1] < 1.0 - SCALE) for a in seen)
+    beyond = all((a.bounds[0] > 1.0 + SCALE) if mean > 1.0 else (a.bounds[1] < 1.0 - SCALE) for a in agreeing)
     alike = bool(np.all(np.abs(ratios - mean) < np.maximum(SURE * errors, 0.03)))
     return (mean, error) if mean > 0.0 and beyond and alike and abs(mean - 1.0) > SURE * error else None
 
@@ -198,7 +200,7 @@ def _channels(results: Sequence[Agreement]) -> str:
 
 def _late(left: str, right: str, lags: dict[str, list[Agreement]]) -> Finding:
     late = lags[left]
-    told = ", ".join(
+    lag_words = ", ".join(
         f"{a.pair.left_name} {abs(a.lag_s):.3f} s {'late' if a.lag_s > 0 else 'early'} (± {a.lag_se:.3f})" for a in late
     )
     grave: Severity = "warning" if max(abs(a.lag_s) for a in late) >= 0.02 else "note"
@@ -208,7 +210,7 @@ def _late(left: str, right: str, lags: dict[str, list[Agreement]]) -> Finding:
     early = sum(a.lag_s for a in late) < 0
     who = f"{right} late, or {left} early" if early else f"{left} late, or {right} early"
     advice = f"A clock or a filter is off ({who}): shift the streams onto one clock, or let sensors.delay be estimated."
-    return finding(grave, _channels(late), f"{told} against {right}.", *([cause] if cause else []), advice)
+    return finding(grave, _channels(late), f"{lag_words} against {right}.", *([cause] if cause else []), advice)
 
 
 def _drift(a: Agreement) -> Iterator[Finding]:
@@ -217,21 +219,21 @@ def _drift(a: Agreement) -> Iterator[Finding]:
         return
     (first, first_se), (last, last_se) = min(a.lags_s.values()), max(a.lags_s.values())
     if last - first > max(0.06, 6.0 * (first_se + last_se)):
-        told = f"against {a.pair.right_name} the lag runs from {first:+.3f} to {last:+.3f} s from flight to flight:"
-        yield finding("warning", a.pair.left_name, told, "the clocks drift, and one common delay cannot repair it.")
+        sentence = f"against {a.pair.right_name} the lag runs from {first:+.3f} to {last:+.3f} s from flight to flight:"
+        yield finding("warning", a.pair.left_name, sentence, "the clocks drift, and one common delay cannot repair it.")
 
 
 def _scale(a: Agreement) -> Iterator[Finding]:
     left, right, (low, high) = a.pair.left_name, a.pair.right_name, a.bounds
     if a.r2 > 0.9 and high < 0.0:
-        told = (
+        sentence = (
             f"the rate of {left} goes against what {right} says by kinematics ({a.scale:.3f} ± {a.scale_se:.3f} times):"
         )
-        yield finding("error", left, told, f"one of the two has the wrong sign. Turn {left} or {right}.")
+        yield finding("error", left, sentence, f"one of the two has the wrong sign. Turn {left} or {right}.")
     elif a.r2 > 0.9 and (low > 1.0 + SCALE or high < 1.0 - SCALE) and abs(a.scale - 1.0) > SURE * a.scale_se:
-        told = f"the rate of {left} is {a.scale:.3f} (± {a.scale_se:.3f}) times what {right} says by kinematics:"
+        sentence = f"the rate of {left} is {a.scale:.3f} (± {a.scale_se:.3f}) times what {right} says by kinematics:"
         cause = "a scale factor or unit of one of the two is off. Calibrate, or let sensors.scale be estimated."
-        yield finding("warning", left, told, cause)
+        yield finding("warning", left, sentence, cause)
 
 
 def _bias(a: Agreement, dataset: Dataset) -> Iterator[Finding]:
@@ -241,12 +243,14 @@ def _bias(a: Agreement, dataset: Dataset) -> Iterator[Finding]:
         return
     sensor = left if unit == "m/s" else right
     if unit == "m/s":
-        told = f"changes by {a.bias:+.3g} {unit} (± {a.bias_se:.1g}) more than {right} say:"
+        sentence = f"changes by {a.bias:+.3g} {unit} (± {a.bias_se:.1g}) more than {right} say:"
     else:
         word = "low" if a.bias > 0 else "high"
-        told = f"reads {abs(a.bias):.3g} {unit} (± {a.bias_se:.1g}) too {word} by the kinematics of {left}:"
+        sentence = f"reads {abs(a.bias):.3g} {unit} (± {a.bias_se:.1g}) too {word} by the kinematics of {left}:"
     use = "is estimated per flight" if dataset.bias(sensor) == "free" else 'is estimated only with bias = "free"'
-    yield finding("warning" if abs(a.bias) > 3.0 * threshold else "note", sensor, told, f"a sensor bias, which {use}.")
+    yield finding(
+        "warning" if abs(a.bias) > 3.0 * threshold else "note", sensor, sentence, f"a sensor bias, which {use}."
+    )
 
 
 def precedence(dataset: Dataset) -> Iterator[Finding]:
@@ -259,21 +263,22 @@ def precedence(dataset: Dataset) -> Iterator[Finding]:
         yield _late_sticks(late)
     elif late is not None:
         yield _late_controls(late, dataset)
-    elif not sticks and (known := known_responses(dataset)):
-        if coming_first(dataset, known):  # what swings below moves the vehicle first too
+    elif not sticks and (responses := known_responses(dataset)):
+        if coming_first(dataset, responses):  # what swings below moves the vehicle first too
             return
-        told = f"the accelerations follow the controls: {_lags(known, 1.0)} (delay and lag of the whole path together)."
-        yield finding("good", " ".join(r.channel for r in known), told)
+        lags = _lags(responses, 1.0)
+        sentence = f"the accelerations follow the controls: {lags} (delay and lag of the whole path together)."
+        yield finding("good", " ".join(r.channel for r in responses), sentence)
 
 
 def _late_sticks(late: LateControls) -> Finding:
-    told = ", ".join(
+    lag_words = ", ".join(
         f"{a.pair.right_name} against {a.pair.left_name} {-a.lag_s:.3f} s (± {a.lag_se:.3f})" for a in late.sticks
     )
     return finding(
         "warning",
         " ".join(a.pair.right_name for a in late.sticks),
-        f"the sticks are stamped {late.seconds:.3f} s (± {late.se:.3f}) late against the rates ({told}):",
+        f"the sticks are stamped {late.seconds:.3f} s (± {late.se:.3f}) late against the rates ({lag_words}):",
         "the response seems to come first, which no aircraft does: the streams are misaligned by that and by what",
         f"the aircraft lags besides. Shift all sticks {late.seconds:.3f} s earlier (close-loop does), or expect every",
         "delay at its bound of zero; no lag or delay of the control path can be told from these streams.",
@@ -281,14 +286,14 @@ def _late_sticks(late: LateControls) -> Finding:
 
 
 def _late_controls(late: LateControls, dataset: Dataset) -> Finding:
-    told = f"{_lags(late.accelerations, -1.0)} before the controls move: the response seems to come first."
+    sentence = f"{_lags(late.accelerations, -1.0)} before the controls move: the response seems to come first."
     cause = f"The controls' stream is late by at least {late.seconds:.3f} s, or these streams are early."
     advice = "Shift them onto one clock before identifying, or let sensors.delay be found by close-loop."
-    return finding("warning", " ".join(dataset.controls), told, cause, advice)
+    return finding("warning", " ".join(dataset.controls), sentence, cause, advice)
 
 
-def _lags(found: Sequence[Response], sign: float) -> str:
+def _lags(responses: Sequence[Response], sign: float) -> str:
     return ", ".join(
         f"{f'd{r.channel}/dt' if r.channel in names.RATES else r.channel} {sign * r.lag_s:.3f} s (± {r.lag_se:.3f})"
-        for r in found
+        for r in responses
     )

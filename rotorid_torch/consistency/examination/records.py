@@ -45,17 +45,19 @@ def dead(dataset: Dataset) -> Iterator[Finding]:
 
 def condensed(warnings: Sequence[str]) -> list[tuple[str, str]]:
     """Flight and sentence of a data set's warnings; those that begin alike become one, the first flight's."""
-    found, others = dict[str, tuple[str, str]](), dict[str, list[str]]()
+    first, others = dict[str, tuple[str, str]](), dict[str, list[str]]()
     for sentence in warnings:
-        name, _, rest = sentence.partition(": ")
-        flight, told = (name.removeprefix("flight "), rest) if name.startswith("flight ") and rest else ("", sentence)
-        words = " ".join(told.split()[:2]).removesuffix("s") if flight else told
+        name, _, remainder = sentence.partition(": ")
+        flight, text = (
+            (name.removeprefix("flight "), remainder) if name.startswith("flight ") and remainder else ("", sentence)
+        )
+        words = " ".join(text.split()[:2]).removesuffix("s") if flight else text
         kind = re.sub("[0-9]+ ", "# ", words)
-        if kind in found and flight not in (found[kind][0], *others[kind]):
+        if kind in first and flight not in (first[kind][0], *others[kind]):
             others[kind].append(flight)
-        elif kind not in found:
-            found[kind], others[kind] = (flight, told), []
-    return [(flight, told + _likewise(others[kind])) for kind, (flight, told) in found.items()]
+        elif kind not in first:
+            first[kind], others[kind] = (flight, text), []
+    return [(flight, text + _likewise(others[kind])) for kind, (flight, text) in first.items()]
 
 
 def _likewise(flights: Sequence[str]) -> str:
@@ -70,11 +72,11 @@ def gaps(dataset: Dataset) -> Iterator[Finding]:
             if share > 0.0:
                 use = "bridged by a straight line" if channel in dataset.controls else "skipped"
                 grave: Severity = "warning" if share > 0.05 else "note"
-                told = f"{share:.2%} of the samples are missing; they are {use}."
+                sentence = f"{share:.2%} of the samples are missing; they are {use}."
                 if share > FEW:
-                    told = f"{share:.1%} of the samples are missing; they are {use}."
-                    told += " Leave the flight out if the manoeuvre itself is lost."
-                yield finding(grave, channel, told, flight=name)
+                    sentence = f"{share:.1%} of the samples are missing; they are {use}."
+                    sentence += " Leave the flight out if the manoeuvre itself is lost."
+                yield finding(grave, channel, sentence, flight=name)
 
 
 def units(dataset: Dataset) -> Iterator[Finding]:
@@ -84,8 +86,8 @@ def units(dataset: Dataset) -> Iterator[Finding]:
         for channel in channels:
             largest = max(_largest(dataset, channel), default=0.0)
             if largest > bound:
-                told = f"reaches {largest:.3g} {names.unit(channel)} ({guess})."
-                yield finding("warning", channel, told, "Check its unit and look for spikes.")
+                sentence = f"reaches {largest:.3g} {names.unit(channel)} ({guess})."
+                yield finding("warning", channel, sentence, "Check its unit and look for spikes.")
     for control in filter(names.is_motor, dataset.controls):
         spreads = [facts.spreads[control] for facts in dataset.facts.values()]
         low, high = min(spread.low for spread in spreads), max(spread.high for spread in spreads)
@@ -110,16 +112,18 @@ def gravity(dataset: Dataset) -> Iterator[Finding]:
     if not starts:
         return
     az = float(np.nanmedian(starts))
-    told = f"reads {az:.2f} m/s² at the start of the flights"
+    sentence = f"reads {az:.2f} m/s² at the start of the flights"
     if az > 0.3:
-        yield finding("error", "az", f"{told}; level flight reads {expected:.2f}. Turn the axis: z points down.")
+        yield finding("error", "az", f"{sentence}; level flight reads {expected:.2f}. Turn the axis: z points down.")
     elif 0.7 < -az < 1.4:
-        yield finding("error", "az", f"{told}. It seems to be in g: multiply by {-expected:.4g}.")
+        yield finding("error", "az", f"{sentence}. It seems to be in g: multiply by {-expected:.4g}.")
     elif abs(az / expected - 1.0) > 0.03:
         reason = "the flights begin in a manoeuvre, or the accelerometer has a bias or a scale error"
-        yield finding("note", "az", f"{told} instead of {expected:.2f}: {reason}. Calibrate it before believing mass.")
+        yield finding(
+            "note", "az", f"{sentence} instead of {expected:.2f}: {reason}. Calibrate it before believing mass."
+        )
     else:
-        yield finding("good", "az", f"{told}, as gravity demands.")
+        yield finding("good", "az", f"{sentence}, as gravity demands.")
 
 
 def noise(dataset: Dataset) -> Iterator[Finding]:
@@ -135,15 +139,17 @@ def noise(dataset: Dataset) -> Iterator[Finding]:
                 dt = dataset.facts[dataset.identify[0]].dt
                 smooth.append((channel, content_ends(*spectrum(records, dt))))
         elif spec.noise > 0.0 and not 0.6 < floor / spec.noise < 1.6 and np.isfinite(floor):
-            told = f"declares noise of {spec.noise:.3g}, the record's white floor is {floor:.3g} {names.unit(channel)}."
-            yield finding("warning", channel, told, "Correct dataset.toml, or leave it out to have it estimated.")
+            sentence = (
+                f"declares noise of {spec.noise:.3g}, the record's white floor is {floor:.3g} {names.unit(channel)}."
+            )
+            yield finding("warning", channel, sentence, "Correct dataset.toml, or leave it out to have it estimated.")
     if smooth:
         ends = ", ".join(f"{channel} ends at {hertz:.0f} Hz" for channel, hertz in smooth)
-        told = f"almost no noise: filtered before recording ({ends}), or simulated."
-        yield finding("note", " ".join(c for c, _ in smooth), told, "A filter's lag will count as the aircraft's.")
+        sentence = f"almost no noise: filtered before recording ({ends}), or simulated."
+        yield finding("note", " ".join(c for c, _ in smooth), sentence, "A filter's lag will count as the aircraft's.")
     if estimated:
-        told = f"noise estimated from the spectra: {', '.join(estimated)} (standard deviation of a sample)."
-        yield finding("note", "", told, "Declare it in dataset.toml if the sensors' data sheets say otherwise.")
+        sentence = f"noise estimated from the spectra: {', '.join(estimated)} (standard deviation of a sample)."
+        yield finding("note", "", sentence, "Declare it in dataset.toml if the sensors' data sheets say otherwise.")
 
 
 def vibration(dataset: Dataset) -> Iterator[Finding]:
@@ -157,16 +163,16 @@ def vibration(dataset: Dataset) -> Iterator[Finding]:
         shown = [line for line in strongest if line.share > 0.03 and line.rms > 0.3 * dataset.noise(channel)]
         if not shown:
             continue
-        told = ", ".join(
+        lines_words = ", ".join(
             f"{line.hertz:.1f} Hz"
             + (f" ({line.hertz * 2 * np.pi / rotor.speed:.2f} per revolution)" if rotor and rotor.speed else "")
             + f" {line.rms:.2g} {names.unit(channel)} rms, {line.share:.0%} of the channel's variance"
             for line in shown
         )
-        known = rotor is not None and rotor.speed is not None
-        guess = "" if known else f" ({2 * np.pi * shown[0].hertz:.0f} rad/s if this is once per revolution)"
+        declared = rotor is not None and rotor.speed is not None
+        guess = "" if declared else f" ({2 * np.pi * shown[0].hertz:.0f} rad/s if this is once per revolution)"
         advice = f"Isolate the sensor, or declare the rotor's speed{guess}, so that this is not taken for motion."
-        yield finding("warning" if shown[0].share > 0.2 else "note", channel, f"vibration at {told}.", advice)
+        yield finding("warning" if shown[0].share > 0.2 else "note", channel, f"vibration at {lines_words}.", advice)
 
 
 def supply(dataset: Dataset) -> Iterator[Finding]:
@@ -174,6 +180,6 @@ def supply(dataset: Dataset) -> Iterator[Finding]:
     spreads = [facts.spreads["voltage"] for facts in dataset.facts.values() if facts.has("voltage")]
     low, high = min((s.low for s in spreads), default=0.0), max((s.high for s in spreads), default=0.0)
     if high > 0.0 and high - low > 0.1 * high:
-        told = f"runs from {low:.3g} to {high:.3g} V over the flights:"
-        told += " the same command gives another rotor speed and thrust, which goes with its square."
-        yield finding("note", "voltage", told, "Let propulsion.voltage be weighed, or use measured rotor speeds.")
+        sentence = f"runs from {low:.3g} to {high:.3g} V over the flights:"
+        sentence += " the same command gives another rotor speed and thrust, which goes with its square."
+        yield finding("note", "voltage", sentence, "Let propulsion.voltage be weighed, or use measured rotor speeds.")

@@ -45,10 +45,10 @@ class Samples:
 
 def stamps(dataset: Dataset) -> Iterator[Finding]:
     """Jitter of the record's own clock."""
-    found = clocks(dataset)
-    uneven = {name: clock for name, clock in found.items() if clock.uneven > 0.001}
-    if found and not uneven:
-        rates = sorted({round(1.0 / clock.median, 1) for clock in found.values()})
+    by_flight = clocks(dataset)
+    uneven = {name: clock for name, clock in by_flight.items() if clock.uneven > 0.001}
+    if by_flight and not uneven:
+        rates = sorted({round(1.0 / clock.median, 1) for clock in by_flight.values()})
         shown = f"{rates[0]:g}" if len(rates) == 1 else f"{rates[0]:g} to {rates[-1]:g}"
         yield finding("good", "time", f"stamps are even within 1 % ({shown} Hz).")
     if uneven:
@@ -56,23 +56,23 @@ def stamps(dataset: Dataset) -> Iterator[Finding]:
         shortest = min(clock.shortest for clock in uneven.values()) * 1e3
         longest = max(clock.longest for clock in uneven.values()) * 1e3
         median = float(np.median([c.median for c in uneven.values()])) * 1e3
-        where = f"stamps jitter in {len(uneven)} of {len(found)} flights"
-        told = f"{where}: intervals of {shortest:.3g} to {longest:.3g} ms,"
+        where = f"stamps jitter in {len(uneven)} of {len(by_flight)} flights"
+        sentence = f"{where}: intervals of {shortest:.3g} to {longest:.3g} ms,"
         more = f"median {median:.4g} ms, up to {share:.0%} of them over 1 % off; resampled to a uniform grid."
         grave: Severity = "warning" if longest > 3.0 * median else "note"
-        yield finding(grave, "time", told, more, "Record on one clock if fast dynamics matter.")
+        yield finding(grave, "time", sentence, more, "Record on one clock if fast dynamics matter.")
 
 
 def repeats(dataset: Dataset) -> Iterator[Finding]:
     """Channels that freeze, are renewed slowly, are cut off, or hold samples that stand alone."""
-    found: dict[str, dict[str, Samples]] = {}
+    by_channel: dict[str, dict[str, Samples]] = {}
     for name, flight in dataset.flights.items():
         for channel, values in flight.channels.items():
             if channel != "time" and names.channel(channel) is not None:
-                found.setdefault(channel, {})[name] = examine(values.numpy(), flight.dt)
-    for channel, flights in found.items():
+                by_channel.setdefault(channel, {})[name] = examine(values.numpy(), flight.dt)
+    for channel, flights in by_channel.items():
         yield from _told(dataset, channel, flights)
-    yield from _slow({channel: flights for channel, flights in found.items() if channel not in dataset.controls})
+    yield from _slow({channel: flights for channel, flights in by_channel.items() if channel not in dataset.controls})
 
 
 def rows(dataset: Dataset) -> Iterator[Finding]:
@@ -86,9 +86,9 @@ def rows(dataset: Dataset) -> Iterator[Finding]:
             lost[name] = float(same.mean())
     many = {name: share for name, share in lost.items() if share > LOST}
     if many:
-        told = ", ".join(f"{name} {share:.0%}" for name, share in many.items())
+        shares = ", ".join(f"{name} {share:.0%}" for name, share in many.items())
         reason = (
-            f"of the rows repeat the one before in every channel ({told}): samples were lost and the last one held."
+            f"of the rows repeat the one before in every channel ({shares}): samples were lost and the last one held."
         )
         yield finding("warning", "", reason, "Mark them as missing (NaN); held samples are late and spoil derivatives.")
 
@@ -99,38 +99,38 @@ def _told(dataset: Dataset, channel: str, flights: Mapping[str, Samples]) -> Ite
     frozen = [name for name, s in flights.items() if s.longest_s > FROZEN_S and s.longest_s * s.renewed_hz > 20.0]
     if frozen:
         longest = max(flights[name].longest_s for name in frozen)
-        told = f"stands exactly still for up to {longest:.2g} s and moves otherwise ({', '.join(frozen)}): frozen."
-        yield finding("warning", channel, told, "Mark these samples as missing (NaN), or leave the flight out.")
+        sentence = f"stands exactly still for up to {longest:.2g} s and moves otherwise ({', '.join(frozen)}): frozen."
+        yield finding("warning", channel, sentence, "Mark these samples as missing (NaN), or leave the flight out.")
     cut = [n for n, s in flights.items() if s.at_edge >= CLIPPED]
     if cut:
         longest = max(flights[name].at_edge for name in cut)
-        told = f"stays at its largest or least value for up to {longest} samples ({', '.join(cut)}):"
+        sentence = f"stays at its largest or least value for up to {longest} samples ({', '.join(cut)}):"
         yield finding(
             "warning",
             channel,
-            told,
+            sentence,
             "cut off by its range. Mark them as missing (NaN), and record with a larger range.",
         )
     alone = {n: s.alone for n, s in flights.items() if s.alone}
     if alone:
-        told = f"{sum(alone.values())} samples stand alone ({', '.join(alone)}), far from their neighbours:"
-        yield finding("warning", channel, told, "look at them, and mark as missing (NaN) what is no motion.")
+        sentence = f"{sum(alone.values())} samples stand alone ({', '.join(alone)}), far from their neighbours:"
+        yield finding("warning", channel, sentence, "look at them, and mark as missing (NaN) what is no motion.")
 
 
-def _slow(found: Mapping[str, Mapping[str, Samples]]) -> Iterator[Finding]:
+def _slow(by_channel: Mapping[str, Mapping[str, Samples]]) -> Iterator[Finding]:
     """Channels whose values are held between updates, in one sentence."""
     rates = {
         channel: float(np.median([s.renewed_hz for s in flights.values()]))
-        for channel, flights in found.items()
+        for channel, flights in by_channel.items()
         if HELD < np.median([s.repeated for s in flights.values()]) < 1.0
     }
     if rates:
-        told = ", ".join(f"{channel} {hertz:.3g} Hz" for channel, hertz in rates.items())
+        hertz_of = ", ".join(f"{channel} {hertz:.3g} Hz" for channel, hertz in rates.items())
         late = max(0.5 / hertz for hertz in rates.values())
         yield finding(
             "note",
             " ".join(rates),
-            f"renewed more slowly than recorded and held between ({told}): late by up to {late:.2g} s on average.",
+            f"renewed more slowly than recorded and held between ({hertz_of}): late by up to {late:.2g} s on average.",
             "Interpolate between the updates before use.",
         )
 

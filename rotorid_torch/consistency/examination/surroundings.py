@@ -36,23 +36,23 @@ def surroundings(dataset: Dataset) -> Iterator[Finding]:
     local, declared = gravity(dataset), dataset.vehicle.gravity
     if local is not None and local.errors[0] < KNOWN * declared:
         g, error = float(local.values[0]), float(local.errors[0])
-        told = f"kinematics with tilt give gravity {g:.3f} m/s² (± {error:.3f}), declared {declared:g}"
+        sentence = f"kinematics with tilt give gravity {g:.3f} m/s² (± {error:.3f}), declared {declared:g}"
         if abs(g - declared) > max(4.0 * error, GRAVITY_RANGE * declared):
             cause = "a scale or unit error of attitude or accelerometers, or another vehicle.gravity."
-            yield finding("warning", "", f"{told}:", cause, "Calibrate before believing forces.")
+            yield finding("warning", "", f"{sentence}:", cause, "Calibrate before believing forces.")
         else:
-            yield finding("good", "", f"{told}.")
+            yield finding("good", "", f"{sentence}.")
     air = wind(dataset)
     if air is not None and (air.errors < 2.0).all():
         (north, east), (north_se, east_se) = air.values[:2], air.errors[:2]
         speed, origin = float(np.hypot(north, east)), float(np.degrees(np.arctan2(-east, -north)) % 360.0)
-        told = f"airspeed against ground velocity gives wind of {speed:.1f} m/s from {origin:.0f}°"
+        sentence = f"airspeed against ground velocity gives wind of {speed:.1f} m/s from {origin:.0f}°"
         more = f"(north {north:+.2f} ± {north_se:.2f}, east {east:+.2f} ± {east_se:.2f} m/s)."
         advice = (
             "Derivatives by u v w are by velocity over ground: let environment.wind be estimated, or fly in calm air."
         )
         windy = speed > max(1.0, 3.0 * float(np.hypot(north_se, east_se)))
-        yield finding("warning" if windy else "good", "airspeed", told, more, *([advice] if windy else []))
+        yield finding("warning" if windy else "good", "airspeed", sentence, more, *([advice] if windy else []))
 
 
 def gravity(dataset: Dataset) -> Estimate | None:
@@ -84,9 +84,9 @@ def _gravity_moments(flight: Flight, pair: Pair) -> Iterator[tuple[float, float]
     left = np.convolve(pair.left(flight), slope, "valid") - np.convolve(pair.right(flight), bell, "valid")
     for first, last in pieces(len(left), flight.dt, 0):
         x, y = fall[first:last], left[first:last]
-        known = np.isfinite(x) & np.isfinite(y)
-        if known.sum() > 20:
-            x, y = x[known] - x[known].mean(), y[known] - y[known].mean()
+        finite = np.isfinite(x) & np.isfinite(y)
+        if finite.sum() > 20:
+            x, y = x[finite] - x[finite].mean(), y[finite] - y[finite].mean()
             yield float(x @ x), float(x @ y)
 
 

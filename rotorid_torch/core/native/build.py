@@ -44,10 +44,10 @@ def compiler() -> tuple[str, ...]:
     """
     wanted = os.environ.get("CXX", "g++")
     program, *options = [wanted] if shutil.which(wanted) else shlex.split(wanted) or [wanted]
-    found = shutil.which(program)
-    if found is None:
+    program_path = shutil.which(program)
+    if program_path is None:
         raise Unsupported(NO_COMPILER)
-    return (found, *options)
+    return (program_path, *options)
 
 
 def threads() -> int:
@@ -139,13 +139,13 @@ def _compiled(program: tuple[str, ...], source: str, key: str) -> bytes:
     vector_functions = ["-lmvec"] if platform.machine() == "x86_64" and platform.libc_ver()[0] == "glibc" else []
     try:
         with scratch_folder() as folder:
-            text, made = folder / "model.cpp", folder / "model.so"
+            text, binary = folder / "model.cpp", folder / "model.so"
             text.write_text(source)
-            command = [*program, *FLAGS, f"-I{LOOPS}", str(text), "-o", str(made), *vector_functions, "-lm"]
+            command = [*program, *FLAGS, f"-I{LOOPS}", str(text), "-o", str(binary), *vector_functions, "-lm"]
             code, said = _run(command, folder)
             if code:
                 raise _remembered(key, f"{shlex.join(program)} refuses the model: {_first_error(said)}")
-            return made.read_bytes()
+            return binary.read_bytes()
     except (InputError, OSError) as error:
         raise Unsupported(f"the model cannot be compiled: {error}") from error
     except subprocess.TimeoutExpired as error:
@@ -159,9 +159,9 @@ def _remembered(key: str, why: str) -> Unsupported:
 
 def _run(command: list[str], folder: Path) -> tuple[int, str]:
     """Exit code and error stream; its temporary files lie in the folder, which goes with them."""
-    quiet, told = subprocess.DEVNULL, subprocess.PIPE
+    quiet, pipe = subprocess.DEVNULL, subprocess.PIPE
     around = {**os.environ, "TMPDIR": str(folder)}
-    with child(command, stdout=quiet, stderr=told, errors="replace", env=around) as running:
+    with child(command, stdout=quiet, stderr=pipe, errors="replace", env=around) as running:
         said = running.communicate(timeout=LIMIT_S)[1]
     return running.returncode, said
 

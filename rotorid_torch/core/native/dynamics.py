@@ -174,11 +174,11 @@ class Dynamics:
         A column that depends on those before it to rounding gets zeros, and on the diagonal `weak` times its length:
         [B, first, n] and [B, n - first, n - first].
         """
-        rest, top = H.clone(), torch.zeros(len(H), first, H.shape[-1], dtype=torch.float64)
+        reduced, top = H.clone(), torch.zeros(len(H), first, H.shape[-1], dtype=torch.float64)
         library(self.sensitivity[0]).triangles(
-            len(H), H.shape[-1], first, ctypes.c_double(weak), _address(rest), _address(top)
+            len(H), H.shape[-1], first, ctypes.c_double(weak), _address(reduced), _address(top)
         )
-        return top, rest[:, first:, first:]
+        return top, reduced[:, first:, first:]
 
     def order(self) -> Tensor:
         """Columns of a row in the order of results: initial states, biases, parameters, residual."""
@@ -192,13 +192,13 @@ class Dynamics:
     ) -> None:
         source, numbers = self.sensitivity
         theta = _ready(torch.cat([problem.theta, numbers]))
-        given = (problem.length, problem.controls, self.padded(problem.path), problem.residual, problem.x0, theta)
+        arrays = (problem.length, problem.controls, self.padded(problem.path), problem.residual, problem.x0, theta)
         whitening = (problem.weight, problem.pattern, problem.table)
         getattr(library(source), name)(
             len(problem.x0),
             problem.samples,
             ctypes.c_double(problem.dt),
-            *(_address(a) for a in (*given, *whitening)),
+            *(_address(a) for a in (*arrays, *whitening)),
             len(order),
             *(_address(a) for a in (order, *results)),
             threads,

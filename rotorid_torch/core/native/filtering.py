@@ -117,7 +117,9 @@ class CompiledFilter:
         ------
         Unsupported : it cannot be compiled here. MemoryError : the smoother's memory does not suffice.
         """
-        given = {name: _ready(getattr(problem, name)) for name in ("controls", "outputs", "mean", "covariance", "R")}
+        ready_arrays = {
+            name: _ready(getattr(problem, name)) for name in ("controls", "outputs", "mean", "covariance", "R")
+        }
         noise, places = _ready(problem.values), [_ready(p, torch.int64) for p in (problem.rows, problem.columns)]
         (flights, samples, ny), nx = problem.outputs.shape, problem.mean.shape[-1]
 
@@ -133,7 +135,14 @@ class CompiledFilter:
             "smoothed_means": empty(samples, nx, wanted=smooth),
             "smoothed_covariances": empty(samples, nx, nx, wanted=smooth),
         }
-        arrays = {**given, "numbers": self.numbers, "noise": noise, "row": places[0], "column": places[1], **answer}
+        arrays = {
+            **ready_arrays,
+            "numbers": self.numbers,
+            "noise": noise,
+            "row": places[0],
+            "column": places[1],
+            **answer,
+        }
         task = _Task(
             flights=flights,
             samples=samples,

@@ -58,8 +58,8 @@ class Answer:
 
     def histories(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """All that can be asked for."""
-        found = [h for h in (self.innovations, self.spreads, self.states, self.covariances) if h is not None]
-        return found[0], found[1], found[2], found[3]
+        recorded = [h for h in (self.innovations, self.spreads, self.states, self.covariances) if h is not None]
+        return recorded[0], recorded[1], recorded[2], recorded[3]
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,15 +229,15 @@ def _covariance_rates(graph: Graph, rates: Sequence[int], Q: Sequence[int]) -> l
     n, slopes = len(rates), _by_state(graph, rates)
     places = {(i, j): n + k for k, (i, j) in enumerate((i, j) for i in range(n) for j in range(i, n))}
     P = lambda i, j: Term(graph, graph.input("x", places[min(i, j), max(i, j)]))  # noqa: E731
-    found = []
+    terms = []
     for i, j in places:
         value = Term(graph, Q[i * n + j])
         for k, slope in sorted(slopes[i].items()):
             value = value + Term(graph, slope) * P(k, j)
         for k, slope in sorted(slopes[j].items()):
             value = value + Term(graph, slope) * P(i, k)
-        found.append(value.node)
-    return found
+        terms.append(value.node)
+    return terms
 
 
 def address(values: Tensor | None) -> ctypes.c_void_p:

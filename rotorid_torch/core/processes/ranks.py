@@ -61,9 +61,9 @@ class Ranks:
         """Sum over the ranks in their order; the same shape [...] at each."""
         if self.size == 1:
             return tensor
-        own = tensor.cpu().contiguous()  # what ranks exchange is small, and the processor's on every machine
-        parts = [torch.empty_like(own) for _ in range(self.size)]
-        _joined(lambda: distributed.all_gather(parts, own))
+        local = tensor.cpu().contiguous()  # what ranks exchange is small, and the processor's on every machine
+        parts = [torch.empty_like(local) for _ in range(self.size)]
+        _joined(lambda: distributed.all_gather(parts, local))
         return torch.stack(parts).sum(dim=0).to(tensor.device)
 
     def largest(self, number: float) -> float:
@@ -81,9 +81,9 @@ class Ranks:
         """Every rank's item, in the order of ranks, at each."""
         if self.size == 1:
             return [item]
-        found: list[Any] = [None] * self.size
-        _joined(lambda: distributed.all_gather_object(found, item))
-        return found
+        gathered: list[Any] = [None] * self.size
+        _joined(lambda: distributed.all_gather_object(gathered, item))
+        return gathered
 
     def exchange(self, parts: Iterable[list[Item]]) -> Iterator[Item]:
         """Items of all ranks at each, part by part as they are made."""
@@ -91,36 +91,36 @@ class Ranks:
             for part in parts:
                 yield from part
             return
-        own, nothing = iter(parts), list[Item]()
+        local, nothing = iter(parts), list[Item]()
         while True:
-            found = self.gather(next(own, nothing))
-            if not any(found):
+            gathered = self.gather(next(local, nothing))
+            if not any(gathered):
                 return
-            for part in found:
+            for part in gathered:
                 yield from part
 
     def share(self, items: Sequence[Item], make: Callable[[Item], Made]) -> list[Made]:
         """What is made of each item, by one rank each; all of it at every rank, in the items' order."""
-        return self.carry(items, make, lambda made: made, lambda item, made: made)
+        return self.carry(items, make, lambda item: item, lambda item, result: result)
 
     def carry(
         self,
         items: Sequence[Item],
         make: Callable[[Item], Made],
-        told: Callable[[Made], Message],
+        message: Callable[[Made], Message],
         again: Callable[[Item, Message], Made],
     ) -> list[Made]:
-        """The same for what cannot travel: `told` is what does, and `again` makes it once more at the other ranks.
+        """The same for what cannot travel: `message` is what does, and `again` makes it once more at the other ranks.
 
         One item alone is made at every rank, for the others would only wait for it.
         """
         if self.size == 1 or len(items) == 1:
             return [make(item) for item in items]
-        own = {place: make(items[place]) for place in self.mine(range(len(items)))}
-        found = dict[int, Message]()
-        for part in self.gather({place: told(made) for place, made in own.items()}):
-            found |= part
-        return [own[k] if k in own else again(item, found[k]) for k, item in enumerate(items)]
+        local = {place: make(items[place]) for place in self.mine(range(len(items)))}
+        messages = dict[int, Message]()
+        for part in self.gather({place: message(result) for place, result in local.items()}):
+            messages |= part
+        return [local[k] if k in local else again(item, messages[k]) for k, item in enumerate(items)]
 
     def from_first(self, item: Item) -> Item:
         """The first rank's item, at each."""

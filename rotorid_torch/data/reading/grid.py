@@ -47,8 +47,8 @@ def make_flight(
             checked[angle] = unwrap(checked[angle])
     dt, resampled, warnings = resample(checked)
     tensors = {channel: torch.from_numpy(np.ascontiguousarray(values)) for channel, values in resampled.items()}
-    told = [f"flight {name}: {sentence}" for sentence in (*cleaned, *spiky, *warnings)]
-    return Flight(name, dt, MappingProxyType(tensors)), told
+    remarks = [f"flight {name}: {sentence}" for sentence in (*cleaned, *spiky, *warnings)]
+    return Flight(name, dt, MappingProxyType(tensors)), remarks
 
 
 def _check_shapes(arrays: Arrays, file: str | Path) -> Arrays:
@@ -97,8 +97,8 @@ def _check_finite(arrays: Arrays, file: str | Path) -> None:
     for channel, values in arrays.items():
         infinite = np.isinf(values)
         if infinite.any():
-            told = f"is infinite at sample {int(infinite.argmax())}"
-            raise InputError(file, channel, told, "finite numbers, or NaN for a missing sample")
+            wrong = f"is infinite at sample {int(infinite.argmax())}"
+            raise InputError(file, channel, wrong, "finite numbers, or NaN for a missing sample")
 
 
 def _within_half_a_turn(arrays: Arrays) -> Arrays:
@@ -111,19 +111,19 @@ def _within_half_a_turn(arrays: Arrays) -> Arrays:
 
 def _without_impossible(arrays: Arrays, units: Mapping[str, str], file: str | Path) -> tuple[Arrays, list[str]]:
     """Channels without the samples that no aircraft has, and a sentence on each that had any."""
-    found, told = dict(arrays), []
+    possible, sentences = dict(arrays), []
     for channel, values in arrays.items():
         allowed = of_channel(channel, units.get(channel, "")).samples
-        found[channel], sentence = without_impossible(channel, values, allowed, file, channel)
-        told += [sentence] if sentence else []
-    return found, told
+        possible[channel], sentence = without_impossible(channel, values, allowed, file, channel)
+        sentences += [sentence] if sentence else []
+    return possible, sentences
 
 
 def unwrap(angle: np.ndarray) -> np.ndarray:
     """Angle (T,) in rad without jumps of 2 pi, over missing samples too."""
-    known = ~np.isnan(angle)
+    present = ~np.isnan(angle)
     result = angle.copy()
-    result[known] = np.unwrap(angle[known])
+    result[present] = np.unwrap(angle[present])
     return result
 
 

@@ -110,8 +110,8 @@ def _check_header(path: Path, header: list[str]) -> None:
 
 def _row(path: Path, header: list[str], number: int, line: str) -> list[float]:
     if line.count(",") != len(header) - 1:
-        told = f"has {line.count(',') + 1} fields"
-        raise InputError(path, f"line {number}", told, f"{len(header)} as in the header row")
+        wrong = f"has {line.count(',') + 1} fields"
+        raise InputError(path, f"line {number}", wrong, f"{len(header)} as in the header row")
     row = []
     for name, field in zip(header, line.split(","), strict=True):
         try:
@@ -130,10 +130,10 @@ def number_of(field: str) -> float:
     return float(field)
 
 
-def take_arrays(given: Mapping[str, Any], place: str) -> Arrays:
+def take_arrays(table: Mapping[str, Any], place: str) -> Arrays:
     """Take arrays handed over in Python (NumPy, tensors, lists), under the rules of files. Raises InputError."""
     arrays: Arrays = {}
-    for name, value in given.items():
+    for name, value in table.items():
         raw = value.detach().cpu().numpy() if hasattr(value, "detach") else value
         try:
             array = np.asarray(raw)

@@ -25,14 +25,14 @@ TURN = 2.2 * math.pi
 
 def without_spikes(arrays: Arrays) -> tuple[Arrays, list[str]]:
     """Channels (T,) with spikes as NaN, and a sentence on each channel that had any; "time" is left alone."""
-    found, told = dict(arrays), []
+    smooth, sentences = dict(arrays), []
     for channel, values in arrays.items():
         at = spikes(channel, values, arrays["time"]) if channel != "time" else np.empty(0, int)
         if len(at):
-            found[channel] = values.copy()
-            found[channel][at] = np.nan
-            told.append(_sentence(channel, values, at, arrays["time"]))
-    return found, told
+            smooth[channel] = values.copy()
+            smooth[channel][at] = np.nan
+            sentences.append(_sentence(channel, values, at, arrays["time"]))
+    return smooth, sentences
 
 
 def spikes(channel: str, values: np.ndarray, time: np.ndarray) -> np.ndarray:
@@ -71,10 +71,10 @@ def running_median(x: np.ndarray, half: int) -> np.ndarray:
 
 
 def _sentence(channel: str, values: np.ndarray, at: np.ndarray, time: np.ndarray) -> str:
-    rest = np.delete(values, at)
-    worst = values[at[np.argmax(np.abs(values[at] - np.nanmedian(rest)))]]
+    others = np.delete(values, at)
+    worst = values[at[np.argmax(np.abs(values[at] - np.nanmedian(others)))]]
     many = "a spike" if len(at) == 1 else f"{len(at)} spike samples"
     unit = names.unit(channel)
-    span = f"{np.nanmin(rest):.4g} to {np.nanmax(rest):.4g}{f' {unit}' if unit else ''} otherwise"
+    span = f"{np.nanmin(others):.4g} to {np.nanmax(others):.4g}{f' {unit}' if unit else ''} otherwise"
     first = time[at[0]] - time[0]
     return f"{channel} has {many} of up to {worst:.4g} ({span}) from {first:.2f} s on: taken as missing samples"

@@ -35,10 +35,10 @@ TURNS = 200.0
 
 def unwrapped_roll(time: np.ndarray, phi: np.ndarray, rate_time: np.ndarray, rate: np.ndarray) -> bool:
     """Whether a roll angle (T,) beyond half a turn is one in rad that goes on turning, as its rate (n,) says."""
-    known, measured = np.isfinite(phi), np.isfinite(rate) & np.isfinite(rate_time)
-    if known.sum() < 16 or measured.sum() < 16 or not np.pi < np.abs(phi[known]).max() <= TURNS:
+    finite, measured = np.isfinite(phi), np.isfinite(rate) & np.isfinite(rate_time)
+    if finite.sum() < 16 or measured.sum() < 16 or not np.pi < np.abs(phi[finite]).max() <= TURNS:
         return False
-    t, angle = time[known], phi[known]
+    t, angle = time[finite], phi[finite]
     fine = rate_time[measured]
     steps = 0.5 * (rate[measured][1:] + rate[measured][:-1]) * np.diff(fine)
     integral = np.interp(t, fine, np.concatenate([[0.0], np.cumsum(steps)]))

@@ -40,15 +40,15 @@ def per_control(p: Values, common: str, names: tuple[str, ...]) -> Tensor:
 
 def excursions(spec: ModelSpec) -> dict[str, float]:
     """The controls' rms excursions, in the controls' unit; of one that hardly moves as much as would tell."""
-    found = {c: spec.sizes.get(c, EXCURSION) for c in spec.controls}
-    return {c: max(size, STILL * _mean(found)) for c, size in found.items()}
+    sizes = {c: spec.sizes.get(c, EXCURSION) for c in spec.controls}
+    return {c: max(size, STILL * _mean(sizes)) for c, size in sizes.items()}
 
 
 def _mean(sizes: Mapping[str, float]) -> float:
     return sum(sizes.values()) / len(sizes) if sizes else EXCURSION
 
 
-def _each(common: Parameter, own: Mapping[str, Parameter], alone: bool, least: float = 0.0) -> tuple[Parameter, ...]:
+def _each(common: Parameter, single: Mapping[str, Parameter], alone: bool, least: float = 0.0) -> tuple[Parameter, ...]:
     """The parameter of all controls and each one's own: the former free, or where they act alone the latter.
 
     None has less of a range than all in common.
@@ -56,7 +56,7 @@ def _each(common: Parameter, own: Mapping[str, Parameter], alone: bool, least: f
     low, most = 0.0 if alone else least, common.bounds[1]
     added = (
         replace(p, name=c, bounds=(low, max(most, p.bounds[1])), free=alone, doc=f"{p.doc}: {c}, added")
-        for c, p in own.items()
+        for c, p in single.items()
     )
     return (replace(common, free=not alone), *added)
 
@@ -169,10 +169,12 @@ class Backlash(Effect):
     proportional = False
 
     def __init__(self, sizes: Mapping[str, float] = NONE, unit: str = "rad", alone: bool = False) -> None:
-        own = unit if unit in ("rad", "m") else "1"
+        unit_of_play = unit if unit in ("rad", "m") else "1"
 
         def at(size: float) -> Parameter:
-            return Parameter("width", 0.0, own, (0.0, 2.0 * size), doc="play of every control", typical=0.4 * size)
+            return Parameter(
+                "width", 0.0, unit_of_play, (0.0, 2.0 * size), doc="play of every control", typical=0.4 * size
+            )
 
         places = (
             Parameter(f"place.{c}", 0.0, "1", (-1.0, 1.0), doc=f"where in its play {c} stands at first", nuisance=True)

@@ -77,12 +77,14 @@ class Ground(Effect):
             return (0.25 * self.radius / z).square() / (1.0 + square / self.induced**2)
 
         u, v = frame.signals["u"], frame.signals["v"]
-        here, there = image(x[..., 0], u * u + v * v), image(*self.at)
+        here, reference = image(x[..., 0], u * u + v * v), image(*self.at)
         climb = _climb(frame).unsqueeze(-1)
         if self.inflow:
-            return frame.with_signals(**{INDUCED_SHARE: (1.0 - p["strength"] * (here - there)).clamp(min=0.0)}), climb
+            return frame.with_signals(
+                **{INDUCED_SHARE: (1.0 - p["strength"] * (here - reference)).clamp(min=0.0)}
+            ), climb
         assert frame.force is not None
-        more = p["strength"] * (here / (1.0 - here) - there / (1.0 - there))
+        more = p["strength"] * (here / (1.0 - here) - reference / (1.0 - reference))
         lift = more * frame.force[..., 2]
         zero = torch.zeros_like(lift)
         return frame.add(force=vec(zero, zero, lift)), climb
@@ -135,8 +137,8 @@ class Wind(Effect):
         """Velocities through the air; the rate of the heading."""
         phi, theta, psi = frame.signals["phi"], frame.signals["theta"], x[..., 0]
         here = self._in_body(p, phi, theta, psi)
-        there = self._in_body(p, *(torch.as_tensor(a, dtype=x.dtype) for a in self.attitude))
-        air = frame.stack(VELOCITIES) - (here - there)
+        reference = self._in_body(p, *(torch.as_tensor(a, dtype=x.dtype) for a in self.attitude))
+        air = frame.stack(VELOCITIES) - (here - reference)
         turn = (frame.signals["q"] * torch.sin(phi) + frame.signals["r"] * torch.cos(phi)) / torch.cos(theta)
         return frame.with_air(*air.unbind(-1)), turn.unsqueeze(-1)
 

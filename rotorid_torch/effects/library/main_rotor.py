@@ -288,14 +288,14 @@ class LeadLag(Effect):
         spring, turned = p["damping"].square() - p["regressing"] * p["advancing"], p["damping"] * total
         zero = torch.zeros_like(late)
         behind = zero if self.collective is None else frame.signals["col"] - self.collective - late
-        own = p["damping"].square() + (0.5 * (p["advancing"] + self.regressing * p["regressing"])).square()
+        stiffness = p["damping"].square() + (0.5 * (p["advancing"] + self.regressing * p["regressing"])).square()
         rates = vec(
             along_rate,
             side_rate,
             late_rate,
             self.speed * a - twice * along_rate - total * side_rate - spring * along - turned * side,
             self.speed * b - twice * side_rate + total * along_rate - spring * side + turned * along,
-            own * behind - twice * late_rate,
+            stiffness * behind - twice * late_rate,
         )
         cos, sin = torch.cos(p["phase"]), torch.sin(p["phase"])
         fore, right = cos * along_rate - sin * side_rate, sin * along_rate + cos * side_rate
@@ -331,7 +331,7 @@ class WakeDistortion(Effect):
         times = (0.05, 1.5)
         start = inside(tau, times)
         late = Parameter("tau", start, "s", times, 0.5 * start, doc="time in which the wake curves", typical=start)
-        own = (
+        parameters = (
             (Parameter("K_R", 0.0, "1", (0.0, 3.0), doc="curvature of the wake", typical=1.5),)
             if rotor is not None
             else (
@@ -345,7 +345,7 @@ class WakeDistortion(Effect):
             State("q", "rad/s", "pitch rate that the wake knows", spread=REMEMBERED),
             State("p", "rad/s", "roll rate likewise", spread=REMEMBERED),
         )
-        super().__init__((*own, late), states)
+        super().__init__((*parameters, late), states)
         self.rotor = rotor
         if rotor is not None:
             g, twice = damping_of(rotor), 2.0 * rotor.speed

@@ -133,8 +133,8 @@ class Misalignment(_Sensor):
         for triad in self.triads:
             true = frame.stack(triad)
             across = cross(e, true)
-            seen = true - once * across + twice * cross(e, across)
-            frame = frame.with_signals(**dict(zip(triad, seen.unbind(-1), strict=True)))
+            read = true - once * across + twice * cross(e, across)
+            frame = frame.with_signals(**dict(zip(triad, read.unbind(-1), strict=True)))
         return frame, x
 
 
@@ -161,8 +161,8 @@ class LeverArm(_Sensor):
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Specific forces where the IMU really is."""
         rates, angular = frame.stack(RATES), frame.stack(ANGULAR_ACCELERATIONS)
-        seen = specific_force_at(p.stack("x", "y", "z"), frame.stack(SPECIFIC_FORCES), rates, angular)
-        return frame.with_signals(**dict(zip(SPECIFIC_FORCES, seen.unbind(-1), strict=True))), x
+        felt = specific_force_at(p.stack("x", "y", "z"), frame.stack(SPECIFIC_FORCES), rates, angular)
+        return frame.with_signals(**dict(zip(SPECIFIC_FORCES, felt.unbind(-1), strict=True))), x
 
 
 def _of_units(channels: tuple[str, ...], low: float, high: float, typical: float, what: str) -> tuple[Parameter, ...]:
@@ -192,8 +192,8 @@ class SensorDelay(_Sensor):
 
     def __init__(self, channels: tuple[str, ...]) -> None:
         late = "time by which the record of the controls is late"
-        own = Parameter("controls", 0.0, "s", (0.0, 0.5), free=False, doc=late, typical=0.05)
-        super().__init__((*_of_units(channels, -30.0, 30.0, 0.05, "delay"), own))
+        common = Parameter("controls", 0.0, "s", (0.0, 0.5), free=False, doc=late, typical=0.05)
+        super().__init__((*_of_units(channels, -30.0, 30.0, 0.05, "delay"), common))
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> SensorDelay:

@@ -110,17 +110,17 @@ def plan(log: Log) -> Plan:
     )
     tilted = log.parameters.get("Q_ENABLE", 0.0) > 0
     if other and not (other == "a fixed wing" and tilted):
-        told = f"is the log of {other} ({log.about.partition(';')[0][:60]})"
-        raise InputError(log.file, "", told, "a helicopter or a multirotor, or --map to name its controls")
+        wrong = f"is the log of {other} ({log.about.partition(';')[0][:60]})"
+        raise InputError(log.file, "", wrong, "a helicopter or a multirotor, or --map to name its controls")
     notes = ["Q_ENABLE tells of a VTOL: only its hover is a rotorcraft"] if tilted else []
     flown = _Flown(log)
     chosen = [first_or_faster(log, some, flown.instance) for some in (*flown.groups, *COMMON)]
     if evidence := _helicopter(log):
-        sticks, told = _sticks(log)
-        return merged("helicopter", [*chosen, *sticks, first_or_faster(log, ROTOR)], [*notes, evidence, *told])
-    motors, told, outputs = _motors(log)
+        sticks, wrong = _sticks(log)
+        return merged("helicopter", [*chosen, *sticks, first_or_faster(log, ROTOR)], [*notes, evidence, *wrong])
+    motors, wrong, outputs = _motors(log)
     speeds, left = _speeds(log, outputs)
-    return merged("multirotor", [*chosen, motors, speeds], [*notes, *told, *left])
+    return merged("multirotor", [*chosen, motors, speeds], [*notes, *wrong, *left])
 
 
 def _helicopter(log: Log) -> str:
@@ -130,19 +130,19 @@ def _helicopter(log: Log) -> str:
         return f"a helicopter, by FRAME_CLASS {frame}"
     if match := re.search(r"Frame: HELI\w*", log.about):
         return f"a helicopter, by '{match[0]}'"
-    own = next((name for name in log.parameters if re.match(r"H_[A-Z]", name)), "")
-    return f"a helicopter, by its setting {own}" if own and not frame else ""
+    parameter = next((name for name in log.parameters if re.match(r"H_[A-Z]", name)), "")
+    return f"a helicopter, by its setting {parameter}" if parameter and not frame else ""
 
 
 class _Flown:
     """The estimator, its core and the inertial sensor that the vehicle flew with, and why."""
 
     def __init__(self, log: Log) -> None:
-        there = [kind for kind, topics in FILTERS.items() if log.instances(topics[0])]
+        filters = [kind for kind, topics in FILTERS.items() if log.instances(topics[0])]
         asked = int(log.parameters.get("AHRS_EKF_TYPE", 3))
-        self.kind = asked if asked in there else (there or [3])[0]
-        states, _, told = FILTERS[self.kind]
-        self.core, self.why = _primary(log, told)
+        self.kind = asked if asked in filters else (filters or [3])[0]
+        states, _, notes = FILTERS[self.kind]
+        self.core, self.why = _primary(log, notes)
         self.cores = log.instances(states)
         numbers = log.instances("IMU") if len(log.instances("IMU")) > 1 else []
         numbers = numbers or [i for i, topic in enumerate(SENSED) if log.instances(topic)]
@@ -176,14 +176,14 @@ def _primary(log: Log, topic: str) -> tuple[int, str]:
 
 def _sensor(log: Log, core: int, numbers: Sequence[int]) -> tuple[int, str]:
     """The inertial sensor of the primary core, if in use and healthy, else the first that is; and why, of several."""
-    given = log.parameters
-    used = [n for n in numbers if given.get(f"INS_USE{n + 1 if n else ''}", 1.0) != 0.0]
+    parameters = log.parameters
+    used = [n for n in numbers if parameters.get(f"INS_USE{n + 1 if n else ''}", 1.0) != 0.0]
     healthy = [n for n in used if _healthy(log, n)]
-    mask = int(given.get("EK3_IMU_MASK", given.get("EK2_IMU_MASK", 0.0)))
+    mask = int(parameters.get("EK3_IMU_MASK", parameters.get("EK2_IMU_MASK", 0.0)))
     of_cores = [bit for bit in range(8) if mask >> bit & 1] or list(range(8))
-    own = of_cores[core] if core < len(of_cores) else 0
+    instance_of_core = of_cores[core] if core < len(of_cores) else 0
     usable = healthy or used or list(numbers) or [0]
-    chosen = own if own in usable else usable[0]
+    chosen = instance_of_core if instance_of_core in usable else usable[0]
     if len(numbers) < 2:
         return chosen, ""
     left = [
@@ -191,7 +191,7 @@ def _sensor(log: Log, core: int, numbers: Sequence[int]) -> tuple[int, str]:
         for n in numbers
         if n != chosen
     ]
-    return chosen, f"IMU {chosen}, in use{f' by core {core}' if chosen == own else ''}; {', '.join(left)}"
+    return chosen, f"IMU {chosen}, in use{f' by core {core}' if chosen == instance_of_core else ''}; {', '.join(left)}"
 
 
 def _healthy(log: Log, number: int) -> bool:
@@ -209,43 +209,43 @@ def _sticks(log: Log) -> tuple[list[Chosen], list[str]]:
         return [Chosen(pedal, asked.hertz), swash], ["col, lon and lat are blade angles (SWSH), ped is what was asked"]
     if asked.entries or not log.instances("RCIN"):
         return [asked], []
-    given, entries = log.parameters, {}
-    for axis, (name, own) in enumerate(
+    parameters, entries = log.parameters, {}
+    for axis, (name, axis_name) in enumerate(
         zip(("ROLL", "PITCH", "THROTTLE", "YAW"), ("lat", "lon", "col", "ped"), strict=True), 1
     ):
-        number = int(given.get(f"RCMAP_{name}", axis))
-        low, high = given.get(f"RC{number}_MIN", 1000.0), given.get(f"RC{number}_MAX", 2000.0)
-        middle = low if own == "col" else given.get(f"RC{number}_TRIM", 0.5 * (low + high))
-        span = (high - low) if own == "col" else 0.5 * (high - low)
+        number = int(parameters.get(f"RCMAP_{name}", axis))
+        low, high = parameters.get(f"RC{number}_MIN", 1000.0), parameters.get(f"RC{number}_MAX", 2000.0)
+        middle = low if axis_name == "col" else parameters.get(f"RC{number}_TRIM", 0.5 * (low + high))
+        span = (high - low) if axis_name == "col" else 0.5 * (high - low)
         if span > 0.0:
-            entries[own] = Entry(f"C{number}", "norm", 1, 1.0 / span, -middle / span)
+            entries[axis_name] = Entry(f"C{number}", "norm", 1, 1.0 / span, -middle / span)
     instance = log.instances("RCIN")[0]
-    there = {n: e for n, e in entries.items() if e.field in log.streams["RCIN", instance].columns}
-    told = "no RATE and no SWSH: the pilot's sticks (RCIN) are the controls"
-    return [Chosen(named(Group("RCIN", there), instance), rate_of(log.streams["RCIN", instance].time))], [told]
+    logged = {n: e for n, e in entries.items() if e.field in log.streams["RCIN", instance].columns}
+    reason = "no RATE and no SWSH: the pilot's sticks (RCIN) are the controls"
+    return [Chosen(named(Group("RCIN", logged), instance), rate_of(log.streams["RCIN", instance].time))], [reason]
 
 
 def _motors(log: Log) -> tuple[Chosen, list[str], dict[int, int]]:
     """Motor commands 0 to 1 from the outputs that drive motors, how these are known, and the output of each motor."""
-    given = log.parameters
-    functions = {i: int(given.get(f"SERVO{i}_FUNCTION", 0)) for some in OUTPUTS.values() for i in some}
+    parameters = log.parameters
+    functions = {i: int(parameters.get(f"SERVO{i}_FUNCTION", 0)) for some in OUTPUTS.values() for i in some}
     outputs = dict(sorted((FUNCTIONS[f], i) for i, f in functions.items() if f in FUNCTIONS))
     if not log.instances("RCOU"):
         return Chosen(), [], outputs
     columns, notes = log.streams["RCOU", log.instances("RCOU")[0]].columns, list[str]()
     if not outputs:
         outputs = {i: i for i in range(1, 9) if f"C{i}" in columns and moving(columns[f"C{i}"])}
-        told = f"no SERVOn_FUNCTION says which output drives which motor: RCOU outputs {[*outputs]} are motors"
-        notes = [told] if outputs else []
+        reason = f"no SERVOn_FUNCTION says which output drives which motor: RCOU outputs {[*outputs]} are motors"
+        notes = [reason] if outputs else []
     entries, hertz = dict[str, Entry](), 0.0
     for motor, output in outputs.items():
         topic = next(name for name, some in OUTPUTS.items() if output in some)
         stream = log.streams.get((topic, 0))
         if stream is None or f"C{output}" not in stream.columns:
-            told = "an output for every motor of SERVOn_FUNCTION"
-            raise InputError(log.file, f"{topic}.C{output}", "is missing", told)
+            reason = "an output for every motor of SERVOn_FUNCTION"
+            raise InputError(log.file, f"{topic}.C{output}", "is missing", reason)
         values = _numbers(log, stream, topic, f"C{output}")
-        fitting = range_of(log.file, f"{topic}.C{output} (motor{motor})", values, of_ardupilot(given))
+        fitting = range_of(log.file, f"{topic}.C{output} (motor{motor})", values, of_ardupilot(parameters))
         entries |= named(Group(topic, {f"motor{motor}": fitting.entry(f"C{output}")}), 0)
         hertz = rate_of(stream.time)
     return Chosen(entries, hertz), notes, outputs
@@ -263,9 +263,9 @@ def _speeds(log: Log, outputs: dict[int, int]) -> tuple[Chosen, list[str]]:
 
     Boards that count from their first motor's output have all numbers shifted by one constant.
     """
-    told = {number: ("ESC", number) for number in log.instances("ESC")}
-    told = told or {i - 1: (f"ESC{i}", 0) for i in range(1, 9) if log.instances(f"ESC{i}")}
-    turning = {i: place for i, place in told.items() if moving(log.streams[place].columns.get("RPM", np.zeros(1)))}
+    sources = {number: ("ESC", number) for number in log.instances("ESC")}
+    sources = sources or {i - 1: (f"ESC{i}", 0) for i in range(1, 9) if log.instances(f"ESC{i}")}
+    turning = {i: place for i, place in sources.items() if moving(log.streams[place].columns.get("RPM", np.zeros(1)))}
     if not turning:
         return Chosen(), []
     motors = {output: motor for motor, output in outputs.items()} or {i + 1: i + 1 for i in turning}

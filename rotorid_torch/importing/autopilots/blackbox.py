@@ -41,7 +41,7 @@ def clock(names: Sequence[str]) -> Clock:
 
 def settings(rows: Iterable[Sequence[str]]) -> dict[str, float]:
     """Numbers of the rows of keys and values before the names; of a list `name[0]`, `name[1]`, ..."""
-    found: dict[str, float] = {}
+    numbers: dict[str, float] = {}
     for row in rows:
         if len(row) < 2:
             continue
@@ -51,8 +51,8 @@ def settings(rows: Iterable[Sequence[str]]) -> dict[str, float]:
                 number = float(part)
             except ValueError:
                 continue
-            found[f"{row[0]}[{index}]" if len(fields) > 1 else row[0]] = number
-    return found
+            numbers[f"{row[0]}[{index}]" if len(fields) > 1 else row[0]] = number
+    return numbers
 
 
 def fields(topic: str, names: Sequence[str]) -> list[str]:
@@ -66,12 +66,12 @@ def fields(topic: str, names: Sequence[str]) -> list[str]:
 def plan(log: Log) -> Plan:
     """Channels of a blackbox. Raises InputError where the motors' outputs have an unknown range."""
     columns = log.streams["", 0].columns
-    own = {_bare(name): name for name in columns}
-    chosen = [_sensors(log, own), _voltage(own)]
-    if "headspeed" in own or any("rotorflight" in str(key).lower() for key in (log.about, *log.parameters)):
-        speed = Chosen({"omega": Entry(own["headspeed"], "rpm")}) if "headspeed" in own else Chosen()
-        return merged("helicopter", [*chosen, _sticks(own, columns), speed], ["a helicopter: Rotorflight"])
-    return merged("multirotor", [*chosen, _motors(log, own), _speeds(log, own)], [])
+    full_names = {_bare(name): name for name in columns}
+    chosen = [_sensors(log, full_names), _voltage(full_names)]
+    if "headspeed" in full_names or any("rotorflight" in str(key).lower() for key in (log.about, *log.parameters)):
+        speed = Chosen({"omega": Entry(full_names["headspeed"], "rpm")}) if "headspeed" in full_names else Chosen()
+        return merged("helicopter", [*chosen, _sticks(full_names, columns), speed], ["a helicopter: Rotorflight"])
+    return merged("multirotor", [*chosen, _motors(log, full_names), _speeds(log, full_names)], [])
 
 
 def _bare(name: str) -> str:
@@ -80,51 +80,53 @@ def _bare(name: str) -> str:
     return match[1] if match else name
 
 
-def _sensors(log: Log, own: Mapping[str, str]) -> Chosen:
+def _sensors(log: Log, full_names: Mapping[str, str]) -> Chosen:
     entries: dict[str, Entry] = {}
-    gyro = GYROS if f"{GYROS}[0]" in own else OLDER[GYROS]
+    gyro = GYROS if f"{GYROS}[0]" in full_names else OLDER[GYROS]
     for i, (rate, force) in enumerate((("p", "ax"), ("q", "ay"), ("r", "az"))):
-        if f"{gyro}[{i}]" in own:
-            entries[rate] = Entry(own[f"{gyro}[{i}]"], "deg/s", 1 if i == 0 else -1)
-        if f"{FORCES}[{i}]" in own:
+        if f"{gyro}[{i}]" in full_names:
+            entries[rate] = Entry(full_names[f"{gyro}[{i}]"], "deg/s", 1 if i == 0 else -1)
+        if f"{FORCES}[{i}]" in full_names:
             scale = 1.0 / log.parameters.get("acc_1G", ACC_1G)
-            entries[force] = Entry(own[f"{FORCES}[{i}]"], "g", 1 if i == 0 else -1, scale)
+            entries[force] = Entry(full_names[f"{FORCES}[{i}]"], "g", 1 if i == 0 else -1, scale)
     return Chosen(entries)
 
 
-def _voltage(own: Mapping[str, str]) -> Chosen:
-    name = next((name for bare, name in own.items() if bare.lower() in ("vbatlatest", "vbat")), "")
+def _voltage(full_names: Mapping[str, str]) -> Chosen:
+    name = next((name for bare, name in full_names.items() if bare.lower() in ("vbatlatest", "vbat")), "")
     return Chosen({"voltage": Entry(name, "V", 1, 1.0 if "(V)" in name else 0.01)}) if name else Chosen()
 
 
-def _sticks(own: Mapping[str, str], columns: Mapping[str, np.ndarray]) -> Chosen:
+def _sticks(full_names: Mapping[str, str], columns: Mapping[str, np.ndarray]) -> Chosen:
     """What the mixer is asked, else what the pilot asks."""
-    mixed = all(field in own for field, _ in CONTROLS.values())
+    mixed = all(field in full_names for field, _ in CONTROLS.values())
     table = CONTROLS if mixed else ASKED
-    there = {name: (own[field], sign) for name, (field, sign) in table.items() if field in own}
-    return Chosen({n: Entry(f, "norm", 1 if sign > 0 else -1, 1.0 / STICK) for n, (f, sign) in there.items()})
+    logged = {name: (full_names[field], sign) for name, (field, sign) in table.items() if field in full_names}
+    return Chosen({n: Entry(f, "norm", 1 if sign > 0 else -1, 1.0 / STICK) for n, (f, sign) in logged.items()})
 
 
-def _motors(log: Log, own: Mapping[str, str]) -> Chosen:
+def _motors(log: Log, full_names: Mapping[str, str]) -> Chosen:
     """Motor commands by the range that the header names, else the only one that holds the outputs."""
-    given, columns = log.parameters, log.streams["", 0].columns
-    low, high = given.get("motorOutput[0]"), given.get("motorOutput[1]")
+    parameters, columns = log.parameters, log.streams["", 0].columns
+    low, high = parameters.get("motorOutput[0]"), parameters.get("motorOutput[1]")
     if low is not None and high is not None and low < high:
         allowed = [OutputRange(low, high, "motorOutput")]
-    elif "minthrottle" in given:
-        allowed = [OutputRange(given["minthrottle"], given.get("maxthrottle", 2000.0), "minthrottle, maxthrottle")]
+    elif "minthrottle" in parameters:
+        allowed = [
+            OutputRange(parameters["minthrottle"], parameters.get("maxthrottle", 2000.0), "minthrottle, maxthrottle")
+        ]
     else:
         allowed = [PULSE, DSHOT_RAW]
-    raw = {n: columns[own[f"{MOTORS}[{n}]"]] for n in range(8) if f"{MOTORS}[{n}]" in own}
+    raw = {n: columns[full_names[f"{MOTORS}[{n}]"]] for n in range(8) if f"{MOTORS}[{n}]" in full_names}
     used = {n: values for n, values in raw.items() if moving(values)} or raw
-    ranges = [range_of(log.file, f"{own[f'{MOTORS}[{n}]']} (motor{n + 1})", v, allowed) for n, v in used.items()]
+    ranges = [range_of(log.file, f"{full_names[f'{MOTORS}[{n}]']} (motor{n + 1})", v, allowed) for n, v in used.items()]
     widest = DSHOT_RAW if DSHOT_RAW in ranges else ranges[0] if ranges else PULSE
     reason = f"outputs {widest}" if len(allowed) > 1 else ""
-    return Chosen({f"motor{n + 1}": widest.entry(own[f"{MOTORS}[{n}]"]) for n in used}, reason=reason)
+    return Chosen({f"motor{n + 1}": widest.entry(full_names[f"{MOTORS}[{n}]"]) for n in used}, reason=reason)
 
 
-def _speeds(log: Log, own: Mapping[str, str]) -> Chosen:
+def _speeds(log: Log, full_names: Mapping[str, str]) -> Chosen:
     """Rotor speeds from electrical revolutions, in hundreds a minute, and pairs of magnets."""
     pairs = log.parameters.get("motor_poles", POLES) / 2.0
-    there = [n for n in range(8) if f"{TURNS}[{n}]" in own]
-    return Chosen({f"omega{n + 1}": Entry(own[f"{TURNS}[{n}]"], "rpm", 1, 100.0 / pairs) for n in there})
+    logged = [n for n in range(8) if f"{TURNS}[{n}]" in full_names]
+    return Chosen({f"omega{n + 1}": Entry(full_names[f"{TURNS}[{n}]"], "rpm", 1, 100.0 / pairs) for n in logged})

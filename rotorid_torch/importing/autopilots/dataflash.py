@@ -115,8 +115,8 @@ class _Walk:
         return place
 
     def _next(self, data: bytes, place: int, last: bool) -> int:
-        found = data.find(HEAD, place + 1)
-        after = found if found >= 0 else len(data) if last else len(data) - 1
+        head = data.find(HEAD, place + 1)
+        after = head if head >= 0 else len(data) if last else len(data) - 1
         if any(data[place:after]) and set(data[place:after]) != {0xFF}:  # erased flash is no loss
             self.skipped += after - place
         return after
@@ -147,14 +147,14 @@ class _Walk:
 
     def _want(self, kind: _Kind) -> None:
         """Gather of this kind what is wanted, its clock and the number of its instance."""
-        kept = [
+        wanted = [
             c for c in (*self.choose(kind.name, list(kind.columns)), *ALWAYS.get(kind.name, ())) if c in kind.columns
         ]
-        if not kept:
+        if not wanted:
             return
         likely = (*NUMBERED, CORE) if kind.name.startswith(CORES) else NUMBERED
         kind.numbered = next((c for c in likely if c in kind.columns and kind.columns[c][1] == "B"), "")
-        names = {*kept, kind.instance, kind.numbered, "TimeUS", "TimeMS"} & {*kind.columns}
+        names = {*wanted, kind.instance, kind.numbered, "TimeUS", "TimeMS"} & {*kind.columns}
         layout = [(c, place, np.dtype(TYPES[f][0])) for c, (place, f) in kind.columns.items() if c in names]
         kind.factors = [TYPES[kind.columns[c][1]][1] for c, *_ in layout]
         kind.gathered = Gathered(layout, kind.length)
@@ -222,12 +222,12 @@ def _instances(kind: _Kind, columns: dict[str, np.ndarray], numbered: str) -> di
     if columns.get(numbered, _NONE).dtype.kind not in "iu":
         return {(kind.name, 0): Stream(time, columns)}
     numbers = columns[numbered]
-    made = {}
+    streams = {}
     for number in np.unique(numbers)[:INSTANCES]:
         chosen = numbers == number
         picked = {name: values[chosen] for name, values in columns.items()}
-        made[kind.name, int(number)] = Stream(time[chosen], picked)
-    return made
+        streams[kind.name, int(number)] = Stream(time[chosen], picked)
+    return streams
 
 
 def _clock(columns: dict[str, np.ndarray]) -> np.ndarray | None:

@@ -140,8 +140,8 @@ def plan(log: Log) -> Plan:
     """Channels of a PX4 log. Raises InputError where it is of no rotorcraft."""
     kind, notes = _kind(log)
     if kind in OTHERS:
-        told = f"is the log of {OTHERS[kind]} (MAV_TYPE {kind})"
-        raise InputError(log.file, "", told, "a helicopter or a multirotor, or --map to name its controls")
+        wrong = f"is the log of {OTHERS[kind]} (MAV_TYPE {kind})"
+        raise InputError(log.file, "", wrong, "a helicopter or a multirotor, or --map to name its controls")
     notes += [f"MAV_TYPE {kind} is a VTOL: only its hover is a rotorcraft"] if kind in VTOL else []
     chosen = [first_or_faster(log, alternatives, lambda t, n: _instance(log, t, n)) for alternatives in GROUPS]
     if kind == HELICOPTER_TYPE:
@@ -150,23 +150,25 @@ def plan(log: Log) -> Plan:
         return merged("helicopter", [*chosen, controls, thrust], notes)
     number = MOTORS_OF.get(kind, 0)
     motors, outputs = _motors(log, number)
-    speeds, told = _speeds(log, outputs, number)
-    return merged("multirotor", [*chosen, motors, speeds], [*notes, *told], _geometry(log, len(motors.entries)))
+    speeds, wrong = _speeds(log, outputs, number)
+    return merged("multirotor", [*chosen, motors, speeds], [*notes, *wrong], _geometry(log, len(motors.entries)))
 
 
 def _kind(log: Log) -> tuple[int, list[str]]:
     """MAV_TYPE by all that settings say, and a sentence where they do not agree."""
-    given = log.parameters
+    parameters = log.parameters
     said = {
-        "MAV_TYPE": int(given.get("MAV_TYPE", 0)),
-        "CA_AIRFRAME": AIRFRAMES.get(int(given.get("CA_AIRFRAME", -1)), 0),
+        "MAV_TYPE": int(parameters.get("MAV_TYPE", 0)),
+        "CA_AIRFRAME": AIRFRAMES.get(int(parameters.get("CA_AIRFRAME", -1)), 0),
     }
-    start = int(given.get("SYS_AUTOSTART", 0))
+    start = int(parameters.get("SYS_AUTOSTART", 0))
     said["SYS_AUTOSTART"] = next((kind for low, high, kind in STARTS if low <= start <= high), 0)
     of_helicopter = [key for key, kind in said.items() if kind == HELICOPTER_TYPE]
     if of_helicopter and said["MAV_TYPE"] not in (0, HELICOPTER_TYPE):
-        told = f"{of_helicopter[0]} {given[of_helicopter[0]]:g} is a helicopter's, MAV_TYPE {said['MAV_TYPE']} is not"
-        return HELICOPTER_TYPE, [f"{told}: taken for a helicopter"]
+        reason = (
+            f"{of_helicopter[0]} {parameters[of_helicopter[0]]:g} is a helicopter's, MAV_TYPE {said['MAV_TYPE']} is not"
+        )
+        return HELICOPTER_TYPE, [f"{reason}: taken for a helicopter"]
     return next((kind for kind in said.values() if kind), 0), []
 
 
@@ -202,16 +204,16 @@ def _motors(log: Log, number: int) -> tuple[Chosen, str]:
     hertz = max((rate_of(log.streams[topic, i].time) for i in log.instances(topic)), default=0.0)
     if not topic or (commands.entries and hertz <= FASTER * commands.hertz):
         return commands, prefix
-    found = _from_outputs(log, topic, prefix, outputs, number)
+    actuators = _from_outputs(log, topic, prefix, outputs, number)
     if not commands.entries:
-        return found, prefix
+        return actuators, prefix
     if not any(
         moving(log.stream(log.source(e.field, c)).columns[log.source(e.field, c).field])
-        for c, e in found.entries.items()
+        for c, e in actuators.entries.items()
     ):
         return commands, prefix
-    told = f"{MOTORS} left: {commands.hertz:.3g} Hz against {found.hertz:.3g} Hz"
-    return replace(found, reason="; ".join(filter(None, (found.reason, told)))), prefix
+    reason = f"{MOTORS} left: {commands.hertz:.3g} Hz against {actuators.hertz:.3g} Hz"
+    return replace(actuators, reason="; ".join(filter(None, (actuators.reason, reason)))), prefix
 
 
 def _commands(log: Log, number: int) -> Chosen:
@@ -220,8 +222,8 @@ def _commands(log: Log, number: int) -> Chosen:
         return Chosen()
     instance = log.instances(MOTORS)[0]
     stream = log.streams[MOTORS, instance]
-    there = {i: stream.columns[name] for i in range(MOST) if (name := f"control[{i}]") in stream.columns}
-    used = [i for i, values in there.items() if is_numbers(values) and np.isfinite(values).any()]
+    logged = {i: stream.columns[name] for i in range(MOST) if (name := f"control[{i}]") in stream.columns}
+    used = [i for i, values in logged.items() if is_numbers(values) and np.isfinite(values).any()]
     motors = {f"motor{i + 1}": Entry(f"control[{i}]", "norm") for i in used[: number or MOST]}
     return Chosen(named(Group(MOTORS, motors), instance), rate_of(stream.time))
 
@@ -273,9 +275,9 @@ def _from_outputs(log: Log, topic: str, prefix: str, wired: Mapping[int, int], n
 def _outputs(log: Log, topic: str, instance: int, form: str, number: int) -> list[np.ndarray]:
     """Outputs of one instance in a row. Raises InputError where one is missing before the last, or of so many."""
     columns = log.streams[topic, instance].columns
-    there = [i for i in range(16) if form.format(i) in columns and is_numbers(columns[form.format(i)])]
-    count = max(number, 4, there[-1] + 1 if there else 0)
-    if missing := next((form.format(i) for i in range(count) if i not in there), ""):
+    logged = [i for i in range(16) if form.format(i) in columns and is_numbers(columns[form.format(i)])]
+    count = max(number, 4, logged[-1] + 1 if logged else 0)
+    if missing := next((form.format(i) for i in range(count) if i not in logged), ""):
         raise InputError(
             log.file, f"{topic}.{missing}", "is missing", f"outputs {form.format(0)} to {form.format(count - 1)}"
         )
@@ -290,13 +292,13 @@ def _speeds(log: Log, prefix: str, number: int) -> tuple[Chosen, list[str]]:
     stream = log.streams[ESC, instance]
     turning = [i for i in range(MOST) if moving(stream.columns.get(f"esc[{i}].esc_rpm", np.zeros(1)))]
     motors = {i: _motor_of(log, stream, prefix, i) for i in turning}
-    told = [f"esc[{i}] drives no motor: its speed is left out" for i, motor in motors.items() if not motor]
+    notes = [f"esc[{i}] drives no motor: its speed is left out" for i, motor in motors.items() if not motor]
     pairs = sorted((motor, i) for i, motor in motors.items() if motor and (not number or motor <= number))
     if len({motor for motor, _ in pairs}) < len(pairs):
-        return Chosen(), [*told, "two speed controllers name the same motor: rotor speeds are left out"]
+        return Chosen(), [*notes, "two speed controllers name the same motor: rotor speeds are left out"]
     entries = {f"omega{motor}": Entry(f"esc[{i}].esc_rpm", "rpm") for motor, i in pairs}
     crossed = ", ".join(f"esc[{i}] is motor {motor}" for motor, i in pairs if motor != i + 1)
-    return Chosen(named(Group(ESC, entries), instance), rate_of(stream.time), crossed), told
+    return Chosen(named(Group(ESC, entries), instance), rate_of(stream.time), crossed), notes
 
 
 def _motor_of(log: Log, stream: Stream, prefix: str, index: int) -> int:

@@ -133,8 +133,8 @@ class _Walk:
 
     def _next_sync(self, data: bytes, place: int, last: bool) -> int:
         """Place behind the next sync message, where a damaged log can be read on; else what may be forgotten."""
-        found = data.find(SYNC, place)
-        after = found + len(SYNC) if found >= 0 else len(data) if last else max(place + 1, len(data) - len(SYNC) + 1)
+        sync = data.find(SYNC, place)
+        after = sync + len(SYNC) if sync >= 0 else len(data) if last else max(place + 1, len(data) - len(SYNC) + 1)
         if any(data[place:after]):  # a card's empty sectors are no loss
             self.skipped += after - place
         return after
@@ -188,12 +188,12 @@ class _Walk:
             if sum(map(len, self.layouts.values())) > FIELDS:
                 raise InputError(self.file, topic, f"is one field too many: over {FIELDS}", "those of a flight log")
         layout = self.layouts[topic]
-        kept = {*self.choose(topic, [name for name, *_ in layout])}
-        if not kept or "timestamp" not in [name for name, *_ in layout]:
+        wanted = {*self.choose(topic, [name for name, *_ in layout])}
+        if not wanted or "timestamp" not in [name for name, *_ in layout]:
             self.by_id[number] = _UNWANTED
             return
         clocks = ("timestamp", "timestamp_sample") if topic in SENSED else ("timestamp",)
-        columns = [column for column in layout if column[0] in kept or column[0] in clocks]
+        columns = [column for column in layout if column[0] in wanted or column[0] in clocks]
         size = max(offset + kind.itemsize for _, offset, kind in columns)
         self.by_id[number] = self.gathered.setdefault((topic, instance), Gathered(columns, size))
 
@@ -218,14 +218,14 @@ class _Walk:
 
     def streams(self) -> dict[tuple[str, int], Stream]:
         """What was gathered, with time in s."""
-        made = {}
+        streams = {}
         for key, gathered in self.gathered.items():
             columns = gathered.columns()
             time = columns.pop("timestamp")
             sampled = columns.pop("timestamp_sample", time)
             if len(time):
-                made[key] = Stream(np.where(sampled > 0, sampled, time) * 1e-6, columns)
-        return made
+                streams[key] = Stream(np.where(sampled > 0, sampled, time) * 1e-6, columns)
+        return streams
 
     def warnings(self) -> Iterator[str]:
         """Sentences on what was not read."""

@@ -19,29 +19,29 @@ EQUATOR_M, FLATTENING = 6378137.0, 1.0 / 298.257223563
 
 def unwrapped(values: np.ndarray) -> np.ndarray:
     """Angle (T,) in rad without jumps of a turn, over missing samples too."""
-    known = np.isfinite(values)
+    finite = np.isfinite(values)
     result = values.copy()
-    result[known] = np.unwrap(values[known])
+    result[finite] = np.unwrap(values[finite])
     return result
 
 
 def before_resampling(signals: Signals) -> Signals:
     """Euler angles from a quaternion, north and east from latitude and longitude, headings without jumps."""
-    found = dict(signals)
-    if all(name in found for name in QUATERNION):
-        q = [found.pop(name) for name in QUATERNION]
+    derived = dict(signals)
+    if all(name in derived for name in QUATERNION):
+        q = [derived.pop(name) for name in QUATERNION]
         for name, values in zip(("phi", "theta", "psi"), euler(*(s.values for s in q)), strict=True):
-            found.setdefault(name, replace(q[0], name=name, values=values, source=replace(q[0].source, field="q")))
-    if "latitude" in found and "longitude" in found:
-        latitude, longitude = found.pop("latitude"), found.pop("longitude")
+            derived.setdefault(name, replace(q[0], name=name, values=values, source=replace(q[0].source, field="q")))
+    if "latitude" in derived and "longitude" in derived:
+        latitude, longitude = derived.pop("latitude"), derived.pop("longitude")
         for name, values in zip(("north", "east"), local(latitude.values, longitude.values), strict=True):
-            found.setdefault(name, replace(latitude, name=name, values=values))
-    if _turns_over(found):
-        return as_quaternion(found)
+            derived.setdefault(name, replace(latitude, name=name, values=values))
+    if _turns_over(derived):
+        return as_quaternion(derived)
     for name in ("phi", "psi"):
-        if name in found:
-            found[name] = replace(found[name], values=unwrapped(found[name].values))
-    return found
+        if name in derived:
+            derived[name] = replace(derived[name], values=unwrapped(derived[name].values))
+    return derived
 
 
 def _turns_over(signals: Signals) -> bool:
@@ -57,12 +57,12 @@ def _turns_over(signals: Signals) -> bool:
 
 def as_quaternion(signals: Signals) -> Signals:
     """Signals with Euler angles of one clock as a quaternion without jumps, which can be interpolated."""
-    found = dict(signals)
-    angles = [found.pop(name) for name in ANGLES]
+    derived = dict(signals)
+    angles = [derived.pop(name) for name in ANGLES]
     q = quaternion(*(s.values for s in angles))
     for name, values in zip(QUATERNION, q, strict=True):
-        found[name] = replace(angles[0], name=name, values=values)
-    return found
+        derived[name] = replace(angles[0], name=name, values=values)
+    return derived
 
 
 def quaternion(phi: np.ndarray, theta: np.ndarray, psi: np.ndarray) -> np.ndarray:
@@ -79,9 +79,9 @@ def quaternion(phi: np.ndarray, theta: np.ndarray, psi: np.ndarray) -> np.ndarra
             cp * ct * sy - sp * st * cy,
         ]
     )
-    known = np.flatnonzero(np.isfinite(q).all(axis=0))
-    along = (q[:, known[1:]] * q[:, known[:-1]]).sum(axis=0)
-    q[:, known] *= np.cumprod(np.concatenate([[1.0], np.where(along < 0.0, -1.0, 1.0)]))[: len(known)]
+    whole = np.flatnonzero(np.isfinite(q).all(axis=0))
+    along = (q[:, whole[1:]] * q[:, whole[:-1]]).sum(axis=0)
+    q[:, whole] *= np.cumprod(np.concatenate([[1.0], np.where(along < 0.0, -1.0, 1.0)]))[: len(whole)]
     return q
 
 
@@ -92,14 +92,14 @@ def wrapped(angle: np.ndarray) -> np.ndarray:
 
 def angles_on_grid(arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Arrays with Euler angles in place of a quaternion: roll within half a turn, heading without jumps."""
-    found = dict(arrays)
-    if all(name in found for name in QUATERNION):
-        angles = euler(*(found.pop(name) for name in QUATERNION))
-        found |= dict(zip(ANGLES, angles, strict=True))
-        found["psi"] = unwrapped(found["psi"])
-    if "phi" in found:
-        found["phi"] = wrapped(found["phi"])
-    return found
+    derived = dict(arrays)
+    if all(name in derived for name in QUATERNION):
+        angles = euler(*(derived.pop(name) for name in QUATERNION))
+        derived |= dict(zip(ANGLES, angles, strict=True))
+        derived["psi"] = unwrapped(derived["psi"])
+    if "phi" in derived:
+        derived["phi"] = wrapped(derived["phi"])
+    return derived
 
 
 def euler(q0: np.ndarray, q1: np.ndarray, q2: np.ndarray, q3: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -122,10 +122,10 @@ def local(latitude: np.ndarray, longitude: np.ndarray) -> tuple[np.ndarray, np.n
 
     Source: Groves, Principles of GNSS, Inertial and Multisensor Integrated Navigation (2nd ed.), eq. 2.105 ff.
     """
-    known = np.isfinite(latitude) & np.isfinite(longitude)
-    if not known.any():
+    finite = np.isfinite(latitude) & np.isfinite(longitude)
+    if not finite.any():
         return latitude.copy(), longitude.copy()
-    lat0, lon0 = latitude[known][0], longitude[known][0]
+    lat0, lon0 = latitude[finite][0], longitude[finite][0]
     square = FLATTENING * (2.0 - FLATTENING)
     bent = 1.0 - square * np.sin(lat0) ** 2
     meridian, prime = EQUATOR_M * (1.0 - square) / bent**1.5, EQUATOR_M / np.sqrt(bent)
@@ -134,14 +134,14 @@ def local(latitude: np.ndarray, longitude: np.ndarray) -> tuple[np.ndarray, np.n
 
 def body_velocity(arrays: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], str]:
     """Arrays on the grid with u v w in place of vn ve vd, turned by the attitude; a sentence where that is missing."""
-    found = dict(arrays)
-    given = [found.pop(name) for name in VELOCITY if name in found]
-    if len(given) < 3 or all(name in found for name in ("u", "v", "w")):
-        return found, ""
-    if not all(name in found for name in ("phi", "theta", "psi")):
-        return found, "velocity north, east and down cannot be turned into body axes without phi, theta and psi"
-    turned = to_body(given[0], given[1], given[2], found["phi"], found["theta"], found["psi"])
-    return found | dict(zip(("u", "v", "w"), turned, strict=True)), ""
+    derived = dict(arrays)
+    components = [derived.pop(name) for name in VELOCITY if name in derived]
+    if len(components) < 3 or all(name in derived for name in ("u", "v", "w")):
+        return derived, ""
+    if not all(name in derived for name in ("phi", "theta", "psi")):
+        return derived, "velocity north, east and down cannot be turned into body axes without phi, theta and psi"
+    turned = to_body(components[0], components[1], components[2], derived["phi"], derived["theta"], derived["psi"])
+    return derived | dict(zip(("u", "v", "w"), turned, strict=True)), ""
 
 
 def to_body(

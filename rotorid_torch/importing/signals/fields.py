@@ -58,23 +58,23 @@ def signals(log: Log, entries: Mapping[str, Entry], key: str) -> tuple[dict[str,
     ------
     InputError : for a field that is not there, a unit that does not fit, a control or rate without a usable clock.
     """
-    found, told, clocks = dict[str, Signal](), list[str](), dict[tuple[str, int], np.ndarray | BadClock]()
+    extracted, notes, clocks = dict[str, Signal](), list[str](), dict[tuple[str, int], np.ndarray | BadClock]()
     for name, entry in entries.items():
         source = log.source(entry.field, f"{key}.{name}")
         check_unit(name, entry, log.file)
         place = (source.topic, source.instance)
         if place not in clocks:
-            clocks[place] = _usable(log.streams[place], source, told)
+            clocks[place] = _usable(log.streams[place], source, notes)
         usable = clocks[place]
         if isinstance(usable, BadClock):
             if names.is_control(name) or name in names.RATES:
                 raise InputError(log.file, f"{source} ({name})", usable.wrong, usable.expected)
-            told.append(f"{name} is left out: the clock of {source.topic or 'the table'} {usable.wrong}")
+            notes.append(f"{name} is left out: the clock of {source.topic or 'the table'} {usable.wrong}")
             continue
         stream = log.streams[place]
         values = _taken(log, source, stream)[usable]
-        found[name] = Signal(name, stream.time[usable], _in_si(name, values, entry, log, source), source)
-    return found, told
+        extracted[name] = Signal(name, stream.time[usable], _in_si(name, values, entry, log, source), source)
+    return extracted, notes
 
 
 def _taken(log: Log, source: Source, stream: Stream) -> np.ndarray:
@@ -84,7 +84,7 @@ def _taken(log: Log, source: Source, stream: Stream) -> np.ndarray:
     return values
 
 
-def _usable(stream: Stream, source: Source, told: list[str]) -> np.ndarray | BadClock:
+def _usable(stream: Stream, source: Source, notes: list[str]) -> np.ndarray | BadClock:
     """Samples of a stream in the order of their stamps, as indices (n,)."""
     try:
         usable = increasing(stream.time)
@@ -92,9 +92,9 @@ def _usable(stream: Stream, source: Source, told: list[str]) -> np.ndarray | Bad
         return bad
     where = source.topic or "the table"
     if moved := int((np.diff(usable) < 0).sum()):
-        told.append(f"{where}: {moved} samples with a stamp before the last one were sorted in")
+        notes.append(f"{where}: {moved} samples with a stamp before the last one were sorted in")
     if lost := len(stream.time) - len(usable):
-        told.append(f"{where}: {lost} samples with a stamp out of order were left out")
+        notes.append(f"{where}: {lost} samples with a stamp out of order were left out")
     return usable
 
 
@@ -113,24 +113,24 @@ def increasing(time: np.ndarray) -> np.ndarray:
     steps = np.diff(time)
     if finite.all() and len(steps) and (steps > 0).all() and steps.max() < ASTRAY_S:
         return np.arange(len(time))
-    kept = np.flatnonzero(finite)
-    kept = kept[~_astray(time[kept])]
-    known = time[kept]
-    if len(known) < 2 or known.min() == known.max():
+    places = np.flatnonzero(finite)
+    places = places[~_astray(time[places])]
+    stamps = time[places]
+    if len(stamps) < 2 or stamps.min() == stamps.max():
         raise BadClock(f"stands still at {time[finite][0]:.6g} s", "a clock that runs")
-    late = np.maximum.accumulate(known) - known
+    late = np.maximum.accumulate(stamps) - stamps
     if late.max() > ASTRAY_S:
-        ahead = np.concatenate([[True], known[1:] > np.maximum.accumulate(known)[:-1]])
+        ahead = np.concatenate([[True], stamps[1:] > np.maximum.accumulate(stamps)[:-1]])
         if (~ahead).mean() > OUT_OF_ORDER:
-            at = int(np.flatnonzero(known[1:] < known[:-1])[0])
-            told = f"runs back from {known[at]:.6g} to {known[at + 1]:.6g} s: two time bases?"
-            raise BadClock(told, "one clock that runs on")
-        return kept[ahead]
-    order = np.argsort(known, kind="stable")
-    new = np.concatenate([[True], np.diff(known[order]) > 0.0])
+            at = int(np.flatnonzero(stamps[1:] < stamps[:-1])[0])
+            wrong = f"runs back from {stamps[at]:.6g} to {stamps[at + 1]:.6g} s: two time bases?"
+            raise BadClock(wrong, "one clock that runs on")
+        return places[ahead]
+    order = np.argsort(stamps, kind="stable")
+    new = np.concatenate([[True], np.diff(stamps[order]) > 0.0])
     if (~new).mean() > OUT_OF_ORDER:
         raise BadClock(f"repeats its stamps ({(~new).mean():.0%} of them)", "a stamp for every sample")
-    return kept[order][new]
+    return places[order][new]
 
 
 def _astray(time: np.ndarray) -> np.ndarray:
@@ -157,9 +157,9 @@ def _in_si(name: str, values: np.ndarray, entry: Entry, log: Log, source: Source
         near = np.abs(result - 0.5) <= PULSE_SPANS
         if beyond(result[near], 0.0, 1.0) > STRAY * max(int(near.sum()), 1):
             low, high = float(np.nanmin(values[near])), float(np.nanmax(values[near]))
-            told = f"runs from {low:g} to {high:g}, beyond what stands for commands 0 to 1"
+            wrong = f"runs from {low:g} to {high:g}, beyond what stands for commands 0 to 1"
             raise InputError(
-                log.file, f"{source} ({name})", told, "the range of its protocol: scale and offset in a map"
+                log.file, f"{source} ({name})", wrong, "the range of its protocol: scale and offset in a map"
             )
         result = np.where(near, np.clip(result, 0.0, 1.0), result)
     return result

@@ -103,20 +103,20 @@ def _written(entry: Any) -> Any:
     return {"field": place} if isinstance(place, str) else table
 
 
-def read_map(given: str | Path | Mapping[str, Any]) -> Map:
+def read_map(source: str | Path | Mapping[str, Any]) -> Map:
     """Map from a TOML file, or from the same as a dict. Raises InputError with the key at fault."""
     file: str | Path = "mapping"
-    document: Any = given
-    if isinstance(given, str | Path):
-        file = given
-        document = _toml(Path(given))
-    found = convert(document, Map, file, "")
-    if not found.channels:
+    document: Any = source
+    if isinstance(source, str | Path):
+        file = source
+        document = _toml(Path(source))
+    user_map = convert(document, Map, file, "")
+    if not user_map.channels:
         raise InputError(file, "channels", "is empty", "at least a control")
-    found.clock(file)
-    for name, entry in found.entries(file).items():
+    user_map.clock(file)
+    for name, entry in user_map.entries(file).items():
         check_unit(name, entry, file)
-    return found
+    return user_map
 
 
 def _toml(file: Path) -> dict[str, Any]:
@@ -137,19 +137,19 @@ def check_unit(name: str, entry: Entry, file: str | Path) -> None:
     if not entry.unit:
         return
     unit, key = units.find_unit(entry.unit), f"channels.{name}.unit"
-    own = measures(name)
-    allowed = ("rad", "m", "norm") if name in names.STICKS else (own,) if own else ()
+    quantity = measures(name)
+    allowed = ("rad", "m", "norm") if name in names.STICKS else (quantity,) if quantity else ()
     fitting = [n for measure in allowed for n in units.names_of(measure)] or list(units.UNITS)
     if unit is None:
-        told = f"'{entry.unit[:40]}' is not known{names.nearest(entry.unit, fitting)}"
-        raise InputError(file, key, told, f"one of {', '.join(fitting)}")
+        wrong = f"'{entry.unit[:40]}' is not known{names.nearest(entry.unit, fitting)}"
+        raise InputError(file, key, wrong, f"one of {', '.join(fitting)}")
     if allowed and unit.measures not in allowed:
         raise InputError(file, key, f"'{entry.unit}' does not measure {name}", f"one of {', '.join(fitting)}")
 
 
 def unknown_names(entries: Mapping[str, Entry]) -> Iterator[str]:
     """Sentences on channels that nothing uses."""
-    known = [*names.CHANNELS, *DERIVED, "motor1", "omega1"]
+    listed = [*names.CHANNELS, *DERIVED, "motor1", "omega1"]
     for name in entries:
         if name not in DERIVED and names.channel(name) is None:
-            yield f"channel '{name}' is not known{names.nearest(name, known)}: it is kept and not used"
+            yield f"channel '{name}' is not known{names.nearest(name, listed)}: it is kept and not used"

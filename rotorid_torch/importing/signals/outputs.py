@@ -65,13 +65,13 @@ def range_of(file: object, key: str, values: np.ndarray, allowed: Sequence[Outpu
     ------
     InputError : where none does, with the range of the outputs.
     """
-    known = values[np.isfinite(values)]
-    fitting = next((one for one in allowed if one.holds(known)), None)
+    finite = values[np.isfinite(values)]
+    fitting = next((one for one in allowed if one.holds(finite)), None)
     if fitting is None:
-        low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
-        told = f"runs from {low:g} to {high:g}"
+        low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
+        wrong = f"runs from {low:g} to {high:g}"
         expected = f"{' or '.join(map(str, allowed))}, or a map (--map) with scale and offset of each motor"
-        raise InputError(str(file), key, told, expected)
+        raise InputError(str(file), key, wrong, expected)
     return fitting
 
 
@@ -102,15 +102,15 @@ def of_px4(settings: Mapping[str, float], prefix: str, number: int, raw: Sequenc
 
 def _px4_pulses(settings: Mapping[str, float], prefix: str, number: int) -> OutputRange:
     """Pulses by the settings of the output, of its group or of all; -1 stands for what the group says."""
-    ends, told = [], []
+    ends, used = [], []
     for end, default in (("MIN", PULSE.low), ("MAX", PULSE.high)):
         keys = (f"{prefix}_{end}{number}", f"{prefix}_{end}", *([f"PWM_{end}"] if prefix != "PWM_AUX" else []))
         key = next((key for key in keys if settings.get(key, -1.0) > 0.0), "")
         ends.append(settings[key] if key else default)
-        told += [key] if key else []
+        used += [key] if key else []
     if not ends[0] < ends[1]:
         return PULSE
-    return OutputRange(ends[0], ends[1], ", ".join(told) if told else PULSE.about)
+    return OutputRange(ends[0], ends[1], ", ".join(used) if used else PULSE.about)
 
 
 def of_ardupilot(settings: Mapping[str, float]) -> list[OutputRange]:

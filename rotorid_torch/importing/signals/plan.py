@@ -144,5 +144,5 @@ def merged(
     """Plan of all choices, later ones first where two have a channel; reasons of what was left are notes too."""
     entries = {name: entry for one in chosen for name, entry in one.entries.items()}
     reasons = {name: reason for one in chosen for name, reason in one.reasons().items()}
-    told = [f"{', '.join(one.entries) or 'a source'}: {one.reason}" for one in chosen if one.reason]
-    return Plan(kind, entries, (*notes, *told), vehicle or {}, reasons)
+    sentences = [f"{', '.join(one.entries) or 'a source'}: {one.reason}" for one in chosen if one.reason]
+    return Plan(kind, entries, (*notes, *sentences), vehicle or {}, reasons)

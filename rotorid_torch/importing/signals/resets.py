@@ -100,25 +100,25 @@ class Repaired:
 
 def repaired(log: Log, signals: Signals) -> Repaired:
     """Undo resets whose size is logged, cut where it is not; earlier samples are moved to what the later ones say."""
-    found, cuts, told = dict(signals), list[float](), list[str]()
+    steady, cuts, notes = dict(signals), list[float](), list[str]()
     for reset in sorted(_resets(log, signals), key=lambda one: one.time):
-        steps = _steps(found, reset)
+        steps = _steps(steady, reset)
         if not steps:
             continue
         at = min(time for time, _ in steps.values())
         words = ", ".join(f"{name} by {size:+.3g}" for name, (_, size) in steps.items())
-        undone = _undone(found, reset, at)
+        undone = _undone(steady, reset, at)
         left = {name: abs(size) for name, (_, size) in _steps(undone, reset).items()}
         if any(size > UNEXPLAINED * abs(steps.get(name, (at, 0.0))[1]) for name, size in left.items()):
             cuts.append(at)
-            told.append(
+            notes.append(
                 f"{reset.about} at {at:.2f} s: {words} in one step, its size is not logged: the flight is cut there"
             )
         else:
-            found = undone
-            told.append(f"{reset.about} at {at:.2f} s: {words} in one step, undone: what came before is moved by that")
-    more = [f"{len(told) - TOLD} further resets likewise"] if len(told) > TOLD else []
-    return Repaired(found, tuple(sorted({*cuts})), (*told[:TOLD], *more))
+            steady = undone
+            notes.append(f"{reset.about} at {at:.2f} s: {words} in one step, undone: what came before is moved by that")
+    more = [f"{len(notes) - TOLD} further resets likewise"] if len(notes) > TOLD else []
+    return Repaired(steady, tuple(sorted({*cuts})), (*notes[:TOLD], *more))
 
 
 def _resets(log: Log, signals: Mapping[str, Signal]) -> Iterator[Reset]:
@@ -157,8 +157,8 @@ def _of_ardupilot(log: Log, sources: set[tuple[str, int]]) -> Iterator[Reset]:
             primary = stream.columns.get("PI")
             if instance == log.instances(topic)[0] and primary is not None and is_numbers(primary):
                 for at in np.flatnonzero(np.diff(primary.astype(np.int64))) + 1:
-                    told = f"lane switch of the estimator ({topic}.PI {primary[at - 1]} to {primary[at]})"
-                    yield Reset(float(stream.time[at]), told, ANGLES, within=LATE_S)
+                    switch = f"lane switch of the estimator ({topic}.PI {primary[at - 1]} to {primary[at]})"
+                    yield Reset(float(stream.time[at]), switch, ANGLES, within=LATE_S)
             if (topic.replace("4", "1"), instance) in sources:
                 yield from _offsets(topic, stream)
     for instance in log.instances("EV"):
@@ -197,14 +197,14 @@ def _columns(signals: Mapping[str, Signal]) -> dict[str, Signal]:
 
 def _steps(signals: Mapping[str, Signal], reset: Reset) -> dict[str, tuple[float, float]]:
     """Time and size of the step of each channel that has one at a reset."""
-    there, found = _columns(signals), dict[str, tuple[float, float]]()
+    recorded, steps = _columns(signals), dict[str, tuple[float, float]]()
     for name in reset.channels:
-        if name not in there or name not in STEP:
+        if name not in recorded or name not in STEP:
             continue
-        step = step_at(there[name].time, there[name].values, reset.time, reset.within, name in ANGLES)
+        step = step_at(recorded[name].time, recorded[name].values, reset.time, reset.within, name in ANGLES)
         if step is not None and abs(step[1]) > STEP[name]:
-            found[name] = step
-    return found
+            steps[name] = step
+    return steps
 
 
 def step_at(time: np.ndarray, values: np.ndarray, at: float, within: float, angle: bool) -> tuple[float, float] | None:
@@ -212,8 +212,8 @@ def step_at(time: np.ndarray, values: np.ndarray, at: float, within: float, angl
 
     The time is that of the first sample after the step.
     """
-    known = np.isfinite(values)
-    t, x = time[known], values[known]
+    finite = np.isfinite(values)
+    t, x = time[finite], values[finite]
     first, last = np.searchsorted(t, (at - max(within, 1e-6), at + max(within, 1e-6)))
     first, last = max(int(first) - 1, 1), min(int(last) + 2, len(t) - 1)
     if len(t) < 2 * AROUND or first >= last:
@@ -233,17 +233,17 @@ def step_at(time: np.ndarray, values: np.ndarray, at: float, within: float, angl
 
 def _undone(signals: Signals, reset: Reset, at: float) -> Signals:
     """Signals whose samples before a reset are moved by its logged size."""
-    found = dict(signals)
+    steady = dict(signals)
     for name, size in reset.sizes.items():
-        if name in found:
-            signal = found[name]
-            found[name] = replace(signal, values=signal.values + size * (signal.time < at))
-    if len(reset.turn) == 4 and all(name in found for name in QUATERNION):
-        q = [found[name] for name in QUATERNION]
+        if name in steady:
+            signal = steady[name]
+            steady[name] = replace(signal, values=signal.values + size * (signal.time < at))
+    if len(reset.turn) == 4 and all(name in steady for name in QUATERNION):
+        q = [steady[name] for name in QUATERNION]
         turned = product(np.array(reset.turn), np.stack([s.values for s in q]))
         for signal, values in zip(q, turned, strict=True):
-            found[signal.name] = replace(signal, values=np.where(signal.time < at, values, signal.values))
-    return found
+            steady[signal.name] = replace(signal, values=np.where(signal.time < at, values, signal.values))
+    return steady
 
 
 def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -75,29 +75,29 @@ class Log:
     def source(self, text: str, key: str) -> Source:
         """Field that a map names; `key` is the map's, for the message. Raises InputError where there is none."""
         bare, instance = without_instance(text)
-        known = {joined(topic, name): (topic, name) for topic, fields in self.fields.items() for name in fields}
-        for place, (topic, name) in [*known.items()]:
-            known.setdefault(header_name(place)[0], (topic, name))
-        if bare not in known:
-            raise InputError(self.file, key, f"there is no field '{text[:80]}'{self._hint(bare, known)}", "a field")
-        topic, name = known[bare]
-        there = self.instances(topic)
-        if instance not in there:
-            told = f"has no samples of {topic or name}" if not there else f"has {topic} {there} only"
-            raise InputError(self.file, key, told, f"'{text[:80]}'")
+        listed = {joined(topic, name): (topic, name) for topic, fields in self.fields.items() for name in fields}
+        for place, (topic, name) in [*listed.items()]:
+            listed.setdefault(header_name(place)[0], (topic, name))
+        if bare not in listed:
+            raise InputError(self.file, key, f"there is no field '{text[:80]}'{self._hint(bare, listed)}", "a field")
+        topic, name = listed[bare]
+        instances = self.instances(topic)
+        if instance not in instances:
+            wrong = f"has no samples of {topic or name}" if not instances else f"has {topic} {instances} only"
+            raise InputError(self.file, key, wrong, f"'{text[:80]}'")
         return Source(topic, instance, name)
 
     def stream(self, source: Source) -> Stream:
         """The stream that a field is in."""
         return self.streams[source.topic, source.instance]
 
-    def _hint(self, text: str, known: Iterable[str]) -> str:
+    def _hint(self, text: str, words: Iterable[str]) -> str:
         """What may have been meant: a similar name, or what the topic, or the log, holds."""
         topic, _, name = text.partition(".")
         inside = self.fields.get(topic, ())
-        if near := names.nearest(name, inside) or ("" if inside else names.nearest(text, known)):
+        if near := names.nearest(name, inside) or ("" if inside else names.nearest(text, words)):
             return near
-        listed = inside or (list(known) if len(self.fields) == 1 else sorted(self.fields))
+        listed = inside or (list(words) if len(self.fields) == 1 else sorted(self.fields))
         more = f" and {len(listed) - TOLD} more" if len(listed) > TOLD else ""
         return f" (there are {', '.join(listed[:TOLD])}{more})" if listed else ""
 
@@ -115,8 +115,8 @@ def joined(topic: str, name: str) -> str:
 def header_name(column: str) -> tuple[str, str]:
     """`p [deg/s]` as p and deg/s; without a unit in brackets the column itself and no unit."""
     match = _UNIT_IN_HEADER.fullmatch(column)
-    known = match is not None and bool(units.find_unit(match[2]) or units.clock_unit(match[2]))
-    return (match[1], match[2]) if match and known else (column.strip(), "")
+    is_unit = match is not None and bool(units.find_unit(match[2]) or units.clock_unit(match[2]))
+    return (match[1], match[2]) if match and is_unit else (column.strip(), "")
 
 
 def without_instance(text: str) -> tuple[str, int]:

@@ -52,8 +52,8 @@ def read_npz(file: Path, choose: Choose, clock: Clock | None = None) -> Log:
     with open_file(file, "a log") as stream, npz.opened(file, stream, CHANNELS) as archive:
         columns = {n: [*_columns_of(n, h.shape)] for n, h in archive.headers.items() if _is_numbers(h.dtype)}
         every = [column for some in columns.values() for column in some]
-        kept = {*choose("", every)} | {column for column in every if is_clock("", column, clock)}
-        wanted = [name for name, some in columns.items() if kept.intersection(some)]
+        chosen = {*choose("", every)} | {column for column in every if is_clock("", column, clock)}
+        wanted = [name for name, some in columns.items() if chosen.intersection(some)]
         npz.refuse_beyond(file, {name: archive.headers[name].bytes for name in wanted}, BYTES)
         arrays = {name: archive.array(name) for name in wanted}
     return _log(file, {"": dict(_columns(arrays))}, {"": every}, choose, clock)
@@ -92,9 +92,9 @@ def read_matlab(file: Path, choose: Choose, clock: Clock | None = None) -> Log:
     tables: Tables = {}
     _structs("", {name: v for name, v in content.items() if not name.startswith("__")}, tables, 0)
     fields = {t: list(columns) for t, columns in tables.items() if columns}
-    own = clock is None and sidpac.is_sidpac(fields.get("", ()))
-    log = _log(file, tables, fields, choose, sidpac.clock() if own else clock)
-    return replace(log, system=sidpac.SYSTEM) if own else log
+    is_fdata = clock is None and sidpac.is_sidpac(fields.get("", ()))
+    log = _log(file, tables, fields, choose, sidpac.clock() if is_fdata else clock)
+    return replace(log, system=sidpac.SYSTEM) if is_fdata else log
 
 
 def _unpacked(stream: BinaryIO) -> Iterator[tuple[str, int]]:
@@ -142,23 +142,23 @@ def _unfolded(content: Mapping[str, Any]) -> dict[str, Any]:
     An array of structs of numbers (table2struct) becomes columns; `time` with `signals`, as Simulink saves them, and a
     timetable saved as `Time`, `Variables` and `VariableNames` (or `Properties.VariableNames`), take the names in them.
     """
-    found = {str(name): _rows(value) for name, value in content.items()}
-    signals = found.get("signals")
-    if "time" in found and signals is not None:
+    columns = {str(name): _rows(value) for name, value in content.items()}
+    signals = columns.get("signals")
+    if "time" in columns and signals is not None:
         some = (
             [signals] if isinstance(signals, dict) else list(signals) if isinstance(signals, list | np.ndarray) else []
         )
         for number, one in enumerate(s for s in some if isinstance(s, dict) and "values" in s):
-            found[_text(one.get("label")) or f"signal{number + 1}"] = one["values"]
-    properties = found.get("Properties")
-    listed = found.get("VariableNames", properties.get("VariableNames") if isinstance(properties, dict) else None)
-    matrix = found.get("Variables")
+            columns[_text(one.get("label")) or f"signal{number + 1}"] = one["values"]
+    properties = columns.get("Properties")
+    listed = columns.get("VariableNames", properties.get("VariableNames") if isinstance(properties, dict) else None)
+    matrix = columns.get("Variables")
     if listed is not None and isinstance(matrix, np.ndarray) and matrix.ndim == 2:
         names = [_text(one) for one in listed] if isinstance(listed, list | np.ndarray) else []
         if len(names) == matrix.shape[1]:
-            found |= {name: matrix[:, i] for i, name in enumerate(names) if name}
-            found.pop("Variables")
-    return found
+            columns |= {name: matrix[:, i] for i, name in enumerate(names) if name}
+            columns.pop("Variables")
+    return columns
 
 
 def _rows(value: Any) -> Any:
@@ -217,17 +217,17 @@ def read_parquet(file: Path, choose: Choose, clock: Clock | None = None) -> Log:
             fields = [f.name for f in schema if _is_number_or_date(arrow, f.type)]
             if len(schema) > 10 * CHANNELS:
                 raise InputError(file, "", f"claims {len(schema)} columns", f"at most {10 * CHANNELS}")
-            kept = [n for n in fields if n in {*choose("", fields)} or is_clock("", n, clock)]
-            npz.refuse_beyond(file, {name: 8 * rows for name in kept}, BYTES)
+            wanted = [n for n in fields if n in {*choose("", fields)} or is_clock("", n, clock)]
+            npz.refuse_beyond(file, {name: 8 * rows for name in wanted}, BYTES)
             with bounded_memory(READER_BYTES):
-                columns = {name: _values(arrow, opened.read([name]).column(0)) for name in kept}
+                columns = {name: _values(arrow, opened.read([name]).column(0)) for name in wanted}
         except InputError:
             raise
         except MemoryError:
             raise InputError(file, "", TOO_MUCH, "a flight's columns") from None
         except Exception as error:  # a damaged file fails in many ways, none of which is ours
-            told = (str(error).splitlines() or [""])[0][:120]
-            raise InputError(file, "", f"is not a whole Parquet file ({told})", "a Parquet file of numbers") from None
+            reason = (str(error).splitlines() or [""])[0][:120]
+            raise InputError(file, "", f"is not a whole Parquet file ({reason})", "a Parquet file of numbers") from None
     return table_log(file, {"": columns}, {"": fields}, clock)
 
 
@@ -245,15 +245,15 @@ def _values(arrow: Any, column: Any) -> np.ndarray:
 
 def _log(file: Path, tables: Tables, fields: Mapping[str, Sequence[str]], choose: Choose, clock: Clock | None) -> Log:
     """Log of tables in memory: the wanted columns, and of those only what is as long as its clock."""
-    kept: Tables = {}
+    same_length: Tables = {}
     for topic, columns in tables.items():
         wanted = {*choose(topic, list(columns))}
         named = {n: v for n, v in columns.items() if n in wanted or is_clock(topic, n, clock)}
         stamps = next((v for n, v in named.items() if is_clock(topic, n, clock)), None)
         odd = [n for n, v in named.items() if stamps is not None and len(v) != len(stamps)]
         if odd:
-            told = f"has {len(named[odd[0]])} samples, its clock {len(stamps) if stamps is not None else 0}"
-            raise InputError(file, odd[0], told, "as many")
+            wrong = f"has {len(named[odd[0]])} samples, its clock {len(stamps) if stamps is not None else 0}"
+            raise InputError(file, odd[0], wrong, "as many")
         if named:
-            kept[topic] = named
-    return table_log(file, kept, fields, clock)
+            same_length[topic] = named
+    return table_log(file, same_length, fields, clock)

@@ -50,8 +50,8 @@ def table_log(
             continue
         stamps = np.asarray(columns[name], np.float64) * _seconds(name, clock)
         _refuse_other_unit(file, name, stamps)
-        kept = {column: values for column, values in columns.items() if column != name or len(columns) == 1}
-        streams[topic, 0] = Stream(stamps, kept)
+        others = {column: values for column, values in columns.items() if column != name or len(columns) == 1}
+        streams[topic, 0] = Stream(stamps, others)
     if not streams:
         listed = [joined(topic, name) for topic, columns in fields.items() for name in columns]
         wanted = clock.field if clock else "time"
@@ -72,8 +72,8 @@ def _refuse_other_unit(file: Path, name: str, stamps: np.ndarray) -> None:
     steps = np.diff(stamps[np.isfinite(stamps)])
     typical = float(np.median(steps[steps > 0])) if (steps > 0).any() else USUAL_S[1]
     if not USUAL_S[0] <= typical <= USUAL_S[1]:
-        told = f"has samples {typical:.4g} s apart"
-        raise InputError(file, name, told, f'time in s, or a map with time = {{ field = "{name}", unit = "us" }}')
+        wrong = f"has samples {typical:.4g} s apart"
+        raise InputError(file, name, wrong, f'time in s, or a map with time = {{ field = "{name}", unit = "us" }}')
 
 
 def own_entries(fields: Mapping[str, Sequence[str]]) -> dict[str, Entry]:

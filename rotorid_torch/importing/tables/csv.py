@@ -47,24 +47,24 @@ def read_csv(
     for number, some in lines:
         table.take(number, some)
     log = table_log(file, {"": table.columns()}, {"": table.header}, clock, table.warnings())
-    known = blackbox.settings(head.before)
+    parameters = blackbox.settings(head.before)
     about = " ".join(" ".join(row) for row in head.before if row and row[0].lower().startswith(("product", "firmware")))
-    return replace(log, system=blackbox.SYSTEM if boxed else "", parameters=known, about=about)
+    return replace(log, system=blackbox.SYSTEM if boxed else "", parameters=parameters, about=about)
 
 
 def _lines(file: Path, size: int) -> Iterator[tuple[int, list[str]]]:
     """Whole lines by blocks, each with the number of its first line."""
-    number, rest = 1, b""
+    number, remainder = 1, b""
     with open_file(file, "a log") as stream:
         while data := stream.read(size):
-            whole, _, rest = (rest + data).rpartition(b"\n")
-            if not whole and len(rest) > size:
+            whole, _, remainder = (remainder + data).rpartition(b"\n")
+            if not whole and len(remainder) > size:
                 raise InputError(file, f"line {number}", f"has over {size} bytes", "a row of numbers")
             lines = _text(file, whole).split("\n") if whole else []
             yield number, lines
             number += len(lines)
-    if rest.strip():
-        yield number, [_text(file, rest)]
+    if remainder.strip():
+        yield number, [_text(file, remainder)]
 
 
 def _text(file: Path, data: bytes) -> str:
@@ -85,8 +85,8 @@ class _Table:
             raise InputError(file, "", f"has {len(self.header)} columns", f"at most {CHANNELS}")
         if twice := next((name for name in self.header if name and self.header.count(name) > 1), None):
             raise InputError(file, twice, "is there twice" if not is_number(twice) else "is no name", "a header row")
-        kept = {*choose("", self.header)}
-        self.kept = [i for i, name in enumerate(self.header) if name in kept or is_clock("", name, clock)]
+        wanted = {*choose("", self.header)}
+        self.kept = [i for i, name in enumerate(self.header) if name in wanted or is_clock("", name, clock)]
         self.parts: list[np.ndarray] = []
         self.units = self.cut = 0
 
@@ -101,8 +101,8 @@ class _Table:
         try:
             if self.mark and any(line.count(self.mark) != self.marks and '"' not in line for line in lines if line):
                 raise ValueError("another number of fields")
-            given = {"delimiter": self.mark, "usecols": self.kept, "comments": None, "quotechar": '"', "ndmin": 2}
-            self.parts.append(np.loadtxt(lines, np.float64, **given))
+            options = {"delimiter": self.mark, "usecols": self.kept, "comments": None, "quotechar": '"', "ndmin": 2}
+            self.parts.append(np.loadtxt(lines, np.float64, **options))
         except ValueError:
             self.parts.append(np.array([*self._slowly(number, lines)]).reshape(-1, len(self.kept)))
 
@@ -135,8 +135,8 @@ class _Table:
         try:
             return number_of(field)
         except ValueError:
-            told = f"is '{field[:40]}' in line {line}"
-            raise InputError(self.file, self.header[column], told, "a number, or nothing for a missing one") from None
+            wrong = f"is '{field[:40]}' in line {line}"
+            raise InputError(self.file, self.header[column], wrong, "a number, or nothing for a missing one") from None
 
     def _other_count(self, line: int) -> InputError:
         return InputError(
@@ -151,5 +151,5 @@ class _Table:
 
     def warnings(self) -> list[str]:
         """Sentences on lines that were left out."""
-        told = [f"line {self.units} holds no numbers (units?) and was left out"] if self.units else []
-        return [*told, f"line {self.cut}, the last, is cut and was left out"] if self.cut else told
+        sentences = [f"line {self.units} holds no numbers (units?) and was left out"] if self.units else []
+        return [*sentences, f"line {self.cut}, the last, is cut and was left out"] if self.cut else sentences

@@ -54,27 +54,27 @@ def find_header(lines: Sequence[str], columns: Sequence[str] = ()) -> Header | N
 
     `columns` are names by position, where a map gives them.
     """
-    kept = [index for index, line in enumerate(lines[:LOOKED_AT]) if line.strip()]
-    if not kept:
+    filled = [index for index, line in enumerate(lines[:LOOKED_AT]) if line.strip()]
+    if not filled:
         return None
-    head = _bare(lines[kept[0]])
+    head = _bare(lines[filled[0]])
     mark = _mark(head)
     names = split(head, mark)
-    after = kept[1] if len(kept) > 1 else len(lines)
-    start = _first_row(lines, kept)
-    if start is None or (not columns and _plain(names, lines, kept, start)):
-        return Header(mark, names, after if not columns else kept[0], [])
+    after = filled[1] if len(filled) > 1 else len(lines)
+    start = _first_row(lines, filled)
+    if start is None or (not columns and _plain(names, lines, filled, start)):
+        return Header(mark, names, after if not columns else filled[0], [])
     at, mark, count = start
-    rows = [split(_bare(lines[index]), mark) for index in kept[:at]]
+    rows = [split(_bare(lines[index]), mark) for index in filled[:at]]
     if columns:
-        return Header(mark, [*columns, *map(str, range(len(columns) + 1, count + 1))][:count], kept[at], rows)
+        return Header(mark, [*columns, *map(str, range(len(columns) + 1, count + 1))][:count], filled[at], rows)
     above = [row for row in rows[-2:] if len(row) == count]
     if rows and len(rows[-1]) != count and len(rows[-1]) > 1 and at == 1:
-        return Header(mark, rows[-1], kept[at], [])
+        return Header(mark, rows[-1], filled[at], [])
     if not above or len(rows[-1]) != count:
-        return Header(mark, [str(number) for number in range(1, count + 1)], kept[at], rows)
-    own = above[0] if len(above) == 2 and _are_units(above[1]) else above[-1]
-    return Header(mark, own, kept[at], rows)
+        return Header(mark, [str(number) for number in range(1, count + 1)], filled[at], rows)
+    names_line = above[0] if len(above) == 2 and _are_units(above[1]) else above[-1]
+    return Header(mark, names_line, filled[at], rows)
 
 
 def _bare(line: str) -> str:
@@ -86,18 +86,20 @@ def _mark(line: str) -> str | None:
     return mark if mark in line else None
 
 
-def _plain(names: Sequence[str], lines: Sequence[str], kept: Sequence[int], start: tuple[int, str | None, int]) -> bool:
+def _plain(
+    names: Sequence[str], lines: Sequence[str], filled: Sequence[int], start: tuple[int, str | None, int]
+) -> bool:
     """Whether the first line is the header: names, as many as the rows have fields, more than a key and its value."""
     words = not any(is_number(name) for name in names)
     return words and len(names) == start[2] and (len(names) > 2 or start[0] == 1)
 
 
-def _first_row(lines: Sequence[str], kept: Sequence[int]) -> tuple[int, str | None, int] | None:
+def _first_row(lines: Sequence[str], filled: Sequence[int]) -> tuple[int, str | None, int] | None:
     """Place among the kept lines of the first row of numbers, its mark and its number of fields."""
-    for at, index in enumerate(kept):
+    for at, index in enumerate(filled):
         mark = _mark(lines[index])
         count = _numbers(lines[index], mark)
-        following = kept[at + 1 : at + NUMERIC_ROWS]
+        following = filled[at + 1 : at + NUMERIC_ROWS]
         if count and following and all(_numbers(lines[i], mark) == count for i in following):
             return at, mark, count
     return None
@@ -108,12 +110,12 @@ def _numbers(line: str, mark: str | None) -> int:
     fields = split(line.strip(), mark)
     if mark == ";":
         fields = [field.replace(",", ".") for field in fields]
-    known = [field for field in fields if field.lower() not in MISSING]
-    whole = len(fields) > 1 and len(known) > 0 and all(map(is_number, known))
+    present = [field for field in fields if field.lower() not in MISSING]
+    whole = len(fields) > 1 and len(present) > 0 and all(map(is_number, present))
     return len(fields) if whole else 0
 
 
 def _are_units(fields: Sequence[str]) -> bool:
     stripped = [field.strip("[]() ") for field in fields]
-    known = [field for field in stripped if field and field != "-"]
-    return bool(known) and all(units.find_unit(field) or units.clock_unit(field) for field in known)
+    present = [field for field in stripped if field and field != "-"]
+    return bool(present) and all(units.find_unit(field) or units.clock_unit(field) for field in present)

@@ -47,11 +47,11 @@ def fields(topic: str, names: Sequence[str]) -> list[str]:
 def plan(log: Log) -> Plan:
     """Channels of such a matrix: columns that are all zero were not measured."""
     columns = log.streams["", 0].columns
-    there = {
+    logged = {
         name: (_field(c), unit) for name, (c, unit) in COLUMNS.items() if has_content(columns.get(_field(c), _NONE))
     }
     idle = ("lon", "lat", "ped")
-    entries = {n: Entry(f, unit) for n, (f, unit) in there.items() if n not in idle or moving(columns[f])}
+    entries = {n: Entry(f, unit) for n, (f, unit) in logged.items() if n not in idle or moving(columns[f])}
     return merged("", [Chosen(entries)], ["SIDPAC's fdata: columns 14 to 16 (deg) are lon, lat and ped"])
 
 

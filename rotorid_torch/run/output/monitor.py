@@ -98,8 +98,8 @@ class Monitor:
 
     def time_record(self) -> TimeRecord:
         """Seconds per step so far, and in all since the monitor was made."""
-        known = {name: self.seconds[name] for name in TimeRecord.__struct_fields__ if name in self.seconds}
-        return TimeRecord(**known, total=time.perf_counter() - self._start)
+        steps = {name: self.seconds[name] for name in TimeRecord.__struct_fields__ if name in self.seconds}
+        return TimeRecord(**steps, total=time.perf_counter() - self._start)
 
     @contextmanager
     def _bar(self, name: str) -> Iterator[None]:
@@ -130,8 +130,8 @@ class Monitor:
 def peak_memory_mb() -> float:
     """Largest resident memory of this process so far, MB; not that of the program that started it, as Linux counts."""
     status = Path("/proc/self/status")
-    told = re.search(r"^VmHWM:\s+(\d+) kB", status.read_text(), re.MULTILINE) if status.exists() else None
-    if told:
-        return int(told[1]) / 1024
+    line = re.search(r"^VmHWM:\s+(\d+) kB", status.read_text(), re.MULTILINE) if status.exists() else None
+    if line:
+        return int(line[1]) / 1024
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / 1024**2 if sys.platform == "darwin" else peak / 1024

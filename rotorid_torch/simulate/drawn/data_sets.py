@@ -54,7 +54,7 @@ class Drawn:
 
 def undrawable(dataset: Dataset) -> str | None:
     """Why no clean aircraft can be drawn for a data set, in words; None where they can."""
-    vehicle, there = dataset.vehicle, set(dataset.controls)
+    vehicle, recorded = dataset.vehicle, set(dataset.controls)
     if dataset.kind != "helicopter":
         return f"aircraft are drawn for helicopters, not for a {dataset.kind}"
     if vehicle.rotor is None or vehicle.rotor.radius is None:
@@ -63,7 +63,7 @@ def undrawable(dataset: Dataset) -> str | None:
         return "the mass is not declared"
     if vehicle.inertia is None:
         return "the inertia is not declared"
-    missing = [name for name in CONTROL_NAMES if name not in there]
+    missing = [name for name in CONTROL_NAMES if name not in recorded]
     if missing:
         return f"the controls lack {', '.join(missing)}"
     wanted = ("u", "v", "w", "p", "q", "r", "phi", "theta")
@@ -102,8 +102,8 @@ def _flown(dataset: Dataset, seed: int, draws: Sequence[int], prior: Prior, evid
     size = max(1, TOGETHER // int(tape.samples.max() * len(flights)))
     for first in range(0, len(draws), size):
         some = draws[first : first + size]
-        kept, tried = _aircraft(dataset, seed, some, prior, evidence)
-        record = follow(kept, tape, prior)
+        aircraft, tried = _aircraft(dataset, seed, some, prior, evidence)
+        record = follow(aircraft, tape, prior)
         away = record.away(tape)
         for k, number in enumerate(some):
             if away[k] > AWAY:
@@ -113,20 +113,20 @@ def _flown(dataset: Dataset, seed: int, draws: Sequence[int], prior: Prior, evid
                 number,
                 _dataset(dataset, measured, number),
                 tried[k],
-                float(kept.misfit[k]),
-                bool(kept.misfit[k] <= ALIKE),
-                _rotor(kept, k),
-                {name: float(value[k]) for name, value in prior.values(kept.normal).items()},
+                float(aircraft.misfit[k]),
+                bool(aircraft.misfit[k] <= ALIKE),
+                _rotor(aircraft, k),
+                {name: float(value[k]) for name, value in prior.values(aircraft.normal).items()},
             )
 
 
-def _rotor(kept: Aircraft, k: int) -> str:
+def _rotor(aircraft: Aircraft, k: int) -> str:
     """Which rotor a drawn aircraft has."""
-    if kept.kind.uniform[k]:
+    if aircraft.kind.uniform[k]:
         return "quasi-steady flapping, uniform inflow"
-    if kept.kind.steady_flap[k]:
+    if aircraft.kind.steady_flap[k]:
         return "quasi-steady flapping, dynamic inflow"
-    return "flapping, dynamic inflow" if kept.kind.stiff_lag[k] else "flapping, lead-lag, dynamic inflow"
+    return "flapping, dynamic inflow" if aircraft.kind.stiff_lag[k] else "flapping, lead-lag, dynamic inflow"
 
 
 def _aircraft(
@@ -173,7 +173,7 @@ def _measured(dataset: Dataset, record: Followed, k: int, streams: Sequence[int]
 
 def _dataset(dataset: Dataset, flights: Mapping[str, Mapping[str, Array]], number: int) -> Dataset:
     """A data set in memory with the declaration of the original."""
-    there = {channel for channels in flights.values() for channel in channels}
+    recorded = {channel for channels in flights.values() for channel in channels}
     return Dataset.from_arrays(
         flights,
         identify=dataset.identify,
@@ -184,6 +184,6 @@ def _dataset(dataset: Dataset, flights: Mapping[str, Mapping[str, Array]], numbe
         description=f"Clean helicopter drawn in the likeness of {dataset.name}. Nothing undeclared.",
         vehicle=dataset.vehicle,
         controls=dict(dataset.control_specs),
-        channels={name: spec for name, spec in dataset.channel_specs.items() if name in there},
+        channels={name: spec for name, spec in dataset.channel_specs.items() if name in recorded},
         model=msgspec.structs.asdict(dataset.settings),
     )

@@ -64,11 +64,11 @@ def prior(dataset: Dataset, evidence: Evidence) -> Prior:
     if mirrored(dataset):
         vehicle = _mirror(vehicle)
     velocity = level_velocity(trim)
-    made = numbers(vehicle, float(np.hypot(velocity[0], velocity[1])))
+    drawn = numbers(vehicle, float(np.hypot(velocity[0], velocity[1])))
     for k, name in enumerate(CONTROL_NAMES):
-        made[f"gearing_{name}"] = _gearing(dataset, name, k, float(evidence.table[ON_AXIS[name]]))
+        drawn[f"gearing_{name}"] = _gearing(dataset, name, k, float(evidence.table[ON_AXIS[name]]))
     first = dataset.flights[dataset.identify[0]]
-    return Prior(vehicle, made, velocity, not rotor_moves(dataset), first.dt)
+    return Prior(vehicle, drawn, velocity, not rotor_moves(dataset), first.dt)
 
 
 def _gearing(dataset: Dataset, name: str, place: int, on_axis: float) -> Number:
@@ -132,21 +132,21 @@ def draw(prior: Prior, evidence: Evidence, kind: Kind, streams: list[np.random.G
     start = np.stack([stream.standard_normal(size) for stream in streams])
     noise = np.stack([stream.standard_normal(evidence.table.size + evidence.trim.size) for stream in streams])
     asked = np.isfinite(_tolerances(evidence))
-    normal, kept, trims = start.copy(), start.copy(), None
+    normal, closest, trims = start.copy(), start.copy(), None
     best, going = np.full(len(streams), np.inf), np.ones(len(streams), dtype=bool)
     for _ in range(ROUNDS + 1):
         trims = find_trims(prior.craft(normal, kind), prior.velocity, trims)
-        found = _compare(prior, evidence, prior.craft(normal, kind), trims, prior.gearing(normal))
-        left = np.where(trims.found[:, None], found + noise * asked, LOST)
+        deviation = _compare(prior, evidence, prior.craft(normal, kind), trims, prior.gearing(normal))
+        left = np.where(trims.found[:, None], deviation + noise * asked, LOST)
         cost = (left * left).sum(1) + ((normal - start) ** 2).sum(1)
-        kept = np.where((cost < best)[:, None], normal, kept)
+        closest = np.where((cost < best)[:, None], normal, closest)
         going &= cost < WORTH * best
         best = np.minimum(cost, best)
         for k in np.flatnonzero(going):
             one = slice(k, k + 1)
-            step = _step(prior, evidence, normal[k], kind.pick(one), trims.pick(one), found[k], left[k], start[k])
+            step = _step(prior, evidence, normal[k], kind.pick(one), trims.pick(one), deviation[k], left[k], start[k])
             normal[k] += step if trims.found[k] else -0.5 * normal[k]
-    return finish(prior, evidence, kept, kind)
+    return finish(prior, evidence, closest, kind)
 
 
 def finish(prior: Prior, evidence: Evidence, normal: Array, kind: Kind) -> Aircraft:
@@ -177,21 +177,28 @@ def _compare(prior: Prior, evidence: Evidence, craft: Craft, trims: Trims, geari
     """Differences from the evidence over their tolerances, [aircraft, 76]."""
     table = _table(evidence, craft, trims, gearing)
     level = np.concatenate([trims.state[6:8, :, 0].T, trims.controls[..., 0].T / gearing], axis=1)
-    seen = np.concatenate([(table - evidence.table).reshape(craft.count, -1), level - evidence.trim], axis=1)
-    left = seen / _tolerances(evidence)
+    measured = np.concatenate([(table - evidence.table).reshape(craft.count, -1), level - evidence.trim], axis=1)
+    left = measured / _tolerances(evidence)
     return np.where(np.isfinite(left), left, 0.0)
 
 
 def _step(
-    prior: Prior, evidence: Evidence, normal: Array, kind: Kind, trims: Trims, found: Array, left: Array, start: Array
+    prior: Prior,
+    evidence: Evidence,
+    normal: Array,
+    kind: Kind,
+    trims: Trims,
+    deviation: Array,
+    left: Array,
+    start: Array,
 ) -> Array:
     """One Gauss-Newton step of one aircraft's deviates, [number]."""
     size = len(normal)
     bumped = normal + BUMP * np.eye(size)
     craft = prior.craft(bumped, kind.repeat(size))
     moved = find_trims(craft, prior.velocity, trims.pick(np.zeros(size, dtype=np.intp)), ROUGH)
-    seen = _compare(prior, evidence, craft, moved, prior.gearing(bumped))
-    slope = np.where(moved.found[:, None], (seen - found) / BUMP, 0.0)
+    bumped_deviation = _compare(prior, evidence, craft, moved, prior.gearing(bumped))
+    slope = np.where(moved.found[:, None], (bumped_deviation - deviation) / BUMP, 0.0)
     step = -np.linalg.solve(np.eye(size) + slope @ slope.T, slope @ left + normal - start)
     length = float(np.abs(step).max())
     return np.asarray(step * (LEAP / max(length, LEAP)), dtype=np.float64)

@@ -81,10 +81,10 @@ def rotor_moves(dataset: Dataset) -> bool:
 def recorded(dataset: Dataset, name: str) -> Recorded:
     """A flight of the data set."""
     flight, mirror = dataset.flights[name], mirrored(dataset)
-    there = [channel for channel in flight.channels if channel != "time" and flight.has(channel)]
-    columns = flight.bridged(there).numpy().T
-    signs = {channel: -1.0 if mirror and channel in MIRRORED else 1.0 for channel in there}
-    channels = {channel: signs[channel] * column for channel, column in zip(there, columns, strict=True)}
+    measured = [channel for channel in flight.channels if channel != "time" and flight.has(channel)]
+    columns = flight.bridged(measured).numpy().T
+    signs = {channel: -1.0 if mirror and channel in MIRRORED else 1.0 for channel in measured}
+    channels = {channel: signs[channel] * column for channel, column in zip(measured, columns, strict=True)}
     return Recorded(name, flight.dt, flight.samples, channels)
 
 
@@ -127,27 +127,27 @@ def look(dataset: Dataset, resembles: Table | None = None, most: int = 30) -> Ev
     tolerance[ROWS.index("omega")] *= GOVERNED
     level = np.array([trim.get(name, np.nan) for name in ("phi", "theta", *CONTROL_NAMES)])
     loose = np.array([ATTITUDE, ATTITUDE, *(RIGGING for _ in CONTROL_NAMES)])
-    told = [dataset.control_specs[name].unit == "rad" for name in CONTROL_NAMES]
-    known = np.isfinite(level) & np.array([True, True, *told])
+    angles = [dataset.control_specs[name].unit == "rad" for name in CONTROL_NAMES]
+    usable = np.isfinite(level) & np.array([True, True, *angles])
     return Evidence(
         table,
         tolerance,
         motion,
         frequency,
         project[:10],
-        np.where(known, level, 0.0),
-        np.where(known, loose, np.inf),
+        np.where(usable, level, 0.0),
+        np.where(usable, loose, np.inf),
         excursions,
     )
 
 
 def _tolerance(table: Array, error: Array, excursions: Array) -> Array:
     """What counts as alike: a share of the entry, and of its row's largest contribution; infinite where unknown."""
-    there = np.isfinite(table) & np.isfinite(error) & (excursions > 0.0)
-    parts = np.where(there, np.abs(table) * excursions, 0.0)
+    usable = np.isfinite(table) & np.isfinite(error) & (excursions > 0.0)
+    parts = np.where(usable, np.abs(table) * excursions, 0.0)
     largest = parts.max(1, keepdims=True)
     alike = np.hypot(LIKE * parts, SMALL * largest) / np.where(excursions > 0.0, excursions, 1.0)
-    return np.where(there & (largest > 0.0), np.hypot(np.where(there, error, 0.0), alike), np.inf)
+    return np.where(usable & (largest > 0.0), np.hypot(np.where(usable, error, 0.0), alike), np.inf)
 
 
 def _replaced(table: Array, error: Array, resembles: Table | None, mirror: bool) -> tuple[Array, Array]:

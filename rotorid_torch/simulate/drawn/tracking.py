@@ -68,8 +68,8 @@ def tapes(flights: Sequence[Recorded], trim: Mapping[str, float]) -> Tapes:
     motion = np.stack([prepared(*pair, FED, MOTION_BLUR) for pair in paired], axis=-1)
     start = np.array([[_level(flight, name, {}) for flight in flights] for name in ("psi", *_PLACES)])
     dt, samples = np.array([f.dt for f in flights]), np.array([f.samples for f in flights])
-    there = np.arange(longest)[:, None, None] < samples
-    size = np.concatenate([np.sqrt((part**2 * there).sum((0, 2)) / samples.sum()) for part in (motion, controls)])
+    recorded = np.arange(longest)[:, None, None] < samples
+    size = np.concatenate([np.sqrt((part**2 * recorded).sum((0, 2)) / samples.sum()) for part in (motion, controls)])
     return Tapes(controls, motion, dt, samples, start, size, _controller(flights, trim), trim, trims)
 
 
@@ -92,10 +92,10 @@ def _trims(flights: Sequence[Recorded], trim: Mapping[str, float]) -> list[Mappi
     alike = [[start for start, g in zip(steady, group, strict=True) if g == one] for one in np.unique(group)]
     trims = [{**trim, **{n: float(np.mean([one[n] for one in some])) for n in some[0]}} for some in alike]
 
-    def off(start: Mapping[str, float], own: Mapping[str, float]) -> float:
-        return float(np.linalg.norm([start[name] - own[name] for name in FED[VELOCITY]]))
+    def off(start: Mapping[str, float], trim: Mapping[str, float]) -> float:
+        return float(np.linalg.norm([start[name] - trim[name] for name in FED[VELOCITY]]))
 
-    return [min(trims, key=lambda own: off(start, own)) for start in starts]
+    return [min(trims, key=lambda trim: off(start, trim)) for start in starts]
 
 
 def _level(flight: Recorded, name: str, trim: Mapping[str, float]) -> float:
@@ -123,9 +123,9 @@ def _controller(flights: Sequence[Recorded], trim: Mapping[str, float]) -> Array
         half = pairs[: (len(pairs) + 1) // 2]
         control, motion = np.concatenate([pair[0] for pair in half]), np.concatenate([pair[1] for pair in half])
         size = np.linalg.norm(motion, axis=0) + 1e-12
-        found = np.linalg.lstsq(motion / size, control, rcond=1e-3)[0] / size
-        if np.std(control - motion @ found) < EXPLAINED * np.std(control):
-            out[k, ANGULAR] = found
+        gains = np.linalg.lstsq(motion / size, control, rcond=1e-3)[0] / size
+        if np.std(control - motion @ gains) < EXPLAINED * np.std(control):
+            out[k, ANGULAR] = gains
     return out
 
 
@@ -165,16 +165,16 @@ class Followed:
 
     def away(self, tape: Tapes) -> Array:
         """Rms of the difference from the measured motion over the motion's own, the worst of `FED`, [aircraft]."""
-        there = np.arange(len(self.record))[:, None] < self.samples
-        own = self.record[:, : len(FED)].astype(np.float64)
+        recorded = np.arange(len(self.record))[:, None] < self.samples
+        flown = self.record[:, : len(FED)].astype(np.float64)
         with np.errstate(all="ignore"):
-            off = own - own[:1] - (tape.motion - tape.motion[:1])[:, :, None]
-            square = np.where(there[:, None, None], off * off, 0.0).sum((0, 3)) / there.sum()
+            off = flown - flown[:1] - (tape.motion - tape.motion[:1])[:, :, None]
+            square = np.where(recorded[:, None, None], off * off, 0.0).sum((0, 3)) / recorded.sum()
             worst = (np.sqrt(square) / np.maximum(tape.sizes[: len(FED), None], LEAST)).max(0)
         return np.where(np.isfinite(worst), worst, np.inf)
 
 
-def gains(kept: Aircraft, prior: Prior, tape: Tapes) -> Array:
+def gains(aircraft: Aircraft, prior: Prior, tape: Tapes) -> Array:
     """Feedback of `FED` to lon lat col ped, rad, [aircraft, 4, 9].
 
     The controller of the recorded flights, and around it as little as keeps the aircraft near them: linear-quadratic,
@@ -182,12 +182,12 @@ def gains(kept: Aircraft, prior: Prior, tape: Tapes) -> Array:
 
     Source: Anderson and Moore, Optimal Control: Linear Quadratic Methods, chapter 3.
     """
-    table = linearise(kept.craft, kept.trims).derivatives()
-    out = kept.gearing[:, :, None] * tape.controller
+    table = linearise(aircraft.craft, aircraft.trims).derivatives()
+    out = aircraft.gearing[:, :, None] * tape.controller
     weight = np.diag(1.0 / np.maximum(tape.sizes[:9], 1e-3) ** 2)
     for k, derivatives in enumerate(table):
-        a, b = body_system(derivatives, kept.trims.state[:, k, 0], prior.vehicle.gravity)
-        price = EFFORT * np.diag(1.0 / np.maximum(np.abs(kept.gearing[k]) * tape.sizes[9:], LEAST) ** 2)
+        a, b = body_system(derivatives, aircraft.trims.state[:, k, 0], prior.vehicle.gravity)
+        price = EFFORT * np.diag(1.0 / np.maximum(np.abs(aircraft.gearing[k]) * tape.sizes[9:], LEAST) ** 2)
         answer = solve_continuous_are(a + b @ out[k], b, weight, price)
         out[k] -= np.linalg.solve(price, b.T @ answer)
     return out
@@ -208,25 +208,25 @@ def body_system(derivatives: Array, x: Array, gravity: float) -> tuple[Array, Ar
     return a, b
 
 
-def _starts(kept: Aircraft, tape: Tapes, prior: Prior) -> tuple[Array, Array]:
+def _starts(aircraft: Aircraft, tape: Tapes, prior: Prior) -> tuple[Array, Array]:
     """States [31, aircraft, flight] and controls [4, aircraft, flight] of the trims that the flights start from.
 
     NaN where an aircraft finds none at a flight's velocity.
     """
-    trims, own = kept.trims, [level_velocity(trim) for trim in tape.trims]
-    state, controls = (np.repeat(part, len(own), axis=2) for part in (trims.state, trims.controls))
-    for velocity in np.unique(own, axis=0):
+    trims, velocities = aircraft.trims, [level_velocity(trim) for trim in tape.trims]
+    state, controls = (np.repeat(part, len(velocities), axis=2) for part in (trims.state, trims.controls))
+    for velocity in np.unique(velocities, axis=0):
         if np.array_equal(velocity, prior.velocity):
             continue
-        there = find_trims(kept.craft, velocity, trims)
-        flown = np.array([np.array_equal(velocity, one) for one in own])
-        state[..., flown] = np.where(there.found[:, None], there.state, np.nan)
-        controls[..., flown] = np.where(there.found[:, None], there.controls, np.nan)
+        equilibria = find_trims(aircraft.craft, velocity, trims)
+        flown = np.array([np.array_equal(velocity, one) for one in velocities])
+        state[..., flown] = np.where(equilibria.found[:, None], equilibria.state, np.nan)
+        controls[..., flown] = np.where(equilibria.found[:, None], equilibria.controls, np.nan)
     return state, controls
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def follow(kept: Aircraft, tape: Tapes, prior: Prior) -> Followed:
+def follow(aircraft: Aircraft, tape: Tapes, prior: Prior) -> Followed:
     """Fly every aircraft through every flight.
 
     Its blade angles are trim + gearing x recorded + gains x (own motion - measured motion), all from trim: its own, at
@@ -234,14 +234,14 @@ def follow(kept: Aircraft, tape: Tapes, prior: Prior) -> Followed:
     trim: rigging is not its business.
     One that flies away ends in numbers that are not finite.
     """
-    craft, trims = kept.craft, kept.trims
-    feed = gains(kept, prior, tape)
+    craft, trims = aircraft.craft, aircraft.trims
+    feed = gains(aircraft, prior, tape)
     fed = slice(0, len(FED))
-    x, neutral_controls = _starts(kept, tape, prior)
+    x, neutral_controls = _starts(aircraft, tape, prior)
     x[8], x[PLACE] = tape.start[0], tape.start[1:, None]
     neutral = x[fed].copy()
     x[fed] += tape.motion[0][:, None]
-    hands = kept.gearing.T[:, :, None] * tape.controls[:, :, None]
+    hands = aircraft.gearing.T[:, :, None] * tape.controls[:, :, None]
     hands -= np.einsum("dij,tjf->tidf", feed, tape.motion)
     hands += neutral_controls
     level = np.array([tape.trim.get(name, 0.0) for name in CONTROL_NAMES])
@@ -266,4 +266,4 @@ def follow(kept: Aircraft, tape: Tapes, prior: Prior) -> Followed:
             first = slope(x, hands[t] + k / substeps * (hands[t + 1] - hands[t])) if k else first
             middle = hands[t] + (k + 0.5) / substeps * (hands[t + 1] - hands[t])
             x = x + step * slope(x + 0.5 * step * first, middle)
-    return Followed(record, trims.controls, kept.gearing, level, craft.imu[..., 0], tape.samples)
+    return Followed(record, trims.controls, aircraft.gearing, level, craft.imu[..., 0], tape.samples)

@@ -57,10 +57,10 @@ def linearise(aircraft: Aircraft, trim: Trim, shift: float = 1e-4) -> Linear:
     generator = np.real(logm(jump)) / passage_time(aircraft)
     states = size - 4
     full_a, full_b = generator[:states, :states], generator[:states, states:]
-    body, rest = slice(0, len(BODY_STATES)), slice(len(BODY_STATES), states)
-    across = np.linalg.solve(full_a[rest, rest], np.hstack([full_a[rest, body], full_b[rest]]))
-    a = full_a[body, body] - full_a[body, rest] @ across[:, : len(BODY_STATES)]
-    b = full_b[body] - full_a[body, rest] @ across[:, len(BODY_STATES) :]
+    body, rotor = slice(0, len(BODY_STATES)), slice(len(BODY_STATES), states)
+    across = np.linalg.solve(full_a[rotor, rotor], np.hstack([full_a[rotor, body], full_b[rotor]]))
+    a = full_a[body, body] - full_a[body, rotor] @ across[:, : len(BODY_STATES)]
+    b = full_b[body] - full_a[body, rotor] @ across[:, len(BODY_STATES) :]
     return Linear(a, b, full_a, full_b)
 
 

@@ -80,12 +80,12 @@ def chosen(flights: Sequence[str] | None, speed: float = 0.0) -> tuple[str, ...]
     """
     if flights is None:
         return FLIGHTS
-    known = groups(speed)
-    expanded = [one for name in flights for one in known.get(name, (name,))]
+    available = groups(speed)
+    expanded = [one for name in flights for one in available.get(name, (name,))]
     for name in expanded:
         if not _exists(name):
             expected = f"some of {', '.join(FLIGHTS)}, with a condition as in dbl_lon_p-90deg, dbl_col_p-5m or "
-            expected += f"dbl_lon_p-20mps, or of {', '.join(known)}"
+            expected += f"dbl_lon_p-20mps, or of {', '.join(available)}"
             raise InputError("usage", "flights", f"there is no flight '{name}'", expected)
     if not flights:
         raise InputError("usage", "flights", "the list is empty", "some of " + ", ".join(FLIGHTS))

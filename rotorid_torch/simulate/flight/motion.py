@@ -209,28 +209,28 @@ def _solve(
     omega, up, flights = x[RATES], aircraft.rotor.to_shaft[2][:, None], x.shape[1]
     arm = root.arm + np.asarray(aircraft.rotor.hub)[:, None, None]
     gyroscopic = cross(omega, aircraft.inertia_matrix @ omega)
-    known = np.empty((7, flights))
-    known[:3] = force + root.force.sum(1)
-    known[3:6] = moment + (cross(arm, root.force) + root.moment).sum(1) - gyroscopic
-    known[6] = ((cross(root.arm, root.force) + root.moment).sum(1) * up).sum(0)
+    right_side = np.empty((7, flights))
+    right_side[:3] = force + root.force.sum(1)
+    right_side[3:6] = moment + (cross(arm, root.force) + root.moment).sum(1) - gyroscopic
+    right_side[6] = ((cross(root.arm, root.force) + root.moment).sum(1) * up).sum(0)
     columns = _jacobian(arm, root, up)
     reaction = columns.swapaxes(1, 2) @ columns
     if aircraft.load is not None and pull is not None:
         hook = np.asarray(aircraft.load.hook)[:, None]
-        known[:3] += pull.force
-        known[3:6] += cross(hook, pull.force)
+        right_side[:3] += pull.force
+        right_side[3:6] += cross(hook, pull.force)
         row = np.concatenate([pull.direction, pull.turning, np.zeros((1, flights))]).T
         reaction = reaction + aircraft.load.mass * row[:, :, None] * row[:, None, :]
     total = aircraft.own_matrix + reaction
     size = 6 if aircraft.governor.held else 7
-    driven = known.copy()
+    driven = right_side.copy()
     driven[6] += x[TORQUE]
-    found = np.zeros((flights, 7, 1))
-    found[:, :size] = np.linalg.solve(total[:, :size, :size], driven[:size].T[:, :, None])
-    answer, torque = (reaction @ found)[:, :6, 0].T, (total[:, 6:] @ found)[:, 0, 0] - known[6]
-    solved = found[:, :, 0].T
-    about = known[3:6] + gyroscopic - answer[3:]
-    return Motion(solved[:3], solved[3:6], known[:3] - answer[:3], about, torque, solved[6])
+    solution = np.zeros((flights, 7, 1))
+    solution[:, :size] = np.linalg.solve(total[:, :size, :size], driven[:size].T[:, :, None])
+    answer, torque = (reaction @ solution)[:, :6, 0].T, (total[:, 6:] @ solution)[:, 0, 0] - right_side[6]
+    solved = solution[:, :, 0].T
+    about = right_side[3:6] + gyroscopic - answer[3:]
+    return Motion(solved[:3], solved[3:6], right_side[:3] - answer[:3], about, torque, solved[6])
 
 
 def _jacobian(arm: Array, root: RootLoads, up: Array) -> Array:

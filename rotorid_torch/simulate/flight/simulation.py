@@ -71,7 +71,7 @@ def fly_batch(
     controls = np.stack([one.controls for one in trims], axis=1)
     feedback = _feedback(augmentation, x[FEEDBACK].copy())
     surroundings = _Surroundings(aircraft, flights, trims, times, dt / substeps, seed)
-    kept: dict[str, list[Array]] = {name: [] for name in ("x", "specific_force", "angular", "force", "moment")}
+    history: dict[str, list[Array]] = {name: [] for name in ("x", "specific_force", "angular", "force", "moment")}
     hidden: list[dict[str, Array]] = []
 
     def respond(state: Array, hand: Array) -> tuple[Array, Motion]:
@@ -86,9 +86,9 @@ def fly_batch(
         first, motion = respond(x, start)
         sample, between = divmod(step - lead * substeps, substeps)
         if sample >= 0 and not between:
-            kept["x"].append(x)
+            history["x"].append(x)
             for name in ("specific_force", "angular", "force", "moment"):
-                kept[name].append(getattr(motion, name))
+                history[name].append(getattr(motion, name))
             hidden.append(hidden_signals(aircraft, x, first, surroundings.unpack(start)))
             if progress is not None and (sample % 23 == 0 or sample == samples - 1):
                 progress(sample + 1, samples)
@@ -96,7 +96,7 @@ def fly_batch(
             surroundings.rate(first[CONTROLS])
             middle, end = (surroundings.pack(stick[:, step, stage], step, stage) for stage in (1, 2))
             x = runge_kutta(slope, x, first, (start, middle, end), dt / substeps)
-    stacked = {name: np.stack(rows) for name, rows in kept.items()}
+    stacked = {name: np.stack(rows) for name, rows in history.items()}
     traces = {name: np.stack([row[name] for row in hidden]) for name in hidden[0]}
     return Record(np.arange(samples, dtype=np.float64) * dt, stacked.pop("x"), **stacked, hidden=traces)
 
@@ -153,11 +153,11 @@ class _Surroundings:
 
     def unpack(self, hand: Array) -> Outside:
         """Gust and delayed controls of packed rows."""
-        rest = hand[4:]
+        remaining = hand[4:]
         gust = None
         if self.gusts is not None:
-            gust, rest = rest[:3], rest[3:]
-        return Outside(gust, (rest[:4], rest[4:]) if self.history is not None else None)
+            gust, remaining = remaining[:3], remaining[3:]
+        return Outside(gust, (remaining[:4], remaining[4:]) if self.history is not None else None)
 
 
 def _stage_times(samples: int, substeps: int, dt: float) -> Array:

@@ -88,8 +88,8 @@ def cable_pull(
     air = air - (2.0 * load.damping * natural * load.cable) * rate
     direction = turned(earth.swapaxes(0, 1), c)
     centripetal = cross(omega, around)
-    known = load.mass * (load.cable * dot(rate, rate) - dot(direction, centripetal) + dot(c, air))
-    return Pull(direction, cross(hook, direction), known * direction, centripetal, c, rate, air)
+    tension_terms = load.mass * (load.cable * dot(rate, rate) - dot(direction, centripetal) + dot(c, air))
+    return Pull(direction, cross(hook, direction), tension_terms * direction, centripetal, c, rate, air)
 
 
 def swing_rates(load: SlungLoad, pull: Pull, specific_force: Array, angular: Array, earth: Array) -> Array:

@@ -73,8 +73,8 @@ def _inertia(vehicle: Vehicle) -> dict[str, Number]:
     tensor = np.asarray(vehicle.inertia, dtype=np.float64)
     out = {f"inertia{k}{k}": Number(float(tensor[k, k]), INERTIA_ERROR) for k in range(3)}
     for a, b in ((0, 1), (0, 2), (1, 2)):
-        there = tensor[a, b] != 0.0 or (a, b) == (0, 2)
-        spread = INERTIA_ERROR * float(np.sqrt(tensor[a, a] * tensor[b, b])) if there else 0.0
+        declared = tensor[a, b] != 0.0 or (a, b) == (0, 2)
+        spread = INERTIA_ERROR * float(np.sqrt(tensor[a, a] * tensor[b, b])) if declared else 0.0
         out[f"inertia{a}{b}"] = Number(float(tensor[a, b]), spread, False)
     return out
 
@@ -93,12 +93,12 @@ def _places(vehicle: Vehicle, base: Aircraft, length: float) -> dict[str, Number
 
 def _rotor(vehicle: Vehicle, base: Aircraft, length: float, weight: float) -> dict[str, Number]:
     """Main rotor and its inflow."""
-    rotor, own = vehicle.rotor, base.rotor
+    rotor, usual_rotor = vehicle.rotor, base.rotor
     assert rotor is not None
     assert rotor.radius is not None
-    blades = rotor.blades or own.blades
-    chord = own.chord * own.blades / blades * weight / length
-    lock = LOCK_SLOPE * base.air_density * own.chord * own.radius**4 / own.flap_inertia
+    blades = rotor.blades or usual_rotor.blades
+    chord = usual_rotor.chord * usual_rotor.blades / blades * weight / length
+    lock = LOCK_SLOPE * base.air_density * usual_rotor.chord * usual_rotor.radius**4 / usual_rotor.flap_inertia
 
     def known(declared: float | None, error: float, usual: float, wide: float) -> Number:
         return Number(usual, wide) if declared is None else Number(declared, error)
@@ -106,23 +106,29 @@ def _rotor(vehicle: Vehicle, base: Aircraft, length: float, weight: float) -> di
     return {
         "radius": Number(rotor.radius, GEOMETRY_ERROR),
         "chord": known(rotor.chord, GEOMETRY_ERROR, chord, 0.1),
-        "speed": known(rotor.speed, 0.001, own.speed / length, 0.03),
-        "hinge_offset": known(rotor.hinge_offset or None, 0.02, own.hinge_offset * length, 0.3),
+        "speed": known(rotor.speed, 0.001, usual_rotor.speed / length, 0.03),
+        "hinge_offset": known(rotor.hinge_offset or None, 0.02, usual_rotor.hinge_offset * length, 0.3),
         "lock": known(rotor.lock_number, LOCK_ERROR, lock, 0.2),
-        "slenderness": Number(own.flap_inertia / (own.first_moment * (own.radius - own.hinge_offset)), 0.03),
-        "solidness": Number(own.flap_inertia / (own.blade_mass * (own.radius - own.hinge_offset) ** 2), 0.06),
+        "slenderness": Number(
+            usual_rotor.flap_inertia / (usual_rotor.first_moment * (usual_rotor.radius - usual_rotor.hinge_offset)),
+            0.03,
+        ),
+        "solidness": Number(
+            usual_rotor.flap_inertia / (usual_rotor.blade_mass * (usual_rotor.radius - usual_rotor.hinge_offset) ** 2),
+            0.06,
+        ),
         "flap_stiffness": Number(0.0, 0.002 if rotor.hinge_offset else 0.02, False),
-        "lag_stiffness": Number(own.lag_spring / (own.flap_inertia * own.speed**2), 0.5),
-        "lag_damping": Number(own.lag_damper / (own.flap_inertia * own.speed), 0.5),
-        "tilt": Number(own.tilt, 0.02, False),
+        "lag_stiffness": Number(usual_rotor.lag_spring / (usual_rotor.flap_inertia * usual_rotor.speed**2), 0.5),
+        "lag_damping": Number(usual_rotor.lag_damper / (usual_rotor.flap_inertia * usual_rotor.speed), 0.5),
+        "tilt": Number(usual_rotor.tilt, 0.02, False),
         "swash_phase": Number(-0.07, 0.1, False),
         "delta3": Number(0.0, 0.05, False),
-        "twist": Number(own.twist, 0.05, False),
-        "root_cutout": Number(own.root_cutout, 0.1),
+        "twist": Number(usual_rotor.twist, 0.05, False),
+        "root_cutout": Number(usual_rotor.root_cutout, 0.1),
         "tip_loss": Number(0.975, 0.008),
-        "lift_slope": Number(0.97 * own.section.lift_slope, 0.05),
-        "drag": Number(own.section.drag, 0.2),
-        "drag_rise": Number(own.section.drag_rise, 0.3),
+        "lift_slope": Number(0.97 * usual_rotor.section.lift_slope, 0.05),
+        "drag": Number(usual_rotor.section.drag, 0.2),
+        "drag_rise": Number(usual_rotor.section.drag_rise, 0.3),
         "inflow_gain0": Number(1.0, 0.07),
         "inflow_gain1": Number(1.0, 0.2),
         "inflow_speed0": Number(1.0, 0.2),
@@ -188,13 +194,13 @@ def _airframe(base: Aircraft, length: float, speed: float) -> dict[str, Number]:
 
 def _drive(base: Aircraft, length: float, weight: float) -> dict[str, Number]:
     """Governor and engine."""
-    own = base.governor
+    governor = base.governor
     return {
-        "governor_proportional": Number(own.proportional * length * weight, 0.4),
-        "governor_integral": Number(own.integral * length * weight, 0.4),
-        "governor_derivative": Number(own.derivative * length**2 * weight, 0.4),
-        "governor_lag": Number(own.lag, 0.4),
-        "drive_inertia": Number(own.inertia * length**2 * weight, 0.4),
+        "governor_proportional": Number(governor.proportional * length * weight, 0.4),
+        "governor_integral": Number(governor.integral * length * weight, 0.4),
+        "governor_derivative": Number(governor.derivative * length**2 * weight, 0.4),
+        "governor_lag": Number(governor.lag, 0.4),
+        "drive_inertia": Number(governor.inertia * length**2 * weight, 0.4),
     }
 
 
@@ -247,7 +253,7 @@ def build(values: Mapping[str, Array], kind: Kind, vehicle: Vehicle, held: bool,
     inertia = LOCK_SLOPE * one["density"] * one["chord"] * one["radius"] ** 4 / one["lock"]
     stiffness = inertia * one["speed"] ** 2
     uniform = np.where(kind.uniform[:, None], 0.0, 1.0)
-    made: dict[str, Array] = {
+    full: dict[str, Array] = {
         "inertia": tensor,
         "hub": three("hub"),
         "imu": three("imu"),
@@ -263,7 +269,7 @@ def build(values: Mapping[str, Array], kind: Kind, vehicle: Vehicle, held: bool,
         "fuselage_drag": three("fuselage_drag"),
         "fuselage_lift": np.stack([one["fuselage_lift0"], one["fuselage_lift1"]]),
     }
-    made |= {name: value for name, value in one.items() if name in Craft.__dataclass_fields__}
+    full |= {name: value for name, value in one.items() if name in Craft.__dataclass_fields__}
     rotor = vehicle.rotor
     return Craft(
         blades=(rotor.blades if rotor is not None and rotor.blades else reference().rotor.blades),
@@ -273,5 +279,5 @@ def build(values: Mapping[str, Array], kind: Kind, vehicle: Vehicle, held: bool,
         gravity=vehicle.gravity,
         steady_flap=kind.steady_flap,
         stiff_lag=kind.stiff_lag,
-        **made,
+        **full,
     )

@@ -191,7 +191,7 @@ def find_trims(craft: Craft, velocity: Array, guess: Trims | None = None, close:
     x[SPEED] = craft.speed
     free, craft = craft, replace(craft, held=True)
     shift, size = 1e-6, len(ROWS) + 4
-    found = np.zeros(craft.count, dtype=bool)
+    converged = np.zeros(craft.count, dtype=bool)
     setting = settle(craft, _placed(x, velocity), controls)
     for step in range(STEPS):
         if 0 < step < SETTLED:
@@ -202,14 +202,14 @@ def find_trims(craft: Craft, velocity: Array, guess: Trims | None = None, close:
         left = _residual(craft, setting, _placed(batch, velocity), hands)
         wrong = ~np.isfinite(left).all(axis=(0, 2))
         left[:, wrong] = 0.0
-        found = (np.abs(left[:, :, 0]).max(0) < close) & ~wrong
-        if (found | wrong).all():
+        converged = (np.abs(left[:, :, 0]).max(0) < close) & ~wrong
+        if (converged | wrong).all():
             break
         jacobian = ((left[:, :, 1:] - left[:, :, :1]) / shift).transpose(1, 0, 2)
         jacobian[wrong] = np.eye(size)
         change = -np.linalg.solve(jacobian + 1e-12 * np.eye(size), left[:, :, :1].transpose(1, 0, 2))
         change *= np.minimum(1.0, 0.3 / np.maximum(np.abs(change).max(1, keepdims=True), 1e-12))
-        change *= ~found[:, None, None]
+        change *= ~converged[:, None, None]
         x[ROWS] += change[:, : len(ROWS)].transpose(1, 0, 2)
         controls += change[:, len(ROWS) :].transpose(1, 0, 2)
     x = _placed(x, velocity)
@@ -217,7 +217,7 @@ def find_trims(craft: Craft, velocity: Array, guess: Trims | None = None, close:
         x[TORQUE] = respond(craft, setting, x, controls)[1].shaft
         x[SPEED_ERROR] = x[TORQUE] / craft.governor_integral
         setting = settle(free, x, controls)
-    return Trims(x, controls, setting, found)
+    return Trims(x, controls, setting, converged)
 
 
 def _placed(x: Array, velocity: Array) -> Array:

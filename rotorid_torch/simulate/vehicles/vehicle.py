@@ -39,15 +39,15 @@ def _values(file: VehicleFile) -> Values:
     """Tables as plain dictionaries, silent keys left out."""
     tables: dict[str, Any] = {name: getattr(file, name) for name in SCALES if name != "rotor"}
     tables["rotor"] = file.vehicle.rotor
-    found = {
+    values = {
         name: {key: value for key, value in msgspec.structs.asdict(table).items() if value is not None}
         for name, table in tables.items()
     }
-    found["vehicle"].pop("rotor")
+    values["vehicle"].pop("rotor")
     clockwise = file.vehicle.rotor.direction == "cw"
     limits = {name: _limits(name, table, clockwise) for name, table in file.controls.items()}
-    found["limits"] = {name: pair for name, pair in limits.items() if pair is not None}
-    return found
+    values["limits"] = {name: pair for name, pair in limits.items() if pair is not None}
+    return values
 
 
 def _limits(name: str, table: ControlTable, clockwise: bool) -> tuple[float, float] | None:

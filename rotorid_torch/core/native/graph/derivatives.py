@@ -20,8 +20,8 @@ def derivatives(graph: Graph, results: Sequence[int]) -> Derivatives:
     """Exact derivatives of all results by all inputs they depend on."""
     rows = []
     for result in results:
-        found = graph.gradient(result)
-        rows.append({(str(graph.nodes[n][1]), int(graph.nodes[n][2])): slope for n, slope in found.items()})
+        slopes = graph.gradient(result)
+        rows.append({(str(graph.nodes[n][1]), int(graph.nodes[n][2])): slope for n, slope in slopes.items()})
     return rows
 
 

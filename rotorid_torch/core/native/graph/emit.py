@@ -73,17 +73,17 @@ def _number(value: float) -> str:
     return repr(value) if value >= 0 else f"({value!r})"
 
 
-def straight_line(graph: Graph, results: Mapping[str, int], known: Callable[[int], str | None], kind: str = "T") -> str:
+def straight_line(graph: Graph, results: Mapping[str, int], named: Callable[[int], str | None], kind: str = "T") -> str:
     """Assignments "result = expression;" of {result: node} and of all that they need, in order.
 
-    known : name of a node that is there already, None for one that is computed here. kind : type of what varies.
+    named : name of a node that is there already, None for one that is computed here. kind : type of what varies.
     """
     text: dict[int, str] = {}
     varies: dict[int, bool] = {}
     pairs: set[int] = set()
     code: list[str] = []
-    for node in graph.needed(list(results.values()), lambda n: known(n) is not None):
-        operation, name = graph.operation(node), known(node)
+    for node in graph.needed(list(results.values()), lambda n: named(n) is not None):
+        operation, name = graph.operation(node), named(node)
         if name is not None:
             text[node], varies[node] = name, False
             continue

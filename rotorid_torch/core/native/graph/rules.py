@@ -74,15 +74,15 @@ class Scalars(TorchDispatchMode):
 
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         kwargs = kwargs or {}
-        given, named = tree_map(self.symbols_of, (args, kwargs))
-        if not _symbolic((given, named)):
+        positional, named = tree_map(self.symbols_of, (args, kwargs))
+        if not _symbolic((positional, named)):
             return func(*args, **kwargs)
         if func in _decompositions():
             with self:
                 return _decompositions()[func](*args, **kwargs)
         values = func(*args, **kwargs)
-        made = self._follow(func, given, named)
-        pairs = zip(tree_leaves(values), tree_leaves(made, is_leaf=_is_symbols), strict=True)
+        result = self._follow(func, positional, named)
+        pairs = zip(tree_leaves(values), tree_leaves(result, is_leaf=_is_symbols), strict=True)
         for value, symbols in pairs:
             if isinstance(symbols, Symbols):
                 self.note(value, symbols)
@@ -123,8 +123,8 @@ class Scalars(TorchDispatchMode):
     def numbers(self, value: Any) -> Symbols:
         """Symbols with one and zero for conditions."""
         boxed = self.boxed(value)
-        made = [self._number(n) for n in boxed.ids.reshape(-1).tolist()]
-        return Symbols(torch.tensor(made, dtype=torch.int64).view(boxed.ids.shape))
+        nodes = [self._number(n) for n in boxed.ids.reshape(-1).tolist()]
+        return Symbols(torch.tensor(nodes, dtype=torch.int64).view(boxed.ids.shape))
 
     def _number(self, node: int) -> int:
         if self.graph.operation(node) not in COMPARISONS:
@@ -145,10 +145,10 @@ class Scalars(TorchDispatchMode):
             lists[k] = [self._condition(n) if k < conditions else self._number(n) for n in nodes]
         rule = COMPOSITE.get(name) or LOGICAL.get(name)
         if rule is None:
-            made = [self.graph.apply(name, *entry) for entry in zip(*lists, strict=True)]
+            results = [self.graph.apply(name, *entry) for entry in zip(*lists, strict=True)]
         else:
-            made = [rule(*(Term(self.graph, n) for n in entry)).node for entry in zip(*lists, strict=True)]
-        return Symbols(torch.tensor(made, dtype=torch.int64).view(ids[0].shape))
+            results = [rule(*(Term(self.graph, n) for n in entry)).node for entry in zip(*lists, strict=True)]
+        return Symbols(torch.tensor(results, dtype=torch.int64).view(ids[0].shape))
 
     def _scaled(self, name: str, args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[Any, ...]:
         """Arguments with what torch's alpha does to one of them."""
@@ -174,9 +174,9 @@ class Scalars(TorchDispatchMode):
             floating = isinstance(value, Tensor) and value.is_floating_point()
             return self.boxed(value).ids - zero if floating else value
 
-        kept = {key: value for key, value in kwargs.items() if key in ("dim", "accumulate")}
-        made = getattr(torch.ops.aten, name)(*tree_map(numbers, args, is_leaf=_is_symbols), **kept)
-        return tree_map(lambda value: Symbols(value + zero) if isinstance(value, Tensor) else value, made)
+        options = {key: value for key, value in kwargs.items() if key in ("dim", "accumulate")}
+        view = getattr(torch.ops.aten, name)(*tree_map(numbers, args, is_leaf=_is_symbols), **options)
+        return tree_map(lambda value: Symbols(value + zero) if isinstance(value, Tensor) else value, view)
 
     def _to(self, x: Symbols, *args: Any, **kwargs: Any) -> Symbols:
         """A conversion: to float64, conditions become one and zero."""
@@ -220,8 +220,8 @@ class Scalars(TorchDispatchMode):
     def _pow(self, x: Any, power: Any) -> Symbols:
         base, exponent = torch.broadcast_tensors(self.numbers(x).ids, self.numbers(power).ids)
         pairs = zip(base.reshape(-1).tolist(), exponent.reshape(-1).tolist(), strict=True)
-        made = [self._power(Term(self.graph, b), Term(self.graph, e)).node for b, e in pairs]
-        return Symbols(torch.tensor(made, dtype=torch.int64).view(base.shape))
+        nodes = [self._power(Term(self.graph, b), Term(self.graph, e)).node for b, e in pairs]
+        return Symbols(torch.tensor(nodes, dtype=torch.int64).view(base.shape))
 
     def _power(self, x: Term, exponent: Term) -> Term:
         """Products where the exponent is a small whole number."""
@@ -268,12 +268,12 @@ class Scalars(TorchDispatchMode):
         ]
 
     def _linalg_inv_ex(self, matrix: Any, **_: Any) -> tuple[Symbols, Any]:
-        made = [[[term.node for term in row] for row in inverse(rows)] for rows in self._matrices(matrix)]
-        return Symbols(torch.tensor(made, dtype=torch.int64).view(self.boxed(matrix).ids.shape)), None
+        nodes = [[[term.node for term in row] for row in inverse(rows)] for rows in self._matrices(matrix)]
+        return Symbols(torch.tensor(nodes, dtype=torch.int64).view(self.boxed(matrix).ids.shape)), None
 
     def _linalg_det(self, matrix: Any, **_: Any) -> tuple[Symbols, Any, Any]:
-        made = [determinant(rows).node for rows in self._matrices(matrix)]
-        return Symbols(torch.tensor(made, dtype=torch.int64).view(self.boxed(matrix).ids.shape[:-2])), None, None
+        nodes = [determinant(rows).node for rows in self._matrices(matrix)]
+        return Symbols(torch.tensor(nodes, dtype=torch.int64).view(self.boxed(matrix).ids.shape[:-2])), None, None
 
     def _linalg_solve_ex(self, matrix: Any, right: Any, *, left: bool = True, **_: Any) -> tuple[Any, ...]:
         """Solution by the inverse; the factors that come with it are nobody's input."""

@@ -30,8 +30,8 @@ class Graph:
 
     def value(self, node: int) -> float | None:
         """The number that a node is, or None where it varies."""
-        kind, *rest = self.nodes[node]
-        return float(rest[0]) if kind == "constant" else None
+        kind, *operands = self.nodes[node]
+        return float(operands[0]) if kind == "constant" else None
 
     def operation(self, node: int) -> str:
         """Name of a node's operation, "constant" or "input"."""
@@ -39,8 +39,8 @@ class Graph:
 
     def arguments(self, node: int) -> tuple[int, ...]:
         """Numbers of a node's arguments."""
-        kind, *rest = self.nodes[node]
-        return () if kind in ("constant", "input") else tuple(int(a) for a in rest)
+        kind, *operands = self.nodes[node]
+        return () if kind in ("constant", "input") else tuple(int(a) for a in operands)
 
     def apply(self, operation: str, *arguments: int) -> int:
         """The operation on nodes, in its simplest form."""
@@ -102,8 +102,8 @@ class Graph:
             return self.apply("neg", a[1])
         if a[0] == a[1]:
             return self.constant(0.0)
-        given = self._negated(a[1])
-        return None if given is None else self.apply("add", a[0], given)
+        negative = self._negated(a[1])
+        return None if negative is None else self.apply("add", a[0], negative)
 
     def _simpler_product(self, a: tuple[int, ...], v: list[float | None]) -> int | None:
         for k in (0, 1):
@@ -122,39 +122,39 @@ class Graph:
         """Numbers that nodes are for given inputs; NaN where an operation is not defined."""
         values: dict[int, float] = {}
         for node in self.needed(nodes):
-            kind, *rest = self.nodes[node]
+            kind, *operands = self.nodes[node]
             if kind == "constant":
-                values[node] = float(rest[0])
+                values[node] = float(operands[0])
             elif kind == "input":
-                values[node] = inputs[str(rest[0])][int(rest[1])]
+                values[node] = inputs[str(operands[0])][int(operands[1])]
             else:
                 try:
-                    values[node] = float(OPERATIONS[str(kind)].evaluate(*(values[int(a)] for a in rest)))
+                    values[node] = float(OPERATIONS[str(kind)].evaluate(*(values[int(a)] for a in operands)))
                 except (ValueError, ZeroDivisionError, OverflowError):
                     values[node] = math.nan
         return [values[node] for node in nodes]
 
-    def needed(self, nodes: Sequence[int], known: Callable[[int], bool] = lambda node: False) -> list[int]:
+    def needed(self, nodes: Sequence[int], is_input: Callable[[int], bool] = lambda node: False) -> list[int]:
         """Nodes that others depend on, earlier ones first; what is known is not looked into."""
-        wanted, seen = list(nodes), set()
+        wanted, visited = list(nodes), set()
         while wanted:
             node = wanted.pop()
-            if node not in seen:
-                seen.add(node)
-                if not known(node):
+            if node not in visited:
+                visited.add(node)
+                if not is_input(node):
                     wanted.extend(self.arguments(node))
-        return sorted(seen)
+        return sorted(visited)
 
     def gradient(self, output: int) -> dict[int, int]:
         """Derivative of a node by every input that it depends on: {input node: derivative node}, zeros left out.
 
         Source: reverse accumulation; Griewank and Walther, Evaluating Derivatives, 2nd ed., ch. 3.
         """
-        adjoint, waiting, found = {output: self.constant(1.0)}, [-output], {}
+        adjoint, waiting, slopes = {output: self.constant(1.0)}, [-output], {}
         while waiting:
             node = -heapq.heappop(waiting)
             if self.operation(node) == "input":
-                found[node] = adjoint[node]
+                slopes[node] = adjoint[node]
                 continue
             for argument, slope in self._partials(node):
                 term = self.apply("mul", adjoint[node], slope)
@@ -163,7 +163,7 @@ class Graph:
                 else:
                     adjoint[argument] = term
                     heapq.heappush(waiting, -argument)
-        return {node: slope for node, slope in found.items() if self.value(slope) != 0.0}
+        return {node: slope for node, slope in slopes.items() if self.value(slope) != 0.0}
 
     def _partials(self, node: int) -> list[tuple[int, int]]:
         """Arguments that vary, and the derivative by each."""
@@ -189,8 +189,8 @@ class Term:
 
     def to(self, operation: str, *others: Term | float) -> Term:
         """An operation with this term as its first argument."""
-        rest = [Term.of(self.graph, other).node for other in others]
-        return Term(self.graph, self.graph.apply(operation, self.node, *rest))
+        operands = [Term.of(self.graph, other).node for other in others]
+        return Term(self.graph, self.graph.apply(operation, self.node, *operands))
 
     def __add__(self, other: Term | float) -> Term:
         return self.to("add", other)

@@ -47,8 +47,8 @@ def scalarise(graph: Graph, function: Callable[..., Tensor], examples: Mapping[s
         _compare(graph, nodes, function, examples)
         return nodes
     except (Unsupported, *FAILURES) as error:
-        told = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise Unsupported(f"{told}{_place(error)}") from None
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise Unsupported(f"{reason}{_place(error)}") from None
 
 
 def _compare(graph: Graph, nodes: list[int], function: Callable[..., Tensor], examples: Mapping[str, Tensor]) -> None:
@@ -62,8 +62,8 @@ def _compare(graph: Graph, nodes: list[int], function: Callable[..., Tensor], ex
     miss = torch.where(defined, traced - true, 0.0).abs().nan_to_num(nan=torch.inf)
     if nodes and miss.max() > AGREE * (1.0 + torch.where(defined, true, 0.0).abs().max()):
         worst = int(miss.argmax())
-        told = f"result {worst} is {float(traced[worst]):g} where torch says {float(true[worst]):g}"
-        raise Unsupported(f"traced at one point and tried at another, {told}: random, or not followed")
+        difference = f"result {worst} is {float(traced[worst]):g} where torch says {float(true[worst]):g}"
+        raise Unsupported(f"traced at one point and tried at another, {difference}: random, or not followed")
 
 
 def _beside(value: Tensor) -> Tensor:
