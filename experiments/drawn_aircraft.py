@@ -18,16 +18,16 @@ from outside_causes import CAUSES, fly_with
 
 from rotorid_torch.data.write import to_toml, write_dataset
 from rotorid_torch.errors import InputError
-from rotorid_torch.simulate.effects import EFFECTS, HIDDEN
-from rotorid_torch.simulate.flight.augmentation import Augmentation, design
-from rotorid_torch.simulate.flight.linear import linearise
-from rotorid_torch.simulate.flight.manoeuvres import Condition, chosen, conditioned, groups
-from rotorid_torch.simulate.flight.sensors import MEASURED, Channels, measured_channels, true_channels
-from rotorid_torch.simulate.flight.simulation import Record, fly_batch, with_heading, with_height
-from rotorid_torch.simulate.flight.trim import Trim, find_trim
-from rotorid_torch.simulate.flight_test import declare
-from rotorid_torch.simulate.helicopter.aircraft import CONTROL_NAMES, Aircraft
-from rotorid_torch.simulate.vehicles.vehicle import load_aircraft
+from rotorid_torch.simulation.effects import EFFECTS, HIDDEN
+from rotorid_torch.simulation.flight.augmentation import Augmentation, design
+from rotorid_torch.simulation.flight.linear import linearise
+from rotorid_torch.simulation.flight.manoeuvres import Condition, chosen, conditioned, groups
+from rotorid_torch.simulation.flight.sensors import MEASURED, Channels, measured_channels, true_channels
+from rotorid_torch.simulation.flight.simulation import Record, fly_batch, with_heading, with_height
+from rotorid_torch.simulation.flight.trim import Trim, find_trim
+from rotorid_torch.simulation.flight_test import declare
+from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES, Aircraft
+from rotorid_torch.simulation.vehicles.vehicle import load_aircraft
 
 HEIGHT = 27.4  # m
 SECONDS = 15.0

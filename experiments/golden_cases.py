@@ -20,7 +20,7 @@ from hidden_truth import true_parameters
 from outside_causes import CAUSES
 
 import rotorid_torch as rotorid
-from rotorid_torch.simulate.effects import EFFECT_CLASSES, HIDDEN
+from rotorid_torch.simulation.effects import EFFECT_CLASSES, HIDDEN
 
 
 class Kind(StrEnum):

@@ -10,7 +10,7 @@ from golden_cases import SIZES, Kind
 from loop_tables import markdown, number, share
 from outside_causes import CAUSES
 
-from rotorid_torch.simulate.effects import EFFECT_CLASSES
+from rotorid_torch.simulation.effects import EFFECT_CLASSES
 
 Column = tuple[str, str]
 UNNAMED = "unattributed"

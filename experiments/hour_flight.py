@@ -19,7 +19,7 @@ from rotorid_torch.data import load
 from rotorid_torch.data.write import write_dataset
 from rotorid_torch.run.check import check, write_check
 from rotorid_torch.run.output.monitor import Monitor
-from rotorid_torch.simulate import fly
+from rotorid_torch.simulation import fly
 
 PIECES = ("f321_lon", "f321_lat", "f321_col", "f321_ped", "dbl_lon_p", "dbl_lat_p", "dbl_col_p", "dbl_ped_p")
 PAUSE_S = 0.5

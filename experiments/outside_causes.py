@@ -12,14 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorid_torch.simulate.flight.augmentation import FEEDBACK, Augmentation
-from rotorid_torch.simulate.flight.manoeuvres import SAMPLE_RATE, pilot
-from rotorid_torch.simulate.flight.motion import Motion, rates
-from rotorid_torch.simulate.flight.runge_kutta import runge_kutta
-from rotorid_torch.simulate.flight.simulation import Record
-from rotorid_torch.simulate.flight.trim import STEP_ANGLE, Trim
-from rotorid_torch.simulate.helicopter.aircraft import CONTROL_NAMES, CONTROLS, RATES, Aircraft
-from rotorid_torch.simulate.helicopter.section import Array
+from rotorid_torch.simulation.flight.augmentation import FEEDBACK, Augmentation
+from rotorid_torch.simulation.flight.manoeuvres import SAMPLE_RATE, pilot
+from rotorid_torch.simulation.flight.motion import Motion, rates
+from rotorid_torch.simulation.flight.runge_kutta import runge_kutta
+from rotorid_torch.simulation.flight.simulation import Record
+from rotorid_torch.simulation.flight.trim import STEP_ANGLE, Trim
+from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES, CONTROLS, RATES, Aircraft
+from rotorid_torch.simulation.helicopter.section import Array
 
 ONSET = 6.0  # s
 LEFT, SLIP = 0.5, 0.015  # part of a slipped control's deviation that arrives; shift as a part of its range

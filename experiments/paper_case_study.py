@@ -36,7 +36,7 @@ from rotorid_torch.report.figures import Overlay, side_by_side
 from rotorid_torch.report.scorecard import scorecard
 from rotorid_torch.run.pipeline import identify
 from rotorid_torch.run.result import Run
-from rotorid_torch.simulate import fly
+from rotorid_torch.simulation import fly
 from rotorid_torch.validate.free_run import equilibrium
 from rotorid_torch.validate.reconstruction import least_slow_error, share_within, slow_error
 from rotorid_torch.validate.scores import r2

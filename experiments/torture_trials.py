@@ -55,8 +55,8 @@ def watch(event, arguments):
         os.killpg(os.getpid(), plan["signal"]) if plan["group"] else os.kill(os.getpid(), plan["signal"])
 
 import rotorid_torch.cli
-import rotorid_torch.simulate
-rotorid_torch.simulate.fly = functools.partial(rotorid_torch.simulate.fly, seconds=plan["seconds"])
+import rotorid_torch.simulation
+rotorid_torch.simulation.fly = functools.partial(rotorid_torch.simulation.fly, seconds=plan["seconds"])
 if sys.argv[2] == "close-loop":
     from rotorid_torch.trace import loop
     from rotorid_torch.trace.settings import SETTINGS

@@ -234,7 +234,7 @@ def _add_simulate(commands) -> None:
 
 def fly(options: Options) -> None:
     """Fly the built-in aircraft and write a data set."""
-    from rotorid_torch.simulate import fly as fly_aircraft
+    from rotorid_torch.simulation import fly as fly_aircraft
 
     given = {name: getattr(options, name) for name in ("speed", "heading", "height", "vehicle", "flights")}
     given = {name: value for name, value in given.items() if value is not None}

@@ -90,7 +90,7 @@ def clean_draws(
     observed : the data's statistics; draws stop when they are clearly no larger than those of clean aircraft.
     ranks : processes that share the draws, each of which calls this; what the first one has cached counts for all.
     """
-    from rotorid_torch.simulate.drawn.data_sets import undrawable
+    from rotorid_torch.simulation.drawn.data_sets import undrawable
 
     why = undrawable(dataset)
     if why is not None:
@@ -319,7 +319,7 @@ def _written(dataset: Dataset, null: Null, place: Path) -> None:
 
 def _work(request: Mapping[str, object]) -> None:
     """Draws of one process: one file for each, whole or absent."""
-    from rotorid_torch.simulate.drawn.data_sets import Untrimmable, clean_flights
+    from rotorid_torch.simulation.drawn.data_sets import Untrimmable, clean_flights
 
     dataset, folder = load(str(request["dataset"])), Path(str(request["folder"]))
     values, held = msgspec.convert(request["values"], dict[str, float]), msgspec.convert(request["held"], list[str])

@@ -16,7 +16,7 @@ from rotorid_torch.model.save import load
 from rotorid_torch.run.pipeline import identify
 from rotorid_torch.run.result import Run
 from rotorid_torch.run.saved_model import simulate
-from rotorid_torch.simulate.flight_test import fly
+from rotorid_torch.simulation.flight_test import fly
 
 FLIGHTS = ("f321_lon", "f321_lat", "f321_col", "f321_ped", "dbl_lon_n")
 

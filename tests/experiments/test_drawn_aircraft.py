@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotorid_torch.simulate.flight.manoeuvres import Condition
-from rotorid_torch.simulate.flight.simulation import fly_batch
-from rotorid_torch.simulate.flight_test import load_aircraft
-from rotorid_torch.simulate.helicopter.aircraft import CONTROLS, RATES
+from rotorid_torch.simulation.flight.manoeuvres import Condition
+from rotorid_torch.simulation.flight.simulation import fly_batch
+from rotorid_torch.simulation.flight_test import load_aircraft
+from rotorid_torch.simulation.helicopter.aircraft import CONTROLS, RATES
 
 
 def test_flying_with_the_recorded_angles_is_flying(tmp_path: Path) -> None:

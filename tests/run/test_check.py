@@ -16,7 +16,7 @@ from rotorid_torch.data import Dataset, load
 from rotorid_torch.data.write import write_dataset
 from rotorid_torch.run.check import check, check_table, write_check
 from rotorid_torch.run.output.monitor import Monitor
-from rotorid_torch.simulate import fly
+from rotorid_torch.simulation import fly
 from tests.helpers import ROOT, shared, small_flight
 
 CLEAN = (

@@ -40,7 +40,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from rotorid_torch.core.storage.cache import cache_folder
 from rotorid_torch.core.processes.ranks import ranks_of_torchrun
-from rotorid_torch.simulate.drawn import data_sets
+from rotorid_torch.simulation.drawn import data_sets
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.data import load

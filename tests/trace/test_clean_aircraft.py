@@ -76,7 +76,7 @@ def draws(
                 asked.append(n)
         return found
 
-    monkeypatch.setattr("rotorid_torch.simulate.drawn.data_sets.undrawable", lambda dataset: None)
+    monkeypatch.setattr("rotorid_torch.simulation.drawn.data_sets.undrawable", lambda dataset: None)
     monkeypatch.setattr(clean_aircraft, "_fly", fly)
     dataset = flown(linear_vehicle(), manoeuvres(4.0, 0.02), 0.02, noise=0.01)
     observed: Any = Observed({"control.delay": seen, "unattributed L, curve": seen}, {"control.delay": 0.1})
@@ -284,7 +284,7 @@ def worked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, statistics: Statisti
     """What one process tells of three draws, of which the last does not fly."""
     drawn = [SimpleNamespace(number=n, dataset=None, alike=True, misfit=1.0, rotor="") for n in range(2)]
     monkeypatch.setattr(
-        "rotorid_torch.simulate.drawn.data_sets.clean_flights", lambda dataset, seed, numbers: iter(drawn)
+        "rotorid_torch.simulation.drawn.data_sets.clean_flights", lambda dataset, seed, numbers: iter(drawn)
     )
     monkeypatch.setattr(clean_aircraft, "statistics_on", statistics)
     data = written(flown(linear_vehicle(), manoeuvres(4.0, 0.02), 0.02, noise=0.01), tmp_path / "data")

@@ -9,7 +9,7 @@ from rotorid_torch.consistency.examination.records import condensed
 from rotorid_torch.data import Dataset, load
 from rotorid_torch.data.reading.spikes import spikes, without_spikes
 from rotorid_torch.run.pipeline import identify
-from rotorid_torch.simulate import fly
+from rotorid_torch.simulation import fly
 from tests.helpers import shared, shared_sets, small_flight
 
 TIME = 0.01 * np.arange(2000)

@@ -1,0 +1,189 @@
+"""Clean data sets of drawn helicopters: the same manoeuvres, channels and noise as a data set, and nothing undeclared.
+
+What a tracing method finds on them is what it finds where there is nothing: its floor for this kind of vehicle and
+these manoeuvres. Every drawn aircraft (see `draws`) gets the recorded controls about its own trim, and in
+addition whatever keeps it near the measured motion.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+
+from rotorid_torch.data import Dataset
+from rotorid_torch.errors import InputError
+from rotorid_torch.simulation.drawn.draws import ALIKE, Aircraft, Prior, draw, finish, prior
+from rotorid_torch.simulation.drawn.resemblance import Evidence, Table, look, mirrored, recorded
+from rotorid_torch.simulation.drawn.resemblance import reference as trim_of
+from rotorid_torch.simulation.drawn.tracking import Followed, follow, tapes
+from rotorid_torch.simulation.flight.sensors import MIRRORED, Channels
+from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES
+from rotorid_torch.simulation.helicopter.section import Array
+from rotorid_torch.simulation.multiblade.priors import KINDS, pick_kind
+
+TRIES = 6  # aircraft drawn for one number, at most
+TOGETHER = 1_300_000  # samples of all flights that fly side by side
+AWAY = 1.0  # rms of the difference from the measured motion over its own, from which on an aircraft has flown away
+
+
+class Untrimmable(InputError):
+    """No drawn aircraft can be trimmed where the data set flies."""
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One drawn aircraft's flights.
+
+    `tried`: aircraft drawn until this one was kept; `misfit`: rms of trim and derivatives from the data's over what
+    counts as alike; `alike`: whether it resembles the data set at all, or is only the nearest of those tried; `rotor`:
+    in words; `numbers`: what was drawn, SI.
+    """
+
+    number: int
+    dataset: Dataset
+    tried: int
+    misfit: float
+    alike: bool
+    rotor: str
+    numbers: Mapping[str, float]
+
+
+def undrawable(dataset: Dataset) -> str | None:
+    """Why no clean aircraft can be drawn for a data set, in words; None where they can."""
+    vehicle, recorded = dataset.vehicle, set(dataset.controls)
+    if dataset.kind != "helicopter":
+        return f"aircraft are drawn for helicopters, not for a {dataset.kind}"
+    if vehicle.rotor is None or vehicle.rotor.radius is None:
+        return "the radius of the main rotor is not declared"
+    if vehicle.mass is None:
+        return "the mass is not declared"
+    if vehicle.inertia is None:
+        return "the inertia is not declared"
+    missing = [name for name in CONTROL_NAMES if name not in recorded]
+    if missing:
+        return f"the controls lack {', '.join(missing)}"
+    wanted = ("u", "v", "w", "p", "q", "r", "phi", "theta")
+    flights = dataset.facts.values()
+    missing = [name for name in wanted if name in dataset.derived or any(not facts.has(name) for facts in flights)]
+    return f"flights lack {', '.join(missing)}" if missing else None
+
+
+def clean_flights(dataset: Dataset, seed: int, draws: Sequence[int], resembles: Table | None = None) -> Iterator[Drawn]:
+    """Clean aircraft of the data set's kind, flown through its manoeuvres, one data set in memory per draw number.
+
+    Every number has random streams of its own: neither the other numbers nor their order change what it gives. One
+    whose aircraft does not stay near the measured motion is left out.
+    Controls are the recorded ones about the drawn aircraft's trim, with a feedback of its deviation from the measured
+    motion; what controller and pilot did is in the recorded controls, so they go with the motion as they did in flight.
+
+    Parameters
+    ----------
+    resembles : derivatives to compare with instead of `resemblance.look`'s; see there.
+
+    Raises
+    ------
+    InputError : `undrawable`. Untrimmable : no drawn aircraft can be trimmed where the data set flies.
+    """
+    why = undrawable(dataset)
+    if why is not None:
+        raise InputError(dataset.path or "arrays", "vehicle", why, "a helicopter with mass, inertia and rotor radius")
+    evidence = look(dataset, resembles)
+    return _flown(dataset, seed, tuple(draws), prior(dataset, evidence), evidence)
+
+
+def _flown(dataset: Dataset, seed: int, draws: Sequence[int], prior: Prior, evidence: Evidence) -> Iterator[Drawn]:
+    """The draws in batches."""
+    flights = [recorded(dataset, name) for name in dataset.flights]
+    tape = tapes(flights, trim_of(dataset))
+    size = max(1, TOGETHER // int(tape.samples.max() * len(flights)))
+    for first in range(0, len(draws), size):
+        some = draws[first : first + size]
+        aircraft, tried = _aircraft(dataset, seed, some, prior, evidence)
+        record = follow(aircraft, tape, prior)
+        away = record.away(tape)
+        for k, number in enumerate(some):
+            if away[k] > AWAY:
+                continue
+            measured = _measured(dataset, record, k, [seed, number])
+            yield Drawn(
+                number,
+                _dataset(dataset, measured, number),
+                tried[k],
+                float(aircraft.misfit[k]),
+                bool(aircraft.misfit[k] <= ALIKE),
+                _rotor(aircraft, k),
+                {name: float(value[k]) for name, value in prior.values(aircraft.normal).items()},
+            )
+
+
+def _rotor(aircraft: Aircraft, k: int) -> str:
+    """Which rotor a drawn aircraft has."""
+    if aircraft.kind.uniform[k]:
+        return "quasi-steady flapping, uniform inflow"
+    if aircraft.kind.steady_flap[k]:
+        return "quasi-steady flapping, dynamic inflow"
+    return "flapping, dynamic inflow" if aircraft.kind.stiff_lag[k] else "flapping, lead-lag, dynamic inflow"
+
+
+def _aircraft(
+    dataset: Dataset, seed: int, draws: Sequence[int], prior: Prior, evidence: Evidence
+) -> tuple[Aircraft, list[int]]:
+    """An aircraft for every number, drawn again where it does not resemble the data; and how many were drawn."""
+    # Every number goes through the kinds of rotor in an order of its own until one of them suits.
+    orders = [np.random.default_rng([seed, number]).permutation(len(KINDS)) for number in draws]
+    kind = pick_kind([int(order[0]) for order in orders])
+    normal, misfit = np.empty((len(draws), len(prior.numbers))), np.full(len(draws), np.inf)
+    tried = [0] * len(draws)
+    for attempt in range(TRIES):
+        again = [k for k in range(len(draws)) if misfit[k] > ALIKE]
+        if not again:
+            break
+        kinds = pick_kind([int(orders[k][attempt % len(KINDS)]) for k in again])
+        other = draw(prior, evidence, kinds, [np.random.default_rng([seed, draws[k], attempt]) for k in again])
+        tried = [times + (k in again) for k, times in enumerate(tried)]
+        nearer = np.flatnonzero(other.misfit < misfit[again])
+        places = np.array(again, dtype=np.intp)[nearer]
+        normal[places], misfit[places] = other.normal[nearer], other.misfit[nearer]
+        kind = kind.replaced(places, other.kind.pick(nearer))
+    if not np.isfinite(misfit).all():
+        what = "no drawn helicopter can be trimmed, with a rotor speed that settles, where the data set flies"
+        raise Untrimmable(dataset.path or "arrays", "vehicle", what, "mass, rotor and speed of one helicopter")
+    return finish(prior, evidence, normal, kind), tried
+
+
+def _measured(dataset: Dataset, record: Followed, k: int, streams: Sequence[int]) -> dict[str, Channels]:
+    """Channels of all flights of one aircraft with the data set's noise and gaps, to float32's digits (time exact)."""
+    out: dict[str, Channels] = {}
+    flip = MIRRORED if mirrored(dataset) else ()
+    for j, (name, flight) in enumerate(dataset.flights.items()):
+        out[name] = {"time": flight.time.numpy()}
+        for channel, values in record.channels(k, j).items():
+            if channel not in flight.channels:
+                continue
+            stream = np.random.default_rng([*streams, zlib.crc32(f"{name}/{channel}".encode())])
+            read = values + dataset.noise(channel) * stream.standard_normal(flight.samples)
+            read = np.where(flight.channels[channel].isnan().numpy(), np.nan, read)
+            out[name][channel] = (-read if channel in flip else read).astype(np.float32).astype(np.float64)
+    return out
+
+
+def _dataset(dataset: Dataset, flights: Mapping[str, Mapping[str, Array]], number: int) -> Dataset:
+    """A data set in memory with the declaration of the original."""
+    recorded = {channel for channels in flights.values() for channel in channels}
+    return Dataset.from_arrays(
+        flights,
+        identify=dataset.identify,
+        validate=dataset.validate,
+        acid=dataset.acid,
+        kind=dataset.kind,
+        name=f"{dataset.name}-clean-{number}",
+        description=f"Clean helicopter drawn in the likeness of {dataset.name}. Nothing undeclared.",
+        vehicle=dataset.vehicle,
+        controls=dict(dataset.control_specs),
+        channels={name: spec for name, spec in dataset.channel_specs.items() if name in recorded},
+        model=msgspec.structs.asdict(dataset.settings),
+    )

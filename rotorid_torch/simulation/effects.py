@@ -1,0 +1,280 @@
+"""Every effect that the flight-test aircraft can hide: how it changes the aircraft, at a factor of its typical size.
+
+An effect of size zero leaves the aircraft as it is. What a clean aircraft is, what each effect makes of it and why it
+can be told apart or not stands in docs/flight-test.md.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from rotorid_torch.simulation.helicopter.aircraft import Aircraft
+from rotorid_torch.simulation.helicopter.atmosphere import Turbulence
+from rotorid_torch.simulation.helicopter.control_path import ControlPath
+from rotorid_torch.simulation.helicopter.sensor_errors import GYROS, Line
+from rotorid_torch.simulation.helicopter.slung_load import SlungLoad
+
+EffectClass = Literal["identifiable", "absorbed"]
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """One effect: the change at a factor of its typical size, its class in hover with its flights, and those flights.
+
+    "identifiable": leaves something that free derivatives, trims and initial states cannot explain; "absorbed": not.
+    `flights`: group of further flights without which it would not show, see `manoeuvres.GROUPS`.
+    """
+
+    change: Callable[[Aircraft, float], Aircraft]
+    kind: EffectClass
+    flights: str = ""
+
+
+def _path(**typical: float) -> Callable[[Aircraft, float], Aircraft]:
+    """A piece of the control path, its value in proportion to the size."""
+
+    def change(aircraft: Aircraft, size: float) -> Aircraft:
+        values = {name: value * size for name, value in typical.items()}
+        return replace(aircraft, path=replace(aircraft.path or ControlPath(), **values))
+
+    return change
+
+
+def _rate_limit(aircraft: Aircraft, size: float) -> Aircraft:
+    """The larger, the slower."""
+    path = replace(aircraft.path or ControlPath(), rate_limit=RATE_LIMIT / size if size else np.inf)
+    return replace(aircraft, path=path)
+
+
+RATE_LIMIT = 0.25  # rad/s
+
+
+def _wake(name: str, more: float) -> Callable[[Aircraft, float], Aircraft]:
+    """A property of the wake, raised in proportion to the size."""
+
+    def change(aircraft: Aircraft, size: float) -> Aircraft:
+        return replace(aircraft, wake=replace(aircraft.wake, **{name: getattr(aircraft.wake, name) + more * size}))
+
+    return change
+
+
+def _flap(aircraft: Aircraft, size: float) -> Aircraft:
+    """Springs at the flap hinges: at typical size the blades flap at about 1.06/rev."""
+    rotor = aircraft.rotor
+    spring = 0.06 * rotor.flap_inertia * rotor.speed**2 * size
+    return replace(aircraft, rotor=replace(rotor, flap_spring=rotor.flap_spring + spring))
+
+
+def _lead_lag(aircraft: Aircraft, size: float) -> Aircraft:
+    """Worn lag dampers."""
+    rotor = aircraft.rotor
+    return replace(aircraft, rotor=replace(rotor, lag_damper=rotor.lag_damper / (1.0 + 2.0 * size)))
+
+
+def _speed(aircraft: Aircraft, size: float) -> Aircraft:
+    """A governor that does not hold: the speed droops in proportion to the size."""
+    if not size:
+        return aircraft
+    g = aircraft.governor
+    freed = replace(
+        g,
+        held=False,
+        proportional=g.proportional / size,
+        integral=g.integral / size,
+        derivative=g.derivative / size,
+    )
+    return replace(aircraft, governor=freed)
+
+
+def _stall(aircraft: Aircraft, size: float) -> Aircraft:
+    """Blades whose lift breaks down at a smaller angle of attack (ice, wear)."""
+    rotor = aircraft.rotor
+    section = replace(rotor.section, stall=rotor.section.stall / (1.0 + 0.6 * size))
+    return replace(aircraft, rotor=replace(rotor, section=section))
+
+
+def _drag(aircraft: Aircraft, size: float) -> Aircraft:
+    """Stores in the air stream: drag area by the size of the aircraft, m^2."""
+    x, y, z = aircraft.fuselage.drag_area
+    areas = (x + 1.5 * size * x, y + 0.2 * size * y, z)
+    return replace(aircraft, fuselage=replace(aircraft.fuselage, drag_area=areas))
+
+
+def _quadratic_damping(aircraft: Aircraft, size: float) -> Aircraft:
+    """Plates far out: 1.5 rad/s^2 at 1 rad/s in roll and yaw, 1 in pitch."""
+    each = np.diag(aircraft.inertia_matrix) * [1.5, 1.0, 1.5] * size
+    return replace(aircraft, quadratic_damping=_three(each) if size else aircraft.quadratic_damping)
+
+
+def _tail_interference(aircraft: Aircraft, size: float) -> Aircraft:
+    """A wake that hangs lower at the tail: it blows on tail rotor and tailplane, and turns as it does so."""
+    plane = replace(aircraft.tailplane, wake_factor=aircraft.tailplane.wake_factor + 1.2 * size)
+    tail = replace(aircraft.tail, wake_factor=aircraft.tail.wake_factor + size)
+    return replace(aircraft, tailplane=plane, tail=tail, swirl=aircraft.swirl + 0.5 * size)
+
+
+def _wind(aircraft: Aircraft, size: float) -> Aircraft:
+    """6 m/s from 40 degrees, right of a nose that points north."""
+    sense = -1.0 if aircraft.clockwise else 1.0
+    to = WIND * size * np.array([-np.cos(np.deg2rad(40.0)), -sense * np.sin(np.deg2rad(40.0)), 0.0])
+    return replace(aircraft, wind=_three(np.asarray(aircraft.wind or (0.0, 0.0, 0.0)) + to) if size else aircraft.wind)
+
+
+WIND = 6.0  # m/s
+
+
+def _turbulence(aircraft: Aircraft, size: float) -> Aircraft:
+    """Gusts of 1 m/s in each direction."""
+    return replace(aircraft, turbulence=Turbulence(size) if size else aircraft.turbulence)
+
+
+def _vibration(aircraft: Aircraft, size: float) -> Aircraft:
+    """Lines at 1/rev (track and balance) and at N/rev."""
+    if not size:
+        return aircraft
+    once = Line(1, _three(size * np.array([0.12, 0.18, 0.15])), _three(size * np.array([0.006, 0.004, 0.003])))
+    passing = _three(size * np.array([0.35, 0.45, 0.7])), _three(size * np.array([0.010, 0.007, 0.006]))
+    return _sensors(aircraft, vibration=(once, Line(aircraft.rotor.blades, *passing)))
+
+
+def all_mass(aircraft: Aircraft) -> float:
+    """Mass of body and blades, kg."""
+    return aircraft.mass + aircraft.rotor.blades * aircraft.rotor.blade_mass
+
+
+def _payload(aircraft: Aircraft, size: float) -> Aircraft:
+    """8 % more mass at the centre of gravity."""
+    return replace(aircraft, mass=aircraft.mass + 0.08 * size * all_mass(aircraft))
+
+
+def _cg(aircraft: Aircraft, size: float) -> Aircraft:
+    """Centre of gravity forward of the declared one by 2 % of the radius, and a quarter of that to the right."""
+    shift = np.array([0.02, 0.005, 0.0]) * aircraft.rotor.radius * size
+
+    def moved(part: Any, name: str) -> Any:
+        return replace(part, **{name: _three(np.asarray(getattr(part, name)) - shift)})
+
+    parts = {name: moved(getattr(aircraft, name), "position") for name in ("tail", "fuselage", "fin", "tailplane")}
+    parts["rotor"] = moved(aircraft.rotor, "hub")
+    if aircraft.load is not None:
+        parts["load"] = moved(aircraft.load, "hook")
+    return moved(moved(replace(aircraft, **parts), "imu"), "reference")
+
+
+def _inertia(aircraft: Aircraft, size: float) -> Aircraft:
+    """15 % more inertia about all axes."""
+    return replace(aircraft, inertia=tuple(_three((1.0 + 0.15 * size) * row) for row in aircraft.inertia_matrix))
+
+
+def _slung_load(aircraft: Aircraft, size: float) -> Aircraft:
+    """8 % of the mass on a cable as long as the rotor's radius, hooked on below the declared centre of gravity."""
+    if not size:
+        return aircraft
+    radius = aircraft.rotor.radius
+    hook = _three(np.add(aircraft.reference, (0.0, 0.0, 0.15 * radius)))
+    load = SlungLoad(0.08 * size * all_mass(aircraft), radius, hook, drag_area=0.02 * radius**2, damping=0.05)
+    return replace(aircraft, load=load)
+
+
+def _sensors(aircraft: Aircraft, **changes: Any) -> Aircraft:
+    """Sensor errors added to those that are there: values by channel join, vectors add up."""
+    errors = aircraft.sensors
+    joined: dict[str, Any] = {}
+    for name, change in changes.items():
+        earlier = getattr(errors, name)
+        if isinstance(change, Mapping):
+            joined[name] = {**earlier, **change}
+        else:
+            joined[name] = earlier + change if name == "vibration" else _three(np.asarray(earlier) + change)
+    return replace(aircraft, sensors=replace(errors, **joined))
+
+
+def _sensor(name: str, **typical: float) -> Callable[[Aircraft, float], Aircraft]:
+    """An error by channel, in proportion to the size."""
+
+    def change(aircraft: Aircraft, size: float) -> Aircraft:
+        return _sensors(aircraft, **{name: {channel: value * size for channel, value in typical.items()}})
+
+    return change
+
+
+def _sensor_vector(name: str, typical: tuple[float, float, float]) -> Callable[[Aircraft, float], Aircraft]:
+    """An error that is a vector, in proportion to the size."""
+
+    def change(aircraft: Aircraft, size: float) -> Aircraft:
+        return _sensors(aircraft, **{name: np.asarray(typical) * size})
+
+    return change
+
+
+def _three(values: Any) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+TILT = 0.035  # rad: 2 degrees
+
+HIDDEN: dict[str, Hidden] = {
+    "control.delay": Hidden(_path(delay=0.06), "identifiable"),
+    "control.lag": Hidden(_path(lag=0.08), "identifiable"),
+    "control.rate_limit": Hidden(_rate_limit, "identifiable"),
+    "control.backlash": Hidden(_path(play=0.007), "identifiable"),
+    "rotor.inflow": Hidden(_wake("apparent_mass", 1.0), "identifiable"),
+    "rotor.flap_second_order": Hidden(_flap, "identifiable"),
+    "rotor.lead_lag": Hidden(_lead_lag, "identifiable"),
+    "rotor.wake_distortion": Hidden(_wake("distortion", 1.5), "absorbed"),
+    "rotor.speed": Hidden(_speed, "identifiable"),
+    "rotor.stall": Hidden(_stall, "absorbed", "speeds"),
+    "forces.drag": Hidden(_drag, "absorbed", "speeds"),
+    "forces.quadratic_damping": Hidden(_quadratic_damping, "absorbed"),
+    "forces.translational_lift": Hidden(_wake("translation", 0.5), "absorbed", "speeds"),
+    "forces.tail_interference": Hidden(_tail_interference, "absorbed", "speeds"),
+    "environment.ground": Hidden(_wake("ground", 1.0), "identifiable", "heights"),
+    "environment.wind": Hidden(_wind, "identifiable", "headings"),
+    "environment.turbulence": Hidden(_turbulence, "identifiable"),
+    "environment.vibration": Hidden(_vibration, "identifiable"),
+    "mass.payload": Hidden(_payload, "absorbed"),
+    "mass.cg": Hidden(_cg, "absorbed"),
+    "mass.inertia": Hidden(_inertia, "absorbed"),
+    "mass.slung_load": Hidden(_slung_load, "identifiable"),
+    "sensors.bias": Hidden(_sensor("bias", p=0.01, q=-0.007, r=0.005), "identifiable"),
+    "sensors.scale": Hidden(_sensor("scale", p=0.05, q=0.05, r=0.05), "identifiable"),
+    "sensors.misalignment": Hidden(_sensor_vector("rotation", (TILT / 3, 2 * TILT / 3, 2 * TILT / 3)), "identifiable"),
+    "sensors.lever_arm": Hidden(_sensor_vector("lever_arm", (0.3, 0.1, -0.25)), "identifiable"),
+    "sensors.delay": Hidden(_sensor("delay", **dict.fromkeys(GYROS, 0.06)), "identifiable"),
+    "sensors.filter": Hidden(_sensor("lag", **dict.fromkeys(GYROS, 0.05)), "identifiable"),
+}
+
+EFFECTS: dict[str, Callable[[Aircraft, float], Aircraft]] = {name: hidden.change for name, hidden in HIDDEN.items()}
+"""Physics that can be switched on: id -> a changed copy of the aircraft, at a factor of the typical size."""
+
+EFFECT_CLASSES: dict[str, EffectClass] = {name: hidden.kind for name, hidden in HIDDEN.items()}
+"""Whether the effect's usual flights, at typical size and in hover, can tell it from free derivatives and trims."""
+
+
+def differences(clean: Any, altered: Any, place: str = "") -> dict[str, tuple[Any, Any]]:
+    """What an effect changed: value before and after by its place in the aircraft, such as `fuselage.drag_area`."""
+    changed: dict[str, tuple[Any, Any]] = {}
+    for one in dataclasses.fields(clean):
+        before, after, name = getattr(clean, one.name), getattr(altered, one.name), place + one.name
+        if dataclasses.is_dataclass(before) and dataclasses.is_dataclass(after):
+            changed |= differences(before, after, f"{name}.")
+        elif before != after:
+            changed[name] = _plain(before), _plain(after)
+    return changed
+
+
+def _plain(value: Any) -> Any:
+    """Numbers and containers of them, as JSON has them; a limit that does not exist is null."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return _plain({one.name: getattr(value, one.name) for one in dataclasses.fields(value)})
+    if isinstance(value, Mapping):
+        return {name: _plain(entry) for name, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value

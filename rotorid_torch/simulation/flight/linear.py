@@ -1,0 +1,76 @@
+"""Linear model of the trimmed aircraft from its passage map: modes, and derivatives with rotor and inflow residualised.
+
+The matrix logarithm of the map's Jacobian is the constant system that passes through the same points (Floquet's
+theorem); with the blades' exchange of places it is at the same time the change to the fixed frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import logm
+
+from rotorid_torch.simulation.flight.trim import Trim, passage, passage_time, unknown_rows, with_held_speed
+from rotorid_torch.simulation.helicopter.aircraft import CONTROLS, Aircraft
+from rotorid_torch.simulation.helicopter.section import Array
+
+BODY_STATES = ("u", "v", "w", "p", "q", "r", "phi", "theta")
+
+
+@dataclass(frozen=True)
+class Linear:
+    """dx/dt = a x + b u about trim.
+
+    `a` [8, 8] and `b` [8, 4] are of the `BODY_STATES`, `full_a` and `full_b` with rotor and inflow. Controls are lon,
+    lat, col, ped at the blades, rad. Gravity and kinematic terms are in `a`.
+    """
+
+    a: Array
+    b: Array
+    full_a: Array
+    full_b: Array
+
+    def modes(self) -> NDArray[np.complex128]:
+        """Eigenvalues of the eight-state model, 1/s."""
+        return np.linalg.eigvals(self.a).astype(np.complex128)
+
+    def full_modes(self) -> NDArray[np.complex128]:
+        """Eigenvalues with rotor and inflow (Floquet exponents), 1/s."""
+        return np.linalg.eigvals(self.full_a).astype(np.complex128)
+
+
+def linearise(aircraft: Aircraft, trim: Trim, shift: float = 1e-4) -> Linear:
+    """Linear model about a trim by central differences over one blade passage, rotor speed held.
+
+    Source: Johnson, Helicopter Theory, section 8.6 (Floquet theory); Padfield, Helicopter Flight Dynamics, section 2.3
+    (reduction to the body's states).
+    """
+    rows = [*unknown_rows(aircraft), *range(CONTROLS.start, CONTROLS.stop)]
+    size = len(rows)
+    shifts = np.hstack([shift * np.eye(size), -shift * np.eye(size)])
+    batch = np.repeat(trim.state[:, None], 2 * size, axis=1)
+    batch[rows] += shifts
+    after = passage(with_held_speed(aircraft), batch)[rows]
+    jump = (after[:, :size] - after[:, size:]) / (2.0 * shift)
+    generator = np.real(logm(jump)) / passage_time(aircraft)
+    states = size - 4
+    full_a, full_b = generator[:states, :states], generator[:states, states:]
+    body, rotor = slice(0, len(BODY_STATES)), slice(len(BODY_STATES), states)
+    across = np.linalg.solve(full_a[rotor, rotor], np.hstack([full_a[rotor, body], full_b[rotor]]))
+    a = full_a[body, body] - full_a[body, rotor] @ across[:, : len(BODY_STATES)]
+    b = full_b[body] - full_a[body, rotor] @ across[:, len(BODY_STATES) :]
+    return Linear(a, b, full_a, full_b)
+
+
+def derivatives(linear: Linear, trim: Trim) -> Array:
+    """Table of derivatives: rows X Y Z (m/s^2) L M N (rad/s^2) per u v w p q r (SI) and lon lat col ped (rad), 6 x 10.
+
+    The terms of the turning axes are taken out of the rates, gravity is left aside; the rest belongs to the forces.
+    """
+    u, v, w = trim.state[:3]
+    out = np.hstack([linear.a[:6, :6], linear.b[:6]])
+    turning = np.array([[0.0, -w, v], [w, 0.0, -u], [-v, u, 0.0]])
+    out[:3, 3:6] -= turning
+    return out

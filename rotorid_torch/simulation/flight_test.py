@@ -1,0 +1,226 @@
+"""The flight test: aircraft, trim, augmentation, manoeuvres and sensors make a data set."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rotorid_torch.data import Dataset
+from rotorid_torch.data.write import declarations, refuse_unless_free, write_dataset
+from rotorid_torch.errors import InputError
+from rotorid_torch.simulation.effects import EFFECTS, HIDDEN, differences
+from rotorid_torch.simulation.flight.augmentation import Augmentation, design
+from rotorid_torch.simulation.flight.linear import linearise
+from rotorid_torch.simulation.flight.manoeuvres import Condition, chosen, conditioned, lists
+from rotorid_torch.simulation.flight.sensors import MEASURED, NOISE, Channels, measured_channels, true_channels
+from rotorid_torch.simulation.flight.simulation import Progress, fly_batch, with_heading, with_height
+from rotorid_torch.simulation.flight.trim import Trim, find_trim
+from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES, Aircraft
+from rotorid_torch.simulation.helicopter.rotor import LOCK_SLOPE
+from rotorid_torch.simulation.vehicles.vehicle import load_aircraft
+
+FLOWN = "Built-in flight-test aircraft"
+"""What the description of a flown data set begins with."""
+
+
+@dataclass(frozen=True)
+class FlightTest:
+    """A flown data set: `declaration` is its dataset.toml; `flights` are measured, `truth` is without noise.
+
+    `aircraft`, `trim` and `augmentation` are what flew (the latter two in the data set's own condition); `hidden` are
+    the effects with their sizes and what they changed, as truth/effects.json has them.
+    """
+
+    name: str
+    declaration: dict[str, Any]
+    flights: dict[str, Channels]
+    truth: dict[str, Channels]
+    aircraft: Aircraft
+    trim: Trim
+    augmentation: Augmentation
+    hidden: tuple[dict[str, Any], ...] = ()
+
+    def dataset(self) -> Dataset:
+        """Return the measured flights as a data set in memory."""
+        tables = {
+            key: self.declaration[key] for key in ("kind", "description", "vehicle", "controls", "channels", "model")
+        }
+        return Dataset.from_arrays(self.flights, name=self.name, **self.declaration["flights"], **tables)
+
+
+def fly(
+    out: Path | None,
+    *,
+    speed: float = 0.0,
+    heading: float = 0.0,
+    height: float = 27.4,
+    vehicle: Path | None = None,
+    flights: Sequence[str] | None = None,
+    seed: int = 0,
+    effects: Sequence[tuple[str, float | None]] = (),
+    progress: Progress | None = None,
+    seconds: float = 15.0,
+) -> FlightTest:
+    """Fly the built-in flight-test aircraft and write the data set.
+
+    Parameters
+    ----------
+    out : folder to write, or None to keep the result in memory only.
+    speed, heading, height : of the trimmed flight: m/s, rad, m.
+    vehicle : a vehicle file (see `vehicle`); without one the UH-60.
+    flights : names of flights (see `manoeuvres`); without them all thirteen, and those that an effect needs to show.
+    seed : of sensor noise and gusts.
+    effects : pairs of id and factor of the typical size (None: one); see `effects`.
+    progress : called with samples done and in all.
+    seconds : length of each flight.
+
+    Raises
+    ------
+    InputError : an unknown flight or effect, a bad vehicle file, no trim, something in the way of `out`.
+    """
+    out = None if out is None else Path(out)
+    if out is not None:
+        refuse_unless_free(out, FLOWN, [] if vehicle is None else [Path(vehicle)])
+    _check_numbers(speed, heading, height, seconds)
+    clean = load_aircraft(None if vehicle is None else Path(vehicle))
+    aircraft, hidden = _altered(clean, effects)
+    wanted = flights if flights is not None else ["all", *(HIDDEN[one["id"]].flights or "all" for one in hidden)]
+    names = chosen(wanted, speed)
+    usual = Condition(heading, height, speed)
+    conditions = {name: conditioned(name, usual)[1] for name in names}
+    for one in conditions.values():
+        _check_numbers(one.speed, one.heading, one.height, seconds)
+    trims, augmentations = _trims(aircraft, {*conditions.values(), usual})
+    each = [trims[one] for one in conditions.values()]
+    gains = [augmentations[one.speed] for one in conditions.values()]
+    common = gains[0] if all(one is gains[0] for one in gains) else gains
+    record = fly_batch(aircraft, each, common, names, seconds, progress, seed=seed)
+    truth = {name: true_channels(aircraft, record, k) for k, name in enumerate(names)}
+    measured = {name: measured_channels(truth[name], MEASURED, name, seed) for name in names}
+    label = out.name if out is not None else f"{aircraft.name}-{speed:g}"
+    declaration = declare(clean, label, names, MEASURED, speed, height)
+    if out is not None:
+        _write(out, declaration, measured, truth, hidden)
+    return FlightTest(label, declaration, measured, truth, aircraft, trims[usual], augmentations[speed], hidden)
+
+
+def _trims(aircraft: Aircraft, conditions: set[Condition]) -> tuple[dict[Condition, Trim], dict[float, Augmentation]]:
+    """Trim of each condition, and the augmentation that is designed for each speed.
+
+    Another heading or height needs another trim only where wind, load or ground make a difference.
+    """
+    sense = -1.0 if aircraft.clockwise else 1.0
+    trims: dict[Condition, Trim] = {}
+    equilibria: dict[tuple[float, float, float], Trim] = {}
+    gains: dict[float, Augmentation] = {}
+    for one in sorted(conditions, key=lambda one: (one.speed, one.height, one.heading)):
+        heading = sense * one.heading if aircraft.knows_directions else 0.0
+        key = (one.speed, one.height if aircraft.wake.ground else 0.0, heading)
+        if key not in equilibria:
+            equilibria[key] = find_trim(aircraft, one.speed, one.height, heading)
+        trim = equilibria[key] if aircraft.knows_directions else with_heading(equilibria[key], sense * one.heading)
+        trims[one] = with_height(trim, one.height)
+        if one.speed not in gains:
+            gains[one.speed] = design(linearise(aircraft, equilibria[key]))
+    return trims, gains
+
+
+def _write(
+    out: Path,
+    declaration: dict[str, Any],
+    measured: Mapping[str, Any],
+    truth: Mapping[str, Any],
+    hidden: Sequence[dict[str, Any]],
+) -> None:
+    """The flown set as a data set with its truth and effects; an earlier data set there is replaced."""
+    keys = ("name", "kind", "description", "vehicle", "controls", "channels", "model")
+    tables: dict[str, Any] = {key: declaration.get(key) for key in keys}
+    declared = json.dumps({"effects": list(hidden)}, indent=1) + "\n"
+    texts = {"truth/effects.json": declared, **declarations(out)}
+    write_dataset(out, measured, **declaration["flights"], **tables, truth=truth, texts=texts)
+
+
+def _check_numbers(speed: float, heading: float, height: float, seconds: float) -> None:
+    """Refuse a flight that nobody can fly."""
+    if not (np.isfinite(speed) and 0.0 <= speed <= 150.0):
+        raise InputError("usage", "speed", f"is {speed}", "a speed of 0 to 150 m/s")
+    if not np.isfinite(heading):
+        raise InputError("usage", "heading", f"is {heading}", "an angle in rad")
+    if not (np.isfinite(height) and height > 0.0):
+        raise InputError("usage", "height", f"is {height}", "a height above ground in m")
+    if not (np.isfinite(seconds) and seconds > 0.0):
+        raise InputError("usage", "seconds", f"is {seconds}", "a positive time in s")
+
+
+def _altered(
+    aircraft: Aircraft, effects: Sequence[tuple[str, float | None]]
+) -> tuple[Aircraft, tuple[dict[str, Any], ...]]:
+    """The aircraft with all effects switched on, and a list of what each one changed."""
+    changes = []
+    for effect, factor in effects:
+        size = 1.0 if factor is None else factor
+        _check_effect(effect, size)
+        if effect in (one["id"] for one in changes):
+            raise InputError("usage", "effect", f"'{effect}' is there twice", "each effect once")
+        changed = EFFECTS[effect](aircraft, size)
+        changes.append({"id": effect, "size": size, "changes": differences(aircraft, changed)})
+        aircraft = changed
+    return aircraft, tuple(changes)
+
+
+def _check_effect(effect: str, size: float) -> None:
+    """Refuse an effect that a helicopter cannot have, and a size that none has."""
+    if effect not in EFFECTS:
+        why = "it is a helicopter" if effect.startswith("propulsion.") else "there is none of that name"
+        wrong = f"the flight-test aircraft has no effect '{effect}': {why}"
+        raise InputError("usage", "effect", wrong, f"one of: {', '.join(EFFECTS)}")
+    if not (np.isfinite(size) and 0.0 <= size <= 10.0):
+        raise InputError("usage", "size", f"is {size} for {effect}", "a factor of its typical size, 0 to 10")
+
+
+def declare(
+    aircraft: Aircraft, name: str, flights: Sequence[str], channels: Sequence[str], speed: float, height: float
+) -> dict[str, Any]:
+    """The data set's dataset.toml."""
+    rotor, sense = aircraft.rotor, -1.0 if aircraft.clockwise else 1.0
+    mirror = np.array([1.0, sense, 1.0])
+    side, nose = ("right", "right") if aircraft.clockwise else ("left", "left")
+    positive = {"lon": "nose up", "lat": f"{side} side down", "col": "climb", "ped": f"nose {nose}"}
+    state = f"flight at {speed:g} m/s" if speed else "hover"
+    lock = aircraft.air_density * LOCK_SLOPE * rotor.chord * rotor.radius**4 / rotor.flap_inertia
+    return {
+        "format": 1,
+        "name": name,
+        "kind": "helicopter",
+        "description": f"{FLOWN} ({aircraft.name}), {state} at {height:g} m, rate and attitude augmentation active.",
+        "vehicle": {
+            "mass": aircraft.mass,
+            "inertia": (aircraft.inertia_matrix * np.outer(mirror, mirror)).tolist(),
+            "mass_excludes": ["blades"],
+            "gravity": aircraft.gravity,
+            "air_density": aircraft.air_density,
+            "hub": (np.asarray(rotor.hub) * mirror).tolist(),
+            "imu": (np.asarray(aircraft.imu) * mirror).tolist(),
+            "rotor": {
+                "blades": rotor.blades,
+                "radius": rotor.radius,
+                "chord": rotor.chord,
+                "speed": rotor.speed,
+                "direction": "cw" if aircraft.clockwise else "ccw",
+                "hinge_offset": rotor.hinge_offset,
+                "lock_number": round(lock, 3),
+            },
+        },
+        "controls": {
+            control: {"unit": "rad", "limits": list(limits), "noise": NOISE[control], "positive": positive[control]}
+            for control, limits in zip(CONTROL_NAMES, aircraft.limits, strict=True)
+        },
+        "channels": {c: {"noise": NOISE[c]} for c in channels if c != "time" and c not in CONTROL_NAMES},
+        "flights": lists(flights),
+        "model": {"reference": f"{speed:g} m/s" if speed else "hover"},
+    }
