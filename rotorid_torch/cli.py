@@ -211,6 +211,11 @@ def _add_identify(commands) -> None:
     command.add_argument("dataset", metavar="DATASET", type=Path)
     command.add_argument("--out", metavar="RUN", type=Path, required=True, help="the run's folder")
     command.add_argument("--effect", metavar="ID", action="append", default=[], help="add this effect; repeatable")
+    method_help = (
+        "of step 3: output-error, filter-error (where the air moves), or auto, which looks at the flights (auto)"
+    )
+    methods = ("auto", "output-error", "filter-error")
+    command.add_argument("--method", choices=methods, default="auto", help=method_help)
     command.add_argument("--resume", action="store_true", help="go on from an interrupted run's last finished step")
 
 
@@ -293,6 +298,7 @@ def identify(options: Options) -> None:
     with ranks_of_torchrun() as ranks:
         refuse_unless_free(options.out, "identify")
         given = {"effects": tuple(options.effect), "seed": options.seed, "device": options.device}
+        given["method"] = options.method
         told = _monitor(options) if ranks.first else None
         dataset = load(options.dataset)
         pipeline.identify(dataset, out=options.out, monitor=told, resume=options.resume, ranks=ranks, **given)

@@ -144,6 +144,7 @@ def manoeuvres(seconds: float, dt: float, names: tuple[str, ...] = STICKS, size:
 def flown(
     model: Model,
     controls: dict[str, np.ndarray],
+    /,
     dt: float = 0.02,
     noise: float = 0.0,
     seed: int = 0,

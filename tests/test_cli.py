@@ -80,6 +80,7 @@ BAD_USAGE = [
     ["identify", "x", "--out", "y", "--seed", "1.5"],
     ["identify", "x", "--out", "y", "--seed", "99999999999999999999"],
     ["identify", "x", "--out", "y", "--device", "tpu"],
+    ["identify", "x", "--out", "y", "--method", "guess"],
     ["identify", "x", "--out", "y", "--wrong"],
     ["fly", "--out", "y", "--size", "3"],
     ["fly", "--out", "y", "--effect", "a", "--size", "3", "--size", "4"],

@@ -1,4 +1,9 @@
-"""Step 3 on the model: output error over all identify flights, every parameter free within its bounds and prior."""
+"""Step 3 on the model: output error over all identify flights, every parameter free within its bounds and prior.
+
+Where the air moves, by the filter error method in two steps: an extended Kalman filter with gusts as states finds the
+air of each flight by step 2's derivatives (`gusts`), and output error the parameters with these gusts fed in. Process
+noise alone predicts a sample ahead, and what is best there need not be of use over the seconds of a free run.
+"""
 
 from __future__ import annotations
 
@@ -9,18 +14,24 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.fallback import Unsupported
 from rotorid_torch.core.gauss_newton import Options
 from rotorid_torch.core.names import RATES
 from rotorid_torch.core.processes.device import moved, working_on
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.core.storage import mapped_arrays
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.errors import InputError
+from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
 from rotorid_torch.identification.estimate.progressive_fit import Estimate, Settings, fit
 from rotorid_torch.identification.estimate.segments import Records, records_from
 from rotorid_torch.identification.estimate.system import System
+from rotorid_torch.identification.gusts import Air, fed_in, find_gusts, of_all
+from rotorid_torch.identification.method_choice import GUSTY, sentence, velocities_colour
 from rotorid_torch.identification.model_regression import Step2, measured
 from rotorid_torch.identification.reconstruct.reconstruction import ReconstructedFlight, Reconstruction
 from rotorid_torch.identification.regress.fourier import noise_floor, smoothed
+from rotorid_torch.model.gusts import fed, lacks
 from rotorid_torch.model.model import Model
 
 RATE = 50.0
@@ -39,10 +50,18 @@ FOLDED = 4
 
 @dataclass(frozen=True)
 class Step3:
-    """The estimate, and which parameters of the model it is of (in the order of its theta)."""
+    """The estimate, and which parameters of the model it is of (in the order of its theta).
+
+    method : "output-error" or "filter-error". why : how it was chosen, in a sentence. air : what was found of it.
+    flights : whose gusts `air` holds, in order.
+    """
 
     fit: Estimate
     names: tuple[str, ...]
+    method: str = "output-error"
+    why: str = ""
+    air: Air | None = None
+    flights: tuple[str, ...] = ()
 
     def theta_of(self, model: Model, start: Step2) -> Tensor:
         """The model's whole parameter vector: the estimate, and step 2's values of what was held."""
@@ -65,11 +84,20 @@ def estimate_model(
     monitor: Callable[[int, float, Tensor], None] | None = None,
     ranks: Ranks = ALONE,
     device: str = "cpu",
+    method: str = "auto",
 ) -> Step3:
     """Maximum likelihood from step 2's values, which only start it; the model's theta is set to the estimate.
 
     The identify flights are spread over the ranks; each comes to the same estimate. On another device than the
     processor, torch does the work.
+
+    Parameters
+    ----------
+    method : "output-error", "filter-error", or "auto": the latter where output error's residuals show moving air.
+
+    Raises
+    ------
+    InputError : "filter-error" where gusts have nothing to act through, or the model cannot be compiled.
     """
     names = tuple(n for n in model.parameter_set.free if n not in start.held)
     with torch.no_grad():
@@ -84,18 +112,72 @@ def estimate_model(
         options=ENOUGH,
         engine=None if device == "cpu" else "reference",
     )
-    flights, settings = moved((records(model, dataset, reconstruction, ranks), settings), device)
-    with working_on(device):
-        found = fit(System(model, names), flights, settings=settings, monitor=monitor, ranks=ranks).estimate()
-        if acting := {names.index(n): size for n, size in _idle(model).items() if n in names}:
-            place = found.theta.clone()
-            place[list(acting)] = place.new_tensor(list(acting.values()))
-            other = fit(System(model, names), flights, place, settings, monitor, ranks).estimate()
-            found = other if other.minimum.point.cost < found.minimum.point.cost - TOLD else found
-    found = moved(found, "cpu")
+    why_not = lacks(model)
+    if method == "filter-error" and why_not:
+        raise InputError("--method", method, why_not, "output-error")
+    flights = records(model, dataset, reconstruction, ranks)
+    search = _Search(model, names, settings, device, ranks, monitor)
+    decides = method == "auto" and not why_not
+    found, colour = (None, math.nan) if method == "filter-error" else search.estimate(model, flights, decides)
+    air = None
+    if found is None:
+        try:
+            air = ranks.from_first(find_gusts(model, names, of_all(flights, ranks), sensor_noise(model, dataset)))
+            found, _ = search.estimate(fed(model), fed_in(flights, air, ranks))
+        except Unsupported as error:
+            if method == "filter-error":
+                raise InputError("--method", method, f"the model cannot be compiled: {error}", "output-error") from None
+            why_not = f"no filter can be compiled for this model: {error}"
+            found, _ = search.estimate(model, flights)
+    assert found is not None
     with torch.no_grad():
         model.theta[places] = found.theta
-    return Step3(found, names)
+    chosen = "output-error" if air is None else "filter-error"
+    whose = tuple(name for part in ranks.gather(ranks.mine(dataset.identify)) for name in part)
+    return Step3(found, names, chosen, sentence(method, chosen, colour, why_not), air, whose if air else ())
+
+
+@dataclass(frozen=True)
+class _Search:
+    """Output error of a model's parameters."""
+
+    model: Model
+    names: tuple[str, ...]
+    settings: Settings
+    device: str
+    ranks: Ranks
+    monitor: Callable[[int, float, Tensor], None] | None
+
+    def estimate(self, model: Model, flights: Records, decides: bool = False) -> tuple[Estimate | None, float]:
+        """By a model with these parameters; and the colour of the first stage's residuals of velocities.
+
+        decides : then there is no estimate where that says that the air moves.
+        """
+        colour = 0.0
+
+        def gusty(problem: Likelihood, place: Place) -> bool:
+            nonlocal colour
+            colour = velocities_colour(model.body.outputs, problem, place)
+            return colour > GUSTY
+
+        flights, settings = moved((flights, self.settings), self.device)
+        with working_on(self.device):
+            system, ends = System(model, self.names), gusty if decides else None
+            found = fit(system, flights, None, settings, self.monitor, self.ranks, ends=ends)
+            if colour > GUSTY:
+                return None, colour
+            found = self._moved_off_nothing(system, flights, settings, found.estimate())
+        return moved(found, "cpu"), colour
+
+    def _moved_off_nothing(self, system: System, flights: Records, settings: Settings, found: Estimate) -> Estimate:
+        """The estimate, or that from sizes of effects of which a little does nothing, where it is better."""
+        acting = {self.names.index(n): size for n, size in _idle(self.model).items() if n in self.names}
+        if not acting:
+            return found
+        place = found.theta.clone()
+        place[list(acting)] = place.new_tensor(list(acting.values()))
+        other = fit(system, flights, place, settings, self.monitor, self.ranks).estimate()
+        return other if other.minimum.point.cost < found.minimum.point.cost - TOLD else found
 
 
 def initial_spread(model: Model, dataset: Dataset) -> Tensor:

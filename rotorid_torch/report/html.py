@@ -11,7 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 from rotorid_torch.printable import printable
 from rotorid_torch.report.records import FitRecord, ModeRecord, ParameterRecord, Report
 from rotorid_torch.report.short_horizon import FREE_RUN, NAMES, short_horizon
-from rotorid_torch.report.summary import headline, list_summaries, next_steps, shown_flights
+from rotorid_torch.report.summary import air_of, headline, list_summaries, next_steps, shown_flights
 
 CAPTIONS = {
     "sampling": "Stamps as recorded: a line is a good clock, a cloud jitters, a lone point is a gap.",
@@ -46,7 +46,9 @@ def render(report: Report, pictures: Mapping[str, bytes]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(number=number, percent=percent, relative=relative_error, motion=motion_of_mode)
+    environment.filters.update(
+        number=number, percent=percent, relative=relative_error, motion=motion_of_mode, air_of=air_of
+    )
     page = environment.get_template("report.html.j2").render(
         report=report,
         headline=headline(report),

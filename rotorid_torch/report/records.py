@@ -132,9 +132,25 @@ class ScoresRecord(Record, frozen=True, kw_only=True):
     acid: Size
 
 
-class FitRecord(Record, frozen=True, kw_only=True):
-    """FIT: an identified model's parameters, modes and scores."""
+class GustRecord(Record, frozen=True, kw_only=True):
+    """Gusts along one body axis, as the filter error method found them: rms, m/s, and scale length, m."""
 
+    axis: Literal["u", "v", "w"]
+    intensity: Size
+    intensity_se: Size
+    length: Size
+    length_se: Size
+
+
+class FitRecord(Record, frozen=True, kw_only=True):
+    """FIT: an identified model's parameters, modes and scores.
+
+    method_reason : how the method was chosen. gusts : of the flights, where the method finds them.
+    """
+
+    method: Literal["output-error", "filter-error"] = "output-error"
+    method_reason: str = ""
+    gusts: tuple[GustRecord, ...] = ()
     parameters: tuple[ParameterRecord, ...]
     modes: tuple[ModeRecord, ...]
     flights: dict[str, FlightRecord]

@@ -8,7 +8,7 @@ from rich.text import Text
 
 from rotorid_torch.report.records import FitRecord, Report
 from rotorid_torch.report.short_horizon import NAMES, short_horizon
-from rotorid_torch.report.summary import headline, list_summaries, place_of
+from rotorid_torch.report.summary import air_of, headline, list_summaries, place_of
 
 
 def scorecard(report: Report) -> RenderableType:
@@ -21,6 +21,7 @@ def scorecard(report: Report) -> RenderableType:
                 parts.append(_short(heading, fit))
                 heading = "free runs of 8 s, which mean nothing here"
             parts.append(_scores(heading, fit))
+            parts += [Text(said) for said in (fit.method_reason, air_of(fit)) if said]
     parts.append(Text(headline(report)))
     if report.verdict:
         parts.append(Text(report.verdict.sentence))

@@ -76,6 +76,17 @@ def list_summaries(fit: FitRecord) -> list[ListSummary]:
     return summaries
 
 
+def air_of(fit: FitRecord) -> str:
+    """What was found of the air in a sentence; empty where nothing was."""
+    if not fit.gusts:
+        return ""
+    size = lambda value, se: f"{_text(value)} ± {_text(se)}"  # noqa: E731
+    each = [
+        f"{g.axis} {size(g.intensity, g.intensity_se)} m/s, length {size(g.length, g.length_se)} m" for g in fit.gusts
+    ]
+    return f"gusts in the identify flights: {'; '.join(each)}"
+
+
 def shown_flights(fit: FitRecord) -> dict[str, FlightRecord]:
     """The first flights of each list, which pictures and tables show."""
     ordered = [[name for name, flight in fit.flights.items() if flight.list == which] for which in LISTS]

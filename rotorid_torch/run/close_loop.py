@@ -292,8 +292,12 @@ def _again(
     """
     traced = {n: v for n, v in values.items() if any(n.startswith(f"{e}.") for e in spec.effects)}
     spec, model, regressions, found = estimated(
-        msgspec.structs.replace(spec, values=traced), seen, base.reconstruction, steps
+        msgspec.structs.replace(spec, values=traced),
+        seen,
+        base.reconstruction,
+        replace(steps, method=base.estimate.method),
     )
+    found = replace(found, why=base.estimate.why)
     if sensors:
         spec, model = _with_sensors(spec, model, sensors)
     with steps.monitor.step("validate"):

@@ -42,7 +42,9 @@ def estimated(
         monitor.scalars({"ml/cost": cost}, iteration)
 
     def third() -> Step3:
-        return estimate_model(model, dataset, reconstruction, regressions, watch, steps.ranks, steps.device)
+        return estimate_model(
+            model, dataset, reconstruction, regressions, watch, steps.ranks, steps.device, steps.method
+        )
 
     estimate = steps.do("ml", f"ml-{spec.flapping}", third)
     with torch.no_grad():

@@ -24,6 +24,7 @@ from rotorid_torch.report.records import (
     ChannelRecord,
     FitRecord,
     FlightRecord,
+    GustRecord,
     ModeRecord,
     ParameterRecord,
     PredictionRecord,
@@ -53,7 +54,11 @@ class Judged:
 
 def fit_record(model: Model, spec: ModelSpec, step3: Step3, judged: Judged) -> FitRecord:
     """FIT of a model that step 3 estimated and `judge` ran."""
+    axes = () if step3.air is None else step3.air.axes
     return FitRecord(
+        method="filter-error" if step3.method == "filter-error" else "output-error",
+        method_reason=step3.why,
+        gusts=tuple(GustRecord(**vars(axis)) for axis in axes),
         parameters=parameter_records(model, step3),
         modes=tuple(
             ModeRecord(eigenvalue=(m.eigenvalue.real, m.eigenvalue.imag), name=m.name) for m in modes(model, spec.sizes)

@@ -19,11 +19,13 @@ from rotorid_torch.data.velocities import with_velocities
 from rotorid_torch.effects.registry import of_others, registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError
+from rotorid_torch.identification.method_choice import METHODS
 from rotorid_torch.identification.model_estimation import Step3
 from rotorid_torch.identification.model_regression import Step2
 from rotorid_torch.identification.reconstruct import reconstruction as step1
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.identification.structure import propose, rival
+from rotorid_torch.model.model import Model
 from rotorid_torch.report import limits, remarks
 from rotorid_torch.report.records import DatasetRecord, FitRecord, Report, package_version
 from rotorid_torch.run.fit_record import fit_record, judge
@@ -59,6 +61,7 @@ def identify(
     out: str | Path | None = None,
     seed: int = 0,
     device: str = "cpu",
+    method: str = "auto",
     monitor: Monitor | None = None,
     resume: bool = False,
     ranks: Ranks = ALONE,
@@ -71,36 +74,43 @@ def identify(
         place.
     out : folder of the run; an earlier RUN there is replaced when the new one is whole.
     device : "cpu" or "cuda", where filter, smoother and step 3 run; in float64 on both.
+    method : of step 3: "output-error", "filter-error", or "auto", the latter where the air moves.
     resume : go on from the last finished step of an interrupted run to `out`, if there is one.
     ranks : processes that share the work, each of which calls this; the first one alone writes.
 
     Raises
     ------
-    InputError : the data set lacks what the steps need, an effect does not exist, `out` is not free, the interrupted
-        run was another one, or there are more ranks than identify flights.
+    InputError : the data set lacks what the steps need, an effect or method does not exist, `out` is not free, the
+        interrupted run was another one, or there are more ranks than identify flights.
     LostRank : another rank has ended; an earlier RUN stays as it was.
     """
     monitor = monitor or Monitor()
-    refuse(dataset, effects, device)
+    refuse(dataset, effects, device, method)
     ranks.refuse_more_than(len(dataset.identify))
     torch.manual_seed(seed)
     with ExitStack() as stack:
         folder, kept = None, Checkpoint()
         if out is not None and ranks.first:
-            key = _key(dataset, effects, seed)
+            key = _key(dataset, effects, seed, method)
             kept = stack.enter_context(checkpoint(out, key, resume=resume, keep=resume or ranks.size > 1))
             folder = stack.enter_context(run_folder(out, "identify"))
             stack.enter_context(monitor.recording(folder))
-        run = identified(dataset, effects, seed, Steps(monitor, ranks, kept, device))
+        run = identified(dataset, effects, seed, Steps(monitor, ranks, kept, device, method))
         if folder is not None:
             run.write(folder, monitor)
     return run
 
 
-def _key(dataset: Dataset, effects: Sequence[str], seed: int) -> dict[str, str]:
+def _key(dataset: Dataset, effects: Sequence[str], seed: int, method: str) -> dict[str, str]:
     """What the steps' results depend on."""
     chosen = ", ".join(effects) or "none"
-    return {"version": package_version(), "data set": dataset.sha256, "effects": chosen, "seed": str(seed)}
+    return {
+        "version": package_version(),
+        "data set": dataset.sha256,
+        "effects": chosen,
+        "seed": str(seed),
+        "method": method,
+    }
 
 
 def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps) -> Run:
@@ -111,8 +121,7 @@ def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps
         tuple(seen.flights), lambda: step1.reconstruct(seen, None, steps.ranks, steps.device)
     )
     first = steps.do("structure", "structure", lambda: propose(seen, reconstruction, effects))
-    tried = [estimated(spec, seen, reconstruction, steps) for spec in (first, rival(first)) if spec is not None]
-    spec, model, regressions, estimate = min(tried, key=lambda t: t[3].criterion)
+    spec, model, regressions, estimate = _best_structure(first, seen, reconstruction, steps)
     with monitor.step("validate"):
         judged = judge(model, dataset, steps.ranks)
     fit = fit_record(model, spec, estimate, judged)
@@ -124,6 +133,18 @@ def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps
     with monitor.step("trace"):
         run = with_evidence(run, seen, effects, seed)
     return replace(run, record=msgspec.structs.replace(run.record, time_s=monitor.time_record()))
+
+
+def _best_structure(
+    spec: ModelSpec, seen: Dataset, reconstruction: Reconstruction, steps: Steps
+) -> tuple[ModelSpec, Model, Step2, Step3]:
+    """Steps 2 and 3 of a structure, or of its rival where the data prefer that; both by the method of the first."""
+    first, other = estimated(spec, seen, reconstruction, steps), rival(spec)
+    if other is None:
+        return first
+    found = estimated(other, seen, reconstruction, replace(steps, method=first[3].method))
+    best = min(first, found, key=lambda t: t[3].criterion)
+    return *best[:3], replace(best[3], why=first[3].why)
 
 
 def remarks_on(
@@ -144,8 +165,10 @@ def remarks_on(
     ]
 
 
-def refuse(dataset: Dataset, effects: Sequence[str], device: str) -> None:
-    """Refuse what identify cannot do: effects that are not there, a device, data that no step can make a model of."""
+def refuse(dataset: Dataset, effects: Sequence[str], device: str, method: str = "auto") -> None:
+    """Refuse what identify cannot do: effects, a device, a method that are not there, data that no step can use."""
+    if method not in METHODS:
+        raise InputError("--method", str(method), "there is no such method", ", ".join(METHODS))
     for name in effects:
         if name not in registered():
             raise InputError("--effect", name, "there is no such effect", f"one of {', '.join(sorted(registered()))}")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
+from rotorid_torch.core.names import VELOCITIES
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.model_estimation import Step3
 from rotorid_torch.identification.model_regression import Step2
@@ -78,7 +79,21 @@ class Run:
 def write_model(run: Run, folder: Path) -> None:
     """Reconstruction and model.pt of a run."""
     write_reconstruction(run.reconstruction, folder)
+    write_gusts(run.estimate, folder)
     save_model(run.model, run.spec, folder / "model.pt")
+
+
+def write_gusts(found: Step3, folder: Path) -> None:
+    """Smoothed gusts of every identify flight with standard errors, m/s, NAME.npz each; nothing where none were."""
+    if found.air is None:
+        return
+    (folder / "gusts").mkdir(exist_ok=True)
+    for name, velocity, error in zip(found.flights, found.air.velocities, found.air.errors, strict=True):
+        inside = error.any(dim=1)
+        columns = {f"gust_{n}": velocity[inside, k].numpy() for k, n in enumerate(VELOCITIES)}
+        columns |= {f"gust_{n}_se": error[inside, k].numpy() for k, n in enumerate(VELOCITIES)}
+        time = found.air.dt * np.arange(int(inside.sum()))
+        np.savez(folder / "gusts" / f"{name}.npz", time=time, **columns)  # pyright: ignore[reportArgumentType]
 
 
 def write_reconstruction(found: Reconstruction, folder: Path) -> None:

@@ -30,7 +30,10 @@ def test_keys_stand_in_the_order_of_the_contract(report: records.Report):
     top = json.loads(records.encode_report(report))
     expected = "format rotorid command dataset seed time_s peak_memory_mb before after verdict effects unknown warnings"
     assert list(top) == expected.split()
-    assert list(top["before"]) == ["parameters", "modes", "flights", "scores"]
+    assert list(top["before"]) == [
+        *("method", "method_reason", "gusts"),
+        *("parameters", "modes", "flights", "scores"),
+    ]
     assert list(top["before"]["parameters"][0]) == ["name", "value", "se", "unit", "bounds", "at_bound", "status"]
     assert list(top["before"]["flights"]["sweep"]) == ["list", "J", "J_noise", "J_trim", "windows", "channels"]
     assert list(top["time_s"]) == ["reconstruct", "ftr", "ml", "trace", "total"]

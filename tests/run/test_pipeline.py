@@ -60,7 +60,7 @@ def test_report_is_what_the_interface_says(run: tuple[Run, Path], data: Dataset)
     assert report["seed"] == 0
     assert report["time_s"]["total"] >= report["time_s"]["ml"] > 0
     fit = report["before"]
-    assert set(fit) == {"parameters", "modes", "flights", "scores"}
+    assert set(fit) == {"method", "method_reason", "gusts", "parameters", "modes", "flights", "scores"}
     assert set(fit["parameters"][0]) == {"name", "value", "se", "unit", "bounds", "at_bound", "status"}
     assert set(fit["flights"]) == set(data.flights)
     assert set(fit["flights"]["f_ped"]["channels"]) == {"p", "q", "r"}
@@ -231,6 +231,14 @@ def test_a_run_stands_in_nobody_s_way(data: Dataset, tmp_path: Path):
     with pytest.raises(InputError):
         identify(data, out=tmp_path / "run")
     assert (tmp_path / "run" / "thesis.tex").read_text() == "mine"
+
+
+def test_the_method_is_told_and_bad_ones_refused(run: tuple[Run, Path], data: Dataset):
+    assert run[0].fit.method == "output-error"
+    assert run[0].fit.method_reason.startswith("step 3 by output error: no velocities are measured")
+    for method, expected in (("guess", "auto, output-error, filter-error"), ("filter-error", "output-error")):
+        with pytest.raises(InputError, match=f"--method: {method}.*expected {expected}"):
+            identify(data, method=method)
 
 
 def test_an_own_effect_goes_all_the_way(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):

@@ -160,6 +160,7 @@ def fit(
     monitor: Monitor | None = None,
     ranks: Ranks = ALONE,
     states: Tensor | None = None,
+    ends: Callable[[Likelihood, Place], bool] | None = None,
 ) -> Fit:
     """Maximum-likelihood estimate of a system's free parameters from records, stage by stage.
 
@@ -173,6 +174,7 @@ def fit(
     ranks : among which the flights are spread; `records` are this rank's, the rest is the same at each.
     states : [F, T, nx] from which initial states start, NaN where nothing is known; those of the records by default,
         and where runs from these diverge.
+    ends : asked after the first stage, which then is the last where the answer is yes.
     """
     settings = settings or Settings()
     stages = _Stages(system, records, settings, monitor, ranks)
@@ -195,6 +197,8 @@ def fit(
             stages.account[-1] += ", not kept"
             rough = True  # as the stage before it was
             break
+        if best is None and ends is not None and ends(problem, found.point):
+            return Fit(problem, found, tuple(stages.account), settings.floor)
         best = problem, found
         theta, states = found.point.theta, problem.states_at(found.point, states)
         samples = stages.next(samples, problem, found.point)

@@ -39,7 +39,7 @@ NOISES, PARAMETERS = Options(max_iterations=4, absolute=0.2), Options(max_iterat
 
 
 @dataclass(frozen=True, eq=False)
-class _Noises:
+class Noises:
     """Engine of the noises, and of what else is told by innovations alone: psi without its first parameters."""
 
     filter: NativeFilter
@@ -183,7 +183,7 @@ def alternated(
     history, settled = [float(filter.cost(psi, x0).sum())], False
     masks = [torch.zeros_like(psi, dtype=torch.bool) for _ in range(2)]
     for k in range(rounds):
-        noises = InnovationLikelihood(_Noises(filter, psi[:held]), x0, free=False)
+        noises = InnovationLikelihood(Noises(filter, psi[:held]), x0, free=False)
         told = minimise(noises.evaluate, noises.linearise, psi[held:], lower[held:], upper[held:], options=NOISES)
         psi = torch.cat([psi[:held], told.point.theta])
         following = replace(following, gains=filter.gains(psi, x0))

@@ -34,6 +34,7 @@ from rotorid_torch.identification.estimate.likelihood import Place
 from rotorid_torch.identification.estimate.progressive_fit import Estimate
 from rotorid_torch.identification.estimate.residuals import Moments
 from rotorid_torch.identification.estimate.uncertainty import Uncertainty
+from rotorid_torch.identification.gusts import Air, GustAxis
 from rotorid_torch.identification.model_estimation import Step3
 from rotorid_torch.identification.model_regression import Step2
 from rotorid_torch.identification.reconstruct.force_noise import ForceNoise
@@ -49,7 +50,7 @@ KINDS = {
     for kind in (
         *(ForceNoise, ReconstructedFlight),
         *(Regression, Step2),
-        *(Moments, Place, Minimum, Uncertainty, Estimate, Step3),
+        *(Moments, Place, Minimum, Uncertainty, Estimate, GustAxis, Air, Step3),
     )
 }
 """Results that a file may hold, by the name that stands for them in it."""
@@ -176,6 +177,7 @@ class Steps:
     ranks: Ranks
     kept: Checkpoint
     device: str = "cpu"
+    method: str = "auto"
 
     def do(self, step: str, name: str, make: Callable[[], Result]) -> Result:
         """The result kept under `name`, or made now, timed as `step`, and kept."""

@@ -22,7 +22,7 @@ from rotorid_torch.report.records import LARGEST
 
 FILES = (
     *("report.json", "report.html", "model.pt", "check.json", "log.txt"),
-    *("reconstruct/*.npz", "figures/*.png", "tensorboard/*"),
+    *("reconstruct/*.npz", "gusts/*.npz", "figures/*.png", "tensorboard/*"),
 )
 """Files of a run: a folder that holds others is not replaced."""
 ALIKE = (("check",), ("reconstruct",), ("identify", "close-loop"))

@@ -1,0 +1,207 @@
+"""The air of flights by a model's values: intensity and length of gusts per axis, and their history.
+
+Process noise of an extended Kalman filter enters as air velocities (`model.gusts`); beside them the rates of body and
+flapping have a little white noise, for what the model lacks. The noises' sizes and the model's trims are those of the
+largest likelihood of the innovations, all derivatives held; a smoother then gives gusts at every sample by the whole
+flight. What all flights have in common is no gust: it belongs to the trims.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+from rotorid_torch.core.gauss_newton import Minimum, Options, minimise
+from rotorid_torch.core.names import VELOCITIES
+from rotorid_torch.core.processes.ranks import ALONE, Ranks
+from rotorid_torch.identification.estimate.initial_states import smallest_noise
+from rotorid_torch.identification.estimate.segments import Records
+from rotorid_torch.identification.estimate.system import System
+from rotorid_torch.identification.estimate.uncertainty import inverse_triangle
+from rotorid_torch.identification.filter_error.extended_kalman import CovarianceForm, FilterProblem
+from rotorid_torch.identification.filter_error.held_gain import Noises
+from rotorid_torch.identification.filter_error.innovations import FilterPlace, InnovationLikelihood, NativeFilter
+from rotorid_torch.identification.filter_error.smoother import smoothed
+from rotorid_torch.model.gusts import GUSTS, QUICK, QUICK_GUSTS, in_gusts, noisy_states, passing_speed
+from rotorid_torch.model.model import Model
+
+ENOUGH = Options(max_iterations=6, absolute=0.5)
+"""Of one search for the noises' sizes."""
+SEARCHES = 2
+"""The spread of gusts where a flight begins follows from the search before."""
+WIDER = (4.0, 16.0, 64.0, 256.0)
+"""Variances of outputs over the sensors' that are tried in turn until the filter follows the flights."""
+FIRST, QUICK_FIRST, WHITE_FIRST = 0.4, 0.1, 1e-4
+"""Spectral densities to start from: of gusts and their quick part, (m/s)2/s, of rates and flapping, per s."""
+
+
+@dataclass(frozen=True)
+class GustAxis:
+    """Gusts along one body axis: rms, m/s, and scale length, m, with standard errors that believe the model.
+
+    A length at the end of its range has an infinite one.
+    """
+
+    axis: str
+    intensity: float
+    intensity_se: float
+    length: float
+    length_se: float
+
+
+@dataclass(frozen=True)
+class Air:
+    """What was found of the air.
+
+    axes : one each of u v w. speed : with which eddies pass, m/s. dt : interval of the histories, s.
+    velocities, errors : [F, T, 3] smoothed gusts of the flights, m/s, and their standard errors; zero beyond a
+    flight's end.
+    """
+
+    axes: tuple[GustAxis, ...]
+    speed: float
+    dt: float
+    velocities: Tensor
+    errors: Tensor
+
+
+def find_gusts(model: Model, names: Sequence[str], flights: Records, floor: Tensor) -> Air:
+    """The air of flights, by a model that is believed but for its trims.
+
+    Parameters
+    ----------
+    names : of its parameters that are estimated. floor : [ny] sensor noise.
+
+    Raises
+    ------
+    Unsupported : the model cannot be compiled.
+    """
+    gusty = in_gusts(model)
+    held = [n for n in names if not n.endswith(".trim")]
+    trims = [n for n in names if n.endswith(".trim")]
+    system = System(gusty, [*held, *trims, *(f"gusts.rate_{n}" for n in VELOCITIES)])
+    floor = torch.maximum(floor, smallest_noise(flights)).square()
+    problem = _problem(gusty, system, flights, floor)
+    found, x0 = _noises(problem, len(held), floor)
+    psi = torch.cat([system.theta[: len(held)], found.point.theta])
+    problem = _with_spread(problem, psi)
+    run = NativeFilter.of(problem, psi, len(held)).filter(psi, x0)
+    states, covariances = smoothed(problem, psi, x0, run)
+    places = gusty.layout.places(GUSTS)
+    inside = problem.segments.inside.unsqueeze(-1)
+    gusts = torch.where(inside, states[..., places], 0.0)
+    gusts = torch.where(inside, gusts - gusts.sum(dim=(0, 1)) / inside.sum(), 0.0)
+    variances = covariances.diagonal(dim1=-2, dim2=-1)[..., places].clamp_min(0.0)
+    errors = torch.where(inside, variances.sqrt(), 0.0)
+    return Air(_axes(found, len(trims), passing_speed(model)), passing_speed(model), flights.dt, gusts, errors)
+
+
+def _problem(model: Model, system: System, flights: Records, floor: Tensor) -> FilterProblem:
+    """Flights with gusts among their states, which begin at what is known of them, as well as it is known."""
+    names, nothing = model.layout.names, (*GUSTS, *QUICK_GUSTS)
+    known = iter(flights.states.unbind(-1))
+    zero = torch.zeros_like(flights.states[..., 0])
+    states = torch.stack([zero if n in nothing else next(known) for n in names], dim=-1)
+    reference = [model.reference.get(s.channel or s.name, 0.0) for s in model.layout.states]
+    states = torch.where(states.isnan(), torch.tensor(reference, dtype=torch.float64), states)
+    noise = dict(zip(model.body.outputs, floor.sqrt().tolist(), strict=True))
+    moved = dict(zip(names, states.flatten(0, 1).std(dim=0).tolist(), strict=True))
+    spread = torch.tensor([noise.get(n, max(moved[n], 1e-3)) for n in names], dtype=torch.float64)
+    outputs = model.body.outputs
+    return FilterProblem(
+        system,
+        replace(flights, states=states),
+        CovarianceForm(names, ("",) * len(names), tuple(model.layout.places(noisy_states(model)))),
+        CovarianceForm(outputs, ("",) * len(outputs), tuple(range(len(outputs)))),
+        torch.diag(spread.square()),
+    )
+
+
+def _with_spread(problem: FilterProblem, psi: Tensor) -> FilterProblem:
+    """Gusts begin anywhere in their stationary distribution."""
+    P0, count = problem.P0.clone(), len(problem.system.theta)
+    density = psi[count : count + problem.process.count]
+    rates = torch.cat([psi[count - 3 : count], torch.full((3,), QUICK, dtype=torch.float64)])
+    names = problem.process.names
+    which = [problem.process.which.index(names.index(n)) for n in (*GUSTS, *QUICK_GUSTS)]
+    for name, variance in zip((*GUSTS, *QUICK_GUSTS), density[which] / (2.0 * rates), strict=True):
+        P0[names.index(name), names.index(name)] = variance
+    return replace(problem, P0=P0)
+
+
+def _noises(problem: FilterProblem, held: int, floor: Tensor) -> tuple[Minimum[FilterPlace], Tensor]:
+    """Trims, rates of gusts and sizes of noise [n] of the largest likelihood; initial states [F, nx]."""
+    system, x0 = problem.system, problem.records.states[:, 0]
+    wanted = [problem.process.names[i] for i in problem.process.which]
+    first = [FIRST if n in GUSTS else QUICK_FIRST if n in QUICK_GUSTS else WHITE_FIRST for n in wanted]
+    theta, density = system.theta, torch.tensor(first, dtype=torch.float64)
+    psi = torch.cat([theta, density, floor])
+    lower = torch.cat([system.lower, torch.full_like(density, 1e-12), floor])
+    upper = torch.cat([system.upper, torch.full((len(lower) - len(theta),), math.inf, dtype=torch.float64)])
+    engine = NativeFilter.of(problem, psi, held)
+    found: Minimum[FilterPlace] | None = None
+    for _ in range(SEARCHES):
+        engine = replace(engine, problem=_with_spread(problem, psi))
+        psi = _followed(engine, psi, floor, x0) if found is None else psi
+        likelihood = InnovationLikelihood(Noises(engine, psi[:held]), x0, free=False)
+        found = minimise(
+            likelihood.evaluate, likelihood.linearise, psi[held:], lower[held:], upper[held:], options=ENOUGH
+        )
+        psi = torch.cat([psi[:held], found.point.theta])
+    assert found is not None
+    return found, x0
+
+
+def _followed(engine: NativeFilter, psi: Tensor, floor: Tensor, x0: Tensor) -> Tensor:
+    """Psi with so much noise of the outputs that the filter follows the flights."""
+    louder = (torch.cat([psi[: len(psi) - len(floor)], wider * floor]) for wider in WIDER)
+    return next((tried for tried in louder if bool(engine.cost(tried, x0).isfinite().all())), psi)
+
+
+def _axes(found: Minimum[FilterPlace], trims: int, speed: float) -> tuple[GustAxis, ...]:
+    """Intensity sqrt(q/(2 rate)) and length V/rate of each axis, with errors."""
+    told = ~(found.at_bound | found.not_identifiable)
+    inverse = inverse_triangle(found.linear, told)
+    covariance = torch.zeros(len(told), len(told), dtype=torch.float64)
+    covariance[told[:, None] & told] = (inverse @ inverse.mT).flatten()
+    made = []
+    for k, name in enumerate(VELOCITIES):
+        place = [trims + k, trims + 3 + k]
+        rate, density = found.point.theta[place].tolist()
+        intensity, length = math.sqrt(density / (2.0 * rate)), speed / rate
+        slopes = torch.tensor([-0.5 / rate, 0.5 / density], dtype=torch.float64)
+        C = covariance[place][:, place]
+        share = float((slopes @ C @ slopes).clamp_min(0.0)) ** 0.5
+        length_se = length / rate * float(C[0, 0]) ** 0.5 if bool(told[trims + k]) else math.inf
+        made.append(GustAxis(name, intensity, intensity * share, length, length_se))
+    return tuple(made)
+
+
+def fed_in(flights: Records, air: Air, ranks: Ranks = ALONE) -> Records:
+    """Flights of this rank with their gusts as three more controls."""
+    before = sum(ranks.gather(len(flights.lengths))[: ranks.rank])
+    own = air.velocities[before : before + len(flights.lengths), : flights.samples]
+    return replace(flights, controls=torch.cat([flights.controls, own], dim=-1))
+
+
+def of_all(flights: Records, ranks: Ranks) -> Records:
+    """Flights of all ranks, rank after rank."""
+    parts = ranks.gather(flights)
+    longest = max(part.samples for part in parts)
+
+    def joined(records: list[Tensor], value: float) -> Tensor:
+        return torch.cat([pad(r, (0, 0, 0, longest - r.shape[1]), value=value) for r in records])
+
+    return Records(
+        flights.dt,
+        torch.cat([part.lengths for part in parts]),
+        torch.cat([part.start for part in parts]),
+        joined([part.controls for part in parts], 0.0),
+        joined([part.outputs for part in parts], math.nan),
+        joined([part.states for part in parts], math.nan),
+    )

@@ -1,0 +1,56 @@
+"""Which method step 3 takes: output error in calm air, filter error where its residuals show that the air moves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.names import VELOCITIES
+from rotorid_torch.identification.estimate.likelihood import Likelihood, Part, Place
+
+METHODS = ("auto", "output-error", "filter-error")
+NAMES = {"output-error": "output error", "filter-error": "the filter error method"}
+"""The methods in words."""
+GUSTY = 0.5
+"""Correlation of successive residuals of a velocity over the first stage's segments, above which the air moves.
+
+Velocities sum up what acts: gusts wander there, where sensors' noise is white. Clean aircraft in calm air show 0.25 at
+most, whatever their models lack; in turbulence of 0.25 m/s 0.67, of 0.5 m/s 0.84, of 1 m/s 0.91 and more.
+"""
+
+
+def velocities_colour(outputs: Sequence[str], problem: Likelihood, place: Place) -> float:
+    """Largest correlation of successive residuals of the velocities among the outputs."""
+    which = [outputs.index(n) for n in VELOCITIES if n in outputs]
+    if not which or problem.segments.samples < 2:
+        return 0.0
+
+    def pairs(part: Part) -> Tensor:
+        own = part.residual.detach().masked_fill(~part.valid, math.nan)[..., which]
+        both = torch.cat([own[:, 1:], own[:, :-1]], dim=-1)
+        missing = (own[:, 1:].isnan() | own[:, :-1].isnan()).repeat(1, 1, 2)
+        return both.masked_fill(missing, math.nan)
+
+    sums, n = problem.moments(place, pairs).products, len(which)
+    power = (sums.diagonal()[:n] * sums.diagonal()[n:]).sqrt().clamp_min(1e-300)
+    return float((sums[:n, n:].diagonal() / power).max())
+
+
+def sentence(asked: str, chosen: str, colour: float, why_not: str) -> str:
+    """How the method of step 3 was chosen.
+
+    Parameters
+    ----------
+    asked : one of `METHODS`. colour : as `velocities_colour`. why_not : why the filter error method cannot be taken.
+    """
+    by = f"step 3 by {NAMES[chosen]}"
+    if asked != "auto":
+        return f"{by}, as asked for"
+    if why_not:
+        return f"{by}: {why_not}"
+    told = f"successive residuals of the velocities by output error correlate by up to {colour:.2f}"
+    air = "the air moves" if chosen == "filter-error" else "the air is calm"
+    return f"{by}: {air}, for {told} ({GUSTY:g} or less in calm air)"

@@ -1,0 +1,101 @@
+"""A model in moving air: gusts as states that are followed, or as a history that is fed in."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.names import FLAPPING, FORCES, RATES, VELOCITIES
+from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.core.state import State
+from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
+from rotorid_torch.model.model import Model
+
+DRIFT = 5.0
+"""m/s: eddies pass a hovering vehicle with at least this speed."""
+LENGTHS = (20.0, 1000.0)
+"""m: gusts of a shorter scale pass within tenths of a second, and what the model lacks would be taken for them."""
+QUICK = 20.0
+"""1/s: rate of what the air does beside gusts of these lengths, and of what the model lacks there."""
+GUSTS = tuple(f"gust_{n}" for n in VELOCITIES)
+QUICK_GUSTS = tuple(f"quick_gust_{n}" for n in VELOCITIES)
+
+
+def passing_speed(model: Model) -> float:
+    """Speed with which eddies pass the vehicle at its reference, m/s."""
+    return max(math.hypot(*(model.reference.get(n, 0.0) for n in VELOCITIES)), DRIFT)
+
+
+def lacks(model: Model) -> str:
+    """Why gusts have nothing to act through in a model; empty where they have."""
+    if model.effect("rotors") is not None:
+        return "a multirotor's model follows rates and accelerations, in which gusts are a disturbance already"
+    forces = model.effect("forces")
+    has_forces = forces is not None and any(p.name == f"{r}.trim" for p in forces.declared for r in FORCES)
+    return (
+        ""
+        if model.layout.has(*VELOCITIES) and has_forces
+        else "no velocities are measured that gusts could act through"
+    )
+
+
+class Gusts(Effect):
+    """Gusts with Dryden's form, first order per axis: dg/dt = -(V/L) g + noise, subtracted from the velocities.
+
+    A second, quick part takes what is faster than any gust that matters: without it what the model lacks would be taken
+    for gusts of no length.
+
+    Source: MIL-F-8785C, sec. 3.7 (Dryden form).
+    """
+
+    id, stage, role = "gusts", Stage.ENVIRONMENT, Role.NOMINAL
+
+    def __init__(self, speed: float) -> None:
+        bounds = speed / LENGTHS[1], speed / LENGTHS[0]
+        super().__init__(
+            tuple(Parameter(f"rate_{n}", speed / 100.0, "1/s", bounds, doc="speed over length") for n in VELOCITIES),
+            tuple(State(n, "m/s") for n in (*GUSTS, *QUICK_GUSTS)),
+        )
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Velocities through the air; the rates of both parts."""
+        slow, quick = x[..., :3], x[..., 3:]
+        air = frame.stack(VELOCITIES) - slow - quick
+        rate = p.stack(*(f"rate_{n}" for n in VELOCITIES))
+        return frame.with_air(*air.unbind(-1)), torch.cat([-rate * slow, -QUICK * quick], dim=-1)
+
+
+class FedGusts(Effect):
+    """Gusts of a known history, which comes in behind the controls."""
+
+    id, stage, role = "gusts", Stage.ENVIRONMENT, Role.NOMINAL
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Velocities through the air."""
+        air = frame.stack(VELOCITIES) - frame.stack(GUSTS)
+        return frame.with_air(*air.unbind(-1)), x
+
+
+def in_gusts(model: Model) -> Model:
+    """The model with gusts as states, its parameters where they are."""
+    return _with(model, model.body.controls, Gusts(passing_speed(model)))
+
+
+def fed(model: Model) -> Model:
+    """The model with gusts as three more inputs behind its controls, its parameters where they are."""
+    return _with(model, (*model.body.controls, *GUSTS), FedGusts())
+
+
+def noisy_states(model: Model) -> tuple[str, ...]:
+    """States of a model in gusts whose rates have noise: of the air, and for what it lacks of rates and flapping."""
+    return *GUSTS, *QUICK_GUSTS, *RATES, *(n for n in FLAPPING if model.layout.has(n))
+
+
+def _with(model: Model, controls: tuple[str, ...], effect: Effect) -> Model:
+    reference = {**model.reference, **dict.fromkeys((*GUSTS, *QUICK_GUSTS), 0.0)}
+    made = Model(replace(model.body, controls=controls), [*model.chain, effect], reference)
+    made.start_from(model.named_values)
+    return made

@@ -1,0 +1,111 @@
+"""Step 3 where the air moves: the method is chosen by residuals, gusts and derivatives come back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.names import STICKS
+from rotorid_torch.data import Dataset
+from rotorid_torch.errors import InputError
+from rotorid_torch.identification.method_choice import GUSTY
+from rotorid_torch.identification.model_estimation import Step3, estimate_model
+from rotorid_torch.identification.model_regression import regress_model
+from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
+from rotorid_torch.identification.structure import propose
+from rotorid_torch.model.gusts import DRIFT, GUSTS, fed, in_gusts
+from rotorid_torch.model.model import Model
+from rotorid_torch.model.nominal import build
+from tests.known_models import DERIVATIVES, flown, linear_vehicle, manoeuvres, points, rate_vehicle
+
+DT = 0.04
+INTENSITY, LENGTH = 1.0, 60.0
+
+
+def gust(samples: int, rng: np.random.Generator) -> np.ndarray:
+    """Gusts [T, 3] of first order, stationary from the start."""
+    kept = np.exp(-DT * DRIFT / LENGTH)
+    g = np.zeros((samples, 3))
+    g[0] = INTENSITY * rng.standard_normal(3)
+    for k in range(1, samples):
+        g[k] = kept * g[k - 1] + INTENSITY * np.sqrt(1.0 - kept**2) * rng.standard_normal(3)
+    return g
+
+
+def turbulent(seed: int = 1) -> tuple[Dataset, Tensor]:
+    """Flights of a linear helicopter in turbulence, and its gusts [F, T, 3]."""
+    rng = np.random.default_rng(seed)
+    sticks = manoeuvres(20.0, DT) | {f"{n}_again": 0.7 * c for n, c in manoeuvres(20.0, DT).items()}
+    gusts = np.stack([gust(len(c), rng) for c in sticks.values()])
+    gusts -= gusts.mean(axis=(0, 1))  # what flights have in common is no gust
+    moved = {n: np.concatenate([c, g], axis=1) for (n, c), g in zip(sticks.items(), gusts, strict=True)}
+    sticks_declared = {c: {"unit": "rad", "noise": 1e-7} for c in STICKS}  # nothing says what the gusts' channels are
+    data = flown(fed(linear_vehicle()), moved, DT, noise=0.01, seed=seed, controls=sticks_declared)
+    return data, torch.tensor(gusts)
+
+
+def estimated(data: Dataset, method: str) -> tuple[Step3, Model]:
+    step1 = reconstruct(data)
+    model = build(propose(data, step1, ()))
+    return estimate_model(model, data, step1, regress_model(model, data, step1), method=method), model
+
+
+@pytest.fixture(scope="module")
+def case() -> tuple[Dataset, Tensor]:
+    return turbulent()
+
+
+@pytest.mark.slow
+def test_gusts_and_derivatives_come_back(case: tuple[Dataset, Tensor]):
+    data, gusts = case
+    found, model = estimated(data, "auto")
+    assert found.method == "filter-error"
+    assert found.air is not None
+    assert found.flights == data.identify
+    assert "the air moves" in found.why
+    for axis in found.air.axes:
+        assert abs(axis.intensity - INTENSITY) < 3.0 * axis.intensity_se
+        assert abs(np.log(axis.length / LENGTH)) < 3.0 * axis.length_se / axis.length
+    for k in range(3):
+        both = torch.stack([found.air.velocities[..., k].flatten(), gusts[..., k].flatten()])
+        assert float(torch.corrcoef(both)[0, 1]) > 0.8
+    by_output_error = estimated(data, "output-error")[1]
+    for name in ("L.p", "M.q", "L.v", "Z.w"):
+        off, other = (abs(m.named_values[f"forces.{name}"] / DERIVATIVES[name] - 1.0) for m in (model, by_output_error))
+        assert off < 0.15
+        assert off < max(other, 0.05)
+
+
+def test_calm_air_is_output_errors():
+    data = flown(linear_vehicle(), manoeuvres(8.0, DT), DT, noise=0.02, seed=2)
+    (auto, _), (asked, _) = estimated(data, "auto"), estimated(data, "output-error")
+    assert auto.method == asked.method == "output-error"
+    assert auto.air is None
+    assert torch.equal(auto.fit.theta, asked.fit.theta)
+    assert "the air is calm" in auto.why
+    assert f"{GUSTY:g}" in auto.why
+
+
+def test_rates_alone_have_nothing_that_gusts_act_through():
+    data = flown(rate_vehicle(), manoeuvres(8.0, DT), DT, noise=0.03, seed=3)
+    assert "no velocities" in estimated(data, "auto")[0].why
+    with pytest.raises(InputError, match="--method"):
+        estimated(data, "filter-error")
+
+
+def test_gusts_act_as_the_same_velocity_the_other_way():
+    model = linear_vehicle()
+    gusty, (x, u) = in_gusts(model), points(model, 5)
+    g = torch.randn(5, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    states = torch.cat([x, g], dim=-1)
+    air = x.clone()
+    air[:, :3] -= g[:, :3] + g[:, 3:]
+    through_air = model.outputs_at(model.theta, air, u)[:, 8:]  # specific forces: where the air alone matters
+    assert torch.allclose(gusty.outputs_at(gusty.theta, states, u)[:, 8:], through_air, atol=1e-12)
+    assert torch.allclose(gusty.outputs_at(gusty.theta, states, u)[:, :3], x[:, :3])
+    known = fed(model)
+    inputs = torch.cat([u, g[:, :3] + g[:, 3:]], dim=-1)
+    assert known.body.controls[-3:] == GUSTS
+    assert torch.allclose(known.rates(known.theta, x, inputs), gusty.rates(gusty.theta, states, u)[:, :8], atol=1e-12)
