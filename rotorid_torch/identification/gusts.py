@@ -16,16 +16,22 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from rotorid_torch.core.gauss_newton import Minimum, Options, minimise
+from rotorid_torch.core.gauss_newton import Linear, Minimum, Options, minimise
 from rotorid_torch.core.names import VELOCITIES
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.identification.estimate.initial_states import smallest_noise
+from rotorid_torch.identification.estimate.progressive_fit import Estimate
 from rotorid_torch.identification.estimate.segments import Records
 from rotorid_torch.identification.estimate.system import System
-from rotorid_torch.identification.estimate.uncertainty import inverse_triangle
+from rotorid_torch.identification.estimate.uncertainty import inverse_triangle, jackknife, larger_of
 from rotorid_torch.identification.filter_error.extended_kalman import CovarianceForm, FilterProblem
-from rotorid_torch.identification.filter_error.held_gain import Noises
-from rotorid_torch.identification.filter_error.innovations import FilterPlace, InnovationLikelihood, NativeFilter
+from rotorid_torch.identification.filter_error.held_gain import Following, Noises
+from rotorid_torch.identification.filter_error.innovations import (
+    FilterPlace,
+    InnovationLikelihood,
+    NativeFilter,
+    linear_model,
+)
 from rotorid_torch.identification.filter_error.smoother import smoothed
 from rotorid_torch.model.gusts import GUSTS, QUICK, QUICK_GUSTS, in_gusts, noisy_states, passing_speed
 from rotorid_torch.model.model import Model
@@ -61,6 +67,7 @@ class Air:
     axes : one each of u v w. speed : with which eddies pass, m/s. dt : interval of the histories, s.
     velocities, errors : [F, T, 3] smoothed gusts of the flights, m/s, and their standard errors; zero beyond a
     flight's end.
+    variances : [P] of the parameters when gusts are as uncertain as the filter leaves them, NaN for those not told.
     """
 
     axes: tuple[GustAxis, ...]
@@ -68,6 +75,7 @@ class Air:
     dt: float
     velocities: Tensor
     errors: Tensor
+    variances: Tensor
 
 
 def find_gusts(model: Model, names: Sequence[str], flights: Records, floor: Tensor) -> Air:
@@ -90,15 +98,51 @@ def find_gusts(model: Model, names: Sequence[str], flights: Records, floor: Tens
     found, x0 = _noises(problem, len(held), floor)
     psi = torch.cat([system.theta[: len(held)], found.point.theta])
     problem = _with_spread(problem, psi)
-    run = NativeFilter.of(problem, psi, len(held)).filter(psi, x0)
-    states, covariances = smoothed(problem, psi, x0, run)
+    engine = NativeFilter.of(problem, psi, len(held))
+    states, covariances = smoothed(problem, psi, x0, engine.filter(psi, x0))
     places = gusty.layout.places(GUSTS)
     inside = problem.segments.inside.unsqueeze(-1)
     gusts = torch.where(inside, states[..., places], 0.0)
     gusts = torch.where(inside, gusts - gusts.sum(dim=(0, 1)) / inside.sum(), 0.0)
     variances = covariances.diagonal(dim1=-2, dim2=-1)[..., places].clamp_min(0.0)
     errors = torch.where(inside, variances.sqrt(), 0.0)
-    return Air(_axes(found, len(trims), passing_speed(model)), passing_speed(model), flights.dt, gusts, errors)
+    axes = _axes(found, len(trims), passing_speed(model))
+    own = dict(zip([*held, *trims], _variances(engine, psi, x0, model, [*held, *trims]).tolist(), strict=True))
+    told = torch.tensor([own[n] for n in names], dtype=torch.float64)
+    return Air(axes, passing_speed(model), flights.dt, gusts, errors, told)
+
+
+def _variances(engine: NativeFilter, psi: Tensor, x0: Tensor, model: Model, names: Sequence[str]) -> Tensor:
+    """Of the parameters, first in psi, by the innovations with gains held, and by the jackknife over flights."""
+    count, nx = len(engine.problem.system.theta), x0.shape[-1]
+    following = Following.of(engine, psi[:count], x0, engine.gains(psi, x0))
+    each = following.normal_equations(psi[:count], x0)[:, nx:, nx:]
+    own = torch.tensor([*range(len(names)), count])
+    each = each[:, own][:, :, own]
+    known, places = model.parameter_set, [model.parameter_set.index(n) for n in names]
+    sd, there = known.prior_sd[places], torch.isfinite(known.prior_sd[places])
+    prior = torch.diag(1.0 / sd)[there], ((known.values[places] - psi[: len(names)]) / sd)[there]
+    A, _ = linear_model(each.sum(dim=0))
+    A = torch.cat([A, prior[0]])
+    told = torch.linalg.vector_norm(A, dim=0) > 0.0
+    inverse = inverse_triangle(Linear(A, A[:, 0]), told)
+    plain = torch.zeros(len(names), len(names), dtype=torch.float64)
+    plain[told[:, None] & told] = (inverse @ inverse.mT).flatten()
+    jackknifed = jackknife([linear_model(one) for one in each], prior, told)
+    return torch.where(told, larger_of(plain, plain, jackknifed, len(each)).standard_errors.square(), math.nan)
+
+
+def widened(found: Estimate, variances: Tensor) -> Estimate:
+    """The estimate with standard errors no smaller than the roots of variances [P]; correlations stay."""
+    known = found.uncertainty
+    least = variances.sqrt().nan_to_num(0.0)
+    stretch = torch.where(known.standard_errors > 0.0, least / known.standard_errors.clamp_min(1e-300), 1.0).clamp_min(
+        1.0
+    )
+    covariance = known.covariance * stretch * stretch[:, None]
+    return replace(
+        found, uncertainty=replace(known, covariance=covariance, standard_errors=known.standard_errors * stretch)
+    )
 
 
 def _problem(model: Model, system: System, flights: Records, floor: Tensor) -> FilterProblem:

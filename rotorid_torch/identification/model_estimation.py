@@ -26,7 +26,7 @@ from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
 from rotorid_torch.identification.estimate.progressive_fit import Estimate, Settings, fit
 from rotorid_torch.identification.estimate.segments import Records, records_from
 from rotorid_torch.identification.estimate.system import System
-from rotorid_torch.identification.gusts import Air, fed_in, find_gusts, of_all
+from rotorid_torch.identification.gusts import Air, fed_in, find_gusts, of_all, widened
 from rotorid_torch.identification.method_choice import GUSTY, sentence, velocities_colour
 from rotorid_torch.identification.model_regression import Step2, measured
 from rotorid_torch.identification.reconstruct.reconstruction import ReconstructedFlight, Reconstruction
@@ -124,6 +124,8 @@ def estimate_model(
         try:
             air = ranks.from_first(find_gusts(model, names, of_all(flights, ranks), sensor_noise(model, dataset)))
             found, _ = search.estimate(fed(model), fed_in(flights, air, ranks))
+            assert found is not None
+            found = widened(found, torch.maximum(air.variances.nan_to_num(0.0), _regressed(start, names)))
         except Unsupported as error:
             if method == "filter-error":
                 raise InputError("--method", method, f"the model cannot be compiled: {error}", "output-error") from None
@@ -178,6 +180,16 @@ class _Search:
         place[list(acting)] = place.new_tensor(list(acting.values()))
         other = fit(system, flights, place, settings, self.monitor, self.ranks).estimate()
         return other if other.minimum.point.cost < found.minimum.point.cost - TOLD else found
+
+
+def _regressed(start: Step2, names: Sequence[str]) -> Tensor:
+    """Variances [P] by step 2's regressions, which say how strongly gusts act; zero for what none of them tells."""
+    found = {
+        f"{row}.{name}": float(se) ** 2
+        for row, regression in start.regressions.items()
+        for name, se in zip(regression.names, regression.standard_errors, strict=True)
+    }
+    return torch.tensor([found.get(n.partition(".")[2], 0.0) for n in names], dtype=torch.float64).nan_to_num(0.0)
 
 
 def initial_spread(model: Model, dataset: Dataset) -> Tensor:

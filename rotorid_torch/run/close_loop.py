@@ -37,6 +37,7 @@ from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
 from rotorid_torch.run.output.write import write_report
 from rotorid_torch.run.pipeline import identified, refuse, remarks_on
 from rotorid_torch.run.result import Run, write_model
+from rotorid_torch.run.turbulence import in_turbulence, without_clean_bill
 from rotorid_torch.trace.clean_aircraft import clean_draws
 from rotorid_torch.trace.clocks import sensor_findings
 from rotorid_torch.trace.decide import Row, decide
@@ -135,7 +136,10 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
     flights = Flights(right, base.reconstruction)
     with monitor.step("trace"):
         tracing = (_rotors_traced if base.spec.motors else _traced)(base, flights, seed, steps)
-        shaken = stochastic_findings(right, base.spec, gust_response(base.model))
+        shaken = [
+            in_turbulence(f, base.estimate.air, base.estimate.why) if f.id == TURBULENCE else f
+            for f in stochastic_findings(right, base.spec, gust_response(base.model))
+        ]
     tracing = _in_gusts(tracing, shaken)
     again = partial(_again, dataset=dataset, steps=steps)
     wrong = partial(again, first, seen=at_one_rate(dataset), sensors={})
@@ -339,7 +343,7 @@ def _loop(before: Run, after: Run | None, findings: Sequence[Finding], monitor: 
     missing, poor = tracing.unknown, failing(run.fit)
     if missing is not None and not missing.judged and (not poor or short_horizon(run.fit)):
         missing = None  # any model of other people's aircraft lacks something
-    told = statement([as_fitted(f, run) for f in findings], missing, poor)
+    told = without_clean_bill(statement([as_fitted(f, run) for f in findings], missing, poor), poor)
     record = Report(
         command="close-loop",
         dataset=run.record.dataset,

@@ -60,7 +60,7 @@ class Noises:
 
 
 @dataclass(frozen=True, eq=False)
-class _Following:
+class Following:
     """Engine of the parameters: a model that follows with known gains; psi is theta."""
 
     filter: NativeFilter
@@ -69,7 +69,7 @@ class _Following:
     made: dict[tuple[int, ...], Observer] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, filter: NativeFilter, theta: Tensor, x0: Tensor, gains: Gains) -> _Following:
+    def of(cls, filter: NativeFilter, theta: Tensor, x0: Tensor, gains: Gains) -> Following:
         """Trace the system."""
         system, u = filter.problem.system, filter.problem.records.controls[0, 0]
         nu, given = len(u), torch.cat([u, u.new_zeros(1)])
@@ -136,7 +136,7 @@ class HeldEngine:
     def rows(self, psi: Tensor, x0: Tensor) -> Tensor:
         """See `FilterEngine`."""
         count, held = len(self.problem.system.theta), self.filtering.compiled.held
-        following = _Following.of(self.filtering, psi[:count], x0, self.filtering.gains(psi, x0))
+        following = Following.of(self.filtering, psi[:count], x0, self.filtering.gains(psi, x0))
         first, by_noise = following.rows(psi[:count], x0), self.filtering.rows(psi, x0)
         wide = torch.nn.functional.pad(by_noise, (x0.shape[-1] + held, 0))
         wide[:, :, : first.shape[2], : x0.shape[-1] + held] = first[..., : x0.shape[-1] + held]
@@ -179,7 +179,7 @@ def alternated(
     free : whether initial states are to be estimated. monitor : called after each round with round, cost, theta.
     """
     count, held = len(filter.problem.system.theta), filter.compiled.held
-    following = _Following.of(filter, psi[:count], x0, filter.gains(psi, x0))
+    following = Following.of(filter, psi[:count], x0, filter.gains(psi, x0))
     history, settled = [float(filter.cost(psi, x0).sum())], False
     masks = [torch.zeros_like(psi, dtype=torch.bool) for _ in range(2)]
     for k in range(rounds):

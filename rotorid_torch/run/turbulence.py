@@ -1,0 +1,54 @@
+"""What step 3 found of moving air, as the loop tells it; and the verdict where no model came of the flights."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from rotorid_torch.identification.gusts import Air
+from rotorid_torch.report.summary import WORSE_THAN_TRIM
+from rotorid_torch.trace.finding import Finding
+from rotorid_torch.trace.stochastic import TURBULENCE
+from rotorid_torch.trace.verdict import Statement
+
+
+def in_turbulence(finding: Finding, air: Air | None, why: str) -> Finding:
+    """The finding on turbulence with the size that the filter error method gives it, if that was the method.
+
+    Intensity is the rms over the three axes, length the mean of the logarithms, each axis by its relative error.
+
+    why : how the method was chosen.
+    """
+    if air is None:
+        return finding
+    intensity, length = _size(air)
+    size = {f"{TURBULENCE}.intensity": intensity}
+    if length is not None:
+        size[f"{TURBULENCE}.length"] = length
+    said = f"{why}; gusts are in the model's rates as the filter found them"
+    return replace(finding, verdict="accepted", reason=said, values=size)
+
+
+def _size(air: Air) -> tuple[tuple[float, float], tuple[float, float] | None]:
+    """Intensity and length with standard errors; no length where each axis has it at the end of its range."""
+    count = len(air.axes)
+    intensity = (sum(a.intensity**2 for a in air.axes) / count) ** 0.5
+    slopes = [a.intensity / (count * max(intensity, 1e-12)) * a.intensity_se for a in air.axes]
+    told = [(a.length, a.length_se / a.length) for a in air.axes if a.length_se < a.length]
+    both = intensity, sum(s * s for s in slopes) ** 0.5
+    if not told:
+        return both, None
+    weights = [1.0 / max(relative, 1e-3) ** 2 for _, relative in told]
+    length = 1.0
+    for (one, _), weight in zip(told, weights, strict=True):
+        length *= one ** (weight / sum(weights))
+    return both, (length, length / sum(weights) ** 0.5)
+
+
+def without_clean_bill(told: Statement, failing: str) -> Statement:
+    """The statement; where no effect is named and the model is worse than holding trim, that there is no model.
+
+    failing : as `report.summary.failing` says it.
+    """
+    if told.kind != "nothing undeclared" or WORSE_THAN_TRIM not in failing:
+        return told
+    return replace(told, kind="unknown", sentence=f"No model could be identified from these flights: {failing}.")

@@ -1,0 +1,53 @@
+"""Moving air in the loop's findings, and no clean bill where there is no model."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from rotorid_torch.identification.gusts import Air, GustAxis
+from rotorid_torch.report.summary import WORSE_THAN_TRIM
+from rotorid_torch.run.turbulence import in_turbulence, without_clean_bill
+from rotorid_torch.trace.finding import Finding
+from rotorid_torch.trace.verdict import statement
+
+QUIET = Finding("environment.turbulence", "undeclared", "below floor", "before the pilot acts all flights are alike")
+
+
+WHY = "step 3 by the filter error method: the air moves"
+
+
+def air(*axes: GustAxis) -> Air:
+    nothing = torch.zeros(1, 2, 3, dtype=torch.float64)
+    return Air(axes, 5.0, 0.02, nothing, nothing, torch.zeros(0))
+
+
+def test_turbulence_is_named_with_intensity_and_length():
+    axes = [GustAxis(n, 1.2, 0.12, 80.0, 20.0) for n in ("u", "v", "w")]
+    found = in_turbulence(QUIET, air(*axes), WHY)
+    assert found.verdict == "accepted"
+    intensity, length = (found.values[f"environment.turbulence.{n}"] for n in ("intensity", "length"))
+    assert intensity == pytest.approx((1.2, 0.12 / math.sqrt(3.0)))
+    assert length == pytest.approx((80.0, 20.0 / math.sqrt(3.0)))
+    assert statement([found], None).sentence.startswith(
+        "Undeclared: environment.turbulence (intensity 1.2 ± 0.07, length 80 ± 1e+01)"
+    )
+
+
+def test_a_length_that_is_not_told_is_not_said():
+    found = in_turbulence(QUIET, air(GustAxis("u", 1.0, 0.1, 20.0, math.inf)), WHY)
+    assert set(found.values) == {"environment.turbulence.intensity"}
+
+
+def test_calm_air_leaves_the_finding():
+    assert in_turbulence(QUIET, None, "") is QUIET
+
+
+def test_no_clean_bill_beside_a_model_worse_than_trim():
+    poor = f"on the validate flights the model is {WORSE_THAN_TRIM}"
+    told = without_clean_bill(statement([QUIET], None, poor), poor)
+    assert told.kind == "unknown"
+    assert told.sentence == f"No model could be identified from these flights: {poor}."
+    assert without_clean_bill(statement([QUIET], None), "").kind == "nothing undeclared"
