@@ -1,4 +1,24 @@
-"""rotorid: identification of rotorcraft models from flight data."""
+"""rotorid: identification of rotorcraft models from flight data.
+
+    data = rotorid.load("DATASET")                        a data set; Dataset.from_arrays makes one of arrays
+    rotorid.import_log(["flight.ulg"], "DATASET")         a data set of logs
+    rotorid.check(data)                                   can a model be identified from these flights, and of what
+    run = rotorid.identify(data)                          a model, with errors and scores; print(run), run["M.q"]
+    loop = rotorid.close_loop(data)                       what the model lacks by name; loop.verdict, loop.effects
+    rotorid.open_run("RUN")                               a run that was written, with its model
+    rotorid.simulate(run, data["doublet"], seconds=8.0)   a free run of the model on a flight
+    rotorid.fly("DATASET", seed=1)                        flights of the built-in aircraft
+
+The steps alone, on anybody's model:
+
+    rotorid.regress(response, regressors, dt, band=(0.1, 2.0))
+    rotorid.unscented_filter(f, h, x0, P0, Q, R, controls, outputs, dt)
+    rotorid.output_error(model, flights, free=["Mq"])
+    rotorid.filter_error(model, flights, free=["Mq"], process_noise="diagonal")
+
+Physics of one's own is a subclass of `Effect` with its `Parameter`s and `State`s; `rotorid.register` adds it to the
+library, `rotorid.effects` holds what is there.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +26,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from rotorid_torch import effects as effects
+    from rotorid_torch.core.parameters import Parameter as Parameter
+    from rotorid_torch.core.state import State as State
     from rotorid_torch.data.dataset import Dataset as Dataset
     from rotorid_torch.data.dataset import load as load
     from rotorid_torch.data.flight import Flight as Flight
     from rotorid_torch.effects.base import Effect as Effect
+    from rotorid_torch.effects.base import Frame as Frame
+    from rotorid_torch.effects.base import Role as Role
+    from rotorid_torch.effects.base import Stage as Stage
     from rotorid_torch.effects.registry import register as register
     from rotorid_torch.errors import InputError as InputError
     from rotorid_torch.identification.estimate.output_error import output_error as output_error
@@ -24,12 +50,23 @@ if TYPE_CHECKING:
     from rotorid_torch.run.close_loop import close_loop as close_loop
     from rotorid_torch.run.pipeline import identify as identify
     from rotorid_torch.run.result import Run as Run
+    from rotorid_torch.run.saved_model import open_run as open_run
+    from rotorid_torch.run.saved_model import simulate as simulate
+    from rotorid_torch.simulation.flight_test import fly as fly
+
+    __version__: str
+    import_log = import_logs
 
 _PUBLIC = {
     "Dataset": "data.dataset",
     "load": "data.dataset",
     "Flight": "data.flight",
     "Effect": "effects.base",
+    "Frame": "effects.base",
+    "Parameter": "core.parameters",
+    "Role": "effects.base",
+    "Stage": "effects.base",
+    "State": "core.state",
     "register": "effects.registry",
     "InputError": "errors",
     "regress": "identification.regress.ftr",
@@ -37,19 +74,42 @@ _PUBLIC = {
     "filter_error": "identification.filter_error.method",
     "reconstruct": "identification.reconstruct.reconstruction",
     "unscented_filter": "identification.reconstruct.unscented_filter",
+    "import_log": "importing.logs:import_logs",
     "import_logs": "importing.logs",
     "Model": "model.model",
     "check": "run.check",
     "Loop": "run.close_loop",
     "close_loop": "run.close_loop",
-    "Run": "run.pipeline",
+    "Run": "run.result",
     "identify": "run.pipeline",
+    "open_run": "run.saved_model",
+    "simulate": "run.saved_model",
+    "fly": "simulation.flight_test",
 }
-__all__ = [*_PUBLIC]
+"""Public names and their modules."""
+__all__ = [*_PUBLIC, "effects"]
 
 
 def __getattr__(name: str) -> Any:
     # loaded when first used: `rotorid --help` needs no torch
+    if name == "__version__":
+        from rotorid_torch.report.records import package_version
+
+        return package_version()
+    if name == "effects":
+        return import_module("rotorid_torch.effects")
     if name not in _PUBLIC:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"rotorid_torch.{_PUBLIC[name]}"), name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{_near(name)}")
+    module, _, attribute = _PUBLIC[name].partition(":")
+    return getattr(import_module(f"rotorid_torch.{module}"), attribute or name)
+
+
+def _near(name: str) -> str:
+    from difflib import get_close_matches
+
+    near = get_close_matches(name, __all__, n=1)
+    return f"; did you mean {near[0]!r}?" if near else ""
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, "__version__"])

@@ -333,7 +333,7 @@ def simulate(options: Options) -> None:
     how = {"start": options.start, "seconds": options.seconds, "overwrite": options.overwrite}
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        saved_model.simulate(options.model, load(options.dataset), options.flight, options.out, **how)
+        saved_model.write_free_run(options.model, load(options.dataset), options.flight, options.out, **how)
     told = [str(warning.message) for warning in caught if warning.category is UserWarning]
     lines = [f"free run: {options.out}", *(f"warning: {sentence}" for sentence in told)]
     _answer(options, {"file": str(options.out), "warnings": told}, "\n".join(lines))

@@ -1,10 +1,13 @@
-"""Parameters: declared with name, unit and bounds; one flat vector, with names, bounds and priors as data beside it."""
+"""Parameters: declared with name, unit and bounds; one flat vector with data beside it; as a table of a result."""
 
 from __future__ import annotations
 
+import html
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -123,21 +126,70 @@ class ParameterSet:
         """Theta [..., P] moved onto its bounds where it lies outside."""
         return torch.minimum(torch.maximum(theta, self.lower), self.upper)
 
-    def table(self, theta: Tensor, errors: Tensor | None = None) -> str:
-        """Name, value, standard error (where given), unit, bounds and status as text, one parameter a line."""
-        rows = [("name", "value", "se", "unit", "bounds", "status")]
-        for i, p in enumerate(self.parameters):
-            error = "" if errors is None or not math.isfinite(float(errors[i])) else f"{float(errors[i]):.2g}"
-            bounds = f"{p.bounds[0]:.4g} .. {p.bounds[1]:.4g}"
-            status = "frozen" if not p.free else "nuisance" if p.nuisance else "free"
-            rows.append((p.name, f"{float(theta.detach()[i]):.5g}", error, p.unit, bounds, status))
-        return _aligned(rows)
-
     @staticmethod
     def _column(numbers: Sequence[float]) -> Tensor:
         return torch.tensor(numbers, dtype=torch.float64)
 
 
-def _aligned(rows: Sequence[Sequence[str]]) -> str:
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return "\n".join("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows)
+SHOWN = 12
+"""Parameters that a result shows of itself; `table` has all."""
+COLUMNS = ("name", "value", "se", "unit", "bounds", "status")
+
+
+class ParameterTable:
+    """A result with parameters: `result["Mq"]`, `result.table()`, `result.to_dict()`."""
+
+    @property
+    def title(self) -> str:
+        """One line that says what the result is."""
+        return type(self).__name__
+
+    @property
+    def _estimates(self) -> Sequence[Any]:
+        """Each with name, value, se, unit, bounds and status; None where there is no number."""
+        return self.parameters  # pyright: ignore[reportAttributeAccessIssue]
+
+    def __getitem__(self, name: str) -> Any:
+        """The parameter of a name, or of the last parts of one: "M.q" is "forces.M.q" where no other name ends so.
+
+        Raises
+        ------
+        KeyError : there is none, or several; with the nearest names.
+        """
+        names = [p.name for p in self._estimates]
+        ends = [n for n in names if n == name] or [n for n in names if n.endswith(f".{name}")]
+        if len(ends) == 1:
+            return self._estimates[names.index(ends[0])]
+        near = ends or get_close_matches(name, names, n=3, cutoff=0.4)
+        raise KeyError(f"no parameter '{name}'" + (f"; did you mean {', '.join(near[:5])}?" if near else ""))
+
+    def table(self) -> str:
+        """The parameters as text, one a line."""
+        rows = [COLUMNS, *map(_row, self._estimates)]
+        widths = [max(len(row[i]) for row in rows) for i in range(len(COLUMNS))]
+        return "\n".join("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows)
+
+    def to_dict(self) -> dict[str, dict[str, Any]]:
+        """Value, standard error, unit, bounds and status of each parameter by its name."""
+        return {p.name: {field: getattr(p, field) for field in COLUMNS[1:]} for p in self._estimates}
+
+    def __repr__(self) -> str:
+        some = "\n".join(self.table().splitlines()[: SHOWN + 1])
+        more = len(self._estimates) - SHOWN
+        return f"{self.title}\n{some}" + (f"\n... and {more} more: .table()" if more > 0 else "")
+
+    def _repr_html_(self) -> str:
+        """The same for a notebook."""
+        head = "".join(f'<th scope="col">{c}</th>' for c in COLUMNS)
+        rows = ("".join(f"<td>{html.escape(c)}</td>" for c in _row(p)) for p in self._estimates)
+        body = "".join(f"<tr>{row}</tr>" for row in rows)
+        return f"<p>{html.escape(self.title)}</p><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _row(p: Any) -> tuple[str, ...]:
+    low, high = (_number(b, ".4g") for b in p.bounds)
+    return p.name, _number(p.value, ".5g"), _number(p.se, ".2g"), p.unit, f"{low} .. {high}", p.status
+
+
+def _number(value: float | None, how: str) -> str:
+    return "" if value is None or math.isnan(value) else format(value, how)

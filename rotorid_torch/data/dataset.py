@@ -35,11 +35,13 @@ from rotorid_torch.printable import printable
 
 NOISE_FLOOR = 1e-3
 """Least noise of a channel that declares none, as a share of its rms deviation: a filtered channel is not exact."""
+SHOWN = 30
+"""Flights that a data set shows of itself by name, at most."""
 ENOUGH = 100
 """Identify flights that a noise or a spectrum is estimated from, at most; more make it no more certain."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Dataset:
     """Flights of one vehicle about one reference point. Made by `load` or `Dataset.from_arrays`, both validating.
 
@@ -123,6 +125,28 @@ class Dataset:
             warnings += remarks
         places: dict[str, str | Path] = {flight: f"arrays: flight {flight}" for flight in flown}
         return _assemble(declaration, flown, facts, None, "arrays", places, digest.hexdigest(), warnings)
+
+    def __repr__(self) -> str:
+        lists = ", ".join(f"{len(getattr(self, which))} {which}" for which in ("identify", "validate", "acid"))
+        names = ", ".join(self.flights) if len(self.flights) <= SHOWN else f"{len(self.flights)} flights"
+        return f"Dataset {self.name}, {self.kind}: controls {', '.join(self.controls)}; {lists}: {names}"
+
+    def __getitem__(self, flight: str) -> Flight:
+        """A flight by its name.
+
+        Raises
+        ------
+        KeyError : there is none; with those there are.
+        """
+        if flight not in self.flights:
+            raise KeyError(f"{self.name} has no flight '{flight}', but {', '.join(self.flights)}")
+        return self.flights[flight]
+
+    def __len__(self) -> int:
+        return len(self.flights)
+
+    def __iter__(self) -> Iterator[Flight]:
+        return (self.flights[name] for name in self.flights)
 
     def noise(self, channel: str) -> float:
         """Standard deviation of a sample of a channel or control: declared, else from the identify flights.

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Flight:
     """Channels of one flight, each (T,) float64, SI units and radians; NaN is a missing sample; "time" starts at 0."""
 
@@ -27,6 +27,25 @@ class Flight:
     def samples(self) -> int:
         """Number of samples T."""
         return self.time.shape[0]
+
+    def __repr__(self) -> str:
+        seconds = self.dt * (self.samples - 1)
+        return f"Flight {self.name}: {seconds:.4g} s at {1.0 / self.dt:.4g} Hz; {', '.join(self.channels)}"
+
+    def __getitem__(self, channel: str) -> Tensor:
+        """A channel (T,).
+
+        Raises
+        ------
+        KeyError : there is none; with those there are.
+        """
+        if channel not in self.channels:
+            raise KeyError(f"flight {self.name} has no channel '{channel}', but {', '.join(self.channels)}")
+        return self.channels[channel]
+
+    def to_numpy(self) -> dict[str, np.ndarray]:
+        """All channels by name, each (T,)."""
+        return {name: values.numpy() for name, values in self.channels.items()}
 
     def has(self, *names: str) -> bool:
         """Whether every one of these channels is there and not all NaN."""

@@ -24,7 +24,7 @@ from rotorid_torch.model.model import Model
 from rotorid_torch.model.modes import gust_response
 from rotorid_torch.model.nominal import build
 from rotorid_torch.report.figures import Overlay
-from rotorid_torch.report.records import EffectRecord, FitRecord, ParameterRecord, Report, VerdictRecord
+from rotorid_torch.report.records import FitRecord, ParameterRecord, Report, VerdictRecord
 from rotorid_torch.report.short_horizon import short_horizon
 from rotorid_torch.report.summary import failing
 from rotorid_torch.run.estimate import estimated
@@ -52,7 +52,7 @@ from rotorid_torch.trace.verdict import statement
 from rotorid_torch.trace.words import reason
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Loop(Run):
     """A run whose loop was closed: model and fit are those after, or where nothing was added, those before."""
 
@@ -63,26 +63,6 @@ class Loop(Run):
         """Write everything but log and TensorBoard records into an open run folder."""
         write_model(self, folder)
         write_report(folder, self.record, self.overlays, monitor, self.earlier)
-
-    @property
-    def before(self) -> FitRecord | None:
-        """The best model without what was traced."""
-        return self.record.before
-
-    @property
-    def after(self) -> FitRecord | None:
-        """With what was traced; None where nothing was."""
-        return self.record.after
-
-    @property
-    def verdict(self) -> VerdictRecord | None:
-        """The one statement about undeclared effects."""
-        return self.record.verdict
-
-    @property
-    def effects(self) -> tuple[EffectRecord, ...]:
-        """What was found about every effect."""
-        return self.record.effects
 
 
 def close_loop(

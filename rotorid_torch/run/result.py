@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 
 from rotorid_torch.core.names import VELOCITIES
+from rotorid_torch.core.parameters import ParameterTable
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.model_estimation import Step3
 from rotorid_torch.identification.model_regression import Step2
@@ -17,7 +17,7 @@ from rotorid_torch.identification.reconstruct.reconstruction import Reconstructi
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.save import save as save_model
 from rotorid_torch.report.figures import draw
-from rotorid_torch.report.records import FitRecord, ParameterRecord, Report
+from rotorid_torch.report.records import EffectRecord, FitRecord, ParameterRecord, Report, VerdictRecord
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor
 from rotorid_torch.run.output.write import write_report
@@ -28,8 +28,54 @@ if TYPE_CHECKING:
     from rotorid_torch.report.figures import Overlay
 
 
-@dataclass(frozen=True, eq=False)
-class Run:
+class Result(ParameterTable):
+    """What a run says, whether it was made just now or read from its folder."""
+
+    model: Model
+    fit: FitRecord
+    record: Report
+
+    @property
+    def title(self) -> str:
+        """The command, the data set and how well the model describes it."""
+        scores = ", ".join(f"{n} {J:.3g}" for n, J in self.scores.items() if J is not None)
+        verdict = "" if self.record.verdict is None else f". {self.record.verdict.sentence}"
+        return f"{self.record.command} {self.record.dataset.name}: J {scores}{verdict}"
+
+    @property
+    def scores(self) -> dict[str, float | None]:
+        """J over the lists of flights: identify, validate, acid."""
+        totals = self.fit.scores
+        return {"identify": totals.identify, "validate": totals.validate, "acid": totals.acid}
+
+    @property
+    def parameters(self) -> tuple[ParameterRecord, ...]:
+        """Every parameter with its standard error, unit, bounds and status."""
+        return self.fit.parameters
+
+    @property
+    def before(self) -> FitRecord | None:
+        """The nominal model's parameters, modes and scores."""
+        return self.record.before
+
+    @property
+    def after(self) -> FitRecord | None:
+        """Those with what was traced and added; None where nothing was."""
+        return self.record.after
+
+    @property
+    def verdict(self) -> VerdictRecord | None:
+        """The one statement about undeclared effects; None where none were looked for."""
+        return self.record.verdict
+
+    @property
+    def effects(self) -> tuple[EffectRecord, ...]:
+        """What was found about every effect."""
+        return self.record.effects
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Run(Result):
     """An identified model with everything that is known about it.
 
     model : the fitted module. fit : parameters, modes and scores. warnings : sentences for people.
@@ -43,22 +89,6 @@ class Run:
     regressions: Step2
     estimate: Step3
     overlays: tuple[Overlay, ...] = field(repr=False)
-
-    @property
-    def scores(self) -> dict[str, float | None]:
-        """J over the lists of flights: identify, validate, acid."""
-        totals = self.fit.scores
-        return {"identify": totals.identify, "validate": totals.validate, "acid": totals.acid}
-
-    @property
-    def parameters(self) -> tuple[ParameterRecord, ...]:
-        """Every parameter with its standard error, unit, bounds and status."""
-        return self.fit.parameters
-
-    def table(self) -> str:
-        """The parameters as text, one a line."""
-        errors = torch.tensor([p.se if p.se is not None else torch.nan for p in self.fit.parameters])
-        return self.model.parameter_set.table(self.model.theta, errors)
 
     def plot(self) -> dict[str, Figure]:
         """The report's pictures as matplotlib figures, by name."""

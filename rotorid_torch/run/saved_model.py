@@ -1,32 +1,124 @@
-"""Free run of a saved model on a flight of a data set."""
+"""A run read back from its folder, and the free run of a model on a flight."""
 
 from __future__ import annotations
 
 import math
 import warnings as python_warnings
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rotorid_torch.core.storage.atomic import restore
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.velocities import with_velocities
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError
+from rotorid_torch.model.model import Model
 from rotorid_torch.model.save import load as load_model
+from rotorid_torch.report.records import FitRecord, Report, read_report
 from rotorid_torch.run.output.folder import free_run_file, refuse_unless_free_run
+from rotorid_torch.run.result import Result
 from rotorid_torch.validate.free_run import free_run, windows
-
-if TYPE_CHECKING:
-    pass
-
 
 OUTSIDE = 0.1
 """Share of the identified range by which a free run may leave it before it is told."""
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class SavedRun(Result):
+    """A run read from its folder: what the report says, and the model."""
+
+    path: Path
+    record: Report
+
+    @cached_property
+    def _loaded(self) -> tuple[Model, ModelSpec]:
+        return load_model(self.path / "model.pt")
+
+    @property
+    def model(self) -> Model:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The fitted module."""
+        return self._loaded[0]
+
+    @property
+    def spec(self) -> ModelSpec:
+        """Structure of the model."""
+        return self._loaded[1]
+
+    @property
+    def fit(self) -> FitRecord:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Parameters, modes and scores of the model."""
+        fit = self.record.fit
+        if fit is None:
+            raise InputError(self.path, self.record.command, "has no model", "a run of identify or close-loop")
+        return fit
+
+
+def open_run(path: str | Path) -> SavedRun:
+    """A run that `identify` or `close_loop` wrote, from its folder.
+
+    Raises
+    ------
+    InputError : there is no run, or its report cannot be read; where the model is asked for, that has none.
+    """
+    place = Path(path)
+    restore(place)
+    return SavedRun(place, read_report(place))
+
+
 def simulate(
+    model: Model | Result | str | Path,
+    flight: Flight,
+    start: float = 0.0,
+    seconds: float | None = 8.0,
+    data: Dataset | None = None,
+) -> dict[str, np.ndarray]:
+    """Free run of a model on a flight: controls measured, initial state from the first second.
+
+    Parameters
+    ----------
+    model : a model, a run, or the path of a RUN or a model.pt.
+    start, seconds : where the free run begins, and its length, s; None is to the end of the flight.
+    data : the data set of the flight, with the noise of its channels; without it the flight alone tells the noise.
+
+    Returns
+    -------
+    By name "time" (T,) s, and each state and output (T,) in SI units. Warns where the run leaves the range of the
+    flights that the model was identified from.
+
+    Raises
+    ------
+    InputError : there is no such model, a control is missing, or start and seconds leave the flight.
+    """
+    module, spec = _module(model)
+    data = (
+        data
+        if data is not None
+        else Dataset.from_arrays(
+            {flight.name: flight.channels}, identify=[flight.name], controls={c: {} for c in module.body.controls}
+        )
+    )
+    return _free_run(module, spec, data, flight.name, start, seconds)
+
+
+def _module(model: Model | Result | str | Path) -> tuple[Model, ModelSpec | None]:
+    """A model, and its spec where that is on record."""
+    if isinstance(model, Model):
+        return model, None
+    if isinstance(model, Result):
+        return model.model, getattr(model, "spec", None)
+    return _read(Path(model))
+
+
+def _read(place: Path) -> tuple[Model, ModelSpec]:
+    restore(place)
+    return load_model(place / "model.pt" if place.is_dir() else place)
+
+
+def write_free_run(
     model: str | Path,
     dataset: Dataset,
     flight: str,
@@ -49,11 +141,19 @@ def simulate(
         way.
     """
     place = Path(model)
-    restore(place)
     file = place / "model.pt" if place.is_dir() else place
     how = {"overwrite": overwrite, "inputs": (file, *dataset.files())}
     refuse_unless_free_run(out, **how)
-    loaded, spec = load_model(file)
+    loaded, spec = _read(place)
+    found = _free_run(loaded, spec, dataset, flight, start, seconds)
+    with free_run_file(out, **how) as partial, partial.open("wb") as handle:
+        np.savez(handle, **found)  # pyright: ignore[reportArgumentType]
+    return found
+
+
+def _free_run(
+    model: Model, spec: ModelSpec | None, dataset: Dataset, flight: str, start: float, seconds: float | None
+) -> dict[str, np.ndarray]:
     if flight not in dataset.flights:
         raise InputError(
             dataset.path or dataset.name, "flight", f"there is no flight '{flight}'", ", ".join(dataset.flights)
@@ -61,18 +161,17 @@ def simulate(
     dataset = with_velocities(dataset)
     record = dataset.flights[flight]
     first, samples = _span(record.dt, record.samples, start, seconds, dataset.file(flight))
-    missing = [c for c in loaded.body.controls if not record.has(c)]
+    missing = [c for c in model.body.controls if not record.has(c)]
     if missing:
         raise InputError(dataset.file(flight), missing[0], "control is missing", "the controls of the model")
-    pieces = windows(loaded, dataset, [(flight, first)], samples)
-    states, outputs = free_run(loaded, pieces)
-    arrays = {"time": record.time[first : first + samples].numpy()}
-    arrays |= dict(zip(loaded.layout.names, states[0].numpy().T, strict=True))
-    arrays |= dict(zip(loaded.body.outputs, outputs[0].numpy().T, strict=True))
-    _warn_outside(arrays | dict(zip(loaded.body.controls, pieces.controls[0].numpy().T, strict=True)), spec)
-    with free_run_file(out, **how) as partial, partial.open("wb") as handle:
-        np.savez(handle, **arrays)  # pyright: ignore[reportArgumentType]
-    return arrays
+    pieces = windows(model, dataset, [(flight, first)], samples)
+    states, outputs = free_run(model, pieces)
+    found = {"time": record.time[first : first + samples].numpy()}
+    found |= dict(zip(model.layout.names, states[0].numpy().T, strict=True))
+    found |= dict(zip(model.body.outputs, outputs[0].numpy().T, strict=True))
+    if spec is not None:
+        _warn_outside(found | dict(zip(model.body.controls, pieces.controls[0].numpy().T, strict=True)), spec)
+    return found
 
 
 def _span(dt: float, samples: int, start: float, seconds: float | None, file: str | Path) -> tuple[int, int]:
@@ -96,4 +195,4 @@ def _warn_outside(arrays: dict[str, np.ndarray], spec: ModelSpec) -> None:
             left.append(name)
     if left:
         said = f"the run leaves the range of the flights that the model was identified from in {', '.join(left)}"
-        python_warnings.warn(f"{said}; do not trust it there", stacklevel=3)
+        python_warnings.warn(f"{said}; do not trust it there", stacklevel=4)

@@ -15,7 +15,7 @@ from rotorid_torch.identification import model_estimation
 from rotorid_torch.model.save import load
 from rotorid_torch.run.pipeline import identify
 from rotorid_torch.run.result import Run
-from rotorid_torch.run.saved_model import simulate
+from rotorid_torch.run.saved_model import write_free_run
 from rotorid_torch.simulation.flight_test import fly
 
 FLIGHTS = ("f321_lon", "f321_lat", "f321_col", "f321_ped", "dbl_lon_n")
@@ -79,7 +79,7 @@ def test_derivatives_have_the_signs_of_a_helicopter(run: tuple[Run, Path, float]
 def test_simulate_from_the_run_is_the_report_s_free_run(run: tuple[Run, Path, float], data: Dataset, tmp_path: Path):
     made, out, _ = run
     overlay = next(o for o in made.overlays if o.flight == "f321_lat")
-    found = simulate(out, data, "f321_lat", tmp_path / "free.npz")
+    found = write_free_run(out, data, "f321_lat", tmp_path / "free.npz")
     for channel in ("p", "v", "theta", "a1"):
         free = overlay.model[channel].numpy()
         assert found[channel] == pytest.approx(free[: len(found[channel])], abs=1e-6)

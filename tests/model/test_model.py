@@ -183,10 +183,3 @@ def test_names_and_slices_agree():
             assert float(values[p.name]) == float(
                 model.theta.detach()[model.parameter_set.index(f"{effect.id}.{p.name}")]
             )
-
-
-def test_table_of_parameters_prints():
-    model = helicopter()
-    text = model.parameter_set.table(model.theta)
-    assert len(text.splitlines()) == len(model.theta) + 1
-    assert "1/(s rad)" in text

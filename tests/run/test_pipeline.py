@@ -24,7 +24,7 @@ from rotorid_torch.run import pipeline
 from rotorid_torch.run.output.folder import refuse_unless_free
 from rotorid_torch.run.pipeline import identify
 from rotorid_torch.run.result import Run
-from rotorid_torch.run.saved_model import simulate
+from rotorid_torch.run.saved_model import write_free_run
 from tests.effects.own_effects import OwnDrag
 from tests.helpers import small_folder
 from tests.known_models import STICKS, flown, linear_vehicle, manoeuvres, rate_vehicle, with_values
@@ -91,7 +91,7 @@ def test_the_saved_model_is_the_fitted_one(run: tuple[Run, Path]):
 
 def test_simulate_gives_the_overlay_of_the_report(run: tuple[Run, Path], data: Dataset, tmp_path: Path):
     made, out = run
-    found = simulate(out, data, "f_lat", tmp_path / "free.npz")
+    found = write_free_run(out, data, "f_lat", tmp_path / "free.npz")
     overlay = next(o for o in made.overlays if o.flight == "f_lat")
     written = np.load(tmp_path / "free.npz")
     for channel in ("p", "q", "r"):
@@ -102,10 +102,10 @@ def test_simulate_gives_the_overlay_of_the_report(run: tuple[Run, Path], data: D
 
 def test_simulate_starts_and_ends_where_it_is_told(run: tuple[Run, Path], data: Dataset, tmp_path: Path):
     _, out = run
-    found = simulate(out / "model.pt", data, "f_lat", tmp_path / "free.npz", start=2.0, seconds=3.0)
+    found = write_free_run(out / "model.pt", data, "f_lat", tmp_path / "free.npz", start=2.0, seconds=3.0)
     assert found["time"][0] == pytest.approx(2.0)
     assert found["time"][-1] == pytest.approx(5.0)
-    late = simulate(out, data, "f_lat", tmp_path / "free.npz", start=7.0, seconds=30.0)
+    late = write_free_run(out, data, "f_lat", tmp_path / "free.npz", start=7.0, seconds=30.0)
     assert late["time"][-1] == pytest.approx(9.0)
 
 
@@ -125,7 +125,7 @@ def test_simulate_refuses_times_outside_the_flight(
     more: dict[str, float], key: str, run: tuple[Run, Path], data: Dataset, tmp_path: Path
 ):
     with pytest.raises(InputError) as refusal:
-        simulate(run[1], data, "f_lat", tmp_path / "free.npz", **more)  # f_lat was identified from: no warning
+        write_free_run(run[1], data, "f_lat", tmp_path / "free.npz", **more)  # f_lat was identified from: no warning
     assert refusal.value.key == key
     assert not list(tmp_path.iterdir())
 
@@ -138,13 +138,13 @@ def test_simulate_replaces_no_file_of_the_data_set(run: tuple[Run, Path], tmp_pa
     before = (place / name).read_bytes()
     for more in ({}, {"overwrite": True}):
         with pytest.raises(InputError, match="which is read"):
-            simulate(run[1], load(place), "one", place / name, **more)
+            write_free_run(run[1], load(place), "one", place / name, **more)
     assert (place / name).read_bytes() == before
 
 
 def test_simulate_replaces_no_model_that_it_reads(run: tuple[Run, Path], data: Dataset):
     with pytest.raises(InputError, match="which is read"):
-        simulate(run[1], data, "f_lat", run[1] / "model.pt", overwrite=True)
+        write_free_run(run[1], data, "f_lat", run[1] / "model.pt", overwrite=True)
 
 
 def test_identify_replaces_its_own_run(run: tuple[Run, Path]):
@@ -153,27 +153,27 @@ def test_identify_replaces_its_own_run(run: tuple[Run, Path]):
 
 def test_simulate_refuses_what_is_not_there(run: tuple[Run, Path], data: Dataset, tmp_path: Path):
     with pytest.raises(InputError, match="no flight 'f_lan'"):
-        simulate(run[1], data, "f_lan", tmp_path / "free.npz")
+        write_free_run(run[1], data, "f_lan", tmp_path / "free.npz")
     with pytest.raises(InputError, match="no such file"):
-        simulate(tmp_path / "nowhere", data, "f_lat", tmp_path / "free.npz")
+        write_free_run(tmp_path / "nowhere", data, "f_lat", tmp_path / "free.npz")
     other = flown(rate_vehicle(), {"f_lat": manoeuvres(3.0, DT)["f_lat"]}, DT)
     channels = other.flights["f_lat"].channels
     fewer = {"f": {c: channels[c] for c in ("time", "p", "q", "lat")} | {"r": 1e-3 * channels["p"]}}
     with pytest.raises(InputError, match="control is missing"):
-        simulate(run[1], Dataset.from_arrays(fewer, identify=["f"]), "f", tmp_path / "free.npz")
+        write_free_run(run[1], Dataset.from_arrays(fewer, identify=["f"]), "f", tmp_path / "free.npz")
 
 
 def test_simulate_warns_outside_the_identified_range(run: tuple[Run, Path], tmp_path: Path):
     wild = flown(rate_vehicle(), manoeuvres(3.0, DT, size=0.3), DT)
     with pytest.warns(UserWarning, match=r"leaves the range.*p.*lat"):
-        simulate(run[1], wild, "f_lat", tmp_path / "free.npz")
+        write_free_run(run[1], wild, "f_lat", tmp_path / "free.npz")
 
 
 def test_simulate_bridges_missing_samples_of_controls(run: tuple[Run, Path], data: Dataset, tmp_path: Path):
     flights = {"f": {c: v.clone() for c, v in data.flights["f_lat"].channels.items()}}
     flights["f"]["col"][20:] = math.nan
     gaps = Dataset.from_arrays(flights, identify=["f"])
-    found = simulate(run[1], gaps, "f", tmp_path / "free.npz", start=2.0)
+    found = write_free_run(run[1], gaps, "f", tmp_path / "free.npz", start=2.0)
     assert np.isfinite(found["p"]).all()
 
 
@@ -279,5 +279,5 @@ def test_a_model_that_diverges_is_simulated(run: tuple[Run, Path], data: Dataset
     wild.theta.data[wild.parameter_set.index("forces.M.p")] = 1e3
     save_model(wild, run[0].spec, tmp_path / "model.pt")
     with pytest.warns(UserWarning, match="leaves the range"):
-        found = simulate(tmp_path / "model.pt", data, "f_lat", tmp_path / "free.npz")
+        found = write_free_run(tmp_path / "model.pt", data, "f_lat", tmp_path / "free.npz")
     assert np.isfinite(found["p"]).all()

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from rotorid_torch.core.parameters import ParameterTable
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.estimate.progressive_fit import FINE, Fit, Monitor, Settings, fit
 from rotorid_torch.identification.estimate.residuals import Colour, colour
@@ -31,8 +32,8 @@ class ParameterEstimate:
     status: str  # "free" or "not identifiable"
 
 
-@dataclass(frozen=True)
-class OutputError:
+@dataclass(frozen=True, repr=False)
+class OutputError(ParameterTable):
     """What `output_error` found.
 
     Attributes
@@ -63,6 +64,11 @@ class OutputError:
     model_error_ratio: Tensor
     uncertainty: Uncertainty
     stages: tuple[str, ...]
+
+    @property
+    def title(self) -> str:
+        """Kind of the estimate, and what is to be said of its end."""
+        return f"{type(self).__name__}: {self.message}"
 
 
 def output_error(

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from rotorid_torch.core.gauss_newton import Minimum, minimise
 from rotorid_torch.core.native.graph.tracing import Unsupported
+from rotorid_torch.core.parameters import ParameterTable
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.estimate.initial_states import smallest_noise
 from rotorid_torch.identification.estimate.output_error import (
@@ -46,8 +47,8 @@ LEAST_GAIN = 1e-2
 """In the log-likelihood, for which another optimum is taken."""
 
 
-@dataclass(frozen=True)
-class FilterError:
+@dataclass(frozen=True, repr=False)
+class FilterError(ParameterTable):
     """What `filter_error` found; what has a name of `OutputError` is the same.
 
     Attributes
@@ -87,6 +88,11 @@ class FilterError:
     log_likelihood: float
     whiteness: Whiteness
     uncertainty: Uncertainty
+
+    @property
+    def title(self) -> str:
+        """Kind of the estimate, and what is to be said of its end."""
+        return f"{type(self).__name__}: {self.message}"
 
 
 def filter_error(

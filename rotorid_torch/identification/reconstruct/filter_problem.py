@@ -29,7 +29,7 @@ class Problem:
     dt: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Filtered:
     """What filter and smoother know, sample by sample.
 
@@ -47,6 +47,13 @@ class Filtered:
     log_likelihood: Tensor
     smoothed_means: Tensor | None
     smoothed_covariances: Tensor | None
+
+    def __repr__(self) -> str:
+        *batch, samples, states = self.means.shape
+        smoothed = "" if self.smoothed_means is None else ", smoothed"
+        lead = f"batch {tuple(batch)}, " if batch else ""
+        likelihood = ", ".join(f"{v:.6g}" for v in self.log_likelihood.flatten()[:6].tolist())
+        return f"Filtered{smoothed}: {lead}{samples} samples, {states} states, log-likelihood {likelihood}"
 
 
 def check(given: Problem) -> None:

@@ -12,13 +12,15 @@ from rotorid_torch.errors import InputError
 from rotorid_torch.identification.regress.noisy_least_squares import Solution, noisy_least_squares, smooth_variance
 from rotorid_torch.identification.regress.rows import Rows, flight_rows, total_noise
 
+SHOWN = 6
+"""R2 of a batch that a regression shows of itself, at most."""
 REACH = 3
 """Harmonics on each side over which the colour of the residual is taken for smooth."""
 PRIOR_PASSES = 3
 """Repetitions in which the weight of a prior follows the residual variance."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Regression:
     """Result of a Fourier transform regression.
 
@@ -51,6 +53,21 @@ class Regression:
     selected: tuple[str, ...] = ()
     reasons: dict[str, str] | None = None
     notes: tuple[str, ...] = ()
+
+    def table(self) -> str:
+        """Name, coefficient and standard error of each regressor as text, one a line; of the first of a batch."""
+        batch = (0,) * (self.coefficients.dim() - 1)
+        names = self.names or tuple(str(k) for k in range(self.coefficients.shape[-1]))
+        columns = (self.coefficients[batch].tolist(), self.standard_errors[batch].tolist())
+        rows = [f"{n:<12}{value:>12.5g} ± {error:.2g}" for n, value, error in zip(names, *columns, strict=True)]
+        return "\n".join(rows)
+
+    def __repr__(self) -> str:
+        low, high = self.band
+        r2 = ", ".join(f"{v:.4g}" for v in self.r2.flatten()[:SHOWN].tolist())
+        shape = tuple(self.coefficients.shape[:-1])
+        batch = f" of a batch {shape}, its first" if shape else ""
+        return f"Regression{batch}, {low:g} to {high:g} Hz, R2 {r2}\n{self.table()}"
 
 
 def regress(

@@ -1,0 +1,131 @@
+"""What a user meets in Python: public names, short answers, parameters by name, runs that are opened again."""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+
+import rotorid_torch as rotorid
+from rotorid_torch.data import Dataset
+from rotorid_torch.errors import InputError
+from rotorid_torch.run.result import Run
+from tests.known_models import flown, manoeuvres, rate_vehicle
+
+DT = 0.04
+LONGEST = 2000
+
+
+@pytest.fixture(scope="module")
+def data() -> Dataset:
+    lists = {"identify": ["f_lon", "f_lat", "f_col"], "validate": ["f_ped"]}
+    return flown(rate_vehicle(), manoeuvres(9.0, DT), DT, noise=0.02, lists=lists)
+
+
+@pytest.fixture(scope="module")
+def run(data: Dataset, tmp_path_factory: pytest.TempPathFactory) -> tuple[Run, Path]:
+    out = tmp_path_factory.mktemp("runs") / "run"
+    return rotorid.identify(data, out=out), out
+
+
+class Lag(nn.Module):
+    """dx/dt = a x + b u."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.a, self.b = (nn.Parameter(torch.tensor(v, dtype=torch.float64)) for v in (-1.0, 1.0))
+
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Tensor:
+        return self.a * x + self.b * u
+
+    def output(self, x: Tensor, u: Tensor) -> Tensor:
+        return x
+
+
+def response() -> dict[str, np.ndarray]:
+    """The exact answer to a step with a = -2, b = 3, and a little noise."""
+    time = np.arange(0.0, 4.0, 0.02)
+    x = 1.5 * (1.0 - np.exp(-2.0 * time)) + 1e-3 * np.random.default_rng(0).standard_normal(len(time))
+    return {"time": time, "controls": np.ones((len(time), 1)), "outputs": x[:, None], "x0": np.zeros(1)}
+
+
+def test_the_public_names_are_listed_and_nothing_else():
+    assert dir(rotorid) == sorted([*rotorid.__all__, "__version__"])
+    assert all(not n.startswith("_") for n in rotorid.__all__)
+    for name in rotorid.__all__:
+        thing = getattr(rotorid, name)
+        assert inspect.isclass(thing) or inspect.isfunction(thing) or inspect.ismodule(thing)
+        assert thing.__doc__
+    assert rotorid.__version__[0].isdigit()
+
+
+def test_a_name_that_is_not_there_is_answered_with_the_nearest():
+    with pytest.raises(AttributeError, match="did you mean 'identify'"):
+        _ = rotorid.identfy  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_answers_are_short(run: tuple[Run, Path], data: Dataset):
+    fitted = rotorid.output_error(Lag(), [response()], free=["a", "b"], x0="fixed")
+    regressed = rotorid.regress(torch.randn(400).double(), torch.randn(400, 2).double(), 0.02, band=(0.1, 2.0))
+    for thing in (run[0], rotorid.open_run(run[1]), data, data["f_ped"], fitted, regressed):
+        assert 20 < len(repr(thing)) <= LONGEST, type(thing)
+
+
+def test_parameters_are_there_by_name(run: tuple[Run, Path]):
+    made, _ = run
+    whole = next(p.name for p in made.parameters if p.name.endswith(".L.lat"))
+    assert made[whole] is made["L.lat"]
+    assert made.to_dict()[whole]["value"] == made[whole].value
+    assert whole in made._repr_html_()
+    with pytest.raises(KeyError, match="did you mean"):
+        made["L.latt"]
+
+
+def test_output_error_answers_by_name_too():
+    fitted = rotorid.output_error(Lag(), [response()], free=["a", "b"], x0="fixed")
+    assert fitted["a"].value == pytest.approx(-2.0, abs=4.0 * fitted["a"].se)
+    assert fitted["b"].value == pytest.approx(3.0, abs=4.0 * fitted["b"].se)
+    assert fitted.table().splitlines()[1].startswith("a ")
+
+
+def test_a_run_that_is_opened_says_what_the_run_said(run: tuple[Run, Path]):
+    made, out = run
+    opened = rotorid.open_run(out)
+    assert opened.scores == made.scores
+    assert opened.parameters == made.parameters
+    assert opened.model.named_values == made.model.named_values
+    assert opened.verdict is None
+    assert opened.spec == made.spec
+
+
+def test_what_is_no_run_is_refused_in_one_line(tmp_path: Path):
+    with pytest.raises(InputError) as refused:
+        rotorid.open_run(tmp_path)
+    assert len(str(refused.value).splitlines()) == 1
+
+
+@pytest.mark.filterwarnings("ignore:the run leaves the range")  # no fitted flight moves the pedals
+def test_a_free_run_follows_a_flight_of_the_vehicle(run: tuple[Run, Path], data: Dataset):
+    made, out = run
+    flight = data["f_ped"]
+    runs = [rotorid.simulate(model, flight, seconds=3.0, data=data) for model in (made, made.model, out)]
+    for found in runs:
+        assert found["time"][-1] == pytest.approx(3.0)
+        assert np.allclose(found["r"], runs[0]["r"], rtol=0.0, atol=1e-9)
+    error = runs[0]["r"] - flight["r"].numpy()[: len(runs[0]["r"])]
+    assert np.sqrt(np.mean(error**2)) < 0.03  # noise of 0.02
+    alone = rotorid.simulate(made, flight, seconds=3.0)  # noise of the one flight alone
+    assert np.allclose(alone["r"], runs[0]["r"], atol=5e-3)
+
+
+def test_flights_and_channels_that_are_not_there_are_answered_with_those_that_are(data: Dataset):
+    with pytest.raises(KeyError, match="f_lon"):
+        data["f_long"]
+    with pytest.raises(KeyError, match="lat"):
+        data["f_lon"]["latt"]
+    assert [f.name for f in data] == list(data.flights)
+    assert data["f_lon"].to_numpy()["q"].shape == (data["f_lon"].samples,)
