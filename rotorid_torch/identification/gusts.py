@@ -67,6 +67,7 @@ class Air:
     axes : one each of u v w. speed : with which eddies pass, m/s. dt : interval of the histories, s.
     velocities, errors : [F, T, 3] smoothed gusts of the flights, m/s, and their standard errors; zero beyond a
     flight's end.
+    unknowns : of the filter, and common [3] what all flights have in common, m/s: with both, gusts of other flights.
     variances : [P] of the parameters when gusts are as uncertain as the filter leaves them, NaN for those not told.
     """
 
@@ -76,6 +77,8 @@ class Air:
     velocities: Tensor
     errors: Tensor
     variances: Tensor
+    unknowns: Tensor
+    common: Tensor
 
 
 def find_gusts(model: Model, names: Sequence[str], flights: Records, floor: Tensor) -> Air:
@@ -89,27 +92,42 @@ def find_gusts(model: Model, names: Sequence[str], flights: Records, floor: Tens
     ------
     Unsupported : the model cannot be compiled.
     """
-    gusty = in_gusts(model)
-    held = [n for n in names if not n.endswith(".trim")]
-    trims = [n for n in names if n.endswith(".trim")]
-    system = System(gusty, [*held, *trims, *(f"gusts.rate_{n}" for n in VELOCITIES)])
     floor = torch.maximum(floor, smallest_noise(flights)).square()
-    problem = _problem(gusty, system, flights, floor)
-    found, x0 = _noises(problem, len(held), floor)
-    psi = torch.cat([system.theta[: len(held)], found.point.theta])
+    problem, held = _problem(model, names, flights, floor.sqrt())
+    system = problem.system
+    found, x0 = _noises(problem, held, floor)
+    psi = torch.cat([system.theta[:held], found.point.theta])
     problem = _with_spread(problem, psi)
-    engine = NativeFilter.of(problem, psi, len(held))
-    states, covariances = smoothed(problem, psi, x0, engine.filter(psi, x0))
-    places = gusty.layout.places(GUSTS)
-    inside = problem.segments.inside.unsqueeze(-1)
-    gusts = torch.where(inside, states[..., places], 0.0)
-    gusts = torch.where(inside, gusts - gusts.sum(dim=(0, 1)) / inside.sum(), 0.0)
-    variances = covariances.diagonal(dim1=-2, dim2=-1)[..., places].clamp_min(0.0)
-    errors = torch.where(inside, variances.sqrt(), 0.0)
-    axes = _axes(found, len(trims), passing_speed(model))
-    own = dict(zip([*held, *trims], _variances(engine, psi, x0, model, [*held, *trims]).tolist(), strict=True))
+    engine = NativeFilter.of(problem, psi, held)
+    gusts, errors, inside = _smoothed(engine, psi)
+    common = gusts.sum(dim=(0, 1)) / inside.sum()
+    gusts = torch.where(inside, gusts - common, 0.0)
+    axes = _axes(found, len(system.names) - held - 3, passing_speed(model))
+    estimated = system.names[:-3]
+    own = dict(zip(estimated, _variances(engine, psi, x0, model, estimated).tolist(), strict=True))
     told = torch.tensor([own[n] for n in names], dtype=torch.float64)
-    return Air(axes, passing_speed(model), flights.dt, gusts, errors, told)
+    return Air(axes, passing_speed(model), flights.dt, gusts, errors, told, psi, common)
+
+
+def follow(model: Model, names: Sequence[str], air: Air, flights: Records) -> Tensor:
+    """Gusts [F, T, 3] of other flights, by the filter that found the air of the first; arguments as `find_gusts`."""
+    floor = torch.ones(flights.outputs.shape[-1], dtype=torch.float64)
+    first = len(air.unknowns) - len(floor)
+    problem, held = _problem(model, names, flights, air.unknowns[first:].sqrt())
+    problem = _with_spread(problem, air.unknowns)
+    gusts, _, inside = _smoothed(NativeFilter.of(problem, air.unknowns, held), air.unknowns)
+    return torch.where(inside, gusts - air.common, 0.0)
+
+
+def _smoothed(engine: NativeFilter, psi: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Gusts and their standard errors [F, T, 3], and where a flight is [F, T, 1]."""
+    problem = engine.problem
+    x0 = problem.records.states[:, 0]
+    states, covariances = smoothed(problem, psi, x0, engine.filter(psi, x0))
+    places = [problem.process.names.index(n) for n in GUSTS]
+    inside = problem.segments.inside.unsqueeze(-1)
+    variances = covariances.diagonal(dim1=-2, dim2=-1)[..., places].clamp_min(0.0)
+    return torch.where(inside, states[..., places], 0.0), torch.where(inside, variances.sqrt(), 0.0), inside
 
 
 def _variances(engine: NativeFilter, psi: Tensor, x0: Tensor, model: Model, names: Sequence[str]) -> Tensor:
@@ -145,25 +163,34 @@ def widened(found: Estimate, variances: Tensor) -> Estimate:
     )
 
 
-def _problem(model: Model, system: System, flights: Records, floor: Tensor) -> FilterProblem:
-    """Flights with gusts among their states, which begin at what is known of them, as well as it is known."""
+def _problem(model: Model, names: Sequence[str], flights: Records, sd: Tensor) -> tuple[FilterProblem, int]:
+    """Flights with gusts among their states, which begin at what is known of them; how many parameters are held.
+
+    sd : [ny] of the outputs that are states, where flights begin.
+    """
+    held = [n for n in names if not n.endswith(".trim")]
+    free = [n for n in names if n.endswith(".trim")]
+    rates = [f"gusts.rate_{n}" for n in VELOCITIES]
+    model = in_gusts(model)
+    system = System(model, [*held, *free, *rates])
     names, nothing = model.layout.names, (*GUSTS, *QUICK_GUSTS)
     known = iter(flights.states.unbind(-1))
     zero = torch.zeros_like(flights.states[..., 0])
     states = torch.stack([zero if n in nothing else next(known) for n in names], dim=-1)
     reference = [model.reference.get(s.channel or s.name, 0.0) for s in model.layout.states]
     states = torch.where(states.isnan(), torch.tensor(reference, dtype=torch.float64), states)
-    noise = dict(zip(model.body.outputs, floor.sqrt().tolist(), strict=True))
+    noise = dict(zip(model.body.outputs, sd.tolist(), strict=True))
     moved = dict(zip(names, states.flatten(0, 1).std(dim=0).tolist(), strict=True))
     spread = torch.tensor([noise.get(n, max(moved[n], 1e-3)) for n in names], dtype=torch.float64)
     outputs = model.body.outputs
-    return FilterProblem(
+    problem = FilterProblem(
         system,
         replace(flights, states=states),
         CovarianceForm(names, ("",) * len(names), tuple(model.layout.places(noisy_states(model)))),
         CovarianceForm(outputs, ("",) * len(outputs), tuple(range(len(outputs)))),
         torch.diag(spread.square()),
     )
+    return problem, len(held)
 
 
 def _with_spread(problem: FilterProblem, psi: Tensor) -> FilterProblem:

@@ -112,7 +112,10 @@ class PredictionRecord(Record, frozen=True, kw_only=True):
 
 
 class FlightRecord(Record, frozen=True, kw_only=True, omit_defaults=True):
-    """Scores of one flight's free run; of a multirotor's flight also its responses and predictions."""
+    """Scores of one flight's free run; of a multirotor's flight also its responses and predictions.
+
+    J_gust : of what the gusts that were found alone would do, where the air moves. J_fed : with them fed into the run.
+    """
 
     list: Literal["identify", "validate", "acid"]
     J: Size
@@ -122,6 +125,8 @@ class FlightRecord(Record, frozen=True, kw_only=True, omit_defaults=True):
     channels: dict[str, ChannelRecord]
     responses: dict[str, ResponseRecord] = {}
     predictions: tuple[PredictionRecord, ...] = ()
+    J_gust: Size = None
+    J_fed: Size = None
 
 
 class ScoresRecord(Record, frozen=True, kw_only=True):

@@ -115,7 +115,7 @@ def of_estimate(step3: Step3, fit: FitRecord) -> Iterator[str]:
     for summary in () if meaningless else list_summaries(fit):
         if summary.grade == WORSE_THAN_TRIM:
             yield (
-                f"on the {summary.name} flights the model is {WORSE_THAN_TRIM} (J {summary.J:.3g} against"
+                f"on the {summary.name} flights the model is {WORSE_THAN_TRIM} (J {summary.judged:.3g} against"
                 f" {summary.J_trim:.3g}): do not use it; look at the data with rotorid check first"
             )
     bound = at_an_edge(fit.parameters)

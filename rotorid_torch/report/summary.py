@@ -40,20 +40,30 @@ THEIL_PARTS = (
 
 @dataclass(frozen=True)
 class ListSummary:
-    """Score of one list of flights between what the sensor noise alone scores and what holding trim scores."""
+    """Score of one list of flights between what the sensor noise alone scores and what holding trim scores.
+
+    J_fed : with the gusts of the flights fed in, which then is what counts: no model foresees gusts.
+    """
 
     name: str
     flights: int
     J: float | None
     J_noise: float | None
     J_trim: float | None
+    J_fed: float | None = None
+
+    @property
+    def judged(self) -> float | None:
+        """The score that counts."""
+        return self.J if self.J_fed is None else self.J_fed
 
     @property
     def explained(self) -> float | None:
         """Share of the motion that the model explains, noise removed; None where a score is missing."""
-        if self.J is None or self.J_noise is None or self.J_trim is None or self.J_trim <= self.J_noise:
+        J = self.judged
+        if J is None or self.J_noise is None or self.J_trim is None or self.J_trim <= self.J_noise:
             return None
-        left = max(self.J**2 - self.J_noise**2, 0.0)
+        left = max(J**2 - self.J_noise**2, 0.0)
         return 1.0 - left / (self.J_trim**2 - self.J_noise**2)
 
     @property
@@ -72,7 +82,8 @@ def list_summaries(fit: FitRecord) -> list[ListSummary]:
         flights = [flight for flight in fit.flights.values() if flight.list == name]
         if flights:
             yardsticks = (_rms(f.J_noise for f in flights), _rms(f.J_trim for f in flights))
-            summaries.append(ListSummary(name, len(flights), getattr(fit.scores, name), *yardsticks))
+            in_gusts = _rms(f.J_fed for f in flights)
+            summaries.append(ListSummary(name, len(flights), getattr(fit.scores, name), *yardsticks, in_gusts))
     return summaries
 
 
@@ -84,7 +95,19 @@ def air_of(fit: FitRecord) -> str:
     each = [
         f"{g.axis} {size(g.intensity, g.intensity_se)} m/s, length {size(g.length, g.length_se)} m" for g in fit.gusts
     ]
-    return f"gusts in the identify flights: {'; '.join(each)}"
+    found = f"gusts in the identify flights: {'; '.join(each)}"
+    lists = {name: [f for f in fit.flights.values() if f.list == name and f.J_gust is not None] for name in LISTS}
+    scored = [
+        f"{name} {_text(_rms(f.J_gust for f in flights))} and {_text(_rms(f.J_fed for f in flights))}"
+        for name, flights in lists.items()
+        if flights
+    ]
+    if not scored:
+        return found
+    return (
+        f"{found}. Free runs know nothing of them: J of what gusts alone would do, and J with the gusts fed in that a"
+        f" smoother finds in the same flights, by which the model is judged: {', '.join(scored)}"
+    )
 
 
 def shown_flights(fit: FitRecord) -> dict[str, FlightRecord]:
@@ -115,9 +138,10 @@ def headline(report: Report) -> str:
     share, grade = best_known.explained, best_known.grade
     if share is None or share < 0.0:
         return f"On the {best_known.name} flights the model is {WORSE_THAN_TRIM}: do not use it yet."
+    fed = "alone" if best_known.J_fed is None else "and the gusts that a smoother finds in them"
     return (
         f"On the {best_known.name} flights, which it has not seen, the model explains {100 * share:.0f} % of the motion"
-        f" over 8 s from the controls alone ({grade})."
+        f" over 8 s from the controls {fed} ({grade})."
     )
 
 
@@ -208,7 +232,7 @@ def _steps_of_scores(fit: FitRecord) -> Iterator[str]:
     for summary in lists.values():
         if summary.grade == WORSE_THAN_TRIM:
             yield (
-                f"The model is {WORSE_THAN_TRIM} on the {summary.name} flights (J {_text(summary.J)} against"
+                f"The model is {WORSE_THAN_TRIM} on the {summary.name} flights (J {_text(summary.judged)} against"
                 f" {_text(summary.J_trim)}). Do not use it: run rotorid check, then look at the error over time below."
             )
     fitted, judged = lists.get("identify"), lists.get("validate")

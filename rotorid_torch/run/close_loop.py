@@ -37,7 +37,7 @@ from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
 from rotorid_torch.run.output.write import write_report
 from rotorid_torch.run.pipeline import identified, refuse, remarks_on
 from rotorid_torch.run.result import Run, write_model
-from rotorid_torch.run.turbulence import in_turbulence, without_clean_bill
+from rotorid_torch.run.turbulence import in_turbulence, with_gusts, without_clean_bill
 from rotorid_torch.trace.clean_aircraft import clean_draws
 from rotorid_torch.trace.clocks import sensor_findings
 from rotorid_torch.trace.decide import Row, decide
@@ -286,6 +286,8 @@ def _again(
         spec, model = _with_sensors(spec, model, sensors)
     with steps.monitor.step("validate"):
         judged = judge(model, dataset, steps.ranks)
+        flights = with_gusts(judged.flights, model, found, dataset, seen, base.reconstruction, steps.ranks)
+        judged = replace(judged, flights=flights)
     fit = fit_record(model, spec, found, judged)
     told = remarks_on(seen, spec, fit, base.reconstruction, regressions, found)
     record = msgspec.structs.replace(base.record, warnings=tuple(told))

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 from rotorid_torch.run.estimate import estimated
 from rotorid_torch.run.requested_effects import with_evidence
 from rotorid_torch.run.result import Run, write_reconstruction
+from rotorid_torch.run.turbulence import with_gusts
 
 
 def reconstruct(dataset: Dataset, out: str | Path, *, seed: int = 0, monitor: Monitor | None = None) -> Reconstruction:
@@ -124,6 +125,8 @@ def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps
     spec, model, regressions, estimate = _best_structure(first, seen, reconstruction, steps)
     with monitor.step("validate"):
         judged = judge(model, dataset, steps.ranks)
+        flights = with_gusts(judged.flights, model, estimate, dataset, seen, reconstruction, steps.ranks)
+        judged = replace(judged, flights=flights)
     fit = fit_record(model, spec, estimate, judged)
     told = remarks_on(seen, spec, fit, reconstruction, regressions, estimate)
     report = _report("identify", seen, seed, monitor, fit, told)

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
-from rotorid_torch.identification.gusts import Air
+import msgspec
+import torch
+
+from rotorid_torch.core.processes.ranks import Ranks
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.identification.gusts import Air, follow, of_all
+from rotorid_torch.identification.model_estimation import Step3, records
+from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
+from rotorid_torch.model.model import Model
+from rotorid_torch.report.records import FlightRecord
 from rotorid_torch.report.summary import WORSE_THAN_TRIM
 from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.stochastic import TURBULENCE
 from rotorid_torch.trace.verdict import Statement
+from rotorid_torch.validate.gusts import in_gusts
 
 
 def in_turbulence(finding: Finding, air: Air | None, why: str) -> Finding:
@@ -42,6 +53,33 @@ def _size(air: Air) -> tuple[tuple[float, float], tuple[float, float] | None]:
     for (one, _), weight in zip(told, weights, strict=True):
         length *= one ** (weight / sum(weights))
     return both, (length, length / sum(weights) ** 0.5)
+
+
+def with_gusts(
+    flights: Mapping[str, FlightRecord],
+    model: Model,
+    found: Step3,
+    dataset: Dataset,
+    seen: Dataset,
+    reconstruction: Reconstruction,
+    ranks: Ranks,
+) -> dict[str, FlightRecord]:
+    """Records of flights with what gusts do to their free runs, where the filter error method found any.
+
+    dataset : judged. seen : as the steps saw it.
+    """
+    if found.air is None:
+        return dict(flights)
+    whole = replace(seen, identify=tuple(seen.flights))
+    names = [n for part in ranks.gather(ranks.mine(whole.identify)) for n in part]
+    batch = of_all(records(model, whole, reconstruction, ranks), ranks)
+    gusts = follow(model, found.names, found.air, batch)
+    histories = {
+        name: (start + batch.dt * torch.arange(count, dtype=torch.float64), velocity[:count])
+        for name, start, count, velocity in zip(names, batch.start, batch.lengths.tolist(), gusts, strict=True)
+    }
+    scored = dict(in_gusts(model, dataset, histories))
+    return {n: msgspec.structs.replace(f, J_gust=scored[n].J_gust, J_fed=scored[n].J_fed) for n, f in flights.items()}
 
 
 def without_clean_bill(told: Statement, failing: str) -> Statement:

@@ -10,14 +10,16 @@ from torch import Tensor
 from rotorid_torch.core.names import STICKS
 from rotorid_torch.data import Dataset
 from rotorid_torch.errors import InputError
+from rotorid_torch.identification.gusts import follow
 from rotorid_torch.identification.method_choice import GUSTY
-from rotorid_torch.identification.model_estimation import Step3, estimate_model
+from rotorid_torch.identification.model_estimation import Step3, estimate_model, records
 from rotorid_torch.identification.model_regression import regress_model
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.gusts import DRIFT, GUSTS, fed, in_gusts
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
+from rotorid_torch.validate.gusts import in_gusts as in_free_runs
 from tests.known_models import DERIVATIVES, flown, linear_vehicle, manoeuvres, points, rate_vehicle
 
 DT = 0.04
@@ -113,3 +115,16 @@ def test_gusts_act_as_the_same_velocity_the_other_way():
     inputs = torch.cat([u, g[:, :3] + g[:, 3:]], dim=-1)
     assert known.body.controls[-3:] == GUSTS
     assert torch.allclose(known.rates(known.theta, x, inputs), gusty.rates(gusty.theta, states, u)[:, :8], atol=1e-12)
+
+
+@pytest.mark.slow
+def test_the_same_flights_have_the_same_gusts(case: tuple[Dataset, Tensor]):
+    data = case[0]
+    step1 = reconstruct(data)
+    model = build(propose(data, step1, ()))
+    found = estimate_model(model, data, step1, regress_model(model, data, step1), method="filter-error")
+    assert found.air is not None
+    again = follow(model, found.names, found.air, records(model, data, step1))
+    assert torch.allclose(again, found.air.velocities, atol=0.02)
+    scored = dict(in_free_runs(model, data, {"f_lat": (data.flights["f_lat"].time, case[1][1])}))["f_lat"]
+    assert scored.J_fed < 0.5 * scored.J_gust
