@@ -282,11 +282,12 @@ def _again(
         replace(steps, method=base.estimate.method),
     )
     found = replace(found, why=base.estimate.why)
+    clean = model
     if sensors:
         spec, model = _with_sensors(spec, model, sensors)
     with steps.monitor.step("validate"):
         judged = judge(model, dataset, steps.ranks)
-        flights = with_gusts(judged.flights, model, found, dataset, seen, base.reconstruction, steps.ranks)
+        flights = with_gusts(judged.flights, model, found, dataset, seen, base.reconstruction, steps.ranks, clean)
         judged = replace(judged, flights=flights)
     fit = fit_record(model, spec, found, judged)
     told = remarks_on(seen, spec, fit, base.reconstruction, regressions, found)

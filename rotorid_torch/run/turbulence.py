@@ -63,17 +63,20 @@ def with_gusts(
     seen: Dataset,
     reconstruction: Reconstruction,
     ranks: Ranks,
+    clean: Model | None = None,
 ) -> dict[str, FlightRecord]:
     """Records of flights with what gusts do to their free runs, where the filter error method found any.
 
-    dataset : judged. seen : as the steps saw it.
+    dataset : judged. seen : as the steps saw it. clean : the model that follows these, where the judged one has errors
+    of sensors on its outputs that they are free of.
     """
     if found.air is None:
         return dict(flights)
     whole = replace(seen, identify=tuple(seen.flights))
     names = [n for part in ranks.gather(ranks.mine(whole.identify)) for n in part]
-    batch = of_all(records(model, whole, reconstruction, ranks), ranks)
-    gusts = follow(model, found.names, found.air, batch)
+    follower = clean or model
+    batch = of_all(records(follower, whole, reconstruction, ranks), ranks)
+    gusts = follow(follower, found.names, found.air, batch)
     histories = {
         name: (start + batch.dt * torch.arange(count, dtype=torch.float64), velocity[:count])
         for name, start, count, velocity in zip(names, batch.start, batch.lengths.tolist(), gusts, strict=True)
