@@ -95,10 +95,9 @@ def find_gusts(model: Model, names: Sequence[str], flights: Records, floor: Tens
     floor = torch.maximum(floor, smallest_noise(flights)).square()
     problem, held = _problem(model, names, flights, floor.sqrt())
     system = problem.system
-    found, x0 = _noises(problem, held, floor)
+    found, engine, x0 = _noises(problem, held, floor)
     psi = torch.cat([system.theta[:held], found.point.theta])
-    problem = _with_spread(problem, psi)
-    engine = NativeFilter.of(problem, psi, held)
+    engine = replace(engine, problem=_with_spread(problem, psi))
     gusts, errors, inside = _smoothed(engine, psi)
     common = gusts.sum(dim=(0, 1)) / inside.sum()
     gusts = torch.where(inside, gusts - common, 0.0)
@@ -205,8 +204,8 @@ def _with_spread(problem: FilterProblem, psi: Tensor) -> FilterProblem:
     return replace(problem, P0=P0)
 
 
-def _noises(problem: FilterProblem, held: int, floor: Tensor) -> tuple[Minimum[FilterPlace], Tensor]:
-    """Trims, rates of gusts and sizes of noise [n] of the largest likelihood; initial states [F, nx]."""
+def _noises(problem: FilterProblem, held: int, floor: Tensor) -> tuple[Minimum[FilterPlace], NativeFilter, Tensor]:
+    """Trims, rates of gusts and sizes of noise [n] of the largest likelihood; the filter, initial states [F, nx]."""
     system, x0 = problem.system, problem.records.states[:, 0]
     wanted = [problem.process.names[i] for i in problem.process.which]
     first = [FIRST if n in GUSTS else QUICK_FIRST if n in QUICK_GUSTS else WHITE_FIRST for n in wanted]
@@ -225,7 +224,7 @@ def _noises(problem: FilterProblem, held: int, floor: Tensor) -> tuple[Minimum[F
         )
         psi = torch.cat([psi[:held], found.point.theta])
     assert found is not None
-    return found, x0
+    return found, engine, x0
 
 
 def _followed(engine: NativeFilter, psi: Tensor, floor: Tensor, x0: Tensor) -> Tensor:
