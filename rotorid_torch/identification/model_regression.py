@@ -71,19 +71,19 @@ def regress_model(model: Model, dataset: Dataset, reconstruction: Reconstruction
     """All linear parameters of the model from the identify flights, in closed form; the others keep their prior."""
     theta = model.theta.detach().clone()
     flights = _measured(model, dataset, reconstruction)
-    found: dict[str, Regression] = {}
+    regressions: dict[str, Regression] = {}
     held: list[str] = []
     shares: dict[str, float] = {}
     for effect, equation in _equations(model, dataset, flights):
         row = equation.name
-        found[row] = fit_equation(equation)
-        _store(model, theta, effect, row, found[row].selected, found[row].coefficients)
-        own = _own_state(model, row)
-        if own in equation.names and _undamped(model, theta, f"{effect}.{row}.{own}", row):
-            held += _follow(model, theta, effect, row, own, equation, flights)
+        regressions[row] = fit_equation(equation)
+        _store(model, theta, effect, row, regressions[row].selected, regressions[row].coefficients)
+        state_name = _own_state(model, row)
+        if state_name in equation.names and _undamped(model, theta, f"{effect}.{row}.{state_name}", row):
+            held += _follow(model, theta, effect, row, state_name, equation, flights)
         if row == MOMENTS[0]:
             shares = _own_shares(equation, model)
-    return Step2(found, model.parameter_set.clamp(theta), tuple(held), shares)
+    return Step2(regressions, model.parameter_set.clamp(theta), tuple(held), shares)
 
 
 def _measured(model: Model, dataset: Dataset, reconstruction: Reconstruction) -> Mapping[str, Measured]:
@@ -110,15 +110,15 @@ def trims_of_flights(
     """
     with torch.no_grad():
         model.theta.copy_(theta)
-    names, found = [], []
+    names, trims = [], []
     for effect, equation in _equations(model, dataset, _measured(model, dataset, reconstruction)):
         places = [model.parameter_set.index(f"{effect}.{equation.name}.{c}") for c in equation.names]
         derivatives = theta[places]
         mean = _mean_rate if equation.kind == "derivative" else _mean
         each = zip(equation.response, equation.regressors, equation.steps(), strict=True)
-        found.append([float(mean(y, dt) - z.mean(0) @ derivatives) for y, z, dt in each])
+        trims.append([float(mean(y, dt) - z.mean(0) @ derivatives) for y, z, dt in each])
         names.append(equation.name)
-    return tuple(names), torch.tensor(found, dtype=torch.float64)
+    return tuple(names), torch.tensor(trims, dtype=torch.float64)
 
 
 def _mean(signal: Tensor, dt: float) -> Tensor:
@@ -157,7 +157,7 @@ def _follow(
     theta: Tensor,
     effect: str,
     row: str,
-    own: str,
+    state_name: str,
     equation: Equation,
     flights: Mapping[str, Measured],
 ) -> list[str]:
@@ -166,17 +166,17 @@ def _follow(
     others = [c for c in equation.names if c not in kin]
 
     def state(name: str, flight: Measured) -> Tensor:
-        return flight.signals[own]
+        return flight.signals[state_name]
 
     gains = fit_equation(
         replace(equation, response=_each(flights, state), kind="value", prior_mean=None, prior_sd=None),
         others,
     )
-    known = [c for c in equation.names if c in kin]
-    follow = torch.tensor([-FOLLOWING if c == own else 0.0 for c in known], dtype=torch.float64)
-    _store(model, theta, effect, row, known, follow)
+    kinematic = [c for c in equation.names if c in kin]
+    follow = torch.tensor([-FOLLOWING if c == state_name else 0.0 for c in kinematic], dtype=torch.float64)
+    _store(model, theta, effect, row, kinematic, follow)
     _store(model, theta, effect, row, others, FOLLOWING * gains.coefficients)
-    return [f"{effect}.{row}.{c}" for c in known if c != own] if row in MOMENTS else []
+    return [f"{effect}.{row}.{c}" for c in kinematic if c != state_name] if row in MOMENTS else []
 
 
 def _store(model: Model, theta: Tensor, effect: str, row: str, names: Sequence[str], values: Tensor) -> None:
@@ -197,8 +197,8 @@ def measured(model: Model, dataset: Dataset, reconstruction: Reconstruction, nam
     with torch.no_grad():
         controls = model.tape(flight.bridged(model.body.controls), flight.dt)
     signals |= zip(model.body.controls, controls.unbind(-1), strict=True)
-    given = {s.name: s.channel for s in model.layout.states if s.channel is not None and flight.has(s.channel)}
-    signals |= {name: flight.bridged([channel])[:, 0] for name, channel in given.items()}
+    channels = {s.name: s.channel for s in model.layout.states if s.channel is not None and flight.has(s.channel)}
+    signals |= {name: flight.bridged([channel])[:, 0] for name, channel in channels.items()}
     rates = {n: torch.gradient(signals[n], spacing=flight.dt)[0] for n in FLAPPING if n in present}
     unseen = [n for n in FLAPPING if n in model.layout.names and n not in present]
     signals |= {n: torch.full_like(flight.time, model.reference.get(n, 0.0)) for n in unseen}
@@ -209,17 +209,17 @@ def measured(model: Model, dataset: Dataset, reconstruction: Reconstruction, nam
         if isinstance(effect, LinearForces | Flapping | AlgebraicFlapping) or effect.stage is Stage.SENSORS:
             continue
         values = model.values(theta, k)
-        own = _followed(effect, frame, values, flight.dt)
+        followed = _followed(effect, frame, values, flight.dt)
         for i, name in enumerate(model.state_names(k)):
-            own[:, i] = signals.get(name, own[:, i])
+            followed[:, i] = signals.get(name, followed[:, i])
         frame = replace(
-            frame, signals={**frame.signals, **dict(zip(model.state_names(k), own.unbind(-1), strict=True))}
+            frame, signals={**frame.signals, **dict(zip(model.state_names(k), followed.unbind(-1), strict=True))}
         )
-        frame, _ = effect(frame, own, values)
+        frame, _ = effect(frame, followed, values)
     assert frame.force is not None
     assert frame.moment is not None
-    seen = {n: signal for n, signal in frame.signals.items() if n not in unseen}
-    return Measured(seen, torch.cat([frame.force - specific[:, :3], frame.moment], dim=-1), specific)
+    visible = {n: signal for n, signal in frame.signals.items() if n not in unseen}
+    return Measured(visible, torch.cat([frame.force - specific[:, :3], frame.moment], dim=-1), specific)
 
 
 def _followed(effect: Effect, frame: Frame, values: Values, dt: float) -> Tensor:
@@ -237,8 +237,8 @@ def _followed(effect: Effect, frame: Frame, values: Values, dt: float) -> Tensor
     steps = torch.nn.functional.pad(passed, (0, 1, 0, 1))  # of [x, 1]
     steps[:, :-1, -1] = (passed @ (dt * constant).unsqueeze(-1)).squeeze(-1)
     steps[:, -1, -1] = 1.0
-    rest = -torch.linalg.pinv(slope[0]) @ constant[0]
-    return chained(steps, torch.cat([rest, rest.new_ones(1)]))[:, :-1]
+    equilibrium = -torch.linalg.pinv(slope[0]) @ constant[0]
+    return chained(steps, torch.cat([equilibrium, equilibrium.new_ones(1)]))[:, :-1]
 
 
 def chained(steps: Tensor, start: Tensor) -> Tensor:
@@ -272,7 +272,7 @@ def _equation(
     reference = model.reference
     declared = {p.name: p for p in effect.declared}
     prior = [declared[f"{row}.{c}"] for c in pattern]
-    known = {c: dataset.noise(c) for c in pattern if have(dataset, (c,))}
+    channel_noise = {c: dataset.noise(c) for c in pattern if have(dataset, (c,))}
 
     def regressors(name: str, flight: Measured) -> Tensor:
         return torch.stack([flight.signals[c] - reference.get(c, 0.0) for c in pattern], dim=-1)
@@ -285,7 +285,7 @@ def _equation(
         dt=[dataset.facts[f].dt for f in dataset.identify],
         kind=kind,
         response_noise=noise,
-        regressor_noise=[known.get(c, 0.0) for c in pattern],
+        regressor_noise=[channel_noise.get(c, 0.0) for c in pattern],
         prior_mean=[p.value for p in prior],
         prior_sd=[p.prior_sd for p in prior],
         highest=HIGHEST[row],
@@ -307,10 +307,10 @@ def _responses(
     if row in MOMENTS:
 
         def rate(name: str, flight: Measured) -> Tensor:
-            rates, own = torch.stack([flight.signals[n] for n in RATES], -1), flight.known[:, axis]
+            rates, physics = torch.stack([flight.signals[n] for n in RATES], -1), flight.known[:, axis]
             if model.body.inertia is not None:
-                own = own + gyroscopic(rates, model.inertia)[:, axis - 3]
-            return rates[:, axis - 3] - integral(own, dataset.facts[name].dt)
+                physics = physics + gyroscopic(rates, model.inertia)[:, axis - 3]
+            return rates[:, axis - 3] - integral(physics, dataset.facts[name].dt)
 
         return _each(flights, rate), "derivative", dataset.noise(RATES[axis - 3])
     if have(dataset, SPECIFIC_FORCES):

@@ -133,24 +133,24 @@ class RotorEquations:
     @torch.no_grad()
     def fitted(self, theta: Tensor, names: Sequence[str]) -> tuple[Tensor, dict[str, Regression]]:
         """Theta with these parameters regressed, each in the first row that it reaches; regressions by row."""
-        left, found = list(names), dict[str, Regression]()
+        left, regressions = list(names), dict[str, Regression]()
         for group in self.groups:
             base, columns = self._columns(theta, left)
             for row in group:
                 mine = {n: [one[row] for one in columns[n]] for n in left}
                 mine = {n: c for n, c in mine.items() if any(bool((part != 0.0).any()) for part in c)}
                 moving = {n: c for n, c in mine.items() if any(_moves(part) for part in c)}
-                rest = [one[row] for one in base]
+                remainders = [one[row] for one in base]
                 if moving:
-                    found[row] = self._regress(row, theta, rest, moving)
-                    change = self._stored(theta, moving, found[row].coefficients)
+                    regressions[row] = self._regress(row, theta, remainders, moving)
+                    change = self._stored(theta, moving, regressions[row].coefficients)
                     theta = theta + change
-                    rest = _moved(rest, moving, change[[self.model.parameter_set.index(n) for n in moving]])
+                    remainders = _moved(remainders, moving, change[[self.model.parameter_set.index(n) for n in moving]])
                 for name in [n for n in mine if n not in moving][:1]:  # a second constant could not be told from it
-                    more = self._mean_error(row, rest) / float(mine[name][0].mean())
+                    more = self._mean_error(row, remainders) / float(mine[name][0].mean())
                     theta = _with(self.model, theta, {name: float(theta[self.model.parameter_set.index(name)]) + more})
                 left = [n for n in left if n not in mine]
-        return theta, found
+        return theta, regressions
 
     def _columns(self, theta: Tensor, names: Sequence[str]) -> tuple[list[Rows], dict[str, list[Rows]]]:
         """Rows of every flight at theta, and their derivatives by each of the parameters."""
@@ -168,8 +168,8 @@ class RotorEquations:
             moved = self.at(thetas)
             for k, name in enumerate(batch):
                 columns[name] = [
-                    {row: _change(there[row].expand(len(batch), -1)[k], here[row][0]) / steps[name] for row in here}
-                    for there, here in zip(moved, base, strict=True)
+                    {row: _change(bumped[row].expand(len(batch), -1)[k], here[row][0]) / steps[name] for row in here}
+                    for bumped, here in zip(moved, base, strict=True)
                 ]
         return [{row: values[0] for row, values in one.items()} for one in base], columns
 
@@ -181,14 +181,14 @@ class RotorEquations:
     def _regress(
         self, row: str, theta: Tensor, base: Sequence[Tensor], columns: Mapping[str, Sequence[Tensor]]
     ) -> Regression:
-        known = self.model.parameter_set
-        places = [known.index(name) for name in columns]
+        parameter_set = self.model.parameter_set
+        places = [parameter_set.index(name) for name in columns]
         regressors = [torch.stack(parts, dim=-1) for parts in zip(*columns.values(), strict=True)]
         responses = []
         for flight, one, z in zip(self.flights, base, regressors, strict=True):
-            rest = one - z @ theta[places]
-            own = rest if self.kind(row) == "value" else integral(rest, flight.dt)
-            responses.append(self.response(row, flight) - own)
+            remainder = one - z @ theta[places]
+            response = remainder if self.kind(row) == "value" else integral(remainder, flight.dt)
+            responses.append(self.response(row, flight) - response)
         return fit_equation(
             Equation(
                 name=row,
@@ -198,8 +198,8 @@ class RotorEquations:
                 dt=[flight.dt for flight in self.flights],
                 kind=self.kind(row),
                 regressor_noise=[0.0] * len(columns),
-                prior_mean=known.values[places],
-                prior_sd=known.prior_sd[places],
+                prior_mean=parameter_set.values[places],
+                prior_sd=parameter_set.prior_sd[places],
                 band=self.band,
                 trend=False,
             )
@@ -211,10 +211,10 @@ class RotorEquations:
         wanted[[self.model.parameter_set.index(name) for name in names]] = values
         return self.model.parameter_set.clamp(wanted) - theta
 
-    def _mean_error(self, row: str, own: Sequence[Tensor]) -> float:
+    def _mean_error(self, row: str, remainders: Sequence[Tensor]) -> float:
         """Measured less the model's row on average over the flights."""
         more, weight = 0.0, 0.0
-        for flight, one in zip(self.flights, own, strict=True):
+        for flight, one in zip(self.flights, remainders, strict=True):
             measured = self.response(row, flight)
             if self.kind(row) == "value":
                 more += float((measured - one).sum()) * flight.dt
@@ -234,8 +234,8 @@ def regress_rotors(model: Model, dataset: Dataset, reconstruction: Reconstructio
     linear = [name for name in model.parameter_set.free if name not in memory]
     searched = RotorEquations(model, tuple(flight.middle(SEARCHED) for flight in flights))
     theta = _tried(searched, model.theta.detach().clone(), memory, linear)
-    theta, found = equations.fitted(theta, linear)
-    return Step2(found, model.parameter_set.clamp(theta), (), {})
+    theta, regressions = equations.fitted(theta, linear)
+    return Step2(regressions, model.parameter_set.clamp(theta), (), {})
 
 
 def with_memory(model: Model) -> tuple[str, ...]:
@@ -250,8 +250,8 @@ def with_memory(model: Model) -> tuple[str, ...]:
 
 def _tried(equations: RotorEquations, theta: Tensor, memory: Sequence[str], linear: Sequence[str]) -> Tensor:
     """Theta with the parameters with memory where all equations together fit best, one after the other on a grid."""
-    known = equations.model.parameter_set
-    declared = [known.parameters[known.index(name)] for name in memory]
+    parameter_set = equations.model.parameter_set
+    declared = [parameter_set.parameters[parameter_set.index(name)] for name in memory]
     grids = [[min(max(share * p.typical, p.bounds[0]), p.bounds[1]) for share in TRIED] for p in declared]
     misfits = dict[tuple[float, ...], float]()
 
@@ -277,8 +277,8 @@ def _with(model: Model, theta: Tensor, values: Mapping[str, float]) -> Tensor:
 
 def _misfit(equations: RotorEquations, theta: Tensor, linear: Sequence[str]) -> float:
     """Minus log-likelihood of all rows that have a regressor."""
-    _, found = equations.fitted(theta, linear)
-    return sum(0.5 * r.information * float(torch.log((1.0 - r.r2).clamp_min(1e-9))) for r in found.values())
+    _, regressions = equations.fitted(theta, linear)
+    return sum(0.5 * r.information * float(torch.log((1.0 - r.r2).clamp_min(1e-9))) for r in regressions.values())
 
 
 def _flights(model: Model, data: Records) -> Iterator[Seen]:

@@ -142,12 +142,12 @@ def _commanded(row: str, columns: Sequence[str]) -> tuple[str, ...]:
         return tuple(c for c in columns if row not in MOMENTS or c not in VELOCITIES)
     states = (*VELOCITIES, *RATES)
     if row in MOMENTS:
-        own = RATES[MOMENTS.index(row)]
-        return tuple(c for c in columns if c == own or c not in states)
+        rate = RATES[MOMENTS.index(row)]
+        return tuple(c for c in columns if c == rate or c not in states)
     if not set(VELOCITIES) <= set(columns):
         return tuple(columns)
-    own = VELOCITIES[FORCES.index(row)]
-    return tuple(c for c in columns if c == own or (row == "Z" and c == "col"))
+    rate = VELOCITIES[FORCES.index(row)]
+    return tuple(c for c in columns if c == rate or (row == "Z" and c == "col"))
 
 
 def sticks_alone(spec: ModelSpec) -> bool:
@@ -207,8 +207,8 @@ def _lagged_misfit(flights: Sequence[Flight], drivers: Sequence[str], lag: int) 
     y = [f.bridged(FLAPPING[1:]) for f in flights]
     columns, response = torch.cat(z), torch.cat(y)
     columns = columns / columns.norm(dim=0).clamp_min(1e-12)
-    rest = response - columns @ least_squares(columns, response)
-    return rest.square().mean(0).log().mean()
+    remainder = response - columns @ least_squares(columns, response)
+    return remainder.square().mean(0).log().mean()
 
 
 def lagged(signal: Tensor, samples: float) -> Tensor:
@@ -252,12 +252,12 @@ def _deviations(dataset: Dataset, reconstruction: Reconstruction) -> list[float]
 
 def _ranges(dataset: Dataset) -> dict[str, tuple[float, float]]:
     """Smallest and largest value of every signal in the identify flights."""
-    found = {}
+    ranges = {}
     for name in (*VELOCITIES, *RATES, *ATTITUDE, *dataset.controls):
         spreads = [dataset.facts[f].spreads[name] for f in dataset.identify if dataset.facts[f].has(name)]
         if spreads:
-            found[name] = min(s.low for s in spreads), max(s.high for s in spreads)
-    return found
+            ranges[name] = min(s.low for s in spreads), max(s.high for s in spreads)
+    return ranges
 
 
 def spins(dataset: Dataset) -> tuple[float, ...]:

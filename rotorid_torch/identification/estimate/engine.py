@@ -102,7 +102,7 @@ class Engine(Protocol):
         """What is left of several [k, m, m] and further rows [r, m], as one [m, m]."""
         ...
 
-    def split(self, rest: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    def split(self, triangle: Tensor, count: int) -> tuple[Tensor, Tensor]:
         """The first rows of the triangle [count, m], and what is left of the other columns [m - count, m - count]."""
         ...
 
@@ -133,8 +133,8 @@ class TorchEngine:
         assert triangles is not None
         steps = torch.cat(transitions)
         passage = torch.eye(part.run.states.shape[-1], dtype=torch.float64).expand(len(part.segments), -1, -1)
-        for step, there in zip(steps, part.segments.inside.mT[1:, :, None, None], strict=True):
-            passage = torch.where(there, step @ passage, passage)
+        for step, inside in zip(steps, part.segments.inside.mT[1:, :, None, None], strict=True):
+            passage = torch.where(inside, step @ passage, passage)
         nx = 0 if unknowns.x0_sd is None else len(unknowns.x0_sd.mT)
         triangles = _with_prior(triangles, unknowns)
         return Elimination(triangles[:, :nx], triangles[:, nx:, nx:], passage, steps)
@@ -162,9 +162,9 @@ class TorchEngine:
         """See `Engine`; triangles."""
         return _square(torch.linalg.qr(torch.cat([rests.flatten(0, 1), rows]), mode="r").R)
 
-    def split(self, rest: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    def split(self, triangle: Tensor, count: int) -> tuple[Tensor, Tensor]:
         """See `Engine`; the triangle is there already."""
-        return rest[:count], rest[count:, count:]
+        return triangle[:count], triangle[count:, count:]
 
 
 def _with_prior(triangles: Tensor, unknowns: Unknowns) -> Tensor:
@@ -208,8 +208,8 @@ class NativeEngine:
         Unsupported : it holds an operation that native code does not know, or there is no compiler.
         """
         nu = len(controls)
-        given = torch.cat([controls, controls.new_zeros(1)])
-        traced = Dynamics.of(lambda x, u, theta: system.motion(theta, u[nu], x, u[:nu]), states, given, system.theta)
+        example = torch.cat([controls, controls.new_zeros(1)])
+        traced = Dynamics.of(lambda x, u, theta: system.motion(theta, u[nu], x, u[:nu]), states, example, system.theta)
         timed = traced.depends_on("u", nu)
         engine = cls(system, traced if timed else replace(traced, nu=nu), timed)
         engine.traced.build(derivatives=True)  # now: what cannot be compiled is told before anything depends on it
@@ -220,8 +220,8 @@ class NativeEngine:
     ) -> Run:
         """See `Engine`; simulated anew, which is cheaper than any correction."""
         controls = controls_at(self.system, theta, records, segments)
-        given = self._given(controls, segments)
-        states, outputs = self.traced.simulate(theta, x0, given, segments.dt, threads=threads())
+        path = self._given(controls, segments)
+        states, outputs = self.traced.simulate(theta, x0, path, segments.dt, threads=threads())
         return Run(theta, controls, states, outputs)
 
     def _given(self, controls: Tensor, segments: Segments) -> Tensor:
@@ -241,15 +241,15 @@ class NativeEngine:
         if unknowns.x0_sd is not None:
             H[:, :nx, :nx] += torch.diag_embed(unknowns.x0_sd**-2.0)
             H[:, :nx, -1] += unknowns.x0_rows / unknowns.x0_sd
-        starts, rest = dynamics.triangles(H, nx, WEAK)
-        return Elimination(starts, rest, passage)
+        starts, remaining = dynamics.triangles(H, nx, WEAK)
+        return Elimination(starts, remaining, passage)
 
     def _infinite(self, H: Tensor) -> str:
         """What to tell of products of columns that are not finite although the trajectories are."""
         names = self.system.names
         lost = (~H.diagonal(dim1=-2, dim2=-1).isfinite()).any(dim=0)[-1 - len(names) : -1].tolist()
-        told = ", ".join(name for name, bad in zip(names, lost, strict=True) if bad) or "the initial states"
-        return f"the trajectories are finite, but not their derivatives by {told}: a root or a quotient at zero?"
+        names_lost = ", ".join(name for name, bad in zip(names, lost, strict=True) if bad) or "the initial states"
+        return f"the trajectories are finite, but not their derivatives by {names_lost}: a root or a quotient at zero?"
 
     def rows(self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns) -> Tensor:
         """See `Engine`."""
@@ -260,9 +260,9 @@ class NativeEngine:
         """See `Engine`; products add up."""
         return rests.sum(dim=0) + rows.mT @ rows
 
-    def split(self, rest: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    def split(self, triangle: Tensor, count: int) -> tuple[Tensor, Tensor]:
         """See `Engine`; Cholesky's rows."""
-        top, left = self.traced.triangles(rest.unsqueeze(0), count, 0.0)
+        top, left = self.traced.triangles(triangle.unsqueeze(0), count, 0.0)
         return top[0], left[0]
 
     def _problem(

@@ -55,9 +55,9 @@ def fitted_states(problem: Likelihood, theta: Tensor) -> Tensor:
         head.linearise(best)
         assert best.locals is not None
         nx = best.x0.shape[-1]
-        triangle, rest = best.locals.segment[:, :, :nx], best.locals.segment[:, :, -1:]
+        triangle, right_side = best.locals.segment[:, :, :nx], best.locals.segment[:, :, -1:]
         norms = torch.linalg.vector_norm(triangle, dim=1, keepdim=True).clamp_min(1e-12)
-        step = least_squares(triangle / norms, rest, rcond=1e-3) / norms.mT
+        step = least_squares(triangle / norms, right_side, rcond=1e-3) / norms.mT
         trial = replace(head, x0=best.x0 + step.squeeze(-1)).evaluate(theta)
         if not trial.cost < best.cost:
             break

@@ -42,22 +42,24 @@ class Locals:
         """Steps of the initial states [S, nx] and of the biases [F, nb], `share` of their own."""
         return self.carry(step, flight, share * self.segment[:, :, -1], share * self.flight[:, :, -1])
 
-    def carry(self, step: Tensor, flight: Tensor, own: Tensor, own_bias: Tensor) -> tuple[Tensor, Tensor]:
+    def carry(self, step: Tensor, flight: Tensor, state: Tensor, own_bias: Tensor) -> tuple[Tensor, Tensor]:
         """The same for any steps of their own, in units of their standard errors: [S, nx] and [F, nb]."""
         bias = _back(self.flight, own_bias, step.expand(len(self.flight), -1))
-        return _back(self.segment, own, torch.cat([bias[flight], step.expand(len(flight), -1)], dim=1)), bias
+        return _back(self.segment, state, torch.cat([bias[flight], step.expand(len(flight), -1)], dim=1)), bias
 
     def own(self) -> tuple[Tensor, Tensor]:
         """Decrease of the cost by each segment's initial states alone [S], and by each flight's biases [F]."""
         return 0.5 * self.segment[:, :, -1].square().sum(dim=1), 0.5 * self.flight[:, :, -1].square().sum(dim=1)
 
 
-def _back(triangles: Tensor, own: Tensor, known: Tensor) -> Tensor:
-    n, found = own.shape[1], []
-    for triangle, one, given in zip(triangles.split(SOLVED), own.split(SOLVED), known.split(SOLVED), strict=True):
-        rest = one.unsqueeze(-1) - triangle[:, :, n:-1] @ given.unsqueeze(-1)
-        found.append(torch.linalg.solve_triangular(triangle[:, :, :n], rest, upper=True).squeeze(-1))
-    return torch.cat(found)
+def _back(triangles: Tensor, right_side: Tensor, later: Tensor) -> Tensor:
+    n, solved = right_side.shape[1], []
+    for triangle, one, later_part in zip(
+        triangles.split(SOLVED), right_side.split(SOLVED), later.split(SOLVED), strict=True
+    ):
+        remainder = one.unsqueeze(-1) - triangle[:, :, n:-1] @ later_part.unsqueeze(-1)
+        solved.append(torch.linalg.solve_triangular(triangle[:, :, :n], remainder, upper=True).squeeze(-1))
+    return torch.cat(solved)
 
 
 @dataclass
@@ -138,8 +140,8 @@ class Likelihood:
         """Samples of the longest segment of all ranks."""
         return int(self.ranks.largest(self.segments.samples))
 
-    def _count(self, own: int) -> int:
-        return int(self.ranks.sum(torch.tensor(own)))
+    def _count(self, local: int) -> int:
+        return int(self.ranks.sum(torch.tensor(local)))
 
     @cached_property
     def blocks(self) -> Tensor:
@@ -181,8 +183,8 @@ class Likelihood:
             x0_step, bias_step = base.locals.move(theta - base.theta, self.segments.flight, share)
             x0, bias = base.x0 + (x0_step if self.x0_sd is not None else 0.0), base.bias + bias_step
         place = Place(theta, x0, bias)
-        made = self._made(place, base)
-        return self.judged(place, list(made) if self._kept else None)
+        evaluated = self._made(place, base)
+        return self.judged(place, list(evaluated) if self._kept else None)
 
     def parts(self, place: Place) -> Iterable[Part]:
         """The place's runs and residuals, part by part."""
@@ -229,8 +231,8 @@ class Likelihood:
 
     def moments(self, place: Place, of: Callable[[Part], Tensor]) -> Moments:
         """Sums over what is made of each part's residuals, [S, T, ny] with NaN = missing."""
-        found = self._sum((part.segments.flight, products(of(part))) for part in self.parts(place))
-        return Moments(found[0], found[1])
+        sums = self._sum((part.segments.flight, products(of(part))) for part in self.parts(place))
+        return Moments(sums[0], sums[1])
 
     def mean_square_state(self, place: Place) -> Tensor:
         """[nx] over all samples of the place's runs, where they are inside their segments."""
@@ -261,9 +263,9 @@ class Likelihood:
 
     def prior_rows(self, place: Place) -> tuple[Tensor, Tensor]:
         """Rows of the parameters' prior."""
-        there = torch.isfinite(self.prior_sd)
-        rows = torch.diag(1.0 / self.prior_sd)[there]
-        return rows, (self.prior_mean - place.theta)[there] / self.prior_sd[there]
+        informed = torch.isfinite(self.prior_sd)
+        rows = torch.diag(1.0 / self.prior_sd)[informed]
+        return rows, (self.prior_mean - place.theta)[informed] / self.prior_sd[informed]
 
     def x0_rows(self, place: Place) -> Tensor:
         """Rows [S, nx] of the initial states' prior."""
@@ -281,31 +283,31 @@ class Likelihood:
     @torch.no_grad()
     def linearise(self, place: Place) -> Linear:
         """Linear model of the whitened residual in the shared parameters; the place remembers the elimination."""
-        local, rest = self.locals_per_segment, len(place.theta) + 1
-        starts = mapped_arrays.empty(len(self.segments), local, local + len(self.biased) + rest)
+        local, globals_count = self.locals_per_segment, len(place.theta) + 1
+        starts = mapped_arrays.empty(len(self.segments), local, local + len(self.biased) + globals_count)
         passage = self.x0.new_empty(len(self.segments), self.x0.shape[-1], self.x0.shape[-1])
-        blocks = self.x0.new_zeros(min(BLOCKS, self.flights), rest, rest)
-        biases, seen, place.transitions = [], set[int](), []
+        blocks = self.x0.new_zeros(min(BLOCKS, self.flights), globals_count, globals_count)
+        biases, flights_done, place.transitions = [], set[int](), []
         for part in self.parts(place):
             whitener = Whitener.of(place.covariance, part.valid)
-            found = self.engine.eliminate(self.records, part, whitener, self.unknowns(place, part.which))
-            starts[part.which] = found.starts
-            passage[part.which] = found.passage
-            place.transitions.append(found.transitions)
+            eliminated = self.engine.eliminate(self.records, part, whitener, self.unknowns(place, part.which))
+            starts[part.which] = eliminated.starts
+            passage[part.which] = eliminated.passage
+            place.transitions.append(eliminated.transitions)
             for f in torch.unique(part.segments.flight).tolist():
-                bias, own = self._of_flight(place, f, found.rest[part.segments.flight == f])
+                bias, local_bias = self._of_flight(place, f, eliminated.rest[part.segments.flight == f])
                 biases.append(bias)
                 block = int(self.blocks[f])
-                blocks[block] = self._joined(blocks[block], own) if block in seen else own
-                seen.add(block)
+                blocks[block] = self._joined(blocks[block], local_bias) if block in flights_done else local_bias
+                flights_done.add(block)
         place.locals, place.passage = Locals(starts, torch.stack(biases)), passage
         blocks = self.ranks.sum(blocks)
         place.blocks = [self._triangle(block) for block in blocks]
         prior = torch.cat([part if part.dim() == 2 else part[:, None] for part in self.prior_rows(place)], dim=1)
         segment, flight = place.locals.own()
-        own = self._sum([(self.segments.flight, segment), (torch.arange(len(flight)), flight)])
+        local_bias = self._sum([(self.segments.flight, segment), (torch.arange(len(flight)), flight)])
         mapped_arrays.let_go()
-        return Linear(*self._triangle(self.engine.joined(blocks, prior)), float(own))
+        return Linear(*self._triangle(self.engine.joined(blocks, prior)), float(local_bias))
 
     def _of_flight(self, place: Place, flight: int, rests: Tensor) -> tuple[Tensor, Tensor]:
         """Rows of the triangle of a flight's biases, and what is left of its segments for the parameters."""
@@ -315,13 +317,13 @@ class Likelihood:
         pull[:, -1] = self._bias_rows(place)[flight]
         return self.engine.split(self.engine.joined(rests, pull), nb)
 
-    def _joined(self, rest: Tensor, other: Tensor) -> Tensor:
+    def _joined(self, triangle: Tensor, other: Tensor) -> Tensor:
         """Two flights' as one."""
-        return self.engine.joined(torch.stack([rest, other]), rest.new_zeros(0, rest.shape[-1]))
+        return self.engine.joined(torch.stack([triangle, other]), triangle.new_zeros(0, triangle.shape[-1]))
 
-    def _triangle(self, rest: Tensor) -> tuple[Tensor, Tensor]:
+    def _triangle(self, triangle: Tensor) -> tuple[Tensor, Tensor]:
         """Linear model A [P, P], b [P] of the parameters."""
-        top, _ = self.engine.split(rest, len(rest) - 1)
+        top, _ = self.engine.split(triangle, len(triangle) - 1)
         return top[:, :-1], top[:, -1]
 
     def by_flight(self, place: Place) -> Iterator[tuple[Part, Whitener, Tensor]]:

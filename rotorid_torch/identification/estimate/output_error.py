@@ -171,10 +171,10 @@ def check_shapes(system: System, records: Records) -> None:
             raise InputError("model", key, f"returns shape {tuple(got)} for {len(x)} states", f"shape {tuple(wanted)}")
 
 
-def result_of(system: System, records: Records, found: Fit) -> OutputError:
+def result_of(system: System, records: Records, fitted: Fit) -> OutputError:
     """A fit as the caller gets it."""
-    minimum, place = found.minimum, found.minimum.point
-    se, theta = found.uncertainty.standard_errors, place.theta
+    minimum, place = fitted.minimum, fitted.minimum.point
+    se, theta = fitted.uncertainty.standard_errors, place.theta
     parameters = [
         ParameterEstimate(
             name=e.name,
@@ -188,33 +188,33 @@ def result_of(system: System, records: Records, found: Fit) -> OutputError:
         for i, e in enumerate(system.entries)
     ]
     residual = torch.full_like(records.outputs, math.nan)
-    for part in found.likelihood.parts(place):
+    for part in fitted.likelihood.parts(place):
         part.segments.write(part.residual, residual)
-    first = (found.likelihood.segments.place[:, 0] == 0).nonzero()[:, 0]
+    first = (fitted.likelihood.segments.place[:, 0] == 0).nonzero()[:, 0]
     return OutputError(
         model=system.fitted(theta),
         parameters=parameters,
-        covariance=found.uncertainty.covariance,
-        noise=found.noise,
+        covariance=fitted.uncertainty.covariance,
+        noise=fitted.noise,
         initial_states=place.x0[first],
         converged=minimum.converged,
         message=sentence(minimum.message, parameters) + _coloured(colour(residual)),
         history=minimum.history,
         residuals=[r[:n] for r, n in zip(residual, records.lengths.tolist(), strict=True)],
-        model_error_ratio=found.model_error_ratio,
-        uncertainty=found.uncertainty,
-        stages=found.stages,
+        model_error_ratio=fitted.model_error_ratio,
+        uncertainty=fitted.uncertainty,
+        stages=fitted.stages,
     )
 
 
-def _coloured(seen: Colour) -> str:
+def _coloured(colour: Colour) -> str:
     """What to say where residuals are none of the sensors' noise, as in moving air."""
-    if not seen.outputs:
+    if not colour.outputs:
         return ""
-    listed = ", ".join(f"{float(seen.lag_one[i]):.2f} of output {i}" for i in seen.outputs)
+    listed = ", ".join(f"{float(colour.lag_one[i]):.2f} of output {i}" for i in colour.outputs)
     return (
         f"; successive residuals are correlated ({listed}): where the air moves, filter_error tells more;"
-        f" predicting each from the one before would raise the log-likelihood by {seen.gain:.0f}"
+        f" predicting each from the one before would raise the log-likelihood by {colour.gain:.0f}"
     )
 
 

@@ -26,9 +26,9 @@ class Moments:
 
 def products(residual: Tensor) -> Tensor:
     """Of each segment of a residual [S, T, ny], NaN = missing: products and numbers of samples, [S, 2, ny, ny]."""
-    there = ~residual.isnan()
-    filled, known = torch.where(there, residual, 0.0), there.to(residual)
-    return torch.stack([filled.mT @ filled, known.mT @ known], dim=1)
+    present = ~residual.isnan()
+    filled, weights = torch.where(present, residual, 0.0), present.to(residual)
+    return torch.stack([filled.mT @ filled, weights.mT @ weights], dim=1)
 
 
 @dataclass(frozen=True)
@@ -77,12 +77,12 @@ class Whitener:
         rows, pattern = torch.unique(valid.flatten(0, 1), dim=0, return_inverse=True)
         table = covariance.new_zeros(len(rows), *covariance.shape)
         for k, row in enumerate(rows):
-            there = row.nonzero()[:, 0]
-            chosen = covariance[there[:, None], there]
+            measured = row.nonzero()[:, 0]
+            chosen = covariance[measured[:, None], measured]
             inverse = torch.linalg.solve_triangular(
-                torch.linalg.cholesky(chosen), torch.eye(len(there)).to(chosen), upper=False
+                torch.linalg.cholesky(chosen), torch.eye(len(measured)).to(chosen), upper=False
             )
-            table[k, there[:, None], there] = inverse
+            table[k, measured[:, None], measured] = inverse
         return cls(covariance, valid, table, pattern.view(valid.shape[:2]))
 
     def apply(self, values: Tensor, first: int = 0) -> Tensor:
@@ -127,16 +127,16 @@ def whiteness(innovations: Tensor, spreads: Tensor) -> Whiteness:
 
     Source: Ljung and Box (1978), Biometrika 65.
     """
-    there = ~innovations.isnan()
-    safe = torch.where(there.any(-1)[..., None, None], spreads, torch.eye(innovations.shape[-1]).to(spreads))
+    present = ~innovations.isnan()
+    safe = torch.where(present.any(-1)[..., None, None], spreads, torch.eye(innovations.shape[-1]).to(spreads))
     root = torch.linalg.cholesky(safe)
     white = torch.linalg.solve_triangular(root, innovations.nan_to_num(0.0).unsqueeze(-1), upper=False).squeeze(-1)
-    white = torch.where(there, white, 0.0)
-    count, power = there.sum(dim=(0, 1)), white.square().sum(dim=(0, 1)).clamp_min(1e-300)
+    white = torch.where(present, white, 0.0)
+    count, power = present.sum(dim=(0, 1)), white.square().sum(dim=(0, 1)).clamp_min(1e-300)
     lags = min(LAGS, innovations.shape[1] // 4)
     correlations, pairs = [], []
     for lag in range(1, lags + 1):
-        pairs.append((there[:, lag:] & there[:, :-lag]).sum(dim=(0, 1)).clamp_min(1))
+        pairs.append((present[:, lag:] & present[:, :-lag]).sum(dim=(0, 1)).clamp_min(1))
         products = (white[:, lag:] * white[:, :-lag]).sum(dim=(0, 1))
         correlations.append(products / pairs[-1] / (power / count.clamp_min(1)))
     r, n = torch.stack(correlations), torch.stack(pairs)

@@ -155,25 +155,25 @@ def _checked(place: str, flight: Mapping[str, Any]) -> dict[str, Tensor]:
         raise InputError(place, "controls", "holds NaN or infinity", "finite numbers")
     if bool(torch.isinf(row["outputs"]).any()):
         raise InputError(place, "outputs", "holds infinity", "finite numbers, NaN where missing")
-    known = _known_states(place, flight, len(step) + 1)
-    return row if known is None else row | {"states": known}
+    states = _known_states(place, flight, len(step) + 1)
+    return row if states is None else row | {"states": states}
 
 
 def _known_states(place: str, flight: Mapping[str, Any], samples: int) -> Tensor | None:
     """[T, nx] from `states`, its first row from `x0` where that is given."""
-    known = flight.get("states")
-    known = None if known is None else torch.as_tensor(known).to(torch.float64).clone()
-    if known is not None and (known.dim() != 2 or len(known) != samples):
-        raise InputError(place, "states", f"shape {tuple(known.shape)}", f"2 dimensions, {samples} samples")
+    states = flight.get("states")
+    states = None if states is None else torch.as_tensor(states).to(torch.float64).clone()
+    if states is not None and (states.dim() != 2 or len(states) != samples):
+        raise InputError(place, "states", f"shape {tuple(states.shape)}", f"2 dimensions, {samples} samples")
     if flight.get("x0") is None:
-        return known
+        return states
     x0 = torch.as_tensor(flight["x0"]).to(torch.float64)
     if x0.dim() != 1 or not bool(torch.isfinite(x0).all()):
         raise InputError(place, "x0", f"shape {tuple(x0.shape)} or not finite", "the initial state (nx,)")
-    if known is None:
-        known = torch.full((samples, len(x0)), math.nan, dtype=torch.float64)
-    known[0] = x0
-    return known
+    if states is None:
+        states = torch.full((samples, len(x0)), math.nan, dtype=torch.float64)
+    states[0] = x0
+    return states
 
 
 def cut(records: Records, samples: int) -> Segments:

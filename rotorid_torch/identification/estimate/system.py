@@ -129,14 +129,14 @@ class System:
         none = torch.zeros(0, dtype=torch.long), controls.new_zeros(*controls.shape, 0)
         if not self.has_tape:
             return none
-        own = theta.detach().requires_grad_()
+        leaf = theta.detach().requires_grad_()
         with torch.enable_grad():
-            value = self.tape(own, controls, dt)
+            value = self.tape(leaf, controls, dt)
         if not value.requires_grad:  # nothing that is free acts on the control path
             return none
         # plain autograd: torch's functional one imports a compiler of seconds for its first backward pass
         weights = _random(value.shape, 0).to(value)
-        which = torch.autograd.grad(value, own, weights, materialize_grads=True)[0].nonzero()[:, 0]
+        which = torch.autograd.grad(value, leaf, weights, materialize_grads=True)[0].nonzero()[:, 0]
         if len(which) == 0:
             return none
         seeds = torch.eye(len(theta), dtype=theta.dtype)[which]
@@ -206,8 +206,8 @@ class _Structure:
 
     def _learn(self, dense: Tensor) -> None:
         """Take nonzero entries of [P, n, rows] into the pattern and group the parameters anew."""
-        seen = ((dense != 0) | dense.isnan()).any(dim=1).mT  # [rows, P]
-        self.pattern = seen if self.pattern is None else seen | self.pattern
+        filled = ((dense != 0) | dense.isnan()).any(dim=1).mT  # [rows, P]
+        self.pattern = filled if self.pattern is None else filled | self.pattern
         taken: list[Tensor] = []
         group = [0] * self.pattern.shape[1]
         for j in torch.argsort(self.pattern.sum(0), descending=True).tolist():
@@ -245,17 +245,17 @@ def _passes(function: Callable[..., Tensor], theta: Tensor, seeds: Tensor, *poin
 
 def _entries(model: nn.Module, free: Sequence[str] | None, bounds: Mapping[str, tuple[float, float]]) -> list[Entry]:
     declared = getattr(model, "parameter_set", None)
-    known = _of_set(declared) if declared is not None else _of_tensors(model)
-    names = list(known) if free is None else list(free)
+    named_values = _of_set(declared) if declared is not None else _of_tensors(model)
+    names = list(named_values) if free is None else list(free)
     if isinstance(free, str):
         raise InputError("free", free, "a single word", "a list of names")
     entries: list[Entry] = []
     for name in names:
-        chosen = known.get(name)
+        chosen = named_values.get(name)
         if chosen is None:
-            single = [e for group in known.values() for e in group if e.name == name]
+            single = [e for group in named_values.values() for e in group if e.name == name]
             if not single:
-                raise InputError("free", name, "no parameter of the model", f"one of {', '.join(known)}")
+                raise InputError("free", name, "no parameter of the model", f"one of {', '.join(named_values)}")
             chosen = single
         entries += [_bounded(e, bounds.get(e.name, bounds.get(name))) for e in chosen]
     twice = sorted({e.name for e in entries if sum(o.name == e.name for o in entries) > 1})
@@ -279,7 +279,7 @@ def _of_set(declared: Any) -> dict[str, list[Entry]]:
 
 
 def _of_tensors(model: nn.Module) -> dict[str, list[Entry]]:
-    known = {}
+    entries = {}
     for name, tensor in model.named_parameters():
         indices = (
             [()]
@@ -287,7 +287,7 @@ def _of_tensors(model: nn.Module) -> dict[str, list[Entry]]:
             else torch.cartesian_prod(*[torch.arange(n) for n in tensor.shape]).view(-1, tensor.dim()).tolist()
         )
         whole = len(indices) == 1
-        known[name] = [
+        entries[name] = [
             Entry(
                 name if whole else f"{name}[{re.sub(r'[^0-9,]', '', str(list(index)))}]",
                 name,
@@ -298,4 +298,4 @@ def _of_tensors(model: nn.Module) -> dict[str, list[Entry]]:
             )
             for i, index in enumerate(indices)
         ]
-    return known
+    return entries

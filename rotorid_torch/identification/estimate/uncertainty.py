@@ -37,7 +37,7 @@ class Uncertainty:
     standard_errors: Tensor
 
 
-def uncertainty(likelihood: Likelihood, place: Place, linear: Linear, told: Tensor, loss: float) -> Uncertainty:
+def uncertainty(likelihood: Likelihood, place: Place, linear: Linear, identifiable: Tensor, loss: float) -> Uncertainty:
     """Covariance of the estimate at its optimum.
 
     The noise is taken as coloured (its spectrum that of the residuals), as in Morelli and Klein; leaving one flight out
@@ -47,23 +47,23 @@ def uncertainty(likelihood: Likelihood, place: Place, linear: Linear, told: Tens
     Parameters
     ----------
     linear : linear model at the place, as `Likelihood.linearise` gives it.
-    told : [P] mask of the parameters estimated (not held, not on a bound, identifiable).
+    identifiable : [P] mask of the parameters estimated (not held, not on a bound, identifiable).
     loss : samples over samples minus estimated numbers, by which residuals are too small.
 
     Source: Morelli and Klein, Aircraft System Identification (2nd ed.), sec. 6.3.2 (coloured residuals);
     Efron and Stein (1981), Ann. Statist. 9 (jackknife).
     """
-    plain = linear[0].new_zeros(len(told), len(told))
-    if not bool(told.any()):
+    plain = linear[0].new_zeros(len(identifiable), len(identifiable))
+    if not bool(identifiable.any()):
         return Uncertainty(plain, plain, plain.diagonal(), plain, plain.diagonal())
-    inverse = inverse_triangle(linear, told)
-    plain[told[:, None] & told] = loss * (inverse @ inverse.mT).flatten()
+    inverse = inverse_triangle(linear, identifiable)
+    plain[identifiable[:, None] & identifiable] = loss * (inverse @ inverse.mT).flatten()
     coloured = torch.zeros_like(plain)
     lines, pieces = fast(2 * likelihood.longest), likelihood.pieces
     flights = lambda directions: _flights(likelihood, place, directions)  # noqa: E731
-    found = coloured_covariance(flights, lines, pieces, inverse, told, likelihood.ranks)
-    coloured[told[:, None] & told] = found.flatten()
-    variances = jackknife(place.blocks, likelihood.prior_rows(place), told, likelihood.ranks)
+    covariance = coloured_covariance(flights, lines, pieces, inverse, identifiable, likelihood.ranks)
+    coloured[identifiable[:, None] & identifiable] = covariance.flatten()
+    variances = jackknife(place.blocks, likelihood.prior_rows(place), identifiable, likelihood.ranks)
     return larger_of(plain, coloured, variances, len(place.blocks))
 
 
@@ -82,9 +82,9 @@ def _chance(freedom: int) -> float:
     return (1.0 - 2.0 / (9.0 * freedom) + CHANCE * (2.0 / (9.0 * freedom)) ** 0.5) ** 3
 
 
-def inverse_triangle(linear: Linear, told: Tensor) -> Tensor:
+def inverse_triangle(linear: Linear, identifiable: Tensor) -> Tensor:
     """Inverse of the triangle of A's told columns: covariance is this times its transpose."""
-    A = linear[0][:, told]
+    A = linear[0][:, identifiable]
     norms = torch.linalg.vector_norm(A, dim=0)
     triangle = torch.linalg.qr(A / norms, mode="r").R
     eye = torch.eye(len(norms), dtype=A.dtype, device=A.device)
@@ -106,7 +106,7 @@ Flights = Callable[[Tensor], Iterator["FlightRows"]]
 
 
 def coloured_covariance(
-    flights: Flights, lines: int, pieces: int, inverse: Tensor, told: Tensor, ranks: Ranks = ALONE
+    flights: Flights, lines: int, pieces: int, inverse: Tensor, identifiable: Tensor, ranks: Ranks = ALONE
 ) -> Tensor:
     """Covariance [n, n] of the estimate of the told parameters, the residuals being coloured.
 
@@ -119,9 +119,9 @@ def coloured_covariance(
     the covariance is widened so that 1.96 standard errors hold 95 % as Student's t would.
     """
     reach = max(LEAST_SMOOTHING, round(SMOOTHING / pieces))
-    n, gain = int(told.sum()), inverse @ inverse.mT
-    directions = inverse.new_zeros(len(told), n)
-    power, left = _powers(flights(directions.masked_scatter(told[:, None], inverse)), lines)
+    n, gain = int(identifiable.sum()), inverse @ inverse.mT
+    directions = inverse.new_zeros(len(identifiable), n)
+    power, left = _powers(flights(directions.masked_scatter(identifiable[:, None], inverse)), lines)
     power = torch.view_as_complex(ranks.sum(torch.view_as_real(power)))
     spectrum = _spectrum(power, ranks.sum(left), lines, reach)
     weights = torch.full((lines // 2 + 1,), 2.0 / lines, dtype=torch.float64)
@@ -130,7 +130,7 @@ def coloured_covariance(
     root = _real((vector * (value.clamp_min(0.0) * weights[:, None]).sqrt()[:, None, :]).mH)
     covariance, squares = gain.new_zeros(n, n), gain.new_zeros(len(root), root.shape[-1], n)
     parts, moves = torch.empty_like(squares), torch.empty_like(squares)
-    directions.masked_scatter_(told[:, None], gain)
+    directions.masked_scatter_(identifiable[:, None], gain)
     for flight in flights(directions):  # once more, for all of them need not fit the memory
         for piece in flight.derivatives:
             transform = torch.fft.rfft(piece, n=lines, dim=0)
@@ -147,11 +147,11 @@ def coloured_covariance(
 
 def fast(samples: int) -> int:
     """The next even number that a Fourier transform takes quickly: one without prime factors above five."""
-    rest = even = samples + samples % 2
+    remainder = even = samples + samples % 2
     for factor in (2, 3, 5):
-        while rest % factor == 0:
-            rest //= factor
-    return even if rest == 1 else fast(even + 2)
+        while remainder % factor == 0:
+            remainder //= factor
+    return even if remainder == 1 else fast(even + 2)
 
 
 def _real(matrices: Tensor) -> Tensor:
@@ -252,19 +252,19 @@ def basis_of(columns: Tensor, prior_sd: Tensor) -> Tensor:
 
 
 def jackknife(
-    flights: Sequence[tuple[Tensor, Tensor]], prior: tuple[Tensor, Tensor], told: Tensor, ranks: Ranks = ALONE
+    flights: Sequence[tuple[Tensor, Tensor]], prior: tuple[Tensor, Tensor], identifiable: Tensor, ranks: Ranks = ALONE
 ) -> Tensor:
     """Variances [P] by leaving out one flight in turn, one Gauss-Newton step each; NaN below three flights."""
-    variances = torch.full(told.shape, torch.nan, dtype=torch.float64)
+    variances = torch.full(identifiable.shape, torch.nan, dtype=torch.float64)
     count = len(flights)
     if count < 3:
         return variances
-    steps = torch.zeros(count, int(told.sum()), dtype=torch.float64)
+    steps = torch.zeros(count, int(identifiable.sum()), dtype=torch.float64)
     for left_out in ranks.mine(range(count)):
-        kept = [flights[f] for f in range(count) if f != left_out] + [prior]
-        A, b = torch.cat([a for a, _ in kept])[:, told], torch.cat([c for _, c in kept])
+        others = [flights[f] for f in range(count) if f != left_out] + [prior]
+        A, b = torch.cat([a for a, _ in others])[:, identifiable], torch.cat([c for _, c in others])
         norms = torch.linalg.vector_norm(A, dim=0).clamp_min(1e-12)
         steps[left_out] = least_squares(A / norms, b.unsqueeze(-1))[:, 0] / norms
     moved = ranks.sum(steps)
-    variances[told] = (count - 1) / count * (moved - moved.mean(0)).square().sum(0)
+    variances[identifiable] = (count - 1) / count * (moved - moved.mean(0)).square().sum(0)
     return variances

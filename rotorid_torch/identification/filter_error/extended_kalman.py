@@ -228,11 +228,11 @@ def rows(problem: FilterProblem, psi: Tensor, x0: Tensor) -> tuple[Tensor, Tenso
     de, dS = vmap(along)(torch.eye(nx + n, dtype=torch.float64))
     W = torch.linalg.inv(torch.linalg.cholesky(S))
     white, moved, spread = (W @ e.unsqueeze(-1)).squeeze(-1), (W @ de.unsqueeze(-1)).squeeze(-1), W @ dS @ W.mT
-    there = ~problem.segments.outputs.isnan()
+    present = ~problem.segments.outputs.isnan()
     ny = e.shape[-1]
     i, j = torch.tril_indices(ny, ny)
     weight = torch.where(i == j, 0.5, 1.0).to(e) ** 0.5
-    second = (white[..., i] * white[..., j] - (i == j).to(e)) * weight * (there[..., i] & there[..., j])
+    second = (white[..., i] * white[..., j] - (i == j).to(e)) * weight * (present[..., i] & present[..., j])
     return (
         torch.cat([-moved.movedim(0, -1), white.unsqueeze(-1)], dim=-1),
         torch.cat([(spread[..., i, j] * weight).movedim(0, -1), second.unsqueeze(-1)], dim=-1),
@@ -245,17 +245,17 @@ def _run(problem: FilterProblem, psi: Tensor, x0: Tensor) -> tuple[Tensor, Tenso
     segments, system = problem.segments, problem.system
     u = controls_at(system, theta, problem.records, segments)
     x, P = x0, problem.P0.expand(len(x0), -1, -1)
-    made: list[tuple[Tensor, ...]] = []
+    history: list[tuple[Tensor, ...]] = []
     for k in range(segments.samples):
         e, S, PH = _innovation(system, theta, x, P, u[:, k], segments.outputs[:, k], R)
         K = torch.linalg.solve(S, PH.mT).mT
         x, P = x + (K @ e.unsqueeze(-1)).squeeze(-1), P - K @ PH.mT
         P = (P + P.mT) / 2.0
-        made.append((e, S, x, P))
+        history.append((e, S, x, P))
         if k + 1 < segments.samples:
             t = segments.start + k * segments.dt
             x, P = _predicted(system, theta, t, x, P, u[:, k], u[:, k + 1], Q, segments.dt)
-    e, S, x, P = (torch.stack(parts, dim=1) for parts in zip(*made, strict=True))
+    e, S, x, P = (torch.stack(parts, dim=1) for parts in zip(*history, strict=True))
     return e, S, x, P
 
 
@@ -263,12 +263,12 @@ def _innovation(
     system: System, theta: Tensor, x: Tensor, P: Tensor, u: Tensor, y: Tensor, R: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Innovation, its covariance, and P H'; a missing output is an uncorrelated one of variance 1, as expected."""
-    there = ~y.isnan()
-    both = there.unsqueeze(-1) & there.unsqueeze(-2)
-    H = torch.where(there.unsqueeze(-1), by_inputs(lambda x, u: system.output(theta, x, u), x, u)[0], 0.0)
-    e = torch.where(there, y.nan_to_num(0.0) - system.output(theta, x, u), 0.0)
+    present = ~y.isnan()
+    both = present.unsqueeze(-1) & present.unsqueeze(-2)
+    H = torch.where(present.unsqueeze(-1), by_inputs(lambda x, u: system.output(theta, x, u), x, u)[0], 0.0)
+    e = torch.where(present, y.nan_to_num(0.0) - system.output(theta, x, u), 0.0)
     PH = P @ H.mT
-    return e, H @ PH + torch.where(both, R, 0.0) + torch.diag_embed((~there).to(x)), PH
+    return e, H @ PH + torch.where(both, R, 0.0) + torch.diag_embed((~present).to(x)), PH
 
 
 def _predicted(

@@ -120,8 +120,8 @@ class NativeFilter:
         compiled = Innovations.of(parts, x, torch.cat([u, u.new_zeros(1)]), psi, held)
         timed = compiled.depends_on("u", nu)
         engine = cls(problem, compiled if timed else replace(compiled, nu=nu), timed)
-        made, _ = engine.flown(psi, records.states[:, 0])
-        made.build()  # now: what cannot be compiled is told before anything depends on it
+        flown, _ = engine.flown(psi, records.states[:, 0])
+        flown.build()  # now: what cannot be compiled is told before anything depends on it
         return engine
 
     def of_problem(self, problem: FilterProblem) -> FilterEngine:
@@ -245,13 +245,13 @@ class InnovationLikelihood:
         """Linear model in psi; the place remembers the elimination of the initial states."""
         H = self.engine.normal_equations(place.theta, place.x0)
         nx = H.shape[-1] - 1 - len(place.theta)  # none where they are no unknowns
-        rest, own = H[:, nx:, nx:], 0.0
+        reduced, prior_cost = H[:, nx:, nx:], 0.0
         if self.free:
             place.moves = solved(H[:, :nx, :nx], H[:, :nx, nx:])
-            rest = rest - H[:, nx:, :nx] @ place.moves
-            own = float(0.5 * (H[:, :nx, -1] * place.moves[..., -1]).sum())
-        place.flights = [linear_model(one) for one in rest]
-        return Linear(*linear_model(rest.sum(dim=0)), own)
+            reduced = reduced - H[:, nx:, :nx] @ place.moves
+            prior_cost = float(0.5 * (H[:, :nx, -1] * place.moves[..., -1]).sum())
+        place.flights = [linear_model(one) for one in reduced]
+        return Linear(*linear_model(reduced.sum(dim=0)), prior_cost)
 
 
 def solved(H: Tensor, right: Tensor) -> Tensor:

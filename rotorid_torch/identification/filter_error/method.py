@@ -188,11 +188,11 @@ class _Search:
         """From where the filter follows the flights, to the maximum."""
         problem, system = self.problem, self.problem.system
         theta, start = torch.clamp(system.theta, system.lower, system.upper), problem.records.states[:, 0]
-        made, psi, cost = first(self._engine(theta), theta, start.nan_to_num(0.0), self.floor, self.free)
+        beginning, psi, cost = first(self._engine(theta), theta, start.nan_to_num(0.0), self.floor, self.free)
         if not math.isfinite(cost):
-            raise diverged(problem, made.filter(psi, start.nan_to_num(0.0)))
-        seek = self._alternating if isinstance(made, HeldEngine) else self._descending
-        return seek(made, psi, start.nan_to_num(0.0))  # pyright: ignore[reportArgumentType]
+            raise diverged(problem, beginning.filter(psi, start.nan_to_num(0.0)))
+        seek = self._alternating if isinstance(beginning, HeldEngine) else self._descending
+        return seek(beginning, psi, start.nan_to_num(0.0))  # pyright: ignore[reportArgumentType]
 
     def _engine(self, theta: Tensor) -> FilterEngine:
         ones = torch.ones(max(len(self.problem.process.names), len(self.floor)), dtype=torch.float64)
@@ -278,10 +278,10 @@ def _outputs_form(noise: str | Tensor, body: Any, ny: int) -> CovarianceForm:
     names = tuple(named) if len(named) == ny else tuple(f"y[{i}]" for i in range(ny))
     if isinstance(noise, str):
         one_of("noise", noise, ("diagonal", "full"))
-    made = form("noise", noise, names, ("",) * ny)
-    if made.matrix is not None and not bool((torch.linalg.eigvalsh(made.matrix) > 0).all()):
+    variance_form = form("noise", noise, names, ("",) * ny)
+    if variance_form.matrix is not None and not bool((torch.linalg.eigvalsh(variance_form.matrix) > 0).all()):
         raise InputError("arguments", "noise", "matrix that is singular", f"{ny} by {ny}, positive definite")
-    return made
+    return variance_form
 
 
 def _floor(noise_floor: Sequence[float] | Tensor | None, records: Records) -> Tensor:
@@ -300,7 +300,7 @@ def _result(engine: FilterEngine, likelihood: InnovationLikelihood, minimum: Min
     system, records, psi, count = problem.system, problem.records, place.theta, len(problem.system.theta)
     local = place.x0.numel() if likelihood.free else 0
     loss = likelihood.samples / max(likelihood.samples - count - local, 1)
-    found = uncertainty(engine, likelihood, minimum, loss)
+    covariance = uncertainty(engine, likelihood, minimum, loss)
     theta, Q, R = problem.split(psi)
     run = engine.filter(psi, place.x0)
     states, covariances = smoothed(problem, psi, place.x0, run)
@@ -308,7 +308,7 @@ def _result(engine: FilterEngine, likelihood: InnovationLikelihood, minimum: Min
         ParameterEstimate(
             name=e.name,
             value=float(theta[i]),
-            se=float(found.standard_errors[i]),
+            se=float(covariance.standard_errors[i]),
             unit=e.unit,
             bounds=(e.lower, e.upper),
             at_bound=bool(minimum.at_bound[i]),
@@ -316,7 +316,7 @@ def _result(engine: FilterEngine, likelihood: InnovationLikelihood, minimum: Min
         )
         for i, e in enumerate(system.entries)
     ]
-    errors = found.covariance
+    errors = covariance.covariance
     q, r = slice(count, count + problem.process.count), slice(count + problem.process.count, len(psi))
     part = lambda matrix: matrix[:count, :count]  # noqa: E731
     rooted = covariances.diagonal(dim1=-2, dim2=-1).clamp_min(0.0).sqrt()
@@ -340,11 +340,11 @@ def _result(engine: FilterEngine, likelihood: InnovationLikelihood, minimum: Min
         log_likelihood=-float(run.cost.sum()) - 0.5 * likelihood.samples * math.log(2.0 * math.pi),
         whiteness=whiteness(run.innovations, run.spreads),
         uncertainty=Uncertainty(
-            part(found.cramer_rao),
-            part(found.coloured),
-            found.jackknife[:count],
+            part(covariance.cramer_rao),
+            part(covariance.coloured),
+            covariance.jackknife[:count],
             part(errors),
-            found.standard_errors[:count],
+            covariance.standard_errors[:count],
         ),
     )
 
@@ -385,21 +385,21 @@ def sizes(form: CovarianceForm, numbers: Tensor, covariance: Tensor, loss: float
     ]
 
 
-def _without_gusts(problem: FilterProblem, found: Fit) -> FilterError:
+def _without_gusts(problem: FilterProblem, fitted: Fit) -> FilterError:
     """Output error in the words of the filter error method."""
-    records, place = problem.records, found.minimum.point
-    calm = result_of(problem.system, records, found)
-    states = found.likelihood.states_at(place, torch.full_like(records.states, math.nan))
-    there = ~records.outputs.isnan()
+    records, place = problem.records, fitted.minimum.point
+    calm = result_of(problem.system, records, fitted)
+    states = fitted.likelihood.states_at(place, torch.full_like(records.states, math.nan))
+    present = ~records.outputs.isnan()
     residual = torch.full_like(records.outputs, math.nan)
-    for part in found.likelihood.parts(place):
+    for part in fitted.likelihood.parts(place):
         part.segments.write(part.residual, residual)
-    spreads = torch.where(there.unsqueeze(-1) & there.unsqueeze(-2), place.covariance, 0.0)
-    spreads = spreads + torch.diag_embed((~there).to(spreads))
+    spreads = torch.where(present.unsqueeze(-1) & present.unsqueeze(-2), place.covariance, 0.0)
+    spreads = spreads + torch.diag_embed((~present).to(spreads))
     root = torch.linalg.cholesky(spreads)
     white = torch.linalg.solve_triangular(root, residual.nan_to_num(0.0).unsqueeze(-1), upper=False)
     cost = 0.5 * white.square().sum() + root.diagonal(dim1=-2, dim2=-1).log().sum()
-    count = there.sum(dim=(0, 1)).tolist()
+    count = present.sum(dim=(0, 1)).tolist()
     sd = calm.noise.diagonal().sqrt().tolist()
     names = problem.noise.names if problem.noise.count else ()
     return FilterError(

@@ -29,12 +29,12 @@ def smoothed(problem: FilterProblem, psi: Tensor, x0: Tensor, run: Filtered) -> 
     A = step_transitions(system, theta, t, x[:-1], u, segments.dt)
     flat = before.flatten(0, 1), u.flatten(0, 1)
     H = by_inputs(lambda x, u: system.output(theta, x, u), *flat)[0].unflatten(0, before.shape[:2])
-    there = ~run.innovations.transpose(0, 1).isnan()
-    H = torch.where(there.unsqueeze(-1), H, 0.0)
+    present = ~run.innovations.transpose(0, 1).isnan()
+    H = torch.where(present.unsqueeze(-1), H, 0.0)
     S = torch.where(segments.inside.mT[..., None, None], run.spreads.transpose(0, 1), torch.eye(H.shape[-2]).to(x))
-    R = torch.where(there.unsqueeze(-1) & there.unsqueeze(-2), R, 0.0) + torch.diag_embed((~there).to(x))
+    R = torch.where(present.unsqueeze(-1) & present.unsqueeze(-2), R, 0.0) + torch.diag_embed((~present).to(x))
     weighed = torch.linalg.solve(S, H)  # S^-1 H
-    kept = torch.eye(x.shape[-1]).to(x) - P @ H.mT @ torch.linalg.solve(R, H)  # I - K H
+    gain_complement = torch.eye(x.shape[-1]).to(x) - P @ H.mT @ torch.linalg.solve(R, H)  # I - K H
     e = run.innovations.transpose(0, 1).nan_to_num(0.0).unsqueeze(-1)
     adjoint, information = torch.zeros_like(x[0]).unsqueeze(-1), torch.zeros_like(P[0])
     states, covariances = x.clone(), P.clone()
@@ -43,7 +43,7 @@ def smoothed(problem: FilterProblem, psi: Tensor, x0: Tensor, run: Filtered) -> 
         covariances[k] = P[k] - P[k] @ information @ P[k]
         if k == 0:
             break
-        adjoint = weighed[k].mT @ e[k] + kept[k].mT @ adjoint
-        information = H[k].mT @ weighed[k] + kept[k].mT @ information @ kept[k]
+        adjoint = weighed[k].mT @ e[k] + gain_complement[k].mT @ adjoint
+        information = H[k].mT @ weighed[k] + gain_complement[k].mT @ information @ gain_complement[k]
         adjoint, information = A[k - 1].mT @ adjoint, A[k - 1].mT @ information @ A[k - 1]
     return states.transpose(0, 1), covariances.transpose(0, 1)

@@ -37,9 +37,9 @@ def first(
     """
     problem = engine.problem
     noise = torch.maximum(roughness(problem.records), floor).square()
-    seen, change = _seen(problem, theta, x0, noise)
+    residual, change = _seen(problem, theta, x0, noise)
     if free:
-        engine = engine.of_problem(replace(problem, P0=torch.diag(seen)))
+        engine = engine.of_problem(replace(problem, P0=torch.diag(residual)))
     shares = SHARES if problem.process.count else (1.0,)
     if problem.process.count:
         run = engine.filter(_joined(problem, theta, change, noise), x0)

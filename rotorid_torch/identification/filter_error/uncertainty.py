@@ -29,26 +29,26 @@ def uncertainty(
 
     engine : what makes the likelihood's rows. loss : samples over samples minus estimated numbers.
     """
-    place, told = minimum.point, ~(minimum.at_bound | minimum.not_identifiable)
-    plain = torch.zeros(len(told), len(told), dtype=torch.float64)
-    if not bool(told.any()):
+    place, identifiable = minimum.point, ~(minimum.at_bound | minimum.not_identifiable)
+    plain = torch.zeros(len(identifiable), len(identifiable), dtype=torch.float64)
+    if not bool(identifiable.any()):
         return Uncertainty(plain, plain, plain.diagonal(), plain, plain.diagonal())
-    inverse, square = inverse_triangle(minimum.linear, told), told[:, None] & told
+    inverse, square = inverse_triangle(minimum.linear, identifiable), identifiable[:, None] & identifiable
     plain[square] = loss * (inverse @ inverse.mT).flatten()
     rows, information = _rows(engine, likelihood, place)
     segments = likelihood.problem.segments
 
     def flights(directions: Tensor) -> Iterator[FlightRows]:
-        for starts, derivatives, white, there in rows:
+        for starts, derivatives, white, present in rows:
             sd = torch.full((starts.shape[-1],), math.inf, dtype=torch.float64)
-            basis = basis_of(starts.flatten(0, 1)[None], sd).unflatten(1, there.shape)
-            yield FlightRows((derivatives @ directions)[None], basis, white[None], there[None])
+            basis = basis_of(starts.flatten(0, 1)[None], sd).unflatten(1, present.shape)
+            yield FlightRows((derivatives @ directions)[None], basis, white[None], present[None])
 
-    found = coloured_covariance(flights, fast(2 * segments.samples), len(rows), inverse, told)
+    covariance = coloured_covariance(flights, fast(2 * segments.samples), len(rows), inverse, identifiable)
     gain, coloured = inverse @ inverse.mT, torch.zeros_like(plain)
-    coloured[square] = (found + gain @ information[told][:, told] @ gain).flatten()
-    nothing = plain.new_zeros(0, len(told)), plain.new_zeros(0)
-    return larger_of(plain, coloured, jackknife(place.flights, nothing, told), len(place.flights))
+    coloured[square] = (covariance + gain @ information[identifiable][:, identifiable] @ gain).flatten()
+    nothing = plain.new_zeros(0, len(identifiable)), plain.new_zeros(0)
+    return larger_of(plain, coloured, jackknife(place.flights, nothing, identifiable), len(place.flights))
 
 
 def _rows(
@@ -61,7 +61,7 @@ def _rows(
     """
     problem, nx = likelihood.problem, place.x0.shape[-1]
     ny, longest = problem.records.outputs.shape[-1], problem.segments.samples
-    found, information = [], torch.zeros(len(place.theta), len(place.theta), dtype=torch.float64)
+    blocks, information = [], torch.zeros(len(place.theta), len(place.theta), dtype=torch.float64)
     for f in range(len(place.x0)):
         one = problem.alone(f)
         rows = engine.of_problem(one).rows(place.theta, place.x0[f : f + 1])[0]
@@ -73,5 +73,7 @@ def _rows(
         starts = starts if likelihood.free else starts[..., :0]
         parts = starts[:, :ny], derivatives[:, :ny], rows[:, :ny, -1], ~one.segments.outputs[0].isnan()
         missing = longest - len(rows)
-        found.append(tuple(torch.cat([p, p.new_zeros(missing, *p.shape[1:])]) if missing else p.clone() for p in parts))
-    return found, information
+        blocks.append(
+            tuple(torch.cat([p, p.new_zeros(missing, *p.shape[1:])]) if missing else p.clone() for p in parts)
+        )
+    return blocks, information

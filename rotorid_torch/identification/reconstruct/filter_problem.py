@@ -56,14 +56,14 @@ class Filtered:
         return f"Filtered{smoothed}: {lead}{samples} samples, {states} states, log-likelihood {likelihood}"
 
 
-def check(given: Problem) -> None:
+def check(problem: Problem) -> None:
     """Everything the user hands in.
 
     Raises
     ------
     InputError : shapes that do not fit, functions that do not broadcast, NaN or infinity, a covariance that is none.
     """
-    x0, outputs, controls = given.x0, given.outputs, given.controls
+    x0, outputs, controls = problem.x0, problem.outputs, problem.controls
     if outputs.dim() < 2 or outputs.shape[-2] < 1:
         raise _wrong("outputs", f"has shape {tuple(outputs.shape)}", "(..., T, ny) with at least one sample")
     nx, ny, samples = (x0.shape[-1] if x0.dim() else 0), outputs.shape[-1], outputs.shape[-2]
@@ -71,22 +71,22 @@ def check(given: Problem) -> None:
         raise _wrong("x0", f"has shape {tuple(x0.shape)}", "(..., nx)")
     if controls.dim() < 2 or controls.shape[-2] != samples:
         raise _wrong("controls", f"has shape {tuple(controls.shape)}", f"(..., {samples}, nu) like the outputs")
-    for key, matrix, n in (("P0", given.P0, nx), ("Q", given.Q, nx), ("R", given.R, ny)):
+    for key, matrix, n in (("P0", problem.P0, nx), ("Q", problem.Q, nx), ("R", problem.R, ny)):
         _check_covariance(key, matrix, n)
     for key, value in (("x0", x0), ("controls", controls)):
         if not value.isfinite().all():
             raise _wrong(key, "holds NaN or infinity", "finite numbers")
     if outputs.isinf().any():
         raise _wrong("outputs", "holds infinity", "numbers, NaN where missing")
-    if not given.dt > 0.0:
-        raise _wrong("dt", f"is {given.dt}", "a sample interval above zero, s")
-    leading = [x0.shape[:-1], given.P0.shape[:-2], controls.shape[:-2], outputs.shape[:-2]]
+    if not problem.dt > 0.0:
+        raise _wrong("dt", f"is {problem.dt}", "a sample interval above zero, s")
+    leading = [x0.shape[:-1], problem.P0.shape[:-2], controls.shape[:-2], outputs.shape[:-2]]
     try:
         batch = torch.broadcast_shapes(*leading)
     except RuntimeError as error:
-        told = ", ".join(str(tuple(shape)) for shape in leading)
-        raise _wrong("x0", f"P0, controls and outputs have leading shapes {told}", "shapes that broadcast") from error
-    for key, function, n in (("f", given.f, nx), ("h", given.h, ny)):
+        shapes = ", ".join(str(tuple(shape)) for shape in leading)
+        raise _wrong("x0", f"P0, controls and outputs have leading shapes {shapes}", "shapes that broadcast") from error
+    for key, function, n in (("f", problem.f, nx), ("h", problem.h, ny)):
         _check_function(key, function, x0.expand(*batch, nx), controls[..., 0, :].expand(*batch, controls.shape[-1]), n)
 
 

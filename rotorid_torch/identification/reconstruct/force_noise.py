@@ -103,16 +103,16 @@ def find_force_noise(dataset: Dataset, biases: Biases, lines: Mapping[str, float
     rows = _rows([_axes(dataset, flight, biases[flight.name], lines) for flight in searched], dt)
     longest = max(facts.samples for facts in dataset.facts.values())
     columns = [_columns(dataset, flight) for flight in searched]
-    rms = np.sqrt(np.mean([_mean_square(made, longest) for made in columns], axis=0))
+    rms = np.sqrt(np.mean([_mean_square(column, longest) for column in columns], axis=0))
     active = rms > 0.0
     activity = _side_by_side(columns, len(rows.value))[..., active] / rms[active]
-    variance, seen = _variances(dataset, biases, lines)
+    variance, observed = _variances(dataset, biases, lines)
     axis, flight_of = np.tile(np.arange(6), len(searched)), np.repeat(np.arange(len(searched)), 6)
     fitted = np.isfinite(rows.value).sum(axis=0) > 0
     theta, tau = _search(rows, activity, axis, flight_of, _spread(rows, variance[axis]), fitted)
     sources = ["constant", *(f"{c} {memory:g} s" for memory in gm.MEMORIES_S for c in dataset.controls)]
     names = tuple(name for name, on in zip(sources, active, strict=True) if on)
-    return ForceNoise(tau, names, theta, active, rms[active], variance, seen)
+    return ForceNoise(tau, names, theta, active, rms[active], variance, observed)
 
 
 def adapted(
@@ -167,14 +167,14 @@ def _search(
     block = min(max(1, round(gm.SEARCH_STEP_S / rows.dt)), max(1, len(rows.value) // 50))
     mine = gm.Rows(rows.value[:, fitted], rows.integral[fitted], rows.noise[fitted], rows.dt).averaged(block)
     group = (axis[fitted] >= 3).astype(int)
-    found, taus = gm.find_power(
+    power, taus = gm.find_power(
         mine, gm.block_means(activity, block)[:, flight_of[fitted]], axis[fitted], group, spread[fitted]
     )
-    found = gm.largest_constant(
-        mine, gm.block_means(activity, block)[:, flight_of[fitted]], found, taus, axis[fitted], group, spread[fitted]
+    power = gm.largest_constant(
+        mine, gm.block_means(activity, block)[:, flight_of[fitted]], power, taus, axis[fitted], group, spread[fitted]
     )
-    known = np.unique(axis[fitted])
-    theta[known] = found[known]
+    fitted_axes = np.unique(axis[fitted])
+    theta[fitted_axes] = power[fitted_axes]
     tau[:3], tau[3:] = taus[0], taus[-1]
     return theta, tau
 
@@ -192,7 +192,7 @@ def _mean_square(columns: Array, samples: int) -> Array:
 
 def _side_by_side(columns: Sequence[Array], samples: int) -> Array:
     """Columns of several flights as one array [T, F, J], held at their ends."""
-    return np.stack([np.pad(made, ((0, samples - len(made)), (0, 0)), mode="edge") for made in columns], axis=1)
+    return np.stack([np.pad(column, ((0, samples - len(column)), (0, 0)), mode="edge") for column in columns], axis=1)
 
 
 def _axes(dataset: Dataset, flight: Flight, bias: Mapping[str, float], lines: Mapping[str, float]) -> list[_Record]:
@@ -212,14 +212,14 @@ def _axes(dataset: Dataset, flight: Flight, bias: Mapping[str, float], lines: Ma
         for rate, dot in zip(RATES, ACCELERATIONS, strict=True)
     ]
     kinematic = flight.has(*VELOCITIES, *RATES, "phi", "theta")
-    known = kinematic_acceleration(dataset, flight, bias) if kinematic else None
+    accelerations = kinematic_acceleration(dataset, flight, bias) if kinematic else None
     lever = lever_arm(dataset, flight)
     pushing = []
     for i, (name, speed) in enumerate(zip(SPECIFIC_FORCES, VELOCITIES, strict=True)):
         if flight.has(name):
             pushing.append(_Record(channel(name) - lever[:, i], False, dataset.noise(name)))
-        elif known is not None:
-            drift = integral(known[:, i], flight.dt)
+        elif accelerations is not None:
+            drift = integral(accelerations[:, i], flight.dt)
             pushing.append(_Record(flight.channels[speed].numpy() - drift, True, dataset.noise(speed)))
         else:
             pushing.append(_Record(nothing, False, 1.0))

@@ -118,7 +118,7 @@ def _smooth_natively(rows: Rows, power: Array, tau: Array, trim: Array, spread: 
         width = [(0, 0)] * (values.ndim - 1) + [(0, more)]
         return np.ascontiguousarray(np.pad(np.asarray(values, dtype=float), width, mode="edge"))
 
-    given = {
+    arrays = {
         name: padded(np.broadcast_to(values, (samples, count) if name in ("value", "power") else (count,)))
         for name, values in (
             ("value", rows.value),
@@ -131,15 +131,15 @@ def _smooth_natively(rows: Rows, power: Array, tau: Array, trim: Array, spread: 
         )
     }
     total = count + more
-    found = {name: np.zeros(total) for name in ("likelihood", "level")}
-    found |= {name: np.zeros((samples, total)) for name in ("realised", "expected")}
-    places = {name: array.ctypes.data for name, array in (given | found).items()}
+    results = {name: np.zeros(total) for name in ("likelihood", "level")}
+    results |= {name: np.zeros((samples, total)) for name in ("realised", "expected")}
+    places = {name: array.ctypes.data for name, array in (arrays | results).items()}
     code.gauss_markov(ctypes.byref(_Task(samples=samples, count=total, dt=rows.dt, **places)), threads())
     return Pass(
-        found["likelihood"][:count],
-        found["realised"][:, :count],
-        found["expected"][:, :count],
-        found["level"][:count],
+        results["likelihood"][:count],
+        results["realised"][:, :count],
+        results["expected"][:, :count],
+        results["level"][:count],
     )
 
 
@@ -158,7 +158,7 @@ def _smooth_in_numpy(rows: Rows, power: Array, tau: Array, trim: Array, spread: 
     s, f = h0 * y[first, np.arange(count)], np.zeros(count)
     sg, fg = np.zeros(count), np.zeros(count)
     p00, p01, p11 = h0 * 1e4 * R, np.zeros(count), spread**2 + 1e-6 * R
-    kept = np.empty((4, samples, count))
+    history = np.empty((4, samples, count))
     log_likelihood, top, bottom = np.zeros(count), np.zeros(count), np.zeros(count)
     for k in range(samples):
         c0, c1 = h0 * p00 + h1 * p01, h0 * p01 + h1 * p11
@@ -166,7 +166,7 @@ def _smooth_in_numpy(rows: Rows, power: Array, tau: Array, trim: Array, spread: 
         w = present[k] / S
         v, g = y[k] - h0 * s - h1 * f, h0 * (time[k] - sg) + h1 * (1.0 - fg)
         k0, k1, vw = c0 * w, c1 * w, v * w
-        kept[0, k], kept[1, k], kept[2, k], kept[3, k] = w, k0, k1, vw
+        history[0, k], history[1, k], history[2, k], history[3, k] = w, k0, k1, vw
         log_likelihood -= 0.5 * (v * vw + present[k] * np.log(S))
         top += g * vw
         bottom += g * g * w
@@ -176,20 +176,20 @@ def _smooth_in_numpy(rows: Rows, power: Array, tau: Array, trim: Array, spread: 
         q = power[min(k + 1, samples - 1)]
         p00 = p00 + a * (2.0 * p01 + a * p11) + q * q00
         p01, p11 = e * (p01 + a * p11) + q * q01, e * e * p11 + q * q11
-    realised, expected = _adjoint(kept, h0, h1, a, e, (q00, q01, q11))
+    realised, expected = _adjoint(history, h0, h1, a, e, (q00, q01, q11))
     return Pass(log_likelihood, realised, expected, trim + top / (bottom + 1.0 / (spread**2 + 1e-6 * R)))
 
 
 def _adjoint(
-    kept: Array, h0: Array, h1: Array, a: Array, e: Array, Q: tuple[Array, Array, float]
+    history: Array, h0: Array, h1: Array, a: Array, e: Array, Q: tuple[Array, Array, float]
 ) -> tuple[Array, Array]:
     """Backward recursion of adjoint state r and its information N: r'Qr and trace(QN) at every sample."""
-    samples, count = kept.shape[1:]
+    samples, count = history.shape[1:]
     q00, q01, q11 = Q
     r0, r1, n00, n01, n11 = np.zeros((5, count))
     realised, expected = np.zeros((2, samples, count))
     for k in range(samples - 1, 0, -1):
-        w, k0, k1, vw = kept[:, k]
+        w, k0, k1, vw = history[:, k]
         t = vw - k0 * r0 - k1 * r1
         r0, r1 = r0 + h0 * t, r1 + h1 * t
         u0, u1 = n00 * k0 + n01 * k1, n01 * k0 + n11 * k1
@@ -335,10 +335,10 @@ def control_activity(controls: Array, noise: Array, dt: float) -> Array:
 def _remembered(square: Array, memory: float, dt: float, lead: int) -> Array:
     """First-order lag, moved forward by the half width of the rate's window."""
     e, index = math.exp(-dt / memory), np.arange(BLOCK)
-    own = np.tril((1.0 - e) * e ** np.maximum(index[:, None] - index, 0))  # what a block's samples leave within it
+    within = np.tril((1.0 - e) * e ** np.maximum(index[:, None] - index, 0))  # what a block's samples leave within it
     fading = (e ** (index + 1.0))[:, None]
     blocks = np.pad(square, ((0, -len(square) % BLOCK), (0, 0))).reshape(-1, BLOCK, square.shape[1])
-    out, state = own @ blocks, np.zeros(square.shape[1])
+    out, state = within @ blocks, np.zeros(square.shape[1])
     for block in out:
         block += fading * state
         state = block[-1]

@@ -68,25 +68,25 @@ class _Pass(NamedTuple):
     settled: Tensor
 
 
-def learns_constants(given: Problem) -> bool:
+def learns_constants(problem: Problem) -> bool:
     """Whether a state is a constant to be estimated, and f or h not linear, so that one pass cannot be the best.
 
     A constant has a rate of zero wherever one looks, and doubt in the prior. A force modelled as a random walk has
     a rate of zero too; it is none, for over the record it may wander further than the prior doubts.
     """
-    count = given.outputs.shape[-2]
+    count = problem.outputs.shape[-2]
     generator = torch.Generator("cpu").manual_seed(0)
-    draws = torch.randn(PROBES, given.x0.shape[-1], generator=generator, dtype=torch.float64, device="cpu")
-    away = draws.to(given.P0.device) @ root(given.P0).mT
-    u = given.controls[..., torch.linspace(0, count - 1, PROBES).long(), :]
-    batch = np.broadcast_shapes(given.x0.shape[:-1], away.shape[:-2], u.shape[:-2])
+    draws = torch.randn(PROBES, problem.x0.shape[-1], generator=generator, dtype=torch.float64, device="cpu")
+    away = draws.to(problem.P0.device) @ root(problem.P0).mT
+    u = problem.controls[..., torch.linspace(0, count - 1, PROBES).long(), :]
+    batch = np.broadcast_shapes(problem.x0.shape[:-1], away.shape[:-2], u.shape[:-2])
     away, u = away.expand(*batch, *away.shape[-2:]), u.expand(*batch, *u.shape[-2:])
-    x = given.x0.unsqueeze(-2).expand_as(away)
-    rates = given.f(x + away, u)
+    x = problem.x0.unsqueeze(-2).expand_as(away)
+    rates = problem.f(x + away, u)
     still = (rates == 0.0).flatten(0, -2).all(dim=0)
-    doubt = given.P0.diagonal(dim1=-2, dim2=-1)
-    constant = still & (doubt > 0.0) & (given.Q.diagonal() * (count - 1) < doubt)
-    return bool(constant.any()) and not (_straight(given.f, x, away, u) and _straight(given.h, x, away, u))
+    doubt = problem.P0.diagonal(dim1=-2, dim2=-1)
+    constant = still & (doubt > 0.0) & (problem.Q.diagonal() * (count - 1) < doubt)
+    return bool(constant.any()) and not (_straight(problem.f, x, away, u) and _straight(problem.h, x, away, u))
 
 
 def _straight(function: Dynamics, x: Tensor, away: Tensor, u: Tensor) -> bool:
@@ -95,22 +95,22 @@ def _straight(function: Dynamics, x: Tensor, away: Tensor, u: Tensor) -> bool:
     return bool(((plus + minus - 2.0 * middle).abs() <= STRAIGHT * size).all())
 
 
-def iterated(given: Problem, single_pass: Callable[[Tensor], Filtered]) -> Filtered:
+def iterated(problem: Problem, single_pass: Callable[[Tensor], Filtered]) -> Filtered:
     """Filter and smoother, repeated until what they say of every sample stays.
 
     Parameters
     ----------
-    given : the problem.
+    problem : the problem.
     single_pass : filter and smoother from x0 and the covariance handed in: where the first linearisation is made.
 
     A flight of the batch that settles neither from the first pass nor from a narrower prior's keeps its first pass.
     Means, innovations and likelihood are those of the last linear problem: they use the record to come in their
     linearisation, though not in their data.
     """
-    first = single_pass(given.P0)
-    result, settled = _repeat(given, first)
+    first = single_pass(problem.P0)
+    result, settled = _repeat(problem, first)
     if not settled.all():
-        again, settled_again = _repeat(given, single_pass(NARROWER * given.P0))
+        again, settled_again = _repeat(problem, single_pass(NARROWER * problem.P0))
         result = _choose(settled, result, _choose(settled_again, again, first))
     return result
 
@@ -123,38 +123,38 @@ def _choose(where: Tensor, one: Filtered, other: Filtered) -> Filtered:
     return replace(one, **chosen)
 
 
-def _repeat(given: Problem, first: Filtered) -> tuple[Filtered, Tensor]:
+def _repeat(problem: Problem, first: Filtered) -> tuple[Filtered, Tensor]:
     """The last pass, and which flights [...] have settled."""
     assert first.smoothed_means is not None
     assert first.smoothed_covariances is not None
     batch = first.log_likelihood.shape
-    u = given.controls.expand(*batch, *given.controls.shape[-2:]).movedim(-2, 0).unsqueeze(-2)
-    y = given.outputs.expand(*batch, *given.outputs.shape[-2:]).movedim(-2, 0)
-    prior = given.x0.expand(*batch, -1), given.P0.expand(*batch, *given.P0.shape[-2:])
-    last = _pass(given, prior, u, y, first.smoothed_means.movedim(-2, 0), first.smoothed_covariances.movedim(-3, 0))
+    u = problem.controls.expand(*batch, *problem.controls.shape[-2:]).movedim(-2, 0).unsqueeze(-2)
+    y = problem.outputs.expand(*batch, *problem.outputs.shape[-2:]).movedim(-2, 0)
+    prior = problem.x0.expand(*batch, -1), problem.P0.expand(*batch, *problem.P0.shape[-2:])
+    last = _pass(problem, prior, u, y, first.smoothed_means.movedim(-2, 0), first.smoothed_covariances.movedim(-3, 0))
     for _ in range(PASSES - 1):
         if last.settled.all():
             break
-        last = _pass(given, prior, u, y, last.mean, last.cov)
-    return _result(first, last, given.R, y), last.settled
+        last = _pass(problem, prior, u, y, last.mean, last.cov)
+    return _result(first, last, problem.R, y), last.settled
 
 
-def _pass(given: Problem, prior: tuple[Tensor, Tensor], u: Tensor, y: Tensor, mean: Tensor, cov: Tensor) -> _Pass:
+def _pass(problem: Problem, prior: tuple[Tensor, Tensor], u: Tensor, y: Tensor, mean: Tensor, cov: Tensor) -> _Pass:
     """Linearise over smoothed densities, filter, smooth; all time first, u [T, ..., 1, nu]."""
     about, cov = _sound(mean, cov, prior)
-    move = _linearise(lambda x: _after_step(given, x, u), about[:-1], cov[:-1])
-    sense = _linearise(lambda x: given.h(x, u.expand(*x.shape[:-1], -1)), about, cov)
-    noise = root(given.Q + move.bend)
-    forward = _filter(move, sense, noise, (prior[0] - about[0], root(prior[1])), given.R, y, about)
-    mean, cov = _smooth(move, sense, noise, forward, given.R, y, about)
+    move = _linearise(lambda x: _after_step(problem, x, u), about[:-1], cov[:-1])
+    sense = _linearise(lambda x: problem.h(x, u.expand(*x.shape[:-1], -1)), about, cov)
+    noise = root(problem.Q + move.bend)
+    forward = _filter(move, sense, noise, (prior[0] - about[0], root(prior[1])), problem.R, y, about)
+    mean, cov = _smooth(move, sense, noise, forward, problem.R, y, about)
     small = (mean - about).abs() <= SETTLED * cov.diagonal(dim1=-2, dim2=-1).sqrt()
     settled = (small | (mean == about)).all(dim=0).all(dim=-1)
     return _Pass(about, sense, forward, mean, cov, settled)
 
 
-def _after_step(given: Problem, x: Tensor, u: Tensor) -> Tensor:
+def _after_step(problem: Problem, x: Tensor, u: Tensor) -> Tensor:
     u = u.expand(-1, *x.shape[1:-1], -1)
-    return step(lambda t, state, v: given.f(state, v), torch.zeros(()), x, u[:-1], u[1:], given.dt)
+    return step(lambda t, state, v: problem.f(state, v), torch.zeros(()), x, u[:-1], u[1:], problem.dt)
 
 
 def _sound(mean: Tensor, cov: Tensor, prior: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:

@@ -156,8 +156,8 @@ class Motion:
             for j in range(3):
                 if self.inertia is not None:
                     total = rigid.gyroscopic(unit[i] + unit[j], self.inertia)
-                    own = rigid.gyroscopic(unit[i], self.inertia) + rigid.gyroscopic(unit[j], self.inertia)
-                    mixed = total - own if i != j else 2.0 * rigid.gyroscopic(unit[i], self.inertia)
+                    gyroscopic = rigid.gyroscopic(unit[i], self.inertia) + rigid.gyroscopic(unit[j], self.inertia)
+                    mixed = total - gyroscopic if i != j else 2.0 * rigid.gyroscopic(unit[i], self.inertia)
                     table[i, j, turn : turn + 3] = 0.5 * mixed
                 if width == 6:
                     table[i, 3 + j, push : push + 3] = -rigid.cross(unit[i], unit[j])

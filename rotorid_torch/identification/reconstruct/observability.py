@@ -40,8 +40,8 @@ def observable(dataset: Dataset) -> tuple[tuple[str, ...], tuple[str, ...]]:
         groups = left
         left = tuple(g for g in groups if set(NEEDS.get(g, ())) <= set(groups))
         if left == groups:
-            told = seen(*_at_reference(dataset, groups))
-            left = tuple(g for g in groups if told.issuperset(g))
+            visible = seen(*_at_reference(dataset, groups))
+            left = tuple(g for g in groups if visible.issuperset(g))
     motion, _ = _at_reference(dataset, groups)
     return motion.states, motion.outputs
 

@@ -225,10 +225,10 @@ def _filter(
     entries = torch.einsum("tfi,fin->ftn", power, shape[..., rows, columns]) + constant[:, None, rows, columns]
     lasting = inputs[:, :-1, -1:] > 0.0
     process = ProcessNoise(len(motion.states), rows, columns, entries * lasting)
-    given = (mean, cov), process, torch.diag(sensor.square()), inputs, outputs
-    motion, given = moved((motion, given), device)
+    arguments = (mean, cov), process, torch.diag(sensor.square()), inputs, outputs
+    motion, arguments = moved((motion, arguments), device)
     with working_on(device):
-        return moved(filter_and_smooth(motion.rates, motion.measure, *given, 1.0), "cpu")
+        return moved(filter_and_smooth(motion.rates, motion.measure, *arguments, 1.0), "cpu")
 
 
 def _prior(
@@ -248,10 +248,10 @@ def _prior(
             sd[:, j] = torch.as_tensor(noise.spread[:, AXES.index(name)])
         elif name in motion.outputs:
             i = motion.outputs.index(name)
-            known = ~outputs[..., i].isnan()
-            first = outputs[..., i].gather(-1, known.to(torch.int8).argmax(dim=-1, keepdim=True))[..., 0]
+            measured = ~outputs[..., i].isnan()
+            first = outputs[..., i].gather(-1, measured.to(torch.int8).argmax(dim=-1, keepdim=True))[..., 0]
             mean[:, j] = first.nan_to_num(nan=0.0)
-            sd[:, j] = torch.where(known[:, 0], 10.0 * sensor[i], sd[:, j])
+            sd[:, j] = torch.where(measured[:, 0], 10.0 * sensor[i], sd[:, j])
         elif " " in name:
             sd[:, j] = lines[name.split()[0]][1]
     return mean, torch.diag_embed(sd.square())
@@ -363,24 +363,26 @@ def _notes(
     if untold:
         notes.append(f"the channels do not tell {' '.join(untold)}: left out of the reconstruction")
     if lines:
-        told = ", ".join(f"{channel} at {hertz:.1f} Hz ({rms:.2g} rms)" for channel, (hertz, rms) in lines.items())
-        notes.append(f"vibration was taken out of the motion: {told}")
-    known = biases.values()
-    largest = {name: max(abs(b[name]) for b in known if name in b) for name in dict.fromkeys(chain(*known))}
+        lines_words = ", ".join(
+            f"{channel} at {hertz:.1f} Hz ({rms:.2g} rms)" for channel, (hertz, rms) in lines.items()
+        )
+        notes.append(f"vibration was taken out of the motion: {lines_words}")
+    bias_values = biases.values()
+    largest = {name: max(abs(b[name]) for b in bias_values if name in b) for name in dict.fromkeys(chain(*bias_values))}
     if largest:
-        told = ", ".join(f"{name} up to {value:.2g} {unit(name)}" for name, value in largest.items())
-        notes.append(f"constant sensor errors that the kinematics show were taken off, flight by flight: {told}")
+        lines_words = ", ".join(f"{name} up to {value:.2g} {unit(name)}" for name, value in largest.items())
+        notes.append(f"constant sensor errors that the kinematics show were taken off, flight by flight: {lines_words}")
     if len(dataset.identify) > SEARCHED:
-        told = f"{SEARCHED} of the {len(dataset.identify)} identify flights, spread over the list"
-        notes.append(f"how strongly and fast the forces change was found from {told}; it holds for all")
+        lines_words = f"{SEARCHED} of the {len(dataset.identify)} identify flights, spread over the list"
+        notes.append(f"how strongly and fast the forces change was found from {lines_words}; it holds for all")
     return tuple(notes)
 
 
 def _whiteness(values: Tensor) -> tuple[float, float]:
-    known = torch.where(values.isnan(), 0.0, values)
-    power = float(known.square().sum())
+    filled = torch.where(values.isnan(), 0.0, values)
+    power = float(filled.square().sum())
     if power == 0.0:
         return float("nan"), float("nan")
-    lags = [float((known[lag:] * known[:-lag]).sum()) / power for lag in range(1, min(LAGS, len(known) - 1) + 1)]
+    lags = [float((filled[lag:] * filled[:-lag]).sum()) / power for lag in range(1, min(LAGS, len(filled) - 1) + 1)]
     count = int((~values.isnan()).sum())
     return (power / count) ** 0.5, float(np.sqrt(np.mean(np.square(lags)))) if lags else float("nan")

@@ -33,12 +33,12 @@ def kinematic_biases(dataset: Dataset, flight: Flight) -> dict[str, float]:
     Gyros against attitude, accelerometers against velocity and attitude, both integrated; only channels whose bias is
     free. Without attitude (and velocity) a bias cannot be told from a trim and is left in it.
     """
-    found: dict[str, float] = {}
+    biases: dict[str, float] = {}
     if flight.has("phi", "theta", *RATES):
-        found |= _rate_biases(dataset, flight)
+        biases |= _rate_biases(dataset, flight)
         if flight.has(*VELOCITIES):
-            found |= _force_biases(dataset, flight, found)
-    return found
+            biases |= _force_biases(dataset, flight, biases)
+    return biases
 
 
 def _rate_biases(dataset: Dataset, flight: Flight) -> dict[str, float]:
@@ -56,10 +56,10 @@ def _rate_biases(dataset: Dataset, flight: Flight) -> dict[str, float]:
         gap = flight.channels[name].numpy() - integral(np.asarray(rates), flight.dt)
         offset = [one if j == i else zero for j in range(len(angles))]
         columns = np.stack([*(-integral(c, flight.dt) for c in turn[name]), *offset], axis=-1)
-        known = ~np.isnan(gap)
-        left.append(columns[known])
-        right.append(gap[known])
-        weights.append(np.full(known.sum(), 1.0 / dataset.noise(name)))
+        measured = ~np.isnan(gap)
+        left.append(columns[measured])
+        right.append(gap[measured])
+        weights.append(np.full(measured.sum(), 1.0 / dataset.noise(name)))
     w = np.concatenate(weights)
     solution = np.linalg.lstsq(np.concatenate(left) * w[:, None], np.concatenate(right) * w, rcond=1e-8)[0]
     span = flight.dt * (flight.samples - 1)
@@ -72,21 +72,21 @@ def _rate_biases(dataset: Dataset, flight: Flight) -> dict[str, float]:
 
 
 def _force_biases(dataset: Dataset, flight: Flight, rate_biases: Mapping[str, float]) -> dict[str, float]:
-    known = kinematic_acceleration(dataset, flight, rate_biases) - lever_arm(dataset, flight)
+    acceleration = kinematic_acceleration(dataset, flight, rate_biases) - lever_arm(dataset, flight)
     span = flight.dt * (flight.samples - 1)
     tilt = dataset.vehicle.gravity * max(dataset.noise("phi"), dataset.noise("theta")) * math.sqrt(1 / flight.samples)
-    found: dict[str, float] = {}
+    biases: dict[str, float] = {}
     for i, (name, speed) in enumerate(zip(SPECIFIC_FORCES, VELOCITIES, strict=True)):
         if not flight.has(name):
             continue
         force = flight.bridged((name,)).numpy()[:, 0]
-        gap = flight.channels[speed].numpy() - integral(force + known[:, i], flight.dt)
-        there = ~np.isnan(gap)
-        slope = float(np.polyfit(flight.time.numpy()[there], gap[there], 1)[0])
+        gap = flight.channels[speed].numpy() - integral(force + acceleration[:, i], flight.dt)
+        measured = ~np.isnan(gap)
+        slope = float(np.polyfit(flight.time.numpy()[measured], gap[measured], 1)[0])
         speed_error = dataset.noise(speed) / span * math.sqrt(12.0 / flight.samples)
         if _believed(dataset, flight, name, -slope, math.hypot(tilt, speed_error)):
-            found[name] = -slope
-    return found
+            biases[name] = -slope
+    return biases
 
 
 def _believed(dataset: Dataset, flight: Flight, name: str, value: float, reference_error: float) -> bool:
@@ -144,34 +144,42 @@ def kinematic_disagreement(
                 expected = 2.0 * dataset.noise(name) ** 2 + rate_noise**2 * flight.dt * WANDER_S
                 excess.setdefault(name, []).append((float(change.var()), expected))
     power = {name: np.mean(pairs, axis=0) for name, pairs in excess.items()}
-    return {n: float(seen - made) / WANDER_S for n, (seen, made) in power.items() if seen > TOLERATED * made}
+    return {
+        n: float(measured - expected) / WANDER_S
+        for n, (measured, expected) in power.items()
+        if measured > TOLERATED * expected
+    }
 
 
 def _paths(dataset: Dataset, flight: Flight, bias: Mapping[str, float]) -> dict[str, tuple[Array, Array, float]]:
     """Channels with the rate that kinematics gives them from other channels, and that rate's noise."""
-    found: dict[str, tuple[Array, Array, float]] = {}
+    paths: dict[str, tuple[Array, Array, float]] = {}
     if not flight.has("phi", "theta", *RATES):
-        return found
+        return paths
     offset = torch.tensor([bias.get(name, 0.0) for name in RATES], dtype=torch.float64)
     rates, attitude = flight.bridged(RATES) - offset, flight.bridged(ATTITUDES if flight.has("psi") else ATTITUDES[:2])
     turning = rigid.euler_rates(rates, attitude).numpy()
     for i, name in enumerate(ATTITUDES[: attitude.shape[-1]]):
-        found[name] = (flight.channels[name].numpy(), turning[:, i], max(dataset.noise(rate) for rate in RATES))
+        paths[name] = (flight.channels[name].numpy(), turning[:, i], max(dataset.noise(rate) for rate in RATES))
     if not flight.has(*VELOCITIES):
-        return found
+        return paths
     velocity, speed = flight.bridged(VELOCITIES), max(dataset.noise(name) for name in VELOCITIES)
-    if "psi" in found:
+    if "psi" in paths:
         moving = rigid.position_rates(velocity, attitude).numpy()
         for i, name in enumerate(POSITIONS):
             if flight.has(name):
-                found[name] = (flight.channels[name].numpy(), moving[:, i], speed)
-    known, lever = kinematic_acceleration(dataset, flight, bias), lever_arm(dataset, flight)
+                paths[name] = (flight.channels[name].numpy(), moving[:, i], speed)
+    acceleration, lever = kinematic_acceleration(dataset, flight, bias), lever_arm(dataset, flight)
     tilt = dataset.vehicle.gravity * max(dataset.noise("phi"), dataset.noise("theta"))
     for i, (name, force) in enumerate(zip(VELOCITIES, SPECIFIC_FORCES, strict=True)):
         if flight.has(force):
             pushed = flight.bridged((force,)).numpy()[:, 0] - bias.get(force, 0.0) - lever[:, i]
-            found[name] = (flight.channels[name].numpy(), pushed + known[:, i], math.hypot(dataset.noise(force), tilt))
-    return found
+            paths[name] = (
+                flight.channels[name].numpy(),
+                pushed + acceleration[:, i],
+                math.hypot(dataset.noise(force), tilt),
+            )
+    return paths
 
 
 def vibration_lines(
@@ -182,7 +190,7 @@ def vibration_lines(
     Only lines well below the Nyquist frequency; flights of other sample rates than the first are left out.
     """
     flights = [dataset.flights[name] for name in names]
-    dt, found = flights[0].dt, {}
+    dt, line_of = flights[0].dt, {}
     for channel in channels:
         records = [f.channels[channel].numpy() for f in flights if f.has(channel) and abs(f.dt / dt - 1.0) < 1e-2]
         if not records:
@@ -190,22 +198,22 @@ def vibration_lines(
         for line in lines(*spectrum(records, dt), largest=1):
             strong = line.rms > LINE_OVER_NOISE * dataset.noise(channel) and line.share > 0.05
             if strong and line.hertz < 0.45 / dt:
-                found[channel] = (line.hertz, line.rms)
-    return found
+                line_of[channel] = (line.hertz, line.rms)
+    return line_of
 
 
 def without_line(record: Array, dt: float, hertz: float) -> Array:
     """The record (T,) with the spectrum around a line lowered to the level beside it; NaN stays NaN."""
-    known = ~np.isnan(record)
-    if not known.any():
+    measured = ~np.isnan(record)
+    if not measured.any():
         return record
-    filled = np.interp(np.arange(len(record)), np.flatnonzero(known), record[known])
+    filled = np.interp(np.arange(len(record)), np.flatnonzero(measured), record[measured])
     ramp = np.linspace(filled[0], filled[-1], len(filled))
     parts = np.fft.rfft(filled - ramp)
     away = np.abs(np.fft.rfftfreq(len(filled), dt) - hertz)
-    line, beside = away < SPAN_HZ, (away >= SPAN_HZ) & (away < 2.0 * SPAN_HZ)
-    if not beside.any():
+    line, neighbours = away < SPAN_HZ, (away >= SPAN_HZ) & (away < 2.0 * SPAN_HZ)
+    if not neighbours.any():
         return record
-    level = np.median(np.abs(parts[beside]))
+    level = np.median(np.abs(parts[neighbours]))
     parts[line] *= np.minimum(1.0, level / np.maximum(np.abs(parts[line]), 1e-300))
-    return np.where(known, np.fft.irfft(parts, len(filled)) + ramp, np.nan)
+    return np.where(measured, np.fft.irfft(parts, len(filled)) + ramp, np.nan)

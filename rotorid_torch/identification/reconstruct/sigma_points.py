@@ -103,9 +103,9 @@ def root(cov: Tensor) -> Tensor:
     left, columns = cov.clone(), []
     for j in range(cov.shape[-1]):
         pivot = left[..., j, j]
-        known = ~(pivot > least[..., j])
-        column = torch.where(known, 0.0, pivot).sqrt().unsqueeze(-1)
-        column = left[..., :, j] / torch.where(known.unsqueeze(-1), torch.inf, column)
+        determined = ~(pivot > least[..., j])
+        column = torch.where(determined, 0.0, pivot).sqrt().unsqueeze(-1)
+        column = left[..., :, j] / torch.where(determined.unsqueeze(-1), torch.inf, column)
         column = torch.cat([torch.zeros_like(column[..., :j]), column[..., j:]], dim=-1)
         left = left - column.unsqueeze(-1) * column.unsqueeze(-2)
         columns.append(column)

@@ -80,13 +80,13 @@ def unscented_filter(
     x0, P0, Q, R, controls, outputs = (
         torch.as_tensor(a, dtype=torch.float64) for a in (x0, P0, Q, R, controls, outputs)
     )
-    given = Problem(f, h, x0, P0, Q, R, controls, outputs, dt)
+    problem = Problem(f, h, x0, P0, Q, R, controls, outputs, dt)
     with torch.no_grad():
-        check(given)
+        check(problem)
         noise = ProcessNoise.constant(Q)
-        if not learns_constants(given):
+        if not learns_constants(problem):
             return filter_and_smooth(f, h, (x0, P0), noise, R, controls, outputs, dt, smooth)
-        got = iterated(given, lambda cov: filter_and_smooth(f, h, (x0, cov), noise, R, controls, outputs, dt))
+        got = iterated(problem, lambda cov: filter_and_smooth(f, h, (x0, cov), noise, R, controls, outputs, dt))
     return got if smooth else replace(got, smoothed_means=None, smoothed_covariances=None)
 
 
@@ -116,17 +116,17 @@ def filter_and_smooth(
     mean, cov, controls, outputs = (
         a.expand(*batch, *a.shape[-k:]) for a, k in ((prior[0], 1), (prior[1], 2), (controls, 2), (outputs, 2))
     )
-    given = _Given(f, h, mean, cov, noise, R, controls, outputs, dt)
+    arguments = _Given(f, h, mean, cov, noise, R, controls, outputs, dt)
     weights = (points or SigmaPoints()).weights(mean.shape[-1])
     long = outputs.shape[-2] >= WORTH_COMPILING
     if engine == "native" or (engine is None and long and _plain(mean, cov, noise.values, R, controls, outputs)):
         try:
-            return _filter_natively(given, weights, smooth)
+            return _filter_natively(arguments, weights, smooth)
         except Unsupported as reason:
             if engine == "native":
                 raise
             say_once(f"the filter runs in torch, 30 to 200 times slower than compiled: {reason}")
-    return _filter_in_torch(given, weights, smooth)
+    return _filter_in_torch(arguments, weights, smooth)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,31 +150,31 @@ def _plain(*tensors: Tensor) -> bool:
     return plain and not (torch.is_grad_enabled() and any(a.requires_grad for a in tensors))
 
 
-def _filter_natively(given: _Given, weights: Weights, smooth: bool) -> Filtered:
+def _filter_natively(arguments: _Given, weights: Weights, smooth: bool) -> Filtered:
     """All leading dimensions as one list of flights."""
-    batch, ny = given.mean.shape[:-1], given.outputs.shape[-1]
-    flights, values = math.prod(batch), given.noise.values
+    batch, ny = arguments.mean.shape[:-1], arguments.outputs.shape[-1]
+    flights, values = math.prod(batch), arguments.noise.values
     if values.dim() == 2:
         values = values.unsqueeze(0)
     else:
         values = values.expand(*batch, *values.shape[-2:]).reshape(flights, *values.shape[-2:])
 
-    def listed(a: Tensor, kept: int) -> Tensor:
-        return a.reshape(flights, *a.shape[-kept:])
+    def listed(a: Tensor, trailing: int) -> Tensor:
+        return a.reshape(flights, *a.shape[-trailing:])
 
     with torch.no_grad():
-        mean, controls = listed(given.mean, 1), listed(given.controls, 2)
-        compiled = _compiled(given.f, given.h, mean, controls[:, 0], ny)
+        mean, controls = listed(arguments.mean, 1), listed(arguments.controls, 2)
+        compiled = _compiled(arguments.f, arguments.h, mean, controls[:, 0], ny)
         problem = filtering.Problem(
             mean=mean,
-            covariance=listed(given.cov, 2),
-            R=given.R,
+            covariance=listed(arguments.cov, 2),
+            R=arguments.R,
             controls=controls,
-            outputs=listed(given.outputs, 2),
-            rows=given.noise.rows,
-            columns=given.noise.columns,
+            outputs=listed(arguments.outputs, 2),
+            rows=arguments.noise.rows,
+            columns=arguments.noise.columns,
             values=values,
-            dt=given.dt,
+            dt=arguments.dt,
         )
         got = compiled.run(problem, weights, smooth, threads=threads())
     shaped = {name: a if a is None else a.reshape((*batch, *a.shape[1:])) for name, a in vars(got).items()}
@@ -201,22 +201,22 @@ def _compiled(f: Dynamics, h: Dynamics, x: Tensor, u: Tensor, ny: int) -> filter
     """The code of f and h, traced once; where they give something else than then, they are traced anew."""
     owner = getattr(f, "__self__", f)
     functions = tuple(getattr(g, "__func__", id(g)) for g in (f, h))
-    there = _around(torch.cat([x, u], dim=-1))
+    probe = _around(torch.cat([x, u], dim=-1))
 
     def values(at: Tensor) -> Tensor:
-        given = at.split([x.shape[-1], u.shape[-1]], dim=-1)
-        return torch.cat([f(*given), h(*given)], dim=-1)
+        columns = at.split([x.shape[-1], u.shape[-1]], dim=-1)
+        return torch.cat([f(*columns), h(*columns)], dim=-1)
 
-    known = None
+    cached = None
     with suppress(TypeError):  # owners that cannot be keys: without a hash, or without weak references
-        known = _TRACED.get(owner)
-    if known is not None and known.functions == functions and known.there.shape == there.shape:
-        if torch.equal(values(known.there), known.gave):
-            return known.code
-    made = filtering.CompiledFilter.of(f, h, x, u, ny)
+        cached = _TRACED.get(owner)
+    if cached is not None and cached.functions == functions and cached.there.shape == probe.shape:
+        if torch.equal(values(cached.there), cached.gave):
+            return cached.code
+    compiled = filtering.CompiledFilter.of(f, h, x, u, ny)
     with suppress(TypeError):
-        _TRACED[owner] = _Traced(functions, there, values(there), made)
-    return made
+        _TRACED[owner] = _Traced(functions, probe, values(probe), compiled)
+    return compiled
 
 
 def _around(at: Tensor) -> Tensor:
@@ -225,18 +225,18 @@ def _around(at: Tensor) -> Tensor:
     return torch.stack([at + share * (1.0 + at.abs()) * turn for share in AWAY], dim=-2)
 
 
-def _filter_in_torch(given: _Given, weights: Weights, smooth: bool) -> Filtered:
-    mean, cov, f, h, R, dt = given.mean, given.cov, given.f, given.h, given.R, given.dt
-    tape = _Tape(mean, given.outputs.shape[-2], given.outputs.shape[-1], smooth)
+def _filter_in_torch(problem: _Given, weights: Weights, smooth: bool) -> Filtered:
+    mean, cov, f, h, R, dt = problem.mean, problem.cov, problem.f, problem.h, problem.R, problem.dt
+    tape = _Tape(mean, problem.outputs.shape[-2], problem.outputs.shape[-1], smooth)
     points = 2 * mean.shape[-1] + 1
-    u = given.controls.movedim(-2, 0).unsqueeze(-2).expand(-1, *mean.shape[:-1], points, -1)
-    y = given.outputs.movedim(-2, 0)
+    u = problem.controls.movedim(-2, 0).unsqueeze(-2).expand(-1, *mean.shape[:-1], points, -1)
+    y = problem.outputs.movedim(-2, 0)
     missing = y.isnan()
     gaps = missing.flatten(1).any(dim=1).tolist()
     root_R = root(R)
     for k in range(len(y)):
         if k:
-            mean, cov = _predict(tape, k - 1, f, mean, cov, given.noise.at(k - 1), u[k - 1], u[k], dt, weights)
+            mean, cov = _predict(tape, k - 1, f, mean, cov, problem.noise.at(k - 1), u[k - 1], u[k], dt, weights)
         mean, cov = _update(tape, k, h, mean, cov, R, root_R, u[k], y[k], missing[k] if gaps[k] else None, weights)
     if smooth:
         _smooth(tape)
@@ -255,20 +255,20 @@ class _Tape:
         self.mean, self.cov = empty(samples, nx), empty(samples, nx, nx)
         self.innovation, self.spread = empty(samples, ny), empty(samples, ny, ny)
         self.log_likelihood = torch.zeros(batch, dtype=torch.float64, device=mean.device)
-        kept = samples if smooth else 0
-        self.predicted, self.gain, self.leak = empty(kept, nx), empty(kept, nx, nx), empty(kept, nx, nx)
-        self.smoothed = empty(kept, nx)
+        stored = samples if smooth else 0
+        self.predicted, self.gain, self.leak = empty(stored, nx), empty(stored, nx, nx), empty(stored, nx, nx)
+        self.smoothed = empty(stored, nx)
 
     def result(self) -> Filtered:
-        kept = bool(self.smoothed.shape[0])
+        stored = bool(self.smoothed.shape[0])
         return Filtered(
             means=self.mean.movedim(0, -2),
             covariances=_symmetric(self.cov).movedim(0, -3),
             innovations=self.innovation.movedim(0, -2),
             innovation_covariances=_symmetric(self.spread).movedim(0, -3),
             log_likelihood=self.log_likelihood,
-            smoothed_means=self.smoothed.movedim(0, -2) if kept else None,
-            smoothed_covariances=_symmetric(self.leak).movedim(0, -3) if kept else None,
+            smoothed_means=self.smoothed.movedim(0, -2) if stored else None,
+            smoothed_covariances=_symmetric(self.leak).movedim(0, -3) if stored else None,
         )
 
 
@@ -293,8 +293,8 @@ def _predict(
     if tape.gain.shape[0]:
         start = root_weight * offsets
         gain = divide(start.mT @ spread, cov_ahead)
-        rest = start - spread @ gain.mT
-        tape.predicted[k + 1], tape.gain[k], tape.leak[k] = ahead, gain, rest.mT @ rest + gain @ Q @ gain.mT
+        residual = start - spread @ gain.mT
+        tape.predicted[k + 1], tape.gain[k], tape.leak[k] = ahead, gain, residual.mT @ residual + gain @ Q @ gain.mT
     return ahead, cov_ahead
 
 

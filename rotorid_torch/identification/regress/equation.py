@@ -175,7 +175,7 @@ def _top_of_band(flights: Sequence[Rows], edge: float) -> tuple[float, float]:
     """
     z, y = torch.cat([f.regressors for f in flights], dim=-2), torch.cat([f.response for f in flights], dim=-1)
     frequency = torch.cat([f.frequencies.repeat(2) for f in flights])
-    own = torch.cat([f.response_noise for f in flights])
+    response_noise = torch.cat([f.response_noise for f in flights])
     noise = total_noise(flights) / sum(f.information for f in flights)
     longest = max((f.frequencies for f in flights), key=len)
     harmonics = max(4.0, ceil(2.0 * z.shape[-1] / len(flights)))
@@ -183,9 +183,9 @@ def _top_of_band(flights: Sequence[Rows], edge: float) -> tuple[float, float]:
     top = inside & (frequency > edge - (harmonics - 0.5) * (longest[1] - longest[0]))
     theta = noisy_least_squares(z[inside], y[inside], noise * inside.sum()).coefficients
     total = y[top].square().sum()
-    chance = (own[top] + (noise * theta.square()).sum()).sum()
-    missed = ((y[top] - z[top] @ theta).square().sum() - chance) / (total - own[top].sum()).clamp(min=1e-300)
+    chance = (response_noise[top] + (noise * theta.square()).sum()).sum()
+    missed = ((y[top] - z[top] @ theta).square().sum() - chance) / (total - response_noise[top].sum()).clamp(min=1e-300)
     local = noisy_least_squares(z[top], y[top], torch.zeros_like(noise)).coefficients
-    rest = (y[top] - z[top] @ local).square().sum() / total.clamp(min=1e-300)
+    misfit = (y[top] - z[top] @ local).square().sum() / total.clamp(min=1e-300)
     freedom = float(top.sum()) / max(float(top.sum()) - z.shape[-1], 1.0)
-    return 1.0 - float(rest) * freedom, float(missed)
+    return 1.0 - float(misfit) * freedom, float(missed)

@@ -55,8 +55,8 @@ def noisy_least_squares(z: Tensor, y: Tensor, noise: Tensor, prior: tuple[Tensor
         unit = torch.cat((unit, torch.diag_embed(root / scale)), dim=-2)
         target = torch.cat((y, root * prior[0]), dim=-1)
     u, s, vh = torch.linalg.svd(unit, full_matrices=False)
-    kept = s > NULL_DIRECTION * s[..., :1]
-    whiten = vh.mT * torch.where(kept, 1.0 / torch.where(kept, s, 1.0), 0.0).unsqueeze(-2)
+    determined = s > NULL_DIRECTION * s[..., :1]
+    whiten = vh.mT * torch.where(determined, 1.0 / torch.where(determined, s, 1.0), 0.0).unsqueeze(-2)
     shares = whiten.mT @ ((noise / scale.square()).unsqueeze(-1) * whiten)
     share, axes = torch.linalg.eigh(shares)
     stretch = (axes / (1.0 - share.clamp(max=NOISE_SHARE_LIMIT)).unsqueeze(-2)) @ axes.mT
@@ -64,7 +64,7 @@ def noisy_least_squares(z: Tensor, y: Tensor, noise: Tensor, prior: tuple[Tensor
     plain = whiten @ whiten.mT
     beyond = (plain.square() * (noise / scale.square()).unsqueeze(-2)).sum(-1)
     vif = plain.diagonal(dim1=-2, dim2=-1)
-    unknown = (vh.square() * ~kept.unsqueeze(-1)).sum(-2) > 1e-8
+    unknown = (vh.square() * ~determined.unsqueeze(-1)).sum(-2) > 1e-8
     return Solution(
         coefficients=(back @ (u.mT @ target.unsqueeze(-1))).squeeze(-1),
         inverse=back @ whiten.mT / scale.unsqueeze(-2),

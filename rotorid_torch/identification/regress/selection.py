@@ -74,15 +74,15 @@ def select(equation: Equation, forced: Sequence[str] = (), driven: Sequence[str]
     band = equation.band or choose_band(equation, notes)
     flights = equation_rows(equation, band, notes)
     folds = _folds(equation, flights)
-    kept = equation.index(forced)
-    barred = _barred(folds, equation.index(driven), kept)
-    held = _backward(folds, _forward(folds, kept, barred), kept)
+    index = equation.index(forced)
+    barred = _barred(folds, equation.index(driven), index)
+    held = _backward(folds, _forward(folds, index, barred), index)
     chosen = tuple(name for i, name in enumerate(equation.names) if i in held)
     result = fit_rows(equation, flights, band, chosen, notes)
     return replace(result, reasons=_reasons(equation, folds, held, barred))
 
 
-def beyond(equation: Equation, targets: Sequence[str], given: Sequence[str]) -> list[Beyond]:
+def beyond(equation: Equation, targets: Sequence[str], conditions: Sequence[str]) -> list[Beyond]:
     """Tell what each target carries in the band beyond the given regressors, one by one.
 
     Controls against states show how much of a control is not feedback; flapping against what drives it shows whether
@@ -91,32 +91,32 @@ def beyond(equation: Equation, targets: Sequence[str], given: Sequence[str]) -> 
     band = equation.band or choose_band(equation)
     flights = equation_rows(equation, band)
     information = sum(f.information for f in flights)
-    others = [columns_of(f, equation.index(given)) for f in flights]
+    others = [columns_of(f, equation.index(conditions)) for f in flights]
     z, noise = torch.cat([f.regressors for f in others], dim=-2), total_noise(others)
-    found = []
+    results = []
     for name, column in zip(targets, equation.index(targets), strict=True):
         y = torch.cat([f.regressors[..., column] for f in flights], dim=-1)
-        own = sum(f.noise[..., column] for f in flights)
+        column_noise = sum(f.noise[..., column] for f in flights)
         gains = noisy_least_squares(z, y, noise).coefficients
         left = (y - z @ gains).square().sum()
-        free = information - len(given)
-        chance = (own + (gains.square() * noise).sum()) * free / information
+        free = information - len(conditions)
+        chance = (column_noise + (gains.square() * noise).sum()) * free / information
         excess = left - chance
-        found.append(
+        results.append(
             Beyond(
                 name=name,
-                share=float((excess / (y.square().sum() - own).clamp(min=1e-300)).clamp(0.0, 1.0)),
+                share=float((excess / (y.square().sum() - column_noise).clamp(min=1e-300)).clamp(0.0, 1.0)),
                 reliability=float((excess / left.clamp(min=1e-300)).clamp(0.0, 1.0)),
                 sigma=float(excess / (chance * (2.0 / free) ** 0.5).clamp(min=1e-300)),
-                gains=dict(zip(given, gains.tolist(), strict=True)),
+                gains=dict(zip(conditions, gains.tolist(), strict=True)),
             )
         )
-    return found
+    return results
 
 
-def redundant(equation: Equation, targets: Sequence[str], given: Sequence[str]) -> list[str]:
+def redundant(equation: Equation, targets: Sequence[str], conditions: Sequence[str]) -> list[str]:
     """Targets that carry nothing reliable beyond the given regressors: hold them or what drives them, not both."""
-    return [found.name for found in beyond(equation, targets, given) if found.reliability < RELIABLE]
+    return [result.name for result in beyond(equation, targets, conditions) if result.reliability < RELIABLE]
 
 
 def response_lag(equation: Equation) -> tuple[float, float]:
@@ -136,9 +136,11 @@ def response_lag(equation: Equation) -> tuple[float, float]:
     """
     noise = equation.regressor_noise
     if noise is not None:
-        own = equation.response_noise
-        own = float(noise_floor(torch.as_tensor(next(iter(equation.response))))) if own is None else own
-        noise = [*torch.as_tensor(noise).tolist(), own]
+        lagged_noise = equation.response_noise
+        lagged_noise = (
+            float(noise_floor(torch.as_tensor(next(iter(equation.response))))) if lagged_noise is None else lagged_noise
+        )
+        noise = [*torch.as_tensor(noise).tolist(), lagged_noise]
     band = equation.band or choose_band(equation)
     both = [
         torch.cat((x, y.unsqueeze(-1)), dim=-1) for x, y in zip(equation.regressors, equation.response, strict=True)
@@ -268,13 +270,13 @@ def _reliable(reliability: Tensor, forced: int) -> Tensor:
 
 def _reasons(equation: Equation, folds: _Folds, held: list[int], barred: list[int]) -> dict[str, str]:
     """Say for each regressor left out why, or what would happen with it in."""
-    rest = [i for i in range(len(equation.names)) if i not in held]
-    if not rest:
+    free = [i for i in range(len(equation.names)) if i not in held]
+    if not free:
         return {}
     now = float(_errors(folds, [held])[1][0])
-    _, left_out, reliability = _errors(folds, [[*held, i] for i in rest])
+    _, left_out, reliability = _errors(folds, [[*held, i] for i in free])
     reasons = {}
-    for i, score, reliable in zip(rest, left_out.tolist(), reliability.tolist(), strict=True):
+    for i, score, reliable in zip(free, left_out.tolist(), reliability.tolist(), strict=True):
         worst = min(range(len(reliable)), key=lambda k: reliable[k])
         if i in barred:
             reason = "carries nothing reliable beyond what drives it"
