@@ -36,12 +36,12 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.nominal import build
 from rotorid_torch.run.fit_record import Judged, judge
 from rotorid_torch.trace.clean_aircraft import clean_draws
-from rotorid_torch.trace.critical import Draws, Null
-from rotorid_torch.trace.family import Family
-from rotorid_torch.trace.fits import Fitted, Flights, refit
+from rotorid_torch.trace.evidence.critical_values import Draws, Null
+from rotorid_torch.trace.evidence.family import Family
+from rotorid_torch.trace.evidence.fits import Fitted, Flights, refit
+from rotorid_torch.trace.evidence.residual import left_over
 from rotorid_torch.trace.loop import trace
 from rotorid_torch.trace.network import learn, memory, regressed
-from rotorid_torch.trace.residual import left_over
 
 ROOT = Path(__file__).parents[1]
 OUTSIDE = "outside.product"

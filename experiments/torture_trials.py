@@ -59,7 +59,7 @@ import rotorid_torch.simulation
 rotorid_torch.simulation.fly = functools.partial(rotorid_torch.simulation.fly, seconds=plan["seconds"])
 if sys.argv[2] == "close-loop":
     from rotorid_torch.trace import loop
-    from rotorid_torch.trace.settings import SETTINGS
+    from rotorid_torch.trace.terms.settings import SETTINGS
     loop.candidates = lambda spec: (plan["effects"], [])
     for name in ("draws", "earliest"):
         object.__setattr__(SETTINGS, name, plan["draws"])

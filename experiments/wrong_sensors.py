@@ -34,7 +34,7 @@ import rotorid_torch as rotorid
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.one_rate import at_one_rate
-from rotorid_torch.trace.clocks import sensor_findings
+from rotorid_torch.trace.sensors.clocks import sensor_findings
 
 ROOT = Path(__file__).parents[1]
 RATES, FORCES, BODY_AXES = ("p", "q", "r"), ("ax", "ay", "az"), ("x", "y", "z")

@@ -383,11 +383,11 @@ class _Motion:
 def _motion(flights: Sequence[Flight], turn: Array, clocks: Mapping[str, float]) -> _Motion:
     by = Alignment(turn=turn, clocks=clocks)
     every = [_forces(aligned(f, by)) for f in flights]
-    every = [e for e in every if len(e.known)]
+    every = [e for e in every if len(e.present)]
     if not every:
         return _Motion()
-    velocities = [_Sides(_centred(e.pushed, e.known), _centred(e.felt - e.fallen, e.known)) for e in every]
-    forces = [_Sides(_centred(e.felt, e.known), _centred(e.pushed + e.fallen, e.known)) for e in every]
+    velocities = [_Sides(_centred(e.pushed, e.present), _centred(e.felt - e.fallen, e.present)) for e in every]
+    forces = [_Sides(_centred(e.felt, e.present), _centred(e.pushed + e.fallen, e.present)) for e in every]
     agreed, shifts = 0.0, list[tuple[float, str, float]]()
     for unit, sides in (("velocities", velocities), ("accelerations", forces)):
         covariances, power = _covariances(sides, _most(sides))
@@ -410,7 +410,7 @@ class _Forces:
     pushed: Array
     fallen: Array
     felt: Array
-    known: Array
+    present: Array
 
 
 def _forces(flight: Flight) -> _Forces:

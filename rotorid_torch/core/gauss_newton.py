@@ -54,7 +54,7 @@ class Linear(NamedTuple):
 
     A: Tensor
     b: Tensor
-    own: float = 0.0
+    prior_cost: float = 0.0
 
     def decrease(self, step: Tensor) -> float:
         """Predicted for a step, without what is its own."""
@@ -142,7 +142,7 @@ def minimise(
         if not math.isfinite(point.cost):
             raise InfiniteCost
         problem, blind = _subproblem(linear, point.theta, lower, upper, free)
-        whole = linear.decrease(_bounded_step(problem, 0.0)) + linear.own
+        whole = linear.decrease(_bounded_step(problem, 0.0)) + linear.prior_cost
         if whole <= options.tolerance * abs(point.cost) + options.absolute + ROUNDING * abs(history[0]):
             converged, message = True, "converged: the predicted decrease is below the tolerance"
             break
@@ -249,7 +249,7 @@ def _descend(
         step = _bounded_step(problem, damping)
         share = 0.5 ** max(attempt - 2, 0)
         trial = evaluate(_moved(point.theta, step, problem), point, share)
-        predicted = problem.linear.decrease(step) + (2.0 - share) * share * problem.linear.own
+        predicted = problem.linear.decrease(step) + (2.0 - share) * share * problem.linear.prior_cost
         gain = (point.cost - trial.cost) / max(predicted, 1e-300)
         if trial.cost < point.cost and gain > 1e-4:
             if gain > 0.75:

@@ -48,7 +48,7 @@ class Measured:
     """One flight as step 2 sees it: every signal bridged over gaps, step 1's loads, and the physics' known part."""
 
     signals: Mapping[str, Tensor]  # each (T,)
-    known: Tensor  # (T, 6) forces m/s2 and moments rad/s2 of the physics beyond the linear terms
+    physics: Tensor  # (T, 6) forces m/s2 and moments rad/s2 of the physics beyond the linear terms
     specific: Tensor  # (T, 6) step 1
 
 
@@ -307,7 +307,7 @@ def _responses(
     if row in MOMENTS:
 
         def rate(name: str, flight: Measured) -> Tensor:
-            rates, physics = torch.stack([flight.signals[n] for n in RATES], -1), flight.known[:, axis]
+            rates, physics = torch.stack([flight.signals[n] for n in RATES], -1), flight.physics[:, axis]
             if model.body.inertia is not None:
                 physics = physics + gyroscopic(rates, model.inertia)[:, axis - 3]
             return rates[:, axis - 3] - integral(physics, dataset.facts[name].dt)
@@ -334,7 +334,7 @@ def _accelerometer_response(
     noise = dataset.noise(channel)
 
     def force(name: str, flight: Measured) -> Tensor:
-        return dataset.flights[name].bridged([channel])[:, 0] - flight.known[:, axis]
+        return dataset.flights[name].bridged([channel])[:, 0] - flight.physics[:, axis]
 
     if not bool(model.imu.any()):
         return _each(flights, force), "value", noise
@@ -354,7 +354,7 @@ def _velocity_response(model: Model, flight: Measured, axis: int, dt: float) -> 
     """Velocity without gravity, turning axes and known force, integrated: its rate is the linear force."""
     rates, attitude = (torch.stack([flight.signals[n] for n in group], -1) for group in (RATES, ATTITUDE))
     velocity = Frame(flight.signals).over_ground()
-    other = gravity_in_body(attitude, model.body.gravity) - cross(rates, velocity) + flight.known[:, :3]
+    other = gravity_in_body(attitude, model.body.gravity) - cross(rates, velocity) + flight.physics[:, :3]
     return velocity[:, axis] - integral(other[:, axis], dt)
 
 

@@ -80,7 +80,7 @@ def record_of(log: Log, user_map: Map | None) -> Record:
         notes += [f"{', '.join(left_out)} left out: {why}"] if left_out else []
     mended = repaired(log, clean)
     unknown = unknown_names(user_map.entries()) if user_map else ()
-    warnings = [*log.warnings, *plan.notes, *unknown, *notes, *mended.told]
+    warnings = [*log.warnings, *plan.notes, *unknown, *notes, *mended.notes]
     return Record(log.file, plan, entries, before_resampling(mended.signals), warnings, mended.cuts)
 
 

@@ -28,14 +28,14 @@ from rotorid_torch.report.summary import GRADED
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
 from rotorid_torch.run.output.write import png
-from rotorid_torch.trace.kinematic_equations import UNITS
-from rotorid_torch.trace.kinematic_findings import KinematicFinding
-from rotorid_torch.trace.kinematic_fit import Setting
-from rotorid_torch.trace.kinematic_records import pieces
-from rotorid_torch.trace.kinematic_search import Search
-from rotorid_torch.trace.kinematic_selection import turn_of
-from rotorid_torch.trace.kinematics import kinematic_findings
-from rotorid_torch.trace.sensor_correction import without_errors
+from rotorid_torch.trace.sensors.correction import without_errors
+from rotorid_torch.trace.sensors.equations import UNITS
+from rotorid_torch.trace.sensors.kinematics import kinematic_findings
+from rotorid_torch.trace.sensors.normal_equations import Search
+from rotorid_torch.trace.sensors.pieces import pieces
+from rotorid_torch.trace.sensors.selection import turn_of
+from rotorid_torch.trace.sensors.sensor_finding import KinematicFinding
+from rotorid_torch.trace.sensors.weighted_fit import Setting
 
 GROSS = 300.0
 """Power of what no sensor error explains over that of the noise, above which errors of sensors are not searched for."""

@@ -39,17 +39,17 @@ from rotorid_torch.run.pipeline import identified, refuse, remarks_on
 from rotorid_torch.run.result import Run, write_model
 from rotorid_torch.run.turbulence import in_turbulence, with_gusts, without_clean_bill
 from rotorid_torch.trace.clean_aircraft import clean_draws
-from rotorid_torch.trace.clocks import sensor_findings
-from rotorid_torch.trace.decide import Row, decide
-from rotorid_torch.trace.finding import Finding
-from rotorid_torch.trace.fits import Fitted, Flights, refit
+from rotorid_torch.trace.evidence.fits import Fitted, Flights, refit
 from rotorid_torch.trace.loop import Tracing, trace
 from rotorid_torch.trace.multirotor import Identified, trace_rotors
 from rotorid_torch.trace.network import learn
-from rotorid_torch.trace.search import of_effects
+from rotorid_torch.trace.search.decide import Row, decide
+from rotorid_torch.trace.search.forward_selection import of_effects
+from rotorid_torch.trace.search.words import reason
+from rotorid_torch.trace.sensors.clocks import sensor_findings
 from rotorid_torch.trace.stochastic import TURBULENCE, stochastic_findings
-from rotorid_torch.trace.verdict import statement
-from rotorid_torch.trace.words import reason
+from rotorid_torch.trace.terms.finding import Finding
+from rotorid_torch.trace.terms.verdict import statement
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from rotorid_torch.report.records import FlightRecord
 from rotorid_torch.run.result import Run
-from rotorid_torch.trace.settings import SETTINGS
-from rotorid_torch.trace.significance import exceeds
+from rotorid_torch.trace.terms.settings import SETTINGS
+from rotorid_torch.trace.terms.significance import exceeds
 
 DECIDING = ("validate", "identify")
 """Lists whose free runs decide: flights that no fit has seen, and the fitted ones where those are fewer than two, for

@@ -38,7 +38,7 @@ from rotorid_torch.run.own_effects import refuse_faulty
 if TYPE_CHECKING:
     pass
 from rotorid_torch.run.estimate import estimated
-from rotorid_torch.run.requested_effects import with_evidence
+from rotorid_torch.run.loop_record import with_evidence
 from rotorid_torch.run.result import Run, write_reconstruction
 from rotorid_torch.run.turbulence import with_gusts
 

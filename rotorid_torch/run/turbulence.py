@@ -16,9 +16,9 @@ from rotorid_torch.identification.reconstruct.reconstruction import Reconstructi
 from rotorid_torch.model.model import Model
 from rotorid_torch.report.records import FlightRecord
 from rotorid_torch.report.summary import WORSE_THAN_TRIM
-from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.stochastic import TURBULENCE
-from rotorid_torch.trace.verdict import Statement
+from rotorid_torch.trace.terms.finding import Finding
+from rotorid_torch.trace.terms.verdict import Statement
 from rotorid_torch.validate.gusts import in_gusts
 
 

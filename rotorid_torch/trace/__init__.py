@@ -1,1 +1,7 @@
-"""Which named effect explains what the model does not: sensors against each other first, then forces and moments."""
+"""What the model lacks, and which named effect explains it: sensors against each other first, then forces and moments.
+
+`loop` is the whole of it for trajectories, `multirotor` for accelerations at measured states. `terms/` are candidates,
+findings and all numbers that decide; `evidence/` compares models with one effect more; `search/` selects, decides and
+words; `sensors/` does the same for sensors by exact kinematics. `clean_aircraft` flies the null. Beside the search:
+`balance` (where thrusts balance), `stochastic` (gusts and vibration), `network` (what no name explains, learnt).
+"""

@@ -22,8 +22,8 @@ from rotorid_torch.effects.signal_operations import lagged
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.rotors import hover_thrust
-from rotorid_torch.trace.finding import Finding, Unknown
-from rotorid_torch.trace.significance import exceeds, normal_quantile, student_quantile
+from rotorid_torch.trace.terms.finding import Finding, Unknown
+from rotorid_torch.trace.terms.significance import exceeds, normal_quantile, student_quantile
 
 AVERAGED_S = 1.0
 """Length of the means."""
@@ -73,7 +73,7 @@ class Going:
     late: float
     evidence: float
     without: float
-    rest: float
+    remaining: float
     slopes: Tensor
 
     def explained(self, balance: Balance) -> Tensor:
@@ -83,9 +83,9 @@ class Going:
 
 def balances(model: Model, spec: ModelSpec, dataset: Dataset, flights: Sequence[str]) -> list[Balance]:
     """The balance of flights by a model's thrust curve; those airborne for less than two means are left out."""
-    known = [dataset.flights[name] for name in flights]
-    made = [_balance(model, spec, flight) for flight in known if flight.has(*RATES)]
-    return [b for b in made if len(b.centre) > 1]
+    records = [dataset.flights[name] for name in flights]
+    measured = [_balance(model, spec, flight) for flight in records if flight.has(*RATES)]
+    return [b for b in measured if len(b.centre) > 1]
 
 
 def _balance(model: Model, spec: ModelSpec, flight: Flight) -> Balance:
@@ -130,9 +130,9 @@ def going_with(identify: Sequence[Balance], unseen: Sequence[Balance]) -> list[G
     A row's own angular acceleration and a constant are taken out of both sides. Means that resemble their neighbours
     count for less (first-order autocorrelation).
     """
-    told = [n for n in identify[0].signals if all(n in b.signals for b in (*identify, *unseen))]
-    found = [_going(k, signal, identify, unseen, 2 * len(ROWS) * len(told)) for k in range(3) for signal in told]
-    best = {g.row: g for g in sorted((g for g in found if g), key=lambda g: g.evidence)}
+    names = [n for n in identify[0].signals if all(n in b.signals for b in (*identify, *unseen))]
+    measured = [_going(k, signal, identify, unseen, 2 * len(ROWS) * len(names)) for k in range(3) for signal in names]
+    best = {g.row: g for g in sorted((g for g in measured if g), key=lambda g: g.evidence)}
     return sorted(best.values(), key=lambda g: -g.evidence)
 
 
@@ -158,8 +158,8 @@ def _going(
     sizes = torch.stack([torch.stack(pair, dim=1).square().mean(dim=0).sqrt() for pair in errors])
     if evidence <= 1.0 or not exceeds((sizes[:, 0] / sizes[:, 1]).log()):
         return None
-    without, rest = sizes.square().mean(dim=0).sqrt().tolist()
-    return Going(ROWS[row], *signal, evidence, without, rest, more)
+    without, remaining = sizes.square().mean(dim=0).sqrt().tolist()
+    return Going(ROWS[row], *signal, evidence, without, remaining, more)
 
 
 def _columns(balance: Balance, row: int, signal: tuple[str, float] | None) -> Tensor:
@@ -201,7 +201,7 @@ class Standing:
     rotor: int | None
     less: float
     without: Tensor
-    rest: Tensor
+    remaining: Tensor
 
 
 def standing(spec: ModelSpec, identify: Sequence[Balance], unseen: Sequence[Balance]) -> Standing | None:
@@ -220,13 +220,13 @@ def standing(spec: ModelSpec, identify: Sequence[Balance], unseen: Sequence[Bala
     if _chance(_misfit(centre, inverse), 3) > FALSE_ALARMS:
         return None
     beyond = (levers @ inverse @ centre) / (levers @ inverse * levers).sum(dim=1)
-    rest = centre - beyond[:, None] * levers
-    misfits = (rest @ inverse * rest).sum(dim=1)
+    remainder = centre - beyond[:, None] * levers
+    misfits = (remainder @ inverse * remainder).sum(dim=1)
     rotor = int(misfits.argmin())
     explains = _chance(misfits[rotor], 2) > EXCLUDED
     moved = _chance(centre[2].square() / ordinary[2, 2], 1) > EXCLUDED
-    seen = torch.cat([b.centre for b in unseen])
-    without, after = (values.square().mean(dim=0).sqrt() for values in (seen, seen - centre))
+    unseen_centres = torch.cat([b.centre for b in unseen])
+    without, after = (values.square().mean(dim=0).sqrt() for values in (unseen_centres, unseen_centres - centre))
     if _misfit(after, inverse) >= _misfit(without, inverse):
         return None
     one = rotor if explains else None
@@ -249,10 +249,10 @@ def out_of_balance(
     model: Model, spec: ModelSpec, dataset: Dataset, unseen: Sequence[str]
 ) -> tuple[Finding | None, Unknown | None]:
     """A finding about the centre of gravity, and what else is missing; None where there is nothing to tell."""
-    known, new = balances(model, spec, dataset, dataset.identify), balances(model, spec, dataset, unseen)
-    if not known or not new:
+    identified, new = balances(model, spec, dataset, dataset.identify), balances(model, spec, dataset, unseen)
+    if not identified or not new:
         return None, None
-    going, off = going_with(known, new), standing(spec, known, new)
+    going, off = going_with(identified, new), standing(spec, identified, new)
     finding = _centre_of_gravity(off, spec) if off is not None and off.moved_alone else None
     said = [_said(g) for g in going]
     rows, signal = [g.row for g in going], going[0].signal if going else None
@@ -260,7 +260,7 @@ def out_of_balance(
         said, rows, signal = [_stands(off, spec), *said], ["".join(sorted(ROWS)), *rows], _rotor(off, spec)
     if not said:
         return finding, None
-    longest = max(len(b.centre) for b in known) * AVERAGED_S
+    longest = max(len(b.centre) for b in identified) * AVERAGED_S
     sentence = f"Something is missing in {'; '.join(said)}; no effect of the library explains it."
     return finding, Unknown(rows[0], (1.0 / longest, 0.5 / AVERAGED_S), signal, None, sentence)
 
@@ -270,7 +270,7 @@ def _said(going: Going) -> str:
     late = f", about {going.late:g} s late" if going.late else ""
     return (
         f"{going.row}: it goes with {going.signal}{late}, which takes unseen flights from"
-        f" {scale * going.without:.2g} to {scale * going.rest:.2g} {unit}"
+        f" {scale * going.without:.2g} to {scale * going.remaining:.2g} {unit}"
     )
 
 
@@ -280,8 +280,8 @@ def _where(off: Standing) -> str:
     place = f"{1e3 * abs(x):.1f} mm {along} and {1e3 * abs(y):.1f} mm {across} of the declared centre of gravity"
     ways = ("counter-clockwise", "clockwise") if yaw >= 0.0 else ("clockwise", "counter-clockwise")
     turn = f"rotors turning {ways[0]} carry {100 * abs(yaw):.0f} % of all thrust more than those turning {ways[1]}"
-    without, rest = ([1e3 * math.hypot(*e[:2].tolist()), 100.0 * float(e[2])] for e in (off.without, off.rest))
-    gain = f"unseen flights from {without[0]:.2g} to {rest[0]:.2g} mm and from {without[1]:.2g} to {rest[1]:.2g} %"
+    without, after = ([1e3 * math.hypot(*e[:2].tolist()), 100.0 * float(e[2])] for e in (off.without, off.remaining))
+    gain = f"unseen flights from {without[0]:.2g} to {after[0]:.2g} mm and from {without[1]:.2g} to {after[1]:.2g} %"
     return f"thrusts balance {place}, and {turn}, which takes {gain}"
 
 

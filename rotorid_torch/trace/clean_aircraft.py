@@ -40,10 +40,10 @@ from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
-from rotorid_torch.trace.critical import Draws, Null, clear
-from rotorid_torch.trace.family import Family, family
-from rotorid_torch.trace.fits import Flights, refit
-from rotorid_torch.trace.settings import SETTINGS
+from rotorid_torch.trace.evidence.critical_values import Draws, Null, clear
+from rotorid_torch.trace.evidence.family import Family, family
+from rotorid_torch.trace.evidence.fits import Flights, refit
+from rotorid_torch.trace.terms.settings import SETTINGS
 
 SPARE = 5
 """Clean aircraft that are drawn beside those needed: some fly away, and are no draws."""
@@ -68,8 +68,8 @@ def statistics_on(clean: Dataset, null: Null, effects: Sequence[str]) -> dict[st
     spec = propose(flown, reconstruction, ())
     spec = msgspec.structs.replace(spec, **{name: getattr(null.spec, name) for name in SAME})
     # an aircraft in the data's likeness lies near the data's values: from its own regression few fits find their end
-    found = family(refit(spec, Flights(flown, reconstruction), null.values, null.held), effects)
-    return {"statistics": found.statistics, "sizes": found.sizes()}
+    candidates = family(refit(spec, Flights(flown, reconstruction), null.values, null.held), effects)
+    return {"statistics": candidates.statistics, "sizes": candidates.sizes()}
 
 
 def clean_draws(
@@ -285,10 +285,10 @@ def _refuse_failure(code: int, request: Path) -> None:
 
 def _through_air(flight: Flight, null: Null) -> dict[str, Tensor]:
     """Velocities of a flight through the air of the wind that the null's values tell; nothing where they tell none."""
-    told = {n.removeprefix(f"{WIND}."): v for n, v in null.values.items() if n.startswith(f"{WIND}.")}
-    if not told or not flight.has("psi", *TURNING, *VELOCITIES):
+    wind = {n.removeprefix(f"{WIND}."): v for n, v in null.values.items() if n.startswith(f"{WIND}.")}
+    if not wind or not flight.has("psi", *TURNING, *VELOCITIES):
         return {}
-    values = Values(torch.tensor(list(told.values()), dtype=torch.float64), tuple(told))
+    values = Values(torch.tensor(list(wind.values()), dtype=torch.float64), tuple(wind))
     signals = dict(zip(("psi", *TURNING), flight.bridged(("psi", *TURNING)).unbind(-1), strict=True))
     frame = Frame(signals | {n: flight.channels[n] for n in VELOCITIES})
     through, _ = registered()[WIND].from_spec(null.spec)(frame, signals["psi"].unsqueeze(-1), values)
@@ -338,11 +338,11 @@ def _work(request: Mapping[str, object]) -> None:
                 write(numbers.pop(0), away)
             numbers.remove(drawn.number)
             try:
-                found = statistics_on(drawn.dataset, null, effects)
+                statistics = statistics_on(drawn.dataset, null, effects)
             except NO_FIT:
-                found = away
+                statistics = away
             likeness = {"alike": drawn.alike, "misfit": drawn.misfit, "rotor": drawn.rotor}
-            write(drawn.number, found | likeness | {"effects": effects})
+            write(drawn.number, statistics | likeness | {"effects": effects})
     for number in numbers:
         write(number, away)
 

@@ -11,23 +11,23 @@ from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.trace.by_control import by_control
-from rotorid_torch.trace.candidate import UNATTRIBUTED, Candidate
-from rotorid_torch.trace.candidates import candidates, of_control_path, untried
-from rotorid_torch.trace.critical import Draws, Null
-from rotorid_torch.trace.decide import Estimate, decide, estimate, evidence, gain, size_of, total
-from rotorid_torch.trace.family import TURNED, Family, by_chance
-from rotorid_torch.trace.finding import Finding, Unknown
-from rotorid_torch.trace.findings import Outcome
-from rotorid_torch.trace.fits import Fitted, Flights, refit
-from rotorid_torch.trace.localisation import in_control_path, localised
-from rotorid_torch.trace.places import explained_trims
-from rotorid_torch.trace.screen import PATH
-from rotorid_torch.trace.screening_sizes import with_screening_sizes
-from rotorid_torch.trace.search import Say, Search, Trial, observed, of_effects
-from rotorid_torch.trace.settings import SETTINGS
-from rotorid_torch.trace.slips import deflected
-from rotorid_torch.trace.structure import with_structure
+from rotorid_torch.trace.evidence.critical_values import Draws, Null
+from rotorid_torch.trace.evidence.family import TURNED, Family, by_chance
+from rotorid_torch.trace.evidence.fits import Fitted, Flights, refit
+from rotorid_torch.trace.evidence.screen import PATH
+from rotorid_torch.trace.evidence.slips import deflected
+from rotorid_torch.trace.search.by_control import by_control
+from rotorid_torch.trace.search.decide import Estimate, decide, estimate, evidence, gain, size_of, total
+from rotorid_torch.trace.search.findings import Outcome
+from rotorid_torch.trace.search.forward_selection import Say, Search, Trial, observed, of_effects
+from rotorid_torch.trace.search.localisation import in_control_path, localised
+from rotorid_torch.trace.search.ordinary_physics import with_structure
+from rotorid_torch.trace.search.screening_sizes import with_screening_sizes
+from rotorid_torch.trace.search.trim_differences import explained_trims
+from rotorid_torch.trace.terms.candidate import UNATTRIBUTED, Candidate
+from rotorid_torch.trace.terms.eligible import candidates, of_control_path, untried
+from rotorid_torch.trace.terms.finding import Finding, Unknown
+from rotorid_torch.trace.terms.settings import SETTINGS
 
 UNJUDGED = "No clean aircraft tells how much of this is ordinary."
 UNCONFIRMED = "No flight was kept back that could confirm it."
@@ -103,7 +103,11 @@ def trace(
     tested = [e for e in testable if registered()[e].role is Role.UNDECLARED]
     placed: list[str] = []
     search = Search(
-        flights, tuple(held), lambda beside, effects: _draws(search, beside, effects, placed, draw, seed), say, ranks
+        flights,
+        tuple(held),
+        lambda observed, effects: _draws(search, observed, effects, placed, draw, seed),
+        say,
+        ranks,
     )
     null = refit(spec, flights, start, held)
     null = _placed(search, null, tested, placed)
@@ -129,19 +133,19 @@ def trace(
 
 
 def _draws(
-    search: Search, beside: Family, effects: Sequence[str], placed: Sequence[str], draw: DrawClean, seed: int
+    search: Search, observed: Family, effects: Sequence[str], placed: Sequence[str], draw: DrawClean, seed: int
 ) -> Draws:
     """Statistics where nothing is missing: of clean aircraft, or of residuals turned in time where none can be drawn.
 
     Clean aircraft fly in still air far from the ground; what wind or ground leave over these cannot say.
     """
     if search.first is not None:  # where none could be drawn there are none beside what joined either
-        return by_chance(beside, effects, seed, search.first[2].note)
-    null = beside.null
+        return by_chance(observed, effects, seed, search.first[2].note)
+    null = observed.null
     bare = Null(null.spec.without(placed), null.values, search.held)
-    drawn = draw(bare, effects, beside)
+    drawn = draw(bare, effects, observed)
     if isinstance(drawn, str):
-        return by_chance(beside, effects, seed, f"{TURNED}: {drawn}")
+        return by_chance(observed, effects, seed, f"{TURNED}: {drawn}")
     if not placed:
         return drawn
     library = {n: t for n, t in drawn.statistics.items() if not n.startswith(UNATTRIBUTED)}
@@ -154,9 +158,9 @@ def _placed(search: Search, null: Fitted, effects: Sequence[str], placed: list[s
     placed : takes the effects that join.
     """
     remaining = list(effects)
-    while found := explained_trims(null.spec, of_effects(null.values, placed), search.flights, remaining):
-        effect, one = next(iter(found.items()))
-        remaining = [e for e in found if e != effect]
+    while explained := explained_trims(null.spec, of_effects(null.values, placed), search.flights, remaining):
+        effect, one = next(iter(explained.items()))
+        remaining = [e for e in explained if e != effect]
         values = one.start if not placed else of_effects(one.start, [effect])
         start = {n: v for n, v in values.items() if n not in search.held}
         spec = null.spec.with_effects(effect)
@@ -178,21 +182,21 @@ def _placed(search: Search, null: Fitted, effects: Sequence[str], placed: list[s
 def _outcome(search: Search, final: Fitted, effects: Sequence[str]) -> tuple[Outcome, Unknown | None]:
     """How the search ended, and what stays without a name."""
     names = [c.effect for c in search.joined]
-    beside, p, _ = search.beside(final, effects)
+    observed, p, _ = search.beside(final, effects)
     assert search.first is not None
     first, _, draws = search.first
     low = [n for n, one in p.items() if n.startswith(UNATTRIBUTED) and one <= SETTINGS.level]
     share = None
     if low and names and draws.clean:
-        explained, left = total(evidence(search.null or first.null, final)), beside.nameless(low)
+        explained, left = total(evidence(search.null or first.null, final)), observed.nameless(low)
         share = explained / max(explained + left, 1e-300)
     unknown = None
     if low and not (names and share is not None and share > 1.0 - SETTINGS.level):  # else next to nothing stays
-        described = [beside.descriptions.get(n.removeprefix(UNATTRIBUTED)) for n in low]
-        found = [one for one in described if one is not None]
+        described = [observed.descriptions.get(n.removeprefix(UNATTRIBUTED)) for n in low]
+        sentences = [one for one in described if one is not None]
         unknown = in_control_path(final.flights)
-        if found:
-            unknown = localised(found, beside.residuals, deflected(final.model))
+        if sentences:
+            unknown = localised(sentences, observed.residuals, deflected(final.model))
         doubts = [
             *([] if draws.clean else [UNJUDGED]),
             *([] if search.flights.dataset.validate else [UNCONFIRMED]),
@@ -211,12 +215,12 @@ def _spread(search: Search, final: Fitted, draws: Draws) -> tuple[dict[str, str]
         for name, scatter in [*final.scatter(effect).items(), *draws.scatter(effect).items()]:
             if name in final.names:
                 spread[name] = max(spread.get(name, 0.0), scatter)
-        found = by_control(final, effect, search.held)
-        if found is not None:
-            errors = [e for e in (final.error(found.parameter), spread.get(found.parameter, 0.0)) if math.isfinite(e)]
-            spread[found.parameter] = math.hypot(max(errors, default=0.0), found.spread)
-            words[effect] = f"; {found}"
-            search.say(f"{effect}: {found}")
+        sizes = by_control(final, effect, search.held)
+        if sizes is not None:
+            errors = [e for e in (final.error(sizes.parameter), spread.get(sizes.parameter, 0.0)) if math.isfinite(e)]
+            spread[sizes.parameter] = math.hypot(max(errors, default=0.0), sizes.spread)
+            words[effect] = f"; {sizes}"
+            search.say(f"{effect}: {sizes}")
     return words, spread
 
 

@@ -25,15 +25,15 @@ from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.model.rotors import beyond_belief
 from rotorid_torch.trace.balance import out_of_balance
-from rotorid_torch.trace.candidates import ELSEWHERE, NOT_IN_TRAJECTORIES, candidates, untried
-from rotorid_torch.trace.critical import adjusted_p, critical_values
-from rotorid_torch.trace.decide import Reason, Row, decide, estimate
-from rotorid_torch.trace.finding import Finding
+from rotorid_torch.trace.evidence.critical_values import adjusted_p, critical_values
 from rotorid_torch.trace.loop import Tracing
-from rotorid_torch.trace.screening_sizes import with_screening_sizes
-from rotorid_torch.trace.settings import SETTINGS
-from rotorid_torch.trace.significance import exceeds
-from rotorid_torch.trace.words import explained_by, reason
+from rotorid_torch.trace.search.decide import Reason, Row, decide, estimate
+from rotorid_torch.trace.search.screening_sizes import with_screening_sizes
+from rotorid_torch.trace.search.words import explained_by, reason
+from rotorid_torch.trace.terms.eligible import ELSEWHERE, NOT_IN_TRAJECTORIES, candidates, untried
+from rotorid_torch.trace.terms.finding import Finding
+from rotorid_torch.trace.terms.settings import SETTINGS
+from rotorid_torch.trace.terms.significance import exceeds
 from rotorid_torch.validate.responses import compared
 
 BLOCK_S = 1.0
@@ -93,8 +93,8 @@ def trace_rotors(
     centre, missing = out_of_balance(final.model, final.spec, dataset, dataset.unseen) if spec.motors else (None, None)
     note = "critical values come from residuals whose blocks stand in another order: no clean multirotor is drawn"
     findings += [search.finding(final, e) for e in undeclared]
-    told = tuple(centre if centre and f.id == centre.id else f for f in findings)
-    return Tracing(null, final, (), tuple(search.accepted), search.groups, told, (note, *untried(dataset)), missing)
+    centred = tuple(centre if centre and f.id == centre.id else f for f in findings)
+    return Tracing(null, final, (), tuple(search.accepted), search.groups, centred, (note, *untried(dataset)), missing)
 
 
 def rotors_earned(
@@ -104,11 +104,11 @@ def rotors_earned(
 
     whole : the model with all of them. fit, seed : as in `trace_rotors`.
     """
-    search, found = _Search(dataset, fit, lambda line: None, seed), []
+    search, findings = _Search(dataset, fit, lambda line: None, seed), []
     for effect in effects:
         role = registered()[effect].role.value
         if registered()[effect].showing in ELSEWHERE:
-            found.append(Finding(effect, role, "not testable", NOT_IN_TRAJECTORIES))
+            findings.append(Finding(effect, role, "not testable", NOT_IN_TRAJECTORIES))
             continue
         without = fit(whole.spec.without([effect]))
         search.rows = believed([without, whole])
@@ -117,10 +117,10 @@ def rotors_earned(
         verdict, why = decide(trial.row)
         why = Reason.HELPS if verdict == "accepted" else why
         said = reason(why, **trial.details)
-        found.append(
+        findings.append(
             Finding(effect, role, verdict, said, trial.gain, trial.floor, values=_errors(whole, effect), p=trial.p)
         )
-    return found
+    return findings
 
 
 def believed(models: Sequence[Identified]) -> tuple[str, ...]:
@@ -134,17 +134,17 @@ def believed(models: Sequence[Identified]) -> tuple[str, ...]:
     return (*SPECIFIC_FORCES, *turns)
 
 
-def _told(found: Identified) -> tuple[dict[str, Any], Tensor, dict[str, float]]:
+def _told(identified: Identified) -> tuple[dict[str, Any], Tensor, dict[str, float]]:
     """What travels between ranks."""
-    return found.spec.plain(), found.model.theta.detach().clone(), dict(found.errors)
+    return identified.spec.plain(), identified.model.theta.detach().clone(), dict(identified.errors)
 
 
-def _again(_: ModelSpec, told: tuple[dict[str, Any], Tensor, dict[str, float]]) -> Identified:
-    spec = ModelSpec.from_plain(told[0])
+def _again(_: ModelSpec, message: tuple[dict[str, Any], Tensor, dict[str, float]]) -> Identified:
+    spec = ModelSpec.from_plain(message[0])
     model = build(spec)
     with torch.no_grad():
-        model.theta.copy_(told[1])
-    return Identified(spec, model, told[2])
+        model.theta.copy_(message[1])
+    return Identified(spec, model, message[2])
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,7 +179,7 @@ class _Search:
             self._kept[id(model)] = (model, {n: compared(model.model, self.dataset.flights[n]) for n in names})
         whole = self._kept[id(model)][1]
         counts = lambda name: name in self.rows or name.startswith("omega")  # noqa: E731
-        return {flight: {c: pair for c, pair in found.items() if counts(c)} for flight, found in whole.items()}
+        return {flight: {c: pair for c, pair in pairs.items() if counts(c)} for flight, pairs in whole.items()}
 
     def by_flight(self, null: Identified, other: Identified, flights: Sequence[str]) -> Tensor:
         """Mean over the responses of log(rms without / rms with) on each flight [F]; an axis left alone counts little.
@@ -212,10 +212,10 @@ class _Search:
 
     def sigma(self, null: Identified) -> dict[str, float]:
         """Rms of what a model leaves over in each response on the identify flights."""
-        found = self.compared(null)
+        pairs = self.compared(null)
         left: dict[str, list[Tensor]] = {}
         for name in self.dataset.identify:
-            for channel, (measured, modelled) in found[name].items():
+            for channel, (measured, modelled) in pairs[name].items():
                 left.setdefault(channel, []).append(measured - modelled)
         return {c: max(float(torch.cat(r).square().mean().sqrt()), 1e-300) for c, r in left.items()}
 
@@ -276,16 +276,16 @@ class _Search:
 
     def joined(self, now: Identified, tried: Sequence[str], ranks: Ranks) -> Identified | None:
         """The model with the best of the candidates that stand, and its companion; None where none joins."""
-        rest = [e for e in tried if e not in self.accepted]
-        if not rest or len(self.accepted) >= SETTINGS.effects:
+        remaining = [e for e in tried if e not in self.accepted]
+        if not remaining or len(self.accepted) >= SETTINGS.effects:
             return None
-        found = ranks.carry([now.spec.with_effects(e) for e in rest], self.fit, _told, _again)
-        fitted = dict(zip(rest, found, strict=True))
+        identified = ranks.carry([now.spec.with_effects(e) for e in remaining], self.fit, _told, _again)
+        fitted = dict(zip(remaining, identified, strict=True))
         self.rows = believed([now, *fitted.values()])
-        beside: dict[str, Trial] = {}
+        trials: dict[str, Trial] = {}
         for effect in [e for e in fitted if registered()[e].companion in fitted]:
             fitted[effect] = self.accompanied(effect, fitted[effect])
-            beside[registered()[effect].companion] = self.trials[registered()[effect].companion]
+            trials[registered()[effect].companion] = self.trials[registered()[effect].companion]
         self.observe(now, fitted)
         standing = [e for e in fitted if decide(self.trials[e].row)[0] == "accepted"]
         if not standing:
@@ -294,19 +294,21 @@ class _Search:
         joining = [e for e in fitted[best].spec.effects if e not in now.spec.effects]
         self.say(f"{' and '.join(joining)} join{'s' if len(joining) == 1 else ''}")
         self.accepted += joining
-        self.trials |= {e: beside[e] for e in joining[1:]}  # a companion counts by what it gained beside the first
+        self.trials |= {e: trials[e] for e in joining[1:]}  # a companion counts by what it gained beside the first
         self.near |= {e: self.not_told_from(fitted, best, standing) if e == best else () for e in joining}
         return fitted[best]
 
     def not_told_from(self, fitted: Mapping[str, Identified], best: str, standing: Sequence[str]) -> tuple[str, ...]:
         """Candidates that flights which no fit has seen do not tell from the best."""
-        told = {e: exceeds(self.by_block(fitted[e], fitted[best], self.dataset.unseen)) for e in standing if e != best}
-        return tuple(e for e, better in told.items() if not better)
+        distinct = {
+            e: exceeds(self.by_block(fitted[e], fitted[best], self.dataset.unseen)) for e in standing if e != best
+        }
+        return tuple(e for e, better in distinct.items() if not better)
 
     def in_place_of(self, final: Identified, effect: str, others: Sequence[str]) -> tuple[str, ...]:
         """Those of the others that in an accepted effect's place, beside all that joined later, do as well."""
         rivals = [e for e in others if e not in self.accepted]
-        swapped = {e: tuple(e if own == effect else own for own in final.spec.effects) for e in rivals}
+        swapped = {e: tuple(e if listed == effect else listed for listed in final.spec.effects) for e in rivals}
         fitted = {e: self.fit(msgspec.structs.replace(final.spec, effects=them)) for e, them in swapped.items()}
         return tuple(e for e, f in fitted.items() if not exceeds(self.by_block(f, final, self.dataset.unseen)))
 
@@ -335,11 +337,11 @@ class _Search:
             return Finding(effect, "undeclared", "indistinguishable", said, group=(absorbed,))
         within = {e: best for best, others in self.groups.items() for e in others}
         trial, group = self.trials[effect], self.groups.get(effect, ())
-        found = Finding(effect, "undeclared", "accepted", "", trial.gain, trial.floor, p=trial.p)
+        finding = Finding(effect, "undeclared", "accepted", "", trial.gain, trial.floor, p=trial.p)
         if effect in within:
             best = within[effect]
             said = reason(Reason.OTHER_NAMED, others=best)
-            return replace(found, verdict="indistinguishable", reason=said, group=(best,))
+            return replace(finding, verdict="indistinguishable", reason=said, group=(best,))
         joined = effect in self.accepted
         stands = decide(trial.row)[0] == "accepted"
         # what joined as a companion is known by what it gained beside the first, however well its size is
@@ -349,12 +351,12 @@ class _Search:
         details = {**trial.details, "others": " or ".join(group), "explained_by": explained_by(self.accepted)}
         said = reason(why, **details)
         values = _errors(final if joined else trial.fitted, effect)
-        return replace(found, verdict=verdict, reason=said, group=group, values=values)
+        return replace(finding, verdict=verdict, reason=said, group=group, values=values)
 
 
 def _errors(model: Identified, effect: str) -> dict[str, tuple[float, float]]:
-    own = {n: e for n, e in model.errors.items() if n.startswith(f"{effect}.")}
-    return {n: (model.values[n], e) for n, e in own.items()}
+    errors = {n: e for n, e in model.errors.items() if n.startswith(f"{effect}.")}
+    return {n: (model.values[n], e) for n, e in errors.items()}
 
 
 def _shuffled(record: Tensor, block: int, chance: torch.Generator) -> Tensor:

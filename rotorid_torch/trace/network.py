@@ -20,11 +20,11 @@ from rotorid_torch.effects.library.neural import TRUST, NeuralForces
 from rotorid_torch.identification.estimate.segments import Records, cut
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
-from rotorid_torch.trace.decide import gain, unseen_evidence
-from rotorid_torch.trace.finding import Finding
-from rotorid_torch.trace.fits import SEGMENT_S, Fitted, Flights, Residual, refit
-from rotorid_torch.trace.residual import ALIKE_S, LeftOver, left_over
-from rotorid_torch.trace.significance import exceeds
+from rotorid_torch.trace.evidence.fits import SEGMENT_S, Fitted, Flights, Residual, refit
+from rotorid_torch.trace.evidence.residual import ALIKE_S, LeftOver, left_over
+from rotorid_torch.trace.search.decide import gain, unseen_evidence
+from rotorid_torch.trace.terms.finding import Finding
+from rotorid_torch.trace.terms.significance import exceeds
 
 STARTS = 2
 """Draws of the hidden layer that training begins from."""
@@ -97,9 +97,9 @@ def learn(
     for _ in range(MEANINGLESS if exceeds(better) else 0):
         turn = drawn_turn(null, chance)
         base = refit(null.spec, turned(null, turn), null.values, held)
-        found = unseen_evidence(base, trained(base, held, seed, turn))
-        by_chance.append(float(found.mean()))
-        say(f"network: where nothing is to be learnt they fall by {_percent(found)}")
+        evidence = unseen_evidence(base, trained(base, held, seed, turn))
+        by_chance.append(float(evidence.mean()))
+        say(f"network: where nothing is to be learnt they fall by {_percent(evidence)}")
     return Learnt(null, fitted, better, tuple(by_chance))
 
 
@@ -133,8 +133,8 @@ def memory(fitted: Fitted) -> float:
 
     Source: Priestley, Spectral Analysis and Time Series, sec. 5.3.2 (variance of the mean of a correlated record).
     """
-    found = [_correlated(record) for record in _residuals(fitted, fitted.seen).values()]
-    return float(torch.stack(found).mean(dim=0).max())
+    correlations = [_correlated(record) for record in _residuals(fitted, fitted.identified).values()]
+    return float(torch.stack(correlations).mean(dim=0).max())
 
 
 def _correlated(record: Tensor) -> Tensor:
@@ -161,8 +161,8 @@ def regressed(model: Model, over: LeftOver, seed: int = 0, linear: bool = False)
     def cost(weights: Tensor) -> Tensor:
         return misfit(weights) + 0.5 * ((weights - mean) / sd).square().sum()
 
-    found = [_minimised(cost, start) for start in _starts(mean, seed, len(effect.inputs))]
-    best = min(found, key=lambda f: f[0])[1].tolist()
+    minima = [_minimised(cost, start) for start in _starts(mean, seed, len(effect.inputs))]
+    best = min(minima, key=lambda f: f[0])[1].tolist()
     return {f"{effect.id}.{p.name}": value for p, value in zip(effect.declared, best, strict=True)}
 
 
@@ -194,7 +194,7 @@ class _Misfit:
     """Minus log-likelihood of what the equations leave over [N, rows] beside a network that sees these signals."""
 
     effect: NeuralForces
-    seen: Frame
+    identified: Frame
     basis: Tensor
     residual: Tensor
     alike: float  # samples that smoothing has made one
@@ -209,7 +209,7 @@ class _Misfit:
     def __call__(self, weights: Tensor) -> Tensor:
         """At weights [P]; what smoothing has made one sample counts once."""
         values = Values(weights, tuple(p.name for p in self.effect.declared))
-        frame, _ = self.effect(self.seen, weights.new_zeros(len(self.residual), 0), values)
+        frame, _ = self.effect(self.identified, weights.new_zeros(len(self.residual), 0), values)
         left = self.residual - torch.cat([part for part in (frame.force, frame.moment) if part is not None], dim=-1)
         left = left - self.basis @ (self.basis.mT @ left)
         return 0.5 * len(left) / self.alike * left.square().mean(dim=0).log().sum()
@@ -231,29 +231,29 @@ class _Turned(Flights):
 
     def records(self, model: Model, listed: Sequence[str]) -> Records:
         """These flights as the fits see them."""
-        known = super().records(model, listed)
-        made = torch.full_like(known.outputs, torch.nan)
+        measured = super().records(model, listed)
+        outputs = torch.full_like(measured.outputs, torch.nan)
         for f, name in enumerate(listed):
-            made[f, : len(self.outputs[name])] = self.outputs[name]
-        return replace(known, outputs=made)
+            outputs[f, : len(self.outputs[name])] = self.outputs[name]
+        return replace(measured, outputs=outputs)
 
 
 def turned(fitted: Fitted, turn: Turn) -> Flights:
     """The flights of a fit, with a residual that means nothing."""
     outputs: dict[str, Tensor] = {}
-    for part in (fitted.seen, fitted.unseen):
-        known = fitted.flights.records(fitted.model, part.names)
+    for part in (fitted.identified, fitted.unseen):
+        records = fitted.flights.records(fitted.model, part.names)
         for f, (name, over) in enumerate(_residuals(fitted, part).items()):
-            outputs[name] = known.outputs[f, : len(over)] - over + _rolled(over, turn[name])
+            outputs[name] = records.outputs[f, : len(over)] - over + _rolled(over, turn[name])
     return _Turned(fitted.flights.dataset, fitted.flights.reconstruction, outputs)
 
 
 def _residuals(fitted: Fitted, part: Residual) -> dict[str, Tensor]:
     """Each flight's residual as one record [T, ny], zero where nothing was measured."""
-    known = fitted.flights.records(fitted.model, part.names)
-    over = torch.zeros_like(known.outputs)
-    cut(known, round(SEGMENT_S / known.dt)).write(part.residual.nan_to_num(0.0), over)
-    return {name: over[f, : int(known.lengths[f])] for f, name in enumerate(part.names)}
+    records = fitted.flights.records(fitted.model, part.names)
+    over = torch.zeros_like(records.outputs)
+    cut(records, round(SEGMENT_S / records.dt)).write(part.residual.nan_to_num(0.0), over)
+    return {name: over[f, : int(records.lengths[f])] for f, name in enumerate(part.names)}
 
 
 def _rolled(record: Tensor, turn: tuple[float, float]) -> Tensor:

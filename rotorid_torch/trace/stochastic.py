@@ -18,8 +18,8 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.library.environment import Turbulence, Vibration
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.trace.finding import Finding
-from rotorid_torch.trace.significance import normal_quantile
+from rotorid_torch.trace.terms.finding import Finding
+from rotorid_torch.trace.terms.significance import normal_quantile
 
 TURBULENCE, VIBRATION = Turbulence.id, Vibration.id
 FALSE_ALARMS = 1e-3
@@ -62,9 +62,9 @@ def _turbulence(dataset: Dataset, spec: ModelSpec, response: Mapping[str, float]
     noise = np.array([dataset.noise(c) for c in channels]) / math.sqrt(each)
     ratio = _between(means) / noise**2
     worst = int(np.argmax(ratio))
-    found, floor = float(ratio[worst]), _floor(means.shape, FALSE_ALARMS / len(channels))
-    keep = {"gain": found, "floor": floor, "smallest_visible": _visible(response, noise, channels, floor)}
-    if found <= floor:
+    ratio_found, floor = float(ratio[worst]), _floor(means.shape, FALSE_ALARMS / len(channels))
+    keep = {"gain": ratio_found, "floor": floor, "smallest_visible": _visible(response, noise, channels, floor)}
+    if ratio_found <= floor:
         return Finding(TURBULENCE, "undeclared", "below floor", "before the pilot acts all flights are alike", **keep)
     without = [(_between(np.delete(means, k, axis=0)) / noise**2)[worst] for k in range(len(means))]
     if min(without) <= floor:
@@ -102,9 +102,9 @@ def _pilot_acts(dataset: Dataset, names: Sequence[str]) -> bool:
 def _between(means: np.ndarray) -> np.ndarray:
     """Mean square by channel of what is neither a flight's own drift nor common to all flights."""
     drift = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, means.shape[1]), DRIFT + 1))[0]
-    own = means - means.mean(axis=0)
-    own = own - np.einsum("bk,ck,fcn->fbn", drift, drift, own)
-    return (own**2).sum(axis=(0, 1)) / _freedom(means.shape)
+    deviations = means - means.mean(axis=0)
+    deviations = deviations - np.einsum("bk,ck,fcn->fbn", drift, drift, deviations)
+    return (deviations**2).sum(axis=(0, 1)) / _freedom(means.shape)
 
 
 def _freedom(shape: tuple[int, ...]) -> int:
@@ -134,7 +134,7 @@ def _vibration(dataset: Dataset, spec: ModelSpec) -> Finding:
     why = registered()[VIBRATION].untestable(spec)
     if why is not None or spec.rotor is None:
         return Finding(VIBRATION, "undeclared", "not testable", why or "the rotor speed is not declared")
-    found: dict[str, tuple[float, float]] = {}
+    lines: dict[str, tuple[float, float]] = {}
     ratios, where = [0.0], ""
     for channel in (*SPECIFIC_FORCES, *RATES):
         strength, hertz = _lines(dataset, channel, spec.rotor.speed / (2.0 * math.pi), 2 * spec.rotor.blades)
@@ -145,13 +145,13 @@ def _vibration(dataset: Dataset, spec: ModelSpec) -> Finding:
         if ratio > 1.0:
             group = "rates" if channel in RATES else "accelerations"
             name = f"{VIBRATION}.{group}"
-            found[name] = (max(strength, found.get(name, (0.0, 0.0))[0]), 0.0)
+            lines[name] = (max(strength, lines.get(name, (0.0, 0.0))[0]), 0.0)
     keep = {"gain": max(ratios), "floor": 1.0, "smallest_visible": (dataset.noise(SPECIFIC_FORCES[2]), "m/s2")}
-    if not found:
+    if not lines:
         said = "no line at a multiple of the rotor speed is stronger than a sensor's noise"
         return Finding(VIBRATION, "undeclared", "below floor", said, **keep)
     said = f"lines at multiples of the rotor speed stand above the sensors' noise, {where} most"
-    return Finding(VIBRATION, "undeclared", "accepted", said, **keep, values=found)
+    return Finding(VIBRATION, "undeclared", "accepted", said, **keep, values=lines)
 
 
 def _lines(dataset: Dataset, channel: str, turn: float, most: int) -> tuple[float, float]:
@@ -160,10 +160,10 @@ def _lines(dataset: Dataset, channel: str, turn: float, most: int) -> tuple[floa
         return 0.0, 0.0
     records = [dataset.flights[n].bridged([channel])[:, 0].numpy() for n in dataset.some(100)]
     hertz, power = spectrum(records, dataset.facts[dataset.identify[0]].dt)
-    own = [
+    spectra = [
         line
         for line in lines(hertz, power)
         if 1 <= round(line.hertz / turn) <= most and abs(line.hertz / turn - round(line.hertz / turn)) < NEAR
     ]
-    strongest = max(own, key=lambda line: line.rms, default=None)
+    strongest = max(spectra, key=lambda line: line.rms, default=None)
     return (0.0, 0.0) if strongest is None else (strongest.rms, strongest.hertz)

@@ -23,10 +23,10 @@ from rotorid_torch.report.records import read_report
 from rotorid_torch.run.close_loop import _before_and_after, _in_gusts, _loop
 from rotorid_torch.run.free_runs import best_of, free_run_gain, worse
 from rotorid_torch.run.output.monitor import Monitor
-from rotorid_torch.trace.finding import Finding, Unknown
 from rotorid_torch.trace.loop import Tracing
-from rotorid_torch.trace.settings import SETTINGS
-from rotorid_torch.trace.verdict import statement
+from rotorid_torch.trace.terms.finding import Finding, Unknown
+from rotorid_torch.trace.terms.settings import SETTINGS
+from rotorid_torch.trace.terms.verdict import statement
 from tests.known_models import flown, manoeuvres, rate_vehicle, with_values
 
 DT = 0.02

@@ -18,7 +18,7 @@ from rotorid_torch.errors import InputError
 from rotorid_torch.report.records import Report, read_report
 from rotorid_torch.run.close_loop import close_loop
 from rotorid_torch.trace import loop
-from rotorid_torch.trace.settings import SETTINGS
+from rotorid_torch.trace.terms.settings import SETTINGS
 from tests.helpers import ROOT
 from tests.known_models import flown, manoeuvres, rate_vehicle, with_values, written
 from tests.processes import ended, of_ranks, wait_until, write_earlier
@@ -29,7 +29,7 @@ FEW_CANDIDATES = """
 import sys
 from rotorid_torch import cli
 from rotorid_torch.trace import loop
-from rotorid_torch.trace.settings import SETTINGS
+from rotorid_torch.trace.terms.settings import SETTINGS
 loop.candidates = lambda spec: (sys.argv[1].split(), [])
 sys.exit(cli.main(sys.argv[2:]))
 """
@@ -45,7 +45,7 @@ from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.data import load
 from rotorid_torch.trace import clean_aircraft
-from rotorid_torch.trace.critical import Null
+from rotorid_torch.trace.evidence.critical_values import Null
 dataset, worker, seen, told = load(sys.argv[1]), sys.argv[2], float(sys.argv[3]), []
 data_sets.undrawable = lambda dataset: None
 observed = SimpleNamespace(contest={"control.delay": seen}, least={})

@@ -8,8 +8,8 @@ from typing import Any
 from rotorid_torch.core.parameters import ParameterSet
 from rotorid_torch.report.records import ParameterRecord
 from rotorid_torch.run.loop_record import as_fitted, effect_record
-from rotorid_torch.trace.finding import Finding
-from rotorid_torch.trace.verdict import statement
+from rotorid_torch.trace.terms.finding import Finding
+from rotorid_torch.trace.terms.verdict import statement
 
 NAME = "control.delay.common"
 FOUND = Finding("control.delay", "undeclared", "accepted", "why", values={NAME: (0.018, 0.005)})

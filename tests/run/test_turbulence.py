@@ -10,8 +10,8 @@ import torch
 from rotorid_torch.identification.gusts import Air, GustAxis
 from rotorid_torch.report.summary import WORSE_THAN_TRIM
 from rotorid_torch.run.turbulence import in_turbulence, without_clean_bill
-from rotorid_torch.trace.finding import Finding
-from rotorid_torch.trace.verdict import statement
+from rotorid_torch.trace.terms.finding import Finding
+from rotorid_torch.trace.terms.verdict import statement
 
 QUIET = Finding("environment.turbulence", "undeclared", "below floor", "before the pilot acts all flights are alike")
 

@@ -7,7 +7,7 @@ from rotorid_torch.identification.model_regression import regress_model
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build
-from rotorid_torch.trace.fits import Fitted, Flights, refit
+from rotorid_torch.trace.evidence.fits import Fitted, Flights, refit
 from rotorid_torch.trace.loop import Tracing, trace
 from tests.known_models import flown, manoeuvres, rate_vehicle, with_values
 

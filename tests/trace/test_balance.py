@@ -71,14 +71,14 @@ def stood(*seeds: int, **what: Any) -> Standing | None:
 def test_a_pitching_moment_by_speed_is_found_and_holds_on_unseen_flights():
     found = going_with(flights(1, 2, by_speed=3e-4), flights(3, 4, by_speed=3e-4))
     assert [(g.row, g.signal, g.late) for g in found] == [("M", "u", 0.0)]
-    assert found[0].rest < 0.5 * found[0].without
-    assert found[0].rest == pytest.approx(1e-4, rel=0.4)
+    assert found[0].remaining < 0.5 * found[0].without
+    assert found[0].remaining == pytest.approx(1e-4, rel=0.4)
 
 
 def test_a_moment_that_follows_late_is_found_with_how_late():
     found = going_with(flights(1, 2, by_speed=1e-3, after=2.0), flights(3, 4, by_speed=1e-3, after=2.0))
     assert [(g.row, g.signal, g.late) for g in found] == [("M", "u", 2.0)]
-    assert found[0].rest < 0.5 * found[0].without
+    assert found[0].remaining < 0.5 * found[0].without
 
 
 def test_what_unseen_flights_do_not_show_is_not_told():

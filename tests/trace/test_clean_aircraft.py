@@ -25,8 +25,8 @@ from rotorid_torch.effects.registry import registered
 from rotorid_torch.errors import InputError
 from rotorid_torch.trace import clean_aircraft
 from rotorid_torch.trace.clean_aircraft import SPARE
-from rotorid_torch.trace.critical import Draws, Null
-from rotorid_torch.trace.settings import SETTINGS
+from rotorid_torch.trace.evidence.critical_values import Draws, Null
+from rotorid_torch.trace.terms.settings import SETTINGS
 from tests.known_models import body_spec, flown, linear_vehicle, manoeuvres, written
 
 WANTED = SETTINGS.draws
@@ -251,7 +251,13 @@ def test_processes_end_as_soon_as_there_are_enough_draws(monkeypatch: pytest.Mon
 
 @pytest.mark.parametrize(
     "file",
-    ["data/reading/read.py", "validate/free_run.py", "trace/critical.py", "trace/decide.py", "trace/candidates.py"],
+    [
+        "data/reading/read.py",
+        "validate/free_run.py",
+        "trace/evidence/critical_values.py",
+        "trace/search/decide.py",
+        "trace/terms/eligible.py",
+    ],
 )
 def test_no_other_version_of_the_package_reads_kept_draws(tmp_path: Path, file: str):
     package = shutil.copytree(

@@ -9,11 +9,11 @@ import torch
 from rotorid_torch.effects.base import Role, Showing
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.model.nominal import build
-from rotorid_torch.trace.critical import Draws, Null
-from rotorid_torch.trace.family import Family
-from rotorid_torch.trace.fits import Fitted
+from rotorid_torch.trace.evidence.critical_values import Draws, Null
+from rotorid_torch.trace.evidence.family import Family
+from rotorid_torch.trace.evidence.fits import Fitted
 from rotorid_torch.trace.loop import _draws, trace
-from rotorid_torch.trace.search import Search
+from rotorid_torch.trace.search.forward_selection import Search
 from tests.trace.hidden_flights import flights, started, traced
 
 

@@ -16,9 +16,9 @@ from rotorid_torch.core.parameters import Parameter, ParameterSet
 from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR
 from rotorid_torch.effects.spec import ModelSpec, MotorSpec
 from rotorid_torch.trace import multirotor
-from rotorid_torch.trace.candidates import candidates
-from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.multirotor import Identified, believed, trace_rotors
+from rotorid_torch.trace.terms.eligible import candidates
+from rotorid_torch.trace.terms.finding import Finding
 
 FLIGHTS = {"one": 1, "two": 2, "three": 3, "four": 4}
 SPEC = ModelSpec(

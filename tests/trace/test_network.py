@@ -16,9 +16,9 @@ from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace import network
-from rotorid_torch.trace.fits import Fitted, Flights, refit
+from rotorid_torch.trace.evidence.fits import Fitted, Flights, refit
+from rotorid_torch.trace.evidence.residual import left_over
 from rotorid_torch.trace.network import Learnt, drawn_turn, learn, memory, regressed, turned
-from rotorid_torch.trace.residual import left_over
 from tests.known_models import flown, manoeuvres, rate_vehicle, with_values
 
 DT = 0.02

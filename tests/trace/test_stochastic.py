@@ -8,8 +8,8 @@ from scipy.signal import lfilter
 
 from rotorid_torch.data import Dataset
 from rotorid_torch.effects.examples import HELICOPTER
-from rotorid_torch.trace.finding import Finding
 from rotorid_torch.trace.stochastic import stochastic_findings
+from rotorid_torch.trace.terms.finding import Finding
 
 DT, SECONDS, QUIET_S = 0.01, 8.0, 1.5
 NOISE = {"p": 0.002, "q": 0.002, "r": 0.002, "ax": 0.05, "ay": 0.05, "az": 0.05}

@@ -71,7 +71,7 @@ class Elimination:
     """
 
     starts: Tensor
-    rest: Tensor
+    joined: Tensor
     passage: Tensor
     transitions: Tensor | None = None
 
@@ -197,7 +197,7 @@ class NativeEngine:
     traced: Dynamics
     timed: bool
     solver: str = "rk4"
-    made: dict[tuple[bool, tuple[int, ...], tuple[int, ...]], Dynamics] = field(default_factory=dict)
+    variants: dict[tuple[bool, tuple[int, ...], tuple[int, ...]], Dynamics] = field(default_factory=dict)
 
     @classmethod
     def of(cls, system: System, states: Tensor, controls: Tensor) -> NativeEngine:
@@ -285,9 +285,9 @@ class NativeEngine:
             table=None if whitening is None else whitening.contiguous(),
         )
         key = unknowns.x0_sd is not None, tuple(unknowns.biased.tolist()), tuple(which.tolist())
-        if key not in self.made:
-            self.made[key] = replace(self.traced, initial=key[0], biased=key[1], path=key[2])
-        return self.made[key], problem
+        if key not in self.variants:
+            self.variants[key] = replace(self.traced, initial=key[0], biased=key[1], path=key[2])
+        return self.variants[key], problem
 
 
 def engine_for(system: System, records: Records, solver: str, wanted: str | None = None) -> Engine:

@@ -295,7 +295,7 @@ class Likelihood:
             passage[part.which] = eliminated.passage
             place.transitions.append(eliminated.transitions)
             for f in torch.unique(part.segments.flight).tolist():
-                bias, local_bias = self._of_flight(place, f, eliminated.rest[part.segments.flight == f])
+                bias, local_bias = self._of_flight(place, f, eliminated.joined[part.segments.flight == f])
                 biases.append(bias)
                 block = int(self.blocks[f])
                 blocks[block] = self._joined(blocks[block], local_bias) if block in flights_done else local_bias

@@ -98,7 +98,7 @@ class NativeFilter:
     problem: FilterProblem
     compiled: Innovations
     timed: bool
-    made: dict[tuple[int, ...], Innovations] = field(default_factory=dict)
+    variants: dict[tuple[int, ...], Innovations] = field(default_factory=dict)
 
     @classmethod
     def of(cls, problem: FilterProblem, psi: Tensor, held: int = 0) -> NativeFilter:
@@ -170,12 +170,12 @@ class NativeFilter:
             controls = torch.cat([controls, time.unsqueeze(-1)], dim=-1)
             slopes = torch.nn.functional.pad(slopes, (0, 0, 0, 1))
         key = () if self.compiled.held else tuple(which.tolist())
-        if key not in self.made:
-            self.made[key] = replace(self.compiled, path=key)
+        if key not in self.variants:
+            self.variants[key] = replace(self.compiled, path=key)
         length = segments.inside.sum(dim=1).to(torch.int32)
         start = x0.contiguous(), problem.P0.expand(len(x0), -1, -1).contiguous()
         flights = Flights(segments.dt, length, controls.contiguous(), slopes, segments.outputs.contiguous(), *start)
-        return self.made[key], flights
+        return self.variants[key], flights
 
 
 def filter_engine(problem: FilterProblem, psi: Tensor, wanted: str | None = None) -> FilterEngine:

@@ -58,7 +58,7 @@ class ForceNoise:
     active: Array
     rms: Array
     variance: Array
-    seen: Array
+    excited: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,14 +73,14 @@ class LocalNoise:
     power: Array
     trim: Array
     spread: Array
-    seen: Array
+    excited: Array
     variance_scale: Array
 
     def pick(self, which: Sequence[int]) -> LocalNoise:
         """Some of the flights."""
         i = list(which)
         scale = self.variance_scale[:, i]
-        return LocalNoise(self.power[:, i], self.trim[i], self.spread[i], self.seen[i], scale)
+        return LocalNoise(self.power[:, i], self.trim[i], self.spread[i], self.excited[i], scale)
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ def adapted(
         power=power.reshape(samples, *shape),
         trim=last.trim.reshape(shape),
         spread=spread.reshape(shape),
-        seen=(np.isfinite(rows.value).sum(axis=0) > 0).reshape(shape),
+        excited=(np.isfinite(rows.value).sum(axis=0) > 0).reshape(shape),
         variance_scale=(least + OWN_SHARE * (scale - least)).reshape(samples, *shape),
     )
 

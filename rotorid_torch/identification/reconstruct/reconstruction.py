@@ -305,7 +305,7 @@ def _flight(
     deviation = cov.diagonal(dim1=-2, dim2=-1).sqrt()
     specific = torch.full((T, 6), torch.nan, dtype=torch.float64)
     covariance = torch.full((T, 6, 6), torch.nan, dtype=torch.float64)
-    axes = [axis for axis in AXES if axis in motion.states and noise.seen[i, AXES.index(axis)]]
+    axes = [axis for axis in AXES if axis in motion.states and noise.excited[i, AXES.index(axis)]]
     place, index = [AXES.index(axis) for axis in axes], [motion.states.index(axis) for axis in axes]
     scale = torch.as_tensor(noise.variance_scale[:T, i]).sqrt()
     specific[:, place] = mean[:, index]

@@ -186,7 +186,7 @@ class _Traced:
     """Code of two functions, where they were tried [F, points, nx + nu], and what they gave there."""
 
     functions: tuple[object, ...]
-    there: Tensor
+    probe: Tensor
     gave: Tensor
     code: filtering.CompiledFilter
 
@@ -210,8 +210,8 @@ def _compiled(f: Dynamics, h: Dynamics, x: Tensor, u: Tensor, ny: int) -> filter
     cached = None
     with suppress(TypeError):  # owners that cannot be keys: without a hash, or without weak references
         cached = _TRACED.get(owner)
-    if cached is not None and cached.functions == functions and cached.there.shape == probe.shape:
-        if torch.equal(values(cached.there), cached.gave):
+    if cached is not None and cached.functions == functions and cached.probe.shape == probe.shape:
+        if torch.equal(values(cached.probe), cached.gave):
             return cached.code
     compiled = filtering.CompiledFilter.of(f, h, x, u, ny)
     with suppress(TypeError):

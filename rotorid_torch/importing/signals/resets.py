@@ -95,7 +95,7 @@ class Repaired:
 
     signals: Signals
     cuts: tuple[float, ...] = ()
-    told: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def repaired(log: Log, signals: Signals) -> Repaired:

@@ -86,13 +86,13 @@ class _Table:
         if twice := next((name for name in self.header if name and self.header.count(name) > 1), None):
             raise InputError(file, twice, "is there twice" if not is_number(twice) else "is no name", "a header row")
         wanted = {*choose("", self.header)}
-        self.kept = [i for i, name in enumerate(self.header) if name in wanted or is_clock("", name, clock)]
+        self.places = [i for i, name in enumerate(self.header) if name in wanted or is_clock("", name, clock)]
         self.parts: list[np.ndarray] = []
         self.units = self.cut = 0
 
     def take(self, number: int, lines: Sequence[str]) -> None:
         """Take the lines that begin at this number."""
-        if not self.kept or not any(lines):
+        if not self.places or not any(lines):
             return
         if self.cut:
             raise self._other_count(self.cut)
@@ -101,10 +101,10 @@ class _Table:
         try:
             if self.mark and any(line.count(self.mark) != self.marks and '"' not in line for line in lines if line):
                 raise ValueError("another number of fields")
-            options = {"delimiter": self.mark, "usecols": self.kept, "comments": None, "quotechar": '"', "ndmin": 2}
+            options = {"delimiter": self.mark, "usecols": self.places, "comments": None, "quotechar": '"', "ndmin": 2}
             self.parts.append(np.loadtxt(lines, np.float64, **options))
         except ValueError:
-            self.parts.append(np.array([*self._slowly(number, lines)]).reshape(-1, len(self.kept)))
+            self.parts.append(np.array([*self._slowly(number, lines)]).reshape(-1, len(self.places)))
 
     def _slowly(self, first: int, lines: Sequence[str]) -> Iterator[list[float]]:
         """Line by line where something is no number: missing samples, a row of units, a cut end, or an error."""
@@ -120,7 +120,7 @@ class _Table:
             if not self.parts and not self.units and not any(is_number(field) for field in fields):
                 self.units = number
                 continue
-            yield [self._number(number, i, fields[i]) for i in self.kept]
+            yield [self._number(number, i, fields[i]) for i in self.places]
 
     def _fields(self, number: int, line: str) -> list[str]:
         quoted = csv.reader([line], delimiter=self.mark) if self.mark else iter([line.split()])
@@ -145,9 +145,9 @@ class _Table:
 
     def columns(self) -> dict[str, np.ndarray]:
         """All of each kept column."""
-        table = np.concatenate(self.parts) if self.parts else np.empty((0, len(self.kept)))
+        table = np.concatenate(self.parts) if self.parts else np.empty((0, len(self.places)))
         self.parts.clear()
-        return {self.header[i]: table[:, at] for at, i in enumerate(self.kept)}
+        return {self.header[i]: table[:, at] for at, i in enumerate(self.places)}
 
     def warnings(self) -> list[str]:
         """Sentences on lines that were left out."""

@@ -137,7 +137,7 @@ def draw(prior: Prior, evidence: Evidence, kind: Kind, streams: list[np.random.G
     for _ in range(ROUNDS + 1):
         trims = find_trims(prior.craft(normal, kind), prior.velocity, trims)
         deviation = _compare(prior, evidence, prior.craft(normal, kind), trims, prior.gearing(normal))
-        left = np.where(trims.found[:, None], deviation + noise * asked, LOST)
+        left = np.where(trims.converged[:, None], deviation + noise * asked, LOST)
         cost = (left * left).sum(1) + ((normal - start) ** 2).sum(1)
         closest = np.where((cost < best)[:, None], normal, closest)
         going &= cost < WORTH * best
@@ -145,7 +145,7 @@ def draw(prior: Prior, evidence: Evidence, kind: Kind, streams: list[np.random.G
         for k in np.flatnonzero(going):
             one = slice(k, k + 1)
             step = _step(prior, evidence, normal[k], kind.pick(one), trims.pick(one), deviation[k], left[k], start[k])
-            normal[k] += step if trims.found[k] else -0.5 * normal[k]
+            normal[k] += step if trims.converged[k] else -0.5 * normal[k]
     return finish(prior, evidence, closest, kind)
 
 
@@ -158,7 +158,7 @@ def finish(prior: Prior, evidence: Evidence, normal: Array, kind: Kind) -> Aircr
     asked = np.isfinite(_tolerances(evidence))
     misfit = np.sqrt((left[:, asked] ** 2).mean(1)) if asked.any() else np.zeros(len(normal))
     steady = np.linalg.eigvals(linearise(craft, trims).inner).real.max(1) < SETTLING
-    return Aircraft(normal, kind, craft, trims, table, np.where(trims.found & steady, misfit, np.inf), gearing)
+    return Aircraft(normal, kind, craft, trims, table, np.where(trims.converged & steady, misfit, np.inf), gearing)
 
 
 def _tolerances(evidence: Evidence) -> Array:
@@ -198,7 +198,7 @@ def _step(
     craft = prior.craft(bumped, kind.repeat(size))
     moved = find_trims(craft, prior.velocity, trims.pick(np.zeros(size, dtype=np.intp)), ROUGH)
     bumped_deviation = _compare(prior, evidence, craft, moved, prior.gearing(bumped))
-    slope = np.where(moved.found[:, None], (bumped_deviation - deviation) / BUMP, 0.0)
+    slope = np.where(moved.converged[:, None], (bumped_deviation - deviation) / BUMP, 0.0)
     step = -np.linalg.solve(np.eye(size) + slope @ slope.T, slope @ left + normal - start)
     length = float(np.abs(step).max())
     return np.asarray(step * (LEAP / max(length, LEAP)), dtype=np.float64)

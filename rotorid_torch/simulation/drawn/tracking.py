@@ -220,8 +220,8 @@ def _starts(aircraft: Aircraft, tape: Tapes, prior: Prior) -> tuple[Array, Array
             continue
         equilibria = find_trims(aircraft.craft, velocity, trims)
         flown = np.array([np.array_equal(velocity, one) for one in velocities])
-        state[..., flown] = np.where(equilibria.found[:, None], equilibria.state, np.nan)
-        controls[..., flown] = np.where(equilibria.found[:, None], equilibria.controls, np.nan)
+        state[..., flown] = np.where(equilibria.converged[:, None], equilibria.state, np.nan)
+        controls[..., flown] = np.where(equilibria.converged[:, None], equilibria.controls, np.nan)
     return state, controls
 
 

@@ -59,7 +59,7 @@ class Trims:
     state: Array
     controls: Array
     setting: Setting
-    found: Mask
+    converged: Mask
 
     def pick(self, which: Choice) -> Trims:
         """The trims of some of the aircraft."""
@@ -71,7 +71,7 @@ class Trims:
             parts.relax[which],
             (parts.body[0][:, which], parts.body[1][:, :, which]),
         )
-        return Trims(self.state[:, which], self.controls[:, which], setting, self.found[which])
+        return Trims(self.state[:, which], self.controls[:, which], setting, self.converged[which])
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,7 @@ def multiblade(hover):
 def test_trim_is_the_flight_test_aircrafts(hover, multiblade):
     """Attitude, blade angles, inflow: 0.001; flapping, which the other one has per blade: coning 0.002."""
     _, trims = multiblade
-    assert trims.found.all()
+    assert trims.converged.all()
     x = trims.state[:, 0, 0]
     np.testing.assert_allclose(x[6:8], hover.trim.state[6:8], atol=1e-3)
     np.testing.assert_allclose(trims.controls[:, 0, 0], hover.trim.controls, atol=1e-3)
@@ -125,7 +125,7 @@ def test_quasi_steady_flapping_trims_as_the_dynamic_one_and_has_no_rotor_modes(h
     craft = twin(hover.aircraft, rotor=kind(steady=True, stiff=True, uniform=uniform))
     trims = find_trims(craft, np.zeros(3))
     dynamic = find_trims(twin(hover.aircraft), np.zeros(3))
-    assert trims.found.all()
+    assert trims.converged.all()
     np.testing.assert_allclose(trims.controls, dynamic.controls, atol=0.02)
     modes = np.linalg.eigvals(linearise(craft, trims).inner[0][:3, :3])
     np.testing.assert_allclose(modes, -154.0, rtol=0.05)

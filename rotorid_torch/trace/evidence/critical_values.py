@@ -1,0 +1,169 @@
+"""Critical values and p-values: the statistic of each candidate on flights with nothing missing.
+
+The statistic of a candidate is T = sum over flights of the evidence d_f. Clean aircraft are drawn in the likeness of
+the data, and their flights go through the same fit and the same evidence; where none can be drawn, the data's own
+residuals, turned in time, stand for them. p-values are adjusted for the whole family of candidates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.trace.terms.candidate import UNATTRIBUTED
+from rotorid_torch.trace.terms.settings import SETTINGS
+
+NO_LEAST: Mapping[str, float] = MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class Null:
+    """A fitted model without what may be missing: its structure, its parameters' values, and those that are held."""
+
+    spec: ModelSpec
+    values: Mapping[str, float]
+    held: Sequence[str] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """Statistics T [D] of each member of the family on flights with nothing missing.
+
+    note : what was drawn, for the report. clean : whether clean aircraft were flown; else residuals were turned in
+    time. sizes : of each effect's parameters by the straight line of the screen [D], by full name. least : smallest
+    mean size of members, see `adjusted_p`.
+    """
+
+    statistics: Mapping[str, Tensor]
+    note: str
+    clean: bool
+    least: Mapping[str, float] = field(default_factory=dict)
+    sizes: Mapping[str, Tensor] = field(default_factory=dict)
+
+    def scatter(self, effect: str) -> dict[str, float]:
+        """Standard deviation, from one clean aircraft to the next, of what an effect's parameters seem to be there."""
+        return {
+            n: float(sizes.std()) for n, sizes in self.sizes.items() if n.startswith(f"{effect}.") and len(sizes) > 1
+        }
+
+    def critical_values(self, observed: Mapping[str, float]) -> dict[str, float]:
+        """T of each member of the library that p is the level at, beside the statistics observed of the others."""
+        library = {n: t for n, t in self.statistics.items() if n in observed and not n.startswith(UNATTRIBUTED)}
+        return critical_values(observed, library, self.least)
+
+    def visible(self, name: str, critical: float) -> float:
+        """T that an effect must bring to reach its critical value in 80 % of cases, beside what no effect gives."""
+        return critical - float(torch.quantile(self.statistics[name], SETTINGS.missed))
+
+
+def critical_values(
+    observed: Mapping[str, float], drawn: Mapping[str, Tensor], least: Mapping[str, float] = NO_LEAST
+) -> dict[str, float]:
+    """The statistic of each member above which p of `adjusted_p` is at most the level; none below zero.
+
+    In the same units, mean sizes over data and draws: with q the quantile 1 - level of the draws' largest statistics, n
+    draws and S the sum of the sizes of a member's draws, T (n + 1) / (S + T) = q. Step-down: the largest are those of
+    the members that are no more extreme; members whose p is larger than the level share one q.
+    """
+    if not drawn:
+        return {}
+    family = _Family.of({name: observed[name] for name in drawn}, drawn, least)
+    count, critical, q, exceeds = family.table.shape[1], {}, 0.0, True
+    for k, place in enumerate(family.order):
+        if exceeds:
+            q = float(torch.quantile(family.largest(k), 1.0 - SETTINGS.level, interpolation="higher"))
+            exceeds = float(family.data[place]) > q
+        name, total = family.names[place], float((family.table[place] * family.size[place]).abs().sum())
+        critical[name] = max(q * total / max(count + 1.0 - q, 1e-300), q * least.get(name, 0.0), 0.0)
+    return {name: critical[name] for name in drawn}
+
+
+def clear(observed: Mapping[str, float], drawn: Mapping[str, Tensor], least: Mapping[str, float] = NO_LEAST) -> bool:
+    """Whether draws so far [D] show as much as the data so often that no further draws can make any p small.
+
+    Source: Besag and Clifford, Biometrika 78 (1991), sequential Monte Carlo p-values.
+    """
+    p = p_values(observed, drawn, least)
+    count = len(next(iter(drawn.values()), ()))
+    exceeding = [round(one * (1 + count)) - 1 for one in p.values()]
+    return bool(p) and count >= SETTINGS.earliest and min(exceeding) >= SETTINGS.exceeding
+
+
+def p_values(
+    observed: Mapping[str, float], drawn: Mapping[str, Tensor], least: Mapping[str, float] = NO_LEAST
+) -> dict[str, float]:
+    """Adjusted p of each member that is drawn.
+
+    Effects of the library are a family. What has no name is compared with all members: some of it is in every model of
+    a real aircraft.
+    """
+    shared = {n: t for n, t in observed.items() if n in drawn}
+    library = {n: t for n, t in shared.items() if not n.startswith(UNATTRIBUTED)}
+    return adjusted_p(shared, drawn, least) | adjusted_p(library, drawn, least)
+
+
+def adjusted_p(
+    observed: Mapping[str, float], clean: Mapping[str, Tensor], least: Mapping[str, float] = NO_LEAST
+) -> dict[str, float]:
+    """Family-wise adjusted p of each member, p = (1 + k) / (1 + n): k of n draws show as much.
+
+    Statistics are compared in units of their mean size over the data and the draws, so that all members count alike
+    and the data and the draws stay exchangeable: the level holds for any distribution. Step-down: a member is compared
+    with the largest of those that are no more extreme. What predicts flights worse is no evidence: p is one.
+
+    Parameters
+    ----------
+    observed : statistic of each member, large where it is missing. clean : the same of n draws [n].
+    least : mean size of a member below which its statistic is no more than that of any one more parameter.
+
+    Source: Westfall and Young, Resampling-Based Multiple Testing (1993), algorithm 2.8.
+    """
+    if not observed:
+        return {}
+    family, adjusted, floor = _Family.of(observed, clean, least), {}, 0.0
+    for k, place in enumerate(family.order):
+        reached = int((family.largest(k) >= family.data[place]).sum())
+        p = (1.0 + reached) / (1.0 + family.table.shape[1])
+        floor = max(floor, p if float(family.data[place]) > 0.0 else 1.0)
+        adjusted[family.names[place]] = floor
+    return {e: adjusted[e] for e in observed}
+
+
+@dataclass(frozen=True, eq=False)
+class _Family:
+    """Statistics of members in units of their mean sizes [members], those of the data [members] and of draws [.., n].
+
+    A statistic that is not finite is no evidence. order : of the members, the most extreme first.
+    """
+
+    names: list[str]
+    size: Tensor
+    data: Tensor
+    table: Tensor
+
+    @classmethod
+    def of(cls, observed: Mapping[str, float], drawn: Mapping[str, Tensor], least: Mapping[str, float]) -> _Family:
+        """Of the members that are observed."""
+        names = list(observed)
+        data = torch.tensor([[observed[name]] for name in names], dtype=torch.float64)
+        whole = torch.cat([data, torch.stack([drawn[name] for name in names])], dim=1)
+        whole = torch.where(whole.isfinite(), whole, 0.0)
+        smallest = torch.tensor([max(least.get(name, 0.0), 1e-300) for name in names], dtype=torch.float64)
+        size = torch.maximum(whole.abs().mean(dim=1), smallest)
+        scaled = whole / size[:, None]
+        return cls(names, size, scaled[:, 0], scaled[:, 1:])
+
+    @cached_property
+    def order(self) -> list[int]:
+        """Places of the members."""
+        return self.data.argsort(descending=True, stable=True).tolist()
+
+    def largest(self, k: int) -> Tensor:
+        """Of each draw among the members from the k-th on [n]."""
+        return self.table[self.order[k:]].amax(dim=0)

@@ -1,0 +1,134 @@
+"""The family of candidates: evidence of all that a model may lack, computed alike for the data and for each draw.
+
+Members are effects of the library in trajectories (with a size of all controls, and of each control), effects in the
+forces on the measured motion, and pseudo-effects for what the library has no name for, by equation and kind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.trace.evidence.critical_values import Draws
+from rotorid_torch.trace.evidence.fits import Fitted
+from rotorid_torch.trace.evidence.force_evidence import Seen, seen_in_forces
+from rotorid_torch.trace.evidence.residual import AT_ONCE, left_over
+from rotorid_torch.trace.evidence.screen import PATH, Screen, both_screens
+from rotorid_torch.trace.evidence.unattributed import Description, Residuals
+from rotorid_torch.trace.terms.candidate import EACH, IN_FORCES, UNATTRIBUTED, Candidate
+from rotorid_torch.trace.terms.eligible import of_control_path
+from rotorid_torch.trace.terms.settings import SETTINGS
+
+TURNED = "critical values come from the data's own residuals, turned in time"
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """Evidence beside a model.
+
+    null : the model. accepted : its effects that have a name. common, each : screens of effects with a size of all
+    controls, and of each control. forces : effects in the forces on the measured motion. residuals, descriptions : what
+    has no name.
+    """
+
+    null: Fitted
+    accepted: tuple[str, ...]
+    common: Screen
+    each: Screen
+    forces: Mapping[str, Seen]
+    residuals: Residuals
+    descriptions: Mapping[str, Description]
+
+    @cached_property
+    def statistics(self) -> dict[str, float]:
+        """T of each member."""
+        statistics = {c.name: float(self.screen(c).evidence(c.effect).sum()) for c in self.candidates}
+        statistics |= {f"{e}{IN_FORCES}": float(one.evidence.sum()) for e, one in self.forces.items()}
+        if PATH in self.common.effects:
+            statistics[f"{UNATTRIBUTED}{PATH}"] = float(self.common.evidence(PATH).sum())
+        return statistics | {f"{UNATTRIBUTED}{key}": one.statistic for key, one in self.descriptions.items()}
+
+    @property
+    def contest(self) -> dict[str, float]:
+        """T of the members that are compared with the draws.
+
+        The pseudo-effect of the control path only judges names of that kind: any filter of the controls is ordinary.
+        """
+        named = bool(of_control_path(self.accepted))
+        return {name: t for name, t in self.statistics.items() if named or name != f"{UNATTRIBUTED}{PATH}"}
+
+    @property
+    def least(self) -> dict[str, float]:
+        """T of any one more parameter, by member of the library: half a unit of log-likelihood in each flight."""
+        flights = len(self.common.equations.fitted)
+        one = 0.5 * flights**2 / self.null.per_sample
+        return {name: one for name in self.statistics if not name.startswith(UNATTRIBUTED)}
+
+    @property
+    def candidates(self) -> list[Candidate]:
+        """Those of the library."""
+        common = [Candidate(e) for e in self.common.effects if e != PATH]
+        return [*common, *(Candidate(e, True) for e in self.each.effects)]
+
+    def screen(self, candidate: Candidate) -> Screen:
+        """The screen that holds a candidate."""
+        return self.each if candidate.each_control else self.common
+
+    def over_one_size(self, effect: str) -> Tensor:
+        """Evidence of a size of each control over one size of all, flight by flight [F + V]."""
+        return self.each.evidence(effect) - self.common.evidence(effect)
+
+    def nameless(self, members: Sequence[str]) -> float:
+        """The largest of pseudo-effects, as evidence in trajectories: one equation is one of all that are measured."""
+        rows = len([row for row in self.residuals.fitted.rows if row not in AT_ONCE])
+        keys = [name.removeprefix(UNATTRIBUTED) for name in members]
+        log_ratios = [self.descriptions[key].log_ratio / rows for key in keys if key in self.descriptions]
+        return max([*log_ratios, *(self.statistics[n] for n in members if n == f"{UNATTRIBUTED}{PATH}")], default=0.0)
+
+    def sizes(self) -> dict[str, float]:
+        """Sizes of all effects by the straight line, whatever their bounds, by full name of the parameter."""
+        candidates = self.candidates
+        return {n: v for c in candidates for n, v in self.screen(c).unbounded(c.effect).items()}
+
+
+def family(
+    null: Fitted, effects: Sequence[str], accepted: Sequence[str] = (), turned: int = 0, seed: int = 0
+) -> Family:
+    """The family of these effects beside a fitted model.
+
+    accepted : effects of the model that have a name. turned : residuals that know nothing of the motion, for
+    `by_chance`.
+    """
+    path = [] if of_control_path(accepted) else effects
+    common, each = both_screens(null, [*effects, PATH], path, turned, seed)
+    listed = null.flights.dataset, null.flights.reconstruction
+    validate = null.flights.dataset.validate
+    unseen = left_over(null.model, *listed, validate, accepted) if validate else None
+    residuals = Residuals(left_over(null.model, *listed, null.flights.dataset.identify, accepted), unseen)
+    by_forces = seen_in_forces(null, residuals.fitted, [Candidate(e) for e in effects])
+    forces = {candidate.effect: one for candidate, one in by_forces.items()}
+    return Family(null, tuple(accepted), common, each, forces, residuals, residuals.descriptions())
+
+
+def by_chance(observed: Family, effects: Sequence[str], seed: int, note: str = TURNED) -> Draws:
+    """Statistics of the family beside a model where nothing is missing, by its residuals turned in time."""
+    count, named = SETTINGS.draws, observed.accepted
+    turned = family(observed.null, [e for e in effects if e not in named], named, count, seed)
+    turned_gains = {
+        c.name: [float(turned.screen(c).evidence(c.effect, 1 + r).sum()) for r in range(count)]
+        for c in turned.candidates
+    }
+    statistics = {name: torch.tensor(values, dtype=torch.float64) for name, values in turned_gains.items()}
+    path = [float(turned.common.evidence(PATH, 1 + r).sum()) for r in range(count)]
+    statistics[f"{UNATTRIBUTED}{PATH}"] = torch.tensor(path, dtype=torch.float64)
+    statistics |= {f"{UNATTRIBUTED}{key}": t for key, t in turned.residuals.by_chance(count, seed).items()}
+    return Draws(statistics, note, clean=False, least=turned.least)
+
+
+def effect_of(member: str) -> str:
+    """Id of the effect of a member of the library."""
+    return member.removesuffix(IN_FORCES).removesuffix(EACH)

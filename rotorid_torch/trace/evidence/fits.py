@@ -1,0 +1,215 @@
+"""Fits that are compared with each other: the same flights, the same segments, the same care, one effect more or less.
+
+Every model is fitted on the identify flights from the parameters of a model before it. What decides is the misfit on
+validate flights: their segments from initial states of their own, parameters held, residuals in units that are the same
+for all models.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.gauss_newton import Options
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.identification.estimate import progressive_fit
+from rotorid_torch.identification.estimate.initial_states import filled, fitted_states
+from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
+from rotorid_torch.identification.estimate.residuals import Noise
+from rotorid_torch.identification.estimate.segments import Records, cut
+from rotorid_torch.identification.estimate.system import System
+from rotorid_torch.identification.model_estimation import initial_spread, records, sensor_noise
+from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
+from rotorid_torch.model.model import Model
+from rotorid_torch.model.nominal import build
+
+SEGMENT_S = 5.0
+"""Length of the segments that all models are compared on, s."""
+CAREFUL = Options(max_iterations=25, tolerance=1e-6, absolute=0.5)
+"""Of every fit that is compared: differences that matter are hundreds of times larger."""
+BEGINNING = replace(CAREFUL, max_iterations=4, damping=1e-2)
+"""Of fits from several starts, of which the best goes on."""
+SETTLING = 3
+"""Gauss-Newton steps for the initial states of flights that no fit has seen."""
+
+
+@dataclass(frozen=True)
+class Flights:
+    """What all fits of a data set share."""
+
+    dataset: Dataset
+    reconstruction: Reconstruction
+
+    def records(self, model: Model, listed: Sequence[str]) -> Records:
+        """These flights as the fits see them."""
+        return records(model, replace(self.dataset, identify=tuple(listed)), self.reconstruction)
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A model fitted on the identify flights.
+
+    values : every parameter by its full name. fit : the estimate with its segments.
+    names : free parameters, in the order of the fit's theta.
+    """
+
+    spec: ModelSpec
+    model: Model
+    names: tuple[str, ...]
+    fit: progressive_fit.Fit
+    flights: Flights
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Every parameter by its full name."""
+        return self.model.named_values
+
+    @property
+    def cost(self) -> float:
+        """Minus log-likelihood of the identify flights, priors included."""
+        return self.fit.minimum.point.cost
+
+    @property
+    def sigma(self) -> Tensor:
+        """Standard deviation of the residuals [ny]."""
+        return self.fit.minimum.point.covariance.diagonal().sqrt()
+
+    @property
+    def per_sample(self) -> float:
+        """Measured values of the identify flights."""
+        return float(self.fit.likelihood.samples)
+
+    def error(self, name: str) -> float:
+        """Standard error of a parameter, infinite where it was not estimated or cannot be told."""
+        if name not in self.names:
+            return math.inf
+        return float(self.fit.errors[self.names.index(name)])
+
+    def scatter(self, effect: str) -> dict[str, float]:
+        """Standard errors of an effect's free parameters by leaving out one flight in turn; zero where none is told."""
+        variances = zip(self.names, self.fit.uncertainty.jackknife.nan_to_num(0.0).tolist(), strict=True)
+        return {name: math.sqrt(v) for name, v in variances if name.startswith(f"{effect}.")}
+
+    @cached_property
+    def unseen(self) -> Residual:
+        """The flights that decide, under this model."""
+        problem, place = self.on_unseen
+        residual = torch.cat([part.residual for part in problem.parts(place)])
+        return Residual(tuple(self.flights.dataset.unseen), problem.segments.flight, residual)
+
+    @cached_property
+    def on_unseen(self) -> tuple[Likelihood, Place]:
+        """The likelihood of these flights' segments, and the place with the best initial states, parameters held."""
+        return _on_unseen(self)
+
+    @cached_property
+    def identified(self) -> Residual:
+        """The identify flights, under this model."""
+        problem, place = self.fit.likelihood, self.fit.minimum.point
+        residual = torch.cat([part.residual for part in problem.parts(place)])
+        return Residual(self.flights.dataset.identify, problem.segments.flight, residual)
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """Residuals [S, T, ny] of flights' segments (NaN = missing), and the flight of each."""
+
+    names: tuple[str, ...]
+    flight: Tensor
+    residual: Tensor
+
+    def size(self) -> Tensor:
+        """Root mean square of each flight's residuals by channel [F, ny]."""
+        sizes = [self.residual[self.flight == f].square().nanmean(dim=(0, 1)).sqrt() for f in range(len(self.names))]
+        return torch.stack(sizes)
+
+
+def refit(
+    spec: ModelSpec,
+    flights: Flights,
+    start: Mapping[str, float],
+    held: Sequence[str] = (),
+    lengths: tuple[float, ...] = (SEGMENT_S,),
+    options: Options = CAREFUL,
+    near: Fitted | None = None,
+) -> Fitted:
+    """The model of a spec fitted from a start; parameters that the start does not know begin at their declared values.
+
+    held : parameters that keep their start. near : a fit whose trajectories initial states start from.
+    """
+    model = build(spec)
+    model.start_from(start)
+    numbers = model.parameter_set
+    names = tuple(n for n in numbers.free if n not in held)
+    places = [numbers.index(n) for n in names]
+    settings = progressive_fit.Settings(
+        floor=sensor_noise(model, flights.dataset),
+        lengths=lengths,
+        prior_mean=numbers.values[places],
+        prior_sd=numbers.prior_sd[places],
+        x0_sd=initial_spread(model, flights.dataset),
+        options=options,
+    )
+    records = flights.records(model, flights.dataset.identify)
+    states = None if near is None else _followed(near, model, records.states)
+    fitted = progressive_fit.fit(System(model, names), records, settings=settings, states=states)
+    with torch.no_grad():
+        model.theta[places] = fitted.theta
+    return Fitted(spec, model, names, fitted, flights)
+
+
+def _followed(near: Fitted, model: Model, states: Tensor) -> Tensor:
+    """States [F, T, nx] of a model's records, as a fit of another one follows them where both have them."""
+    fit, state_names = near.fit, [s.name for s in near.model.layout.states]
+    followed = fit.likelihood.states_at(fit.minimum.point, fit.likelihood.records.states)
+    shared = [(k, state_names.index(s.name)) for k, s in enumerate(model.layout.states) if s.name in state_names]
+    states = states.clone()
+    for here, matching in shared:
+        states[..., here] = followed[..., matching]
+    return states
+
+
+def _on_unseen(fitted: Fitted) -> tuple[Likelihood, Place]:
+    names = fitted.flights.dataset.unseen
+    fit = fitted.fit.likelihood
+    theta = fitted.fit.theta
+    records = fitted.flights.records(fitted.model, names)
+    segments = cut(records, round(SEGMENT_S / records.dt))
+    guess = segments.first(records.states)
+    problem = Likelihood(
+        system=fit.system,
+        engine=fit.engine,
+        records=records,
+        segments=segments,
+        states=records.states,
+        noise=Noise("held", fit.noise.floor, fitted.fit.minimum.point.covariance),
+        x0=filled(guess, records, segments),
+        x0_mean=guess.nan_to_num(0.0),
+        x0_sd=torch.where(guess.isnan(), math.inf, initial_spread(fitted.model, fitted.flights.dataset)),
+        prior_mean=theta,
+        prior_sd=torch.full_like(theta, math.inf),
+        bias_sd=torch.zeros(records.outputs.shape[-1], dtype=torch.float64),
+    )
+    if bool(guess.isnan().any()):
+        problem = replace(problem, x0=torch.where(guess.isnan(), fitted_states(problem, theta), problem.x0))
+    return problem, _settled(problem, theta)
+
+
+def _settled(problem: Likelihood, theta: Tensor) -> Place:
+    """The place with the best initial states, parameters held."""
+    place = problem.evaluate(theta)
+    for _ in range(SETTLING):
+        if not math.isfinite(place.cost):
+            break
+        problem.linearise(place)
+        better = problem.evaluate(theta, place)
+        if not better.cost < place.cost:
+            break
+        place = better
+    return place

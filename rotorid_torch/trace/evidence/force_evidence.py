@@ -1,0 +1,105 @@
+"""Effects seen in forces and moments on the measured motion, where trajectories of a model without them lead astray.
+
+A vehicle that sways with its load is flown for a while, by a model without the load, on derivatives that imitate the
+swaying; beside those, a little of the load explains nothing, and the screen by trajectories, a straight line, passes it
+over. On the measured motion the derivatives are found anew beside the effect, in closed form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.least_squares import bounded_least_squares
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.identification.model_regression import regress_model
+from rotorid_torch.model.nominal import build
+from rotorid_torch.trace.evidence.fits import Fitted
+from rotorid_torch.trace.evidence.residual import AT_ONCE, LeftOver, left_over
+from rotorid_torch.trace.evidence.screen import Signature, signatures, sized
+from rotorid_torch.trace.terms.candidate import Candidate
+
+
+@dataclass(frozen=True)
+class Seen:
+    """An effect in forces and moments on the measured motion.
+
+    start : its values where it explains most. evidence : held-out log ratio of the rms of forces and moments [F].
+    """
+
+    start: Mapping[str, float]
+    evidence: Tensor
+
+
+def seen_in_forces(
+    null: Fitted, over: LeftOver, candidates: Sequence[Candidate], whole: bool = False
+) -> dict[Candidate, Seen]:
+    """Evidence in forces of those candidates that have parameters which are tried at several values.
+
+    over : what the null leaves over of the identify flights. whole : of the others too.
+    """
+    flights, residuals = null.flights, {}
+    listed = flights.dataset, flights.reconstruction, flights.dataset.identify
+    for candidate in candidates:
+        model = build(candidate.joined_to(null.spec))
+        model.start_from(null.values)
+        results = []
+        chosen = [one for one in signatures(model, [candidate.effect]) if whole or one.others]
+        for _, together in groupby(chosen, key=lambda one: one.kind):
+            variant, changes = tuple(together), []
+            for one in variant:
+                with sized(model, one):
+                    changes.append(over.residual - left_over(model, *listed).residual)
+            sizes, evidence = _held_out(over, torch.stack(changes, dim=-1), variant)
+            values = {s.parameter: s.null + a * s.step for s, a in zip(variant, sizes.tolist(), strict=True)}
+            results.append(Seen({**dict(variant[0].others), **values}, evidence))
+        if results:
+            residuals[candidate] = max(results, key=lambda one: float(one.evidence.sum()))
+    return residuals
+
+
+def derivatives_beside(
+    null: Fitted, spec: ModelSpec, sizes: Mapping[str, float], held: Sequence[str]
+) -> dict[str, float]:
+    """The parameters of a richer spec with effects of these sizes, derivatives from the measured motion beside them.
+
+    held : parameters that keep their values.
+    """
+    model = build(spec)
+    model.start_from({**null.values, **sizes})
+    theta = regress_model(model, null.flights.dataset, null.flights.reconstruction).theta
+    anew = dict(zip(model.parameter_set.names, theta.tolist(), strict=True))
+    return {**null.values, **sizes} | {n: v for n, v in anew.items() if n not in held}
+
+
+def _held_out(over: LeftOver, changes: Tensor, variant: Sequence[Signature]) -> tuple[Tensor, Tensor]:
+    """Sizes [K] in steps, and the mean over the equations of log(rms without / rms with the effect) [F].
+
+    Sizes for the evidence of a flight are estimated from the others. changes : of forces and moments [N, rows, K] at
+    typical size, which is one for all rows, each as sharp as its residual.
+    """
+    moved = over.residual.any(dim=0).tolist()
+    rows = [k for k, row in enumerate(over.rows) if row not in AT_ONCE and moved[k]]
+    flights = over.flight.unique().tolist()
+    if not rows:
+        return torch.zeros(len(variant), dtype=torch.float64), torch.zeros(len(flights), dtype=torch.float64)
+    columns = torch.stack(
+        [torch.cat([over.beyond(changes[:, k], k), over.beyond(over.residual[:, k, None], k)], dim=1) for k in rows]
+    )
+    columns = columns / columns[:, :, -1].square().mean(dim=1).sqrt().clamp_min(1e-300)[:, None, None]
+    each = torch.stack([(part := columns[:, over.flight == f]).mT @ part for f in flights])  # [F, rows, K + 1, K + 1]
+    low, high = torch.tensor([one.reach for one in variant], dtype=torch.float64).mT
+    whole, evidence = each.sum((0, 1)), []
+    for one in each if len(flights) > 1 else each[:0]:
+        others = whole - one.sum(0)
+        size = bounded_least_squares(others[:-1, :-1], others[:-1, -1], low, high)
+        with_it = torch.cat([-size, size.new_ones(1)])
+        left = torch.einsum("rij,i,j->r", one, with_it, with_it)
+        ratio = one[:, -1, -1].clamp_min(1e-300) / left.clamp_min(1e-300)
+        evidence.append(0.5 * ratio.log().mean())
+    sizes = bounded_least_squares(whole[:-1, :-1], whole[:-1, -1], low, high)
+    return sizes, torch.stack(evidence).nan_to_num(0.0) if evidence else torch.zeros(1, dtype=torch.float64)

@@ -1,0 +1,257 @@
+"""What no named effect explains: in which equation, with what it goes, since when, in which band. Never a name.
+
+Forces and moments that step 1 found, and measured flapping's rates, less those of the model on the measured motion.
+What linear terms could still take up is projected out of both sides; what is left is compared with products of the
+motion and controls, with what grows faster than its channel or levels off, and with everything linear that begins at
+some time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, VELOCITIES
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.effects.base import Frame
+from rotorid_torch.effects.library.main_rotor import FlapSecondOrder
+from rotorid_torch.effects.signal_operations import smoothed
+from rotorid_torch.identification.model_regression import Measured, measured
+from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
+from rotorid_torch.model.flapping import Flapping
+from rotorid_torch.model.model import Model
+from rotorid_torch.trace.terms.settings import SETTINGS
+from rotorid_torch.trace.terms.significance import turned
+
+RATE = 20.0
+"""Hz: records are taken at about this; the body moves below a fifth of it."""
+ONSET_S = 0.5
+"""Steps in which the beginning of something new is looked for, s."""
+EDGE_S = 2.0
+"""Something that begins within this of a flight's ends is not told from a manoeuvre, s."""
+SMOOTH_S = 0.4
+"""Width of the smoothing of all records, s: rates differentiated are noise, and lines of the rotor would fold."""
+ALIKE_S = SMOOTH_S / 1.5
+"""What smoothing makes one sample of, s: a Hann window's noise bandwidth is 1.5 over its width."""
+SECOND_ORDER = f"{FlapSecondOrder.id}.share"
+"""Without it flapping's rates are what first-order flapping makes them: second order keeps that for slow motion."""
+MOVED = 1e-2
+"""Share of its typical size by which a parameter is moved for what the residuals change by."""
+AT_ONCE = {f"{name} at once": name for name in FLAPPING}
+"""The flapping's equations again, for a disc that follows its controls at once: its own angles, which would take up
+whatever else moves it, are no linear terms of these."""
+TIME = "time"
+"""What a step goes with."""
+
+
+Named = tuple[str, str, float | None]
+"""What something goes with, how, since when."""
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOver:
+    """Equations' residuals [N, rows] of all flights in one column, and what may go with them [N, k].
+
+    rows : forces and moments, and the rates of the flapping where it is measured and lags, these twice (`AT_ONCE`).
+    linear : what linear terms take up, the signals and behind them a constant of each flight, another one as long as
+        controls are at rest (what grows with the square of the motion has a mean in it), and steps at a time.
+    tilts : the flapping [N, 0 or 3], linear terms too, but not of a disc that follows at once.
+    flight : the flight of each sample [N].
+    named : how the residuals change with each parameter of effects that have a name [N, rows, n].
+    inertia : about each axis [3], kg m2; None where it is not declared.
+    """
+
+    rows: tuple[str, ...]
+    residual: Tensor
+    names: tuple[str, ...]
+    signals: Tensor
+    time: Tensor
+    linear: Tensor
+    tilts: Tensor
+    flight: Tensor
+    named: Tensor
+    inertia: Tensor | None = None
+
+    @property
+    def rate(self) -> float:
+        """Hz of the samples."""
+        return 1.0 / float(self.time[1] - self.time[0])
+
+    @property
+    def constants(self) -> Tensor:
+        """One of each flight, at rest, and steps [N, n]."""
+        return self.linear[:, len(self.names) :]
+
+    @property
+    def usual(self) -> Tensor:
+        """Rms of each signal [k]."""
+        return self.signals.square().mean(dim=0).sqrt().clamp_min(1e-300)
+
+    def beyond(self, values: Tensor, row: int) -> Tensor:
+        """Columns [N, m] less what linear terms of an equation, and other sizes of named effects, take up."""
+        tilts = [] if self.rows[row] in AT_ONCE else [self.tilts]
+        basis = torch.linalg.qr(torch.cat([self.linear, *tilts, self.named[:, row]], dim=1)).Q
+        return values - basis @ (basis.mT @ values)
+
+
+def left_over(
+    model: Model, dataset: Dataset, reconstruction: Reconstruction, flights: Sequence[str], effects: Sequence[str] = ()
+) -> LeftOver:
+    """Residuals of a model's forces, moments and flapping on flights, and the signals they may go with.
+
+    effects : those of the model with a name; what their parameters' errors leave is theirs.
+    """
+    residuals, changes, columns, times, constants, tilts, rests = [], [], [], [], [], [], []
+    names: tuple[str, ...] = ()
+    with_flapping = [name for name in flights if dataset.facts[name].has(*FLAPPING)]
+    flapping = FLAPPING if with_flapping and isinstance(model.effect("rotor"), Flapping) else ()
+    for k, name in enumerate(flights):
+        if flapping and name not in with_flapping:  # neither the disc nor what it does to the body is known
+            continue
+        flight_data = measured(model, dataset, reconstruction, name)
+        dt = dataset.facts[name].dt
+        every, width = max(1, round(1.0 / (dt * RATE))), max(1, round(SMOOTH_S / dt))
+        names = tuple(n for n in (*model.body.states, *model.body.controls) if n in flight_data.signals)
+        signals = torch.stack([flight_data.signals[n] - model.reference.get(n, 0.0) for n in names], dim=-1)
+        residual = _residual(model, flight_data, flapping, dt)
+        moved = [
+            residual - _residual(model, measured(model, dataset, reconstruction, name), flapping, dt)
+            for _ in _moved(model, effects)
+        ]
+        residuals.append(smoothed(residual, width)[::every])
+        changes.append([smoothed(one, width)[::every] for one in moved])
+        columns.append(smoothed(signals, width)[::every])
+        tilts += [smoothed(_stacked(flight_data.signals, flapping).nan_to_num(0.0), width)[::every]] if flapping else []
+        times.append(dt * torch.arange(len(signals), dtype=torch.float64)[::every])
+        quiet = (torch.arange(len(signals)) < dataset.quiet(name)).to(torch.float64)[:, None]
+        rests.append(smoothed(quiet, width)[::every])
+        flight_columns = torch.zeros(len(columns[-1]), len(flights), dtype=torch.float64)
+        flight_columns[:, k] = 1.0
+        constants.append(flight_columns)
+    signals, residual, flight_columns = torch.cat(columns), torch.cat(residuals), torch.cat(constants)
+    rests = [torch.cat(rests)] if any(one.min() < one.max() for one in rests) else []
+    at_once = [n for n, name in AT_ONCE.items() if name in flapping]
+    body = len(FORCES) + len(MOMENTS)
+    twice = [*range(residual.shape[1]), *range(body, body + len(at_once))]
+    residual = residual[:, twice]
+    named = [torch.cat(one)[:, twice] for one in zip(*changes, strict=True)]
+    left = LeftOver(
+        (*FORCES, *MOMENTS, *flapping, *at_once),
+        residual,
+        names,
+        signals,
+        torch.cat(times),
+        torch.cat([signals, flight_columns[:, flight_columns.any(dim=0)], *rests], dim=1),
+        torch.cat(tilts) if tilts else signals.new_zeros(len(signals), 0),
+        flight_columns.argmax(dim=1),
+        torch.stack(named, dim=-1) if named else residual.new_zeros(*residual.shape, 0),
+        None if model.body.inertia is None else model.inertia.diagonal(),
+    )
+    for k in range(body, len(left.rows)):  # fitted as angles: linear terms of the rates are rough
+        left.residual[:, k] = left.beyond(residual[:, k, None], k)[:, 0]
+    return left
+
+
+def _moved(model: Model, effects: Sequence[str]) -> Iterator[None]:
+    """The model with one free parameter of these effects after the other moved a little, and back again."""
+    for i, parameter in enumerate(model.parameter_set.parameters):
+        if parameter.free and any(parameter.name.startswith(f"{e}.") for e in effects):
+            with model.restored():
+                with torch.no_grad():
+                    model.theta[i] += MOVED * (abs(parameter.typical - parameter.value) or 1.0)
+                yield
+
+
+def _residual(model: Model, flight_data: Measured, flapping: Sequence[str], dt: float) -> Tensor:
+    """Forces and moments that step 1 found, and flapping rates, less the model's [T, rows]; zero where unseen."""
+    columns = [flight_data.specific - loads(on_measured(model, flight_data.signals))]
+    if flapping:
+        law = on_measured(
+            model, flight_data.signals, {SECOND_ORDER: 0.0}
+        )  # whose rates are states would follow the measured
+        rates = torch.stack([law.rates[n] for n in flapping], dim=-1)
+        columns.append(torch.gradient(_stacked(flight_data.signals, flapping), spacing=dt, dim=0)[0] - rates)
+    return torch.cat(columns, dim=-1).nan_to_num(0.0)
+
+
+def _stacked(signals: Mapping[str, Tensor], names: Sequence[str]) -> Tensor:
+    """Signals as columns [T, n]; NaN where a flight has none."""
+    return torch.stack([signals.get(n, torch.full_like(signals["p"], torch.nan)) for n in names], dim=-1)
+
+
+def on_measured(model: Model, signals: Mapping[str, Tensor], other: Mapping[str, float] | None = None) -> Frame:
+    """What a model makes of measured signals, its own states being those signals too; with other values of some."""
+    names, controls = model.layout.names, model.body.controls
+    usual = torch.tensor([model.reference.get(n, 0.0) for n in names], dtype=torch.float64)
+    ground = {n: signals[f"ground.{n}"] for n in VELOCITIES if f"ground.{n}" in signals}  # a wind is blown once
+    x, u = _stacked({**signals, **ground}, names), _stacked(signals, controls)
+    x = torch.where(x.isnan(), usual, x)
+    theta = model.theta.detach().clone()
+    for name, value in (other or {}).items():
+        if name in model.parameter_set.names:
+            theta[model.parameter_set.index(name)] = value
+    with torch.no_grad():
+        return model.frame(theta, x, u)[0]
+
+
+def loads(frame: Frame) -> Tensor:
+    """Specific forces and angular accelerations by the external moment [T, 6]."""
+    none = torch.zeros(len(frame.signals["p"]), 3, dtype=torch.float64)
+    force = none if frame.force is None else frame.force
+    return torch.cat([force, none if frame.moment is None else frame.moment], dim=-1)
+
+
+def by_chance(left: LeftOver, count: int, seed: int) -> Tensor:
+    """So many residuals R of all flights that know nothing of the motion [N, rows, R].
+
+    Turned in time, what linear terms take up is no linear term any more, and would look like chance: as much of it is
+    kept as they take of what knows nothing, in 95 % of the turns.
+    """
+    over = torch.cat([left.beyond(left.residual[:, k, None], k) for k in range(len(left.rows))], dim=1)
+    whole, remainder = (_turned(left, values, count, seed) for values in (left.residual, over))
+    size = torch.linalg.vector_norm
+    beyond = torch.stack([left.beyond(whole[:, k], k) for k in range(len(left.rows))], dim=1)
+    shares = 1.0 - (size(beyond, dim=0) / size(whole, dim=0).clamp_min(1e-300)).square()
+    most = shares.quantile(1.0 - SETTINGS.level, dim=1).clamp(0.0, 1.0 - 1e-12)
+    usual = (most / (1.0 - most)).sqrt() * size(over, dim=0)
+    scale = (usual / size(left.residual - over, dim=0).clamp_min(1e-300)).clamp_max(1.0)[:, None]
+    return scale * whole + (1.0 - scale) * remainder
+
+
+def _turned(left: LeftOver, values: Tensor, count: int, seed: int) -> Tensor:
+    """Values of all flights [N, rows] turned in time, each flight by itself [N, rows, R]."""
+    generator = torch.Generator().manual_seed(seed)
+    return torch.cat([turned(values[left.flight == f], count, generator) for f in left.flight.unique()])
+
+
+def less_steps(left: LeftOver, onset: float) -> LeftOver:
+    """The same with steps at an onset and beside it among its linear terms: none begins exactly where it is tried."""
+    onsets = onset + ONSET_S * torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64)
+    steps = (left.time[:, None] >= onsets).to(torch.float64)
+    return replace(left, linear=torch.cat([left.linear, steps], dim=1))
+
+
+def shapes(left: LeftOver, usual: Tensor) -> Iterator[tuple[Named, Tensor]]:
+    """What the motion and the controls, of usual sizes [k], make beyond linear terms."""
+    for i, j in combinations_with_replacement(range(len(left.names)), 2):
+        a, b = left.signals[:, i], left.signals[:, j]
+        if i == j:
+            yield (left.names[i], "by its square", None), a * a
+            yield (left.names[i], "growing faster than it", None), a * a.abs()
+            yield (left.names[i], "levelling off", None), torch.tanh(a / usual[i])
+        else:
+            yield (f"{left.names[i]} {left.names[j]}", "by their product", None), a * b
+
+
+def onsets(left: LeftOver) -> Iterator[tuple[Named, Tensor]]:
+    """What begins at some time and goes on linearly; nothing in flights too short to have a middle."""
+    end = max(float(left.time.max()) - EDGE_S, EDGE_S)
+    for onset in torch.arange(EDGE_S, end, ONSET_S, dtype=torch.float64).tolist():
+        after = (left.time >= onset).to(torch.float64)
+        for i, name in enumerate(left.names):
+            yield (name, "", onset), left.signals[:, i] * after
+        yield (TIME, "", onset), after

@@ -1,0 +1,495 @@
+"""All candidates at once: what each would do to the residual, and how much of that the fitted model can do itself.
+
+Every candidate is simulated at its typical size around the fitted model; the change of the outputs is its signature
+(in proportion from a smaller size, where with the typical one a trajectory leaves all that was measured).
+What initial states, trims and derivatives can imitate is projected out of signature and residual. What is left tells
+the gain that the candidate would bring, its size, and the smallest size that the flights would show.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import product
+
+import msgspec
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.least_squares import bounded_least_squares, least_squares
+from rotorid_torch.effects.base import Stage
+from rotorid_torch.effects.signal_operations import smoothed
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
+from rotorid_torch.identification.estimate.residuals import Whitener
+from rotorid_torch.identification.estimate.segments import Records, Segments
+from rotorid_torch.model.model import Model
+from rotorid_torch.model.nominal import build
+from rotorid_torch.trace.evidence.fits import Fitted
+from rotorid_torch.trace.evidence.held_out import FlightEquations, eliminating
+from rotorid_torch.trace.terms.eligible import of_control_path
+from rotorid_torch.trace.terms.significance import turned
+from rotorid_torch.validate.free_run import Runs
+
+PROBE = 1e-4
+"""Perturbation of a state for its derivative, in the state's unit."""
+IMITATORS = 3
+"""Parameters named as those that take an effect's place."""
+HALVINGS = 6
+"""Times that a typical size is halved, at most, where a trajectory with it leaves all that was measured."""
+LARGEST = 1e3
+"""Times its typical size at which an effect is looked for, at most."""
+BISECTIONS = 40
+"""Of a size that flights show."""
+MOVED = 20.0
+"""Times its noise that an output must range over to say what is large; noise alone ranges over 6 to 10 times."""
+
+
+@dataclass(frozen=True)
+class Signature:
+    """One direction of one candidate: its parameter's full name, null, the size it was simulated at, and its bounds.
+
+    others : other parameters of the effect, and where they were. size : which of the sizes it is met at this one is.
+    order : of the derivative of the controls that a pseudo-effect of the control path adds to the controls; else zero.
+    """
+
+    effect: str
+    parameter: str
+    null: float
+    typical: float
+    bounds: tuple[float, float]
+    unit: str
+    others: tuple[tuple[str, float], ...] = ()
+    size: int = 0
+    order: int = 0
+
+    @property
+    def step(self) -> float:
+        """From null to typical size."""
+        return self.typical - self.null
+
+    @property
+    def kind(self) -> tuple[object, ...]:
+        """The same for signatures of an effect that go together, which stand beside each other."""
+        return self.others, self.size
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """Bounds in units of the step."""
+        low, high = sorted((b - self.null) / self.step for b in self.bounds)
+        return low, high
+
+
+PATH = "control path"
+"""The pseudo-effect of whatever filter lies between recorded controls and rotor, u + a du/dt + b d2u/dt2."""
+PATH_S = 0.06
+"""s: time constant at which the pseudo-effect is simulated, that of a usual delay."""
+WIDTH_S = 0.1
+"""s: smoothing of controls that are differentiated; their noise is not what acts."""
+PSEUDO = tuple(
+    Signature(PATH, f"{PATH}.{order}", 0.0, PATH_S**order, (-math.inf, math.inf), unit, order=order)
+    for order, unit in ((1, "s"), (2, "s2"))
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Screen:
+    """Normal equations of all signatures and the residual, the fitted model projected out, flight by flight.
+
+    products : [F, K + 1 + R, K + 1 + R] of K signatures, the residual, and R residuals whose time has been shuffled.
+    raw : [K] squares of the signatures before anything was projected out.
+    samples : measured values.
+    absorbed : for each signature the parameters of the fitted model that imitate most of it.
+    equations : the same normal equations before the fitted model was projected out, and those of unseen flights.
+    residuals : how many residuals there are, that of the data first.
+    """
+
+    signatures: tuple[Signature, ...]
+    products: Tensor
+    raw: Tensor
+    samples: float
+    absorbed: tuple[tuple[str, ...], ...]
+    equations: FlightEquations
+    residuals: int = 1
+    _chosen: dict[str, list[int]] = field(default_factory=dict, repr=False)
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Ids of those that have signatures."""
+        return tuple(dict.fromkeys(s.effect for s in self.signatures))
+
+    def places(self, effects: Sequence[str]) -> list[int]:
+        """Signatures of these effects, each at the size and with its other parameters where they explain most."""
+        return [i for e in dict.fromkeys(effects) for i in self._best(e)]
+
+    def _variants(self, effect: str) -> list[list[int]]:
+        """Signatures of an effect that go together."""
+        places = [i for i, s in enumerate(self.signatures) if s.effect == effect]
+        kinds = dict.fromkeys(self.signatures[i].kind for i in places)
+        return [[i for i in places if self.signatures[i].kind == kind] for kind in kinds]
+
+    def _best(self, effect: str) -> list[int]:
+        if effect not in self._chosen:
+            self._chosen[effect] = max(self._variants(effect), key=self._explained, default=[])
+        return self._chosen[effect]
+
+    @cached_property
+    def total(self) -> Tensor:
+        """Over all flights."""
+        return self.products.sum(0)
+
+    def evidence(self, effect: str, residual: int = 0) -> Tensor:
+        """How much better flights are predicted with the effect than without, estimated from other flights [F + V].
+
+        At the size and with the other parameters where that is largest over all flights. residual : which of them.
+        """
+        gains = []
+        for which in self._variants(effect):
+            low, high = torch.tensor([self.signatures[i].reach for i in which], dtype=torch.float64).mT
+            gains.append(self.equations.held_out(which, low, high, residual))
+        return max(gains, key=lambda d: float(d.sum()))
+
+    def expected(self, effect: str, share: float = 1.0) -> float:
+        """The statistic T that the effect gives at a share of its typical size, in its least visible direction."""
+        return min((self.equations.expected(i, share) for i in self._usual(effect)), default=0.0)
+
+    def visible(self, effect: str, statistic: float) -> tuple[float, str] | None:
+        """Size at which the effect is expected to give a statistic T, and its unit: of its first parameter.
+
+        None where no size does.
+        """
+        which = self._usual(effect)
+        if not which or self.expected(effect, LARGEST) < statistic:
+            return None
+        low, high = 0.0, LARGEST
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (low + high) if low else high / 2.0
+            low, high = (low, middle) if self.expected(effect, middle) >= statistic else (middle, high)
+        first = self.signatures[which[0]]
+        return abs(first.step) * high, first.unit
+
+    def sizes(self, effects: Sequence[str]) -> dict[str, float]:
+        """Best value of each parameter of these effects, by the straight line through null and typical size."""
+        which = self.places(effects)
+        solution = self._solved(self.total, which, len(self.signatures))
+        chosen = (self.signatures[i] for i in which)
+        sizes = {s.parameter: s.null + float(a) * s.step for s, a in zip(chosen, solution, strict=True)}
+        return {name: value for i in which for name, value in self.signatures[i].others} | sizes
+
+    def unbounded(self, effect: str) -> dict[str, float]:
+        """Sizes of an effect by the same straight line, whatever its bounds: below nothing too."""
+        which = self._usual(effect)
+        G, d = self.total[which][:, which], self.total[which, len(self.signatures)]
+        wide = torch.full_like(d, math.inf)
+        solution = bounded_least_squares(G, d, -wide, wide).tolist() if which else []
+        chosen = (self.signatures[i] for i in which)
+        return {s.parameter: s.null + a * s.step for s, a in zip(chosen, solution, strict=True)}
+
+    def starts(self, effect: str, whole: bool = False) -> list[dict[str, float]]:
+        """Values from which a full fit of an effect may begin.
+
+        The best by the straight line; and where its other parameters are tried at several values, or itself at several
+        sizes, its typical size at each, for there a line from nothing says little of what lies beyond.
+
+        whole : its typical size in any case.
+        """
+        variants = self._variants(effect)
+        chosen = [[self.signatures[i] for i in which] for which in variants] if whole or len(variants) > 1 else []
+        typical = [{**dict(one[0].others), **{s.parameter: s.typical for s in one}} for one in chosen]
+        return [self.sizes([effect]), *typical]
+
+    def _usual(self, effect: str) -> list[int]:
+        """Signatures of an effect at its typical size: what flights show of it does not hang on what they hold."""
+        typical = [which for which in self._variants(effect) if self.signatures[which[0]].size == 0]
+        return max(typical, key=self._explained, default=[])
+
+    def imitators(self, effect: str) -> tuple[str, ...]:
+        """Parameters of the fitted model that take the effect's place."""
+        return tuple(dict.fromkeys(n for i in self._usual(effect) for n in self.absorbed[i]))
+
+    def _explained(self, which: list[int], column: int | None = None) -> float:
+        if not which:
+            return 0.0
+        column = len(self.signatures) if column is None else column
+        a = self._solved(self.total, which, column)
+        return float(a @ self.total[which, column] - 0.5 * a @ self.total[which][:, which] @ a)
+
+    def _solved(self, total: Tensor, which: list[int], column: int) -> Tensor:
+        """Sizes in units of the signatures' steps, inside their bounds; a copy of other signatures gets nothing."""
+        low, high = torch.tensor([self.signatures[i].reach for i in which], dtype=torch.float64).mT
+        return bounded_least_squares(total[which][:, which], total[which, column], low, high)
+
+
+def signatures(model: Model, effects: Sequence[str]) -> tuple[Signature, ...]:
+    """Free parameters of these effects that have sizes to be met with, at each and at each start of the others."""
+    results = []
+    for effect in effects:
+        parameters = [p for p in model.parameter_set.parameters if p.name.startswith(f"{effect}.") and p.free]
+        starts = [
+            tuple((p.name, value) for p, value in zip([p for p in parameters if p.tried], values, strict=True))
+            for values in product(*(p.tried for p in parameters if p.tried))
+        ]
+        sized = [p for p in parameters if p.typical not in (0.0, p.value) and not p.tried]
+        results += [
+            Signature(
+                effect, p.name, p.value, (p.typical, *p.met)[min(size, len(p.met))], p.bounds, p.unit, others, size
+            )
+            for others in starts
+            for size in range(1 + max((len(p.met) for p in sized), default=0))
+            for p in sized
+        ]
+    return tuple(results)
+
+
+def screen(null: Fitted, effects: Sequence[str], shuffles: int = 0, seed: int = 0) -> Screen:
+    """Signatures of effects that the null does not have, against its residual.
+
+    shuffles : residuals made by turning each flight's residual in time by a random stretch, with a random sign.
+    """
+    return screens(null, [(null.spec, effects)], shuffles, seed)[0]
+
+
+@torch.no_grad()
+def screens(
+    null: Fitted, groups: Sequence[tuple[ModelSpec, Sequence[str]]], shuffles: int = 0, seed: int = 0
+) -> list[Screen]:
+    """The same of several groups of effects, each with the spec that its effects join, in one pass over the flights."""
+    probes = [_Probe.of(null, spec, effects) for spec, effects in groups]
+    counts = [len(probe.chosen) for probe in probes]
+    keep = ~(null.fit.minimum.at_bound | null.fit.minimum.not_identifiable)
+    names = [n for n, keeps in zip(null.names, keep.tolist(), strict=True) if keeps]
+    problem, place = null.fit.likelihood, null.fit.minimum.point
+    chance = torch.Generator().manual_seed(seed)
+    fitted = _Linearised(problem, place, null.flights.dataset.identify, keep)
+    products, raw = _products(probes, fitted, shuffles, chance)
+    listed = null.flights.dataset.validate
+    unseen = products.new_zeros(len(listed), *products.shape[1:])  # no evidence where the null flies away
+    if listed and math.isfinite(null.on_unseen[1].cost):
+        unseen, _ = _products(probes, _Linearised(*null.on_unseen, listed, keep), shuffles, chance)
+    prior_rows, prior_rest = problem.prior_rows(place)
+    none = prior_rest.new_zeros(len(prior_rest), sum(counts))
+    prior = torch.cat([prior_rows[:, keep], none, prior_rest[:, None], prior_rest.new_zeros(len(none), shuffles)], 1)
+    prior = prior.mT @ prior
+    left, shares = _eliminated(products, prior, len(names))
+    screened, first, behind = [], 0, list(range(sum(counts), left.shape[-1]))
+    for probe, count in zip(probes, counts, strict=True):
+        mine = list(range(first, first + count))
+        whole = [*range(len(names)), *(len(names) + k for k in (*mine, *behind))]
+        ours, theirs, before = (_block(matrices, whole) for matrices in (products, unseen, prior))
+        equations = FlightEquations(ours, theirs, before, len(names), len(behind))
+        absorbed = tuple([_largest(tuple(names), shares[:, k]) for k in mine])
+        projected = _block(left, [*mine, *behind])
+        screened.append(Screen(probe.chosen, projected, raw[mine], null.per_sample, absorbed, equations, len(behind)))
+        first += count
+    return screened
+
+
+def both_screens(
+    null: Fitted, effects: Sequence[str], each_control: Sequence[str], shuffles: int = 0, seed: int = 0
+) -> tuple[Screen, Screen]:
+    """Effects with one size for all controls, and those of the control path with a size of each control.
+
+    each_control : effects of which those of the control path are screened with a size of each control.
+    """
+    path = of_control_path(each_control) if len(null.spec.controls) > 1 else []
+    richer = msgspec.structs.replace(null.spec, each_control=(*null.spec.each_control, *path))
+    common, each = screens(null, [(null.spec, effects), (richer, path)], shuffles, seed)
+    return common, each
+
+
+def _block(matrices: Tensor, columns: list[int]) -> Tensor:
+    """These rows and columns of symmetric matrices [..., n, n]."""
+    return matrices[..., columns, :][..., columns]
+
+
+@dataclass(frozen=True, eq=False)
+class _Linearised:
+    """The likelihood of flights by name, a place in it, and which of the null's parameters count."""
+
+    problem: Likelihood
+    place: Place
+    names: Sequence[str]
+    keep: Tensor
+
+
+def _products(
+    probes: Sequence[_Probe], flown: _Linearised, shuffles: int, chance: torch.Generator
+) -> tuple[Tensor, Tensor]:
+    """Products [F, n, n] of each flight, initial states and biases projected out, and squares of signatures [K].
+
+    Columns: the null's parameters that are kept, signatures, residual, residuals turned in time.
+    """
+    products, raw = [], []
+    problem = flown.problem
+    tapes = [_tapes(probe.model, problem.records, probe.chosen) for probe in probes]
+    for part, whitener, rows in problem.by_flight(flown.place):
+        state = part.run.states[:, 0]
+        changes = [
+            change
+            for probe, taped in zip(probes, tapes, strict=True)
+            for change in probe.changes(problem.records, flown.names, taped, part.segments, state)
+        ]
+        signature = _rows(whitener, torch.stack(changes, dim=-1)) if changes else rows[..., :0]
+        raw.append(signature.square().sum((0, 1)))
+        first = problem.locals_per_segment + len(problem.biased)
+        residual = rows[..., -1:]
+        record = residual[..., 0].unflatten(-1, (-1, part.residual.shape[-1])).flatten(0, 1)
+        by_chance = turned(record, shuffles, chance).unflatten(0, (len(residual), -1)).flatten(1, 2)
+        matrix = torch.cat([rows[..., first:-1][..., flown.keep], signature, residual, by_chance], dim=-1)
+        basis = torch.linalg.qr(rows[..., :first]).Q
+        matrix = matrix - basis @ (basis.mT @ matrix)
+        products.append((matrix.mT @ matrix).sum(0))
+    return torch.stack(products), torch.stack(raw).sum(0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Probe:
+    """Simulates signatures around a fitted null, which `model` holds with all candidates at their nulls."""
+
+    null: Fitted
+    model: Model
+    chosen: tuple[Signature, ...]
+
+    @cached_property
+    def run(self) -> Runs:
+        """What simulates the model."""
+        return Runs.of(self.model)
+
+    @classmethod
+    def of(cls, null: Fitted, spec: ModelSpec, effects: Sequence[str]) -> _Probe:
+        """Of effects that join a spec."""
+        library = [e for e in effects if e != PATH]
+        model = build(spec.with_effects(*library))
+        model.start_from(null.values)
+        return cls(null, model, signatures(model, library) + (PSEUDO if PATH in effects else ()))
+
+    def changes(
+        self, records: Records, names: Sequence[str], tapes: _Tapes, segments: Segments, states: Tensor
+    ) -> list[Tensor]:
+        """Of the outputs [S, T, ny] by each signature, from the null's initial states [S, nx].
+
+        Beyond all that was measured nothing is in proportion, so a smaller size speaks for it.
+        """
+        if not self.chosen:
+            return []
+        noise = [self.null.flights.dataset.noise(c) for c in self.null.spec.outputs]
+        most = output_ranges(records.outputs.flatten(0, 1), torch.tensor(noise, dtype=torch.float64))
+        start = _starts(self.model, self.null, records, names, segments, states)
+        base = self.run(start, segments.take(tapes.none), segments.dt)[1]
+
+        def changed(one: Signature) -> Tensor:
+            k = 0
+            while True:
+                tried = replace(one, typical=one.null + 0.5**k * one.step) if k else one
+                with sized(self.model, tried):
+                    tape = tapes.of.get(one, tapes.none)
+                    if k and one.order:
+                        tape = tapes.none + 0.5**k * (tape - tapes.none)
+                    elif k and one in tapes.of:
+                        tape = self.model.tape(records.controls, records.dt)
+                    change = self.run(start, segments.take(tape), segments.dt)[1] - base
+                if k == HALVINGS or bool((change.abs() <= most).all()):
+                    return 2.0**k * change
+                k += 1
+
+        return [changed(one) for one in self.chosen]
+
+
+@dataclass(frozen=True, eq=False)
+class _Tapes:
+    """Control records [F, T, nu] behind the control path without any signature, and with each that acts there."""
+
+    none: Tensor
+    of: dict[Signature, Tensor]
+
+
+@contextmanager
+def sized(model: Model, one: Signature) -> Iterator[None]:
+    """The model with one signature at its typical size, and back again."""
+    with model.restored():
+        if not one.order:
+            model.start_from(dict((*one.others, (one.parameter, one.typical))))
+        yield
+
+
+def _tapes(model: Model, records: Records, chosen: Sequence[Signature]) -> _Tapes:
+    """Once for all segments: rate limits and plays go through a record sample by sample."""
+    paths, tapes = [e.id for e in model.chain if e.stage is Stage.CONTROL], {}
+    none = model.tape(records.controls, records.dt)
+    moved = none
+    for one in (s for s in chosen if s.order):
+        moved = torch.gradient(smoothed(moved, max(1, round(WIDTH_S / records.dt))), spacing=records.dt, dim=-2)[0]
+        tapes[one] = none + one.step * moved
+    for one in chosen:
+        if one.effect in paths:
+            with sized(model, one):
+                tapes[one] = model.tape(records.controls, records.dt)
+    return _Tapes(none, tapes)
+
+
+def output_ranges(outputs: Tensor, noise: Tensor) -> Tensor:
+    """From least to largest of each output [n, ny]; infinite for one that never moved beyond its noise [ny]."""
+    missing = outputs.isnan()
+    low, high = outputs.masked_fill(missing, math.inf).amin(0), outputs.masked_fill(missing, -math.inf).amax(0)
+    return torch.where(high - low > MOVED * noise, high - low, math.inf)
+
+
+def _largest(names: tuple[str, ...], shares: Tensor) -> tuple[str, ...]:
+    """Names of the largest contributions to an imitation, of trims and rotor too."""
+    order = shares.abs().argsort(descending=True)[:IMITATORS].tolist()
+    return tuple(names[i] for i in order if float(shares[i].abs()) > 0.0)
+
+
+def _rows(whitener: Whitener, values: Tensor) -> Tensor:
+    """Whitened values [S, T, ny, n] as rows [S, T ny, n]."""
+    return whitener.apply(values.nan_to_num(0.0)).flatten(1, 2)
+
+
+def _eliminated(products: Tensor, prior: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    """Products of each flight [F, n, n] with the first columns projected out by the least squares over all flights.
+
+    Beside it the size of each first column's part in the imitation of the others [count, n - count].
+    """
+    total = products.sum(0) + prior
+    passed, scale = eliminating(total, count), total.diagonal()[:count].clamp_min(1e-300).sqrt()
+    projected = passed.mT @ products @ passed + passed.mT @ prior @ passed / len(products)
+    return projected, -passed[:count] * scale[:, None]
+
+
+def _starts(
+    model: Model, null: Fitted, records: Records, listed: Sequence[str], segments: Segments, states: Tensor
+) -> Tensor:
+    """Initial states [S, nx] of the richer model: the null's own, measured ones, and the rest in equilibrium."""
+    names, theirs = model.layout.names, null.model.layout.names
+    x = torch.tensor([model.reference.get(n, 0.0) for n in names], dtype=torch.float64).repeat(len(segments), 1)
+    x[:, [names.index(n) for n in theirs]] = states
+    remaining = []
+    for i, state in enumerate(model.layout.states):
+        if state.name in theirs:
+            continue
+        if state.channel is None:
+            remaining.append(i)
+        else:
+            x[:, i] = _measured(null, listed, segments, state.channel)
+    controls = segments.first(records.controls)
+    probes = PROBE * torch.eye(len(names), dtype=torch.float64)[remaining]
+    for _ in range(2 if remaining else 0):  # linear in these states, or nearly
+        rates = model.rates(model.theta, torch.cat([x[None], x + probes[:, None]]), controls)[..., remaining]
+        slopes = ((rates[1:] - rates[0]) / PROBE).movedim(0, -1)
+        change = least_squares(slopes, rates[0].unsqueeze(-1)).squeeze(-1)
+        x[:, remaining] = x[:, remaining] - change.nan_to_num(0.0)
+    return x
+
+
+def _measured(null: Fitted, listed: Sequence[str], segments: Segments, channel: str) -> Tensor:
+    """A channel where each segment begins [S]."""
+    dataset, dt = null.flights.dataset, null.fit.likelihood.records.dt
+    measured = []
+    for flight, place in zip(segments.flight.tolist(), segments.place[:, 0].tolist(), strict=True):
+        record = dataset.flights[listed[int(flight)]]
+        first, every = round(place * dt / record.dt), max(1, round(dt / record.dt))
+        measured.append(record.bridged([channel])[first : first + every, 0].mean())
+    return torch.stack(measured)

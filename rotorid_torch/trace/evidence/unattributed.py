@@ -1,0 +1,173 @@
+"""Pseudo-effects: what a model may lack and the library has no name for, by equation and kind.
+
+The residual of an equation is compared with products of the motion and the controls, with curves over one channel, and
+with what begins at some time. No model of an aircraft is perfect, so what has no name must be large and must stand out:
+with the residual r_f of a flight and the description a x_f, whose size a other flights give, the statistic is
+
+    T = sum_f (|r_f|^2 - |r_f - a x_f|^2) / sqrt(N sum_f |r_f|^2),
+
+the fall of the mean square over the rms of the residual, in the unit of the equation; N samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.trace.evidence.residual import TIME, LeftOver, Named, by_chance, less_steps, onsets, shapes
+
+LEAST = 1e-9
+"""Share of a column's square in all flights that is rounding in the others."""
+
+
+class Shape(Enum):
+    """Kinds of descriptions, each with draws of its own: ordinary aircraft leave curves over, hardly ever a step."""
+
+    CURVE = "curve"
+    ONSET = "onset"
+    STEP = "step"
+
+    @classmethod
+    def of(cls, named: Named) -> Shape:
+        """The kind of what is described."""
+        goes_with, _, since_s = named
+        return cls.CURVE if since_s is None else cls.STEP if goes_with == TIME else cls.ONSET
+
+
+@dataclass(frozen=True, eq=False)
+class Description:
+    """What the residual of an equation goes with and how, since when.
+
+    evidence : the parts of T by flight [F + V]. log_ratio : sum over flights of log(rms without / rms with it), held
+    out, of the equation's residual.
+    """
+
+    row: str
+    named: Named
+    evidence: Tensor
+    log_ratio: float
+
+    @property
+    def key(self) -> str:
+        """Equation and kind."""
+        return f"{self.row}, {Shape.of(self.named).value}"
+
+    @property
+    def statistic(self) -> float:
+        """T."""
+        return float(self.evidence.sum())
+
+
+@dataclass(frozen=True, eq=False)
+class Falls:
+    """Held-out falls of the squares of residuals by columns [R, F + V, m], the squares [R, F + V, 1], and samples N."""
+
+    falls: Tensor
+    squares: Tensor
+    samples: int
+
+    @property
+    def statistics(self) -> Tensor:
+        """Parts of T by flight [R, F + V, m]."""
+        return self.falls / (self.samples * self.squares.sum(1, keepdim=True)).clamp_min(1e-300).sqrt()
+
+    def description(self, row: str, named: Named, column: int) -> Description:
+        """What a column describes of the residual itself."""
+        share = self.falls[0, :, column] / self.squares[0, :, 0].clamp_min(1e-300)
+        log_ratio = -0.5 * float(torch.log1p(-share.clamp_max(1.0 - 1e-12)).sum())
+        return Description(row, named, self.statistics[0, :, column], log_ratio)
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """What a model leaves over of the identify flights, and of those that no fit has seen where there are any."""
+
+    fitted: LeftOver
+    unseen: LeftOver | None = None
+
+    def descriptions(self) -> dict[str, Description]:
+        """The best description of each equation and kind.
+
+        A step counts beyond a straight line in time: motion that dies away leaves that over too.
+        """
+        names, columns = self.columns()
+        descriptions = {}
+        for row in self.fitted.rows:
+            falls, drift = self._falls(row, columns), self._drift(row)[0]
+            for shape in Shape:
+                places = [i for i, named in enumerate(names) if Shape.of(named) is shape]
+                if places:
+                    best = places[int(falls.statistics[0, :, places].sum(0).argmax())]
+                    one = falls.description(row, names[best], best)
+                    if shape is Shape.STEP:
+                        one = replace(one, evidence=one.evidence - drift / len(one.evidence))
+                    descriptions[one.key] = one
+        return descriptions
+
+    def by_chance(self, count: int, seed: int) -> dict[str, Tensor]:
+        """Statistics [R] of the best descriptions of so many residuals that know nothing of the motion."""
+        names, columns = self.columns()
+        sides = (self.fitted, self.unseen)
+        turned = [None if side is None else by_chance(side, count, seed) for side in sides]
+        log_ratios: dict[str, Tensor] = {}
+        for row in self.fitted.rows:
+            scores = self._falls(row, columns, turned).statistics.sum(1)
+            drift = self._drift(row, turned)
+            for shape in Shape:
+                places = [i for i, named in enumerate(names) if Shape.of(named) is shape]
+                if places:
+                    most = scores[:, places].amax(1)
+                    log_ratios[f"{row}, {shape.value}"] = most - drift if shape is Shape.STEP else most
+        return log_ratios
+
+    def of(self, row: str, named: Named) -> Description:
+        """A description of another equation."""
+        return self._falls(row, self.columns([named])[1]).description(row, named, 0)
+
+    def less_steps(self, onset: float) -> Residuals:
+        """The same with steps at an onset among the linear terms."""
+        unseen = None if self.unseen is None else less_steps(self.unseen, onset)
+        return Residuals(less_steps(self.fitted, onset), unseen)
+
+    def columns(self, wanted: Sequence[Named] | None = None) -> tuple[list[Named], list[Tensor]]:
+        """Names of descriptions, and their columns [N, m] on both sides; zero where a flight ends before one begins."""
+        usual = self.fitted.usual
+        columns = dict([*shapes(self.fitted, usual), *onsets(self.fitted)])
+        names = list(columns) if wanted is None else list(wanted)
+        sides = [torch.stack([columns[name] for name in names], dim=-1)]
+        if self.unseen is not None:
+            others, none = dict([*shapes(self.unseen, usual), *onsets(self.unseen)]), torch.zeros_like(self.unseen.time)
+            sides.append(torch.stack([others.get(name, none) for name in names], dim=-1))
+        return names, sides
+
+    def _drift(self, row: str, turned: Sequence[Tensor | None] | None = None) -> Tensor:
+        """T of a straight line in time [R], none below zero."""
+        sides = [side.time[:, None] for side in (self.fitted, self.unseen) if side is not None]
+        return self._falls(row, sides, turned).statistics.sum((1, 2)).clamp_min(0.0)
+
+    def _falls(self, row: str, columns: Sequence[Tensor], turned: Sequence[Tensor | None] | None = None) -> Falls:
+        """Falls of squares by columns [N, m] on both sides; of the residual itself where none are turned."""
+        products = []
+        for k, side in enumerate((self.fitted, self.unseen)):
+            if side is None or row not in side.rows:
+                continue
+            place = side.rows.index(row)
+            residuals = side.residual[:, place, None] if turned is None else turned[k][:, place]  # pyright: ignore[reportOptionalSubscript]
+            x, y = side.beyond(columns[k], place), side.beyond(residuals, place)
+            flights = torch.nn.functional.one_hot(side.flight.unique(return_inverse=True)[1]).to(torch.float64)
+            xy = torch.einsum("nf,nm,nr->rfm", flights, x, y)
+            products.append((flights.mT @ x.square(), xy, (flights.mT @ y.square()).mT[..., None]))
+        (xx, xy, yy), *others = products
+        whole = xx.sum(0)
+        least = LEAST * whole + 1e-300
+        size = (xy.sum(1, keepdim=True) - xy) / torch.maximum(whole - xx, least)
+        falls = [2.0 * size * xy - size.square() * xx]
+        size = xy.sum(1, keepdim=True) / torch.maximum(whole, least)
+        falls += [2.0 * size * oxy - size.square() * oxx for oxx, oxy, _ in others]
+        squares = torch.cat([yy, *(oyy for _, _, oyy in others)], dim=1)
+        samples = sum(len(side.time) for side in (self.fitted, self.unseen) if side is not None and row in side.rows)
+        return Falls(torch.cat(falls, dim=1), squares, samples)

@@ -1,0 +1,175 @@
+"""The one decision: from what was observed of a candidate to a verdict and its reason. Pure functions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum, auto
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.model.model import Model
+from rotorid_torch.trace.evidence.fits import Fitted, Residual
+from rotorid_torch.trace.evidence.screen import signatures
+from rotorid_torch.trace.terms.finding import Verdict
+from rotorid_torch.trace.terms.settings import SETTINGS
+from rotorid_torch.trace.terms.significance import normal_quantile
+
+
+class Reason(Enum):
+    """Why a verdict is what it is."""
+
+    BELOW_LEVEL = auto()
+    ABSORBED = auto()
+    BETTER_EXPLAINED = auto()
+    NO_BETTER_FIT = auto()
+    ACTIVE_BOUND = auto()
+    WITHIN_ERROR = auto()
+    UNSEEN_WORSE = auto()
+    FREE_RUNS_WORSE = auto()
+    OTHER_LAW = auto()
+    NOT_ADEQUATE = auto()
+    GROUP = auto()
+    OTHER_NAMED = auto()
+    NAMED = auto()
+    HELPS = auto()
+
+
+class Estimate(Enum):
+    """What the interval of an effect's size says."""
+
+    SIZE = auto()
+    """A size: the interval excludes nothing, and no bound is active."""
+    ACTIVE_BOUND = auto()
+    WITHIN_ERROR = auto()
+
+
+@dataclass(frozen=True)
+class Row:
+    """What was observed of a candidate; a row of the table of decisions.
+
+    observable : whether its smallest visible size is at most its usual one. significant : p <= level.
+    still : significant beside the effects that joined. fitted : whether a full fit explains more than the null.
+    estimate : of its size. unseen_better : whether flights that no fit has seen are better described in the mean.
+    runs_worse : whether their free runs are worse by more than chance. in_set : whether it joined, or flights cannot
+    tell it from the one that did. alone : whether the set holds no other. law : whether what is left in the control
+    path beside a name of the control path is chance. adequate : whether the names explain enough of what stays without
+    a name.
+    """
+
+    observable: bool = True
+    significant: bool = True
+    still: bool = True
+    fitted: bool = True
+    estimate: Estimate = Estimate.SIZE
+    unseen_better: bool = True
+    runs_worse: bool = False
+    in_set: bool = True
+    alone: bool = True
+    law: bool = True
+    adequate: bool = True
+
+
+TABLE: tuple[tuple[Mapping[str, object], Verdict, Reason], ...] = (
+    ({"significant": False, "observable": False}, "indistinguishable", Reason.ABSORBED),
+    ({"significant": False}, "below floor", Reason.BELOW_LEVEL),
+    ({"still": False, "in_set": False}, "rejected", Reason.BETTER_EXPLAINED),
+    ({"fitted": False}, "rejected", Reason.NO_BETTER_FIT),
+    ({"estimate": Estimate.ACTIVE_BOUND}, "rejected", Reason.ACTIVE_BOUND),
+    ({"estimate": Estimate.WITHIN_ERROR}, "rejected", Reason.WITHIN_ERROR),
+    ({"unseen_better": False}, "rejected", Reason.UNSEEN_WORSE),
+    ({"in_set": False}, "rejected", Reason.BETTER_EXPLAINED),
+    ({"runs_worse": True}, "suspected", Reason.FREE_RUNS_WORSE),
+    ({"law": False}, "suspected", Reason.OTHER_LAW),
+    ({"adequate": False}, "suspected", Reason.NOT_ADEQUATE),
+    ({"alone": False}, "indistinguishable", Reason.GROUP),
+    ({}, "accepted", Reason.NAMED),
+)
+"""Rows are read from above: the first of which all entries agree decides."""
+
+
+def decide(row: Row) -> tuple[Verdict, Reason]:
+    """Verdict and reason of a candidate."""
+    for asked, verdict, reason in TABLE:
+        if all(getattr(row, name) == value for name, value in asked.items()):
+            return verdict, reason
+    raise AssertionError("the last row of the table asks nothing")
+
+
+def gain(null: Fitted, candidate: Fitted) -> float:
+    """Fall of minus log-likelihood per sample of the identify flights; minus infinity where the fit failed."""
+    improvement = (null.cost - candidate.cost) / null.per_sample
+    return improvement if math.isfinite(improvement) else -math.inf
+
+
+def evidence(null: Fitted, candidate: Fitted) -> Tensor:
+    """Mean over the channels of log(rms without / rms with) of each flight, fitted or not [F + V]."""
+    pairs = [(null.identified, candidate.identified)]
+    pairs += [(null.unseen, candidate.unseen)] if null.flights.dataset.validate else []
+    return torch.cat([_log_ratios(*pair) for pair in pairs])
+
+
+def unseen_evidence(null: Fitted, candidate: Fitted) -> Tensor:
+    """The same of flights that no fit has seen; of the fitted ones where there are no others."""
+    return _log_ratios(null.unseen, candidate.unseen)
+
+
+def total(log_ratios: Tensor) -> float:
+    """Sum over the flights of log ratios [F]; a flight in which a model flies away tells no size."""
+    return float(log_ratios[log_ratios.isfinite()].sum())
+
+
+def improves(log_ratios: Tensor) -> bool:
+    """Whether the mean of log ratios [F] lies above zero; a flight in which both models fly away tells nothing."""
+    log_ratios = log_ratios[~log_ratios.isnan()]
+    return len(log_ratios) > 0 and float(log_ratios.mean()) > 0.0
+
+
+def _log_ratios(before: Residual, after: Residual) -> Tensor:
+    return (before.size().log() - after.size().log()).nanmean(dim=1)
+
+
+@dataclass(frozen=True)
+class Size:
+    """What the interval of an effect's size says, and the parameter that says so with its value and error."""
+
+    estimate: Estimate
+    parameter: str = ""
+    value: float = 0.0
+    error: float = 0.0
+
+
+def size_of(fitted: Fitted, effect: str, tests: int = 1) -> Size:
+    """The size of an effect in a fit: standard errors, and the scatter over flights where that is larger.
+
+    tests : effects whose sizes are looked at.
+    """
+    scatter = fitted.scatter(effect)
+    return estimate(fitted.model, {n: max(fitted.error(n), scatter.get(n, 0.0)) for n in fitted.names}, effect, tests)
+
+
+def estimate(model: Model, errors: Mapping[str, float], effect: str, tests: int = 1) -> Size:
+    """Whether a bound that is not the null is active; else whether all intervals hold the null.
+
+    Intervals have the level 0.95 together for so many effects (Bonferroni). Zero is a limit of physics, not of a range:
+    a pendulum may have no damping. errors : standard errors by full name.
+    """
+    values = model.named_values
+    for p in model.parameter_set.sizes(effect):
+        on = [b for b in p.bounds if math.isclose(values[p.name], b, rel_tol=1e-9) and b not in (0.0, p.value)]
+        if p.free and on:
+            return Size(Estimate.ACTIVE_BOUND, p.name, values[p.name])
+    nulls = {s.parameter: s.null for s in signatures(model, [effect])}
+    nulls = nulls or {p.name: p.value for p in model.parameter_set.sizes(effect) if p.free}
+    away = {n: abs(values[n] - null) / max(errors.get(n, math.inf), 1e-300) for n, null in nulls.items()}
+    name = max(away, key=lambda n: away[n], default="")
+    inside = bool(name) and away[name] <= normal_quantile(0.5 * SETTINGS.level / tests)
+    return Size(Estimate.WITHIN_ERROR if inside else Estimate.SIZE, name, values.get(name, 0.0), errors.get(name, 0.0))
+
+
+def errors_of(fitted: Fitted, effect: str, spread: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+    """Sizes of an effect with their standard errors, no smaller than their scatter over flights, controls and draws."""
+    names, values = [p.name for p in fitted.model.parameter_set.sizes(effect)], fitted.values
+    return {n: (values[n], max(fitted.error(n), spread.get(n, 0.0))) for n in names}

@@ -1,0 +1,119 @@
+"""Where the cause of what has no name lies: equation, band, what it goes with and how, since when. Never a name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.least_squares import least_squares
+from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS
+from rotorid_torch.trace.evidence.fits import Flights
+from rotorid_torch.trace.evidence.residual import AT_ONCE, ONSET_S, TIME, LeftOver
+from rotorid_torch.trace.evidence.screen import PATH
+from rotorid_torch.trace.evidence.slips import Deflected, slipped
+from rotorid_torch.trace.evidence.unattributed import Description, Residuals
+from rotorid_torch.trace.search.words import UnknownWords, path_words
+from rotorid_torch.trace.terms.finding import Unknown
+from rotorid_torch.trace.terms.settings import SETTINGS
+from rotorid_torch.trace.terms.significance import exceeds
+
+
+def localised(significant: Sequence[Description], residuals: Residuals, does: Deflected) -> Unknown:
+    """What these descriptions come to; the flapping first, for what moves the disc moves the body.
+
+    Where other equations say the same, the cause lies in the angle of the disc that goes with it most, or in the
+    largest moment. What begins with a step, the step aside, is described beside it.
+
+    does : what each control does to the equations; a step that one of them makes by itself goes with that one.
+    """
+    best = max(significant, key=lambda one: (one.row in FLAPPING, one.row in AT_ONCE, one.statistic))
+    others = _beside(best, residuals) if best.named[0] == TIME else None
+    # a moment with much else in it is not significant by itself
+    rows = [r for r in residuals.fitted.rows if r in MOMENTS or r in {one.row for one in significant}]
+    same = [d for row in rows if exceeds((d := residuals.of(row, best.named)).evidence)]
+    row = _source(best, [best, *(d for d in same if d.row != best.row)], residuals.fitted)
+    named = best.named if others is None else others.named
+    left = residuals.fitted
+    where = AT_ONCE.get(row, row)
+    goes_with, shape, since_s = named
+    if goes_with == TIME:
+        control = slipped(row, since_s or 0.0, left, residuals.unseen or left, does)
+        goes_with, shape = (goes_with, shape) if control is None else (control, "a step that it would make")
+    band = _band(left.residual[:, left.rows.index(row)], left.rate)
+    size = _size(left, row, [best] if others is None else [best, others])
+    unit = "m/s2" if where in FORCES else "rad/s2" if where in MOMENTS else "rad/s"
+    words = UnknownWords(where, size, unit, band, goes_with, " and a step" if others else shape, since_s)
+    return Unknown(where, band, goes_with, since_s, str(words))
+
+
+def in_control_path(flights: Flights) -> Unknown:
+    """Something acts between the recorded controls and the rotor, as fast as the controls move."""
+    dataset = flights.dataset
+    dt = dataset.facts[dataset.identify[0]].dt
+    records = [dataset.flights[name].bridged(dataset.controls) for name in dataset.identify]
+    band = _band(torch.cat([(record - record.mean(dim=0)).mT.flatten() for record in records]), 1.0 / dt)
+    return Unknown(PATH, band, None, None, path_words(band))
+
+
+def _source(best: Description, same: Sequence[Description], left: LeftOver) -> str:
+    """The row, of those that say the same as the best, where the cause lies."""
+    if best.row in MOMENTS and left.inertia is not None:  # what yaws the body may roll it too, which answers louder
+        inertia = dict(zip(MOMENTS, left.inertia.tolist(), strict=True))
+        turning = [one for one in same if one.row in inertia]
+        return max(turning, key=lambda one: inertia[one.row] * _size(left, one.row, [one])).row
+    if _equation(best) in FLAPPING:  # a law that is wrong in one angle says the same of all
+        angles = dict.fromkeys(_equation(one) for one in same if _equation(one) in FLAPPING)
+        tilts = {angle: _of_tilt(best, angle, left) for angle in angles}
+        angle = max(tilts, key=lambda angle: tilts[angle])
+        if tilts[angle] >= SETTINGS.tilt:
+            of_angle = [one for one in same if _equation(one) == angle]
+            return max(of_angle, key=lambda one: (one.row in AT_ONCE, one.statistic)).row
+    return best.row
+
+
+def _beside(step: Description, residuals: Residuals) -> Description | None:
+    """What begins with a step: what slips loses its place, and a part of its motion.
+
+    The best description of the equation once the step is set aside, where that begins with the step.
+    """
+    onset = step.named[2] or 0.0
+    descriptions = residuals.less_steps(onset).descriptions()
+    best = max((one for one in descriptions.values() if one.row == step.row), key=lambda one: one.statistic)
+    since_s = best.named[2]
+    return best if since_s is not None and abs(since_s - onset) <= ONSET_S and exceeds(best.evidence) else None
+
+
+def _column(one: Description, left: LeftOver) -> Tensor:
+    """What a description goes with [N]."""
+    return Residuals(left).columns([one.named])[1][0][:, 0]
+
+
+def _size(left: LeftOver, row: str, descriptions: Sequence[Description]) -> float:
+    """Rms that descriptions explain together of what an equation leaves over."""
+    k = left.rows.index(row)
+    columns = torch.stack([_column(one, left) for one in descriptions], dim=-1)
+    basis = torch.linalg.qr(left.beyond(columns, k)).Q
+    return float((basis.mT @ left.residual[:, k]).norm()) / len(basis) ** 0.5
+
+
+def _equation(one: Description) -> str:
+    return AT_ONCE.get(one.row, one.row)
+
+
+def _of_tilt(one: Description, angle: str, left: LeftOver) -> float:
+    """Share of the square of a measured angle of the disc that goes with a description."""
+    constants = left.constants
+    both = torch.stack([_column(one, left), left.tilts[:, FLAPPING.index(angle)]], dim=-1)
+    x, y = (both - constants @ least_squares(constants, both)).mT
+    return float((x @ y) ** 2 / ((x @ x) * (y @ y)).clamp_min(1e-300))
+
+
+def _band(values: Tensor, rate: float) -> tuple[float, float]:
+    """Frequencies between which the middle 80 % of the power of a record [N] lie, Hz."""
+    power = torch.fft.rfft(values - values.mean()).abs().square()
+    share = power.cumsum(0) / power.sum().clamp_min(1e-300)
+    hertz = torch.fft.rfftfreq(len(values), 1.0 / rate, dtype=torch.float64)
+    low, high = (float(hertz[int((share >= s).nonzero()[0, 0])]) for s in (0.1, 0.9))
+    return low, high

@@ -1,0 +1,83 @@
+"""Ordinary physics that the nominal model leaves out: no accusation, so held-out evidence alone decides.
+
+What every rotor has joins first, so that no candidate earns what any rotor has. Other structure joins where flights
+that no fit has seen are better described.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rotorid_torch.effects.registry import registered
+from rotorid_torch.trace.evidence.fits import CAREFUL, Fitted, refit
+from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
+from rotorid_torch.trace.evidence.screen import screen
+from rotorid_torch.trace.search.decide import decide, errors_of, gain, unseen_evidence
+from rotorid_torch.trace.search.forward_selection import Search, observed
+from rotorid_torch.trace.search.words import reason, size_details
+from rotorid_torch.trace.terms.candidate import Candidate
+from rotorid_torch.trace.terms.finding import Finding
+from rotorid_torch.trace.terms.significance import exceeds
+
+ORDINARY = "ordinary physics of every rotor; flights not fitted do not gain by it"
+WANTED = "ordinary physics that flights not fitted ask for"
+NOT_WANTED = "flights not fitted do not gain by it"
+
+
+def with_structure(search: Search, null: Fitted, effects: Sequence[str]) -> tuple[Fitted, list[Finding]]:
+    """The null with the structure that joins it, and a finding for each of these effects."""
+    ordinary = [e for e in effects if registered()[e].ordinary]
+    null, findings = _with_ordinary(search, null, ordinary)
+    null = _over_short(search, null)
+    others = [e for e in effects if e not in ordinary]
+    while others:
+        screened = screen(null, others)
+        promising = {e: screened.evidence(e) for e in others}
+        best = max(promising, key=lambda e: float(promising[e].sum()))
+        if not exceeds(promising[best]):
+            break
+        candidate = Candidate(best)
+        fitted = search.fitted(null, {candidate: screened.starts(best)})[candidate]
+        null = search.improved(null, {candidate: fitted})
+        row = observed(null, fitted, candidate)
+        verdict, why = decide(row)
+        search.say(f"structure: {best}, gain {gain(null, fitted):.3g} per sample: {why.name.lower()}")
+        values = errors_of(fitted, best, fitted.scatter(best))
+        said = WANTED if verdict == "accepted" else reason(why, **size_details(null, fitted, best))
+        findings.append(Finding(best, "structure", verdict, said, values=values))
+        null = fitted if verdict == "accepted" else null
+        others.remove(best)
+    findings += [Finding(e, "structure", "below floor", NOT_WANTED) for e in others]
+    return null, findings
+
+
+def _with_ordinary(search: Search, null: Fitted, effects: Sequence[str]) -> tuple[Fitted, list[Finding]]:
+    """The null with what every rotor has, where a fit gains by that at all."""
+    if not effects:
+        return null, []
+    sizes = screen(null, effects).sizes(effects)
+    spec = null.spec.with_effects(*effects)
+    richer = refit(spec, search.flights, {**null.values, **sizes}, search.held, near=null)
+    gained = gain(null, richer)
+    search.say(f"structure: {' and '.join(effects)}, gain {gained:.3g} per sample")
+    if gained <= 0.0:
+        said = "fitted in full, it explains nothing more"
+        return null, [Finding(e, "structure", "rejected", said) for e in effects]
+    said = WANTED if exceeds(unseen_evidence(null, richer)) else ORDINARY
+    return richer, [
+        Finding(e, "structure", "accepted", said, values=errors_of(richer, e, richer.scatter(e))) for e in effects
+    ]
+
+
+def _over_short(search: Search, null: Fitted) -> Fitted:
+    """The null, or what a fit over short segments first makes of it where that ends better.
+
+    Not where flights that no fit has seen are described worse: derivatives that are no vehicle's may imitate what a
+    model lacks in the fitted flights.
+    """
+    again = fits([Wanted(null.spec, null.values, null, short_first=True)], search.held, CAREFUL, search.ranks)[0]
+    unseen = unseen_evidence(null, again)
+    if gain(null, again) <= 0.0 or not bool(unseen.isfinite().all()) or float(unseen.mean()) < 0.0:
+        return null
+    search.say(f"the model without candidates gains {gain(null, again):.3g} per sample over short segments first")
+    return again

@@ -1,0 +1,72 @@
+"""Whether effects that somebody asked for earn their place in an identified model, each beside the others.
+
+The evidence is the closed loop's: more than by chance, a size whose interval excludes nothing, flights that no fit has
+seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import msgspec
+
+from rotorid_torch.effects.base import Role
+from rotorid_torch.effects.registry import registered
+from rotorid_torch.trace.evidence.family import effect_of
+from rotorid_torch.trace.evidence.fits import Fitted, refit
+from rotorid_torch.trace.search.decide import Reason, errors_of, unseen_evidence
+from rotorid_torch.trace.search.findings import Outcome
+from rotorid_torch.trace.search.forward_selection import Search, Trial, observed
+from rotorid_torch.trace.search.screening_sizes import with_screening_sizes
+from rotorid_torch.trace.search.words import reason, size_details
+from rotorid_torch.trace.terms.candidate import Candidate
+from rotorid_torch.trace.terms.eligible import ELSEWHERE, NOT_IN_TRAJECTORIES
+from rotorid_torch.trace.terms.finding import Finding
+from rotorid_torch.trace.terms.settings import SETTINGS
+from rotorid_torch.trace.terms.significance import exceeds
+
+
+def earned(whole: Fitted, effects: Sequence[str], held: Sequence[str] = (), seed: int = 0) -> list[Finding]:
+    """A finding for each of these effects of a model.
+
+    whole : the model with all of them, as identified. held : parameters that keep their values. seed : of the residuals
+    turned in time that say what chance explains.
+    """
+    spec, flights = whole.spec, whole.flights
+    shown = [e for e in effects if registered()[e].showing not in ELSEWHERE]
+    sized, tested, unmoved = with_screening_sizes(spec.without(shown), whole.values, flights.dataset, shown)
+    findings = {f.id: f for f in unmoved}
+    for e in effects:
+        if e not in shown:
+            findings[e] = Finding(e, registered()[e].role.value, "not testable", NOT_IN_TRAJECTORIES)
+    if tested:
+        richer = msgspec.structs.replace(spec, screening_sizes=sized.screening_sizes)
+        refitted = refit(richer, flights, whole.values, held)
+        whole = Search.alone(flights, held, seed).settled(refitted)
+        findings |= {e: _finding(whole, e, held, seed) for e in tested}
+    return [findings[e] for e in effects]
+
+
+def _finding(whole: Fitted, effect: str, held: Sequence[str], seed: int) -> Finding:
+    """What a model without the effect, fitted with the same care, says of it."""
+    role, search = registered()[effect].role, Search.alone(whole.flights, held, seed)
+    null = search.settled(refit(whole.spec.without([effect]), whole.flights, whole.values, held, near=whole))
+    if role is Role.LEARNT:  # a network has no size of its own
+        better = unseen_evidence(null, whole)
+        verdict = "accepted" if exceeds(better) else "rejected"
+        why = Reason.HELPS if verdict == "accepted" else Reason.UNSEEN_WORSE
+        said = reason(why, better=int((better > 0).sum()), count=len(better))
+        return Finding(effect, role.value, verdict, said)
+    candidate = Candidate(effect, effect in whole.spec.each_control)
+    search.consider(null, [effect])
+    assert search.first is not None
+    p = [one for name, one in search.first[1].items() if effect_of(name) == effect]
+    significant = min(p, default=0.0) <= SETTINGS.level
+    row = replace(observed(null, whole, candidate), significant=significant)
+    search.trials[candidate] = Trial(candidate, null, whole, row)
+    search.joined += [candidate] if search.trials[candidate].stands else []
+    finding = Outcome(search, whole, None, (), {}, {}).findings([effect])[0]
+    if finding.verdict == "accepted":
+        finding = replace(finding, reason=reason(Reason.HELPS, **size_details(null, whole, effect)))
+    return replace(finding, role=role.value, values=errors_of(whole, effect, whole.scatter(effect)))

@@ -1,0 +1,131 @@
+"""Sizes at which effects that declare no typical size are tried first: from their bounds and the flights.
+
+A parameter moves from its declared value towards the farther bound until the model's outputs on the identify flights
+change by a small share of their range. A parameter that changes nothing there is a shape, not a size.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+import msgspec
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.effects.registry import of_others, registered
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.model.model import Model
+from rotorid_torch.model.nominal import build
+from rotorid_torch.trace.evidence.screen import output_ranges, signatures
+from rotorid_torch.trace.terms.eligible import UNMOVED
+from rotorid_torch.trace.terms.finding import Finding
+from rotorid_torch.validate.free_run import Runs, Windows, equilibrium, free_run, windows
+
+WINDOW_S = 3.0
+"""s: length of the free runs that are compared."""
+WINDOWS = 16
+"""Free runs, at most."""
+LEAST, MOST = 0.01, 0.1
+"""Rms of an output's change over its range: visible, and still nearly in proportion."""
+FACTOR = 4.0
+"""From one trial of a size to the next; less than MOST over LEAST."""
+TRIALS = 24
+"""Trials of a size, at most."""
+NOTHING = 1e-6
+"""Rms of an output's change over its range that is rounding."""
+
+
+def with_screening_sizes(
+    spec: ModelSpec, values: Mapping[str, float], dataset: Dataset, effects: Sequence[str]
+) -> tuple[ModelSpec, list[str], list[Finding]]:
+    """The spec with sizes for users' effects that declare none, the effects that can be tested, findings of the others.
+
+    values : parameters of the fitted model that the effects join.
+    """
+    asked = without_sizes(spec, [e for e in of_others() if e in effects])
+    if not asked:
+        return spec, [*effects], []
+    sizes = screening_sizes(spec, values, dataset, asked)
+    richer = msgspec.structs.replace(spec, screening_sizes=spec.screening_sizes | sizes)
+    unmoved = without_sizes(richer, asked)
+    roles = {e: registered()[e].role.value for e in unmoved}
+    findings = [Finding(e, role, "not testable", UNMOVED) for e, role in roles.items()]
+    return richer, [e for e in effects if e not in unmoved], findings
+
+
+def without_sizes(spec: ModelSpec, effects: Sequence[str]) -> list[str]:
+    """Those of these effects that declare no size to be tried at."""
+    return [e for e in effects if not signatures(build(spec.with_effects(e)), [e])]
+
+
+@torch.no_grad()
+def screening_sizes(
+    spec: ModelSpec, values: Mapping[str, float], dataset: Dataset, effects: Sequence[str]
+) -> dict[str, float]:
+    """Size of each parameter of these effects that changes the outputs, by full name.
+
+    values : parameters of the fitted model that the effects join, each at its null.
+    """
+    by_name = {}
+    for effect in effects:
+        model = build(spec.with_effects(effect))
+        model.start_from({n: v for n, v in values.items() if not n.startswith(f"{effect}.")})
+        change = _changes(model, dataset)
+        for parameter in model.parameter_set.sizes(effect):
+            size = _size(parameter, change) if parameter.free and not parameter.tried else None
+            by_name |= {} if size is None else {parameter.name: size}
+    return by_name
+
+
+def _changes(model: Model, dataset: Dataset) -> Callable[[str, float], float]:
+    """Largest relative change of an output by a parameter's value: rms over all free runs, over the output's range."""
+    dt = dataset.facts[dataset.identify[0]].dt
+    samples = round(WINDOW_S / dt) + 1
+    every = [(n, k) for n in dataset.identify for k in range(0, dataset.facts[n].samples, samples)]
+    places = every[:: -(-len(every) // WINDOWS)]
+    run = Runs.of(model)
+
+    def outputs(pieces: Windows, start: Tensor) -> Tensor:
+        return model.recorded(run(start, pieces.controls, pieces.dt)[1], pieces.dt)
+
+    usual = windows(model, dataset, places, samples)
+    start = free_run(model, usual, run)[0][:, 0]
+    before = outputs(usual, start)
+    ranges = output_ranges(usual.measured.flatten(0, 1), usual.noise)
+    body = start[:, : len(model.body.states)]
+
+    def change(name: str, value: float) -> float:
+        with model.restored():
+            model.start_from({name: value})
+            pieces = windows(model, dataset, places, samples)
+            now = outputs(pieces, equilibrium(model, body, pieces.controls[:, 0], pieces.starts_at))
+        changed = torch.where(usual.measured.isnan(), 0.0, now - before)
+        largest = float((changed.square().mean(dim=(0, 1)).sqrt() / ranges).max())
+        return largest if math.isfinite(largest) else math.inf
+
+    return change
+
+
+def _size(parameter: Parameter, change: Callable[[str, float], float]) -> float | None:
+    """Value that changes the outputs by LEAST to MOST, at most half-way to the farther bound; None: by nothing."""
+    low, high = (bound - parameter.value for bound in parameter.bounds)
+    reach = high if high >= -low else low
+    most = 0.5 * reach
+    step = 0.1 * reach if math.isfinite(reach) else math.copysign(max(abs(parameter.value), 1.0), reach)
+    shrunk = False
+    for _ in range(TRIALS):
+        moved = change(parameter.name, parameter.value + step)
+        if moved > MOST:
+            step, shrunk = step / FACTOR, True
+        elif moved < LEAST and abs(step) < abs(most) and not shrunk:
+            step = math.copysign(min(FACTOR * abs(step), abs(most)), step)
+        else:
+            break
+    else:
+        return None
+    if moved <= NOTHING and shrunk:  # there is a threshold between the last two
+        step *= FACTOR
+    return parameter.value + step if moved > NOTHING or shrunk else None

@@ -1,0 +1,105 @@
+"""Records with sensor errors taken out: clocks moved, lags undone, constants, scales, mounting and place corrected."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+import torch
+
+from rotorid_torch.consistency.sensor_pairs import kernel
+from rotorid_torch.core.names import RATES, SPECIFIC_FORCES, is_control
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.facts import Facts
+from rotorid_torch.data.flight import Flight
+from rotorid_torch.data.on_demand import OnDemand
+from rotorid_torch.data.schema import ChannelSpec
+from rotorid_torch.trace.sensors.equations import unit_of, without_static_errors
+from rotorid_torch.trace.sensors.pieces import advanced
+
+Array = np.ndarray
+
+TURNING_S = 0.03
+"""Width of the Gaussian by which rates are differentiated for the lever arm: half power at 4.4 Hz."""
+
+
+def without_errors(dataset: Dataset, errors: Mapping[str, float]) -> Dataset:
+    """The data set with these errors ("delay.attitude", "scale.q", ...) removed from every flight.
+
+    What a moved clock leaves without a reading is missing. Declared noise follows: a channel whose lag is undone has
+    up to twice the noise power.
+    """
+    flights = OnDemand(dataset.flights, lambda name: without_errors_of_flight(dataset.flights[name], errors))
+    facts = {name: Facts.of(flight) for name, flight in flights.items()}
+    return replace(
+        dataset,
+        flights=MappingProxyType(flights),
+        facts=MappingProxyType(facts),
+        channel_specs=MappingProxyType(_noise(dataset, errors)),
+    )
+
+
+def _noise(dataset: Dataset, errors: Mapping[str, float]) -> dict[str, ChannelSpec]:
+    specs = dict(dataset.channel_specs)
+    for name, spec in specs.items():
+        if spec.noise is not None:
+            lagged = 2.0**0.5 if errors.get(f"filter.{unit_of(name)}", 0.0) > 0.0 else 1.0
+            noise = spec.noise * lagged / (1.0 + errors.get(f"scale.{name}", 0.0))
+            specs[name] = ChannelSpec(noise=noise, bias=spec.bias)
+    return specs
+
+
+def without_errors_of_flight(flight: Flight, errors: Mapping[str, float]) -> Flight:
+    """The same for one flight."""
+    x = {name: _on_time(flight, name, errors) for name in flight.channels if _unit(name) or name.endswith("dot")}
+    x = without_static_errors(x, errors)
+    arm = np.array([errors.get(f"lever_arm.{axis}", 0.0) for axis in "xyz"])
+    if arm.any() and all(name in x for name in RATES):
+        felt = _lever(np.stack([x[name] for name in RATES], axis=-1), flight.dt, arm)
+        x |= {name: x[name] - felt[:, i] for i, name in enumerate(SPECIFIC_FORCES) if name in x}
+    channels = {**flight.channels, **{name: torch.from_numpy(np.ascontiguousarray(v)) for name, v in x.items()}}
+    return Flight(flight.name, flight.dt, MappingProxyType(channels))
+
+
+def _unit(name: str) -> str:
+    """Channels that share a clock: a sensor's, or the controls."""
+    return "controls" if is_control(name) else unit_of(name)
+
+
+def _on_time(flight: Flight, name: str, errors: Mapping[str, float]) -> Array:
+    values, unit = flight.channels[name].numpy(), _unit(name)
+    delay, lag = errors.get(f"delay.{unit}", 0.0), errors.get(f"filter.{unit}", 0.0)
+    if delay:
+        margin = int(np.ceil(abs(delay) / flight.dt)) + 3
+        values = advanced(np.pad(values, margin, constant_values=np.nan), delay / flight.dt, margin)
+    if lag > 0.0:
+        # as narrow as keeps the added noise no greater than the sensor's own
+        width = max((lag**2 * flight.dt / (4.0 * np.pi**0.5)) ** (1 / 3), 0.6 * flight.dt)
+        values = values + lag * _slope(values, flight.dt, width)
+    return values
+
+
+def _slope(values: Array, dt: float, width: float) -> Array:
+    """Rate of change (T,) of a record through a Gaussian of this width, s; straight lines continue beyond the ends.
+
+    Missing samples are bridged, and missing again in what comes out.
+    """
+    measured = np.flatnonzero(~np.isnan(values))
+    if len(measured) < 4:
+        return np.full_like(values, np.nan)
+    filled = np.interp(np.arange(len(values)), measured, values[measured])
+    slope = kernel(dt, width)[1]
+    first, last, half = measured[0], measured[-1] + 1, len(slope) // 2
+    if last - first <= half:
+        return np.where(np.isnan(values), np.nan, np.gradient(filled, dt))
+    out = np.full_like(values, np.nan)
+    out[first:last] = np.convolve(np.pad(filled[first:last], half, mode="reflect", reflect_type="odd"), slope, "valid")
+    return np.where(np.isnan(values), np.nan, out)
+
+
+def _lever(omega: Array, dt: float, arm: Array) -> Array:
+    """Specific force (T, 3) by rotation at a place off by `arm`."""
+    turning = np.stack([_slope(rate, dt, TURNING_S) for rate in omega.T], axis=-1)
+    return np.cross(turning, arm) + np.cross(omega, np.cross(omega, arm))

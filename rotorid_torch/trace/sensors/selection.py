@@ -1,0 +1,243 @@
+"""Which sensor errors the data need: forward by what each explains, backward by what holds, rivals in their place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rotorid_torch.consistency.alignment import Alignment
+from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.trace.sensors import sensor_words
+from rotorid_torch.trace.sensors.normal_equations import LIMITS, Point, Search
+from rotorid_torch.trace.sensors.sensor_finding import Verdict
+
+MOST = 6
+"""Errors that are accepted, at most."""
+TRIED = 4
+"""Candidates that are fitted in full at each step, best first."""
+NEAR = 0.2
+"""Share of the best candidate's linear gain from which on another one is fitted in full too."""
+STEADY = 3.0
+"""Standard errors, spread between pieces included, by which a value must differ from zero."""
+GRAVITY_RANGE = 0.0053
+"""Gravity at the poles over that at the equator, less 1."""
+RESOLUTION = {"scale": GRAVITY_RANGE, "misalignment": 0.002, "lever_arm": 0.03}
+"""What local gravity, mounting and the rounding of a declaration leave open: 1, rad, m."""
+GROSS = 10.0
+"""Level of misfit, in powers of the noise, above which channels disagree in ways that no sensor error here makes."""
+SHARE = 0.1
+"""Part of such a misfit that an error must explain, or it is made up from what the equations lack."""
+VECTORS = ("misalignment", "lever_arm")
+"""Errors with a direction: a vector is seldom along an axis, so the other axes come along."""
+
+
+@dataclass
+class Case:
+    """What is being decided: the candidates, those accepted, and what was learnt about each on the way.
+
+    floor : gain that chance alone does not give. by : large errors; the search begins at that turn of the IMU, and with
+    those clocks set right. fitted : errors that the data need, `named` those among them that are
+    sensor errors; the rest, too small or not the same in all flights, only stands aside so that nothing else takes its
+    place. refused : reasons by name. gains : of the fitted ones beside the others. rivals : for a named one, the values
+    of others that explain as much in its place.
+    """
+
+    dataset: Dataset
+    search: Search
+    candidates: tuple[str, ...]
+    floor: float
+    by: Alignment = field(default_factory=Alignment)
+    fitted: list[str] = field(default_factory=list)
+    refused: dict[str, tuple[Verdict, str]] = field(default_factory=dict)
+    gains: dict[str, float] = field(default_factory=dict)
+    rivals: dict[str, dict[str, float]] = field(default_factory=dict)
+
+    @property
+    def named(self) -> list[str]:
+        """Those fitted that are not refused."""
+        return [name for name in self.fitted if name not in self.refused]
+
+
+def kind_of(name: str) -> str:
+    """Kind of an error by name: "delay" of "delay.attitude"."""
+    return name.partition(".")[0]
+
+
+def select(case: Case) -> Point:
+    """Decide which candidates are accepted; the normal equations in all candidates at their common fit."""
+    point = _forward(case)
+    point = _keep_what_holds(case, point)
+    point = _weigh_rivals(case, point)
+    return case.search.at(point.errors, case.candidates)
+
+
+def _forward(case: Case) -> Point:
+    """The error that explains most joins, the others are weighed again beside it."""
+    begin = turn_of(case.by)
+    if begin and set(begin) <= set(case.candidates):
+        case.search.measure(begin, case.candidates)
+        case.fitted += [*begin]
+        point = case.search.measure(case.search.fit(begin, case.fitted).errors, case.candidates)
+    else:
+        point = case.search.measure({}, case.candidates)
+    while True:
+        base = case.search.fit(point.errors, case.fitted)
+        at_base = point if base.errors == point.errors else case.search.at(base.errors, case.candidates)
+        best = _best(case, base, at_base) if len(case.fitted) < MOST else None
+        if best is None:
+            return base
+        name, fit = best
+        companions = [n for n in case.candidates if kind_of(n) == kind_of(name) in VECTORS and n != name]
+        case.fitted += [name, *(n for n in companions if n not in case.fitted)]
+        errors = case.search.fit(fit.errors, case.fitted).errors if companions else fit.errors
+        point = case.search.measure(errors, case.candidates)
+
+
+def turn_of(by: Alignment) -> dict[str, float]:
+    """A large turn of the IMU as errors, the largest component first; empty for none."""
+    parts = sorted(zip("xyz", by.turn.tolist(), strict=True), key=lambda part: -abs(part[1]))
+    return {f"misalignment.{axis}": value for axis, value in parts} if by.angle > 0.0 else {}
+
+
+def _ranked(case: Case, point: Point, held: Sequence[str]) -> list[tuple[float, str]]:
+    """Candidates that can have this sign, by what each would gain beside those held."""
+    ranked = []
+    for name in case.candidates:
+        if name not in held:
+            step, information = point.joining(name, held)
+            if kind_of(name) != "filter" or step > 0.0:
+                ranked.append((step * step * information, name))
+    return sorted(ranked, reverse=True)
+
+
+def _best(case: Case, base: Point, at_base: Point) -> tuple[str, Point] | None:
+    """The candidate whose full fit explains most beyond the floor; one too small to be named only if it must be."""
+    ranked = _ranked(case, at_base, case.fitted)
+    near = [name for gain, name in ranked if gain > max(case.floor, NEAR * ranked[0][0])][:TRIED]
+    fits = [(name, case.search.fit(base.errors, (*case.fitted, name))) for name in near]
+    inside = [(base.cost - fit.cost, name, fit) for name, fit in fits if _inside(name, fit.errors[name])]
+    most = max((gain for gain, _, _ in inside), default=0.0)
+    if most < case.floor:
+        return None
+    equal = [g for g in inside if g[0] > most - case.floor]
+    large = [g for g in equal if _large(case, g[1], g[2].errors[g[1]])]
+    _, name, fit = max(large or equal, key=lambda g: g[0])
+    return name, fit
+
+
+def _inside(name: str, value: float) -> bool:
+    low, high = LIMITS[kind_of(name)]
+    return low < value < high
+
+
+def _large(case: Case, name: str, value: float) -> bool:
+    return abs(value) > least(case.dataset, kind_of(name))
+
+
+def least(dataset: Dataset, kind: str) -> float:
+    """Smallest size that means something: one sample interval for clocks and filters, else `RESOLUTION`."""
+    if kind in ("delay", "filter"):
+        return max(dataset.facts[name].dt for name in dataset.identify)
+    return RESOLUTION.get(kind, 0.0)
+
+
+def _without(case: Case, name: str) -> list[str]:
+    """The accepted errors less this one; less its whole vector where it led one."""
+    return [n for n in case.fitted if n != name and not (kind_of(n) == kind_of(name) in VECTORS and _leads(case, name))]
+
+
+def _leads(case: Case, name: str) -> bool:
+    """Whether an accepted error stands for itself: an axis of a vector came along with the vector's first one."""
+    return kind_of(name) not in VECTORS or name == next(n for n in case.fitted if kind_of(n) == kind_of(name))
+
+
+def _refit(case: Case, point: Point, names: Sequence[str]) -> Point:
+    """Fit of these accepted errors alone, from where they are."""
+    return case.search.fit({n: v for n, v in point.errors.items() if n in names}, names)
+
+
+def _keep_what_holds(case: Case, point: Point) -> Point:
+    """What the others explain leaves again, weakest first; what is too small or not steady loses its name."""
+    while case.named:
+        doubts: list[tuple[float, str, tuple[Verdict, str]]] = []
+        for name in filter(lambda n: _leads(case, n), case.named):
+            case.gains[name] = _refit(case, point, _without(case, name)).cost - point.cost
+            why = _doubt(case, point, name)
+            doubts += [(case.gains[name], name, why)] if why else []
+        if not doubts:
+            break
+        _, name, why = min(doubts)
+        vector = [n for n in case.fitted if n not in _without(case, name)]
+        case.refused |= dict.fromkeys(vector, why)
+        if case.gains[name] < case.floor:
+            case.fitted = _without(case, name)
+            point = _refit(case, point, case.fitted)
+    return point
+
+
+def _doubt(case: Case, point: Point, name: str) -> tuple[Verdict, str] | None:
+    """Why a fitted error is not named; None where it holds."""
+    value, smallest = point.errors[name], least(case.dataset, kind_of(name))
+    if case.gains[name] < case.floor:
+        return "rejected", "the other errors explain it"
+    if not _large(case, name, value):
+        return "below floor", sensor_words.too_small(kind_of(name), smallest)
+    gross = max((float(level.max()) for level in case.search.levels.values()), default=1.0) > GROSS
+    if gross and case.gains[name] < SHARE * point.cost:
+        return "rejected", "the channels disagree far beyond noise, and it explains less than a tenth of that"
+    at_fit = case.search.at(point.errors, case.fitted)
+    error = spread(at_fit, name, case.fitted)
+    if abs(value) < STEADY * error or abs(value) - 2.0 * error < smallest:
+        return "rejected", "its value differs from flight to flight by more than its size allows"
+    return None
+
+
+def spread(point: Point, name: str, held: Sequence[str]) -> float:
+    """Standard error of an error beside those held, the spread of its value between pieces included.
+
+    Source: DerSimonian and Laird, Controlled Clinical Trials 7 (1986), 177, for the spread.
+    """
+    joint = point.joining(name, held)[1]
+    parts = [p for p in (point.joining(name, held, part) for part in point.parts) if p[1] > 0.0]
+    if not parts or not joint:
+        return float("inf")
+    values, weights = np.array(parts).T
+    total = weights.sum()
+    scatter = weights @ (values - weights @ values / total) ** 2 - (len(values) - 1)
+    spare = total - (weights**2).sum() / total
+    between = max(0.0, scatter / spare) if spare > 1e-9 * total else 0.0
+    return float(np.sqrt(max(1.0 / (1.0 / (1.0 / weights + between)).sum(), 1.0 / joint)))
+
+
+def _weigh_rivals(case: Case, point: Point) -> Point:
+    """For each accepted error, single others that explain as much in its place; the likelier sensor is taken."""
+    for name in [n for n in case.named if _leads(case, n)]:
+        held = _without(case, name)
+        base = _refit(case, point, held)
+        ranked = _ranked(case, case.search.at(base.errors, case.candidates), held)
+        gone = {n for n in case.fitted if n not in held}
+        near = [n for gain, n in ranked if n not in gone and gain > NEAR * ranked[0][0]][:TRIED]
+        fits = {n: case.search.fit(base.errors, (*held, n)) for n in near}
+        equal = {
+            n: fit
+            for n, fit in fits.items()
+            if fit.cost - point.cost < case.floor and _inside(n, fit.errors[n]) and _large(case, n, fit.errors[n])
+        }
+        case.rivals[name] = {n: fit.errors[n] for n, fit in equal.items()}
+        better = [n for n in equal if kind_of(n) == kind_of(name) and _unlikely(n, equal[n]) < _unlikely(name, point)]
+        if better:
+            case.fitted = [better[0] if n == name else n for n in case.fitted]
+            case.rivals[better[0]] = {name: point.errors[name], **case.rivals.pop(name)}
+            case.rivals[better[0]].pop(better[0])
+            case.gains[better[0]] = case.gains[name]
+            point = equal[better[0]]
+    return point
+
+
+def _unlikely(name: str, point: Point) -> int:
+    """Sensors are late rather than early, and gyros and accelerometers err before what is aligned with their help."""
+    kind, _, member = name.partition(".")
+    return int(point.errors[name] < 0.0 if kind == "delay" else member not in (*RATES, *SPECIFIC_FORCES))

@@ -1,0 +1,81 @@
+"""Verdicts on sensors in plain words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from rotorid_torch.core import names
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.trace.sensors.equations import usable
+from rotorid_torch.trace.sensors.sensor_finding import SensorParameter, Verdict
+
+
+def unit(kind: str, member: str) -> str:
+    """Unit of a sensor error."""
+    fixed = {"delay": "s", "filter": "s", "scale": "1", "misalignment": "rad", "lever_arm": "m"}
+    return fixed.get(kind) or names.unit(member)
+
+
+def told(parameter: SensorParameter) -> str:
+    """One error with its value and standard error."""
+    _, kind, member = parameter.name.split(".")
+    value, se = parameter.value, parameter.se
+    return {
+        "delay": f"{member} {abs(value) * 1e3:.0f} ms {'late' if value > 0 else 'early'} (± {se * 1e3:.1f})",
+        "filter": f"{member} through a lag of {value * 1e3:.0f} ms (± {se * 1e3:.1f})",
+        "scale": f"{member} reads {100 * value:+.2f} % (± {100 * se:.2f})",
+        "misalignment": f"IMU turned about {member} by {np.degrees(value):.2f}° (± {np.degrees(se):.2f})",
+        "lever_arm": f"IMU {value:+.3f} m along {member} (± {se:.3f})",
+        "bias": f"{member} off by {value:+.3g} {parameter.unit} (± {se:.1g})",
+    }[kind]
+
+
+def too_small(kind: str, least: float) -> str:
+    """Why a size that the data show means nothing."""
+    if kind in ("delay", "filter"):
+        return f"less than a sample interval ({least * 1e3:.1f} ms) is how samples are taken, not a sensor's error"
+    return f"less than {least:g} is what gravity, mounting and rounding leave open"
+
+
+def verdict(
+    kind: str,
+    parameters: Sequence[SensorParameter],
+    group: Sequence[str],
+    floor: float,
+    refused: Mapping[str, tuple[Verdict, str]],
+) -> tuple[Verdict, str]:
+    """Verdict on an effect and its reason, from its parameters, its rivals, and what was refused after a trial."""
+    accepted = [p for p in parameters if p.accepted]
+    if accepted:
+        listed = "; ".join(told(p) for p in sorted(accepted, key=lambda p: -p.gain))
+        if group:
+            return "indistinguishable", f"{listed}; the data cannot tell it from {' or '.join(group)}"
+        return "accepted", f"{listed}: the channels contradict each other without it"
+    if group:
+        return "indistinguishable", f"explains the data as well as {' or '.join(group)}, which was taken"
+    tried = {p.name.removeprefix("sensors."): p for p in parameters if p.name.removeprefix("sensors.") in refused}
+    if tried:
+        name, best = max(tried.items(), key=lambda item: item[1].gain)
+        return refused[name][0], f"{told(best)}: {refused[name][1]}"
+    best = max(parameters, key=lambda p: p.gain)
+    if best.gain > floor:
+        return "rejected", f"{told(best)}: its sign, range or size is not that of a constant error"
+    return (
+        "below floor",
+        f"the channels agree; {told(best)} is chance" if best.value > 0 or kind != "filter" else "the channels agree",
+    )
+
+
+def untestable(dataset: Dataset, kind: str) -> str:
+    """Why kinematics cannot test an effect on this data set."""
+    recorded = {channel for name in dataset.identify for channel in dataset.facts[name].spreads}
+    if not usable(recorded):
+        lacking = "rates and attitude" if not set(names.RATES) <= recorded else "attitude, or angular accelerations,"
+        return f"no two channels are tied by kinematics: {lacking} would be needed together"
+    if kind == "lever_arm":
+        return "velocities, attitude, rates and specific force would be needed together, with rotation"
+    if kind == "bias":
+        return "gyros or accelerometers would be needed beside attitude or velocity"
+    return "the flights are too short, or nothing moves beyond its noise"

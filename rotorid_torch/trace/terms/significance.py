@@ -1,0 +1,42 @@
+"""What is more than chance: quantiles of few data, residuals that mean nothing, whether unseen flights gain."""
+
+from __future__ import annotations
+
+import math
+from statistics import NormalDist
+
+import torch
+from scipy.special import ndtr, stdtrit
+from torch import Tensor
+
+from rotorid_torch.trace.terms.settings import SETTINGS
+
+
+def normal_quantile(upper_tail: float) -> float:
+    """Normal deviate that is exceeded with this probability."""
+    return NormalDist().inv_cdf(1.0 - upper_tail)
+
+
+def student_quantile(normal: float, freedom: float) -> float:
+    """Student's t with so many degrees of freedom that is as improbable as this normal deviate, sign kept."""
+    return math.copysign(float(stdtrit(freedom, ndtr(-abs(normal)))), normal)
+
+
+def exceeds(better: Tensor, confidence: float = SETTINGS.confidence) -> bool:
+    """Whether the mean of log ratios [F] lies above zero, by a one-sided t-test; of one flight, whether it does."""
+    better = better[better.isfinite()]
+    if len(better) < 2:
+        return bool((better > 0.0).any())
+    error = float(better.std()) / math.sqrt(len(better))
+    return float(better.mean()) > float(stdtrit(len(better) - 1, confidence)) * error
+
+
+def turned(record: Tensor, count: int, chance: torch.Generator) -> Tensor:
+    """Residuals of the same colour that cannot know of the motion [T, n, count], made of a flight's own [T, n].
+
+    Each is the record from another time on, what was before at its end, all channels alike; its sign is drawn.
+    """
+    turns = torch.randint(1, max(2, len(record)), (count,), generator=chance)
+    signs = 2.0 * torch.randint(0, 2, (count,), generator=chance) - 1.0
+    records = [float(sign) * record.roll(int(n), dims=0) for n, sign in zip(turns, signs, strict=True)]
+    return torch.stack(records, dim=-1) if records else record.new_zeros(*record.shape, 0)

@@ -1,0 +1,118 @@
+"""Evidence of nested linear models against refits of every fold by an independent solver; what a size is to show."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.optimize import lsq_linear
+
+from rotorid_torch.trace.evidence.held_out import FlightEquations
+
+P, K, ROWS = 5, 3, 40
+
+
+def drawn(seed, flights):
+    """Rows [X, S, r] of flights, of which the signature columns explain a part."""
+    chance = np.random.default_rng(seed)
+    rows = chance.normal(size=(flights, ROWS, P + K + 1))
+    rows[..., -1] += rows[..., :-1] @ chance.normal(size=P + K)
+    return rows
+
+
+def equations(rows, unseen, prior):
+    products = [torch.from_numpy(np.einsum("fti,ftj->fij", r, r)) for r in (rows, unseen)]
+    return FlightEquations(products[0], products[1], torch.from_numpy(prior.T @ prior), P)
+
+
+def refitted(fitted, scored, prior, columns, low, high):
+    """Log ratio of the rms of one flight without and with the candidate, both estimated from other flights."""
+    rows = np.concatenate([*fitted, prior])
+    wide = [*range(P), *(P + c for c in columns)]
+    bounds = np.full((2, len(wide)), np.inf) * [[-1], [1]]
+    bounds[0, P:], bounds[1, P:] = low, high
+    with_it = lsq_linear(rows[:, wide], rows[:, -1], bounds, method="bvls", tol=1e-14).x
+    without = np.linalg.lstsq(rows[:, :P], rows[:, -1])[0]
+    size = [np.square(scored[:, -1] - scored[:, w] @ a).sum() for w, a in ((wide, with_it), (range(P), without))]
+    return 0.5 * np.log(size[1] / size[0])
+
+
+@pytest.mark.parametrize("columns", [[0], [1, 2], [0, 1, 2]])
+@pytest.mark.parametrize("bound", [10.0, 0.3])
+def test_held_out_evidence_is_that_of_exact_refits(columns, bound):
+    rows, unseen = drawn(1, 4), drawn(2, 2)
+    prior = np.zeros((P, P + K + 1))
+    prior[:, :P] = 0.5 * np.eye(P)
+    prior[:, -1] = 0.1
+    low, high = torch.full((len(columns),), -bound, dtype=torch.float64), torch.full((len(columns),), bound).double()
+    found = equations(rows, unseen, prior).held_out(columns, low, high)
+    wanted = [refitted(np.delete(rows, f, 0), rows[f], prior, columns, -bound, bound) for f in range(4)]
+    wanted += [refitted(rows, one, prior, columns, -bound, bound) for one in unseen]
+    assert found.numpy() == pytest.approx(wanted, rel=1e-8)
+
+
+def test_a_single_fitted_flight_is_not_scored():
+    rows, unseen = drawn(3, 1), drawn(4, 2)
+    low = torch.full((1,), -1.0, dtype=torch.float64)
+    assert len(equations(rows, unseen, np.zeros((1, P + K + 1))).held_out([0], low, -low)) == 2
+
+
+def test_noise_has_no_evidence_in_the_mean():
+    chance = np.random.default_rng(5)
+    gains = []
+    for _ in range(50):
+        rows = chance.normal(size=(6, ROWS, P + K + 1))
+        one = equations(rows, rows[:0], np.zeros((1, P + K + 1)))
+        wide = torch.full((K,), torch.inf, dtype=torch.float64)
+        gains.append(float(one.held_out([0, 1, 2], -wide, wide).sum()))
+    assert np.mean(gains) < 0.0  # an estimate from other flights adds its own error
+
+
+def test_flights_in_which_the_fitted_model_flies_away_are_no_evidence():
+    rows, wide = drawn(6, 4), torch.full((1,), torch.inf, dtype=torch.float64)
+    lost = equations(rows, 0.0 * drawn(7, 2), np.zeros((1, P + K + 1))).held_out([0], -wide, wide)
+    assert len(lost) == 6
+    assert not lost[4:].any()
+
+
+def test_a_signature_that_is_not_finite_is_no_evidence():
+    rows, wide = drawn(8, 3), torch.full((1,), torch.inf, dtype=torch.float64)
+    rows[..., P] = np.nan
+    assert not equations(rows, rows[:0], np.zeros((1, P + K + 1))).held_out([0], -wide, wide).any()
+
+
+def test_each_of_several_residuals_has_its_own_evidence():
+    """Residuals that know nothing of the motion stand beside the data's own, and change nothing of it."""
+    first, second = drawn(9, 4), drawn(10, 4)
+    low = torch.full((K,), -0.3, dtype=torch.float64)
+    both = np.concatenate([first, first[..., :-1] @ np.ones((P + K, 1)) + second[..., -1:]], axis=-1)
+    products = torch.from_numpy(np.einsum("fti,ftj->fij", both, both))
+    none = torch.zeros(both.shape[-1], both.shape[-1], dtype=torch.float64)
+    together = FlightEquations(products, products[:0], none, P, residuals=2)
+    for residual in range(2):
+        alone = both[..., [*range(P + K), P + K + residual]]
+        wanted = equations(alone, alone[:0], np.zeros((1, P + K + 1))).held_out([0, 1, 2], low, -low)
+        torch.testing.assert_close(together.held_out([0, 1, 2], low, -low, residual), wanted, rtol=1e-10, atol=0.0)
+
+
+@pytest.mark.parametrize("size", [0.02, 0.3, 2.0])
+def test_a_size_is_expected_to_give_what_it_gives_where_nothing_else_is_left(size):
+    """A residual of a signature at a size beside noise at right angles to all that is fitted."""
+    chance = np.random.default_rng(11)
+    rows = []
+    for _ in range(5):
+        basis = np.linalg.qr(chance.normal(size=(ROWS, P + 2)))[0]
+        X, S, noise = basis[:, :P], 3.0 * basis[:, P : P + 1] + basis[:, :P] @ chance.normal(size=(P, 1)), basis[:, -1:]
+        rows.append(np.concatenate([X, S, noise, noise + size * S], axis=1))
+    rows, prior = np.array(rows), np.zeros((1, P + 2))
+    bare, full = rows[..., [*range(P + 1), P + 1]], rows[..., [*range(P + 1), P + 2]]
+    wide = torch.full((1,), torch.inf, dtype=torch.float64)
+    told = equations(bare, bare[:0], prior).expected(0, size)
+    assert told > 0.0
+    assert float(equations(full, full[:0], prior).held_out([0], -wide, wide).sum()) == pytest.approx(told, rel=1e-6)
+    assert equations(bare, bare[:0], prior).expected(0, 0.0) == 0.0
+
+
+def test_a_larger_size_is_expected_to_give_more():
+    one = equations(drawn(12, 4), drawn(13, 2), np.zeros((1, P + K + 1)))
+    expected = [one.expected(1, size) for size in (0.1, 1.0, 10.0)]
+    assert 0.0 < expected[0] < expected[1] < expected[2]
+    assert one.expected(1, -1.0) == expected[1]

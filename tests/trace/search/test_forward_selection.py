@@ -1,0 +1,327 @@
+"""The search: what is significant is fitted in full, the best joins, what flights cannot tell from it is its rival."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import pytest
+import torch
+
+from rotorid_torch.trace.evidence.critical_values import Draws
+from rotorid_torch.trace.evidence.family import Family, by_chance, family
+from rotorid_torch.trace.evidence.fits import BEGINNING, CAREFUL, Fitted, Flights, refit
+from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
+from rotorid_torch.trace.search.decide import Estimate, Row, gain
+from rotorid_torch.trace.search.forward_selection import Search, Trial, observed
+from rotorid_torch.trace.terms.candidate import Candidate
+from rotorid_torch.trace.terms.settings import SETTINGS
+from tests.known_models import rate_vehicle
+from tests.trace.hidden_flights import flights, started
+
+DELAY, LAG, DAMPING, PLAY = "control.delay", "control.lag", "forces.quadratic_damping", "control.backlash"
+SUSPECTS = (DELAY, LAG, DAMPING)
+
+
+@cache
+def nothing() -> tuple[Flights, Fitted]:
+    return started(flights())
+
+
+@cache
+def late() -> tuple[Flights, Fitted]:
+    return started(flights(DELAY, control__delay__common=0.06))
+
+
+@cache
+def draws_of(hidden: bool) -> Draws:
+    known = late() if hidden else nothing()
+    return by_chance(family(known[1], SUSPECTS), SUSPECTS, 0)
+
+
+def search_of(known: Flights, draws: Draws | None = None, said: list[str] | None = None) -> Search:
+    if draws is None:
+        return Search.alone(known, (), 0)
+    return Search(known, (), lambda beside, effects: draws, (said if said is not None else []).append)
+
+
+def test_fits_go_on_while_they_gain(monkeypatch: pytest.MonkeyPatch):
+    known, null = nothing()
+    rough = refit(null.spec, known, {}, options=replace(CAREFUL, max_iterations=1))
+    monkeypatch.setattr("rotorid_torch.trace.search.forward_selection.CAREFUL", replace(CAREFUL, max_iterations=1))
+    monkeypatch.setattr("rotorid_torch.trace.search.forward_selection.LONGEST", 30)
+    on = search_of(known).settled(rough)
+    assert rough.cost > null.cost + 10.0
+    assert on.cost == pytest.approx(null.cost, abs=1.0)
+
+
+def test_a_fit_that_has_converged_is_left_alone():
+    known, null = nothing()
+    end = search_of(known).settled(null)
+    assert end.fit.minimum.converged
+    assert search_of(known).settled(end) is end
+
+
+def test_the_delay_joins_with_its_size_and_what_else_is_significant_was_fitted_too():
+    known, null = late()
+    said: list[str] = []
+    search = search_of(known, draws_of(True), said)
+    final = search.forward(null, SUSPECTS)
+    assert [c.effect for c in search.joined] == [DELAY]
+    assert final.values[f"{DELAY}.common"] == pytest.approx(0.06, abs=0.003)
+    assert final.spec.effects == (*null.spec.effects, DELAY)
+    first = search.first
+    assert first is not None
+    assert first[1][DELAY] == pytest.approx(1.0 / (1.0 + SETTINGS.draws))
+    delay = search.trials[Candidate(DELAY)]
+    assert delay.stands
+    assert all(gain(t.null, t.fitted) <= gain(delay.null, delay.fitted) for t in search.trials.values())
+    assert f"{DELAY} joins" in said
+    assert search.rivals[DELAY] == ()
+    assert search.null is delay.null
+    assert search.tested[DELAY][0].null is null
+    assert search.tested[DELAY][1][DELAY] <= SETTINGS.level
+    assert search.back(final, SUSPECTS) is final
+
+
+def test_where_nothing_is_hidden_nothing_joins_and_nothing_is_fitted_in_full():
+    known, null = nothing()
+    search = search_of(known, draws_of(False))
+    assert search.forward(null, SUSPECTS) is null
+    assert search.joined == []
+    assert search.trials == {}
+
+
+def test_no_candidate_is_fitted_where_draws_show_as_much():
+    """The delay's own statistic, in every draw."""
+    known, null = late()
+    observed = family(null, [DELAY]).statistics
+    loud = {name: torch.full((SETTINGS.draws,), t, dtype=torch.float64) for name, t in observed.items()}
+    search = search_of(known, Draws(loud, "", clean=True))
+    assert search.forward(null, [DELAY]) is null
+    assert search.trials == {}
+
+
+def test_no_more_effects_join_than_are_allowed(monkeypatch: pytest.MonkeyPatch):
+    known, null = late()
+    search = search_of(known, draws_of(True))
+    monkeypatch.setattr("rotorid_torch.trace.search.forward_selection.SETTINGS", replace(SETTINGS, effects=0))
+    assert search.forward(null, [DELAY]) is null
+    assert search.joined == []
+
+
+def test_of_candidates_those_of_largest_evidence_are_fitted_first(monkeypatch: pytest.MonkeyPatch):
+    known, null = late()
+    search = search_of(known, draws_of(True))
+    beside = family(null, SUSPECTS)
+    p = dict.fromkeys(beside.statistics, 0.01)
+    ranked = search._promising(beside, p)
+    statistics = [beside.statistics[c.name] for c in ranked]
+    assert statistics == sorted(statistics, reverse=True)
+    assert {c.effect for c in ranked} == set(SUSPECTS)
+    assert len(ranked) == len(SUSPECTS)  # each with one size, or with one of each control, not both
+    assert search._promising(beside, {**p, DELAY: 0.2, Candidate(DELAY, True).name: 0.2})[:1] != [Candidate(DELAY)]
+    monkeypatch.setattr("rotorid_torch.trace.search.forward_selection.SETTINGS", replace(SETTINGS, fits=1))
+    _, best = search._joining(null, (beside, p, draws_of(True)), ranked)
+    assert best is not None
+    assert list(search.trials) == [best.candidate] == ranked[:1]
+
+
+def test_where_none_of_the_first_stands_the_next_ones_are_fitted(monkeypatch: pytest.MonkeyPatch):
+    """The damping first, which does not act, one fit at a time."""
+    known, null = late()
+    search = search_of(known, draws_of(True))
+    tested = search.beside(null, SUSPECTS)
+    monkeypatch.setattr("rotorid_torch.trace.search.forward_selection.SETTINGS", replace(SETTINGS, fits=1))
+    null, best = search._joining(null, tested, [Candidate(DAMPING), Candidate(DELAY)])
+    assert best is not None
+    assert best.candidate == Candidate(DELAY)
+    assert not search.trials[Candidate(DAMPING)].stands
+
+
+def test_sizes_of_each_control_are_asked_only_where_flights_are_better_predicted_by_them():
+    """One control is late, another one early: together they are not late at all."""
+    own = {"control__delay__lat": 0.06, "control__delay__lon": -0.06}
+    for known, each in ((late(), False), (started(flights(DELAY, **own)), True)):
+        beside = family(known[1], [DELAY])
+        found = search_of(known[0])._promising(beside, dict.fromkeys(beside.statistics, 0.01))
+        assert found == [Candidate(DELAY, each)]
+
+
+def test_an_effect_that_joined_is_taken_out_where_it_is_nothing_in_the_end():
+    known, null = nothing()
+    search = search_of(known, draws_of(False))
+    search.consider(null, [DELAY])
+    final = refit(null.spec.with_effects(DELAY), known, null.values, near=null)
+    search.trials[Candidate(DELAY)] = Trial(Candidate(DELAY), null, final, Row())
+    search.joined = [Candidate(DELAY)]
+    assert search.back(final, [DELAY]).spec == null.spec
+    assert search.joined == []
+    assert not search.trials[Candidate(DELAY)].stands
+
+
+def test_an_effect_that_is_real_in_the_end_stays():
+    known, null = late()
+    search = search_of(known, draws_of(True))
+    search.consider(null, [DELAY])
+    final = refit(null.spec.with_effects(DELAY), known, {**null.values, f"{DELAY}.common": 0.05}, near=null)
+    search.trials[Candidate(DELAY)] = Trial(Candidate(DELAY), null, final, observed(null, final, Candidate(DELAY)))
+    search.joined = [Candidate(DELAY)]
+    assert search.back(final, [DELAY]) is final
+    assert search.joined == [Candidate(DELAY)]
+
+
+@pytest.mark.parametrize("first", [DELAY, DAMPING])
+def test_what_explains_nothing_beside_the_others_goes_whatever_joined_first(first: str):
+    """Damping that does not act beside a delay that does."""
+    known, null = late()
+    search = search_of(known, draws_of(True))
+    search.consider(null, SUSPECTS)
+    spec = null.spec.with_effects(DELAY, DAMPING)
+    both = refit(spec, known, {**null.values, f"{DELAY}.common": 0.05, f"{DAMPING}.L": 0.1}, near=null)
+    search.joined = [Candidate(first), Candidate(DAMPING if first == DELAY else DELAY)]
+    alone = refit(null.spec.with_effects(first), known, both.values, near=both)
+    search.trials = {c: Trial(c, null, one, Row()) for c, one in zip(search.joined, (alone, both), strict=True)}
+    final = search.back(both, SUSPECTS)
+    assert [c.effect for c in search.joined] == [DELAY]
+    assert DAMPING not in final.spec.effects
+    assert final.values[f"{DELAY}.common"] == pytest.approx(0.06, abs=0.003)
+
+
+def test_an_effect_that_no_draw_knows_keeps_its_place_and_the_others_are_still_asked():
+    """What explained trims stands first, before any family; what joined behind it is taken out all the same."""
+    known, null = late()
+    drawn = draws_of(True)
+    others = {n: t for n, t in drawn.statistics.items() if not n.startswith(DELAY)}
+    search = search_of(known, replace(drawn, statistics=others))
+    search.consider(null, SUSPECTS)
+    spec = null.spec.with_effects(DELAY, DAMPING)
+    both = refit(spec, known, {**null.values, f"{DELAY}.common": 0.05, f"{DAMPING}.L": 0.1}, near=null)
+    search.joined = [Candidate(DELAY), Candidate(DAMPING)]
+    alone = refit(null.spec.with_effects(DELAY), known, both.values, near=both)
+    search.trials = {c: Trial(c, null, one, Row()) for c, one in zip(search.joined, (alone, both), strict=True)}
+    search.back(both, SUSPECTS)
+    assert [c.effect for c in search.joined] == [DELAY]
+
+
+def test_a_candidate_is_no_worse_for_a_flight_in_which_both_models_fly_away():
+    """As the null does: three of four unseen flights are better described."""
+    known, null = late()
+    good = refit(null.spec.with_effects(DELAY), known, {**null.values, f"{DELAY}.common": 0.05}, near=null)
+    away = [replace(one) for one in (null, good)]
+    for one in away:
+        residual = one.unseen.residual.clone()
+        residual[one.unseen.flight == 2] = torch.inf
+        one.__dict__["unseen"] = replace(one.unseen, residual=residual)
+    assert observed(away[0], away[1], Candidate(DELAY)) == Row()
+    assert observed(null, away[1], Candidate(DELAY)).unseen_better is False
+
+
+def test_what_joins_is_no_rival_of_what_joined_before():
+    """One statement cannot say that flights do not tell two effects apart, and that both act."""
+    search = search_of(late()[0])
+    search.joined, search.rivals = [Candidate(DELAY)], {DELAY: (LAG, DAMPING)}
+    search._joins(Candidate(LAG))
+    assert search.joined == [Candidate(DELAY), Candidate(LAG)]
+    assert search.rivals == {DELAY: (DAMPING,)}
+
+
+def test_what_a_full_fit_says_of_a_candidate():
+    known, null = late()
+    good = refit(null.spec.with_effects(DELAY), known, {**null.values, f"{DELAY}.common": 0.05}, near=null)
+    assert observed(null, good, Candidate(DELAY)) == Row()
+    assert observed(good, null, Candidate(DELAY)).fitted is False
+    assert observed(good, null, Candidate(DELAY)).unseen_better is False
+    early = refit(null.spec.with_effects(DELAY), known, {**null.values, f"{DELAY}.common": 0.0}, (f"{DELAY}.common",))
+    assert observed(null, early, Candidate(DELAY)).estimate is Estimate.WITHIN_ERROR
+
+
+def test_two_that_explain_the_same_are_rivals_until_one_explains_more_beside_the_other(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    """A delay under two names; and a delay that is far too short, which flights tell from it."""
+    known, null = late()
+    values, spec = {**null.values, f"{DELAY}.common": 0.05}, null.spec.with_effects(DELAY)
+    good = refit(spec, known, values, near=null)
+    short = refit(spec, known, {**values, f"{DELAY}.common": 0.03}, (f"{DELAY}.common",), near=null)
+    search = search_of(known, draws_of(True))
+    each = Candidate(DELAY, True)
+    best = search._best(null, {Candidate(DELAY): good, each: replace(good)})
+    assert best is not None
+    assert search.rivals == {DELAY: (DELAY,)}
+    search.rivals = {}
+    monkeypatch.setattr(
+        "rotorid_torch.trace.search.forward_selection.observed", lambda *given: Row()
+    )  # its size is held
+    best = search._best(null, {each: short, Candidate(DELAY): good})
+    assert best is not None
+    assert (best.candidate, search.rivals) == (Candidate(DELAY), {DELAY: ()})
+    search.joined, search.rivals = [best.candidate], {DELAY: (LAG,)}
+    search._settle_rivals({LAG: 0.5})
+    assert search.rivals == {DELAY: (LAG,)}
+    search._settle_rivals({f"{LAG} in forces": 0.05})
+    assert search.rivals == {DELAY: ()}
+
+
+def noted_fits(monkeypatch: pytest.MonkeyPatch) -> list[Wanted]:
+    """Fits as the search asks for them."""
+    asked: list[Wanted] = []
+
+    def noted(wanted: Sequence[Wanted], *rest: Any) -> list[Fitted]:
+        asked.extend(wanted)
+        return fits(wanted, *rest)
+
+    monkeypatch.setattr("rotorid_torch.trace.search.forward_selection.fits", noted)
+    return asked
+
+
+def test_a_candidate_begins_from_each_of_its_sizes_and_once_over_short_segments(monkeypatch: pytest.MonkeyPatch):
+    known, null = late()
+    asked = noted_fits(monkeypatch)
+    sizes = [{f"{DELAY}.common": 0.03}, {f"{DELAY}.common": 0.1}]
+    found = search_of(known).fitted(null, {Candidate(DELAY): sizes})[Candidate(DELAY)]
+    begun = [one for one in asked if one.start.get(f"{DELAY}.common") in (0.03, 0.1)]
+    assert [one.short_first for one in begun] == [False, False, True]
+    assert found.values[f"{DELAY}.common"] == pytest.approx(0.06, abs=0.003)
+    alone = fits(begun[:1], (), BEGINNING, search_of(known).ranks)[0]
+    assert found.cost <= alone.cost + 1e-6
+
+
+def test_a_play_begins_once_more_with_derivatives_of_the_measured_motion(monkeypatch: pytest.MonkeyPatch):
+    """Far from a straight line the derivatives of a model without it lead astray."""
+    known, null = started(flights(PLAY, control__backlash__width=0.012))
+    asked = noted_fits(monkeypatch)
+    sizes = [{f"{PLAY}.width": 0.01}, {f"{PLAY}.width": 0.005}]
+    found = search_of(known).fitted(null, {Candidate(PLAY): sizes})[Candidate(PLAY)]
+    truth = rate_vehicle().named_values["forces.M.lon"]
+    wrong = abs(null.values["forces.M.lon"] - truth)
+    assert [abs(one.start["forces.M.lon"] - truth) < wrong for one in asked[:5]] == [False, False, False, True, True]
+    assert found.values[f"{PLAY}.width"] == pytest.approx(0.012, rel=0.1)
+
+
+def test_what_a_better_start_of_the_null_gains_is_not_the_candidates():
+    known, null = late()
+    rough = refit(null.spec, known, {}, options=replace(CAREFUL, max_iterations=1))
+    said: list[str] = []
+    search = search_of(known, draws_of(True), said)
+    good = refit(null.spec.with_effects(DELAY), known, {**null.values, f"{DELAY}.common": 0.05}, near=null)
+    again = search.improved(rough, {Candidate(DELAY): good})
+    assert again.cost == pytest.approx(search.settled(null).cost, abs=1.0)
+    assert "from a better start" in said[-1]
+    assert search.improved(again, {Candidate(DELAY): good}) is again
+
+
+def test_critical_values_of_a_search_alone_come_from_residuals_turned_in_time():
+    known, null = nothing()
+    search = search_of(known)
+    search.consider(null, [DELAY])
+    assert search.first is not None
+    beside, p, draws = search.first
+    assert not draws.clean
+    assert len(draws.statistics[DELAY]) == SETTINGS.draws
+    assert p.keys() <= draws.statistics.keys()
+    assert p.keys() >= {DELAY, f"{DELAY} of each control"}
+    assert isinstance(beside, Family)
+    assert p[DELAY] > SETTINGS.level

@@ -1,0 +1,63 @@
+"""Ordinary physics that the nominal model leaves out joins by the evidence of flights alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+import pytest
+
+from rotorid_torch.trace.evidence.fits import Fitted, refit
+from rotorid_torch.trace.search.forward_selection import Search
+from rotorid_torch.trace.search.ordinary_physics import _over_short, _with_ordinary, with_structure
+from tests.trace.hidden_flights import flights, started
+
+DELAY, DAMPING = "control.delay", "forces.quadratic_damping"
+
+
+@cache
+def late() -> Fitted:
+    return started(flights(DELAY, control__delay__common=0.06))[1]
+
+
+def test_what_flights_ask_for_joins_and_what_they_do_not_ask_for_does_not():
+    """By two effects of the library that take the part of ordinary physics here."""
+    null = late()
+    search = Search.alone(null.flights, (), 0)
+    richer, findings = with_structure(search, null, [DELAY, DAMPING])
+    assert richer.spec.effects == (*null.spec.effects, DELAY)
+    assert richer.values[f"{DELAY}.common"] == pytest.approx(0.06, abs=0.005)
+    verdicts = {f.id: f.verdict for f in findings}
+    assert verdicts[DELAY] == "accepted"
+    assert verdicts[DAMPING] in ("below floor", "rejected")
+    assert {f.role for f in findings} == {"structure"}
+    told = next(f for f in findings if f.id == DELAY)
+    assert told.values[f"{DELAY}.common"][0] == richer.values[f"{DELAY}.common"]
+
+
+def test_what_every_rotor_has_joins_where_a_fit_gains_by_it(monkeypatch: pytest.MonkeyPatch):
+    null = late()
+    search = Search.alone(null.flights, (), 0)
+    richer, (told,) = _with_ordinary(search, null, [DELAY])
+    assert told.verdict == "accepted"
+    assert richer.cost < null.cost
+    monkeypatch.setattr("rotorid_torch.trace.search.ordinary_physics.refit", lambda *given, **named: null)
+    same, (told,) = _with_ordinary(search, null, [DELAY])
+    assert same is null
+    assert told.verdict == "rejected"
+    assert _with_ordinary(search, null, []) == (null, [])
+
+
+@pytest.mark.parametrize("better", [True, False])
+def test_a_start_over_short_segments_counts_only_where_it_ends_better(monkeypatch: pytest.MonkeyPatch, better: bool):
+    null = late()
+    rich = refit(null.spec.with_effects(DELAY), null.flights, {**null.values, f"{DELAY}.common": 0.06}, near=null)
+    before, after = (null, rich) if better else (rich, null)
+
+    def made(wanted: Sequence[Any], *rest: Any) -> list[Fitted]:
+        assert [one.short_first for one in wanted] == [True]
+        return [after]
+
+    monkeypatch.setattr("rotorid_torch.trace.search.ordinary_physics.fits", made)
+    assert _over_short(Search.alone(null.flights, (), 0), before) is (after if better else before)
