@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -124,7 +124,8 @@ class Dataset:
             facts[flight_name] = _facts(flown[flight_name], place)
             warnings += remarks
         places: dict[str, str | Path] = {flight: f"arrays: flight {flight}" for flight in flown}
-        return _assemble(declaration, flown, facts, None, "arrays", places, digest.hexdigest(), warnings)
+        origin = Origin(None, "arrays", places, digest.hexdigest())
+        return _assemble(declaration, flown, facts, origin, warnings)
 
     def __repr__(self) -> str:
         lists = ", ".join(f"{len(getattr(self, which))} {which}" for which in ("identify", "validate", "acid"))
@@ -322,7 +323,7 @@ def load(path: str | Path) -> Dataset:
         facts[name], places[name] = _facts(flight, file), file
         flights.keep(name, flight)
         warnings += wrong
-    return _assemble(declaration, flights, facts, folder, toml, places, digest.hexdigest(), warnings)
+    return _assemble(declaration, flights, facts, Origin(folder, toml, places, digest.hexdigest()), warnings)
 
 
 def _again(name: str, file: Path, digest: bytes, units: Mapping[str, str]) -> Flight:
@@ -347,17 +348,24 @@ def _plain(table: Any) -> Any:
     )
 
 
+class Origin(NamedTuple):
+    """Where a data set comes from: its folder, its declaration, each flight's file, and the hash of all of it."""
+
+    folder: Path | None
+    toml: str | Path
+    places: Mapping[str, str | Path]
+    sha256: str
+
+
 def _assemble(
     declaration: Declaration,
     flights: Mapping[str, Flight],
     facts: Mapping[str, Facts],
-    folder: Path | None,
-    toml: str | Path,
-    places: Mapping[str, str | Path],
-    sha256: str,
+    origin: Origin,
     warnings: list[str],
 ) -> Dataset:
     """Checks that need declaration and flights together, then the Dataset."""
+    folder, toml, places, sha256 = origin
     controls, remarks = _controls(declaration, facts, places)
     specs = {
         name: declaration.controls.get(name) or ControlSpec(unit="norm" if names.is_motor(name) else "rad")

@@ -37,7 +37,7 @@ def on_grid(time: np.ndarray, values: np.ndarray, grid: np.ndarray) -> np.ndarra
     result = np.empty(len(grid))
     for first in range(0, len(grid), ROWS):
         part = slice(first, first + ROWS)
-        result[part] = _filtered(time, values, gaps, grid[part], dt / multiple, kernel, multiple)
+        result[part] = _filtered((time, values, gaps), grid[part], dt / multiple, kernel, multiple)
     return result
 
 
@@ -53,14 +53,14 @@ def lowpass(multiple: int) -> np.ndarray:
 
 
 def _filtered(
-    time: np.ndarray,
-    values: np.ndarray,
-    gaps: np.ndarray,
+    record: tuple[np.ndarray, np.ndarray, np.ndarray],
     grid: np.ndarray,
     fine_dt: float,
     kernel: np.ndarray,
     multiple: int,
 ) -> np.ndarray:
+    """A record (time, values, gaps) through the low-pass `kernel`, one value in `multiple` fine ones."""
+    time, values, gaps = record
     reach = len(kernel) // 2
     fine = grid[0] + fine_dt * np.arange(-reach, (len(grid) - 1) * multiple + reach + 1)
     present = _known(time, gaps, fine, fine_dt)

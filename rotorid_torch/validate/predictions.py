@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -62,7 +63,7 @@ def predictions(
         places = torch.arange(0, count, 1 if starts is None else max(1, count // starts))
         errors: dict[tuple[str, float], list[Tensor]] = {}
         for some in places.split(max(1, TOGETHER // longest)):
-            _predicted(model, flight.dt, run, states, taped, measured, some, errors)
+            _predicted(model, run, Record(flight.dt, states, taped, measured), some, errors)
     return tuple(
         Prediction(quantity, seconds, *torch.cat(error).nanmean(0).tolist())
         for (quantity, seconds), error in errors.items()
@@ -92,17 +93,20 @@ def unexplained_moments(model: Model, flights: Iterable[Flight]) -> tuple[str, .
     return MOMENTS if worse[0] and worse[1] else tuple(row for row, bad in zip(MOMENTS, worse, strict=True) if bad)
 
 
+class Record(NamedTuple):
+    """A flight to predict: sample interval, states and controls as the model takes them, what was measured."""
+
+    dt: float
+    states: Tensor
+    taped: Tensor
+    measured: Mapping[str, Tensor]
+
+
 def _predicted(
-    model: Model,
-    dt: float,
-    run: Runs,
-    states: Tensor,
-    taped: Tensor,
-    measured: Mapping[str, Tensor],
-    places: Tensor,
-    errors: dict[tuple[str, float], list[Tensor]],
+    model: Model, run: Runs, record: Record, places: Tensor, errors: dict[tuple[str, float], list[Tensor]]
 ) -> None:
     """Append errors of model and of holding [starts, 2] of each quantity after each horizon."""
+    dt, states, taped, measured = record
     window = places[:, None] + torch.arange(round(HORIZONS_S[-1] / dt) + 1)
     body = len(model.body.states)
     x0 = equilibrium(model, states[places][:, :body], taped[places])

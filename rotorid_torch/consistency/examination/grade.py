@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from rotorid_torch.consistency.coherence import coherences
 from rotorid_torch.consistency.examination.controls import FEEDBACK, TEST_INPUT
@@ -104,19 +104,20 @@ def _axes(dataset: Dataset, findings: Sequence[Finding]) -> Iterator[AxisGrade]:
         if not response and (motors or excitation is None):
             continue
         rms = dataset.scales().get(response, 0.0)
-        yield _axis(axis, response, rms, bands.get(response) is not None, excitation, findings, motors)
+        yield _axis(axis, Response(response, rms, bands.get(response) is not None), excitation, findings, motors)
 
 
-def _axis(
-    axis: str,
-    response: str,
-    rms: float,
-    follows: bool,
-    flown: Excitation | None,
-    findings: Sequence[Finding],
-    motors: bool,
-) -> AxisGrade:
-    """Grade of an axis: its response and the rms of that, whether it follows the controls, what its control did."""
+class Response(NamedTuple):
+    """Channel that shows what an axis does (empty: none is recorded), its rms, whether it follows the controls."""
+
+    channel: str
+    rms: float
+    follows: bool
+
+
+def _axis(axis: str, shown: Response, flown: Excitation | None, findings: Sequence[Finding], motors: bool) -> AxisGrade:
+    """Grade of an axis by its response and by what its control did."""
+    response, rms, follows = shown
     wrong, doubts = list[str](), list[str]()
     if not response:
         doubts.append("its response is not recorded")

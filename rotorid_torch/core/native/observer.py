@@ -25,6 +25,9 @@ class Gains:
     white: Tensor
 
 
+Filled = tuple[Tensor | None, Tensor | None]
+
+
 @dataclass(frozen=True, eq=False)
 class Observer:
     """x[k] + K[k] (y[k] - h(x[k])) goes on by the model's own step; unknowns are initial states and parameters."""
@@ -45,25 +48,19 @@ class Observer:
         """Products of the rows' columns of each flight [F, m, m]: initial states, parameters, innovation."""
         n = len(self.dynamics.order())
         H = torch.zeros(len(x0), n, n, dtype=torch.float64)
-        self._called(theta, x0, flights, gains, threads, H=H)
+        self._called(theta, x0, flights, gains, threads, (H, None))
         return H + H.triu(1).mT
 
     def rows(self, theta: Tensor, x0: Tensor, flights: Flights, gains: Gains, threads: int = 1) -> Tensor:
         """The rows themselves [F, T, ny, m], zero beyond a flight's end."""
         rows = torch.zeros(*flights.outputs.shape, len(self.dynamics.order()), dtype=torch.float64)
-        self._called(theta, x0, flights, gains, threads, rows=rows)
+        self._called(theta, x0, flights, gains, threads, (None, rows))
         return rows
 
     def _called(
-        self,
-        theta: Tensor,
-        x0: Tensor,
-        flights: Flights,
-        gains: Gains,
-        threads: int,
-        H: Tensor | None = None,
-        rows: Tensor | None = None,
+        self, theta: Tensor, x0: Tensor, flights: Flights, gains: Gains, threads: int, filled: Filled = (None, None)
     ) -> Tensor:
+        """Cost [F]; what is to be filled besides are normal equations, or rows."""
         source, numbers = self.code
         count, samples, _ = flights.outputs.shape
         order, cost = self.dynamics.order(), torch.zeros(count, dtype=torch.float64)
@@ -77,7 +74,7 @@ class Observer:
             *(address(a) for a in (flights.length, flights.controls, path, flights.outputs, gain, white, x0, theta)),
             address(cost),
             len(order),
-            *(address(a) for a in (order, H, rows)),
+            *(address(a) for a in (order, *filled)),
             threads,
         )
         return cost

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -247,22 +248,35 @@ def _run(problem: FilterProblem, psi: Tensor, x0: Tensor) -> tuple[Tensor, Tenso
     x, P = x0, problem.P0.expand(len(x0), -1, -1)
     history: list[tuple[Tensor, ...]] = []
     for k in range(segments.samples):
-        e, S, PH = _innovation(system, theta, x, P, u[:, k], segments.outputs[:, k], R)
+        e, S, PH = _innovation(system, theta, (x, P), (u[:, k], segments.outputs[:, k]), R)
         K = torch.linalg.solve(S, PH.mT).mT
         x, P = x + (K @ e.unsqueeze(-1)).squeeze(-1), P - K @ PH.mT
         P = (P + P.mT) / 2.0
         history.append((e, S, x, P))
         if k + 1 < segments.samples:
             t = segments.start + k * segments.dt
-            x, P = _predicted(system, theta, t, x, P, u[:, k], u[:, k + 1], Q, segments.dt)
+            x, P = _predicted(system, theta, (x, P), Interval(t, u[:, k], u[:, k + 1], segments.dt), Q)
     e, S, x, P = (torch.stack(parts, dim=1) for parts in zip(*history, strict=True))
     return e, S, x, P
 
 
+class Interval(NamedTuple):
+    """From one sample to the next: time at its start, controls at both ends, its length."""
+
+    t: Tensor
+    u0: Tensor
+    u1: Tensor
+    dt: float
+
+
 def _innovation(
-    system: System, theta: Tensor, x: Tensor, P: Tensor, u: Tensor, y: Tensor, R: Tensor
+    system: System, theta: Tensor, state: tuple[Tensor, Tensor], sample: tuple[Tensor, Tensor], R: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Innovation, its covariance, and P H'; a missing output is an uncorrelated one of variance 1, as expected."""
+    """Innovation, its covariance, and P H' of a state x, P and a sample u, y.
+
+    A missing output is an uncorrelated one of variance 1, as expected.
+    """
+    (x, P), (u, y) = state, sample
     present = ~y.isnan()
     both = present.unsqueeze(-1) & present.unsqueeze(-2)
     H = torch.where(present.unsqueeze(-1), by_inputs(lambda x, u: system.output(theta, x, u), x, u)[0], 0.0)
@@ -272,9 +286,10 @@ def _innovation(
 
 
 def _predicted(
-    system: System, theta: Tensor, t: Tensor, x: Tensor, P: Tensor, u0: Tensor, u1: Tensor, Q: Tensor, dt: float
+    system: System, theta: Tensor, state: tuple[Tensor, Tensor], interval: Interval, Q: Tensor
 ) -> tuple[Tensor, Tensor]:
     """State and covariance one sample later, by the 3/8 rule for both."""
+    (x, P), (t, u0, u1, dt) = state, interval
     after, stages = step_stages(lambda t, x, u: system.rates(theta, t, x, u), t, x, u0, u1, dt)
 
     def slope(g: int, P: Tensor) -> Tensor:

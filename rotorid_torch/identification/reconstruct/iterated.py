@@ -48,6 +48,17 @@ class Affine(NamedTuple):
     bend: Tensor
 
 
+class _Linear(NamedTuple):
+    """The system linearised about a trajectory, time first: step, outputs, root of the noise between samples, data."""
+
+    move: Affine
+    sense: Affine
+    noise: Tensor
+    R: Tensor
+    outputs: Tensor
+    about: Tensor
+
+
 class _Forward(NamedTuple):
     """Of the Kalman filter, time first, as distance from the point: before and after each sample, with roots."""
 
@@ -145,8 +156,9 @@ def _pass(problem: Problem, prior: tuple[Tensor, Tensor], u: Tensor, y: Tensor, 
     move = _linearise(lambda x: _after_step(problem, x, u), about[:-1], cov[:-1])
     sense = _linearise(lambda x: problem.h(x, u.expand(*x.shape[:-1], -1)), about, cov)
     noise = root(problem.Q + move.bend)
-    forward = _filter(move, sense, noise, (prior[0] - about[0], root(prior[1])), problem.R, y, about)
-    mean, cov = _smooth(move, sense, noise, forward, problem.R, y, about)
+    system = _Linear(move, sense, noise, problem.R, y, about)
+    forward = _filter(system, (prior[0] - about[0], root(prior[1])))
+    mean, cov = _smooth(system, forward)
     small = (mean - about).abs() <= SETTLED * cov.diagonal(dim1=-2, dim2=-1).sqrt()
     settled = (small | (mean == about)).all(dim=0).all(dim=-1)
     return _Pass(about, sense, forward, mean, cov, settled)
@@ -187,22 +199,15 @@ def _sensed(sense: Affine, R: Tensor, outputs: Tensor) -> tuple[Tensor, Tensor, 
     return (outputs - sense.value).nan_to_num(nan=0.0).unsqueeze(-1), sense.slope * present.unsqueeze(-1), root(noise)
 
 
-def _filter(
-    move: Affine,
-    sense: Affine,
-    noise: Tensor,
-    start: tuple[Tensor, Tensor],
-    R: Tensor,
-    outputs: Tensor,
-    about: Tensor,
-) -> _Forward:
-    """Kalman filter on arrays; noise: roots of what enters between samples, start: distance and root of the prior."""
-    v, H, sensor = _sensed(sense, R, outputs)
+def _filter(system: _Linear, start: tuple[Tensor, Tensor]) -> _Forward:
+    """Kalman filter on arrays; start: distance and root of the prior."""
+    move, noise = system.move, system.noise
+    v, H, sensor = _sensed(system.sense, system.R, system.outputs)
     ny, nothing = H.shape[-2], torch.zeros_like(H[0].mT)
-    drift = (move.value - about[1:]).unsqueeze(-1)
+    drift = (move.value - system.about[1:]).unsqueeze(-1)
     mean, half = start[0].unsqueeze(-1), start[1]
     steps: list[tuple[Tensor, ...]] = []
-    for k in range(len(outputs)):
+    for k in range(len(system.outputs)):
         if k:
             mean = move.slope[k - 1] @ mean + drift[k - 1]
             half = _lower(torch.cat([move.slope[k - 1] @ half, noise[k - 1]], dim=-1))
@@ -216,11 +221,10 @@ def _filter(
     return _Forward(ahead_mean.squeeze(-1), ahead_root, mean.squeeze(-1), half)
 
 
-def _smooth(
-    move: Affine, sense: Affine, noise: Tensor, forward: _Forward, R: Tensor, outputs: Tensor, about: Tensor
-) -> tuple[Tensor, Tensor]:
+def _smooth(system: _Linear, forward: _Forward) -> tuple[Tensor, Tensor]:
     """Smoothed means and covariances: the filter's, and rows W x = w + white noise that say what the rest brings."""
-    v, H, sensor = _sensed(sense, R, outputs)
+    move, noise, outputs, about = system.move, system.noise, system.outputs, system.about
+    v, H, sensor = _sensed(system.sense, system.R, outputs)
     n, eye = H.shape[-1], torch.eye(H.shape[-1], dtype=H.dtype, device=H.device).expand(*H.shape[1:-2], -1, -1)
     rows = torch.linalg.solve_triangular(sensor, torch.cat([H, v], dim=-1), upper=False)
     drift = (move.value - about[1:]).unsqueeze(-1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -15,6 +16,13 @@ from rotorid_torch.data.schema import Vehicle
 
 ACCELERATIONS = ("pdot", "qdot", "rdot")
 AXES = (*FORCES, *MOMENTS)
+
+
+class GaussMarkovForces(NamedTuple):
+    """Forces and moments as first-order Gauss-Markov processes: time constants [6], s, and mean values [F, 1, 6]."""
+
+    tau: Tensor
+    trim: Tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +58,7 @@ class Motion:
         vehicle: Vehicle,
         states: tuple[str, ...],
         outputs: tuple[str, ...],
-        tau: Tensor,
-        trim: Tensor,
+        forces: GaussMarkovForces,
         dt: Tensor,
         lines: Mapping[str, float] | None = None,
     ) -> Motion:
@@ -59,8 +66,8 @@ class Motion:
         return cls(
             states=states,
             outputs=outputs,
-            tau=tau,
-            trim=trim,
+            tau=forces.tau,
+            trim=forces.trim,
             dt=dt,
             gravity=vehicle.gravity,
             inertia=None if vehicle.inertia is None else torch.tensor(vehicle.inertia, dtype=torch.float64),

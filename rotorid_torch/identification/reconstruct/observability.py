@@ -10,7 +10,7 @@ from torch.autograd.functional import jacobian
 
 from rotorid_torch.core.names import ATTITUDES, FORCES, MOMENTS, POSITIONS, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.identification.reconstruct.motion import ACCELERATIONS, Motion
+from rotorid_torch.identification.reconstruct.motion import ACCELERATIONS, GaussMarkovForces, Motion
 
 GROUPS = (VELOCITIES, ATTITUDES[:2], ATTITUDES[2:], POSITIONS[:2], POSITIONS[2:], *((axis,) for axis in FORCES))
 """States that are there together or not at all; the rates and the moments that turn them are always there."""
@@ -92,6 +92,7 @@ def _at_reference(dataset: Dataset, groups: Sequence[Sequence[str]]) -> tuple[Mo
     sensors += [c for c, axis in zip(SPECIFIC_FORCES, FORCES, strict=True) if axis in chosen and _recorded(dataset, c)]
     one = torch.ones(1, 1, 1, dtype=torch.float64)
     vehicle = dataset.vehicle
-    motion = Motion.of(vehicle, states, tuple(sensors), tau=one.new_ones(6), trim=one.new_zeros(1, 1, 6), dt=one)
+    forces = GaussMarkovForces(one.new_ones(6), one.new_zeros(1, 1, 6))
+    motion = Motion.of(vehicle, states, tuple(sensors), forces, one)
     reference = {c: v for c, v in dataset.reference().items() if c in (*VELOCITIES, *ATTITUDES)}
     return motion, torch.tensor([reference.get(name, 0.0) for name in states], dtype=torch.float64)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -28,7 +29,7 @@ from rotorid_torch.identification.reconstruct.force_noise import (
     adapted,
     find_force_noise,
 )
-from rotorid_torch.identification.reconstruct.motion import AXES, Motion
+from rotorid_torch.identification.reconstruct.motion import AXES, GaussMarkovForces, Motion
 from rotorid_torch.identification.reconstruct.observability import left_out, observable
 from rotorid_torch.identification.reconstruct.sensor_biases import (
     kinematic_biases,
@@ -149,15 +150,17 @@ def reconstruct(
     }
     hertz = {channel: hertz for channel, (hertz, _) in lines.items()}
     noise = find_force_noise(dataset, biases, hertz)
-    wander = kinematic_disagreement(dataset, searched, biases)
+    sensors = SensorDisturbances(biases, lines, kinematic_disagreement(dataset, searched, biases))
     states = (*states, *(f"{c} {part}" for c in lines for part in ("cos", "sin")))
     made = OnDemand[ReconstructedFlight](dataset.flights, costly=True)
 
     def reconstructed(names: Sequence[str], local: LocalNoise) -> list[ReconstructedFlight]:
-        motion = _motion(dataset, names, states, outputs, noise, local, lines)
+        tau, trim = torch.as_tensor(noise.tau), torch.as_tensor(local.trim)[:, None, :]
+        motion = _motion(dataset, names, (states, outputs), GaussMarkovForces(tau, trim), hertz)
         with torch.no_grad():
-            got = _filter(dataset, names, motion, local, biases, lines, wander, device)
-        return [_flight(dataset, motion, got, local, i, name, biases[name]) for i, name in enumerate(names)]
+            got = _filter(dataset, names, motion, local, sensors, device)
+        batch = Batch(motion, got, local)
+        return [_flight(dataset, batch, i, name, biases[name]) for i, name in enumerate(names)]
 
     def in_groups(flights: Sequence[str]) -> Iterator[list[ReconstructedFlight]]:
         for many in _groups(dataset, flights, ADAPTED):
@@ -168,6 +171,14 @@ def reconstruct(
     for flight in ranks.exchange(in_groups(ranks.mine(tuple(dataset.flights)))):
         made.keep(flight.name, flight)
     return Reconstruction(made, _units(dataset), noise, hertz, _notes(dataset, states, noise, biases, lines))
+
+
+class SensorDisturbances(NamedTuple):
+    """What sensors add: constants by flight and channel, lines of vibration (Hz, rms), and random walks by channel."""
+
+    biases: Biases
+    lines: Mapping[str, tuple[float, float]]
+    wander: Mapping[str, float]
 
 
 def _groups(dataset: Dataset, names: Iterable[str], most: int) -> Iterator[list[str]]:
@@ -184,21 +195,13 @@ def _groups(dataset: Dataset, names: Iterable[str], most: int) -> Iterator[list[
 def _motion(
     dataset: Dataset,
     names: Sequence[str],
-    states: tuple[str, ...],
-    outputs: tuple[str, ...],
-    noise: ForceNoise,
-    local: LocalNoise,
-    lines: Mapping[str, tuple[float, float]],
+    names_of: tuple[tuple[str, ...], tuple[str, ...]],
+    forces: GaussMarkovForces,
+    lines: Mapping[str, float],
 ) -> Motion:
-    return Motion.of(
-        dataset.vehicle,
-        states,
-        outputs,
-        tau=torch.as_tensor(noise.tau),
-        trim=torch.as_tensor(local.trim)[:, None, :],
-        dt=torch.tensor([dataset.facts[name].dt for name in names], dtype=torch.float64)[:, None, None],
-        lines={channel: hertz for channel, (hertz, _) in lines.items()},
-    )
+    """The filter's model of some flights, for names of states and outputs."""
+    dt = torch.tensor([dataset.facts[name].dt for name in names], dtype=torch.float64)[:, None, None]
+    return Motion.of(dataset.vehicle, *names_of, forces, dt, lines)
 
 
 def _filter(
@@ -206,12 +209,11 @@ def _filter(
     names: Sequence[str],
     motion: Motion,
     noise: LocalNoise,
-    biases: Biases,
-    lines: Mapping[str, tuple[float, float]],
-    wander: Mapping[str, float],
+    sensors: SensorDisturbances,
     device: str,
 ) -> Filtered:
     """Some flights as one batch; shorter ones end in missing samples."""
+    biases, lines, wander = sensors
     inputs = motion.inputs(torch.tensor([dataset.facts[name].samples for name in names]))
     outputs = torch.full((*inputs.shape[:2], len(motion.outputs)), torch.nan, dtype=torch.float64)
     for i, flight in enumerate(dataset.flights[name] for name in names):
@@ -287,16 +289,17 @@ def _noise_shapes(
     return shape, constant
 
 
-def _flight(
-    dataset: Dataset,
-    motion: Motion,
-    got: Filtered,
-    noise: LocalNoise,
-    i: int,
-    name: str,
-    biases: Mapping[str, float],
-) -> ReconstructedFlight:
+class Batch(NamedTuple):
+    """Flights that were filtered together."""
+
+    motion: Motion
+    filtered: Filtered
+    noise: LocalNoise
+
+
+def _flight(dataset: Dataset, batch: Batch, i: int, name: str, biases: Mapping[str, float]) -> ReconstructedFlight:
     """One flight of a batch, free of it."""
+    motion, got, noise = batch
     time, T = dataset.flights[name].time, dataset.facts[name].samples
     assert got.smoothed_means is not None
     assert got.smoothed_covariances is not None

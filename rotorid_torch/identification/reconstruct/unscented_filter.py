@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -226,21 +226,38 @@ def _around(at: Tensor) -> Tensor:
 
 
 def _filter_in_torch(problem: _Given, weights: Weights, smooth: bool) -> Filtered:
-    mean, cov, f, h, R, dt = problem.mean, problem.cov, problem.f, problem.h, problem.R, problem.dt
+    mean, cov = problem.mean, problem.cov
     tape = _Tape(mean, problem.outputs.shape[-2], problem.outputs.shape[-1], smooth)
     points = 2 * mean.shape[-1] + 1
     u = problem.controls.movedim(-2, 0).unsqueeze(-2).expand(-1, *mean.shape[:-1], points, -1)
     y = problem.outputs.movedim(-2, 0)
     missing = y.isnan()
     gaps = missing.flatten(1).any(dim=1).tolist()
-    root_R = root(R)
+    sensors = _Sensors(problem.h, problem.R, root(problem.R))
     for k in range(len(y)):
         if k:
-            mean, cov = _predict(tape, k - 1, f, mean, cov, problem.noise.at(k - 1), u[k - 1], u[k], dt, weights)
-        mean, cov = _update(tape, k, h, mean, cov, R, root_R, u[k], y[k], missing[k] if gaps[k] else None, weights)
+            mean, cov = _predict(tape, problem, weights, k - 1, (mean, cov), u)
+        sample = _Sample(u[k], y[k], missing[k] if gaps[k] else None)
+        mean, cov = _update(tape, sensors, weights, k, (mean, cov), sample)
     if smooth:
         _smooth(tape)
     return tape.result()
+
+
+class _Sensors(NamedTuple):
+    """Outputs h(x, u) and the covariance of their noise, with its root."""
+
+    h: Dynamics
+    R: Tensor
+    root: Tensor
+
+
+class _Sample(NamedTuple):
+    """Controls, outputs, and which outputs are missing (None: none is)."""
+
+    u: Tensor
+    y: Tensor
+    missing: Tensor | None
 
 
 class _Tape:
@@ -273,20 +290,14 @@ class _Tape:
 
 
 def _predict(
-    tape: _Tape,
-    k: int,
-    f: Dynamics,
-    mean: Tensor,
-    cov: Tensor,
-    Q: Tensor,
-    u0: Tensor,
-    u1: Tensor,
-    dt: float,
-    weights: Weights,
+    tape: _Tape, problem: _Given, weights: Weights, k: int, state: tuple[Tensor, Tensor], u: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Process transform from sample k to k + 1; the smoother's gain and the covariance it cannot remove."""
+    (mean, cov), Q = state, problem.noise.at(k)
     offsets, root_weight = sigma_points.offsets(root(cov), weights), sigma_points.root_weights(mean, weights)
-    points = step(lambda t, x, u: f(x, u), torch.zeros(()), mean.unsqueeze(-2) + offsets, u0, u1, dt)
+    points = step(
+        lambda t, x, u: problem.f(x, u), torch.zeros(()), mean.unsqueeze(-2) + offsets, u[k], u[k + 1], problem.dt
+    )
     ahead = sigma_points.mean_of(points, weights)
     spread = root_weight * (points - ahead.unsqueeze(-2))
     cov_ahead = spread.mT @ spread + Q
@@ -299,24 +310,15 @@ def _predict(
 
 
 def _update(
-    tape: _Tape,
-    k: int,
-    h: Dynamics,
-    mean: Tensor,
-    cov: Tensor,
-    R: Tensor,
-    root_R: Tensor,
-    u: Tensor,
-    y: Tensor,
-    missing: Tensor | None,
-    weights: Weights,
+    tape: _Tape, sensors: _Sensors, weights: Weights, k: int, state: tuple[Tensor, Tensor], sample: _Sample
 ) -> tuple[Tensor, Tensor]:
     """Measurement transform on redrawn sigma points; rows that are missing get no cross covariance, so no gain."""
+    (mean, cov), (u, y, missing) = state, sample
     offsets, root_weight = sigma_points.offsets(root(cov), weights), sigma_points.root_weights(mean, weights)
-    points = h(mean.unsqueeze(-2) + offsets, u)
+    points = sensors.h(mean.unsqueeze(-2) + offsets, u)
     expected = sigma_points.mean_of(points, weights)
     start, spread = root_weight * offsets, root_weight * (points - expected.unsqueeze(-2))
-    innovation, S = y - expected, spread.mT @ spread + R
+    innovation, S = y - expected, spread.mT @ spread + sensors.R
     tape.innovation[k], tape.spread[k] = innovation, S
     count = y.shape[-1]
     if missing is not None:
@@ -326,7 +328,7 @@ def _update(
         count = present.sum(dim=-1)
     root_S = torch.linalg.cholesky(S)
     gain = torch.cholesky_solve(spread.mT @ start, root_S).mT
-    factor = torch.cat([start - spread @ gain.mT, (gain @ root_R).mT], dim=-2)
+    factor = torch.cat([start - spread @ gain.mT, (gain @ sensors.root).mT], dim=-2)
     white = torch.linalg.solve_triangular(root_S, innovation.unsqueeze(-1), upper=False).squeeze(-1)
     logdet = root_S.diagonal(dim1=-2, dim2=-1).log().sum(dim=-1)
     tape.log_likelihood -= 0.5 * (white.square().sum(dim=-1) + count * math.log(2.0 * math.pi)) + logdet

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -144,7 +145,8 @@ def draw(prior: Prior, evidence: Evidence, kind: Kind, streams: list[np.random.G
         best = np.minimum(cost, best)
         for k in np.flatnonzero(going):
             one = slice(k, k + 1)
-            step = _step(prior, evidence, normal[k], kind.pick(one), trims.pick(one), deviation[k], left[k], start[k])
+            iterate = Iterate(normal[k], kind.pick(one), trims.pick(one), deviation[k], left[k], start[k])
+            step = _step(prior, evidence, iterate)
             normal[k] += step if trims.converged[k] else -0.5 * normal[k]
     return finish(prior, evidence, closest, kind)
 
@@ -182,17 +184,20 @@ def _compare(prior: Prior, evidence: Evidence, craft: Craft, trims: Trims, geari
     return np.where(np.isfinite(left), left, 0.0)
 
 
-def _step(
-    prior: Prior,
-    evidence: Evidence,
-    normal: Array,
-    kind: Kind,
-    trims: Trims,
-    deviation: Array,
-    left: Array,
-    start: Array,
-) -> Array:
+class Iterate(NamedTuple):
+    """One aircraft on its way to the evidence: deviates, rotor, trim, deviation, what is left of it, where it began."""
+
+    normal: Array
+    kind: Kind
+    trims: Trims
+    deviation: Array
+    left: Array
+    start: Array
+
+
+def _step(prior: Prior, evidence: Evidence, iterate: Iterate) -> Array:
     """One Gauss-Newton step of one aircraft's deviates, [number]."""
+    normal, kind, trims, deviation, left, start = iterate
     size = len(normal)
     bumped = normal + BUMP * np.eye(size)
     craft = prior.craft(bumped, kind.repeat(size))

@@ -38,7 +38,7 @@ from rotorid_torch.simulation.helicopter.rotor import (
     tilting,
 )
 from rotorid_torch.simulation.helicopter.section import Array
-from rotorid_torch.simulation.helicopter.slung_load import Pull, cable_pull, swing_rates, to_earth, turned
+from rotorid_torch.simulation.helicopter.slung_load import Pull, Surroundings, cable_pull, swing_rates, to_earth, turned
 from rotorid_torch.simulation.helicopter.tail import tail_rotor
 
 
@@ -157,13 +157,13 @@ def _inflow(
 ) -> tuple[Array, Array]:
     """Rates of the inflow and the wake's sweep; the rates of its curvature, where it has one, go into `dx`."""
     wake, speed, inflow = aircraft.wake, x[SPEED], x[INFLOW]
-    advance, climb = over_tip[:2] * wake.translation, over_tip[2]
+    swept = np.stack([over_tip[0] * wake.translation, over_tip[1] * wake.translation, over_tip[2]])
     if not wake.distortion:
-        return inflow_rates(inflow, loading, advance, climb, speed, wake)
+        return inflow_rates(inflow, loading, swept, speed, wake)
     curvature, shaft = x[aircraft.curvature_rows], aircraft.rotor.to_shaft @ x[RATES]
     tilt = tilting(motion, shaft, speed)
-    dx[aircraft.curvature_rows] = curvature_rates(curvature, tilt, inflow[0], advance, climb, speed)
-    return inflow_rates(inflow, loading, advance, climb, speed, wake, curvature)
+    dx[aircraft.curvature_rows] = curvature_rates(curvature, tilt, inflow[0], swept[:2], swept[2], speed)
+    return inflow_rates(inflow, loading, swept, speed, wake, curvature)
 
 
 def _pull(aircraft: Aircraft, x: Array, air_motion: Array | None) -> Pull | None:
@@ -171,8 +171,8 @@ def _pull(aircraft: Aircraft, x: Array, air_motion: Array | None) -> Pull | None
     if aircraft.load is None:
         return None
     through = x[BODY] if air_motion is None else x[BODY] - air_motion
-    density, gravity = aircraft.air_density, aircraft.gravity
-    return cable_pull(aircraft.load, x[aircraft.swing_rows], through, x[RATES], to_earth(x[EULER]), density, gravity)
+    surroundings = Surroundings(to_earth(x[EULER]), aircraft.air_density, aircraft.gravity)
+    return cable_pull(aircraft.load, x[aircraft.swing_rows], through, x[RATES], surroundings)
 
 
 def _airframe_loads(

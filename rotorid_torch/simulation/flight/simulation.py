@@ -14,7 +14,7 @@ from rotorid_torch.simulation.flight.motion import Motion, Outside, rates
 from rotorid_torch.simulation.flight.runge_kutta import runge_kutta
 from rotorid_torch.simulation.flight.trim import STEP_ANGLE, Trim
 from rotorid_torch.simulation.helicopter.aircraft import CONTROLS, EULER, PLACE, Aircraft
-from rotorid_torch.simulation.helicopter.atmosphere import gusts
+from rotorid_torch.simulation.helicopter.atmosphere import Passage, gusts
 from rotorid_torch.simulation.helicopter.control_path import History
 from rotorid_torch.simulation.helicopter.section import Array
 
@@ -124,8 +124,9 @@ class _Surroundings:
         self.gusts = None
         if aircraft.turbulence is not None:
             wind = np.hypot(*aircraft.wind[:2]) if aircraft.wind else 0.0
-            places = [(name, one.state[11], max(one.speed, wind)) for name, one in zip(flights, trims, strict=True)]
-            rows = [gusts(aircraft.turbulence, z, v, dt, len(times), name, seed) for name, z, v in places]
+            passages = [Passage(one.state[11], max(one.speed, wind)) for one in trims]
+            every = zip(flights, passages, strict=True)
+            rows = [gusts(aircraft.turbulence, passage, dt, len(times), name, seed) for name, passage in every]
             entry = np.clip((np.arange(len(times) + 1) * dt) / (0.5 * ENTRY), 0.0, 1.0)
             at_steps = np.stack(rows, axis=2) * entry[None, :, None]
             self.gusts = np.stack(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zlib
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.signal import bilinear, lfilter
@@ -32,7 +33,14 @@ def scale_lengths(height: float) -> tuple[float, float, float]:
     return along * FOOT, along * FOOT, feet * FOOT
 
 
-def gusts(turbulence: Turbulence, height: float, speed: float, dt: float, steps: int, flight: str, seed: int) -> Array:
+class Passage(NamedTuple):
+    """How a flight passes through the air: height above ground, m, and speed, m/s."""
+
+    height: float
+    speed: float
+
+
+def gusts(turbulence: Turbulence, passage: Passage, dt: float, steps: int, flight: str, seed: int) -> Array:
     """Gust velocity of one flight in body axes at steps 0 to `steps`, m/s, [3, steps + 1]; stationary from the start.
 
     Every flight has a stream of its own, which neither other flights nor another length change.
@@ -40,8 +48,8 @@ def gusts(turbulence: Turbulence, height: float, speed: float, dt: float, steps:
     Source: MIL-F-8785C, section 3.7 (Dryden form); shaping filters by spectral factorisation.
     """
     out = np.empty((3, steps + 1))
-    passing = max(speed, DRIFT)
-    for k, length in enumerate(scale_lengths(height)):
+    passing = max(passage.speed, DRIFT)
+    for k, length in enumerate(scale_lengths(passage.height)):
         lag = length / passing
         run_up = int(SETTLING * lag / dt)
         stream = np.random.default_rng([seed, zlib.crc32(f"{flight}/gust/{k}".encode())])

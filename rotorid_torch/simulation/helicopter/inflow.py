@@ -50,13 +50,7 @@ def wake_sweep(advance: Array, through: Array) -> Array:
 
 
 def inflow_rates(
-    inflow: Array,
-    loading: Array,
-    advance: Array,
-    climb: Array,
-    speed: Array,
-    wake: Wake = PLAIN,
-    curvature: Array | None = None,
+    inflow: Array, loading: Array, over_tip: Array, speed: Array, wake: Wake = PLAIN, curvature: Array | None = None
 ) -> tuple[Array, Array]:
     """Rates of the inflow states, and the wake's sweep.
 
@@ -67,8 +61,7 @@ def inflow_rates(
     ----------
     inflow : (3, ...) lambda0, lambda_c (along aft), lambda_s (along right).
     loading : (3, ...) thrust coefficient and its first moments along (aft, right), aerodynamic only.
-    advance : (2, ...) hub velocity over tip speed along (aft, right).
-    climb : (...) hub velocity over tip speed along the shaft, positive up.
+    over_tip : (3, ...) hub velocity over tip speed along (aft, right), and along the shaft, positive up.
     speed : (...) rotor speed, rad/s.
     wake : its apparent mass and distortion count here.
     curvature : (2, ...) of the wake along (aft, right), see `curvature_rates`; None for a straight wake.
@@ -80,7 +73,7 @@ def inflow_rates(
     Source: Pitt and Peters, Vertica 5 (1981); Peters and HaQuang, J. AHS 33(4) (1988): L and mass-flow matrices;
     Zhao, Prasad, Peters, AHS Forum 60 (2004): gradient by a curved wake, which fades as the wake is swept away.
     """
-    mean, gradient = inflow[0], inflow[1:]
+    mean, gradient, advance, climb = inflow[0], inflow[1:], over_tip[:2], over_tip[2]
     through = mean + climb
     planar = (advance * advance).sum(0)
     total = np.sqrt(planar + through * through) + 1e-9

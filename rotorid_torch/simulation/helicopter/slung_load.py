@@ -11,6 +11,7 @@ Source: Cicolani and Kanning, NASA TP-3280 (equations of slung-load systems), fo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -65,17 +66,23 @@ def turned(matrix: Array, vector: Array) -> Array:
     return (matrix * vector[None]).sum(1)
 
 
-def cable_pull(
-    load: SlungLoad, swing: Array, velocity: Array, omega: Array, earth: Array, density: float, gravity: float
-) -> Pull:
+class Surroundings(NamedTuple):
+    """Where the load hangs: `to_earth` [3, 3, flight], air density, kg/m^3, gravity, m/s^2."""
+
+    earth: Array
+    density: float
+    gravity: float
+
+
+def cable_pull(load: SlungLoad, swing: Array, velocity: Array, omega: Array, surroundings: Surroundings) -> Pull:
     """What the cable does to the hook, but for the part that the unknown accelerations bring.
 
     Parameters
     ----------
     swing : [4, flight] north and east component of the cable's direction, and their rates, 1/s.
     velocity, omega : [3, flight] of the centre of gravity through the air (m/s) and of the body (rad/s), body axes.
-    earth : [3, 3, flight] `to_earth`.
     """
+    earth, density, gravity = surroundings
     north, east, dn, de = swing
     down = np.sqrt(np.maximum(1.0 - north * north - east * east, 0.01))
     c, rate = np.stack([north, east, down]), np.stack([dn, de, -(north * dn + east * de) / down])

@@ -216,7 +216,7 @@ def respond(craft: Craft, setting: Setting, x: Array, u: Array) -> tuple[Array, 
     dx = np.zeros_like(x)
     over_tip = at_hub / (speed * craft.radius)
     driven = loading * craft.inflow_gain[[0, 1, 1]]
-    rates, sweep = inflow_rates(x[INFLOW], driven, over_tip[:2], over_tip[2], speed)
+    rates, sweep = inflow_rates(x[INFLOW], driven, over_tip, speed)
     dx[INFLOW] = rates * craft.inflow_speed[[0, 1, 1]]
     force, moment, dx[TAIL_INFLOW] = airframe_loads(craft, x, u[3], sweep)
     loads[:3] += force

@@ -11,7 +11,7 @@ from rotorid_torch.core.names import ATTITUDES, FORCES, MOMENTS, POSITIONS, RATE
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.schema import Vehicle
 from rotorid_torch.data.velocities import with_velocities
-from rotorid_torch.identification.reconstruct.motion import Motion
+from rotorid_torch.identification.reconstruct.motion import GaussMarkovForces, Motion
 from rotorid_torch.identification.reconstruct.observability import left_out, observable, seen
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 
@@ -27,7 +27,8 @@ def data(*channels: str) -> Dataset:
 
 def motion(states: tuple[str, ...], outputs: tuple[str, ...]) -> Motion:
     one = torch.ones(1, 1, 1, dtype=torch.float64)
-    return Motion.of(Vehicle(), states, outputs, tau=1e9 * torch.ones(6).double(), trim=torch.zeros(1, 1, 6), dt=one)
+    forces = GaussMarkovForces(1e9 * torch.ones(6).double(), torch.zeros(1, 1, 6))
+    return Motion.of(Vehicle(), states, outputs, forces, one)
 
 
 @pytest.mark.parametrize(

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from rotorid_torch.simulation.helicopter.atmosphere import Turbulence, gusts, scale_lengths
+from rotorid_torch.simulation.helicopter.atmosphere import Passage, Turbulence, gusts, scale_lengths
 
 DT = 1.0 / 308.0
 
 
 def flown(flight: str = "a", seed: int = 0, steps: int = 4620) -> np.ndarray:
     """15 s of gusts of 1.5 m/s at 20 m/s and 27.4 m."""
-    return gusts(Turbulence(1.5), 27.4, 20.0, DT, steps, flight, seed)
+    return gusts(Turbulence(1.5), Passage(27.4, 20.0), DT, steps, flight, seed)
 
 
 def test_scale_lengths_are_the_specification():

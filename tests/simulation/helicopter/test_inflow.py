@@ -10,7 +10,8 @@ def steady(loading: np.ndarray, advance: np.ndarray, climb: float) -> np.ndarray
     """Inflow at which the rates vanish, by relaxation."""
     inflow = np.array([[0.05], [0.0], [0.0]])
     for _ in range(4000):
-        rate, _ = inflow_rates(inflow, loading[:, None], advance[:, None], np.array([climb]), np.array([27.0]))
+        over_tip = np.array([*advance, climb])[:, None]
+        rate, _ = inflow_rates(inflow, loading[:, None], over_tip, np.array([27.0]))
         inflow = inflow + 2e-3 * rate
     return inflow[:, 0]
 
