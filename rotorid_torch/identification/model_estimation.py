@@ -118,25 +118,25 @@ def estimate_model(
     flights = records(model, dataset, reconstruction, ranks)
     search = _Search(model, names, settings, device, ranks, monitor)
     decides = method == "auto" and not why_not
-    found, colour = (None, math.nan) if method == "filter-error" else search.estimate(model, flights, decides)
+    estimate, colour = (None, math.nan) if method == "filter-error" else search.estimate(model, flights, decides)
     air = None
-    if found is None:
+    if estimate is None:
         try:
             air = ranks.from_first(find_gusts(model, names, of_all(flights, ranks), sensor_noise(model, dataset)))
-            found, _ = search.estimate(fed(model), fed_in(flights, air, ranks))
-            assert found is not None
-            found = widened(found, torch.maximum(air.variances.nan_to_num(0.0), _regressed(start, names)))
+            estimate, _ = search.estimate(fed(model), fed_in(flights, air, ranks))
+            assert estimate is not None
+            estimate = widened(estimate, torch.maximum(air.variances.nan_to_num(0.0), _regressed(start, names)))
         except Unsupported as error:
             if method == "filter-error":
                 raise InputError("--method", method, f"the model cannot be compiled: {error}", "output-error") from None
             why_not = f"no filter can be compiled for this model: {error}"
-            found, _ = search.estimate(model, flights)
-    assert found is not None
+            estimate, _ = search.estimate(model, flights)
+    assert estimate is not None
     with torch.no_grad():
-        model.theta[places] = found.theta
+        model.theta[places] = estimate.theta
     chosen = "output-error" if air is None else "filter-error"
     whose = tuple(name for part in ranks.gather(ranks.mine(dataset.identify)) for name in part)
-    return Step3(found, names, chosen, sentence(method, chosen, colour, why_not), air, whose if air else ())
+    return Step3(estimate, names, chosen, sentence(method, chosen, colour, why_not), air, whose if air else ())
 
 
 @dataclass(frozen=True)
@@ -216,12 +216,12 @@ def records(model: Model, dataset: Dataset, reconstruction: Reconstruction, rank
     names = ranks.mine(dataset.identify)
     count = [dataset.facts[name].samples // _every(model, dataset.facts[name].dt) for name in names]
     for i, name in enumerate(names):
-        own = _record(model, dataset, reconstruction, name)
+        record = _record(model, dataset, reconstruction, name)
         if batch is None:
-            batch = _empty(own, len(count), max(count))
-        batch.lengths[i], batch.start[i] = own.lengths[0], own.start[0]
-        batch.controls[i], batch.outputs[i, : own.samples] = own.controls[0, -1], own.outputs[0]
-        batch.controls[i, : own.samples], batch.states[i, : own.samples] = own.controls[0], own.states[0]
+            batch = _empty(record, len(count), max(count))
+        batch.lengths[i], batch.start[i] = record.lengths[0], record.start[0]
+        batch.controls[i], batch.outputs[i, : record.samples] = record.controls[0, -1], record.outputs[0]
+        batch.controls[i, : record.samples], batch.states[i, : record.samples] = record.controls[0], record.states[0]
     mapped_arrays.let_go()
     assert batch is not None
     return replace(batch, dt=ranks.from_first(batch.dt))  # the first flight's, which is the first rank's
@@ -238,9 +238,9 @@ def _idle(model: Model) -> dict[str, float]:
     Those of effects that act already are left out. From nothing no slope leads to them; from there a smaller size is
     found too.
     """
-    known, values = model.parameter_set.parameters, model.named_values
-    acting = {p.name.rpartition(".")[0] for p in known if p.met and values[p.name] != p.value}
-    idle = [p for p in known if p.met and p.free and values[p.name] == p.value]
+    parameters, values = model.parameter_set.parameters, model.named_values
+    acting = {p.name.rpartition(".")[0] for p in parameters if p.met and values[p.name] != p.value}
+    idle = [p for p in parameters if p.met and p.free and values[p.name] == p.value]
     resting = [p for p in idle if p.name.rpartition(".")[0] not in acting]
     return {p.name: min(p.met, key=lambda size: abs(size - p.value)) for p in resting}
 

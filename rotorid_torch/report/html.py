@@ -100,8 +100,8 @@ def _fits(report: Report) -> list[tuple[str, FitRecord]]:
 
 
 def _caption(name: str) -> str:
-    known = next((key for key in CAPTIONS if name == key or name.startswith(f"{key}_")), None)
-    if known is None:
+    caption_key = next((key for key in CAPTIONS if name == key or name.startswith(f"{key}_")), None)
+    if caption_key is None:
         return name
-    flight = name[len(known) + 1 :]
-    return f"{flight}: {CAPTIONS[known].lower()}" if flight else CAPTIONS[known]
+    flight = name[len(caption_key) + 1 :]
+    return f"{flight}: {CAPTIONS[caption_key].lower()}" if flight else CAPTIONS[caption_key]

@@ -54,13 +54,13 @@ def _short(title: str, fit: FitRecord) -> Table:
     lists = short_horizon(fit)
     table = Table(title=title, title_justify="left")
     table.add_column("")
-    for found in lists:
-        table.add_column(f"{found.name} ({found.flights})", justify="right")
-    for name in dict.fromkeys(name for found in lists for name in found.responses):
-        values = (found.responses.get(name) for found in lists)
+    for one in lists:
+        table.add_column(f"{one.name} ({one.flights})", justify="right")
+    for name in dict.fromkeys(name for one in lists for name in one.responses):
+        values = (one.responses.get(name) for one in lists)
         table.add_row(f"R² of {NAMES.get(name, name)}", *map(_number, values))
     for p in lists[0].predictions:
-        same = ({(q.quantity, q.seconds): q for q in found.predictions}.get((p.quantity, p.seconds)) for found in lists)
+        same = ({(q.quantity, q.seconds): q for q in one.predictions}.get((p.quantity, p.seconds)) for one in lists)
         cells = ("-" if q is None else f"{q.error:.3g} ({q.held:.3g})" for q in same)
         table.add_row(f"{p.quantity} after {p.seconds:g} s, {p.unit} (held)", *cells)
     return table

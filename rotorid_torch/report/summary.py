@@ -278,8 +278,8 @@ def _steps_of_responses(fit: FitRecord, traced: bool) -> Iterator[str]:
 
 def at_an_edge(parameters: Iterable[ParameterRecord]) -> list[str]:
     """Parameters on a bound of their range; nothing of something and a time too short to be seen are no such bounds."""
-    told = (p for p in parameters if p.at_bound and p.status != "nuisance")
-    return [p.name for p in told if not (p.value == p.bounds[0] == 0.0 or _unresolved(p))]
+    bounded = (p for p in parameters if p.at_bound and p.status != "nuisance")
+    return [p.name for p in bounded if not (p.value == p.bounds[0] == 0.0 or _unresolved(p))]
 
 
 def at_once(parameters: Iterable[ParameterRecord]) -> list[str]:
@@ -309,8 +309,8 @@ def _steps_of_parameters(parameters: Iterable[ParameterRecord]) -> Iterator[str]
 
 
 def _listed(parameters: list[str], shown: int = 4) -> str:
-    rest = f" and {len(parameters) - shown} more" if len(parameters) > shown else ""
-    return ", ".join(parameters[:shown]) + rest
+    remainder = f" and {len(parameters) - shown} more" if len(parameters) > shown else ""
+    return ", ".join(parameters[:shown]) + remainder
 
 
 def _text(value: float | None) -> str:
@@ -319,5 +319,5 @@ def _text(value: float | None) -> str:
 
 def _rms(values: Iterable[float | None]) -> float | None:
     """Of values that are known; a flight without a sample that could be scored has none (NaN), as in the lists' J."""
-    known = [value for value in values if value is not None and not math.isnan(value)]
-    return math.sqrt(sum(v * v for v in known) / len(known)) if known else None
+    finite = [value for value in values if value is not None and not math.isnan(value)]
+    return math.sqrt(sum(v * v for v in finite) / len(finite)) if finite else None

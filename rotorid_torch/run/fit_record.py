@@ -72,12 +72,12 @@ def parameter_records(model: Model, step3: Step3) -> tuple[ParameterRecord, ...]
     """Every parameter of the model; those that step 3 left alone are frozen."""
     minimum, se = step3.fit.minimum, step3.fit.uncertainty.standard_errors
     place = {name: i for i, name in enumerate(step3.names)}
-    made = []
+    records = []
     for k, declared in enumerate(model.parameter_set.parameters):
         i = place.get(declared.name)
         blind = i is not None and bool(minimum.not_identifiable[i])
         estimated: Status = "nuisance" if declared.nuisance else "not identifiable" if blind else "free"
-        made.append(
+        records.append(
             ParameterRecord(
                 name=declared.name,
                 value=float(model.theta.detach()[k]),
@@ -88,7 +88,7 @@ def parameter_records(model: Model, step3: Step3) -> tuple[ParameterRecord, ...]
                 status="frozen" if i is None else estimated,
             )
         )
-    return tuple(made)
+    return tuple(records)
 
 
 def judge(model: Model, dataset: Dataset, ranks: Ranks = ALONE) -> Judged:
@@ -136,8 +136,8 @@ def _without_free_run(model: Model, dataset: Dataset, name: str, record: FlightR
     """
     flight = dataset.flights[name]
     explained = {
-        name: ResponseRecord(rmse=found.rmse, r2=found.r2, unit=RESPONSE_UNITS.get(name, "rad/s"))
-        for name, found in responses(model, flight).items()
+        name: ResponseRecord(rmse=response.rmse, r2=response.r2, unit=RESPONSE_UNITS.get(name, "rad/s"))
+        for name, response in responses(model, flight).items()
     }
     ahead = tuple(
         PredictionRecord(quantity=p.quantity, seconds=p.seconds, unit=UNITS[p.quantity], error=p.error, held=p.held)

@@ -48,11 +48,11 @@ def reconstruct(dataset: Dataset, out: str | Path, *, seed: int = 0, monitor: Mo
     dataset, monitor = with_velocities(dataset), monitor or Monitor()
     with run_folder(out, "reconstruct") as folder, monitor.recording(folder):
         with monitor.step("reconstruct"):
-            found = step1.reconstruct(dataset)
-        write_reconstruction(found, folder)
-        told = [*remarks.of_reading(dataset), *found.notes]
-        write_report(folder, _report("reconstruct", dataset, seed, monitor, None, told), (), monitor)
-    return found
+            reconstruction = step1.reconstruct(dataset)
+        write_reconstruction(reconstruction, folder)
+        notes = [*remarks.of_reading(dataset), *reconstruction.notes]
+        write_report(folder, _report("reconstruct", dataset, seed, monitor, None, notes), (), monitor)
+    return reconstruction
 
 
 def identify(
@@ -90,13 +90,13 @@ def identify(
     ranks.refuse_more_than(len(dataset.identify))
     torch.manual_seed(seed)
     with ExitStack() as stack:
-        folder, kept = None, Checkpoint()
+        folder, results = None, Checkpoint()
         if out is not None and ranks.first:
             key = _key(dataset, effects, seed, method)
-            kept = stack.enter_context(checkpoint(out, key, resume=resume, keep=resume or ranks.size > 1))
+            results = stack.enter_context(checkpoint(out, key, resume=resume, keep=resume or ranks.size > 1))
             folder = stack.enter_context(run_folder(out, "identify"))
             stack.enter_context(monitor.recording(folder))
-        run = identified(dataset, effects, seed, Steps(monitor, ranks, kept, device, method))
+        run = identified(dataset, effects, seed, Steps(monitor, ranks, results, device, method))
         if folder is not None:
             run.write(folder, monitor)
     return run
@@ -117,24 +117,24 @@ def _key(dataset: Dataset, effects: Sequence[str], seed: int, method: str) -> di
 def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps) -> Run:
     """The three steps, free runs and scores."""
     dataset = with_velocities(dataset)
-    seen, monitor = at_one_rate(dataset), steps.monitor
+    uniform, monitor = at_one_rate(dataset), steps.monitor
     reconstruction = steps.reconstruct(
-        tuple(seen.flights), lambda: step1.reconstruct(seen, None, steps.ranks, steps.device)
+        tuple(uniform.flights), lambda: step1.reconstruct(uniform, None, steps.ranks, steps.device)
     )
-    first = steps.do("structure", "structure", lambda: propose(seen, reconstruction, effects))
-    spec, model, regressions, estimate = _best_structure(first, seen, reconstruction, steps)
+    first = steps.do("structure", "structure", lambda: propose(uniform, reconstruction, effects))
+    spec, model, regressions, estimate = _best_structure(first, uniform, reconstruction, steps)
     with monitor.step("validate"):
         judged = judge(model, dataset, steps.ranks)
-        flights = with_gusts(judged.flights, model, estimate, dataset, seen, reconstruction, steps.ranks)
+        flights = with_gusts(judged.flights, model, estimate, dataset, uniform, reconstruction, steps.ranks)
         judged = replace(judged, flights=flights)
     fit = fit_record(model, spec, estimate, judged)
-    told = remarks_on(seen, spec, fit, reconstruction, regressions, estimate)
-    report = _report("identify", seen, seed, monitor, fit, told)
+    notes = remarks_on(uniform, spec, fit, reconstruction, regressions, estimate)
+    report = _report("identify", uniform, seed, monitor, fit, notes)
     run = Run(model, spec, fit, report, reconstruction, regressions, estimate, judged.overlays)
     if not effects:
         return run
     with monitor.step("trace"):
-        run = with_evidence(run, seen, effects, seed)
+        run = with_evidence(run, uniform, effects, seed)
     return replace(run, record=msgspec.structs.replace(run.record, time_s=monitor.time_record()))
 
 
@@ -151,18 +151,23 @@ def _best_structure(
 
 
 def remarks_on(
-    seen: Dataset, spec: ModelSpec, fit: FitRecord, reconstruction: Reconstruction, regressions: Step2, estimate: Step3
+    dataset: Dataset,
+    spec: ModelSpec,
+    fit: FitRecord,
+    reconstruction: Reconstruction,
+    regressions: Step2,
+    estimate: Step3,
 ) -> list[str]:
     """What people should know of the flights that the steps saw, of the steps, and of the fit they came to."""
     return [
-        *remarks.of_check(seen),
-        *remarks.of_reading(seen),
+        *remarks.of_check(dataset),
+        *remarks.of_reading(dataset),
         *reconstruction.notes,
-        *remarks.of_clocks(seen),
-        *remarks.of_controls(seen, regressions.own_share),
+        *remarks.of_clocks(dataset),
+        *remarks.of_controls(dataset, regressions.own_share),
         *remarks.of_regressions(regressions),
         *remarks.of_estimate(estimate, fit),
-        *limits.of_channels(seen, spec),
+        *limits.of_channels(dataset, spec),
         *limits.of_rotors(spec, fit),
         *limits.of_flapping(fit),
     ]
@@ -183,13 +188,13 @@ def refuse(dataset: Dataset, effects: Sequence[str], device: str, method: str = 
         raise InputError("--device", device, "no CUDA device is available here", "cpu")
     refuse_lacks(dataset)
     others = of_others()
-    own = [name for name in effects if name in others]
-    if own:
-        refuse_faulty(own, propose(with_velocities(dataset), None))
+    foreign = [name for name in effects if name in others]
+    if foreign:
+        refuse_faulty(foreign, propose(with_velocities(dataset), None))
 
 
 def _report(
-    command: str, dataset: Dataset, seed: int, monitor: Monitor, fit: FitRecord | None, told: Sequence[str]
+    command: str, dataset: Dataset, seed: int, monitor: Monitor, fit: FitRecord | None, warnings: Sequence[str]
 ) -> Report:
     return Report(
         command=command,
@@ -198,5 +203,5 @@ def _report(
         time_s=monitor.time_record(),
         peak_memory_mb=peak_memory_mb(),
         before=fit,
-        warnings=tuple(told),
+        warnings=tuple(warnings),
     )

@@ -126,8 +126,8 @@ def write_gusts(found: Step3, folder: Path) -> None:
         np.savez(folder / "gusts" / f"{name}.npz", time=time, **columns)  # pyright: ignore[reportArgumentType]
 
 
-def write_reconstruction(found: Reconstruction, folder: Path) -> None:
+def write_reconstruction(reconstruction: Reconstruction, folder: Path) -> None:
     """Motion and forces of every flight as step 1 found them, NAME.npz each."""
     (folder / "reconstruct").mkdir(exist_ok=True)
-    for name in found.flights:
-        np.savez(folder / "reconstruct" / f"{name}.npz", **found.arrays(name))  # pyright: ignore[reportArgumentType]
+    for name in reconstruction.flights:
+        np.savez(folder / "reconstruct" / f"{name}.npz", **reconstruction.arrays(name))  # pyright: ignore[reportArgumentType]

@@ -108,8 +108,8 @@ class Fit:
         """Covariance of the parameters; all ranks ask for it together."""
         if self.known is not None:
             return self.known
-        problem, found = self.likelihood, self.minimum
-        return uncertainty(problem, found.point, found.linear, _told(found), _loss(problem, found))
+        problem, minimum = self.likelihood, self.minimum
+        return uncertainty(problem, minimum.point, minimum.linear, _told(minimum), _loss(problem, minimum))
 
     @property
     def theta(self) -> Tensor:
@@ -189,22 +189,22 @@ def fit(
             stages.account.append(f"segments of {samples * records.dt:.3g} s: diverge, not tried")
             rough = True  # as the stage before it was
             break
-        found = stages.solve(
+        minimum = stages.solve(
             problem, start, _options(settings.options, rough, tentative=best is not None and settings.lengths is None)
         )
-        stages.tell(samples, found)
-        if best is not None and not _as_good(best[1], found, chosen=settings.lengths is not None):
+        stages.tell(samples, minimum)
+        if best is not None and not _as_good(best[1], minimum, chosen=settings.lengths is not None):
             stages.account[-1] += ", not kept"
             rough = True  # as the stage before it was
             break
-        if best is None and ends is not None and ends(problem, found.point):
-            return Fit(problem, found, tuple(stages.account), settings.floor)
-        best = problem, found
-        theta, states = found.point.theta, problem.states_at(found.point, states)
-        samples = stages.next(samples, problem, found.point)
+        if best is None and ends is not None and ends(problem, minimum.point):
+            return Fit(problem, minimum, tuple(stages.account), settings.floor)
+        best = problem, minimum
+        theta, states = minimum.point.theta, problem.states_at(minimum.point, states)
+        samples = stages.next(samples, problem, minimum.point)
     assert best is not None
-    problem, found = stages.finish(*best, rough)
-    return Fit(problem, found, tuple(stages.account), settings.floor)
+    problem, minimum = stages.finish(*best, rough)
+    return Fit(problem, minimum, tuple(stages.account), settings.floor)
 
 
 def _told(minimum: Minimum[Place]) -> Tensor:
@@ -329,9 +329,9 @@ class _Stages:
         """The likelihood on segments of this length, and the place to start from."""
         s, segments = self.settings, cut(self.records, samples)
         ny, nx, count = self.records.outputs.shape[-1], self.records.states.shape[-1], len(theta)
-        x0, given = segments.first(states), segments.first(self.records.states)
+        x0, measured = segments.first(states), segments.first(self.records.states)
         spread = torch.full((nx,), math.inf, dtype=torch.float64) if s.x0_sd is None else s.x0_sd
-        sd = torch.where(given.isnan(), math.inf, spread)
+        sd = torch.where(measured.isnan(), math.inf, spread)
         problem = Likelihood(
             system=self.system,
             engine=self.engine,
@@ -340,7 +340,7 @@ class _Stages:
             states=states,
             noise=Noise(s.noise, smallest_noise(self.records, self.ranks) if s.floor is None else s.floor, s.matrix),
             x0=filled(x0, self.records, segments),
-            x0_mean=given.nan_to_num(0.0),
+            x0_mean=measured.nan_to_num(0.0),
             x0_sd=None if fixed else sd,
             prior_mean=theta if s.prior_mean is None else s.prior_mean,
             prior_sd=torch.full((count,), math.inf, dtype=torch.float64) if s.prior_sd is None else s.prior_sd,
@@ -351,23 +351,23 @@ class _Stages:
             problem = replace(problem, x0=torch.where(x0.isnan(), fitted_states(problem, theta), x0))
         return problem, problem.evaluate(theta)
 
-    def tell(self, samples: int, found: Minimum[Place]) -> None:
+    def tell(self, samples: int, minimum: Minimum[Place]) -> None:
         """A line of the account."""
         self.account.append(
-            f"segments of {samples * self.records.dt:.3g} s: {found.message} ({found.iterations} iterations)"
+            f"segments of {samples * self.records.dt:.3g} s: {minimum.message} ({minimum.iterations} iterations)"
         )
 
-    def finish(self, problem: Likelihood, found: Minimum[Place], rough: bool) -> tuple[Likelihood, Minimum[Place]]:
+    def finish(self, problem: Likelihood, minimum: Minimum[Place], rough: bool) -> tuple[Likelihood, Minimum[Place]]:
         """The last stage kept, brought to the optimum, with initial states held where they are to be believed."""
         if self.settings.x0 == "fixed":
-            problem, start = self.open(found.point.theta, self.records.states, self.whole, fixed=True)
+            problem, start = self.open(minimum.point.theta, self.records.states, self.whole, fixed=True)
         elif not rough:
-            return problem, found
+            return problem, minimum
         else:
-            start = found.point
-        found = self.solve(problem, start, self.settings.options)
-        self.tell(problem.longest, found)
-        return problem, found
+            start = minimum.point
+        minimum = self.solve(problem, start, self.settings.options)
+        self.tell(problem.longest, minimum)
+        return problem, minimum
 
     def solve(self, problem: Likelihood, start: Place, options: Options) -> Minimum[Place]:
         """The minimum from a place."""

@@ -184,11 +184,11 @@ def alternated(
     masks = [torch.zeros_like(psi, dtype=torch.bool) for _ in range(2)]
     for k in range(rounds):
         noises = InnovationLikelihood(Noises(filter, psi[:held]), x0, free=False)
-        told = minimise(noises.evaluate, noises.linearise, psi[held:], lower[held:], upper[held:], options=NOISES)
-        psi = torch.cat([psi[:held], told.point.theta])
+        noise_fit = minimise(noises.evaluate, noises.linearise, psi[held:], lower[held:], upper[held:], options=NOISES)
+        psi = torch.cat([psi[:held], noise_fit.point.theta])
         following = replace(following, gains=filter.gains(psi, x0))
         likelihood = InnovationLikelihood(following, x0, free)
-        found = minimise(
+        fit = minimise(
             likelihood.evaluate,
             likelihood.linearise,
             psi[:count],
@@ -199,12 +199,12 @@ def alternated(
         )
         masks = [
             torch.cat([one[:held], other])
-            for one, other in ((found.at_bound, told.at_bound), (found.not_identifiable, told.not_identifiable))
+            for one, other in ((fit.at_bound, noise_fit.at_bound), (fit.not_identifiable, noise_fit.not_identifiable))
         ]
-        moved = _believed(filter, psi, x0, found.point, told.point.cost)
+        moved = _believed(filter, psi, x0, fit.point, noise_fit.point.cost)
         if moved is not None:
             psi, x0 = moved
-        history.append(told.point.cost if moved is None else float(filter.cost(psi, x0).sum()))
+        history.append(noise_fit.point.cost if moved is None else float(filter.cost(psi, x0).sum()))
         if monitor is not None:
             monitor(k + 1, history[-1], psi[:count])
         settled = history[-2] - history[-1] < ENOUGH

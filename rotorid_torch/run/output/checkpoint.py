@@ -71,8 +71,8 @@ class Checkpoint:
         except FileNotFoundError:
             return None
         except (OSError, Damaged) as error:
-            told = reason(error) if isinstance(error, OSError) else error
-            say_once(f"{self.folder}: the file of a finished step {told}; the step is done once more")
+            why = reason(error) if isinstance(error, OSError) else error
+            say_once(f"{self.folder}: the file of a finished step {why}; the step is done once more")
             return None
         return _made(torch.load(io.BytesIO(content), weights_only=True))
 
@@ -85,8 +85,8 @@ class Checkpoint:
         try:
             write_sealed(self.folder / f"{name}.pt", name, buffer.getvalue())
         except OSError as error:
-            told = f"{self.folder} cannot be written to ({reason(error)})"
-            say(f"{told}; a later --resume will repeat what is not kept")
+            why = f"{self.folder} cannot be written to ({reason(error)})"
+            say(f"{why}; a later --resume will repeat what is not kept")
             return False
         return True
 
@@ -154,15 +154,15 @@ def _taken(folder: Path) -> int | None:
 def _prepare(folder: Path, key: Mapping[str, str], out: str | Path, resume: bool) -> None:
     """Empty the folder, or with `resume` see that it belongs to the same run; write the key."""
     file = folder / "key.json"
-    found: dict[str, str] = {}
+    stored: dict[str, str] = {}
     with suppress(OSError, ValueError):
-        found = json.loads(file.read_text(encoding="utf-8"))
-    differing = [word for word in key if found and found.get(word) != key[word]]
+        stored = json.loads(file.read_text(encoding="utf-8"))
+    differing = [word for word in key if stored and stored.get(word) != key[word]]
     if resume and differing:
         word = differing[0]
-        wrong = f"the interrupted run has another {word} ({found.get(word)})"
+        wrong = f"the interrupted run has another {word} ({stored.get(word)})"
         raise InputError(out, "--resume", wrong, f"{key[word]}, or no --resume to begin anew")
-    if not (resume and found):
+    if not (resume and stored):
         refuse_foreign(folder, ("key.json", "*.pt", "*.partial"), "an interrupted run")
         for leftover in folder.iterdir():
             leftover.unlink()
@@ -181,37 +181,37 @@ class Steps:
 
     def do(self, step: str, name: str, make: Callable[[], Result]) -> Result:
         """The result kept under `name`, or made now, timed as `step`, and kept."""
-        found = self._known(step, name)
-        if found is None:
+        result = self._known(step, name)
+        if result is None:
             with self.monitor.step(step):
-                found = make()
+                result = make()
             give_back()
-            self.kept.write(name, found, self.monitor.say)
-        return found
+            self.kept.write(name, result, self.monitor.say)
+        return result
 
     def reconstruct(self, names: tuple[str, ...], make: Callable[[], Reconstruction]) -> Reconstruction:
         """The same for step 1 on these flights, which lie in files of their own."""
-        found = self._known("reconstruct", "reconstruct")
-        if found is not None:
+        stored = self._known("reconstruct", "reconstruct")
+        if stored is not None:
             flights = OnDemand[ReconstructedFlight](names, costly=True)
             for name in names:
                 flights.keep(name, self.ranks.from_first(self.kept.read(f"reconstruct-{name}")))
-            return Reconstruction(**{**found, "flights": flights})
+            return Reconstruction(**{**stored, "flights": flights})
         with self.monitor.step("reconstruct"):
-            made = make()
+            result = make()
             give_back()
             if self.kept.folder is not None and all(
-                self.kept.write(f"reconstruct-{name}", made.flights[name], self.monitor.say) for name in names
+                self.kept.write(f"reconstruct-{name}", result.flights[name], self.monitor.say) for name in names
             ):
-                whole = {**vars(made), "flights": {}}  # it says that all flights are there
+                whole = {**vars(result), "flights": {}}  # it says that all flights are there
                 self.kept.write("reconstruct", whole, self.monitor.say)
-        return made
+        return result
 
     def _known(self, step: str, name: str) -> Any:
-        found = self.ranks.from_first(self.kept.read(name))
-        if found is not None:
+        result = self.ranks.from_first(self.kept.read(name))
+        if result is not None:
             self.monitor.say(f"{step}: taken from the interrupted run")
-        return found
+        return result
 
 
 def _plain(value: Any) -> Any:
