@@ -116,10 +116,11 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
     with monitor.step("trace"):
         shaken = _shaken(right, base)
     if not _rough(shaken) and "filter-error" in (first.estimate.method, base.estimate.method):
-        # what colours the residuals are no gusts: the filter would take what the model lacks for moving air
+        # what colours the residuals is no gusts: the filter would take what the model lacks for moving air
         steps = replace(steps, method="output-error")
         calm = identified(dataset, (), seed, steps)
         first, base = calm, identified(right, (), seed, steps) if sensors.effects else calm
+    steps = replace(steps, method=base.estimate.method)
     flights = Flights(right, base.reconstruction)
     with monitor.step("trace"):
         tracing = (_rotors_traced if base.spec.motors else _traced)(base, flights, seed, steps)
@@ -145,9 +146,13 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
 
 
 def _shaken(dataset: Dataset, base: Run) -> list[Finding]:
-    """Gusts and vibration in records; of gusts the intensity and length where step 3 found these."""
+    """Gusts and vibration in records; of gusts the intensity and length where step 3 found these.
+
+    Coloured residuals alone name no gusts: a load that sways colours them too.
+    """
     found = stochastic_findings(dataset, base.spec, gust_response(base.model))
-    return [in_turbulence(f, base.estimate.air, base.estimate.why) if f.id == TURBULENCE else f for f in found]
+    air, why = base.estimate.air, base.estimate.why
+    return [in_turbulence(f, air, why) if f.id == TURBULENCE and f.verdict == "accepted" else f for f in found]
 
 
 def _rough(shaken: Sequence[Finding]) -> bool:

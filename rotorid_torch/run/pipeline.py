@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import msgspec
 import torch
 
 from rotorid_torch.consistency.examination.needs import refuse_lacks
+from rotorid_torch.core.names import VELOCITIES
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.one_rate import at_one_rate
@@ -28,19 +28,20 @@ from rotorid_torch.identification.structure import propose, rival
 from rotorid_torch.model.model import Model
 from rotorid_torch.report import limits, remarks
 from rotorid_torch.report.records import DatasetRecord, FitRecord, Report, package_version
+from rotorid_torch.run.estimate import estimated
 from rotorid_torch.run.fit_record import fit_record, judge
+from rotorid_torch.run.loop_record import with_evidence
 from rotorid_torch.run.output.checkpoint import Checkpoint, Steps, checkpoint
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
 from rotorid_torch.run.output.write import write_report
 from rotorid_torch.run.own_effects import refuse_faulty
-
-if TYPE_CHECKING:
-    pass
-from rotorid_torch.run.estimate import estimated
-from rotorid_torch.run.loop_record import with_evidence
 from rotorid_torch.run.result import Run, write_reconstruction
 from rotorid_torch.run.turbulence import with_gusts
+from rotorid_torch.trace.stochastic import TURBULENCE, stochastic_findings
+
+CALM = "step 3 by output error: the air is calm, for before the pilot acts all flights are alike"
+"""How the method was chosen where quiet moments of the flights show no gusts."""
 
 
 def reconstruct(dataset: Dataset, out: str | Path, *, seed: int = 0, monitor: Monitor | None = None) -> Reconstruction:
@@ -142,12 +143,27 @@ def _best_structure(
     spec: ModelSpec, seen: Dataset, reconstruction: Reconstruction, steps: Steps
 ) -> tuple[ModelSpec, Model, Step2, Step3]:
     """Steps 2 and 3 of a structure, or of its rival where the data prefer that; both by the method of the first."""
-    first, other = estimated(spec, seen, reconstruction, steps), rival(spec)
+    calm = steps.method == "auto" and _alike_before_the_pilot_acts(seen, spec)
+    by_choice = replace(steps, method="output-error") if calm else steps
+    first, other = estimated(spec, seen, reconstruction, by_choice), rival(spec)
+    if calm:
+        first = *first[:3], replace(first[3], why=CALM)
     if other is None:
         return first
     found = estimated(other, seen, reconstruction, replace(steps, method=first[3].method))
     best = min(first, found, key=lambda t: t[3].criterion)
     return *best[:3], replace(best[3], why=first[3].why)
+
+
+def _alike_before_the_pilot_acts(seen: Dataset, spec: ModelSpec) -> bool:
+    """Whether flights begin with quiet moments in which no gusts show: coloured residuals are of the model then.
+
+    Not asked where no velocities are measured, for gusts have nothing to act through.
+    """
+    if not set(VELOCITIES) & set(spec.outputs):
+        return False
+    turbulence = next(f for f in stochastic_findings(seen, spec, {}) if f.id == TURBULENCE)
+    return turbulence.verdict not in ("accepted", "not testable")
 
 
 def remarks_on(

@@ -7,11 +7,17 @@ import math
 import pytest
 import torch
 
+from rotorid_torch.data import load
+from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.identification.gusts import Air, GustAxis
+from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
+from rotorid_torch.identification.structure import propose
 from rotorid_torch.report.summary import WORSE_THAN_TRIM
+from rotorid_torch.run.pipeline import _alike_before_the_pilot_acts
 from rotorid_torch.run.turbulence import in_turbulence, without_clean_bill
 from rotorid_torch.trace.terms.finding import Finding
 from rotorid_torch.trace.terms.verdict import statement
+from tests.helpers import shared
 
 QUIET = Finding("environment.turbulence", "undeclared", "below floor", "before the pilot acts all flights are alike")
 
@@ -51,3 +57,9 @@ def test_no_clean_bill_beside_a_model_worse_than_trim():
     assert told.kind == "unknown"
     assert told.sentence == f"No model could be identified from these flights: {poor}."
     assert without_clean_bill(statement([QUIET], None), "").kind == "nothing undeclared"
+
+
+def test_a_load_that_sways_is_no_moving_air():
+    """Of another simulator, in calm air: what a model without the load leaves is coloured as gusts colour it."""
+    data = at_one_rate(load(shared("flightdata", "uh60-x1")))
+    assert _alike_before_the_pilot_acts(data, propose(data, reconstruct(data), ()))
