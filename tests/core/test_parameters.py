@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rotorid_torch.core.parameters import Parameter, ParameterSet
+from rotorid_torch.core.parameters import Parameter, ParameterSet, ParameterTable
 
 
 def a_set() -> ParameterSet:
@@ -77,11 +78,38 @@ def test_clamp_holds_the_bounds_and_nothing_else(rows: list[list[float]]):
     assert torch.equal(parameters.clamp(held), held)
 
 
+@dataclass
+class Estimated:
+    """A parameter of a result."""
+
+    name: str
+    value: float | None
+    se: float | None
+    unit: str
+    bounds: tuple[float, float]
+    status: str
+
+
+class Estimates(ParameterTable):
+    """A result of three parameters."""
+
+    parameters = (
+        Estimated("L.p", -3.1234567, 0.1, "1/s", (-50.0, 0.0), "free"),
+        Estimated("delay", 0.02, None, "s", (0.0, 0.25), "frozen"),
+        Estimated("X.u", 0.5, math.nan, "1/s", (-math.inf, math.inf), "free"),
+    )
+
+
 def test_table_prints_one_parameter_a_line():
-    theta = torch.tensor([-3.1234567, 0.02, 0.5], dtype=torch.float64, requires_grad=True)
-    lines = a_set().table(theta, torch.tensor([0.1, 0.0, math.nan])).splitlines()
+    lines = Estimates().table().splitlines()
     assert lines[0].split() == ["name", "value", "se", "unit", "bounds", "status"]
     assert lines[1].split() == ["L.p", "-3.1235", "0.1", "1/s", "-50", "..", "0", "free"]
-    assert lines[2].split() == ["delay", "0.02", "0", "s", "0", "..", "0.25", "frozen"]
+    assert lines[2].split() == ["delay", "0.02", "s", "0", "..", "0.25", "frozen"]
     assert lines[3].split() == ["X.u", "0.5", "1/s", "-inf", "..", "inf", "free"]
-    assert len(a_set().table(theta).splitlines()) == 4
+    assert len(lines) == 4
+
+
+def test_a_parameter_is_there_by_the_end_of_its_name():
+    assert Estimates()["p"] is Estimates()["L.p"]
+    with pytest.raises(KeyError, match=r"did you mean L\.p"):
+        Estimates()["L.pp"]

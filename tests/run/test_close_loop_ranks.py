@@ -63,7 +63,7 @@ from pathlib import Path
 request = json.loads(Path(sys.argv[3]).read_text())
 assert Path(request["dataset"], "dataset.toml").exists()
 for n in request["numbers"]:
-    found = {{"statistics": {{"control.delay": n / 7.0}}, "alike": n != 5, "sizes": {{}}}}
+    found = {{"statistics": {{"control.delay": n / 7.0}}, "alike": n != 5, "effects": ["control.delay"], "sizes": {{}}}}
     part = Path(request["folder"], f"{{n}}.part")
     part.write_text(json.dumps(found))
     part.rename(part.with_suffix(".json"))
