@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import msgspec
 import torch
@@ -20,9 +19,6 @@ from rotorid_torch.model.nominal import build
 from rotorid_torch.report import remarks
 from rotorid_torch.run.output.checkpoint import Steps
 from rotorid_torch.validate.predictions import unexplained_moments
-
-if TYPE_CHECKING:
-    pass
 
 
 def estimated(

@@ -163,7 +163,7 @@ def vibration(dataset: Dataset) -> Iterator[Finding]:
         shown = [line for line in strongest if line.share > 0.03 and line.rms > 0.3 * dataset.noise(channel)]
         if not shown:
             continue
-        lines_words = ", ".join(
+        vibrations = ", ".join(
             f"{line.hertz:.1f} Hz"
             + (f" ({line.hertz * 2 * np.pi / rotor.speed:.2f} per revolution)" if rotor and rotor.speed else "")
             + f" {line.rms:.2g} {names.unit(channel)} rms, {line.share:.0%} of the channel's variance"
@@ -172,7 +172,7 @@ def vibration(dataset: Dataset) -> Iterator[Finding]:
         declared = rotor is not None and rotor.speed is not None
         guess = "" if declared else f" ({2 * np.pi * shown[0].hertz:.0f} rad/s if this is once per revolution)"
         advice = f"Isolate the sensor, or declare the rotor's speed{guess}, so that this is not taken for motion."
-        yield finding("warning" if shown[0].share > 0.2 else "note", channel, f"vibration at {lines_words}.", advice)
+        yield finding("warning" if shown[0].share > 0.2 else "note", channel, f"vibration at {vibrations}.", advice)
 
 
 def supply(dataset: Dataset) -> Iterator[Finding]:

@@ -366,18 +366,18 @@ def _notes(
     if untold:
         notes.append(f"the channels do not tell {' '.join(untold)}: left out of the reconstruction")
     if lines:
-        lines_words = ", ".join(
+        vibrations = ", ".join(
             f"{channel} at {hertz:.1f} Hz ({rms:.2g} rms)" for channel, (hertz, rms) in lines.items()
         )
-        notes.append(f"vibration was taken out of the motion: {lines_words}")
+        notes.append(f"vibration was taken out of the motion: {vibrations}")
     bias_values = biases.values()
     largest = {name: max(abs(b[name]) for b in bias_values if name in b) for name in dict.fromkeys(chain(*bias_values))}
     if largest:
-        lines_words = ", ".join(f"{name} up to {value:.2g} {unit(name)}" for name, value in largest.items())
-        notes.append(f"constant sensor errors that the kinematics show were taken off, flight by flight: {lines_words}")
+        constants = ", ".join(f"{name} up to {value:.2g} {unit(name)}" for name, value in largest.items())
+        notes.append(f"constant sensor errors that the kinematics show were taken off, flight by flight: {constants}")
     if len(dataset.identify) > SEARCHED:
-        lines_words = f"{SEARCHED} of the {len(dataset.identify)} identify flights, spread over the list"
-        notes.append(f"how strongly and fast the forces change was found from {lines_words}; it holds for all")
+        searched = f"{SEARCHED} of the {len(dataset.identify)} identify flights, spread over the list"
+        notes.append(f"how strongly and fast the forces change was found from {searched}; it holds for all")
     return tuple(notes)
 
 

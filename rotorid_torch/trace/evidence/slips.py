@@ -59,12 +59,12 @@ def _likeness(rows: Sequence[str], onset: float, side: LeftOver, does: Deflected
         steps.append(size * units[-1])
     if len(equations) < 2:  # one equation is like any control
         return {}
-    steps_found, unit = torch.stack(steps), torch.stack(units)
+    observed, unit = torch.stack(steps), torch.stack(units)
     directions = {
         c: torch.tensor([response[row] for row in equations], dtype=torch.float64) * unit
         for c, response in does.items()
     }
     return {
-        c: float(torch.nn.functional.cosine_similarity(steps_found, one, dim=0, eps=1e-300))
+        c: float(torch.nn.functional.cosine_similarity(observed, one, dim=0, eps=1e-300))
         for c, one in directions.items()
     }
