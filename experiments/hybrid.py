@@ -30,7 +30,7 @@ from torch.utils.tensorboard import SummaryWriter
 import rotorid_torch as rotorid
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES
 from rotorid_torch.data.one_rate import at_one_rate
-from rotorid_torch.effects.library.neural import TRUST, NeuralForces
+from rotorid_torch.effects.families.neural import TRUST, NeuralForces
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.nominal import build

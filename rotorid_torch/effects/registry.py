@@ -53,7 +53,7 @@ def registered() -> dict[str, type[Effect]]:
 def _import() -> None:
     """Modules register their effects when they are imported; which there are does not change while a process runs."""
     for name in LIBRARY:
-        import_module(f"rotorid_torch.effects.library.{name}")
+        import_module(f"rotorid_torch.effects.families.{name}")
     for point in entry_points(group=ENTRY_POINTS):
         try:
             point.load()

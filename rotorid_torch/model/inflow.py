@@ -11,7 +11,7 @@ from rotorid_torch.core.names import INDUCED_SHARE
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.core.state import State
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
-from rotorid_torch.effects.library.main_rotor import KNOWN
+from rotorid_torch.effects.families.main_rotor import KNOWN
 from rotorid_torch.effects.spec import RotorSpec
 
 INDUCED = "vi"

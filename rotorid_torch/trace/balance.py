@@ -17,7 +17,7 @@ from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.core.names import RATES, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
-from rotorid_torch.effects.library.mass import CentreOfGravity
+from rotorid_torch.effects.families.mass import CentreOfGravity
 from rotorid_torch.effects.signal_operations import lagged
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model

@@ -35,7 +35,7 @@ from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.data.write import write_dataset
 from rotorid_torch.effects.base import Frame, Values
-from rotorid_torch.effects.library.environment import Wind
+from rotorid_torch.effects.families.environment import Wind
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from rotorid_torch.core.gauss_newton import Options
 from rotorid_torch.effects.base import Frame, Values
-from rotorid_torch.effects.library.neural import TRUST, NeuralForces
+from rotorid_torch.effects.families.neural import TRUST, NeuralForces
 from rotorid_torch.identification.estimate.segments import Records, cut
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build

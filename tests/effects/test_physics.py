@@ -17,7 +17,7 @@ from rotorid_torch.core.integrate import simulate
 from rotorid_torch.core.rigid import gyroscopic
 from rotorid_torch.effects.base import Frame, Values
 from rotorid_torch.effects.examples import HELICOPTER, MOTORS, MULTIROTOR
-from rotorid_torch.effects.library.main_rotor import LeadLag, Stall
+from rotorid_torch.effects.families.main_rotor import LeadLag, Stall
 from rotorid_torch.effects.registry import make
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from rotorid_torch.data import Dataset
-from rotorid_torch.effects.library.neural import TRUST
+from rotorid_torch.effects.families.neural import TRUST
 from rotorid_torch.identification.model_regression import regress_model
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose

@@ -18,7 +18,7 @@ from torch import Tensor
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.base import Frame
-from rotorid_torch.effects.library.main_rotor import FlapSecondOrder
+from rotorid_torch.effects.families.main_rotor import FlapSecondOrder
 from rotorid_torch.effects.signal_operations import smoothed
 from rotorid_torch.identification.model_regression import Measured, measured
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction

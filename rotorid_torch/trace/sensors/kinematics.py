@@ -14,7 +14,7 @@ import numpy as np
 from rotorid_torch.consistency.alignment import EVERY_S, alignment
 from rotorid_torch.core.names import RATES
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.effects.library.sensors import SensorDelay
+from rotorid_torch.effects.families.sensors import SensorDelay
 from rotorid_torch.trace.sensors import sensor_words
 from rotorid_torch.trace.sensors.constants import Constant, constants
 from rotorid_torch.trace.sensors.correction import without_errors

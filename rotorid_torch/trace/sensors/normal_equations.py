@@ -9,7 +9,7 @@ import numpy as np
 
 from rotorid_torch.core.names import RATES, VELOCITIES
 from rotorid_torch.effects.base import Effect
-from rotorid_torch.effects.library.sensors import LeverArm, Misalignment, SensorFilter, SensorScale
+from rotorid_torch.effects.families.sensors import LeverArm, Misalignment, SensorFilter, SensorScale
 from rotorid_torch.trace.sensors.pieces import REACH_S, Piece
 from rotorid_torch.trace.sensors.weighted_fit import BANDS_HZ, Errors, Levels, Rows, Setting, constant_columns, rows
 

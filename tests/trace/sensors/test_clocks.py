@@ -10,7 +10,7 @@ import rotorid_torch as rotorid
 from rotorid_torch.consistency.velocity_clock import VelocityClock
 from rotorid_torch.data import Dataset, load
 from rotorid_torch.effects.base import Values
-from rotorid_torch.effects.library.sensors import SensorDelay
+from rotorid_torch.effects.families.sensors import SensorDelay
 from rotorid_torch.trace.sensors.clocks import sensor_findings
 from rotorid_torch.trace.sensors.correction import without_errors
 from tests.helpers import shared

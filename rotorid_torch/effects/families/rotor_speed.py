@@ -9,7 +9,7 @@ from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.core.rigid import vec
 from rotorid_torch.core.state import State
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
-from rotorid_torch.effects.library.main_rotor import KNOWN, LIFT_SLOPE, USUAL_LOCK, lift
+from rotorid_torch.effects.families.main_rotor import KNOWN, LIFT_SLOPE, USUAL_LOCK, lift
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec, RotorSpec
 from rotorid_torch.effects.testable import first, no_forces, no_rotor

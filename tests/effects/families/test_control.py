@@ -13,7 +13,7 @@ from rotorid_torch.core.fallback import Unsupported
 from rotorid_torch.core.native.recurrences import CompiledRecursion
 from rotorid_torch.effects.base import Effect, Stage, Values
 from rotorid_torch.effects.examples import example
-from rotorid_torch.effects.library.control import LONGEST, ControlDelay, ControlLag
+from rotorid_torch.effects.families.control import LONGEST, ControlDelay, ControlLag
 from rotorid_torch.effects.registry import registered
 from tests.known_models import body_spec
 
