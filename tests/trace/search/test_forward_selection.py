@@ -325,3 +325,21 @@ def test_critical_values_of_a_search_alone_come_from_residuals_turned_in_time():
     assert p.keys() >= {DELAY, f"{DELAY} of each control"}
     assert isinstance(beside, Family)
     assert p[DELAY] > SETTINGS.level
+
+
+def test_no_later_effect_drives_out_an_earlier_one_that_explains_more():
+    """A long delay and a short lag both act, and draws show as much of the delay as it explains beside the lag."""
+    known, null = started(flights(DELAY, LAG, control__delay__common=0.08, control__lag__common=0.02))
+    drawn = draws_of(True)
+    loud = {
+        n: torch.full_like(t, 1e3) if n.startswith(DELAY) else torch.zeros_like(t) for n, t in drawn.statistics.items()
+    }
+    search = search_of(known, replace(drawn, statistics=loud))
+    search.consider(null, SUSPECTS)
+    alone = refit(null.spec.with_effects(DELAY), known, {**null.values, f"{DELAY}.common": 0.08}, near=null)
+    both = refit(null.spec.with_effects(DELAY, LAG), known, {**alone.values, f"{LAG}.common": 0.02}, near=alone)
+    search.joined = [Candidate(DELAY), Candidate(LAG)]
+    search.trials = {c: Trial(c, null, one, Row()) for c, one in zip(search.joined, (alone, both), strict=True)}
+    assert search.back(both, SUSPECTS) is alone
+    assert search.joined == [Candidate(DELAY)]
+    assert not search.trials[Candidate(LAG)].stands
