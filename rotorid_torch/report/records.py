@@ -241,6 +241,11 @@ class Report(Record, frozen=True, kw_only=True):
         """The fit that counts: the one after closing the loop where there is one."""
         return self.after or self.before
 
+    def method_of(self, fit: FitRecord) -> str:
+        """How the method of a fit was chosen; nothing of the fit after where the fit before says the same."""
+        said = fit is self.after and self.before is not None and self.before.method_reason == fit.method_reason
+        return "" if said else fit.method_reason
+
 
 def encode_report(report: Report) -> bytes:
     """Return the bytes of report.json."""

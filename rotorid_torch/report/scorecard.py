@@ -21,7 +21,7 @@ def scorecard(report: Report) -> RenderableType:
                 parts.append(_short(heading, fit))
                 heading = "free runs of 8 s, which mean nothing here"
             parts.append(_scores(heading, fit))
-            parts += [Text(said) for said in (fit.method_reason, air_of(fit)) if said]
+            parts += [Text(said) for said in (report.method_of(fit), air_of(fit)) if said]
     parts.append(Text(headline(report)))
     if report.verdict:
         parts.append(Text(report.verdict.sentence))
