@@ -21,6 +21,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
+from rotorid_torch.core.names import nearest
 from rotorid_torch.core.storage.atomic import OUTPUT, Unwritable, reason, writing
 from rotorid_torch.errors import InputError, LostRank, Told
 from rotorid_torch.printable import printable
@@ -42,6 +43,22 @@ class Parser(argparse.ArgumentParser):
         """Raise InputError instead of printing the usage."""
         raise InputError(self.prog, "", message, f"what {self.prog} --help lists")
 
+    def parse_known_args(self, args=None, namespace=None):  # pyright: ignore[reportIncompatibleMethodOverride]
+        """As argparse does, but an option that its command has not is an error, with the nearest name, before all."""
+        options = [option for action in self._actions for option in action.option_strings]
+        words = [str(word).split("=")[0] for word in args or ()]
+        wrong = [word for word in words if word.startswith("--") and word not in options and word != "--"]
+        if wrong and self._subparsers is None:
+            self.error(f"there is no option {wrong[0]}{nearest(wrong[0], options)}")
+        return super().parse_known_args(args, namespace)
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """As argparse does, with the nearest of the choices."""
+        if action.choices is not None and value not in action.choices:
+            choices = [str(choice) for choice in action.choices]
+            what = action.metavar or "/".join(action.option_strings)
+            self.error(f"{what}: there is no '{value}'{nearest(str(value), choices)}, only {', '.join(choices)}")
+
 
 class AddEffect(argparse.Action):
     """`--effect ID`: begins a further effect, with no size yet."""
@@ -62,6 +79,24 @@ class SizeLastEffect(argparse.Action):
         namespace.effect = [*effects[:-1], (effects[-1][0], values)]
 
 
+class Version(argparse.Action):
+    """`--version`: prints it and leaves."""
+
+    def __call__(self, parser, namespace, values, option_string=None) -> None:
+        """Print name and version; exit code 0."""
+        from rotorid_torch import __version__
+
+        print(f"rotorid {__version__}")
+        parser.exit()
+
+
+EXAMPLES = """\
+three ways to begin:
+  rotorid fly --out FLIGHTS --effect control.delay     fly the built-in aircraft, with a late control to find
+  rotorid import flight.ulg --out FLIGHTS              or bring a log of PX4, ArduPilot or Betaflight, or a table
+  rotorid close-loop FLIGHTS --out RUN                 a model, what it lacks by name, and RUN/report.html
+"""
+DATASET = "folder of the data set, with its dataset.toml"
 PROFILED = 40
 """Functions that a profile shows."""
 
@@ -78,7 +113,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     speaks = os.environ.get("RANK", "0") == "0"  # under torchrun all processes refuse the same usage
     try:
         with _interrupted_by(signal.SIGTERM, signal.SIGHUP), _libraries_keep_still():
-            options = parser().parse_args(arguments)
+            words = sys.argv[1:] if arguments is None else arguments
+            options = parser().parse_args(words or ["--help"])
             _refuse_missing_device(options.device)
             speaks = True
             code = _profiled(options) if options.profile else options.run(options)
@@ -140,7 +176,14 @@ def _sentence(error: BaseException) -> str:
 
 def parser() -> Parser:
     """The parser of all commands."""
-    top = Parser(prog="rotorid", description="Identify rotorcraft models from flight data.", allow_abbrev=False)
+    top = Parser(
+        prog="rotorid",
+        description="Identify rotorcraft models from flight data.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    top.add_argument("--version", action=Version, nargs=0, help="print the version and leave")
     commands = top.add_subparsers(metavar="COMMAND", required=True, parser_class=Parser)
     _add_fly(commands)
     _add_import(commands)
@@ -151,7 +194,7 @@ def parser() -> Parser:
     _add_simulate(commands)
     _add_command(commands, "effects", effects, "the table of effects that a model can hold")
     show_parser = _add_command(commands, "show", show, "the scorecard of one run or of several")
-    show_parser.add_argument("runs", metavar="RUN", nargs="+", type=Path)
+    show_parser.add_argument("runs", metavar="RUN", nargs="+", type=Path, help="folder of a run")
     doctor_parser = _add_command(commands, "doctor", doctor, "versions, threads, devices and cache; what is missing")
     doctor_parser.add_argument("--empty-cache", action="store_true", help="remove what is kept between runs")
     return top
@@ -163,6 +206,7 @@ def _add_command(commands, name: str, run: Callable[[Options], int | None], abou
     command.set_defaults(run=run)
     common = command.add_argument_group("every command")
     common.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    common.add_argument("--verbose", action="store_true", help="also print what log.txt holds: every fit, every step")
     common.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     common.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of everything random (0)")
     common.add_argument("--profile", action="store_true", help="print where the time went, to standard error")
@@ -196,19 +240,19 @@ def _add_import(commands) -> None:
 
 def _add_check(commands) -> None:
     command = _add_command(commands, "check", check, "can a model be identified from it: ready, limited or not usable")
-    command.add_argument("dataset", metavar="DATASET", type=Path)
+    command.add_argument("dataset", metavar="DATASET", type=Path, help=DATASET)
     command.add_argument("--out", metavar="RUN", type=Path, help="also write the findings as a run")
 
 
 def _add_reconstruct(commands) -> None:
     command = _add_command(commands, "reconstruct", reconstruct, "step 1 alone: forces and moments over time")
-    command.add_argument("dataset", metavar="DATASET", type=Path)
+    command.add_argument("dataset", metavar="DATASET", type=Path, help=DATASET)
     command.add_argument("--out", metavar="RUN", type=Path, required=True, help="the run's folder")
 
 
 def _add_identify(commands) -> None:
     command = _add_command(commands, "identify", identify, "the three steps, validation and report")
-    command.add_argument("dataset", metavar="DATASET", type=Path)
+    command.add_argument("dataset", metavar="DATASET", type=Path, help=DATASET)
     command.add_argument("--out", metavar="RUN", type=Path, required=True, help="the run's folder")
     command.add_argument("--effect", metavar="ID", action="append", default=[], help="add this effect; repeatable")
     method_help = (
@@ -221,7 +265,7 @@ def _add_identify(commands) -> None:
 
 def _add_close_loop(commands) -> None:
     command = _add_command(commands, "close-loop", close_loop, "identify, trace what is missing, identify again")
-    command.add_argument("dataset", metavar="DATASET", type=Path)
+    command.add_argument("dataset", metavar="DATASET", type=Path, help=DATASET)
     command.add_argument("--out", metavar="RUN", type=Path, required=True, help="the run's folder")
     command.add_argument("--hybrid", action="store_true", help="a small network learns what no named effect explains")
 
@@ -229,12 +273,12 @@ def _add_close_loop(commands) -> None:
 def _add_simulate(commands) -> None:
     command = _add_command(commands, "simulate", simulate, "free run of a model on a flight")
     command.add_argument("model", metavar="MODEL", type=Path, help="a RUN or its model.pt")
-    command.add_argument("dataset", metavar="DATASET", type=Path)
-    command.add_argument("--flight", metavar="NAME", required=True)
-    command.add_argument("--out", metavar="FILE.npz", type=Path, required=True)
+    command.add_argument("dataset", metavar="DATASET", type=Path, help=DATASET)
+    command.add_argument("--flight", metavar="NAME", required=True, help="whose controls the model flies by")
+    command.add_argument("--out", metavar="FILE", type=Path, required=True, help="FILE.npz or FILE.csv to write")
     command.add_argument("--start", metavar="S", type=_number, default=0.0, help="where in the flight to begin, s (0)")
     command.add_argument("--seconds", metavar="S", type=_number, help="how long to run, s (to the flight's end)")
-    command.add_argument("--overwrite", action="store_true", help="replace FILE.npz, whatever it is, but no input")
+    command.add_argument("--overwrite", action="store_true", help="replace FILE, whatever it is, but no input")
 
 
 def fly(options: Options) -> None:
@@ -412,7 +456,7 @@ def _finite(value: Any) -> Any:
 def _monitor(options: Options) -> Monitor:
     from rotorid_torch.run.output.monitor import Monitor
 
-    return Monitor(None if options.quiet or options.json else _console())
+    return Monitor(None if options.quiet or options.json else _console(), verbose=options.verbose)
 
 
 def _refuse_missing_device(device: str) -> None:

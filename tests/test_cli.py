@@ -70,7 +70,6 @@ def test_help_is_quick_because_it_imports_no_torch():
 
 
 BAD_USAGE = [
-    [],
     ["fligh"],
     ["close-loop", "x"],
     ["identify"],
@@ -100,6 +99,53 @@ def test_bad_usage_is_one_line_and_exit_2(arguments: list[str], capsys: pytest.C
     assert err.count("\n") == 1
     assert "expected" in err
     assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "hint"),
+    [
+        (["closeloop", "x"], "close-loop"),
+        (["identify", "x", "--outt", "y"], "--out"),
+        (["identify", "x", "--out", "y", "--method", "autp"], "auto"),
+        (["fly", "--out", "y", "--effect", "control.dely"], "control.delay"),
+        (["fly", "--out", "y", "--flights", "dbl_lonp"], "dbl_lon_p"),
+        (["effects", "--jsn"], "--json"),
+    ],
+)
+def test_what_is_misspelt_is_told_with_what_was_meant(
+    arguments: list[str], hint: str, tmp_path: Path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run(capsys, *arguments)
+    assert (code, err.count("\n")) == (2, 1)
+    assert f"did you mean '{hint}'?" in err
+
+
+def test_a_misspelt_folder_is_told_with_what_lies_beside_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    a_run(tmp_path / "uh60-first")
+    code, _, err = run(capsys, "show", tmp_path / "uh60-frst")
+    assert code == 2
+    assert f"did you mean '{tmp_path / 'uh60-first'}'?" in err
+
+
+def test_without_a_command_help_with_examples_is_printed(capsys: pytest.CaptureFixture[str]):
+    with pytest.raises(SystemExit) as leaving:
+        cli.main([])
+    text = capsys.readouterr().out
+    assert leaving.value.code == 0
+    assert sum(line.startswith("  rotorid ") for line in text.splitlines()) == 3
+
+
+def test_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]):
+    with pytest.raises(SystemExit) as leaving:
+        cli.main(["--version"])
+    assert leaving.value.code == 0
+    assert capsys.readouterr().out == f"rotorid {records.package_version()}\n"
+
+
+def test_every_argument_of_every_command_is_described():
+    (commands,) = (a for a in cli.parser()._actions if isinstance(a.choices, dict))
+    assert [(n, a.dest) for n, c in commands.choices.items() for a in c._actions if not a.help] == []
 
 
 def test_module_and_console_script_are_the_same_program(tmp_path: Path):

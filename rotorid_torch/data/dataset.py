@@ -18,6 +18,7 @@ import numpy as np
 
 from rotorid_torch.core import names
 from rotorid_torch.core.storage.atomic import restore
+from rotorid_torch.core.storage.paths import nearest_path
 from rotorid_torch.data import plausible
 from rotorid_torch.data.declare import Declaration, declare, read_declaration
 from rotorid_torch.data.facts import Facts
@@ -305,7 +306,7 @@ def load(path: str | Path) -> Dataset:
         folder = folder.parent
     restore(folder)
     if not os.path.isdir(folder):
-        wrong = "is not a folder" if os.path.exists(folder) else "there is no such folder"
+        wrong = "is not a folder" if os.path.exists(folder) else f"there is no such folder{nearest_path(folder)}"
         raise InputError(folder, "", wrong, "a data set's folder")
     toml = folder / "dataset.toml"
     declaration, content = read_declaration(toml)

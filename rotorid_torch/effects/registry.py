@@ -8,6 +8,7 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, TypeVar
 
+from rotorid_torch.core.names import nearest
 from rotorid_torch.effects.base import Effect
 from rotorid_torch.errors import InputError
 
@@ -86,7 +87,8 @@ def make(name: str, spec: ModelSpec) -> Effect:
     """The effect of this id for a vehicle; InputError where there is none, or the vehicle's data cannot test it."""
     effects_by_id = registered()
     if name not in effects_by_id:
-        raise InputError("--effect", name, "there is no such effect", f"one of {', '.join(sorted(effects_by_id))}")
+        wrong = f"there is no such effect{nearest(name, effects_by_id)}"
+        raise InputError("--effect", name, wrong, f"one of {', '.join(sorted(effects_by_id))}")
     reason = refusal(name, spec)
     if reason is not None:
         raise InputError("--effect", name, f"this data set cannot test it: {reason}", "another effect, or other data")

@@ -199,13 +199,13 @@ def _before_and_after(
 
 def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
     """By trajectories over segments, p by clean aircraft."""
-    say, ranks = steps.monitor.say, steps.ranks
+    say, tell, ranks = steps.monitor.say, steps.monitor.tell, steps.ranks
     return trace(
         base.spec,
         base.model.named_values,
         base.regressions.held,
         flights,
-        lambda null, effects, observed: clean_draws(flights.dataset, null, effects, observed, seed, say, ranks),
+        lambda null, effects, observed: clean_draws(flights.dataset, null, effects, observed, seed, tell, ranks),
         say,
         seed,
         ranks,

@@ -11,7 +11,7 @@ import msgspec
 import torch
 
 from rotorid_torch.consistency.examination.needs import refuse_lacks
-from rotorid_torch.core.names import VELOCITIES
+from rotorid_torch.core.names import VELOCITIES, nearest
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.one_rate import at_one_rate
@@ -195,7 +195,8 @@ def refuse(dataset: Dataset, effects: Sequence[str], device: str, method: str = 
         raise InputError("--method", str(method), "there is no such method", ", ".join(METHODS))
     for name in effects:
         if name not in registered():
-            raise InputError("--effect", name, "there is no such effect", f"one of {', '.join(sorted(registered()))}")
+            wrong = f"there is no such effect{nearest(name, registered())}"
+            raise InputError("--effect", name, wrong, f"one of {', '.join(sorted(registered()))}")
         if list(effects).count(name) > 1:
             raise InputError("--effect", name, "is named twice", "each effect once")
     if device not in ("cpu", "cuda"):

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rotorid_torch.core.names import nearest
 from rotorid_torch.core.storage.atomic import restore
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
@@ -19,7 +20,7 @@ from rotorid_torch.errors import InputError
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.save import load as load_model
 from rotorid_torch.report.records import FitRecord, Report, read_report
-from rotorid_torch.run.output.folder import free_run_file, refuse_unless_free_run
+from rotorid_torch.run.output.folder import free_run_file, is_table, refuse_unless_free_run
 from rotorid_torch.run.result import Result
 from rotorid_torch.validate.free_run import free_run, windows
 
@@ -128,7 +129,7 @@ def write_free_run(
     *,
     overwrite: bool = False,
 ) -> dict[str, np.ndarray]:
-    """Free run of a saved model on a flight, written as NAME.npz: time, outputs, states; warns outside the range.
+    """Free run of a saved model on a flight, as NAME.npz or NAME.csv: time, outputs, states; warns outside the range.
 
     Parameters
     ----------
@@ -147,7 +148,10 @@ def write_free_run(
     loaded, spec = _read(place)
     found = _free_run(loaded, spec, dataset, flight, start, seconds)
     with free_run_file(out, **how) as partial, partial.open("wb") as handle:
-        np.savez(handle, **found)  # pyright: ignore[reportArgumentType]
+        if is_table(out):
+            np.savetxt(handle, np.column_stack(list(found.values())), "%.10g", ",", header=",".join(found), comments="")
+        else:
+            np.savez(handle, **found)  # pyright: ignore[reportArgumentType]
     return found
 
 
@@ -156,7 +160,10 @@ def _free_run(
 ) -> dict[str, np.ndarray]:
     if flight not in dataset.flights:
         raise InputError(
-            dataset.path or dataset.name, "flight", f"there is no flight '{flight}'", ", ".join(dataset.flights)
+            dataset.path or dataset.name,
+            "flight",
+            f"there is no flight '{flight}'{nearest(flight, dataset.flights)}",
+            ", ".join(dataset.flights),
         )
     dataset = with_velocities(dataset)
     record = dataset.flights[flight]

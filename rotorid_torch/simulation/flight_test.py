@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from rotorid_torch.core.names import nearest
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.write import declarations, refuse_unless_free, write_dataset
 from rotorid_torch.errors import InputError
@@ -176,7 +177,11 @@ def _altered(
 def _check_effect(effect: str, size: float) -> None:
     """Refuse an effect that a helicopter cannot have, and a size that none has."""
     if effect not in EFFECTS:
-        why = "it is a helicopter" if effect.startswith("propulsion.") else "there is none of that name"
+        why = (
+            "it is a helicopter"
+            if effect.startswith("propulsion.")
+            else f"there is none of that name{nearest(effect, EFFECTS)}"
+        )
         wrong = f"the flight-test aircraft has no effect '{effect}': {why}"
         raise InputError("usage", "effect", wrong, f"one of: {', '.join(EFFECTS)}")
     if not (np.isfinite(size) and 0.0 <= size <= 10.0):

@@ -98,6 +98,12 @@ def test_simulate_gives_the_overlay_of_the_report(run: tuple[Run, Path], data: D
         np.testing.assert_allclose(found[channel][: len(overlay.time)], overlay.model[channel].numpy(), atol=1e-9)
         np.testing.assert_array_equal(written[channel], found[channel])
     assert len(written["time"]) == data.flights["f_lat"].samples
+    table = tmp_path / "free.csv"
+    write_free_run(out, data, "f_lat", table)
+    assert table.read_text().splitlines()[0] == ",".join(found)
+    np.testing.assert_allclose(np.loadtxt(table, delimiter=",", skiprows=1).T, list(found.values()), rtol=1e-8)
+    with pytest.raises(InputError, match="is no format of a free run"):
+        write_free_run(out, data, "f_lat", tmp_path / "free.txt")
 
 
 def test_simulate_starts_and_ends_where_it_is_told(run: tuple[Run, Path], data: Dataset, tmp_path: Path):

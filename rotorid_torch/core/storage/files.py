@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from rotorid_torch.core.storage.atomic import reason
+from rotorid_torch.core.storage.paths import nearest_path
 from rotorid_torch.errors import InputError
 
 LARGEST = 2**35
@@ -39,7 +40,7 @@ def open_file(path: str | Path, expected: str, limit: int = LARGEST) -> BinaryIO
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)  # a pipe does not block
     except FileNotFoundError:
-        raise InputError(path, "", "there is no such file", expected) from None
+        raise InputError(path, "", f"there is no such file{nearest_path(path)}", expected) from None
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         raise InputError(path, "", f"cannot be read ({reason(error)})", expected) from None
     try:

@@ -4,16 +4,35 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
 from fnmatch import fnmatchcase
+from itertools import islice
 from pathlib import Path
 
 from rotorid_torch.errors import InputError
+
+COMPARED = 10_000
+"""Names of a folder that a misspelt one is compared with, at most."""
 
 
 def absolute(out: str | Path) -> Path:
     """The path from the root; a last ".." is resolved, so that it has a name of its own."""
     path = Path(out).absolute()
     return path.resolve() if path.name == ".." else path
+
+
+def nearest_path(path: str | Path) -> str:
+    """Hint for a path that is not there, " (did you mean '...'?)" or an empty string: a like name in its folder."""
+    missing = absolute(path)
+    try:
+        while not missing.parent.is_dir():
+            missing = missing.parent
+        with os.scandir(missing.parent) as entries:
+            names = [entry.name for entry in islice(entries, COMPARED)]
+    except (OSError, ValueError):
+        return ""
+    near = get_close_matches(missing.name, names, n=1)
+    return f" (did you mean '{missing.parent / near[0]}'?)" if near and near[0] != missing.name else ""
 
 
 def refuse_foreign(folder: Path, patterns: Sequence[str], kind: str) -> None:

@@ -29,6 +29,8 @@ ALIKE = (("check",), ("reconstruct",), ("identify", "close-loop"))
 """Commands whose runs replace each other; a run with a model is not replaced by one without."""
 FREE_RUN = b"rotorid: free run, format 1"
 """Comment of the archive that `simulate` writes: what lies there and has it may be replaced."""
+FREE_RUNS = (".npz", ".csv", "")
+"""Endings of free runs; what has none is an npz."""
 
 
 @contextmanager
@@ -49,7 +51,7 @@ def run_folder(out: str | Path, command: str) -> Iterator[Path]:
 
 @contextmanager
 def free_run_file(out: str | Path, *, overwrite: bool = False, inputs: Iterable[Path] = ()) -> Iterator[Path]:
-    """Give a file name beside `out` to write an npz to; it is marked as a free run and renamed when the block ends.
+    """Give a file name beside `out` to write to; an npz is marked as a free run. It is renamed when the block ends.
 
     Parameters
     ----------
@@ -63,6 +65,8 @@ def free_run_file(out: str | Path, *, overwrite: bool = False, inputs: Iterable[
     refuse = partial(refuse_unless_free_run, place, overwrite=overwrite, inputs=inputs)
     with atomic_file(place, refuse) as file:
         yield file
+        if is_table(place):
+            return
         with zipfile.ZipFile(file, "a") as archive:
             archive.comment = FREE_RUN
 
@@ -92,7 +96,14 @@ def refuse_unless_free_run(out: str | Path, *, overwrite: bool = False, inputs: 
         if not overwrite:
             wrong = "is in the way and is not a free run that simulate wrote"
             raise InputError(out, "", wrong, "a new name, or --overwrite to replace the file")
+    if place.suffix.lower() not in FREE_RUNS:
+        raise InputError(out, "", f"'{place.suffix}' is no format of a free run", "a name that ends in .npz or .csv")
     refuse_unless_writable(place)
+
+
+def is_table(out: str | Path) -> bool:
+    """Whether a free run of this name is written as a table of text."""
+    return Path(out).suffix.lower() == ".csv"
 
 
 def _part_of(place: Path) -> Path | None:

@@ -25,16 +25,30 @@ if TYPE_CHECKING:
     from rotorid_torch.run.output.board import Board
 
 
+SHORT_S = 0.5
+"""Steps shorter than this are not told to people."""
+STEPS = {
+    "fly": "flying the built-in aircraft",
+    "reconstruct": "motion, forces and moments from the sensors",
+    "ftr": "first values of the parameters, by regression",
+    "ml": "all parameters together, by maximum likelihood",
+    "validate": "free runs of every flight",
+    "trace": "what the model lacks",
+}
+"""What a step does, for people."""
+
+
 class Monitor:
     """Progress, scalars, figures, a log and the clock of a run.
 
     Parameters
     ----------
     console : where people read; None tells nobody (`--quiet`, `--json`, and the Python surface).
+    verbose : show people the log's lines too.
     """
 
-    def __init__(self, console: Console | None = None) -> None:
-        self.console = console
+    def __init__(self, console: Console | None = None, *, verbose: bool = False) -> None:
+        self.console, self.verbose = console, verbose
         self.seconds: dict[str, float] = {}
         self._start = time.perf_counter()
         self._log: TextIO | None = None
@@ -58,7 +72,7 @@ class Monitor:
 
     @contextmanager
     def step(self, name: str) -> Iterator[None]:
-        """Time a step under `name` (`reconstruct`, `ftr`, `ml`, `trace`) and show its progress."""
+        """Time a step under `name` (`reconstruct`, `ftr`, `ml`, `trace`) and show its progress, in plain words."""
         begin = time.perf_counter()
         try:
             with self._bar(name):
@@ -66,7 +80,9 @@ class Monitor:
         finally:
             spent = time.perf_counter() - begin
             self.seconds[name] = self.seconds.get(name, 0.0) + spent
-        self.say(f"{name}: {spent:.1f} s")
+        self.log(f"{name}: {spent:.1f} s")
+        if self.console and (spent >= SHORT_S or self.verbose):
+            self.console.print(f"{spent:7.1f} s  {STEPS.get(name, name)}")
 
     def progress(self, done: int, total: int) -> None:
         """Show that `done` of `total` parts of the present step are done."""
@@ -74,10 +90,18 @@ class Monitor:
             self._progress.update(self._progress.task_ids[0], completed=done, total=total)
 
     def say(self, text: str) -> None:
-        """Tell one line to the console and the log."""
+        """One line for developers: to the log, and with `verbose` to the console."""
         self.log(text)
-        if self.console:
+        if self.console and self.verbose:
             self.console.print(text)
+
+    def tell(self, text: str) -> None:
+        """One line for people, of how far a long step is: beside its bar, where there is one."""
+        self.log(text)
+        if self._progress:
+            self._progress.update(self._progress.task_ids[0], description=text)
+        elif self.console:
+            self.console.print(f"{'':9}  {text}")
 
     def log(self, text: str) -> None:
         """Tell one line to the log only."""
@@ -106,10 +130,11 @@ class Monitor:
         if self.console is None or not self.console.is_terminal:
             yield
             return
-        from rich.progress import Progress
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-        with Progress(console=self.console, transient=True) as self._progress:
-            self._progress.add_task(name, total=None)
+        columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn()
+        with Progress(*columns, console=self.console, transient=True) as self._progress:
+            self._progress.add_task(STEPS.get(name, name), total=None)
             try:
                 yield
             finally:

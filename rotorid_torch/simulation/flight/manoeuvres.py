@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rotorid_torch.core.names import nearest
 from rotorid_torch.errors import InputError
 from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES
 from rotorid_torch.simulation.helicopter.section import Array
@@ -86,7 +87,9 @@ def chosen(flights: Sequence[str] | None, speed: float = 0.0) -> tuple[str, ...]
         if not _exists(name):
             expected = f"some of {', '.join(FLIGHTS)}, with a condition as in dbl_lon_p-90deg, dbl_col_p-5m or "
             expected += f"dbl_lon_p-20mps, or of {', '.join(available)}"
-            raise InputError("usage", "flights", f"there is no flight '{name}'", expected)
+            raise InputError(
+                "usage", "flights", f"there is no flight '{name}'{nearest(name, (*FLIGHTS, *available))}", expected
+            )
     if not flights:
         raise InputError("usage", "flights", "the list is empty", "some of " + ", ".join(FLIGHTS))
     usual = tuple(name for name in FLIGHTS if name in expanded)

@@ -51,10 +51,22 @@ def test_without_console_and_folder_nothing_is_told(capfd: pytest.CaptureFixture
 @pytest.mark.parametrize("terminal", [False, True])
 def test_console_hears_steps_with_their_time(terminal: bool):
     written = io.StringIO()
-    monitor = Monitor(Console(file=written, force_terminal=terminal, width=80, highlight=False))
+    monitor = Monitor(Console(file=written, force_terminal=terminal, width=80, highlight=False), verbose=True)
     with monitor.step("reconstruct"):
         monitor.progress(2, 2)
-    assert re.search(r"reconstruct: \d\.\d s", written.getvalue())
+    assert re.search(r"\d\.\d s  motion, forces and moments from the sensors", written.getvalue())
+
+
+@pytest.mark.parametrize("verbose", [False, True])
+def test_lines_for_developers_are_shown_to_those_who_ask(tmp_path: Path, verbose: bool):
+    written = io.StringIO()
+    monitor = Monitor(Console(file=written, width=80), verbose=verbose)
+    with monitor.recording(tmp_path):
+        monitor.say("control.delay: gain 0.3")
+        monitor.tell("clean aircraft 7 of at most 24")
+    assert ("gain 0.3" in written.getvalue()) == verbose
+    assert "clean aircraft 7" in written.getvalue()
+    assert "gain 0.3" in (tmp_path / "log.txt").read_text()
 
 
 def test_clock_adds_up_steps_of_one_name_and_goes_on_after_an_error():
