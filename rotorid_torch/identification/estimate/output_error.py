@@ -10,8 +10,19 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from rotorid_torch import arguments
+from rotorid_torch.arguments import Argument
 from rotorid_torch.core.parameters import ParameterTable
 from rotorid_torch.errors import InputError
+from rotorid_torch.identification.arguments import (
+    SOLVERS,
+    floor_of,
+    lengths_of,
+    noise_of,
+    refuse_search,
+    refuse_unfit,
+    refuse_unmeasured,
+)
 from rotorid_torch.identification.estimate.progressive_fit import FINE, Fit, Monitor, Settings, fit
 from rotorid_torch.identification.estimate.residuals import Colour, colour
 from rotorid_torch.identification.estimate.segments import Records, records_from
@@ -111,9 +122,9 @@ def output_error(
     Source: Morelli and Klein, Aircraft System Identification (2nd ed.), ch. 6; Jategaonkar, Flight Vehicle System
     Identification, ch. 4 and 9 (unstable aircraft).
     """
-    system, records = System(model, free, bounds), records_from(flights)
+    system, records = given(model, flights, free, bounds)
+    refuse_search(max_iterations, monitor)
     settings = settings_of(records, x0, noise, noise_floor, segment_lengths, solver, optimiser, max_iterations)
-    check_shapes(system, records)
     return result_of(system, records, fit(system, records, settings=settings, monitor=monitor))
 
 
@@ -129,25 +140,17 @@ def settings_of(
 ) -> Settings:
     """Settings of a fit from the arguments of `output_error`, checked."""
     ny = records.outputs.shape[-1]
-    one_of("x0", x0, ("free", "fixed"))
-    one_of("optimiser", optimiser, ("gauss-newton", "lbfgs"))
-    if isinstance(noise, str):
-        one_of("noise", noise, ("diagonal", "full"))
-    matrix = None if isinstance(noise, str) else torch.as_tensor(noise).to(torch.float64)
-    if matrix is not None and (matrix.shape != (ny, ny) or not bool((torch.linalg.eigvalsh(matrix) > 0).all())):
-        raise InputError(
-            "arguments", "noise", f"matrix of shape {tuple(matrix.shape)}", f"{ny} by {ny}, positive definite"
-        )
-    floor = None if noise_floor is None else torch.as_tensor(noise_floor).to(torch.float64)
-    if floor is not None and (floor.shape != (ny,) or not bool((floor >= 0).all())):
-        raise InputError("arguments", "noise_floor", f"shape {tuple(floor.shape)}", f"{ny} numbers, none negative")
+    arguments.word(Argument("arguments", "x0"), x0, ("free", "fixed"))
+    arguments.word(Argument("arguments", "optimiser"), optimiser, ("gauss-newton", "lbfgs"))
+    arguments.word(Argument("arguments", "solver"), solver, SOLVERS)
+    kind, matrix = noise_of(noise, ny)
     if x0 == "fixed" and bool(records.states[:, 0].isnan().any()):
         raise InputError("flights", "x0", "absent", 'the initial state of every flight where x0 is "fixed"')
     return Settings(
-        noise=noise if isinstance(noise, str) else "held",
+        noise=kind,
         matrix=matrix,
-        floor=floor,
-        lengths=None if segment_lengths is None else tuple(segment_lengths),
+        floor=floor_of(noise_floor, ny),
+        lengths=lengths_of(segment_lengths, records.dt),
         x0=x0,
         solver=solver,
         optimiser=optimiser,
@@ -155,20 +158,18 @@ def settings_of(
     )
 
 
-def one_of(key: str, value: str, allowed: Sequence[str]) -> None:
-    """Raise InputError where an argument is none of the words that are allowed."""
-    if value not in allowed:
-        raise InputError("arguments", key, repr(value), " or ".join(f'"{a}"' for a in allowed))
+def given(model: nn.Module, flights: Any, free: Sequence[str] | None, bounds: Any) -> tuple[System, Records]:
+    """What is estimated and from what, a model that fits the flights.
 
-
-def check_shapes(system: System, records: Records) -> None:
-    """One evaluation, so that a model that does not fit the data says so and not its tenth matrix product."""
-    x, u = records.states[:, 0].nan_to_num(0.0), records.controls[:, 0]
-    rates = system.rates(system.theta, records.start, x, u)
-    outputs = system.output(system.theta, x, u)
-    for key, got, wanted in (("forward", rates.shape, x.shape), ("output", outputs.shape, records.outputs[:, 0].shape)):
-        if got != wanted:
-            raise InputError("model", key, f"returns shape {tuple(got)} for {len(x)} states", f"shape {tuple(wanted)}")
+    Raises
+    ------
+    InputError : a flight, a name or the model does not fit.
+    """
+    system, records = System(model, free, bounds), records_from(flights)
+    refuse_unmeasured(records.outputs)
+    x = records.states[:, 0].nan_to_num(0.0)
+    refuse_unfit(system.model, records.start, x, records.controls[:, 0], records.outputs.shape[-1])
+    return system, records
 
 
 def result_of(system: System, records: Records, fitted: Fit) -> OutputError:

@@ -14,6 +14,7 @@ from torch.nn.utils.rnn import pad_sequence
 
 from rotorid_torch.core.storage import mapped_arrays
 from rotorid_torch.errors import InputError
+from rotorid_torch.identification.arguments import flights_of
 
 TOGETHER = 256
 """Pieces that are cut at once."""
@@ -102,25 +103,18 @@ def records_from(flights: Sequence[Mapping[str, Any]], states: int | None = None
     InputError
         Where an array is missing, has another shape than the others, or time is not uniform.
     """
-    if not flights:
-        raise InputError("flights", "", "the list is empty", "one dict per flight with time, controls, outputs")
-    rows = [_checked(f"flights[{i}]", flight) for i, flight in enumerate(flights)]
+    rows = flights_of(flights)
     steps = [float(torch.diff(row["time"]).mean()) for row in rows]
     for i, step in enumerate(steps):
         if abs(step - steps[0]) > 1e-3 * steps[0]:
             raise InputError(
                 f"flights[{i}]", "time", f"sample interval {step:.6g} s", f"{steps[0]:.6g} s as in the first flight"
             )
-    nx = next((row["states"].shape[-1] for row in rows if "states" in row), states)
+    nx = next((row[key].shape[-1] for row in rows for key in ("states", "x0") if key in row), states)
     if nx is None:
         raise InputError("flights[0]", "x0", "absent in every flight", "the initial state (nx,) of at least one flight")
     for row in rows:
-        row.setdefault("states", torch.full((len(row["time"]), nx), math.nan, dtype=torch.float64))
-    for i, row in enumerate(rows):
-        for key in ("controls", "outputs", "states"):
-            if row[key].shape[-1] != rows[0][key].shape[-1]:
-                wrong = f"{row[key].shape[-1]} columns"
-                raise InputError(f"flights[{i}]", key, wrong, f"{rows[0][key].shape[-1]} as in the first flight")
+        row["states"] = _known_states(row, nx)
     longest = max(len(row["time"]) for row in rows)
     held = [torch.cat([row["controls"], row["controls"][-1:].expand(longest - len(row["time"]), -1)]) for row in rows]
     return Records(
@@ -133,46 +127,12 @@ def records_from(flights: Sequence[Mapping[str, Any]], states: int | None = None
     )
 
 
-def _checked(place: str, flight: Mapping[str, Any]) -> dict[str, Tensor]:
-    row = {}
-    for key, dims in (("time", 1), ("controls", 2), ("outputs", 2)):
-        if key not in flight:
-            raise InputError(place, key, "absent", "an array, one row per sample")
-        row[key] = torch.as_tensor(flight[key]).to(torch.float64)
-        if row[key].dim() != dims or len(row[key]) != len(row["time"]):
-            expected = f"{dims} dimensions, {len(row['time'])} samples"
-            raise InputError(place, key, f"shape {tuple(row[key].shape)}", expected)
-    step = torch.diff(row["time"])
-    if (
-        len(step) < 1
-        or not bool((step > 0).all())
-        or float((step - step.mean()).abs().max()) > 0.01 * float(step.mean())
-    ):
-        raise InputError(
-            place, "time", "not uniform and increasing", "at least two samples at equal intervals (within 1 %)"
-        )
-    if not bool(torch.isfinite(row["controls"]).all()):
-        raise InputError(place, "controls", "holds NaN or infinity", "finite numbers")
-    if bool(torch.isinf(row["outputs"]).any()):
-        raise InputError(place, "outputs", "holds infinity", "finite numbers, NaN where missing")
-    states = _known_states(place, flight, len(step) + 1)
-    return row if states is None else row | {"states": states}
-
-
-def _known_states(place: str, flight: Mapping[str, Any], samples: int) -> Tensor | None:
-    """[T, nx] from `states`, its first row from `x0` where that is given."""
-    states = flight.get("states")
-    states = None if states is None else torch.as_tensor(states).to(torch.float64).clone()
-    if states is not None and (states.dim() != 2 or len(states) != samples):
-        raise InputError(place, "states", f"shape {tuple(states.shape)}", f"2 dimensions, {samples} samples")
-    if flight.get("x0") is None:
-        return states
-    x0 = torch.as_tensor(flight["x0"]).to(torch.float64)
-    if x0.dim() != 1 or not bool(torch.isfinite(x0).all()):
-        raise InputError(place, "x0", f"shape {tuple(x0.shape)} or not finite", "the initial state (nx,)")
-    if states is None:
-        states = torch.full((samples, len(x0)), math.nan, dtype=torch.float64)
-    states[0] = x0
+def _known_states(row: Mapping[str, Tensor], nx: int) -> Tensor:
+    """[T, nx] from `states`, its first row from `x0` where that is given; NaN where nothing is known."""
+    states = row.get("states")
+    states = torch.full((len(row["time"]), nx), math.nan, dtype=torch.float64) if states is None else states.clone()
+    if "x0" in row:
+        states[0] = row["x0"]
     return states
 
 

@@ -5,14 +5,16 @@ from __future__ import annotations
 import copy
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call, jvp, vjp, vmap
 
-from rotorid_torch.errors import InputError
+from rotorid_torch import arguments
+from rotorid_torch.arguments import Argument
+from rotorid_torch.identification.arguments import bounds_of, module
 from rotorid_torch.model.model import Model
 
 T = TypeVar("T")
@@ -65,11 +67,13 @@ class System:
         free: Sequence[str] | None = None,
         bounds: Mapping[str, tuple[float, float]] | None = None,
     ) -> None:
-        self.model = copy.deepcopy(model).double().to(torch.get_default_device())
+        self.model = copy.deepcopy(module(model)).double().to(torch.get_default_device())
         self._surface = _Surface(self.model)
         self.entries = _entries(self.model, free, bounds or {})
         if not self.entries:
-            raise InputError("free", "", "no parameter is free", "at least one name")
+            raise Argument("arguments", "free").wrong(
+                "names no parameter", "at least one name of the model's parameters"
+            )
         column = lambda numbers: torch.tensor(numbers, dtype=torch.float64)  # noqa: E731
         self.names = tuple(e.name for e in self.entries)
         self.units = tuple(e.unit for e in self.entries)
@@ -243,34 +247,25 @@ def _passes(function: Callable[..., Tensor], theta: Tensor, seeds: Tensor, *poin
     return vmap(lambda seed: jvp(lambda th: function(th, *points), (theta,), (seed,))[1])(seeds)
 
 
-def _entries(model: nn.Module, free: Sequence[str] | None, bounds: Mapping[str, tuple[float, float]]) -> list[Entry]:
+def _entries(model: nn.Module, free: Sequence[str] | None, bounds: Any) -> list[Entry]:
     declared = getattr(model, "parameter_set", None)
     named_values = _of_set(declared) if declared is not None else _of_tensors(model)
-    names = list(named_values) if free is None else list(free)
-    if isinstance(free, str):
-        raise InputError("free", free, "a single word", "a list of names")
-    entries: list[Entry] = []
-    for name in names:
-        chosen = named_values.get(name)
-        if chosen is None:
-            single = [e for group in named_values.values() for e in group if e.name == name]
-            if not single:
-                raise InputError("free", name, "no parameter of the model", f"one of {', '.join(named_values)}")
-            chosen = single
-        entries += [_bounded(e, bounds.get(e.name, bounds.get(name))) for e in chosen]
+    single = {e.name: [e] for group in named_values.values() for e in group}
+    argument = Argument("arguments", "free")
+    chosen = (
+        list(named_values) if free is None else arguments.names(argument, free, [*named_values, *single], "parameter")
+    )
+    entries = [entry for name in chosen for entry in (named_values.get(name) or single[name])]
     twice = sorted({e.name for e in entries if sum(o.name == e.name for o in entries) > 1})
     if twice:
-        raise InputError("free", twice[0], "given twice", "each parameter once")
-    return entries
+        raise argument.wrong(f"'{twice[0]}' is given twice", "each parameter once")
+    limits = bounds_of(bounds, list(dict.fromkeys([*chosen, *(e.name for e in entries)])))
+    tensors = {e.name: name for name, group in named_values.items() for e in group}
+    return [_bounded(e, limits.get(e.name, limits.get(tensors[e.name]))) for e in entries]
 
 
 def _bounded(entry: Entry, bounds: tuple[float, float] | None) -> Entry:
-    if bounds is None:
-        return entry
-    low, high = float(bounds[0]), float(bounds[1])
-    if not low <= high:
-        raise InputError("bounds", entry.name, f"{low} to {high}", "lower bound first")
-    return Entry(entry.name, entry.tensor, entry.place, entry.unit, low, high)
+    return entry if bounds is None else replace(entry, lower=bounds[0], upper=bounds[1])
 
 
 def _of_set(declared: Any) -> dict[str, list[Entry]]:

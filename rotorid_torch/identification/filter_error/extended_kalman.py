@@ -24,8 +24,9 @@ import torch
 from torch import Tensor
 from torch.func import jvp, vmap
 
+from rotorid_torch import arguments
+from rotorid_torch.arguments import Argument, Sizes
 from rotorid_torch.core.integrate import NODES, step_stages
-from rotorid_torch.errors import InputError
 from rotorid_torch.identification.estimate.segments import Records, Segments, cut
 from rotorid_torch.identification.estimate.sensitivity import controls_at
 from rotorid_torch.identification.estimate.system import System, by_inputs
@@ -99,36 +100,18 @@ def form(key: str, wanted: str | Sequence[str] | Tensor, names: Sequence[str], u
         Where a name is unknown, or the matrix is no covariance.
     """
     names, units = tuple(names), tuple(units)
-    everything = tuple(range(len(names)))
-    if isinstance(wanted, str):
-        if wanted not in ("diagonal", "full"):
-            raise InputError("arguments", key, repr(wanted), '"diagonal" or "full", a list of names, or a matrix')
+    everything, argument = tuple(range(len(names))), Argument("arguments", key)
+    if wanted is None or isinstance(wanted, str):
+        wanted = arguments.word(argument, wanted, ("diagonal", "full"), ", a list of states, or a matrix")
         return CovarianceForm(names, units, everything, wanted == "full")
-    if not isinstance(wanted, Tensor) and all(isinstance(name, str) for name in wanted):
-        for name in wanted:
-            if name not in names:
-                raise InputError("arguments", key, f"no state {name!r}", f"some of {', '.join(names)}")
-        return CovarianceForm(names, units, tuple(i for i, name in enumerate(names) if name in wanted))
-    try:
-        matrix = torch.as_tensor(wanted).to(torch.float64)
-    except (TypeError, ValueError):
-        raise InputError("arguments", key, f"{wanted!r}", '"diagonal", "full", a list of names, or a matrix') from None
-    return CovarianceForm(names, units, everything, matrix=_checked(key, matrix, len(names)))
-
-
-def _checked(key: str, matrix: Tensor, n: int) -> Tensor:
-    expected = f"{n} by {n} finite numbers, symmetric, no negative eigenvalue"
-    if matrix.shape != (n, n):
-        raise InputError("arguments", key, f"matrix of shape {tuple(matrix.shape)}", expected)
-    if not bool(matrix.isfinite().all()):
-        raise InputError("arguments", key, "holds NaN or infinity", expected)
-    size = float(matrix.abs().max())
-    if float((matrix - matrix.mT).abs().max()) > 1e-9 * size:
-        raise InputError("arguments", key, "matrix that is not symmetric", expected)
-    least = float(torch.linalg.eigvalsh(matrix).min())
-    if least < -1e-12 * size:
-        raise InputError("arguments", key, f"matrix with an eigenvalue of {least:.3g}", expected)
-    return (matrix + matrix.mT) / 2.0
+    if isinstance(wanted, list | tuple) and all(isinstance(name, str) for name in wanted):
+        chosen = arguments.names(argument, wanted, names, "state")
+        if not chosen:
+            raise argument.wrong("names no state", f"some of {arguments.listed(names)}, or a matrix of zeros for none")
+        return CovarianceForm(names, units, tuple(i for i, name in enumerate(names) if name in chosen))
+    n = len(names)
+    matrix = arguments.covariance(argument, wanted, f"{n} {n}", Sizes())
+    return CovarianceForm(names, units, everything, matrix=(matrix + matrix.mT) / 2.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,23 +10,24 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
+from rotorid_torch import arguments
+from rotorid_torch.arguments import Argument
 from rotorid_torch.core.gauss_newton import Minimum, minimise
 from rotorid_torch.core.native.graph.tracing import Unsupported
 from rotorid_torch.core.parameters import ParameterTable
 from rotorid_torch.errors import InputError
+from rotorid_torch.identification.arguments import floor_of, noise_of, refuse_search
 from rotorid_torch.identification.estimate.initial_states import smallest_noise
 from rotorid_torch.identification.estimate.output_error import (
     ParameterEstimate,
-    check_shapes,
-    one_of,
+    given,
     result_of,
     sentence,
     settings_of,
 )
 from rotorid_torch.identification.estimate.progressive_fit import FINE, Fit, Monitor, fit
 from rotorid_torch.identification.estimate.residuals import Whiteness, whiteness
-from rotorid_torch.identification.estimate.segments import Records, records_from
-from rotorid_torch.identification.estimate.system import System
+from rotorid_torch.identification.estimate.segments import Records
 from rotorid_torch.identification.estimate.uncertainty import Uncertainty
 from rotorid_torch.identification.filter_error.extended_kalman import CovarianceForm, Filtered, FilterProblem, form
 from rotorid_torch.identification.filter_error.held_gain import HeldEngine, alternated
@@ -140,12 +141,12 @@ def filter_error(
 
     Source: Maine and Iliff (1981), SIAM J. Appl. Math. 41; Jategaonkar, Flight Vehicle System Identification, ch. 5.
     """
-    system, records = System(model, free, bounds), records_from(flights)
-    one_of("x0", x0, ("free", "fixed"))
-    one_of("engine", engine or "native", ("native", "reference"))
-    one_of("gain", gain, ("exact", "held"))
+    system, records = given(model, flights, free, bounds)
+    arguments.word(Argument("arguments", "x0"), x0, ("free", "fixed"))
+    arguments.word(Argument("arguments", "engine"), engine or "native", ("native", "reference"))
+    arguments.word(Argument("arguments", "gain"), gain, ("exact", "held"))
+    refuse_search(max_iterations, monitor)
     ny, nx = records.outputs.shape[-1], records.states.shape[-1]
-    check_shapes(system, records)
     states, units = state_names(model, nx)
     problem = FilterProblem(
         system,
@@ -276,23 +277,14 @@ def state_names(model: nn.Module, nx: int) -> tuple[tuple[str, ...], tuple[str, 
 def _outputs_form(noise: str | Tensor, body: Any, ny: int) -> CovarianceForm:
     named = getattr(body, "outputs", ())
     names = tuple(named) if len(named) == ny else tuple(f"y[{i}]" for i in range(ny))
-    if isinstance(noise, str):
-        one_of("noise", noise, ("diagonal", "full"))
-    variance_form = form("noise", noise, names, ("",) * ny)
-    if variance_form.matrix is not None and not bool((torch.linalg.eigvalsh(variance_form.matrix) > 0).all()):
-        raise InputError("arguments", "noise", "matrix that is singular", f"{ny} by {ny}, positive definite")
-    return variance_form
+    kind, matrix = noise_of(noise, ny)
+    return form("noise", kind if matrix is None else matrix, names, ("",) * ny)
 
 
 def _floor(noise_floor: Sequence[float] | Tensor | None, records: Records) -> Tensor:
     smallest = smallest_noise(records)
-    if noise_floor is None:
-        return smallest
-    floor = torch.as_tensor(noise_floor).to(torch.float64)
-    if floor.shape != smallest.shape or not bool((floor >= 0).all()):
-        wanted = f"{len(smallest)} numbers, none negative"
-        raise InputError("arguments", "noise_floor", f"shape {tuple(floor.shape)}", wanted)
-    return torch.maximum(floor, smallest)
+    floor = floor_of(noise_floor, len(smallest))
+    return smallest if floor is None else torch.maximum(floor, smallest)
 
 
 def _result(engine: FilterEngine, likelihood: InnovationLikelihood, minimum: Minimum[FilterPlace]) -> FilterError:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from rotorid_torch.errors import InputError
+from rotorid_torch import arguments
+from rotorid_torch.arguments import Argument, Sizes
 
 Dynamics = Callable[[Tensor, Tensor], Tensor]
 """f(x[..., nx], u[..., nu]) -> dx/dt [..., nx], or h(x, u) -> y [..., ny]"""
@@ -56,65 +58,39 @@ class Filtered:
         return f"Filtered{smoothed}: {lead}{samples} samples, {states} states, log-likelihood {likelihood}"
 
 
-def check(problem: Problem) -> None:
-    """Everything the user hands in.
+def problem_of(f: Dynamics, h: Dynamics, given: Mapping[str, Any], dt: Any) -> Problem:
+    """What the caller hands in, as a problem; `given` has x0, P0, Q, R, controls, outputs.
 
     Raises
     ------
-    InputError : shapes that do not fit, functions that do not broadcast, NaN or infinity, a covariance that is none.
+    InputError : shapes that do not fit, functions that do not broadcast or leave torch, NaN or infinity, no covariance.
     """
-    x0, outputs, controls = problem.x0, problem.outputs, problem.controls
-    if outputs.dim() < 2 or outputs.shape[-2] < 1:
-        raise _wrong("outputs", f"has shape {tuple(outputs.shape)}", "(..., T, ny) with at least one sample")
-    nx, ny, samples = (x0.shape[-1] if x0.dim() else 0), outputs.shape[-1], outputs.shape[-2]
-    if nx == 0:
-        raise _wrong("x0", f"has shape {tuple(x0.shape)}", "(..., nx)")
-    if controls.dim() < 2 or controls.shape[-2] != samples:
-        raise _wrong("controls", f"has shape {tuple(controls.shape)}", f"(..., {samples}, nu) like the outputs")
-    for key, matrix, n in (("P0", problem.P0, nx), ("Q", problem.Q, nx), ("R", problem.R, ny)):
-        _check_covariance(key, matrix, n)
-    for key, value in (("x0", x0), ("controls", controls)):
-        if not value.isfinite().all():
-            raise _wrong(key, "holds NaN or infinity", "finite numbers")
-    if outputs.isinf().any():
-        raise _wrong("outputs", "holds infinity", "numbers, NaN where missing")
-    if not problem.dt > 0.0:
-        raise _wrong("dt", f"is {problem.dt}", "a sample interval above zero, s")
-    leading = [x0.shape[:-1], problem.P0.shape[:-2], controls.shape[:-2], outputs.shape[:-2]]
+    sizes, of = Sizes(), "unscented_filter"
+    x0 = arguments.shaped(Argument(of, "x0"), given["x0"], "... nx", sizes)
+    P0 = arguments.covariance(Argument(of, "P0"), given["P0"], "... nx nx", sizes)
+    Q = arguments.covariance(Argument(of, "Q"), given["Q"], "nx nx", sizes)
+    outputs = arguments.shaped(Argument(of, "outputs"), given["outputs"], "... T ny", sizes, missing=True)
+    controls = arguments.shaped(Argument(of, "controls"), given["controls"], "... T nu", sizes)
+    R = arguments.covariance(Argument(of, "R"), given["R"], "ny ny", sizes, definite=True)
+    if not outputs.numel() or bool(outputs.isnan().all()):
+        raise Argument(of, "outputs").wrong("hold no value", "measured outputs, NaN where one is missing")
+    if not x0.shape[-1]:
+        raise Argument(of, "x0").wrong("is empty", "(..., nx) with at least one state")
+    interval = arguments.number(Argument(of, "dt"), dt, "the sample interval, s", above=0.0)
+    problem = Problem(f, h, x0, P0, Q, R, controls, outputs, interval)
+    leading = [x0.shape[:-1], P0.shape[:-2], controls.shape[:-2], outputs.shape[:-2]]
     try:
         batch = torch.broadcast_shapes(*leading)
     except RuntimeError as error:
         shapes = ", ".join(str(tuple(shape)) for shape in leading)
-        raise _wrong("x0", f"P0, controls and outputs have leading shapes {shapes}", "shapes that broadcast") from error
-    for key, function, n in (("f", problem.f, nx), ("h", problem.h, ny)):
-        _check_function(key, function, x0.expand(*batch, nx), controls[..., 0, :].expand(*batch, controls.shape[-1]), n)
-
-
-def _check_function(key: str, function: Callable[[Tensor, Tensor], Tensor], x: Tensor, u: Tensor, n: int) -> None:
-    """As the filter calls it, with sigma points as one more dimension; their number is nobody's size by chance."""
-    x, u = (a.unsqueeze(-2).expand(*a.shape[:-1], x.shape[-1] + n + 1, a.shape[-1]) for a in (x, u))
-    wanted = (*x.shape[:-1], n)
-    expected = f"{wanted} for x of shape {tuple(x.shape)}: write x[..., 0], not x[0]"
-    try:
-        value = function(x, u)
-    except (RuntimeError, IndexError, ValueError) as error:
-        raise _wrong(key, f"fails: {str(error).splitlines()[0]}", expected) from error
-    if value.shape != wanted:
-        raise _wrong(key, f"returns shape {tuple(value.shape)}", expected)
-
-
-def _check_covariance(key: str, matrix: Tensor, n: int) -> None:
-    if matrix.shape[-2:] != (n, n) or (key != "P0" and matrix.dim() != 2):
-        raise _wrong(key, f"has shape {tuple(matrix.shape)}", f"({n}, {n})")
-    if not matrix.isfinite().all():
-        raise _wrong(key, "holds NaN or infinity", "a covariance")
-    size = matrix.diagonal(dim1=-2, dim2=-1).abs().max()
-    if (matrix - matrix.mT).abs().max() > 1e-9 * size:
-        raise _wrong(key, "is not symmetric", "a covariance")
-    lowest = torch.linalg.eigvalsh(matrix).min()
-    if lowest < -1e-9 * size or (key == "R" and lowest <= 0.0):
-        raise _wrong(key, f"has eigenvalue {lowest:.3g}", "a covariance" + (" without zeros" if key == "R" else ""))
-
-
-def _wrong(key: str, wrong: str, expected: str) -> InputError:
-    return InputError("unscented_filter", key, wrong, expected)
+        wrong = f"P0, controls and outputs have leading shapes {shapes}"
+        raise Argument(of, "x0").wrong(wrong, "shapes that broadcast") from error
+    x, u = x0.expand(*batch, -1), controls[..., 0, :].expand(*batch, -1)
+    for key, function, n, form in (
+        ("f", f, x.shape[-1], "f(x, u) -> dx/dt"),
+        ("h", h, outputs.shape[-1], "h(x, u) -> y"),
+    ):
+        # sigma points are one more dimension; their number here is nobody's size by chance
+        points = (a.unsqueeze(-2).expand(*batch, x.shape[-1] + n + 1, a.shape[-1]) for a in (x, u))
+        arguments.evaluated(Argument(of, key), function, tuple(points), (*batch, x.shape[-1] + n + 1, n), form)
+    return problem

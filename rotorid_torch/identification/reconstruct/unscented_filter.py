@@ -19,6 +19,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rotorid_torch import arguments
+from rotorid_torch.arguments import Argument
 from rotorid_torch.core.fallback import say_once
 from rotorid_torch.core.integrate import step
 from rotorid_torch.core.native import filtering
@@ -26,7 +28,7 @@ from rotorid_torch.core.native.build import threads
 from rotorid_torch.core.native.filtering import Weights
 from rotorid_torch.core.native.graph.tracing import Unsupported
 from rotorid_torch.identification.reconstruct import sigma_points
-from rotorid_torch.identification.reconstruct.filter_problem import Dynamics, Filtered, Problem, check
+from rotorid_torch.identification.reconstruct.filter_problem import Dynamics, Filtered, problem_of
 from rotorid_torch.identification.reconstruct.iterated import iterated, learns_constants
 from rotorid_torch.identification.reconstruct.sigma_points import ProcessNoise, SigmaPoints, divide, root
 
@@ -77,16 +79,18 @@ def unscented_filter(
     InputError : shapes that do not fit, functions that do not broadcast, NaN in anything but the outputs, a covariance
         that is not symmetric.
     """
-    x0, P0, Q, R, controls, outputs = (
-        torch.as_tensor(a, dtype=torch.float64) for a in (x0, P0, Q, R, controls, outputs)
-    )
-    problem = Problem(f, h, x0, P0, Q, R, controls, outputs, dt)
+    given = {"x0": x0, "P0": P0, "Q": Q, "R": R, "controls": controls, "outputs": outputs}
+    problem, smooth = problem_of(f, h, given, dt), arguments.flag(Argument("unscented_filter", "smooth"), smooth)
+    noise = ProcessNoise.constant(problem.Q)
+
+    def single_pass(cov: Tensor, smooth: bool = True) -> Filtered:
+        prior, records = (problem.x0, cov), (problem.R, problem.controls, problem.outputs)
+        return filter_and_smooth(f, h, prior, noise, *records, problem.dt, smooth)
+
     with torch.no_grad():
-        check(problem)
-        noise = ProcessNoise.constant(Q)
         if not learns_constants(problem):
-            return filter_and_smooth(f, h, (x0, P0), noise, R, controls, outputs, dt, smooth)
-        got = iterated(problem, lambda cov: filter_and_smooth(f, h, (x0, cov), noise, R, controls, outputs, dt))
+            return single_pass(problem.P0, smooth)
+        got = iterated(problem, single_pass)
     return got if smooth else replace(got, smoothed_means=None, smoothed_covariances=None)
 
 

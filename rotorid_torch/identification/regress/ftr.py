@@ -4,18 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from rotorid_torch import arguments
+from rotorid_torch.arguments import Argument, Sizes
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.regress.noisy_least_squares import Solution, noisy_least_squares, smooth_variance
-from rotorid_torch.identification.regress.rows import Rows, flight_rows, total_noise
+from rotorid_torch.identification.regress.rows import KINDS, NOISES, Rows, flight_rows, total_noise
 
 SHOWN = 6
 """R2 of a batch that a regression shows of itself, at most."""
 REACH = 3
 """Harmonics on each side over which the colour of the residual is taken for smooth."""
+FEWEST = 3
+"""Samples of a record, at least."""
 PRIOR_PASSES = 3
 """Repetitions in which the weight of a prior follows the residual variance."""
 
@@ -113,11 +118,11 @@ def regress(
 
     Source: Morelli and Klein, Aircraft System Identification, 2nd ed., ch. 7; Fuller, Measurement Error Models, ch. 2.
     """
-    responses, matrices = _as_flights(response, "response"), _as_flights(regressors, "regressors")
-    steps = _as_steps(dt, len(responses))
-    if not len(responses) == len(matrices) == len(steps):
-        counts = f"{len(responses)} responses, {len(matrices)} sets of regressors and {len(steps)} sample intervals"
-        raise InputError("arrays", "flights", counts, "as many of each")
+    responses, matrices, steps = _records(response, regressors, dt)
+    band, noise = _band(band), _noise(noise, matrices[0].shape[-1])
+    arguments.word(Argument("regress", "kind"), kind, KINDS)
+    arguments.flag(Argument("regress", "trend"), trend)
+    oversample = int(arguments.number(Argument("regress", "oversample"), oversample, least=1, whole=True))
     notes: list[str] = []
     rows = [
         flight_rows(y, x, step, band, kind, noise=noise, trend=trend, oversample=oversample, notes=notes)
@@ -228,16 +233,76 @@ def _as_spectrum(rows: Tensor, flights: Sequence[Rows]) -> Tensor:
     return torch.cat([torch.complex(*part.chunk(2, dim=-1)) for part in parts], dim=-1)
 
 
-def _as_flights(records: Tensor | Sequence[Tensor], key: str) -> list[Tensor]:
-    """One tensor or a list of them (arrays and lists of numbers too) as a list in double precision."""
-    many = records if isinstance(records, list | tuple) else [records]
-    flights = [torch.as_tensor(record, dtype=torch.float64) for record in many]
-    if not flights:
-        raise InputError("arrays", key, "no flight", "one or more")
-    return flights
+def _records(response: Any, regressors: Any, dt: Any) -> tuple[list[Tensor], list[Tensor], list[float]]:
+    """Responses (..., T), regressors (..., T, n) and sample intervals of each flight.
+
+    A list of records is one of flights; a list of numbers is a single record.
+    """
+    responses, matrices = _flights("response", response, 1), _flights("regressors", regressors, 2)
+    if len(matrices) != len(responses):
+        wrong = f"are of {len(matrices)} flights"
+        raise Argument("regress", "regressors").wrong(wrong, f"{len(responses)}, as many as responses")
+    common, checked = Sizes(), []
+    for i, (y, x) in enumerate(zip(responses, matrices, strict=True)):
+        place = "" if len(responses) == 1 else f"[{i}]"
+        sizes = common.without("T")
+        y = arguments.shaped(Argument("regress", f"response{place}"), y, "... T", sizes, missing=True)
+        x = arguments.shaped(Argument("regress", f"regressors{place}"), x, "... T n", sizes, missing=True)
+        if y.shape[-1] < FEWEST:
+            raise Argument("regress", f"response{place}").wrong(f"has {y.shape[-1]} samples", f"{FEWEST} or more")
+        if not x.shape[-1]:
+            raise Argument("regress", f"regressors{place}").wrong("have no column", "(..., T, n), n at least 1")
+        common = sizes
+        checked.append((y, x))
+    return [y for y, _ in checked], [x for _, x in checked], _steps(dt, len(responses))
 
 
-def _as_steps(dt: float | Sequence[float], flights: int) -> list[float]:
+def _flights(key: str, records: Any, dims: int) -> list[Any]:
+    """A record, or a list of them, as a list; nested lists of numbers are told from lists of flights by their depth."""
+    if isinstance(records, list | tuple):
+        if not records:
+            raise Argument("regress", key).wrong("is empty", "one record or more")
+        first, depth = records[0], 0
+        while isinstance(first, list | tuple) and first:
+            first, depth = first[0], depth + 1
+        depth += int(getattr(first, "ndim", 0))
+        if depth >= dims:
+            return list(records)
+    return [records]
+
+
+def _steps(dt: Any, flights: int) -> list[float]:
     """One sample interval per flight."""
-    steps = torch.as_tensor(dt, dtype=torch.float64).reshape(-1).tolist()
-    return steps * flights if len(steps) == 1 else steps
+    argument = Argument("regress", "dt")
+    if isinstance(dt, list | tuple) or getattr(dt, "ndim", 0):
+        steps = [arguments.number(argument, step, "the sample interval, s", above=0.0) for step in list(dt)]
+        if len(steps) not in (1, flights):
+            hint = "one number: the sample interval, s" if flights == 1 else f"one number, or {flights}, s"
+            raise argument.wrong(f"holds {len(steps)} numbers for {flights} flights", hint)
+        return steps * flights if len(steps) == 1 else steps
+    return [arguments.number(argument, dt, "the sample interval, s", above=0.0)] * flights
+
+
+def _band(band: Any) -> tuple[float, float]:
+    """Lowest and highest frequency, Hz."""
+    argument, expected = Argument("regress", "band"), "a lower and a higher frequency (low, high), Hz"
+    edges = arguments.sequence(argument, band, expected)
+    if len(edges) != 2:
+        raise argument.wrong(f"holds {len(edges)} numbers", expected)
+    low, high = (arguments.number(argument, edge, least=0.0) for edge in edges)
+    if not low < high:
+        raise argument.wrong(f"is {low:g} to {high:g}", expected)
+    return low, high
+
+
+def _noise(noise: Any, columns: int) -> str | Tensor:
+    """A word, or standard deviations (n,) of the regressors' samples."""
+    argument = Argument("regress", "noise")
+    if noise is None or isinstance(noise, str):
+        return arguments.word(argument, noise, NOISES, " or standard deviations, one per regressor")
+    sd = arguments.numbers(argument, noise)
+    if sd.dim() and sd.shape != (columns,):
+        raise argument.wrong(f"has shape {tuple(sd.shape)}", f"({columns},), one per regressor")
+    if bool((sd < 0).any()):
+        raise argument.wrong(f"is {sd.tolist()}", "standard deviations, none negative")
+    return sd

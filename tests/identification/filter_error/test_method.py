@@ -181,7 +181,7 @@ def test_a_filter_that_diverges_says_where_and_with_which_state() -> None:
         ({"x0": "guess"}, "x0"),
         ({"engine": "fast"}, "engine"),
         ({"gain": "none"}, "gain"),
-        ({"free": ["thetta"]}, "thetta"),
+        ({"free": ["thetta"]}, "free"),
     ],
 )
 def test_bad_arguments_are_named(more: dict[str, object], key: str) -> None:

@@ -1,0 +1,398 @@
+"""What callers hand to functions of the package, checked: one line says which argument, what is wrong, what to write.
+
+Arrays are declared by their shape ("T nu", "... T ny"): a letter stands for a size that the first array with it fixes.
+Lists, tuples, NumPy arrays, tensors and tables of pandas are all taken as arrays, of whole or real numbers.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rotorid_torch.errors import InputError
+
+LISTED = 12
+"""Names that a message lists at most."""
+ROUNDING = 1e-9
+"""Of the largest entry: what a covariance may be off symmetry, or a negative eigenvalue, by rounding."""
+
+
+@dataclass(frozen=True)
+class Argument:
+    """One argument: the function, file or flight that it belongs to, and its name."""
+
+    of: str
+    key: str
+
+    def wrong(self, wrong: str, expected: str) -> InputError:
+        """The refusal of this argument."""
+        return InputError(self.of, self.key, wrong, expected)
+
+    def inside(self, key: str) -> Argument:
+        """An entry of this argument."""
+        return Argument(f"{self.of}: {self.key}", key)
+
+
+@dataclass(frozen=True)
+class Array:
+    """Declaration of an array: its name and shape; whether NaN marks missing samples; whether it may be absent."""
+
+    key: str
+    shape: str
+    missing: bool = False
+    optional: bool = False
+
+
+@dataclass
+class Sizes:
+    """Sizes by their letters, as far as arrays have fixed them, and which array did."""
+
+    by_letter: dict[str, int] = field(default_factory=dict)
+    fixed_by: dict[str, str] = field(default_factory=dict)
+
+    def without(self, *letters: str) -> Sizes:
+        """A copy in which these letters are not fixed."""
+        left = {letter: size for letter, size in self.by_letter.items() if letter not in letters}
+        return Sizes(left, dict(self.fixed_by))
+
+    def words(self, shape: str) -> str:
+        """A declared shape with the sizes that are fixed, and by what: "(300, nu), 300 as in time"."""
+        letters = shape.split()
+        parts = [str(self.by_letter.get(letter, letter)) for letter in letters]
+        fixed = {letter: self.fixed_by[letter] for letter in letters if letter in self.fixed_by}
+        origins = "".join(f", {self.by_letter[k]} as in {key}" for k, key in fixed.items() if k in self.by_letter)
+        return f"({', '.join(parts)}{',' if len(parts) == 1 else ''}){origins}"
+
+    def fits(self, shape: str, sizes: Sequence[int]) -> bool:
+        """Whether an array of these sizes has the declared shape."""
+        letters = shape.split()
+        if letters[0] == "...":
+            letters = letters[1:]
+            sizes = sizes[max(len(sizes) - len(letters), 0) :]
+        if len(sizes) != len(letters):
+            return False
+        wanted = (int(k) if k.isdigit() else self.by_letter.get(k) for k in letters)
+        return all(size in (n, None) for size, n in zip(wanted, sizes, strict=True))
+
+    def fix(self, shape: str, sizes: Sequence[int], key: str) -> None:
+        """Fix the letters that the array `key` brings."""
+        letters = [letter for letter in shape.split() if letter != "..."]
+        for letter, size in zip(reversed(letters), reversed(sizes), strict=False):
+            if not letter.isdigit() and letter not in self.by_letter:
+                self.by_letter[letter], self.fixed_by[letter] = int(size), key
+
+
+def listed(names: Iterable[str]) -> str:
+    """Names for a message, the first ones of many."""
+    names = list(names)
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    return ", ".join(names[:LISTED]) + more
+
+
+def nearest(name: str, names: Iterable[str]) -> str:
+    """What to add of the nearest name, or nothing."""
+    near = get_close_matches(name, list(names), n=1)
+    return f"; did you mean '{near[0]}'?" if near else ""
+
+
+def described(value: Any) -> str:
+    """A value for a message: what it is, shortened."""
+    if value is None or isinstance(value, bool | int | float | str):
+        text = repr(value)
+        return text if len(text) <= 60 else f"{text[:57]}..."
+    if isinstance(value, type):
+        return f"the class {value.__name__}, not an object of it"
+    if isinstance(value, np.ndarray | Tensor):
+        return f"an array of shape {tuple(value.shape)}"
+    word = type(value).__name__
+    return f"{'an' if word[0] in 'aeiouAEIOU' else 'a'} {word}"
+
+
+def numbers(argument: Argument, value: Any, missing: bool = False) -> Tensor:
+    """Any array of numbers in float64: lists, NumPy, tensors, pandas. `missing`: NaN is allowed.
+
+    Raises
+    ------
+    InputError : None, text, complex numbers, rows of different lengths, infinity, or NaN where none is allowed.
+    """
+    expected = "an array of numbers" + (", NaN where one is missing" if missing else "")
+    tensor = _tensor(argument, value, expected)
+    if tensor.is_complex():
+        raise argument.wrong("holds complex numbers", "real numbers")
+    tensor = tensor.detach().to(torch.float64)
+    if bool(torch.isinf(tensor).any()):
+        raise argument.wrong(f"holds infinity{_where(torch.isinf(tensor))}", expected)
+    if not missing and bool(torch.isnan(tensor).any()):
+        raise argument.wrong(f"holds NaN{_where(torch.isnan(tensor))}", "finite numbers")
+    return tensor
+
+
+def _where(marked: Tensor) -> str:
+    """Place of the first marked entry, for a message."""
+    place = marked.nonzero()[0].tolist()
+    return f" at [{', '.join(map(str, place))}]" if place else ""
+
+
+def _tensor(argument: Argument, value: Any, expected: str) -> Tensor:
+    if isinstance(value, Tensor):
+        return value
+    if value is None or isinstance(value, str | bytes | Mapping | set | type) or callable(value):
+        raise argument.wrong(f"is {described(value)}", expected)
+    if isinstance(value, np.ma.MaskedArray):
+        value = np.where(np.ma.getmaskarray(value), np.nan, value.data)
+    try:
+        if isinstance(value, Sequence) and any(isinstance(entry, Tensor) for entry in value):
+            return torch.stack([torch.as_tensor(entry).detach() for entry in value])
+        array = np.asarray(value)
+    except (ValueError, TypeError, RuntimeError):
+        raise argument.wrong("has rows of different lengths, or entries that are no numbers", expected) from None
+    if array.dtype.kind not in "biufc":
+        raise argument.wrong(f"holds {_foreign(array)}", expected)
+    plain = array.dtype.isnative and min(array.strides, default=0) >= 0
+    return torch.as_tensor(array if plain else np.array(array, dtype=array.dtype.newbyteorder("="), order="C"))
+
+
+def _foreign(array: np.ndarray) -> str:
+    """What an array holds that is no number."""
+    for entry in array.flat:
+        if not isinstance(entry, int | float | np.number):
+            return described(entry)
+    return f"values of type {array.dtype}"
+
+
+def shaped(argument: Argument, value: Any, shape: str, sizes: Sizes, missing: bool = False) -> Tensor:
+    """Numbers of a declared shape; letters that are not yet fixed are fixed by it.
+
+    Raises
+    ------
+    InputError : as `numbers`, or another shape.
+    """
+    if value is None:
+        raise argument.wrong("is None", f"an array {sizes.words(shape)}")
+    tensor = numbers(argument, value, missing)
+    if not sizes.fits(shape, tensor.shape):
+        raise argument.wrong(f"has shape {tuple(tensor.shape)}", sizes.words(shape) + _repair(tensor, shape, sizes))
+    sizes.fix(shape, tensor.shape, argument.key)
+    return tensor
+
+
+def _repair(tensor: Tensor, shape: str, sizes: Sizes) -> str:
+    """What may lead to the declared shape."""
+    if tensor.dim() >= 2 and sizes.fits(shape, tensor.mT.shape):
+        return "; is it transposed?"
+    letters = [letter for letter in shape.split() if letter != "..."]
+    if len(letters) == 2 and tensor.dim() < 2:
+        if letters[0] == letters[1]:
+            return ": write [[a]]" if tensor.dim() == 0 else ": np.diag(a) makes one of variances"
+        if tensor.dim() == 1 and sizes.fits(shape, (len(tensor), 1)):
+            return ": write a[:, None] for a single column"
+    return ""
+
+
+def arrays(of: str, table: Sequence[Array], given: Any, sizes: Sizes) -> dict[str, Tensor]:
+    """The arrays of a mapping, as a table declares them; entries of other names are left alone.
+
+    Raises
+    ------
+    InputError : no mapping, an array that is absent (with the nearest name that is there), or one that does not fit.
+    """
+    if not isinstance(given, Mapping):
+        keys = listed(array.key for array in table)
+        raise InputError(of, "", f"is {described(given)}", f"a dict with {keys}")
+    keys = {array.key for array in table}
+    foreign = [str(key) for key in given if key not in keys]
+    found = {}
+    for array in table:
+        argument = Argument(of, array.key)
+        if given.get(array.key) is not None:
+            found[array.key] = shaped(argument, given[array.key], array.shape, sizes, array.missing)
+            continue
+        near = get_close_matches(array.key.lower(), [key.lower() for key in foreign], n=1)
+        if near or not array.optional:
+            what = "is None" if array.key in given else "absent"
+            hint = f"; there is '{next(k for k in foreign if k.lower() == near[0])}'" if near else ""
+            raise argument.wrong(f"{what}{hint}", f"an array {sizes.words(array.shape)}")
+    return found
+
+
+def number(
+    argument: Argument,
+    value: Any,
+    what: str = "",
+    *,
+    above: float = -math.inf,
+    least: float = -math.inf,
+    whole: bool = False,
+) -> float:
+    """One real (or whole) number; `what` it is, for the message.
+
+    Raises
+    ------
+    InputError : an array, text, None, NaN or infinity, or a number that is too small.
+    """
+    noun = "a whole number" if whole else "a number"
+    limit = f" above {above:g}" if above > -math.inf else f", at least {least:g}" if least > -math.inf else ""
+    limit += f": {what}" if what else ""
+    single = None
+    if not isinstance(value, bool | str | bytes | complex) and value is not None:
+        with suppress(TypeError, ValueError, RuntimeError):
+            single = float(value)
+    if single is None:
+        raise argument.wrong(f"is {described(value)}", f"{noun}{limit}")
+    if not (math.isfinite(single) and single > above and single >= least) or (whole and single != round(single)):
+        raise argument.wrong(f"is {single:g}", f"{noun}{limit}")
+    return single
+
+
+def word(argument: Argument, value: Any, allowed: Sequence[str], other: str = "") -> str:
+    """One of some words; `other` is what else might have been given.
+
+    Raises
+    ------
+    InputError : anything else, with the nearest word.
+    """
+    if isinstance(value, str) and value in allowed:
+        return value
+    hint = nearest(value, allowed) if isinstance(value, str) else ""
+    raise argument.wrong(f"is {described(value)}{hint}", " or ".join(f'"{a}"' for a in allowed) + other)
+
+
+def flag(argument: Argument, value: Any) -> bool:
+    """True or False.
+
+    Raises
+    ------
+    InputError : anything else.
+    """
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    raise argument.wrong(f"is {described(value)}", "True or False")
+
+
+def sequence(argument: Argument, value: Any, expected: str) -> list[Any]:
+    """A list or tuple (or any iterable that is no mapping and no text) as a list.
+
+    Raises
+    ------
+    InputError : anything else.
+    """
+    if isinstance(value, str | bytes | Mapping) or not isinstance(value, Iterable) or isinstance(value, Tensor):
+        raise argument.wrong(f"is {described(value)}", expected)
+    return list(value)
+
+
+def names(argument: Argument, value: Any, allowed: Sequence[str], noun: str) -> tuple[str, ...]:
+    """A list of names that exist, each once.
+
+    Raises
+    ------
+    InputError : a single word, a name that there is not (with the nearest one), or one that is given twice.
+    """
+    chosen = sequence(argument, value, f'a list of names of {noun}s: ["..."]')
+    for name in chosen:
+        if name not in allowed:
+            hint = nearest(name, allowed) if isinstance(name, str) else ""
+            raise argument.wrong(
+                f"there is no {noun} {name!r}{hint}", f"one of {listed(dict.fromkeys(allowed)) or 'none'}"
+            )
+    twice = sorted({name for name in chosen if chosen.count(name) > 1})
+    if twice:
+        raise argument.wrong(f"{twice[0]!r} is given twice", f"each {noun} once")
+    return tuple(chosen)
+
+
+def covariance(argument: Argument, value: Any, shape: str, sizes: Sizes, definite: bool = False) -> Tensor:
+    """A covariance [..., n, n]: symmetric, no eigenvalue below zero; `definite`: none that is zero.
+
+    Raises
+    ------
+    InputError : any other matrix.
+    """
+    matrix = shaped(argument, value, shape, sizes)
+    n = matrix.shape[-1]
+    if matrix.shape[-2] != n:
+        raise argument.wrong(f"has shape {tuple(matrix.shape)}", f"({n}, {n})")
+    size = float(matrix.diagonal(dim1=-2, dim2=-1).abs().max()) if n else 0.0
+    if n and float((matrix - matrix.mT).abs().max()) > ROUNDING * size:
+        raise argument.wrong("is not symmetric", "a covariance")
+    lowest = float(torch.linalg.eigvalsh(matrix).min()) if n else 1.0
+    if lowest < -ROUNDING * size or (definite and lowest <= 0.0):
+        wanted = "a covariance" + (", positive definite" if definite else "")
+        raise argument.wrong(f"has eigenvalue {lowest:.3g}", wanted)
+    return matrix
+
+
+def evaluated(
+    argument: Argument, function: Callable[..., Any], inputs: Sequence[Tensor], wanted: Sequence[int], form: str
+) -> Tensor:
+    """What a caller's function gives at some inputs, which ask for derivatives: it must stay within torch.
+
+    Parameters
+    ----------
+    wanted : shape of the result. form : how the function is to be written, "f(x, u) -> dx/dt".
+
+    Raises
+    ------
+    InputError : it takes other arguments, fails, leaves torch, or gives another shape.
+    """
+    _refuse_signature(argument, function, len(inputs), form)
+    watched = [value.detach().clone().requires_grad_() for value in inputs]
+    try:
+        with torch.enable_grad():
+            result = function(*watched)
+    except InputError:
+        raise
+    except Exception as error:
+        raise argument.wrong(*_failure(error, form)) from error
+    if not isinstance(result, Tensor):
+        kind = "a NumPy array" if isinstance(result, np.ndarray) else described(result)
+        raise argument.wrong(f"returns {kind}", f"a tensor: {form}, with torch.stack([...], dim=-1) for several rows")
+    if tuple(result.shape) != tuple(wanted):
+        shapes = f"returns shape {tuple(result.shape)} for {', '.join(str(tuple(v.shape)) for v in inputs)}"
+        raise argument.wrong(shapes, f"shape {tuple(wanted)}; {form}: write x[..., 0], not x[0]")
+    if result.is_complex():
+        raise argument.wrong("returns complex numbers", f"real numbers; {form}")
+    return result.detach()
+
+
+def _refuse_signature(argument: Argument, function: Callable[..., Any], count: int, form: str) -> None:
+    if not callable(function):
+        raise argument.wrong(f"is {described(function)}", f"a function {form}")
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):
+        return
+    try:
+        signature.bind(*range(count))
+    except TypeError:
+        raise argument.wrong(f"takes {signature}", form) from None
+
+
+_TRANSLATED = (
+    (r"mat1 and mat2 shapes cannot be multiplied \((.+) and (.+)\)", "a product of matrices {0} and {1}"),
+    (r"size of tensor a \((\d+)\) must match the size of tensor b \((\d+)\)", "{0} and {1} entries do not go together"),
+    (r"index (\d+) is out of bounds for dimension -?\d+ with size (\d+)", "there is no entry {0} of {1}"),
+    (r"stack expects each tensor to be equal size, but got (\[.*?\]).* and (\[.*?\])", "shapes {0} and {1} stacked"),
+)
+"""What torch says of shapes, in words."""
+
+
+def _failure(error: Exception, form: str) -> tuple[str, str]:
+    """What to say of a function that has failed, and what was expected."""
+    text = (str(error).splitlines() or [""])[0]
+    for pattern, words in _TRANSLATED:
+        if found := re.search(pattern, text):
+            return f"fails: {words.format(*found.groups())}", f"{form} for batches: write x[..., 0], not x[0]"
+    if "numpy" in text.lower():
+        return "uses NumPy, which knows no derivatives", f"torch functions: torch.sin for np.sin; {form}"
+    return f"fails: {type(error).__name__}: {text[:160]}", form

@@ -1,0 +1,214 @@
+"""What estimators on anybody's model take: flights, a model that fits them, noises; each checked before any work."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from rotorid_torch import arguments
+from rotorid_torch.arguments import Argument, Array, Sizes
+
+FLIGHT = (
+    Array("time", "T"),
+    Array("controls", "T nu"),
+    Array("outputs", "T ny", missing=True),
+    Array("x0", "nx", optional=True),
+    Array("states", "T nx", missing=True, optional=True),
+)
+"""Arrays of a flight."""
+UNEVEN = 0.01
+"""Of the sample interval by which samples may be early or late."""
+RATES_FORM = "forward(t, x, u) -> dx/dt"
+OUTPUT_FORM = "output(x, u) -> y"
+SOLVERS = ("rk4", "euler", "midpoint", "heun3", "dopri5", "dopri8", "bosh3", "fehlberg2", "adaptive_heun")
+"""Of torchdiffeq: explicit methods."""
+
+
+def flights_of(flights: Any) -> list[dict[str, Tensor]]:
+    """The arrays of each flight: sizes of controls, outputs and states are those of the first flight.
+
+    Raises
+    ------
+    InputError : no list of dicts, an array that is absent or does not fit, or time that does not run evenly.
+    """
+    listed = arguments.sequence(
+        Argument("arguments", "flights"), flights, "a list of dicts with time, controls, outputs, x0: [flight]"
+    )
+    if not listed:
+        raise Argument("arguments", "flights").wrong("is empty", "one dict per flight with time, controls, outputs, x0")
+    common, rows = Sizes(), []
+    for i, flight in enumerate(listed):
+        sizes = common.without("T")
+        row = arguments.arrays(f"flights[{i}]", FLIGHT, flight, sizes)
+        _refuse_uneven(Argument(f"flights[{i}]", "time"), row["time"])
+        common = sizes
+        rows.append(row)
+    return rows
+
+
+def _refuse_uneven(argument: Argument, time: Tensor) -> None:
+    if len(time) < 2:
+        raise argument.wrong(f"has {len(time)} sample", "at least two samples")
+    step = torch.diff(time)
+    if not bool((step > 0).all()):
+        k = int((step <= 0).nonzero()[0])
+        raise argument.wrong(f"does not increase from sample {k} to {k + 1}", "seconds that increase")
+    mean = float(step.mean())
+    if float((step - mean).abs().max()) > UNEVEN * mean:
+        raise argument.wrong(
+            f"has intervals of {float(step.min()):.4g} to {float(step.max()):.4g} s",
+            f"equal ones (within {UNEVEN:.0%}): resample, or cut where samples are lost",
+        )
+
+
+def refuse_unmeasured(outputs: Tensor) -> None:
+    """Outputs of all flights [F, T, ny] of which one has no value anywhere.
+
+    Raises
+    ------
+    InputError : naming the column.
+    """
+    nothing = outputs.isnan().flatten(0, -2).all(dim=0).nonzero()[:, 0].tolist()
+    if nothing:
+        which = "no value at all" if len(nothing) == outputs.shape[-1] else f"no value in column {nothing[0]}"
+        raise Argument("flights", "outputs").wrong(f"hold {which}, in any flight", "measured outputs, or fewer columns")
+
+
+def module(model: Any) -> nn.Module:
+    """A module of torch with real parameters, a forward and an output.
+
+    Raises
+    ------
+    InputError : anything else.
+    """
+    argument = Argument("arguments", "model")
+    if not isinstance(model, nn.Module):
+        call = f": {model.__name__}()" if isinstance(model, type) else ""
+        raise argument.wrong(
+            f"is {arguments.described(model)}", f"a torch.nn.Module with {RATES_FORM} and {OUTPUT_FORM}{call}"
+        )
+    if not callable(getattr(model, "output", None)):
+        raise Argument("model", "output").wrong("absent", f"a method {OUTPUT_FORM}, shape (..., ny)")
+    for name, parameter in model.named_parameters():
+        if not parameter.is_floating_point():
+            raise Argument("model", name).wrong(f"is a parameter of {parameter.dtype}", "a real one")
+    return model
+
+
+def refuse_unfit(model: nn.Module, start: Tensor, x: Tensor, u: Tensor, ny: int) -> None:
+    """A model that does not take the flights' states [F, nx] and controls [F, nu], or gives something else.
+
+    Raises
+    ------
+    InputError : naming the method.
+    """
+    count = sum((x.shape[-1], u.shape[-1], ny, 2))
+    rows = torch.arange(max(len(x), count)) % len(x)
+    t, x, u = start[rows], x[rows], u[rows]
+    given = f" (x0 has {x.shape[-1]} numbers, controls have {u.shape[-1]} columns, outputs have {ny})"
+    arguments.evaluated(Argument("model", "forward"), model.forward, (t, x, u), x.shape, RATES_FORM + given)
+    output: Any = model.output
+    arguments.evaluated(Argument("model", "output"), output, (x, u), (*x.shape[:-1], ny), OUTPUT_FORM + given)
+
+
+def noise_of(noise: Any, ny: int) -> tuple[str, Tensor | None]:
+    """How the outputs' noise comes about: "diagonal" or "full", or "held" with a matrix [ny, ny].
+
+    Raises
+    ------
+    InputError : anything else.
+    """
+    argument = Argument("arguments", "noise")
+    if noise is None or isinstance(noise, str):
+        return arguments.word(argument, noise, ("diagonal", "full"), f" or a covariance ({ny}, {ny})"), None
+    return "held", arguments.covariance(argument, noise, f"{ny} {ny}", Sizes(), definite=True)
+
+
+def floor_of(noise_floor: Any, ny: int) -> Tensor | None:
+    """Standard deviations [ny] below which no noise is believed, or None.
+
+    Raises
+    ------
+    InputError : another number of them, or a negative one.
+    """
+    if noise_floor is None:
+        return None
+    argument = Argument("arguments", "noise_floor")
+    floor = arguments.shaped(argument, noise_floor, str(ny), Sizes())
+    if bool((floor < 0).any()):
+        raise argument.wrong(f"is {floor.tolist()}", f"{ny} standard deviations, none negative")
+    return floor
+
+
+def lengths_of(segment_lengths: Any, dt: float) -> tuple[float, ...] | None:
+    """Lengths of segments in seconds, stage by stage; infinite for whole flights.
+
+    Raises
+    ------
+    InputError : none, or one that is no number or holds fewer than two samples.
+    """
+    if segment_lengths is None:
+        return None
+    argument = Argument("arguments", "segment_lengths")
+    expected = f"a list of seconds of at least two samples ({2 * dt:.4g} s), float('inf') for whole flights"
+    lengths = arguments.sequence(argument, segment_lengths, expected)
+    wrong = [value for value in lengths if isinstance(value, bool | str) or not _long_enough(value, dt)]
+    if wrong or not lengths:
+        raise argument.wrong(f"holds {arguments.described(wrong[0])}" if wrong else "is empty", expected)
+    return tuple(map(float, lengths))
+
+
+def _long_enough(value: Any, dt: float) -> bool:
+    try:
+        return float(value) >= 1.5 * dt
+    except (TypeError, ValueError, RuntimeError):
+        return False
+
+
+def refuse_search(max_iterations: Any, monitor: Any) -> None:
+    """Iterations that are no number of them, or a monitor that cannot be called.
+
+    Raises
+    ------
+    InputError : naming the argument.
+    """
+    arguments.number(Argument("arguments", "max_iterations"), max_iterations, least=0, whole=True)
+    if monitor is not None and not callable(monitor):
+        raise Argument("arguments", "monitor").wrong(
+            f"is {arguments.described(monitor)}", "a function monitor(iteration, cost, theta)"
+        )
+
+
+def bounds_of(bounds: Any, free: Sequence[str]) -> Mapping[str, tuple[float, float]]:
+    """Lower and upper bound by name of a free parameter.
+
+    Raises
+    ------
+    InputError : a name that is not free, or no pair with the lower bound first.
+    """
+    argument = Argument("arguments", "bounds")
+    if bounds is None:
+        return {}
+    if not isinstance(bounds, Mapping):
+        raise argument.wrong(f"is {arguments.described(bounds)}", "a dict of (lower, upper) by name")
+    checked = {}
+    for name, pair in bounds.items():
+        if name not in free:
+            hint = arguments.nearest(str(name), free)
+            raise argument.wrong(f"{name!r} is no free parameter{hint}", f"one of {arguments.listed(free)}")
+        checked[name] = _pair(argument, name, pair)
+    return checked
+
+
+def _pair(argument: Argument, name: str, pair: Any) -> tuple[float, float]:
+    expected = "(lower, upper), infinite where there is none"
+    try:
+        low, high = (float(bound) for bound in pair)
+    except (TypeError, ValueError, RuntimeError):
+        raise argument.wrong(f"{name} is {arguments.described(pair)}", expected) from None
+    if not low <= high:
+        raise argument.wrong(f"{name} is {low:g} to {high:g}", f"{expected}, lower bound first")
+    return low, high

@@ -1,0 +1,385 @@
+"""Typical mistakes: each is answered in one line that names the argument and says what is expected of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+
+import rotorid_torch as rotorid
+from rotorid_torch.errors import InputError
+
+TIME = 0.02 * np.arange(60)
+STEP = np.where(TIME > 0.2, 1.0, 0.0)
+RESPONSE = np.where(TIME > 0.2, 1.5 * (1.0 - np.exp(-2.0 * (TIME - 0.2))), 0.0)
+FLIGHT: dict[str, Any] = {
+    "time": TIME,
+    "controls": STEP[:, None],
+    "outputs": RESPONSE[:, None] + 1e-3 * np.random.default_rng(0).standard_normal((60, 1)),
+    "x0": np.zeros(1),
+}
+RAW = (
+    "Traceback",
+    "mat1",
+    "size mismatch",
+    "must match the size",
+    "NoneType",
+    "vmap",
+    "at index",
+)
+"""Words of torch, NumPy and Python that help nobody."""
+
+
+def scalar(value: float) -> nn.Parameter:
+    return nn.Parameter(torch.tensor(value, dtype=torch.float64))
+
+
+class Lag(nn.Module):
+    """dx/dt = a x + b u, y = x."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.a, self.b = scalar(-1.0), scalar(1.0)
+
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Any:
+        return self.a * x + self.b * u
+
+    def output(self, x: Tensor, u: Tensor) -> Any:
+        return x
+
+
+class Outputless(nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.a = scalar(-1.0)
+
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Tensor:
+        return self.a * x + u
+
+
+class Timeless(Lag):
+    def forward(self, x: Tensor, u: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return self.a * x + self.b * u
+
+
+class WithNumpy(Lag):
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Any:
+        return self.a * np.sin(x) + self.b * u
+
+
+class ToNumpy(Lag):
+    def output(self, x: Tensor, u: Tensor) -> Any:
+        return x.detach().numpy()
+
+
+class Pair(Lag):
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Any:
+        return self.a * x, self.b * u
+
+
+class FirstEntry(Lag):
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Any:
+        return (self.a * x[0] + self.b * u[0])[:, None]
+
+
+class Broken(Lag):
+    def output(self, x: Tensor, u: Tensor) -> Any:
+        return self.gain * x  # pyright: ignore[reportOperatorIssue]
+
+
+class TwoOutputs(Lag):
+    def output(self, x: Tensor, u: Tensor) -> Any:
+        return torch.cat([x, u], dim=-1)
+
+
+class Complex(nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.a = nn.Parameter(torch.tensor(-1.0 + 1.0j))
+
+    forward, output = Lag.forward, Lag.output
+
+
+ACCEPTED: list[tuple[str, dict[str, Any]]] = [
+    ("lists", {key: value.tolist() for key, value in FLIGHT.items()}),
+    ("tuples", {key: tuple(map(tuple, value)) if value.ndim == 2 else tuple(value) for key, value in FLIGHT.items()}),
+    ("tensors", {key: torch.as_tensor(value) for key, value in FLIGHT.items()}),
+    ("float32", {key: value.astype(np.float32) for key, value in FLIGHT.items()}),
+    ("views that run back", {key: value[::-1].copy()[::-1] for key, value in FLIGHT.items()}),
+    ("big endian", {key: value.astype(">f8") for key, value in FLIGHT.items()}),
+    ("a masked array", FLIGHT | {"outputs": np.ma.masked_greater(FLIGHT["outputs"], 1e9)}),
+    ("integers", FLIGHT | {"controls": STEP[:, None].astype(int), "x0": [0]}),
+    ("a tensor that asks for gradients", FLIGHT | {"outputs": torch.as_tensor(FLIGHT["outputs"]).requires_grad_()}),
+    ("a list of tensors", FLIGHT | {"controls": [torch.tensor([value]) for value in STEP.tolist()]}),
+]
+
+
+@pytest.mark.parametrize("row", ACCEPTED, ids=[row[0] for row in ACCEPTED])
+def test_arrays_of_any_kind_are_taken(row: tuple[str, dict[str, Any]]) -> None:
+    first = rotorid.output_error(Lag(), [FLIGHT], x0="fixed")
+    found = rotorid.output_error(Lag(), [row[1]], x0="fixed")
+    for p, q in zip(first.parameters, found.parameters, strict=True):
+        assert abs(p.value - q.value) < 1e-3 * p.se
+
+
+def with_flight(**change: Any) -> dict[str, Any]:
+    return {"flights": [FLIGHT | change]}
+
+
+def without(key: str) -> dict[str, Any]:
+    return {"flights": [{k: v for k, v in FLIGHT.items() if k != key}]}
+
+
+def holed(column: np.ndarray, value: float) -> np.ndarray:
+    column = column.copy()
+    column[7] = value
+    return column
+
+
+JUMP = TIME + np.where(TIME > 0.5, 0.3, 0.0)
+MODELS: list[tuple[str, dict[str, Any], str]] = [
+    ("no output", {"model": Outputless()}, "output"),
+    ("forward without time", {"model": Timeless()}, "forward"),
+    ("NumPy in forward", {"model": WithNumpy()}, "forward"),
+    ("NumPy from output", {"model": ToNumpy()}, "output"),
+    ("forward gives a pair", {"model": Pair()}, "forward"),
+    ("first entry for last", {"model": FirstEntry()}, "forward"),
+    ("an attribute that is not there", {"model": Broken()}, "output"),
+    ("more outputs than measured", {"model": TwoOutputs()}, "output"),
+    ("complex parameters", {"model": Complex()}, "a"),
+    ("a class", {"model": Lag}, "model"),
+    ("a function", {"model": lambda t, x, u: x}, "model"),
+    ("None for a model", {"model": None}, "model"),
+]
+FLIGHTS: list[tuple[str, dict[str, Any], str]] = [
+    ("a dict for a list", {"flights": FLIGHT}, "flights"),
+    ("None for flights", {"flights": None}, "flights"),
+    ("no flights", {"flights": []}, "flights"),
+    ("an array for a flight", {"flights": [RESPONSE]}, "flights[0]"),
+    ("no outputs", without("outputs"), "outputs"),
+    ("a key misspelt", {"flights": [{"output" if k == "outputs" else k: v for k, v in FLIGHT.items()}]}, "outputs"),
+    ("None for outputs", with_flight(outputs=None), "outputs"),
+    ("None in outputs", with_flight(outputs=[[None], *FLIGHT["outputs"][1:].tolist()]), "outputs"),
+    ("outputs in one dimension", with_flight(outputs=RESPONSE), "outputs"),
+    ("outputs transposed", with_flight(outputs=RESPONSE[None]), "outputs"),
+    ("outputs complex", with_flight(outputs=RESPONSE[:, None] + 0j), "outputs"),
+    ("outputs infinite", with_flight(outputs=holed(RESPONSE, math.inf)[:, None]), "outputs"),
+    ("no output is there", with_flight(outputs=np.full((60, 1), math.nan)), "outputs"),
+    ("text for outputs", with_flight(outputs="q"), "outputs"),
+    ("ragged controls", with_flight(controls=[[0.0], [0.0, 1.0], *[[0.0]] * 58]), "controls"),
+    ("controls transposed", with_flight(controls=STEP[None]), "controls"),
+    ("controls too short", with_flight(controls=STEP[:-1, None]), "controls"),
+    ("NaN in controls", with_flight(controls=holed(STEP, math.nan)[:, None]), "controls"),
+    ("None for controls", with_flight(controls=None), "controls"),
+    ("time stands still", with_flight(time=np.zeros(60)), "time"),
+    ("time runs back", with_flight(time=TIME[::-1]), "time"),
+    ("time jumps", with_flight(time=JUMP), "time"),
+    ("NaN in time", with_flight(time=holed(TIME, math.nan)), "time"),
+    ("one sample", with_flight(time=[0.0], controls=[[0.0]], outputs=[[0.0]]), "time"),
+    ("other controls in another flight", {"flights": [FLIGHT, FLIGHT | {"controls": np.zeros((60, 2))}]}, "controls"),
+    ("other outputs in another flight", {"flights": [FLIGHT, FLIGHT | {"outputs": np.zeros((60, 2))}]}, "outputs"),
+    ("x0 of two", with_flight(x0=np.zeros(2)), "model"),
+    ("x0 of another size in another flight", {"flights": [FLIGHT, FLIGHT | {"x0": np.zeros(2)}]}, "x0"),
+    ("x0 infinite", with_flight(x0=[math.inf]), "x0"),
+    ("x0 a matrix", with_flight(x0=np.zeros((1, 1))), "x0"),
+    ("no x0", without("x0"), "x0"),
+    ("states too short", with_flight(states=np.zeros((5, 1))), "states"),
+]
+OPTIONS: list[tuple[str, dict[str, Any], str]] = [
+    ("an unknown parameter", {"free": ["aa"]}, "free"),
+    ("a single name", {"free": "a"}, "free"),
+    ("nothing free", {"free": []}, "free"),
+    ("a name twice", {"free": ["a", "a"]}, "free"),
+    ("a number for names", {"free": 1}, "free"),
+    ("an unknown name in bounds", {"bounds": {"c": (0.0, 1.0)}}, "bounds"),
+    ("bounds of what is not free", {"free": ["a"], "bounds": {"b": (0.0, 1.0)}}, "bounds"),
+    ("bounds reversed", {"bounds": {"a": (0.0, -1.0)}}, "bounds"),
+    ("one bound", {"bounds": {"a": -1.0}}, "bounds"),
+    ("NaN for a bound", {"bounds": {"a": (math.nan, 1.0)}}, "bounds"),
+    ("a list for bounds", {"bounds": [(-1.0, 1.0)]}, "bounds"),
+    ("x0 none of the words", {"x0": "known"}, "x0"),
+    ("numbers for x0", {"x0": [0.0]}, "x0"),
+    ("an unknown noise", {"noise": "white"}, "noise"),
+    ("a number for noise", {"noise": 0.1}, "noise"),
+    ("None for noise", {"noise": None}, "noise"),
+    ("noise too large", {"noise": np.eye(2)}, "noise"),
+    ("noise negative", {"noise": [[-1.0]]}, "noise"),
+    ("noise singular", {"noise": [[0.0]]}, "noise"),
+    ("a number for the floor", {"noise_floor": 0.1}, "noise_floor"),
+    ("a negative floor", {"noise_floor": [-0.1]}, "noise_floor"),
+    ("no iterations", {"max_iterations": -1}, "max_iterations"),
+    ("half an iteration", {"max_iterations": 1.5}, "max_iterations"),
+    ("a word for a monitor", {"monitor": "print"}, "monitor"),
+]
+OUTPUT_ERROR: list[tuple[str, dict[str, Any], str]] = [
+    ("no segments", {"segment_lengths": []}, "segment_lengths"),
+    ("negative segments", {"segment_lengths": [-1.0]}, "segment_lengths"),
+    ("segments of nothing", {"segment_lengths": [0.0]}, "segment_lengths"),
+    ("NaN for segments", {"segment_lengths": [math.nan]}, "segment_lengths"),
+    ("None for a length", {"segment_lengths": [None]}, "segment_lengths"),
+    ("a number for segments", {"segment_lengths": 2.0}, "segment_lengths"),
+    ("segments shorter than two samples", {"segment_lengths": [0.01]}, "segment_lengths"),
+    ("an unknown solver", {"solver": "rk5"}, "solver"),
+    ("None for the solver", {"solver": None}, "solver"),
+    ("an unknown optimiser", {"optimiser": "adam"}, "optimiser"),
+]
+FILTER_ERROR: list[tuple[str, dict[str, Any], str]] = [
+    ("an unknown state", {"process_noise": ["q"]}, "process_noise"),
+    ("no state", {"process_noise": []}, "process_noise"),
+    ("a word that is none", {"process_noise": "white"}, "process_noise"),
+    ("None for process noise", {"process_noise": None}, "process_noise"),
+    ("process noise negative", {"process_noise": [[-1.0]]}, "process_noise"),
+    ("process noise too large", {"process_noise": np.eye(2)}, "process_noise"),
+    ("process noise infinite", {"process_noise": [[math.inf]]}, "process_noise"),
+    ("an unknown gain", {"gain": "free"}, "gain"),
+    ("an unknown engine", {"engine": "cuda"}, "engine"),
+]
+
+
+def one_line(call: Callable[[], Any], key: str) -> str:
+    """The refusal of a call."""
+    with pytest.raises(InputError) as refused:
+        call()
+    line = str(refused.value)
+    assert len(line.splitlines()) == 1
+    assert len(line) < 400
+    assert key in f"{refused.value.file}: {refused.value.key}", line
+    assert refused.value.expected
+    assert not any(word in line for word in RAW), line
+    return line
+
+
+def ids(table: list[tuple[str, dict[str, Any], str]]) -> list[str]:
+    return [row[0] for row in table]
+
+
+@pytest.mark.parametrize(
+    "row", MODELS + FLIGHTS + OPTIONS + OUTPUT_ERROR, ids=ids(MODELS + FLIGHTS + OPTIONS + OUTPUT_ERROR)
+)
+def test_output_error(row: tuple[str, dict[str, Any], str]) -> None:
+    one_line(lambda: rotorid.output_error(**({"model": Lag(), "flights": [FLIGHT]} | row[1])), row[2])
+
+
+OF_FILTER = [row for row in MODELS + FLIGHTS + OPTIONS + FILTER_ERROR]
+
+
+@pytest.mark.parametrize("row", OF_FILTER, ids=ids(OF_FILTER))
+def test_filter_error(row: tuple[str, dict[str, Any], str]) -> None:
+    one_line(lambda: rotorid.filter_error(**({"model": Lag(), "flights": [FLIGHT]} | row[1])), row[2])
+
+
+T = np.arange(200) * 0.05
+NOISE = np.random.default_rng(1).standard_normal((2, 200))
+X = np.stack([np.sin(T), np.cos(2.3 * T)], axis=-1)
+Y = X @ np.array([1.0, -2.0])
+REGRESS: list[tuple[str, dict[str, Any], str]] = [
+    ("None for the response", {"response": None}, "response"),
+    ("no flight", {"response": [], "regressors": []}, "response"),
+    ("text for the response", {"response": "q"}, "response"),
+    ("response complex", {"response": Y + 0j}, "response"),
+    ("response infinite", {"response": holed(Y, math.inf)}, "response"),
+    ("response mostly missing", {"response": np.where(T < 8.0, math.nan, Y)}, "response"),
+    ("response all missing", {"response": np.full(200, math.nan)}, "response"),
+    ("one sample", {"response": [1.0], "regressors": [[1.0, 2.0]]}, "response"),
+    ("regressors transposed", {"regressors": X.T}, "regressors"),
+    ("regressors in one dimension", {"regressors": X[:, 0]}, "regressors"),
+    ("regressors too short", {"regressors": X[:-1]}, "regressors"),
+    ("a dict for regressors", {"regressors": {"q": X[:, 0], "w": X[:, 1]}}, "regressors"),
+    ("no regressor", {"regressors": X[:, :0]}, "regressors"),
+    ("None in regressors", {"regressors": [[None, 1.0]] * 200}, "regressors"),
+    ("other regressors in another flight", {"response": [Y, Y], "regressors": [X, X[:, :1]]}, "regressors"),
+    ("fewer regressors than flights", {"response": [Y, Y], "regressors": [X]}, "regressors"),
+    ("dt of zero", {"dt": 0.0}, "dt"),
+    ("dt negative", {"dt": -0.05}, "dt"),
+    ("None for dt", {"dt": None}, "dt"),
+    ("time for dt", {"dt": T}, "dt"),
+    ("a word for dt", {"dt": "0.05 s"}, "dt"),
+    ("a number for the band", {"band": 2.0}, "band"),
+    ("band reversed", {"band": (2.0, 0.1)}, "band"),
+    ("band beyond Nyquist", {"band": (0.1, 20.0)}, "band"),
+    ("band between harmonics", {"band": (0.11, 0.12)}, "band"),
+    ("NaN in the band", {"band": (math.nan, 2.0)}, "band"),
+    ("an unknown kind", {"kind": "integral"}, "kind"),
+    ("an unknown noise", {"noise": "white"}, "noise"),
+    ("negative noise", {"noise": [-0.1, 0.1]}, "noise"),
+    ("noise of three for two", {"noise": [0.1, 0.1, 0.1]}, "noise"),
+    ("None for noise", {"noise": None}, "noise"),
+    ("half an oversampling", {"oversample": 1.5}, "oversample"),
+    ("a word for trend", {"trend": "linear"}, "trend"),
+]
+
+
+@pytest.mark.parametrize("row", REGRESS, ids=ids(REGRESS))
+def test_regress(row: tuple[str, dict[str, Any], str]) -> None:
+    one_line(
+        lambda: rotorid.regress(**({"response": Y, "regressors": X, "dt": 0.05, "kind": "value"} | row[1])), row[2]
+    )
+
+
+def rates(x: Tensor, u: Tensor) -> Tensor:
+    return torch.stack([x[..., 1], u[..., 0]], dim=-1)
+
+
+def height(x: Tensor, u: Tensor) -> Tensor:
+    return x[..., :1]
+
+
+FILTER: dict[str, Any] = {
+    "f": rates,
+    "h": height,
+    "x0": [0.0, 0.0],
+    "P0": np.eye(2),
+    "Q": np.diag([0.0, 1e-4]),
+    "R": [[0.01]],
+    "controls": np.zeros((50, 1)),
+    "outputs": 0.02 * np.arange(50.0)[:, None],
+    "dt": 0.02,
+}
+UNSCENTED: list[tuple[str, dict[str, Any], str]] = [
+    ("None for controls", {"controls": None}, "controls"),
+    ("None in outputs", {"outputs": [[None], *[[0.0]] * 49]}, "outputs"),
+    ("None for outputs", {"outputs": None}, "outputs"),
+    ("outputs transposed", {"outputs": np.zeros((1, 50))}, "controls"),
+    ("outputs in one dimension", {"outputs": np.zeros(50)}, "outputs"),
+    ("outputs complex", {"outputs": np.zeros((50, 1)) + 0j}, "outputs"),
+    ("outputs infinite", {"outputs": np.full((50, 1), math.inf)}, "outputs"),
+    ("no output is there", {"outputs": np.full((50, 1), math.nan)}, "outputs"),
+    ("controls too short", {"controls": np.zeros((49, 1))}, "controls"),
+    ("controls transposed", {"controls": np.zeros((1, 50))}, "controls"),
+    ("NaN in controls", {"controls": np.full((50, 1), math.nan)}, "controls"),
+    ("time for dt", {"dt": 0.02 * np.arange(50)}, "dt"),
+    ("None for dt", {"dt": None}, "dt"),
+    ("dt of zero", {"dt": 0.0}, "dt"),
+    ("x0 a number", {"x0": 0.0}, "x0"),
+    ("x0 of three", {"x0": np.zeros(3)}, "P0"),
+    ("x0 with NaN", {"x0": [math.nan, 0.0]}, "x0"),
+    ("P0 a vector", {"P0": [1.0, 1.0]}, "P0"),
+    ("P0 not symmetric", {"P0": [[1.0, 0.5], [0.0, 1.0]]}, "P0"),
+    ("P0 indefinite", {"P0": np.diag([1.0, -1.0])}, "P0"),
+    ("Q a number", {"Q": 1e-4}, "Q"),
+    ("Q indefinite", {"Q": np.diag([0.0, -1e-4])}, "Q"),
+    ("Q of three", {"Q": np.eye(3)}, "Q"),
+    ("R a number", {"R": 0.01}, "R"),
+    ("R singular", {"R": [[0.0]]}, "R"),
+    ("R of two", {"R": np.eye(2)}, "R"),
+    ("f takes time", {"f": lambda t, x, u: x}, "f"),
+    ("f takes no controls", {"f": lambda x: x}, "f"),
+    ("NumPy in f", {"f": lambda x, u: np.sin(x)}, "f"),
+    ("f gives NumPy", {"f": lambda x, u: x.detach().numpy()}, "f"),
+    ("f does not broadcast", {"f": lambda x, u: torch.stack([x[1], u[0]])}, "f"),
+    ("f fails", {"f": lambda x, u: x @ torch.eye(3, dtype=torch.float64)}, "f"),
+    ("h gives two rows", {"h": lambda x, u: x}, "h"),
+    ("h gives a list", {"h": lambda x, u: [x[..., 0]]}, "h"),
+    ("None for h", {"h": None}, "h"),
+    ("a word for smooth", {"smooth": "yes"}, "smooth"),
+]
+
+
+@pytest.mark.parametrize("row", UNSCENTED, ids=ids(UNSCENTED))
+def test_unscented_filter(row: tuple[str, dict[str, Any], str]) -> None:
+    one_line(lambda: rotorid.unscented_filter(**(FILTER | row[1])), row[2])
