@@ -32,12 +32,12 @@ from rotorid_torch.core.names import ATTITUDES, FLAPPING, FORCES, MOMENTS, RATES
 from rotorid_torch.data import Dataset, load
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.model.model import Model
+from rotorid_torch.model.training.equilibrium import equilibrium
 from rotorid_torch.report.figures import Overlay, side_by_side
 from rotorid_torch.report.scorecard import scorecard
 from rotorid_torch.run.pipeline import identify
 from rotorid_torch.run.result import Run
 from rotorid_torch.simulation import fly
-from rotorid_torch.validate.free_run import equilibrium
 from rotorid_torch.validate.reconstruction import least_slow_error, share_within, slow_error
 from rotorid_torch.validate.scores import r2
 

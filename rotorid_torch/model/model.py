@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -13,7 +14,10 @@ from rotorid_torch.core.names import ATTITUDES, RATES, SPECIFIC_FORCES, VELOCITI
 from rotorid_torch.core.parameters import ParameterSet
 from rotorid_torch.core.rigid import euler_rates, gyroscopic, join, specific_force_at, vec, velocity_rates
 from rotorid_torch.core.state import State, StateLayout
+from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
+from rotorid_torch.model.training.free_run import FreeRun, free_run
+from rotorid_torch.model.training.trajectories import Trajectories
 
 ATTITUDE = ATTITUDES[:2]
 ANGULAR_ACCELERATIONS = ("pdot", "qdot", "rdot")
@@ -59,6 +63,7 @@ class Model(nn.Module):
         self.register_buffer("inertia", inertia)
         self.register_buffer("imu", torch.tensor(body.imu, dtype=torch.float64))
         self._slices = self._places()
+        self._runs: tuple[Any, Trajectories] | None = None
 
     inertia: Tensor
     imu: Tensor
@@ -189,6 +194,54 @@ class Model(nn.Module):
     def output(self, x: Tensor, u: Tensor) -> Tensor:
         """Channels `body.outputs` [..., ny] with the model's own theta."""
         return self.outputs_at(self.theta, x, u)
+
+    def trajectories(self, x0: Tensor, controls: Tensor, dt: float) -> tuple[Tensor, Tensor]:
+        """States [B, T, nx] and outputs [B, T, ny] from x0 [B, nx] under controls [B, T, nu] behind the control path.
+
+        Torch differentiates them by theta, x0 and controls. Native code does it where the model can be compiled and
+        lies on the processor in float64; torch does it elsewhere.
+        """
+        return self._compiled()(self.theta, x0, controls, dt)
+
+    def _compiled(self) -> Trajectories:
+        """Made anew where a number of the model has changed that is none of its parameters."""
+        state = (self.theta.device, self.theta.dtype, *((id(b), b._version) for b in self.buffers()))
+        if self._runs is None or self._runs[0] != state:
+            names = self.layout.names, self.body.controls
+            x, u = (self.theta.new_tensor([self.reference.get(n, 0.0) for n in listed]) for listed in names)
+            self._runs = state, Trajectories.of(self.motion, self.theta, x, u)
+        return self._runs[1]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Copies and pickles hold nothing that is compiled."""
+        return {**self.__dict__, "_runs": None}
+
+    def free_run(
+        self,
+        flight: Flight | Sequence[Flight],
+        start: float | Sequence[float] | Tensor = 0.0,
+        seconds: float = 8.0,
+        x0: Tensor | None = None,
+    ) -> FreeRun:
+        """Free runs with gradients by theta and x0: controls measured, nothing measured after the start.
+
+        Parameters
+        ----------
+        flight : a flight, or one for each start; all of one sample interval.
+        start : where each run begins, s; several run side by side.
+        seconds : length of the runs, s.
+        x0 : states at the start [..., nx], or those of the body alone [..., n], with which the effects' own states rest
+            or start at their channel. By default those where lines through the first quarter second begin.
+
+        Returns
+        -------
+        States [..., T, nx], outputs [..., T, ny] and what was measured; without `...` for a single start of a flight.
+
+        Raises
+        ------
+        InputError : a control is missing, or start and seconds leave a flight.
+        """
+        return free_run(self, flight, start, seconds, x0)
 
     def tape(self, controls: Tensor, dt: float) -> Tensor:
         """The control record [..., T, nu] as it reaches the rotor, once over the whole record.

@@ -22,7 +22,7 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
-from rotorid_torch.validate.free_run import equilibrium
+from rotorid_torch.model.training.equilibrium import equilibrium
 
 ID = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)+")
 POINTS, SAMPLES, DT = 5, 40, 0.02

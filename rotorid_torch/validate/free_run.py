@@ -17,6 +17,7 @@ from rotorid_torch.core.native.graph.tracing import Unsupported
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.model.model import Model
+from rotorid_torch.model.training.equilibrium import PROBE, equilibrium
 
 FIRST = 1.0
 """s of measurement that the initial state of the body is fitted on."""
@@ -24,8 +25,6 @@ ITERATIONS = 4
 """Gauss-Newton steps of that fit; the problem is nearly linear."""
 MOMENT = 8
 """The first second's part whose mean starts that fit, and the states that have a channel."""
-PROBE = 1e-4
-"""Perturbation of a body state for its derivative, in the state's unit."""
 STRAYED = 1e6
 """A run that leaves this range is held there: it has diverged, and its score says so."""
 
@@ -165,27 +164,3 @@ def _initial(run: Runs, pieces: Windows) -> Tensor:
         step = least_squares(jacobian / norms, residual.unsqueeze(-1), rcond=1e-8)
         x = x + step.squeeze(-1) / norms[:, 0]
     return equilibrium(model, x, controls[:, 0], pieces.starts_at)
-
-
-@torch.no_grad()
-def equilibrium(model: Model, body: Tensor, controls: Tensor, starts_at: Tensor | None = None) -> Tensor:
-    """Whole state [..., nx] with the effects' own states at rest under body states and controls; Newton's method.
-
-    States that have a channel start at `starts_at` [..., n] (of all own states), at the reference where that is NaN.
-    """
-    n, effect_states = body.shape[-1], model.own_states
-    if not effect_states:
-        return body
-    start = torch.tensor([model.reference.get(s.channel or s.name, 0.0) for s in effect_states], dtype=torch.float64)
-    start = start if starts_at is None else torch.where(starts_at.isnan(), start, starts_at)
-    x = torch.cat([body, start.expand(*body.shape[:-1], len(effect_states))], dim=-1)
-    places = [n + k for k, s in enumerate(effect_states) if s.channel is None]
-    steps = PROBE * torch.eye(len(model.layout), dtype=torch.float64)[places]
-    for _ in range(4 if places else 0):
-        rows = torch.cat([x[None], x + steps.view(len(places), *(1,) * (x.dim() - 1), -1)])
-        rates = model.rates(model.theta, rows, controls)[..., places]
-        slopes = ((rates[1:] - rates[0]) / PROBE).movedim(0, -1)
-        change = least_squares(slopes, rates[0].unsqueeze(-1)).squeeze(-1)
-        x = x.clone()
-        x[..., places] -= change.nan_to_num(0.0)
-    return x

@@ -18,7 +18,8 @@ from rotorid_torch.core.rigid import euler_rates, position_rates
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.model.accelerations import Accelerations
 from rotorid_torch.model.model import Model
-from rotorid_torch.validate.free_run import Runs, equilibrium
+from rotorid_torch.model.training.equilibrium import equilibrium
+from rotorid_torch.validate.free_run import Runs
 from rotorid_torch.validate.responses import measured_states
 
 HORIZONS_S = (0.1, 0.5)

@@ -20,7 +20,8 @@ from rotorid_torch.effects.registry import EFFECTS, registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
-from rotorid_torch.validate.free_run import Runs, equilibrium
+from rotorid_torch.model.training.equilibrium import equilibrium
+from rotorid_torch.validate.free_run import Runs
 from tests.effects.own_effects import OWN
 from tests.known_models import points, scattered, with_values
 

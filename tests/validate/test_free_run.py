@@ -11,9 +11,11 @@ import torch
 
 from rotorid_torch.core.integrate import simulate
 from rotorid_torch.data import Dataset
+from rotorid_torch.effects.spec import FlappingKind
 from rotorid_torch.model.model import Model
+from rotorid_torch.model.training.equilibrium import equilibrium
 from rotorid_torch.run.fit_record import judge
-from rotorid_torch.validate.free_run import equilibrium, free_run, windows
+from rotorid_torch.validate.free_run import free_run, windows
 from tests.known_models import BODY, STICKS, flown, helicopter, linear_vehicle, manoeuvres, points, with_values
 
 DT = 0.02
@@ -125,7 +127,7 @@ def test_the_control_path_sees_the_whole_record():
 
 
 @pytest.mark.parametrize("kind", ["first order", "algebraic", "none"])
-def test_rotor_states_in_equilibrium_rest(kind: str):
+def test_rotor_states_in_equilibrium_rest(kind: FlappingKind):
     model = helicopter(kind)
     x, u = points(model, 6)
     n = len(BODY)

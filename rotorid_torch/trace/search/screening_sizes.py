@@ -19,10 +19,11 @@ from rotorid_torch.effects.registry import of_others, registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
+from rotorid_torch.model.training.equilibrium import equilibrium
 from rotorid_torch.trace.evidence.screen import output_ranges, signatures
 from rotorid_torch.trace.terms.eligible import UNMOVED
 from rotorid_torch.trace.terms.finding import Finding
-from rotorid_torch.validate.free_run import Runs, Windows, equilibrium, free_run, windows
+from rotorid_torch.validate.free_run import Runs, Windows, free_run, windows
 
 WINDOW_S = 3.0
 """s: length of the free runs that are compared."""

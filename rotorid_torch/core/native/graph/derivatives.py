@@ -25,6 +25,18 @@ def derivatives(graph: Graph, results: Sequence[int]) -> Derivatives:
     return rows
 
 
+def pullback(graph: Graph, results: Sequence[int], along: str) -> dict[tuple[str, int], int]:
+    """Nodes of the derivatives of a weighted sum of results by all inputs that they depend on.
+
+    along : name of the input vector that holds the weights.
+    """
+    total = graph.constant(0.0)
+    for k, result in enumerate(results):
+        total = graph.apply("add", total, graph.apply("mul", graph.input(along, k), result))
+    (row,) = derivatives(graph, [total])
+    return {place: node for place, node in row.items() if place[0] != along}
+
+
 @dataclass(frozen=True)
 class Columns:
     """Where the tangents of each unknown lie in a row, in vectors of `width` lanes.
