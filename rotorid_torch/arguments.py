@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import inspect
 import math
+import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -277,6 +279,35 @@ def flag(argument: Argument, value: Any) -> bool:
     if isinstance(value, bool | np.bool_):
         return bool(value)
     raise argument.wrong(f"is {described(value)}", "True or False")
+
+
+def instance(argument: Argument, value: Any, kind: type | tuple[type, ...], expected: str) -> Any:
+    """An object of a class.
+
+    Raises
+    ------
+    InputError : anything else.
+    """
+    if isinstance(value, kind):
+        return value
+    raise argument.wrong(f"is {described(value)}", expected)
+
+
+def optional(check: Callable[[Argument, Any], Any]) -> Callable[[Argument, Any], Any]:
+    """The same check, with None let through."""
+    return lambda argument, value: None if value is None else check(argument, value)
+
+
+def place(argument: Argument, value: Any) -> Path:
+    """A path of a file or folder.
+
+    Raises
+    ------
+    InputError : no text and no path.
+    """
+    if isinstance(value, str | os.PathLike) and isinstance(os.fspath(value), str) and os.fspath(value):
+        return Path(value)
+    raise argument.wrong(f"is {described(value)}", "a path: text, or a pathlib.Path")
 
 
 def sequence(argument: Argument, value: Any, expected: str) -> list[Any]:

@@ -16,6 +16,8 @@ from typing import Any, Literal, NamedTuple
 import msgspec
 import numpy as np
 
+from rotorid_torch import arguments
+from rotorid_torch.arguments import Argument
 from rotorid_torch.core import names
 from rotorid_torch.core.storage.atomic import restore
 from rotorid_torch.core.storage.paths import nearest_path
@@ -98,6 +100,10 @@ class Dataset:
         ------
         InputError : with file "arrays" and the key or channel at fault.
         """
+        flights = arguments.instance(Argument("arrays", "flights"), flights, Mapping, "a dict of channels by flight")
+        lists = {"identify": identify, "validate": validate, "acid": acid}
+        named = 'a list of names of flights: ["..."]'
+        lists = {key: arguments.sequence(Argument("arrays", key), names, named) for key, names in lists.items()}
         document = {
             "format": 1,
             "name": name,
@@ -106,7 +112,7 @@ class Dataset:
             "vehicle": _plain(vehicle or {}),
             "controls": _plain(controls or {}),
             "channels": _plain(channels or {}),
-            "flights": {"identify": list(identify), "validate": list(validate), "acid": list(acid)},
+            "flights": lists,
             "model": _plain(model or {}),
         }
         declaration = declare(document, "arrays")
@@ -114,9 +120,8 @@ class Dataset:
         flown, facts, warnings = {}, {}, []
         for flight_name in declaration.flights.all():
             if flight_name not in flights:
-                raise InputError(
-                    "arrays", "flights", f"there is no flight '{flight_name}'", "every flight of the lists"
-                )
+                there = f"flights of the lists; there are {arguments.listed(map(str, flights))}"
+                raise InputError("arrays", "flights", f"there is no flight '{flight_name}'", there)
             place = f"arrays: flight {flight_name}"
             arrays = take_arrays(flights[flight_name], place)
             for channel, values in arrays.items():
@@ -301,7 +306,7 @@ def load(path: str | Path) -> Dataset:
     ------
     InputError : with the file, the channel or key, what is wrong and what was expected.
     """
-    folder = Path(path)
+    folder = arguments.place(Argument("load", "path"), path)
     if folder.name == "dataset.toml":
         folder = folder.parent
     restore(folder)

@@ -25,6 +25,7 @@ from rotorid_torch.report.check_figures import draw_check
 from rotorid_torch.report.html import render
 from rotorid_torch.report.records import DatasetRecord, Report, encode_report, package_version
 from rotorid_torch.report.summary import GRADED
+from rotorid_torch.run.output.arguments import refuse_arguments
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
 from rotorid_torch.run.output.write import png
@@ -83,6 +84,7 @@ class Check:
 
 def check(dataset: Dataset) -> Check:
     """Can a model be identified from it? Every record by itself, all against each other, and the controls."""
+    refuse_arguments("check", dataset=dataset)
     findings, sensors, verdicts = records.check(dataset).findings, (), ()
     if examinable(dataset):
         sensors, sensor_words = sensor_errors(dataset)

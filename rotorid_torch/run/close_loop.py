@@ -31,6 +31,7 @@ from rotorid_torch.run.estimate import estimated
 from rotorid_torch.run.fit_record import fit_record, judge
 from rotorid_torch.run.free_runs import best_of, free_run_gain, worse
 from rotorid_torch.run.loop_record import as_fitted, effect_record, of_sensors, unknown_record
+from rotorid_torch.run.output.arguments import refuse_arguments
 from rotorid_torch.run.output.checkpoint import Checkpoint, Steps
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
@@ -88,6 +89,8 @@ def close_loop(
     ------
     InputError, LostRank : as `identify`.
     """
+    refuse_arguments("close_loop", dataset=dataset, out=out, hybrid=hybrid, seed=seed, device=device)
+    refuse_arguments("close_loop", monitor=monitor, ranks=ranks)
     monitor = monitor or Monitor()
     refuse(dataset, of_others(), device)
     ranks.refuse_more_than(len(dataset.identify))

@@ -10,6 +10,7 @@ from pathlib import Path
 import msgspec
 import torch
 
+from rotorid_torch.arguments import listed
 from rotorid_torch.consistency.examination.needs import refuse_lacks
 from rotorid_torch.core.names import VELOCITIES, nearest
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
@@ -31,6 +32,7 @@ from rotorid_torch.report.records import DatasetRecord, FitRecord, Report, packa
 from rotorid_torch.run.estimate import estimated
 from rotorid_torch.run.fit_record import fit_record, judge
 from rotorid_torch.run.loop_record import with_evidence
+from rotorid_torch.run.output.arguments import refuse_arguments
 from rotorid_torch.run.output.checkpoint import Checkpoint, Steps, checkpoint
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
@@ -46,6 +48,7 @@ CALM = "step 3 by output error: the air is calm, for before the pilot acts all f
 
 def reconstruct(dataset: Dataset, out: str | Path, *, seed: int = 0, monitor: Monitor | None = None) -> Reconstruction:
     """Step 1 alone, written as a RUN."""
+    refuse_arguments("reconstruct", dataset=dataset, out=out, seed=seed, monitor=monitor)
     dataset, monitor = with_velocities(dataset), monitor or Monitor()
     with run_folder(out, "reconstruct") as folder, monitor.recording(folder):
         with monitor.step("reconstruct"):
@@ -86,6 +89,8 @@ def identify(
         interrupted run was another one, or there are more ranks than identify flights.
     LostRank : another rank has ended; an earlier RUN stays as it was.
     """
+    refuse_arguments("identify", dataset=dataset, effects=effects, out=out, seed=seed, device=device)
+    refuse_arguments("identify", monitor=monitor, resume=resume, ranks=ranks)
     monitor = monitor or Monitor()
     refuse(dataset, effects, device, method)
     ranks.refuse_more_than(len(dataset.identify))
@@ -196,11 +201,9 @@ def refuse(dataset: Dataset, effects: Sequence[str], device: str, method: str = 
     for name in effects:
         if name not in registered():
             wrong = f"there is no such effect{nearest(name, registered())}"
-            raise InputError("--effect", name, wrong, f"one of {', '.join(sorted(registered()))}")
+            raise InputError("--effect", name, wrong, f"one of {listed(sorted(registered()))}")
         if list(effects).count(name) > 1:
             raise InputError("--effect", name, "is named twice", "each effect once")
-    if device not in ("cpu", "cuda"):
-        raise InputError("--device", device, "there is no such device", "cpu or cuda")
     if device == "cuda" and not torch.cuda.is_available():
         raise InputError("--device", device, "no CUDA device is available here", "cpu")
     refuse_lacks(dataset)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import warnings as python_warnings
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from rotorid_torch import arguments
+from rotorid_torch.arguments import Argument
 from rotorid_torch.core.names import nearest
 from rotorid_torch.core.storage.atomic import restore
 from rotorid_torch.data.dataset import Dataset
@@ -20,6 +23,7 @@ from rotorid_torch.errors import InputError
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.save import load as load_model
 from rotorid_torch.report.records import FitRecord, Report, read_report
+from rotorid_torch.run.output.arguments import of_data
 from rotorid_torch.run.output.folder import free_run_file, is_table, refuse_unless_free_run
 from rotorid_torch.run.result import Result
 from rotorid_torch.validate.free_run import free_run, windows
@@ -65,7 +69,7 @@ def open_run(path: str | Path) -> SavedRun:
     ------
     InputError : there is no run, or its report cannot be read; where the model is asked for, that has none.
     """
-    place = Path(path)
+    place = arguments.place(Argument("open_run", "path"), path)
     restore(place)
     return SavedRun(place, read_report(place))
 
@@ -94,6 +98,11 @@ def simulate(
     ------
     InputError : there is no such model, a control is missing, or start and seconds leave the flight.
     """
+    of = "simulate"
+    arguments.instance(Argument(of, "flight"), flight, Flight, 'a Flight: data["NAME"]')
+    arguments.optional(of_data)(Argument(of, "data"), data)
+    start = arguments.number(Argument(of, "start"), start, "s")
+    seconds = None if seconds is None else arguments.number(Argument(of, "seconds"), seconds, "s", above=0.0)
     module, spec = _module(model)
     data = (
         data
@@ -111,7 +120,10 @@ def _module(model: Model | Result | str | Path) -> tuple[Model, ModelSpec | None
         return model, None
     if isinstance(model, Result):
         return model.model, getattr(model, "spec", None)
-    return _read(Path(model))
+    if isinstance(model, str | os.PathLike):
+        return _read(arguments.place(Argument("simulate", "model"), model))
+    wrong = f"is {arguments.described(model)}"
+    raise Argument("simulate", "model").wrong(wrong, "a Model, a Run, or the path of a RUN or model.pt")
 
 
 def _read(place: Path) -> tuple[Model, ModelSpec]:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from rotorid_torch.arguments import described
 from rotorid_torch.core.storage.files import read_file
 from rotorid_torch.data.reading import npz
 from rotorid_torch.errors import InputError
@@ -132,6 +133,8 @@ def number_of(field: str) -> float:
 
 def take_arrays(table: Mapping[str, Any], place: str) -> Arrays:
     """Take arrays handed over in Python (NumPy, tensors, lists), under the rules of files. Raises InputError."""
+    if not isinstance(table, Mapping):
+        raise InputError(place, "", f"is {described(table)}", "a dict of channels: time, controls, p, q, r, ...")
     arrays: Arrays = {}
     for name, value in table.items():
         raw = value.detach().cpu().numpy() if hasattr(value, "detach") else value

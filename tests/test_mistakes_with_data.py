@@ -1,0 +1,219 @@
+"""Typical mistakes with data sets, runs and models: each is answered in one line that names the argument."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+import rotorid_torch as rotorid
+from rotorid_torch.data import Dataset
+from rotorid_torch.errors import InputError
+from rotorid_torch.model.model import Model
+from tests.known_models import flown, manoeuvres, rate_vehicle
+
+DT = 0.04
+RAW = ("Traceback", "mat1", "size mismatch", "must match the size", "NoneType", "unhashable", "not subscriptable")
+Row = tuple[str, dict[str, Any], str]
+
+
+def one_line(call: Callable[[], Any], key: str) -> None:
+    with pytest.raises(InputError) as refused:
+        call()
+    line = str(refused.value)
+    assert len(line.splitlines()) == 1
+    assert len(line) < 400
+    assert key in f"{refused.value.file}: {refused.value.key}", line
+    assert refused.value.expected
+    assert not any(word in line for word in RAW), line
+
+
+def ids(table: list[Row]) -> list[str]:
+    return [row[0] for row in table]
+
+
+@pytest.fixture(scope="module")
+def data() -> Dataset:
+    lists = {"identify": ["f_lon", "f_lat", "f_col"], "validate": ["f_ped"]}
+    return flown(rate_vehicle(), manoeuvres(6.0, DT), DT, noise=0.02, lists=lists)
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    return rate_vehicle()
+
+
+TIME = 0.02 * np.arange(200)
+CHANNELS: dict[str, Any] = {"time": TIME, "lon": 0.02 * np.sin(TIME)} | dict.fromkeys("pqr", 0.1 * np.cos(TIME))
+
+
+def with_flight(**change: Any) -> dict[str, Any]:
+    return {"flights": {"f1": CHANNELS | change}}
+
+
+def without(channel: str) -> dict[str, Any]:
+    return {"flights": {"f1": {k: v for k, v in CHANNELS.items() if k != channel}}}
+
+
+ARRAYS: list[Row] = [
+    ("a list for the dict of flights", {"flights": [CHANNELS]}, "flights"),
+    ("None for flights", {"flights": None}, "flights"),
+    ("channels themselves for flights", {"flights": CHANNELS}, "flights"),
+    ("an array for a flight", {"flights": {"f1": np.zeros((200, 5))}}, "f1"),
+    ("None for a flight", {"flights": {"f1": None}}, "f1"),
+    ("no time", without("time"), "time"),
+    ("no control", without("lon"), "controls"),
+    ("None for a channel", with_flight(q=None), "q"),
+    ("text for a channel", with_flight(q="rate"), "q"),
+    ("complex rates", with_flight(q=CHANNELS["q"] + 0j), "q"),
+    ("a column for a record", with_flight(q=CHANNELS["q"][:, None]), "q"),
+    ("a record too short", with_flight(q=CHANNELS["q"][:-1]), "q"),
+    ("ragged samples", with_flight(q=[[0.0], [0.0, 1.0]]), "q"),
+    ("an infinite rate", with_flight(q=np.where(TIME > 1.0, math.inf, 0.0)), "q"),
+    ("time runs back", with_flight(time=TIME[::-1]), "time"),
+    ("NaN in time", with_flight(time=np.where(TIME > 1.0, math.nan, TIME)), "time"),
+    ("one sample", {"flights": {"f1": {key: value[:1] for key, value in CHANNELS.items()}}}, "time"),
+    ("a single name for a list", {"identify": "f1"}, "identify"),
+    ("None for a list", {"identify": None}, "identify"),
+    ("nothing to identify", {"identify": []}, "identify"),
+    ("a flight that there is not", {"identify": ["f2"]}, "flights"),
+    ("a number for a name", {"identify": [1]}, "identify"),
+    ("a flight in two lists", {"validate": ["f1"]}, "validate"),
+    ("an unknown kind", {"kind": "glider"}, "kind"),
+    ("None for a name", {"name": None}, "name"),
+    ("a list for the vehicle", {"vehicle": [1.0]}, "vehicle"),
+    ("a key that no vehicle has", {"vehicle": {"weight": 1.0}}, "vehicle"),
+    ("mass in words", {"vehicle": {"mass": "heavy"}}, "mass"),
+    ("a list for the controls", {"controls": ["lon"]}, "controls"),
+    ("a unit that there is not", {"controls": {"lon": {"unit": "deg"}}}, "unit"),
+    ("noise below zero", {"channels": {"q": {"noise": -1.0}}}, "noise"),
+]
+
+
+@pytest.mark.parametrize("row", ARRAYS, ids=ids(ARRAYS))
+def test_from_arrays(row: Row) -> None:
+    one_line(lambda: Dataset.from_arrays(**({"flights": {"f1": CHANNELS}, "identify": ["f1"]} | row[1])), row[2])
+
+
+PLACES: list[tuple[str, Any]] = [
+    ("None", None),
+    ("a number", 1),
+    ("a list", ["DATASET"]),
+    ("a dict", {"f1": CHANNELS}),
+    ("no such folder", "no/such/folder"),
+    ("a file that there is not", Path("no/such/dataset.toml")),
+    ("empty text", ""),
+    ("a zero byte", "a\0b"),
+    ("a tensor", torch.zeros(3)),
+    ("bytes", b"DATASET"),
+]
+
+
+@pytest.mark.parametrize("row", PLACES, ids=[row[0] for row in PLACES])
+@pytest.mark.parametrize("function", ["load", "open_run"])
+def test_places(row: tuple[str, Any], function: str) -> None:
+    one_line(lambda: getattr(rotorid, function)(row[1]), "")
+
+
+SIMULATE: list[Row] = [
+    ("None for a model", {"model": None}, "model"),
+    ("a module of torch", {"model": nn.Linear(1, 1)}, "model"),
+    ("the class", {"model": Model}, "model"),
+    ("no such model", {"model": "no/such/model.pt"}, "model.pt"),
+    ("a dict for a model", {"model": {}}, "model"),
+    ("a number for a model", {"model": 3}, "model"),
+    ("None for a flight", {"flight": None}, "flight"),
+    ("a name for a flight", {"flight": "f_ped"}, "flight"),
+    ("arrays for a flight", {"flight": CHANNELS}, "flight"),
+    ("the data set for a flight", {"flight": "DATA"}, "flight"),
+    ("None for start", {"start": None}, "start"),
+    ("start in words", {"start": "1 s"}, "start"),
+    ("NaN for start", {"start": math.nan}, "start"),
+    ("start before the flight", {"start": -1.0}, "start"),
+    ("start beyond the flight", {"start": 100.0}, "start"),
+    ("no seconds", {"seconds": 0.0}, "seconds"),
+    ("negative seconds", {"seconds": -1.0}, "seconds"),
+    ("NaN seconds", {"seconds": math.nan}, "seconds"),
+    ("seconds in words", {"seconds": "8 s"}, "seconds"),
+    ("a list of seconds", {"seconds": [1.0, 2.0]}, "seconds"),
+    ("a path for the data", {"data": "DATASET"}, "data"),
+    ("a dict for the data", {"data": {}}, "data"),
+]
+
+
+@pytest.mark.parametrize("row", SIMULATE, ids=ids(SIMULATE))
+def test_simulate(row: Row, data: Dataset, model: Model) -> None:
+    given = {"model": model, "flight": data["f_ped"], "data": data} | row[1]
+    given = {key: data if isinstance(value, str) and value == "DATA" else value for key, value in given.items()}
+    one_line(lambda: rotorid.simulate(**given), row[2])
+
+
+def test_simulate_without_the_controls_of_the_model(data: Dataset, model: Model) -> None:
+    poor = Dataset.from_arrays({"f1": CHANNELS}, identify=["f1"])
+    one_line(lambda: rotorid.simulate(model, poor["f1"], seconds=1.0), "lat")
+    one_line(lambda: rotorid.simulate(model, poor["f1"], seconds=1.0, data=data), "flight")
+
+
+RUNS: list[Row] = [
+    ("a path for the data", {"dataset": "DATASET"}, "dataset"),
+    ("None for the data", {"dataset": None}, "dataset"),
+    ("a dict for the data", {"dataset": {"f1": CHANNELS}}, "dataset"),
+    ("a list for the data", {"dataset": [CHANNELS]}, "dataset"),
+    ("the class", {"dataset": Dataset}, "dataset"),
+    ("seed in words", {"seed": "one"}, "seed"),
+    ("None for the seed", {"seed": None}, "seed"),
+    ("half a seed", {"seed": 0.5}, "seed"),
+    ("a negative seed", {"seed": -1}, "seed"),
+    ("an unknown device", {"device": "tpu"}, "device"),
+    ("None for the device", {"device": None}, "device"),
+    ("a number for the device", {"device": 0}, "device"),
+    ("a number for out", {"out": 3}, "out"),
+    ("a list for out", {"out": ["RUN"]}, "out"),
+    ("a function for a monitor", {"monitor": print}, "monitor"),
+    ("a word for a monitor", {"monitor": "quiet"}, "monitor"),
+    ("the class Monitor", {"monitor": "MONITOR"}, "monitor"),
+    ("a number for ranks", {"ranks": 2}, "ranks"),
+    ("None for ranks", {"ranks": None}, "ranks"),
+]
+IDENTIFY: list[Row] = [
+    ("a single name for effects", {"effects": "control.delay"}, "effect"),
+    ("an unknown effect", {"effects": ["control.dely"]}, "effect"),
+    ("an effect twice", {"effects": ["control.delay", "control.delay"]}, "effect"),
+    ("a class for effects", {"effects": rotorid.Effect}, "effect"),
+    ("None for effects", {"effects": None}, "effect"),
+    ("an unknown method", {"method": "least-squares"}, "method"),
+    ("None for the method", {"method": None}, "method"),
+    ("a word for resume", {"resume": "yes"}, "resume"),
+]
+CLOSE_LOOP: list[Row] = [
+    ("a word for hybrid", {"hybrid": "yes"}, "hybrid"),
+    ("None for hybrid", {"hybrid": None}, "hybrid"),
+]
+
+
+@pytest.mark.parametrize("row", RUNS + IDENTIFY, ids=ids(RUNS + IDENTIFY))
+def test_identify(row: Row, data: Dataset) -> None:
+    one_line(lambda: rotorid.identify(**_with(data, row)), row[2])
+
+
+@pytest.mark.parametrize("row", RUNS + CLOSE_LOOP, ids=ids(RUNS + CLOSE_LOOP))
+def test_close_loop(row: Row, data: Dataset) -> None:
+    one_line(lambda: rotorid.close_loop(**_with(data, row)), row[2])
+
+
+def _with(data: Dataset, row: Row) -> dict[str, Any]:
+    from rotorid_torch.run.output.monitor import Monitor
+
+    given = {"dataset": data} | row[1]
+    return given | ({"monitor": Monitor} if given.get("monitor") == "MONITOR" else {})
+
+
+@pytest.mark.parametrize("wrong", ["DATASET", None, {"f1": CHANNELS}, [1], Dataset])
+def test_check(wrong: Any) -> None:
+    one_line(lambda: rotorid.check(wrong), "dataset")
