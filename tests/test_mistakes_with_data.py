@@ -98,7 +98,8 @@ ARRAYS: list[Row] = [
 
 @pytest.mark.parametrize("row", ARRAYS, ids=ids(ARRAYS))
 def test_from_arrays(row: Row) -> None:
-    one_line(lambda: Dataset.from_arrays(**({"flights": {"f1": CHANNELS}, "identify": ["f1"]} | row[1])), row[2])
+    given: dict[str, Any] = {"flights": {"f1": CHANNELS}, "identify": ["f1"]} | row[1]
+    one_line(lambda: Dataset.from_arrays(**given), row[2])
 
 
 PLACES: list[tuple[str, Any]] = [
@@ -149,7 +150,7 @@ SIMULATE: list[Row] = [
 
 @pytest.mark.parametrize("row", SIMULATE, ids=ids(SIMULATE))
 def test_simulate(row: Row, data: Dataset, model: Model) -> None:
-    given = {"model": model, "flight": data["f_ped"], "data": data} | row[1]
+    given: dict[str, Any] = {"model": model, "flight": data["f_ped"], "data": data} | row[1]
     given = {key: data if isinstance(value, str) and value == "DATA" else value for key, value in given.items()}
     one_line(lambda: rotorid.simulate(**given), row[2])
 
@@ -210,7 +211,7 @@ def test_close_loop(row: Row, data: Dataset) -> None:
 def _with(data: Dataset, row: Row) -> dict[str, Any]:
     from rotorid_torch.run.output.monitor import Monitor
 
-    given = {"dataset": data} | row[1]
+    given: dict[str, Any] = {"dataset": data} | row[1]
     return given | ({"monitor": Monitor} if given.get("monitor") == "MONITOR" else {})
 
 

@@ -133,7 +133,8 @@ class ParameterSet:
 
 SHOWN = 12
 """Parameters that a result shows of itself; `table` has all."""
-COLUMNS = ("name", "value", "se", "unit", "bounds", "status")
+COLUMNS = ("name", "value", "se", "unit", "bounds", "at_bound", "status")
+SHOWN_COLUMNS = ("name", "value", "se", "unit", "bounds", "status")
 
 
 class ParameterTable:
@@ -165,8 +166,8 @@ class ParameterTable:
 
     def table(self) -> str:
         """The parameters as text, one a line."""
-        rows = [COLUMNS, *map(_row, self._estimates)]
-        widths = [max(len(row[i]) for row in rows) for i in range(len(COLUMNS))]
+        rows = [SHOWN_COLUMNS, *map(_row, self._estimates)]
+        widths = [max(len(row[i]) for row in rows) for i in range(len(SHOWN_COLUMNS))]
         return "\n".join("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows)
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
@@ -180,7 +181,7 @@ class ParameterTable:
 
     def _repr_html_(self) -> str:
         """The same for a notebook."""
-        head = "".join(f'<th scope="col">{c}</th>' for c in COLUMNS)
+        head = "".join(f'<th scope="col">{c}</th>' for c in SHOWN_COLUMNS)
         rows = ("".join(f"<td>{html.escape(c)}</td>" for c in _row(p)) for p in self._estimates)
         body = "".join(f"<tr>{row}</tr>" for row in rows)
         return f"<p>{html.escape(self.title)}</p><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
@@ -188,8 +189,10 @@ class ParameterTable:
 
 def _row(p: Any) -> tuple[str, ...]:
     low, high = (_number(b, ".4g") for b in p.bounds)
-    return p.name, _number(p.value, ".5g"), _number(p.se, ".2g"), p.unit, f"{low} .. {high}", p.status
+    status = "on a bound" if p.at_bound else p.status
+    return p.name, _number(p.value, ".5g"), _number(p.se, ".2g"), p.unit, f"{low} .. {high}", status
 
 
 def _number(value: float | None, how: str) -> str:
-    return "" if value is None or math.isnan(value) else format(value, how)
+    """A number for a table; a dash where there is none."""
+    return "-" if value is None or math.isnan(value) else format(value, how)

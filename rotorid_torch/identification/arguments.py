@@ -77,6 +77,19 @@ def refuse_unmeasured(outputs: Tensor) -> None:
         raise Argument("flights", "outputs").wrong(f"hold {which}, in any flight", "measured outputs, or fewer columns")
 
 
+def refuse_too_few(outputs: Tensor, parameters: int, states: int) -> None:
+    """Fewer measured outputs [F, T, ny] than unknowns: parameters, and initial states of each flight.
+
+    Raises
+    ------
+    InputError : with both numbers.
+    """
+    values, unknowns = int((~outputs.isnan()).sum()), parameters + states * len(outputs)
+    if values <= unknowns:
+        wrong = f"hold {values} values for {unknowns} unknowns ({parameters} parameters, the others initial states)"
+        raise Argument("flights", "outputs").wrong(wrong, 'longer flights, fewer names in free, or x0="fixed"')
+
+
 def module(model: Any) -> nn.Module:
     """A module of torch with real parameters, a forward and an output.
 

@@ -69,22 +69,26 @@ def fit_record(model: Model, spec: ModelSpec, step3: Step3, judged: Judged) -> F
 
 
 def parameter_records(model: Model, step3: Step3) -> tuple[ParameterRecord, ...]:
-    """Every parameter of the model; those that step 3 left alone are frozen."""
+    """Every parameter of the model; those that step 3 left alone are frozen.
+
+    One that the data do not tell, or that a bound holds, has no standard error.
+    """
     minimum, se = step3.fit.minimum, step3.fit.uncertainty.standard_errors
     place = {name: i for i, name in enumerate(step3.names)}
     records = []
     for k, declared in enumerate(model.parameter_set.parameters):
         i = place.get(declared.name)
         blind = i is not None and bool(minimum.not_identifiable[i])
+        bound = i is not None and bool(minimum.at_bound[i])
         estimated: Status = "nuisance" if declared.nuisance else "not identifiable" if blind else "free"
         records.append(
             ParameterRecord(
                 name=declared.name,
                 value=float(model.theta.detach()[k]),
-                se=0.0 if i is None else float(se[i]),
+                se=0.0 if i is None else None if blind or bound else float(se[i]),
                 unit=declared.unit,
                 bounds=declared.bounds,
-                at_bound=i is not None and bool(minimum.at_bound[i]),
+                at_bound=bound,
                 status="frozen" if i is None else estimated,
             )
         )

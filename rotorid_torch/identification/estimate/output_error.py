@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument
+from rotorid_torch.core.gauss_newton import Minimum
 from rotorid_torch.core.parameters import ParameterTable
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.arguments import (
@@ -20,6 +21,7 @@ from rotorid_torch.identification.arguments import (
     lengths_of,
     noise_of,
     refuse_search,
+    refuse_too_few,
     refuse_unfit,
     refuse_unmeasured,
 )
@@ -32,7 +34,11 @@ from rotorid_torch.identification.estimate.uncertainty import Uncertainty
 
 @dataclass(frozen=True)
 class ParameterEstimate:
-    """One parameter as the report has it: value, standard error and bounds in its unit."""
+    """One parameter as the report has it: value, standard error and bounds in its unit.
+
+    se : corrected for coloured residuals, NaN where a bound holds the parameter or the data do not tell it.
+    se_white : what it would be if residuals were white (Cramer-Rao), NaN likewise.
+    """
 
     name: str
     value: float
@@ -41,6 +47,7 @@ class ParameterEstimate:
     bounds: tuple[float, float]
     at_bound: bool
     status: str  # "free" or "not identifiable"
+    se_white: float = math.nan
 
 
 @dataclass(frozen=True, repr=False)
@@ -51,7 +58,7 @@ class OutputError(ParameterTable):
     ----------
     model : a copy of the module with the fitted parameters, in float64.
     parameters : one record each, in the order of `covariance`.
-    covariance : [P, P], corrected for coloured residuals; zero for parameters on a bound or not identifiable.
+    covariance : [P, P], corrected for coloured residuals; NaN for parameters on a bound or not identifiable.
     noise : [ny, ny] covariance of the residuals.
     initial_states : [F, nx] at each flight's first sample.
     converged, message : whether the optimum was reached, and a sentence that also names parameters in doubt, and says
@@ -125,6 +132,7 @@ def output_error(
     system, records = given(model, flights, free, bounds)
     refuse_search(max_iterations, monitor)
     settings = settings_of(records, x0, noise, noise_floor, segment_lengths, solver, optimiser, max_iterations)
+    refuse_too_few(records.outputs, len(system.theta), 0 if x0 == "fixed" else records.states.shape[-1])
     return result_of(system, records, fit(system, records, settings=settings, monitor=monitor))
 
 
@@ -175,27 +183,16 @@ def given(model: nn.Module, flights: Any, free: Sequence[str] | None, bounds: An
 def result_of(system: System, records: Records, fitted: Fit) -> OutputError:
     """A fit as the caller gets it."""
     minimum, place = fitted.minimum, fitted.minimum.point
-    se, theta = fitted.uncertainty.standard_errors, place.theta
-    parameters = [
-        ParameterEstimate(
-            name=e.name,
-            value=float(theta[i]),
-            se=float(se[i]),
-            unit=e.unit,
-            bounds=(e.lower, e.upper),
-            at_bound=bool(minimum.at_bound[i]),
-            status="not identifiable" if bool(minimum.not_identifiable[i]) else "free",
-        )
-        for i, e in enumerate(system.entries)
-    ]
+    errors = fitted.uncertainty.without(minimum.at_bound | minimum.not_identifiable)
+    parameters = estimates(system, place.theta, minimum, errors)
     residual = torch.full_like(records.outputs, math.nan)
     for part in fitted.likelihood.parts(place):
         part.segments.write(part.residual, residual)
     first = (fitted.likelihood.segments.place[:, 0] == 0).nonzero()[:, 0]
     return OutputError(
-        model=system.fitted(theta),
+        model=system.fitted(place.theta),
         parameters=parameters,
-        covariance=fitted.uncertainty.covariance,
+        covariance=errors.covariance,
         noise=fitted.noise,
         initial_states=place.x0[first],
         converged=minimum.converged,
@@ -203,9 +200,27 @@ def result_of(system: System, records: Records, fitted: Fit) -> OutputError:
         history=minimum.history,
         residuals=[r[:n] for r, n in zip(residual, records.lengths.tolist(), strict=True)],
         model_error_ratio=fitted.model_error_ratio,
-        uncertainty=fitted.uncertainty,
+        uncertainty=errors,
         stages=fitted.stages,
     )
+
+
+def estimates(system: System, theta: Tensor, minimum: Minimum[Any], errors: Uncertainty) -> list[ParameterEstimate]:
+    """The parameters at theta with their errors, in the order of the system."""
+    white = errors.cramer_rao.diagonal().clamp_min(0.0).sqrt()
+    return [
+        ParameterEstimate(
+            name=e.name,
+            value=float(theta[i]),
+            se=float(errors.standard_errors[i]),
+            unit=e.unit,
+            bounds=(e.lower, e.upper),
+            at_bound=bool(minimum.at_bound[i]),
+            status="not identifiable" if bool(minimum.not_identifiable[i]) else "free",
+            se_white=float(white[i]),
+        )
+        for i, e in enumerate(system.entries)
+    ]
 
 
 def _coloured(colour: Colour) -> str:

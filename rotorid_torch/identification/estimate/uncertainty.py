@@ -36,6 +36,14 @@ class Uncertainty:
     covariance: Tensor
     standard_errors: Tensor
 
+    def without(self, held: Tensor) -> Uncertainty:
+        """NaN for parameters that were not told [P]: on a bound, or not identifiable."""
+        pairs = held[:, None] | held
+        covariances = (part.masked_fill(pairs, torch.nan) for part in (self.cramer_rao, self.coloured, self.covariance))
+        cramer_rao, coloured, covariance = covariances
+        variances, errors = (part.masked_fill(held, torch.nan) for part in (self.jackknife, self.standard_errors))
+        return Uncertainty(cramer_rao, coloured, variances, covariance, errors)
+
 
 def uncertainty(likelihood: Likelihood, place: Place, linear: Linear, identifiable: Tensor, loss: float) -> Uncertainty:
     """Covariance of the estimate at its optimum.

@@ -16,10 +16,11 @@ from rotorid_torch.core.gauss_newton import Minimum, minimise
 from rotorid_torch.core.native.graph.tracing import Unsupported
 from rotorid_torch.core.parameters import ParameterTable
 from rotorid_torch.errors import InputError
-from rotorid_torch.identification.arguments import floor_of, noise_of, refuse_search
+from rotorid_torch.identification.arguments import floor_of, noise_of, refuse_search, refuse_too_few
 from rotorid_torch.identification.estimate.initial_states import smallest_noise
 from rotorid_torch.identification.estimate.output_error import (
     ParameterEstimate,
+    estimates,
     given,
     result_of,
     sentence,
@@ -56,7 +57,7 @@ class FilterError(ParameterTable):
     ----------
     model : a copy of the module with the fitted parameters, in float64.
     parameters : one record each, in the order of `covariance`.
-    covariance : [P, P], corrected for coloured innovations; zero for parameters on a bound or not identifiable.
+    covariance : [P, P], corrected for coloured innovations; NaN for parameters on a bound or not identifiable.
     process_noise : standard deviations of the noise in the states' rates, per square root of a second, by state; for
         "full" also correlations. Empty where it was held.
     process_covariance : [nx, nx] its spectral density, covariance per second.
@@ -147,6 +148,7 @@ def filter_error(
     arguments.word(Argument("arguments", "gain"), gain, ("exact", "held"))
     refuse_search(max_iterations, monitor)
     ny, nx = records.outputs.shape[-1], records.states.shape[-1]
+    refuse_too_few(records.outputs, len(system.theta), 0 if x0 == "fixed" else nx)
     states, units = state_names(model, nx)
     problem = FilterProblem(
         system,
@@ -296,28 +298,17 @@ def _result(engine: FilterEngine, likelihood: InnovationLikelihood, minimum: Min
     theta, Q, R = problem.split(psi)
     run = engine.filter(psi, place.x0)
     states, covariances = smoothed(problem, psi, place.x0, run)
-    parameters = [
-        ParameterEstimate(
-            name=e.name,
-            value=float(theta[i]),
-            se=float(covariance.standard_errors[i]),
-            unit=e.unit,
-            bounds=(e.lower, e.upper),
-            at_bound=bool(minimum.at_bound[i]),
-            status="not identifiable" if bool(minimum.not_identifiable[i]) else "free",
-        )
-        for i, e in enumerate(system.entries)
-    ]
+    told = _head(covariance, count).without((minimum.at_bound | minimum.not_identifiable)[:count])
+    parameters = estimates(system, theta, minimum, told)
     errors = covariance.covariance
     q, r = slice(count, count + problem.process.count), slice(count + problem.process.count, len(psi))
-    part = lambda matrix: matrix[:count, :count]  # noqa: E731
     rooted = covariances.diagonal(dim1=-2, dim2=-1).clamp_min(0.0).sqrt()
     lengths = records.lengths.tolist()
     each = lambda record: [one[:n] for one, n in zip(record, lengths, strict=True)]  # noqa: E731
     return FilterError(
         model=system.fitted(theta),
         parameters=parameters,
-        covariance=part(errors),
+        covariance=told.covariance,
         process_noise=sizes(problem.process, psi[q], errors[q, q], loss, "/sqrt(s)"),
         process_covariance=Q * loss if problem.process.count else Q,
         measurement_noise=sizes(problem.noise, psi[r], errors[r, r], loss, ""),
@@ -331,13 +322,19 @@ def _result(engine: FilterEngine, likelihood: InnovationLikelihood, minimum: Min
         state_errors=each(rooted),
         log_likelihood=-float(run.cost.sum()) - 0.5 * likelihood.samples * math.log(2.0 * math.pi),
         whiteness=whiteness(run.innovations, run.spreads),
-        uncertainty=Uncertainty(
-            part(covariance.cramer_rao),
-            part(covariance.coloured),
-            covariance.jackknife[:count],
-            part(errors),
-            covariance.standard_errors[:count],
-        ),
+        uncertainty=told,
+    )
+
+
+def _head(whole: Uncertainty, count: int) -> Uncertainty:
+    """Of the first parameters alone."""
+    square = slice(count), slice(count)
+    return Uncertainty(
+        whole.cramer_rao[square],
+        whole.coloured[square],
+        whole.jackknife[:count],
+        whole.covariance[square],
+        whole.standard_errors[:count],
     )
 
 
@@ -365,7 +362,7 @@ def sizes(form: CovarianceForm, numbers: Tensor, covariance: Tensor, loss: float
         ParameterEstimate(
             name=name,
             value=value if value > 1e-149 else 0.0,
-            se=error if value > 1e-149 or math.isinf(high) is False else 0.0,
+            se=error if low + 1e-149 < value < high else math.nan,
             unit=unit,
             bounds=(low, high),
             at_bound=not low + 1e-149 < value < high,

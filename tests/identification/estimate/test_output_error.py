@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -59,7 +60,7 @@ def test_rate_loop_with_unmeasured_motors() -> None:
     for p in found.parameters:
         assert abs(p.value - RATE_LOOP[p.name]) < 4.0 * p.se, (p.name, p.value, p.se)
     assert abs(found.parameters[0].value / 0.05 - 1.0) < 0.05
-    assert float(start.gain.detach()) == 40.0  # the caller's module is left as it is
+    assert float(start.gain.detach()) == 40.0  # the caller's module is left as it is  # pyright: ignore[reportCallIssue]
 
 
 class WithTape(nn.Module):
@@ -178,7 +179,36 @@ def test_bounds_fixed_states_and_parameters_without_effect() -> None:
     assert by_name["idle"].value == 0.7
     assert "not identifiable: idle" in found.message
     assert "on a bound: theta[0]" in found.message
+    held = [found.parameters.index(by_name[name]) for name in ("theta[0]", "idle")]
+    others = [i for i in range(len(found.parameters)) if i not in held]
+    for i in held:
+        assert math.isnan(found.parameters[i].se)
+        assert bool(found.covariance[i].isnan().all())
+        assert bool(found.covariance[:, i].isnan().all())
+    assert bool(found.covariance[others][:, others].isfinite().all())
+    rows = {line.split()[0]: line for line in found.table().splitlines()}
+    assert rows["theta[0]"].endswith("on a bound")
+    assert rows["idle"].endswith("not identifiable")
+    assert rows["theta[1]"].endswith("free")
     assert torch.equal(found.initial_states, torch.zeros(1, 2, dtype=torch.float64))
+
+
+def test_errors_are_told_with_and_without_colour() -> None:
+    """A constant gust of a second's memory is no white noise: what white residuals would give is smaller."""
+    rng, flight = np.random.default_rng(3), roll_flight(np.random.default_rng(2))
+    gust = np.zeros(300)
+    for k in range(1, 300):
+        gust[k] = 0.95 * gust[k - 1] + 0.02 * rng.standard_normal()
+    found = output_error(Roll(), [flight | {"outputs": np.asarray(flight["outputs"]) + gust[:, None]}])
+    for p in found.parameters:
+        assert p.se > 1.5 * p.se_white > 0.0
+
+
+def test_fewer_values_than_unknowns_are_refused() -> None:
+    flight = roll_flight(np.random.default_rng(0))
+    outputs = np.where(np.arange(300)[:, None] < 2, np.asarray(flight["outputs"]), math.nan)
+    with pytest.raises(InputError, match="hold 4 values for 5 unknowns"):
+        output_error(Roll(), [flight | {"outputs": outputs}])
 
 
 def test_prior_bias_and_noise_floor() -> None:
@@ -245,7 +275,7 @@ def test_monitor_and_the_cost_that_falls() -> None:
         ({"controls": np.full((300, 1), math.nan)}, "controls"),
     ],
 )
-def test_bad_flights_are_named(change: dict[str, object], key: str) -> None:
+def test_bad_flights_are_named(change: dict[str, Any], key: str) -> None:
     flight = roll_flight(np.random.default_rng(0)) | change
     with pytest.raises(InputError) as caught:
         output_error(Roll(), [flight])
@@ -262,7 +292,7 @@ def test_bad_flights_are_named(change: dict[str, object], key: str) -> None:
         {"noise": torch.eye(5)},
     ],
 )
-def test_bad_arguments_are_named(more: dict[str, object]) -> None:
+def test_bad_arguments_are_named(more: dict[str, Any]) -> None:
     with pytest.raises(InputError):
         output_error(Roll(), [roll_flight(np.random.default_rng(0))], **more)
 

@@ -1,5 +1,7 @@
 """The filter error method on flights in moving air, and on calm ones, where output error says the same."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -184,7 +186,7 @@ def test_a_filter_that_diverges_says_where_and_with_which_state() -> None:
         ({"free": ["thetta"]}, "free"),
     ],
 )
-def test_bad_arguments_are_named(more: dict[str, object], key: str) -> None:
+def test_bad_arguments_are_named(more: dict[str, Any], key: str) -> None:
     with pytest.raises(InputError) as caught:
         filter_error(Roll(), [roll_flight(np.random.default_rng(0))], **more)  # pyright: ignore[reportArgumentType]
     assert caught.value.key == key

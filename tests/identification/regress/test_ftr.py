@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -215,7 +216,7 @@ def test_missing_samples_are_filled_and_noted() -> None:
         ({"response": torch.full((501,), math.nan)}, "at most 25%"),
     ],
 )
-def test_bad_arguments_are_refused_in_plain_words(change: dict[str, object], words: str) -> None:
+def test_bad_arguments_are_refused_in_plain_words(change: dict[str, Any], words: str) -> None:
     record = flights(ROLL_PITCH_YAW, [10.0], 0.02)[0]
     arguments: dict[str, object] = {"response": record[:, 0], "regressors": record, "dt": 0.02}
     with pytest.raises(InputError) as caught:
