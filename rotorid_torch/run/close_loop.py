@@ -108,22 +108,20 @@ def close_loop(
 def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
     """Sensors against each other first, then what acts on the vehicle, on records without the sensors' errors."""
     monitor = steps.monitor
-    first = identified(dataset, (), seed, steps)
+    whole = partial(identified, effects=(), seed=seed, where_untold="output-error")
+    first = whole(dataset, steps=steps)
     recorded, dataset = at_one_rate(dataset), with_velocities(dataset)
     with monitor.step("trace"):
         sensors = sensor_findings(recorded)
     right = with_velocities(sensors.corrected(recorded)) if sensors.effects else at_one_rate(dataset)
     for name, value in sensors.values.items():
         monitor.say(f"sensors: {name} = {value:.4g}")
-    base = identified(right, (), seed, steps) if sensors.effects else first
+    base = whole(right, steps=steps) if sensors.effects else first
+    steps = replace(steps, method=base.estimate.method)
+    if first.estimate.method != base.estimate.method:
+        first = whole(dataset, steps=steps)
     with monitor.step("trace"):
         shaken = _shaken(right, base)
-    if not _rough(shaken) and "filter-error" in (first.estimate.method, base.estimate.method):
-        # what colours the residuals is no gusts: the filter would take what the model lacks for moving air
-        steps = replace(steps, method="output-error")
-        calm = identified(dataset, (), seed, steps)
-        first, base = calm, identified(right, (), seed, steps) if sensors.effects else calm
-    steps = replace(steps, method=base.estimate.method)
     flights = Flights(right, base.reconstruction)
     with monitor.step("trace"):
         tracing = (_rotors_traced if base.spec.motors else _traced)(base, flights, seed, steps)

@@ -12,7 +12,7 @@ import torch
 
 from rotorid_torch.arguments import listed
 from rotorid_torch.consistency.examination.needs import refuse_lacks
-from rotorid_torch.core.names import VELOCITIES, nearest
+from rotorid_torch.core.names import nearest
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.one_rate import at_one_rate
@@ -39,11 +39,7 @@ from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
 from rotorid_torch.run.output.write import write_report
 from rotorid_torch.run.own_effects import refuse_faulty
 from rotorid_torch.run.result import Run, write_reconstruction
-from rotorid_torch.run.turbulence import with_gusts
-from rotorid_torch.trace.stochastic import TURBULENCE, stochastic_findings
-
-CALM = "step 3 by output error: the air is calm, for before the pilot acts all flights are alike"
-"""How the method was chosen where quiet moments of the flights show no gusts."""
+from rotorid_torch.run.turbulence import method_by_quiet_moments, with_gusts
 
 
 def reconstruct(dataset: Dataset, out: str | Path, *, seed: int = 0, monitor: Monitor | None = None) -> Reconstruction:
@@ -120,15 +116,18 @@ def _key(dataset: Dataset, effects: Sequence[str], seed: int, method: str) -> di
     }
 
 
-def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps) -> Run:
-    """The three steps, free runs and scores."""
+def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps, where_untold: str = "auto") -> Run:
+    """The three steps, free runs and scores.
+
+    where_untold : as `method_by_quiet_moments`.
+    """
     dataset = with_velocities(dataset)
     uniform, monitor = at_one_rate(dataset), steps.monitor
     reconstruction = steps.reconstruct(
         tuple(uniform.flights), lambda: step1.reconstruct(uniform, None, steps.ranks, steps.device)
     )
     first = steps.do("structure", "structure", lambda: propose(uniform, reconstruction, effects))
-    spec, model, regressions, estimate = _best_structure(first, uniform, reconstruction, steps)
+    spec, model, regressions, estimate = _best_structure(first, uniform, reconstruction, steps, where_untold)
     with monitor.step("validate"):
         judged = judge(model, dataset, steps.ranks)
         flights = with_gusts(judged.flights, model, estimate, dataset, uniform, reconstruction, steps.ranks)
@@ -145,30 +144,17 @@ def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps
 
 
 def _best_structure(
-    spec: ModelSpec, seen: Dataset, reconstruction: Reconstruction, steps: Steps
+    spec: ModelSpec, seen: Dataset, reconstruction: Reconstruction, steps: Steps, where_untold: str
 ) -> tuple[ModelSpec, Model, Step2, Step3]:
     """Steps 2 and 3 of a structure, or of its rival where the data prefer that; both by the method of the first."""
-    calm = steps.method == "auto" and _alike_before_the_pilot_acts(seen, spec)
-    by_choice = replace(steps, method="output-error") if calm else steps
-    first, other = estimated(spec, seen, reconstruction, by_choice), rival(spec)
-    if calm:
-        first = *first[:3], replace(first[3], why=CALM)
+    method, why = method_by_quiet_moments(steps.method, where_untold, seen, spec)
+    first, other = estimated(spec, seen, reconstruction, replace(steps, method=method)), rival(spec)
+    first = *first[:3], replace(first[3], why=why or first[3].why)
     if other is None:
         return first
     found = estimated(other, seen, reconstruction, replace(steps, method=first[3].method))
     best = min(first, found, key=lambda t: t[3].criterion)
     return *best[:3], replace(best[3], why=first[3].why)
-
-
-def _alike_before_the_pilot_acts(seen: Dataset, spec: ModelSpec) -> bool:
-    """Whether flights begin with quiet moments in which no gusts show: coloured residuals are of the model then.
-
-    Not asked where no velocities are measured, for gusts have nothing to act through.
-    """
-    if not set(VELOCITIES) & set(spec.outputs):
-        return False
-    turbulence = next(f for f in stochastic_findings(seen, spec, {}) if f.id == TURBULENCE)
-    return turbulence.verdict not in ("accepted", "not testable")
 
 
 def remarks_on(

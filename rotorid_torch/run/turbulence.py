@@ -8,18 +8,44 @@ from dataclasses import replace
 import msgspec
 import torch
 
+from rotorid_torch.core.names import VELOCITIES
 from rotorid_torch.core.processes.ranks import Ranks
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.gusts import Air, follow, of_all
 from rotorid_torch.identification.model_estimation import Step3, records
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.model.model import Model
 from rotorid_torch.report.records import FlightRecord
 from rotorid_torch.report.summary import WORSE_THAN_TRIM
-from rotorid_torch.trace.stochastic import TURBULENCE
+from rotorid_torch.trace.stochastic import TURBULENCE, stochastic_findings
 from rotorid_torch.trace.terms.finding import Finding
 from rotorid_torch.trace.terms.verdict import Statement
 from rotorid_torch.validate.gusts import in_gusts
+
+ALIKE = "step 3 by output error: the air is calm, for before the pilot acts all flights are alike"
+"""How the method was chosen where quiet moments of the flights show no gusts."""
+UNTOLD = "step 3 by output error: no quiet moments before the pilot acts could show gusts"
+"""How it was chosen where there are no such moments, and coloured residuals alone do not do."""
+
+
+def method_by_quiet_moments(asked: str, where_untold: str, seen: Dataset, spec: ModelSpec) -> tuple[str, str]:
+    """The method that step 3 is asked for after a look at the flights' quiet moments, and why, if these decide.
+
+    Where no gusts show in them, coloured residuals are of the model. Not asked where no velocities are measured, for
+    gusts have nothing to act through.
+
+    Parameters
+    ----------
+    asked : of `METHODS`. where_untold : what "auto" becomes where flights have no such moments: "auto", then coloured
+        residuals decide alone, or "output-error".
+    """
+    if asked != "auto" or not set(VELOCITIES) & set(spec.outputs):
+        return asked, ""
+    verdict = next(f for f in stochastic_findings(seen, spec, {}) if f.id == TURBULENCE).verdict
+    if verdict == "not testable":
+        return where_untold, "" if where_untold == "auto" else UNTOLD
+    return ("auto", "") if verdict == "accepted" else ("output-error", ALIKE)
 
 
 def in_turbulence(finding: Finding, air: Air | None, why: str) -> Finding:

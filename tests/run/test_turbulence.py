@@ -13,11 +13,11 @@ from rotorid_torch.identification.gusts import Air, GustAxis
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.report.summary import WORSE_THAN_TRIM
-from rotorid_torch.run.pipeline import _alike_before_the_pilot_acts
-from rotorid_torch.run.turbulence import in_turbulence, without_clean_bill
+from rotorid_torch.run.turbulence import ALIKE, UNTOLD, in_turbulence, method_by_quiet_moments, without_clean_bill
 from rotorid_torch.trace.terms.finding import Finding
 from rotorid_torch.trace.terms.verdict import statement
 from tests.helpers import shared
+from tests.known_models import flown, linear_vehicle, manoeuvres
 
 QUIET = Finding("environment.turbulence", "undeclared", "below floor", "before the pilot acts all flights are alike")
 
@@ -62,4 +62,14 @@ def test_no_clean_bill_beside_a_model_worse_than_trim():
 def test_a_load_that_sways_is_no_moving_air():
     """Of another simulator, in calm air: what a model without the load leaves is coloured as gusts colour it."""
     data = at_one_rate(load(shared("flightdata", "uh60-x1")))
-    assert _alike_before_the_pilot_acts(data, propose(data, reconstruct(data), ()))
+    spec = propose(data, reconstruct(data), ())
+    assert method_by_quiet_moments("auto", "auto", data, spec) == ("output-error", ALIKE)
+
+
+def test_flights_without_quiet_moments():
+    """`identify` then goes by the residuals' colour alone; the loop, which traces what the model lacks, does not."""
+    data = flown(linear_vehicle(), {n: c[30:] for n, c in manoeuvres(8.0, 0.04).items()}, 0.04, noise=0.02, seed=2)
+    spec = propose(data, reconstruct(data), ())
+    assert method_by_quiet_moments("auto", "auto", data, spec) == ("auto", "")
+    assert method_by_quiet_moments("auto", "output-error", data, spec) == ("output-error", UNTOLD)
+    assert method_by_quiet_moments("filter-error", "output-error", data, spec) == ("filter-error", "")
