@@ -226,6 +226,7 @@ OUTPUT_ERROR: list[tuple[str, dict[str, Any], str]] = [
     ("segments shorter than two samples", {"segment_lengths": [0.01]}, "segment_lengths"),
     ("an unknown solver", {"solver": "rk5"}, "solver"),
     ("None for the solver", {"solver": None}, "solver"),
+    ("an unknown way of controls", {"controls": "zoh"}, "controls"),
     ("an unknown optimiser", {"optimiser": "adam"}, "optimiser"),
 ]
 FILTER_ERROR: list[tuple[str, dict[str, Any], str]] = [

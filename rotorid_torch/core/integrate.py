@@ -70,8 +70,8 @@ def step_jacobian(by_state: Tensor, by_other: Tensor, dt: float) -> tuple[Tensor
     return total[..., :nx] + torch.eye(nx, dtype=both.dtype, device=both.device), total[..., nx:]
 
 
-def simulate(rates: Rates, x0: Tensor, controls: Tensor, dt: float, solver: str = "rk4") -> Tensor:
-    """Trajectory from x0 under sampled controls, linear between samples.
+def simulate(rates: Rates, x0: Tensor, controls: Tensor, dt: float, solver: str = "rk4", hold: bool = False) -> Tensor:
+    """Trajectory from x0 under sampled controls, linear between samples, or held from each to the next.
 
     Parameters
     ----------
@@ -100,6 +100,14 @@ def simulate(rates: Rates, x0: Tensor, controls: Tensor, dt: float, solver: str 
     from torchdiffeq import odeint  # here: it brings SciPy, half a second that compiled models do without
 
     times = torch.arange(samples, dtype=x0.dtype, device=x0.device) * dt
+    if hold:
+        path = [x0]
+        for k in range(samples - 1):  # a jump at each sample ends a step there
+            held = lambda t, x, k=k: rates(t, x, rows[k])  # noqa: E731
+            ends = odeint(held, path[-1], times[k : k + 2], method=solver)
+            assert isinstance(ends, Tensor)
+            path.append(ends[-1])
+        return torch.stack(path, dim=-2)
     states = odeint(right_hand_side, x0, times, method=solver)
     assert isinstance(states, Tensor)
     return states.movedim(0, -2)

@@ -31,7 +31,6 @@ LONG = {
     "core.gauss_newton:minimise",
     "identification.estimate.output_error:settings_of",
     "identification.estimate.progressive_fit:fit",
-    "identification.estimate.sensitivity:_steps",
     "identification.estimate.sensitivity:corrected",
     "identification.filter_error.held_gain:alternated",
     "identification.model_estimation:estimate_model",

@@ -52,6 +52,7 @@ class Dynamics:
     biased : outputs with a constant of their own as further unknowns.
     initial : whether initial states are unknowns.
     classic : Runge's rule instead of the 3/8 rule.
+    hold : controls stay as they are within a step; else they are linear.
     """
 
     graph: Graph
@@ -65,6 +66,7 @@ class Dynamics:
     biased: tuple[int, ...] = ()
     initial: bool = True
     classic: bool = False
+    hold: bool = False
 
     @classmethod
     def of(cls, motion: Motion, x: Tensor, u: Tensor, theta: Tensor) -> Dynamics:
@@ -126,7 +128,11 @@ class Dynamics:
 
     @property
     def _head(self) -> str:
-        return ("#define CLASSIC\n" if self.classic else "") + '#include "lanes.h"\n'
+        return (
+            ("#define CLASSIC\n" if self.classic else "")
+            + ("#define HOLD\n" if self.hold else "")
+            + '#include "lanes.h"\n'
+        )
 
     def simulate(
         self, theta: Tensor, x0: Tensor, controls: Tensor, dt: float, limit: float = math.inf, threads: int = 1

@@ -200,8 +200,8 @@ class NativeEngine:
     variants: dict[tuple[bool, tuple[int, ...], tuple[int, ...]], Dynamics] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, system: System, states: Tensor, controls: Tensor) -> NativeEngine:
-        """Trace the system at a state [nx] and controls [nu].
+    def of(cls, system: System, states: Tensor, controls: Tensor, hold: bool = False) -> NativeEngine:
+        """Trace the system at a state [nx] and controls [nu]; `hold`: controls are held within a step.
 
         Raises
         ------
@@ -210,6 +210,7 @@ class NativeEngine:
         nu = len(controls)
         example = torch.cat([controls, controls.new_zeros(1)])
         traced = Dynamics.of(lambda x, u, theta: system.motion(theta, u[nu], x, u[:nu]), states, example, system.theta)
+        traced = replace(traced, hold=hold)
         timed = traced.depends_on("u", nu)
         engine = cls(system, traced if timed else replace(traced, nu=nu), timed)
         engine.traced.build(derivatives=True)  # now: what cannot be compiled is told before anything depends on it
@@ -299,7 +300,7 @@ def engine_for(system: System, records: Records, solver: str, wanted: str | None
         return TorchEngine(system, solver)
     states = records.states.flatten(0, 1).nan_to_num(0.0).mean(dim=0)
     try:
-        return NativeEngine.of(system, states, records.controls[0, 0])
+        return NativeEngine.of(system, states, records.controls[0, 0], records.hold)
     except Unsupported as error:
         if wanted == "native":
             raise

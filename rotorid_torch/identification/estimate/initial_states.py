@@ -42,7 +42,8 @@ def fitted_states(problem: Likelihood, theta: Tensor) -> Tensor:
     Directions that the outputs do not show within that part stay at the guess.
     """
     ny = problem.records.outputs.shape[-1]
-    samples = min(problem.segments.samples, max(FEWEST, problem.segments.samples // 4))
+    fewest = FEWEST * int(problem.records.spacing().max())
+    samples = min(problem.segments.samples, max(fewest, problem.segments.samples // 4))
     held = Noise("held", problem.noise.floor, torch.diag(roughness(problem.records, problem.ranks) ** 2))
     head = replace(problem, segments=problem.segments.head(samples), noise=held)
     head = replace(
@@ -67,6 +68,9 @@ def fitted_states(problem: Likelihood, theta: Tensor) -> Tensor:
 
 def roughness(records: Records, ranks: Ranks = ALONE) -> Tensor:
     """[ny] standard deviation of the outputs' sample-to-sample noise, from second differences."""
-    second = torch.diff(records.outputs, n=2, dim=1)
-    noise = (_mean(second.square().flatten(0, 1), ranks) / 6.0).sqrt().nan_to_num(1.0)
+    if records.every is None:
+        second = torch.diff(records.outputs, n=2, dim=1).flatten(0, 1)
+    else:
+        second = torch.cat([torch.diff(one, n=2, dim=0) for one in records.measured(records.outputs)])
+    noise = (_mean(second.square(), ranks) / 6.0).sqrt().nan_to_num(1.0)
     return noise + smallest_noise(records, ranks)

@@ -9,6 +9,7 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.nn.utils.rnn import pad_sequence
 
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument
@@ -25,6 +26,8 @@ from rotorid_torch.identification.arguments import (
     refuse_unfit,
     refuse_unmeasured,
 )
+from rotorid_torch.identification.estimate.own_models.steps import Stepped, in_steps
+from rotorid_torch.identification.estimate.own_models.whole_flights import WholeFlights, whole_flights
 from rotorid_torch.identification.estimate.progressive_fit import FINE, Fit, Monitor, Settings, fit
 from rotorid_torch.identification.estimate.residuals import Colour, colour
 from rotorid_torch.identification.estimate.segments import Records, records_from
@@ -68,6 +71,8 @@ class OutputError(ParameterTable):
     model_error_ratio : [ny] residual over sensor noise (declared, or the white part of the residual).
     uncertainty : Cramer-Rao, coloured and jackknife apart.
     stages : what each stage did.
+    segment_seconds : length of the longest segments that the estimate rests on, infinite where these are whole flights.
+    whole : how the model flies whole flights from their first samples: residuals, rms, ratio to those of the segments.
     """
 
     model: nn.Module
@@ -82,6 +87,8 @@ class OutputError(ParameterTable):
     model_error_ratio: Tensor
     uncertainty: Uncertainty
     stages: tuple[str, ...]
+    segment_seconds: float
+    whole: WholeFlights
 
     @property
     def title(self) -> str:
@@ -102,6 +109,7 @@ def output_error(
     solver: str = "rk4",
     optimiser: str = "gauss-newton",
     max_iterations: int = 50,
+    controls: str = "linear",
     monitor: Monitor | None = None,
 ) -> OutputError:
     """Output-error estimate of the free parameters of any module from flights.
@@ -119,21 +127,37 @@ def output_error(
     segment_lengths : of the stages, s, infinite for whole flights; chosen from the data by default.
     solver : method of torchdiffeq for the trajectories; derivatives are exact for "rk4".
     optimiser : "gauss-newton" or "lbfgs".
+    controls : between samples: "linear", or "held" as they were at the last sample, as digital controllers send them.
     monitor : called after each accepted step with iteration, cost, theta.
+
+    Samples are taken in several steps where the model's poles are too fast for one, and the message says so.
 
     Raises
     ------
     InputError
-        Where the flights or a name do not fit.
+        Where the flights or a name do not fit, runs from the start diverge, or a pole is too fast.
 
     Source: Morelli and Klein, Aircraft System Identification (2nd ed.), ch. 6; Jategaonkar, Flight Vehicle System
     Identification, ch. 4 and 9 (unstable aircraft).
     """
-    system, records = given(model, flights, free, bounds)
+    system, records = given(model, flights, free, bounds, controls)
     refuse_search(max_iterations, monitor)
     settings = settings_of(records, x0, noise, noise_floor, segment_lengths, solver, optimiser, max_iterations)
     refuse_too_few(records.outputs, len(system.theta), 0 if x0 == "fixed" else records.states.shape[-1])
-    return result_of(system, records, fit(system, records, settings=settings, monitor=monitor))
+    return result_of(system, fitted_in_steps(system, records, settings, monitor))
+
+
+def fitted_in_steps(system: System, records: Records, settings: Settings, monitor: Monitor | None) -> Stepped[Fit]:
+    """The fit in steps that are short enough for the model."""
+
+    def solve(records: Records, theta: Tensor) -> Fit:
+        return fit(system, records, theta, settings, monitor)
+
+    def end(found: Fit) -> tuple[Tensor, Tensor]:
+        point, problem = found.minimum.point, found.likelihood
+        return point.theta, problem.states_at(point, torch.full_like(problem.records.states, math.nan))
+
+    return in_steps(system, records, solve, end)
 
 
 def settings_of(
@@ -166,28 +190,37 @@ def settings_of(
     )
 
 
-def given(model: nn.Module, flights: Any, free: Sequence[str] | None, bounds: Any) -> tuple[System, Records]:
+def given(
+    model: nn.Module, flights: Any, free: Sequence[str] | None, bounds: Any, controls: str = "linear"
+) -> tuple[System, Records]:
     """What is estimated and from what, a model that fits the flights.
 
     Raises
     ------
     InputError : a flight, a name or the model does not fit.
     """
-    system, records = System(model, free, bounds), records_from(flights)
+    arguments.word(Argument("arguments", "controls"), controls, ("linear", "held"))
+    system, records = System(model, free, bounds), records_from(flights, hold=controls == "held")
     refuse_unmeasured(records.outputs)
     x = records.states[:, 0].nan_to_num(0.0)
     refuse_unfit(system.model, records.start, x, records.controls[:, 0], records.outputs.shape[-1])
     return system, records
 
 
-def result_of(system: System, records: Records, fitted: Fit) -> OutputError:
-    """A fit as the caller gets it."""
+def result_of(system: System, stepped: Stepped[Fit]) -> OutputError:
+    """A fit as the caller gets it; steps that are too long leave no standard errors."""
+    fitted, records = stepped.found, stepped.records
     minimum, place = fitted.minimum, fitted.minimum.point
-    errors = fitted.uncertainty.without(minimum.at_bound | minimum.not_identifiable)
+    held = minimum.at_bound | minimum.not_identifiable | (not stepped.mended)
+    errors = fitted.uncertainty.without(held)
     parameters = estimates(system, place.theta, minimum, errors)
     residual = torch.full_like(records.outputs, math.nan)
     for part in fitted.likelihood.parts(place):
         part.segments.write(part.residual, residual)
+    whole, missed = whole_flights(records, fitted), _missed(fitted)
+    residuals = records.measured(residual)
+    parts = [sentence(minimum.message, parameters), _over(fitted, records), missed, whole.remark, stepped.remark]
+    parts.append(coloured(colour(pad_sequence(residuals, batch_first=True, padding_value=math.nan))))
     first = (fitted.likelihood.segments.place[:, 0] == 0).nonzero()[:, 0]
     return OutputError(
         model=system.fitted(place.theta),
@@ -195,14 +228,34 @@ def result_of(system: System, records: Records, fitted: Fit) -> OutputError:
         covariance=errors.covariance,
         noise=fitted.noise,
         initial_states=place.x0[first],
-        converged=minimum.converged,
-        message=sentence(minimum.message, parameters) + _coloured(colour(residual)),
+        converged=minimum.converged and stepped.mended and not missed,
+        message="; ".join(part for part in parts if part),
         history=minimum.history,
-        residuals=[r[:n] for r, n in zip(residual, records.lengths.tolist(), strict=True)],
+        residuals=residuals,
         model_error_ratio=fitted.model_error_ratio,
         uncertainty=errors,
         stages=fitted.stages,
+        segment_seconds=_seconds(fitted, records),
+        whole=whole,
     )
+
+
+def _seconds(fitted: Fit, records: Records) -> float:
+    """Length of the longest segments, infinite for whole flights."""
+    longest = fitted.likelihood.longest
+    return math.inf if longest >= int(records.lengths.max()) else longest * records.dt
+
+
+def _over(fitted: Fit, records: Records) -> str:
+    """Over which segments the estimate was found, where these are not whole flights."""
+    seconds = _seconds(fitted, records)
+    return "" if math.isinf(seconds) else f"found over segments of {seconds:.3g} s"
+
+
+def _missed(fitted: Fit) -> str:
+    """What to say where the longest segments asked for could not be flown."""
+    last = fitted.stages[-1] if fitted.stages else ""
+    return f"not reached: {last}" if "not tried" in last or any("not tried" in s for s in fitted.stages) else ""
 
 
 def estimates(system: System, theta: Tensor, minimum: Minimum[Any], errors: Uncertainty) -> list[ParameterEstimate]:
@@ -223,13 +276,13 @@ def estimates(system: System, theta: Tensor, minimum: Minimum[Any], errors: Unce
     ]
 
 
-def _coloured(colour: Colour) -> str:
+def coloured(colour: Colour) -> str:
     """What to say where residuals are none of the sensors' noise, as in moving air."""
     if not colour.outputs:
         return ""
     listed = ", ".join(f"{float(colour.lag_one[i]):.2f} of output {i}" for i in colour.outputs)
     return (
-        f"; successive residuals are correlated ({listed}): where the air moves, filter_error tells more;"
+        f"successive residuals are correlated ({listed}): where the air moves, filter_error tells more;"
         f" predicting each from the one before would raise the log-likelihood by {colour.gain:.0f}"
     )
 

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from rotorid_torch.core.gauss_newton import Minimum, Options, minimise
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
-from rotorid_torch.identification.estimate.engine import Engine, engine_for
+from rotorid_torch.identification.estimate.engine import Engine, Part, engine_for
 from rotorid_torch.identification.estimate.initial_states import filled, fitted_states, roughness, smallest_noise
 from rotorid_torch.identification.estimate.lbfgs import minimise_lbfgs
 from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
@@ -144,12 +144,23 @@ class Fit:
 
         The noise is the declared floor, or where none is declared the white part of the residual.
         """
-        steps = self.likelihood.moments(self.minimum.point, lambda part: torch.diff(part.residual, dim=1))
+        spacing = self.likelihood.records.spacing()
+        steps = self.likelihood.moments(self.minimum.point, lambda part: _changes(part, spacing))
         white = (steps.mean_square / 2.0).sqrt()
         moments = self.minimum.point.moments
         assert moments is not None
         size = moments.mean_square.sqrt()
         return size / (white if self.floor is None else torch.where(self.floor > 0, self.floor, white))
+
+
+def _changes(part: Part, spacing: Tensor) -> Tensor:
+    """Change [S, T - 1, ny] of a part's residuals from one measured sample to the next; NaN in between."""
+    changes = torch.full_like(part.residual[:, 1:], math.nan)
+    every = spacing[part.segments.flight]
+    for step in every.unique().tolist():
+        rows = (every == step).nonzero()[:, 0]
+        changes[rows, step - 1 :] = part.residual[rows, step:] - part.residual[rows, :-step]
+    return changes
 
 
 def fit(
@@ -229,8 +240,8 @@ def _loss(problem: Likelihood, minimum: Minimum[Place]) -> float:
 
 
 def _as_good(shorter: Minimum[Place], longer: Minimum[Place], chosen: bool) -> bool:
-    """Whether a longer stage is kept; one that the caller has chosen may say itself that it has not converged."""
-    return (longer.converged or chosen) and _size(longer.point) < _size(shorter.point) + SAME_FIT
+    """Whether a longer stage is kept; one that the caller has chosen always is, and says itself how it ended."""
+    return chosen or (longer.converged and _size(longer.point) < _size(shorter.point) + SAME_FIT)
 
 
 def _size(place: Place) -> float:
@@ -305,7 +316,7 @@ class _Stages:
 
     def _tame(self, theta: Tensor, samples: int) -> int:
         """Halved until an error in the initial state does not grow much over a segment."""
-        while samples >= 2 * SHORTEST:
+        while samples >= 2 * SHORTEST * int(self.records.spacing().max()):
             problem, start = self.open(theta, self.records.states, samples)
             if math.isfinite(start.cost):
                 problem.linearise(start)

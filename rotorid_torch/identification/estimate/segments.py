@@ -16,15 +16,21 @@ from rotorid_torch.core.storage import mapped_arrays
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.arguments import flights_of
 
+FINEST = 12
+"""Steps of the shortest sample interval, at most, where intervals of flights differ."""
+SAME_STEP = 1e-3
+"""Of a step, by which those of flights may differ."""
 TOGETHER = 256
 """Pieces that are cut at once."""
 
 
 @dataclass(frozen=True)
 class Records:
-    """Flights of one sample interval, padded to the longest: controls held, outputs NaN beyond a flight's end.
+    """Flights of one step, padded to the longest: controls held, outputs NaN beyond a flight's end.
 
-    `states` holds what is known of the state at each sample, to start segments from; NaN where nothing is known.
+    `states` holds what is known of the state at each step, to start segments from; NaN where nothing is known.
+    `every`: steps from one measured sample of a flight to the next, one where it is None.
+    `hold`: controls stay as they are from a step to the next; else they are linear in between.
     """
 
     dt: float
@@ -33,6 +39,25 @@ class Records:
     controls: Tensor  # [F, T, nu]
     outputs: Tensor  # [F, T, ny], NaN = missing
     states: Tensor  # [F, T, nx], NaN = unknown
+    every: Tensor | None = None  # [F]
+    hold: bool = False
+
+    def spacing(self) -> Tensor:
+        """Steps from one measured sample to the next [F]."""
+        return torch.ones_like(self.lengths) if self.every is None else self.every
+
+    def refined(self, times: int) -> Records:
+        """The same flights in steps so many times shorter: nothing is measured in between."""
+        if times == 1:
+            return self
+        parts = (_between(self.controls, times, self.hold), _apart(self.outputs, times), _apart(self.states, times))
+        lengths, every = (self.lengths - 1) * times + 1, self.spacing() * times
+        return Records(self.dt / times, lengths, self.start, *parts, every, self.hold)
+
+    def measured(self, record: Tensor) -> list[Tensor]:
+        """A record over the steps [F, T, ...] at the measured samples of each flight."""
+        ends = zip(record, self.lengths.tolist(), self.spacing().tolist(), strict=True)
+        return [one[:length:every] for one, length, every in ends]
 
     @property
     def samples(self) -> int:
@@ -43,7 +68,22 @@ class Records:
         """A flight of one sample: the first controls, and the mean of the states."""
         mean = torch.stack([states.nan_to_num(0.0).mean(dim=0) for states in self.states]).mean(dim=0)
         first = self.controls[:1, :1].clone(), self.outputs[:1, :1].clone()
-        return Records(self.dt, torch.ones_like(self.lengths[:1]), self.start[:1].clone(), *first, mean[None, None])
+        one = torch.ones_like(self.lengths[:1]), self.start[:1].clone()
+        return Records(self.dt, *one, *first, mean[None, None], hold=self.hold)
+
+
+def _between(record: Tensor, times: int, hold: bool) -> Tensor:
+    """A record [F, T, n] at `times` as many steps, linear or held in between."""
+    share = torch.zeros(times, 1) if hold else (torch.arange(times) / times).unsqueeze(-1)
+    inside = record[:, :-1, None] + share.to(record) * (record[:, 1:, None] - record[:, :-1, None])
+    return torch.cat([inside.flatten(1, 2), record[:, -1:]], dim=1)
+
+
+def _apart(record: Tensor, times: int) -> Tensor:
+    """A record [F, T, n] at `times` as many steps, NaN in between."""
+    wide = record.new_full((len(record), (record.shape[1] - 1) * times + 1, record.shape[2]), math.nan)
+    wide[:, ::times] = record
+    return wide
 
 
 @dataclass(frozen=True)
@@ -93,38 +133,63 @@ class Segments:
         return steps > 0
 
 
-def records_from(flights: Sequence[Mapping[str, Any]], states: int | None = None) -> Records:
+def records_from(flights: Sequence[Mapping[str, Any]], states: int | None = None, hold: bool = False) -> Records:
     """Flights given as dicts of arrays: time (T,), controls (T, nu), outputs (T, ny), and x0 (nx,) or states (T, nx).
 
-    `states` is the number of states where no flight says it.
+    `states` is the number of states where no flight says it; `hold`: controls are held from a sample to the next.
+
+    Flights of several sample intervals share a step of which each is a multiple.
 
     Raises
     ------
     InputError
-        Where an array is missing, has another shape than the others, or time is not uniform.
+        Where an array is missing, has another shape than the others, time is not uniform, or there is no such step.
     """
     rows = flights_of(flights)
-    steps = [float(torch.diff(row["time"]).mean()) for row in rows]
-    for i, step in enumerate(steps):
-        if abs(step - steps[0]) > 1e-3 * steps[0]:
-            raise InputError(
-                f"flights[{i}]", "time", f"sample interval {step:.6g} s", f"{steps[0]:.6g} s as in the first flight"
-            )
+    dt, every = _common_step([float(row["time"][-1] - row["time"][0]) / (len(row["time"]) - 1) for row in rows])
     nx = next((row[key].shape[-1] for row in rows for key in ("states", "x0") if key in row), states)
     if nx is None:
         raise InputError("flights[0]", "x0", "absent in every flight", "the initial state (nx,) of at least one flight")
     for row in rows:
         row["states"] = _known_states(row, nx)
-    longest = max(len(row["time"]) for row in rows)
-    held = [torch.cat([row["controls"], row["controls"][-1:].expand(longest - len(row["time"]), -1)]) for row in rows]
+    for row, times in zip(rows, every, strict=True):
+        if times > 1:
+            row["controls"] = _between(row["controls"][None], times, hold)[0]
+            row["outputs"], row["states"] = (_apart(row[key][None], times)[0] for key in ("outputs", "states"))
+    lengths = [len(row["controls"]) for row in rows]
+    held = [
+        torch.cat([r["controls"], r["controls"][-1:].expand(max(lengths) - n, -1)])
+        for r, n in zip(rows, lengths, strict=True)
+    ]
     return Records(
-        dt=sum(steps) / len(steps),
-        lengths=torch.tensor([len(row["time"]) for row in rows]),
+        dt=dt,
+        lengths=torch.tensor(lengths),
         start=torch.stack([row["time"][0] for row in rows]),
         controls=torch.stack(held),
         outputs=pad_sequence([row["outputs"] for row in rows], batch_first=True, padding_value=math.nan),
         states=pad_sequence([row["states"] for row in rows], batch_first=True, padding_value=math.nan),
+        every=torch.tensor(every) if max(every) > 1 else None,
+        hold=hold,
     )
+
+
+def _common_step(intervals: Sequence[float]) -> tuple[float, list[int]]:
+    """The longest step, s, of which every sample interval is a multiple, and the multiples.
+
+    Raises
+    ------
+    InputError : the step would have to be shorter than a `FINEST`th of the shortest interval.
+    """
+    shortest = min(intervals)
+    for parts in range(1, FINEST + 1):
+        every = [round(interval * parts / shortest) for interval in intervals]
+        steps = [interval / n for interval, n in zip(intervals, every, strict=True)]
+        if max(steps) - min(steps) <= SAME_STEP * shortest / parts:
+            return sum(steps) / len(steps), every
+    i = next(k for k, interval in enumerate(intervals) if abs(interval - intervals[0]) > SAME_STEP * intervals[0])
+    wrong = f"sample interval {intervals[i]:.6g} s beside {intervals[0]:.6g} s of the first flight"
+    expected = f"intervals that are multiples of a step, at least a {FINEST}th of the shortest one: resample"
+    raise InputError(f"flights[{i}]", "time", wrong, expected)
 
 
 def _known_states(row: Mapping[str, Tensor], nx: int) -> Tensor:
@@ -139,9 +204,9 @@ def _known_states(row: Mapping[str, Tensor], nx: int) -> Tensor:
 def cut(records: Records, samples: int) -> Segments:
     """Each flight in equal pieces of at most this many samples; they neither overlap nor leave a sample out."""
     flight, first, length = [], [], []
-    for f, total in enumerate(records.lengths.tolist()):
-        pieces = math.ceil(total / samples)
-        edges = [round(i * total / pieces) for i in range(pieces + 1)]
+    for f, (total, every) in enumerate(zip(records.lengths.tolist(), records.spacing().tolist(), strict=True)):
+        pieces, measured = math.ceil(total / samples), (total - 1) // every + 1
+        edges = [min(round(i * measured / pieces) * every, total) for i in range(pieces + 1)]
         for a, b in itertools.pairwise(edges):
             flight.append(f)
             first.append(a)

@@ -65,7 +65,8 @@ def traced(system: System, theta: Tensor, records: Records, segments: Segments, 
     controls = controls_at(system, theta, records, segments)
 
     def use(model: nn.Module) -> Tensor:
-        return simulate(lambda t, x, u: model(t + segments.start, x, u), x0, controls, segments.dt, solver)
+        rates = lambda t, x, u: model(t + segments.start, x, u)  # noqa: E731
+        return simulate(rates, x0, controls, segments.dt, solver, records.hold)
 
     states = system.at(theta, use)
     return Run(theta, controls, states, system.output(theta, states, controls))
@@ -90,15 +91,17 @@ def corrected(
     Source: Bellen and Zennaro (1989), J. Comput. Appl. Math. 25 (parallel solution of difference equations).
     """
     controls = controls_at(system, theta, records, segments)
-    u, x = controls.transpose(0, 1), near.transpose(0, 1).clone()
+    ends, x = step_ends(controls.transpose(0, 1), records.hold), near.transpose(0, 1).clone()
     x[0] = x0
     inside = segments.inside.mT[1:, :, None]
     size = torch.where(segments.inside.mT[..., None], x.abs(), 0.0).amax(dim=(0, 1)).clamp_min(1e-12)
     times = sample_times(segments)[:-1]
     before, slowest = torch.inf, 2.0 if transitions is None else 0.5
     for _ in range(SWEEPS):
-        after = step(lambda t, x, u: system.rates(theta, t, x, u), times, x[:-1], u[:-1], u[1:], segments.dt)
-        along = step_transitions(system, theta, times, x[:-1], u, segments.dt) if transitions is None else transitions
+        after = step(lambda t, x, u: system.rates(theta, t, x, u), times, x[:-1], *ends, segments.dt)
+        along = (
+            step_transitions(system, theta, times, x[:-1], ends, segments.dt) if transitions is None else transitions
+        )
         change = _carried(along, torch.where(inside, after - x[1:], 0.0))
         x[1:] += change
         largest = float((change.abs() / size).max())
@@ -110,6 +113,11 @@ def corrected(
             return None
         before = largest
     return None
+
+
+def step_ends(u: Tensor, hold: bool) -> tuple[Tensor, Tensor]:
+    """What is linear within steps (a record [T, S, ...]), at their starts and at their ends."""
+    return u[:-1], u[:-1] if hold else u[1:]
 
 
 def _carried(transitions: Tensor, defects: Tensor) -> Tensor:
@@ -148,7 +156,9 @@ def sensitivities(system: System, run: Run, records: Records, segments: Segments
         end = total if k + length >= total - 1 else k + length  # no block of one sample: it has no step
         upto = min(end + 1, total)  # the step out of the block needs the next controls
         tape = (which, by_tape[:, k:upto].transpose(0, 1))
-        transitions, inputs = _steps(system, theta, times[k : upto - 1], x[k : upto - 1], u[k:upto], segments.dt, tape)
+        ends, slopes = step_ends(u[k:upto], records.hold), step_ends(tape[1], records.hold)
+        start = times[k : upto - 1], x[k : upto - 1]
+        transitions, inputs = _steps(system, theta, start, ends, segments.dt, (which, slopes))
         path = x.new_empty(end - k, len(segments), nx, width)
         path[0] = carried
         for i in range(1, end - k):
@@ -158,38 +168,46 @@ def sensitivities(system: System, run: Run, records: Records, segments: Segments
         yield Block(k, _outputs(system, theta, x[k:end], u[k:end], path, tape), transitions)
 
 
+Ends = tuple[Tensor, Tensor]
+"""What is linear within a step, at its start and at its end."""
+
+
 def _steps(
-    system: System, theta: Tensor, t: Tensor, x: Tensor, u: Tensor, dt: float, tape: Tape
+    system: System, theta: Tensor, start: tuple[Tensor, Tensor], u: Ends, dt: float, tape: tuple[Tensor, Ends]
 ) -> tuple[Tensor, Tensor]:
-    """Derivatives of the steps by their start [k, S, nx, nx], by initial state (none) and theta [k, S, nx, nx + P]."""
+    """Derivatives of the steps by their start [k, S, nx, nx], by initial state (none) and theta [k, S, nx, nx + P].
+
+    start : times and states where the steps start. tape : as `Tape`, the derivatives at starts and ends of the steps.
+    """
+    t, x = start
     shape, points = _stages(system, theta, t, x, u, dt)
     by_x, by_u, by_theta = (d.unflatten(0, shape) for d in system.rates_jacobian(theta, *points))
-    which, slopes = tape
+    which, (first, last) = tape
     if len(which):
         nodes = torch.tensor(NODES, dtype=x.dtype).view(4, 1, 1)
-        by_theta[..., which] += by_u @ (slopes[:-1] + nodes[..., None, None] * (slopes[1:] - slopes[:-1]))
+        by_theta[..., which] += by_u @ (first + nodes[..., None, None] * (last - first))
     transitions, inputs = step_jacobian(by_x, by_theta, dt)
     return transitions, torch.nn.functional.pad(inputs, (x.shape[-1], 0))
 
 
 def _stages(
-    system: System, theta: Tensor, t: Tensor, x: Tensor, u: Tensor, dt: float
+    system: System, theta: Tensor, t: Tensor, x: Tensor, u: Ends, dt: float
 ) -> tuple[tuple[int, ...], tuple[Tensor, Tensor, Tensor]]:
     """Times, states and controls of all stages of all steps as a flat list of points, and its shape [4, k, S]."""
-    _, stages = step_stages(lambda t, x, u: system.rates(theta, t, x, u), t, x, u[:-1], u[1:], dt)
+    _, stages = step_stages(lambda t, x, u: system.rates(theta, t, x, u), t, x, *u, dt)
     nodes = torch.tensor(NODES, dtype=x.dtype).view(4, 1, 1)
-    controls = u[:-1] + nodes[..., None] * (u[1:] - u[:-1])
-    flat = (t + dt * nodes).reshape(-1), stages.reshape(-1, x.shape[-1]), controls.reshape(-1, u.shape[-1])
+    controls = u[0] + nodes[..., None] * (u[1] - u[0])
+    flat = (t + dt * nodes).reshape(-1), stages.reshape(-1, x.shape[-1]), controls.reshape(-1, controls.shape[-1])
     return tuple(stages.shape[:-1]), flat
 
 
-def step_transitions(system: System, theta: Tensor, t: Tensor, x: Tensor, u: Tensor, dt: float) -> Tensor:
+def step_transitions(system: System, theta: Tensor, t: Tensor, x: Tensor, u: Ends, dt: float) -> Tensor:
     """Derivatives of the steps by their start [k, S, nx, nx]."""
     nx, parts = x.shape[-1], []
     length = max(1, BLOCK_NUMBERS // (x.shape[1] * nx * nx))
     for k in range(0, len(x), length):
-        end = min(k + length, len(x))
-        shape, points = _stages(system, theta, t[k:end], x[k:end], u[k : end + 1], dt)
+        some = slice(k, k + length)
+        shape, points = _stages(system, theta, t[some], x[some], (u[0][some], u[1][some]), dt)
         by_x = system.state_jacobian(theta, *points).unflatten(0, shape)
         parts.append(step_jacobian(by_x, by_x[..., :0], dt)[0])
     return torch.cat(parts)

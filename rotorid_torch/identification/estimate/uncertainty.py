@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -67,7 +68,7 @@ def uncertainty(likelihood: Likelihood, place: Place, linear: Linear, identifiab
     inverse = inverse_triangle(linear, identifiable)
     plain[identifiable[:, None] & identifiable] = loss * (inverse @ inverse.mT).flatten()
     coloured = torch.zeros_like(plain)
-    lines, pieces = fast(2 * likelihood.longest), likelihood.pieces
+    lines, pieces = fast(2 * -(-likelihood.longest // _apart(likelihood))), likelihood.pieces
     flights = lambda directions: _flights(likelihood, place, directions)  # noqa: E731
     covariance = coloured_covariance(flights, lines, pieces, inverse, identifiable, likelihood.ranks)
     coloured[identifiable[:, None] & identifiable] = covariance.flatten()
@@ -229,9 +230,14 @@ def _smoothed(lines: Tensor, m: int) -> Tensor:
     return torch.stack([wide[k : k + n] for k in range(2 * m + 1)]).mean(dim=0)
 
 
+def _apart(likelihood: Likelihood) -> int:
+    """Steps that all measured samples are multiples of."""
+    return math.gcd(*likelihood.records.spacing().tolist())
+
+
 def _flights(likelihood: Likelihood, place: Place, directions: Tensor) -> Iterator[FlightRows]:
     """Each flight with its derivatives in some directions [P, n] of the parameters."""
-    nx, nb = likelihood.locals_per_segment, len(likelihood.biased)
+    nx, nb, apart = likelihood.locals_per_segment, len(likelihood.biased), _apart(likelihood)
     for part, whitener, rows in likelihood.by_flight(place):
         sd = rows.new_zeros(len(part.which), 0) if likelihood.x0_sd is None else likelihood.x0_sd[part.which]
         first = basis_of(rows[..., :nx], sd)
@@ -242,9 +248,8 @@ def _flights(likelihood: Likelihood, place: Place, directions: Tensor) -> Iterat
             freed = freed - second @ torch.einsum("srb,srn->bn", second, freed)
         shape = part.residual.shape
         white = whitener.apply(part.residual.unsqueeze(-1)).squeeze(-1)
-        yield FlightRows(
-            freed.unflatten(1, shape[1:]), torch.cat([first, second], -1).unflatten(1, shape[1:]), white, part.valid
-        )
+        whole = freed.unflatten(1, shape[1:]), torch.cat([first, second], -1).unflatten(1, shape[1:]), white, part.valid
+        yield FlightRows(*(one[:, ::apart] for one in whole))  # in between nothing is measured
 
 
 def _without(rows: Tensor, basis: Tensor) -> Tensor:

@@ -143,6 +143,7 @@ class FilterProblem:
             controls=r.controls[one],
             outputs=r.outputs[one],
             states=r.states[one],
+            every=None if r.every is None else r.every[one],
         )
         return replace(self, records=records)
 

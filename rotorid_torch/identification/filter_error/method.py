@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.nn.utils.rnn import pad_sequence
 
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument
@@ -21,12 +22,14 @@ from rotorid_torch.identification.estimate.initial_states import smallest_noise
 from rotorid_torch.identification.estimate.output_error import (
     ParameterEstimate,
     estimates,
+    fitted_in_steps,
     given,
     result_of,
     sentence,
     settings_of,
 )
-from rotorid_torch.identification.estimate.progressive_fit import FINE, Fit, Monitor, fit
+from rotorid_torch.identification.estimate.own_models.steps import Stepped, in_steps
+from rotorid_torch.identification.estimate.progressive_fit import FINE, Fit, Monitor
 from rotorid_torch.identification.estimate.residuals import Whiteness, whiteness
 from rotorid_torch.identification.estimate.segments import Records
 from rotorid_torch.identification.estimate.uncertainty import Uncertainty
@@ -162,9 +165,17 @@ def filter_error(
         raise InputError("flights", "x0", "absent", 'the initial state of every flight where x0 is "fixed"')
     if problem.process.matrix is not None and not bool(problem.process.matrix.any()):
         settings = settings_of(records, x0, noise, noise_floor, None, "rk4", "gauss-newton", max_iterations)
-        return _without_gusts(problem, fit(system, records, settings=settings, monitor=monitor))
+        return _without_gusts(problem, fitted_in_steps(system, records, settings, monitor))
     search = _Search(problem, floor, x0 == "free", max_iterations, gain, engine, monitor)
-    return _result(*search.found())
+
+    def solve(records: Records, theta: Tensor) -> Maximum:
+        return replace(search, problem=replace(problem, records=records)).found(theta)
+
+    def end(found: Maximum) -> tuple[Tensor, Tensor]:
+        place = found.minimum.point
+        return place.theta[: len(system.theta)], found.engine.filter(place.theta, place.x0).states
+
+    return _result(in_steps(system, records, solve, end))
 
 
 class Maximum(NamedTuple):
@@ -187,10 +198,10 @@ class _Search:
     engine: str | None
     monitor: Monitor | None
 
-    def found(self) -> Maximum:
-        """From where the filter follows the flights, to the maximum."""
+    def found(self, theta: Tensor) -> Maximum:
+        """From where the filter follows the flights with parameters near theta, to the maximum."""
         problem, system = self.problem, self.problem.system
-        theta, start = torch.clamp(system.theta, system.lower, system.upper), problem.records.states[:, 0]
+        theta, start = torch.clamp(theta, system.lower, system.upper), problem.records.states[:, 0]
         beginning, psi, cost = first(self._engine(theta), theta, start.nan_to_num(0.0), self.floor, self.free)
         if not math.isfinite(cost):
             raise diverged(problem, beginning.filter(psi, start.nan_to_num(0.0)))
@@ -289,7 +300,8 @@ def _floor(noise_floor: Sequence[float] | Tensor | None, records: Records) -> Te
     return smallest if floor is None else torch.maximum(floor, smallest)
 
 
-def _result(engine: FilterEngine, likelihood: InnovationLikelihood, minimum: Minimum[FilterPlace]) -> FilterError:
+def _result(stepped: Stepped[Maximum]) -> FilterError:
+    engine, likelihood, minimum = stepped.found
     problem, place = likelihood.problem, minimum.point
     system, records, psi, count = problem.system, problem.records, place.theta, len(problem.system.theta)
     local = place.x0.numel() if likelihood.free else 0
@@ -298,13 +310,14 @@ def _result(engine: FilterEngine, likelihood: InnovationLikelihood, minimum: Min
     theta, Q, R = problem.split(psi)
     run = engine.filter(psi, place.x0)
     states, covariances = smoothed(problem, psi, place.x0, run)
-    told = _head(covariance, count).without((minimum.at_bound | minimum.not_identifiable)[:count])
+    told = _head(covariance, count).without(
+        (minimum.at_bound | minimum.not_identifiable | (not stepped.mended))[:count]
+    )
     parameters = estimates(system, theta, minimum, told)
     errors = covariance.covariance
     q, r = slice(count, count + problem.process.count), slice(count + problem.process.count, len(psi))
     rooted = covariances.diagonal(dim1=-2, dim2=-1).clamp_min(0.0).sqrt()
-    lengths = records.lengths.tolist()
-    each = lambda record: [one[:n] for one, n in zip(record, lengths, strict=True)]  # noqa: E731
+    innovations, spreads = (records.measured(part) for part in (run.innovations, run.spreads))
     return FilterError(
         model=system.fitted(theta),
         parameters=parameters,
@@ -314,16 +327,21 @@ def _result(engine: FilterEngine, likelihood: InnovationLikelihood, minimum: Min
         measurement_noise=sizes(problem.noise, psi[r], errors[r, r], loss, ""),
         noise=R * loss if problem.noise.count else R,
         initial_states=states[:, 0],
-        converged=minimum.converged,
-        message=sentence(minimum.message, parameters),
+        converged=minimum.converged and stepped.mended,
+        message="; ".join(part for part in (sentence(minimum.message, parameters), stepped.remark) if part),
         history=minimum.history,
-        innovations=each(run.innovations),
-        states=each(states),
-        state_errors=each(rooted),
+        innovations=innovations,
+        states=records.measured(states),
+        state_errors=records.measured(rooted),
         log_likelihood=-float(run.cost.sum()) - 0.5 * likelihood.samples * math.log(2.0 * math.pi),
-        whiteness=whiteness(run.innovations, run.spreads),
+        whiteness=whiteness(_padded(innovations, math.nan), _padded(spreads, 0.0)),
         uncertainty=told,
     )
+
+
+def _padded(records: list[Tensor], filling: float) -> Tensor:
+    """Records of several flights as one batch."""
+    return pad_sequence(records, batch_first=True, padding_value=filling)
 
 
 def _head(whole: Uncertainty, count: int) -> Uncertainty:
@@ -374,10 +392,10 @@ def sizes(form: CovarianceForm, numbers: Tensor, covariance: Tensor, loss: float
     ]
 
 
-def _without_gusts(problem: FilterProblem, fitted: Fit) -> FilterError:
+def _without_gusts(problem: FilterProblem, stepped: Stepped[Fit]) -> FilterError:
     """Output error in the words of the filter error method."""
-    records, place = problem.records, fitted.minimum.point
-    calm = result_of(problem.system, records, fitted)
+    fitted, records = stepped.found, stepped.records
+    place, calm = fitted.minimum.point, result_of(problem.system, stepped)
     states = fitted.likelihood.states_at(place, torch.full_like(records.states, math.nan))
     present = ~records.outputs.isnan()
     residual = torch.full_like(records.outputs, math.nan)
@@ -407,9 +425,9 @@ def _without_gusts(problem: FilterProblem, fitted: Fit) -> FilterError:
         message=calm.message,
         history=calm.history,
         innovations=calm.residuals,
-        states=[one[:n] for one, n in zip(states, records.lengths.tolist(), strict=True)],
-        state_errors=[torch.zeros(n, states.shape[-1], dtype=torch.float64) for n in records.lengths.tolist()],
+        states=records.measured(states),
+        state_errors=[torch.zeros_like(one) for one in records.measured(states)],
         log_likelihood=-float(cost) - 0.5 * sum(count) * math.log(2.0 * math.pi),
-        whiteness=whiteness(residual, spreads),
+        whiteness=whiteness(_padded(records.measured(residual), math.nan), _padded(records.measured(spreads), 0.0)),
         uncertainty=calm.uncertainty,
     )

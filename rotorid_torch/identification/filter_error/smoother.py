@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.integrate import step
-from rotorid_torch.identification.estimate.sensitivity import controls_at, sample_times, step_transitions
+from rotorid_torch.identification.estimate.sensitivity import controls_at, sample_times, step_ends, step_transitions
 from rotorid_torch.identification.estimate.system import by_inputs
 from rotorid_torch.identification.filter_error.extended_kalman import Filtered, FilterProblem
 
@@ -23,10 +23,10 @@ def smoothed(problem: FilterProblem, psi: Tensor, x0: Tensor, run: Filtered) -> 
     theta, _, R = problem.split(psi)
     u = controls_at(system, theta, problem.records, segments).transpose(0, 1)
     x, P = (segments.take(history).transpose(0, 1) for history in (run.states, run.covariances))  # the last one held
-    t = sample_times(segments)[:-1]
-    after = step(lambda t, x, u: system.rates(theta, t, x, u), t, x[:-1], u[:-1], u[1:], segments.dt)
+    t, ends = sample_times(segments)[:-1], step_ends(u, problem.records.hold)
+    after = step(lambda t, x, u: system.rates(theta, t, x, u), t, x[:-1], *ends, segments.dt)
     before = torch.cat([x0[None], after])
-    A = step_transitions(system, theta, t, x[:-1], u, segments.dt)
+    A = step_transitions(system, theta, t, x[:-1], ends, segments.dt)
     flat = before.flatten(0, 1), u.flatten(0, 1)
     H = by_inputs(lambda x, u: system.output(theta, x, u), *flat)[0].unflatten(0, before.shape[:2])
     present = ~run.innovations.transpose(0, 1).isnan()

@@ -61,5 +61,8 @@ def _seen(problem: FilterProblem, theta: Tensor, x0: Tensor, noise: Tensor) -> t
     records = problem.records
     H = by_inputs(lambda x, u: problem.system.output(theta, x, u), x0, records.controls[:, 0])[0].mean(dim=0)
     inverse = (torch.linalg.pinv(H / noise.sqrt().unsqueeze(-1), rtol=1e-6) / noise.sqrt()).square()
-    changes = torch.diff(records.outputs, dim=1).flatten(0, 1).square().nanmean(dim=0).nan_to_num(0.0)
-    return inverse @ noise, inverse @ (changes - 2.0 * noise).clamp_min(0.1 * noise) / records.dt
+    every = records.spacing().tolist()
+    apart = zip(records.measured(records.outputs), every, strict=True)
+    changes = torch.cat([torch.diff(one, dim=0).square() / step for one, step in apart]).nanmean(dim=0).nan_to_num(0.0)
+    sample = sum(every) / len(every)
+    return inverse @ noise, inverse @ (changes - 2.0 * noise / sample).clamp_min(0.1 * noise / sample) / records.dt

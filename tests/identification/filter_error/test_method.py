@@ -149,14 +149,14 @@ def test_smoothed_states_lie_nearer_to_the_truth_than_what_is_measured() -> None
     assert bool((rms < torch.tensor([0.004, 0.016])).all())
 
 
-class Stiff(nn.Module):
-    """A lag far shorter than a sample."""
+class Runaway(nn.Module):
+    """A state that doubles every 2 ms."""
 
     states = ("lag",)
 
     def __init__(self) -> None:
         super().__init__()
-        self.rate = nn.Parameter(torch.tensor(-400.0, dtype=torch.float64))
+        self.rate = nn.Parameter(torch.tensor(400.0, dtype=torch.float64))
 
     def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Tensor:
         return self.rate * (x - u)
@@ -168,7 +168,7 @@ class Stiff(nn.Module):
 def test_a_filter_that_diverges_says_where_and_with_which_state() -> None:
     flight = roll_flight(np.random.default_rng(0)) | {"outputs": np.random.default_rng(1).standard_normal((300, 1))}
     with pytest.raises(InputError, match=r"flights\[0\]: lag: the filter diverges at .* s"):
-        filter_error(Stiff(), [flight | {"x0": np.zeros(1)}])
+        filter_error(Runaway(), [flight | {"x0": np.zeros(1)}])
 
 
 @pytest.mark.parametrize(

@@ -113,7 +113,7 @@ static void load_path(const Problem& p, size_t sample, bool last, Sensitivity& s
   if (!PATH) return;
   const double *a = p.path + sample * NU * PATH, *z = last ? a : a + NU * PATH;
   for (int g = 0; g < 4; g++) for (int j = 0; j < NU; j++) for (int q = 0; q < PATH; q++)
-    ((double*)s.path[g][j])[q] = a[j * PATH + q] + NODE[g] * (z[j * PATH + q] - a[j * PATH + q]);
+    ((double*)s.path[g][j])[q] = a[j * PATH + q] + SHARE(g) * (z[j * PATH + q] - a[j * PATH + q]);
 }
 
 static void each(int count, int threads, const std::function<void(int)>& work) {

@@ -1,4 +1,4 @@
-// One Runge-Kutta step of the model, controls linear within it. The 3/8 rule is torchdiffeq's "rk4" (Kutta 1901);
+// One Runge-Kutta step of the model, controls linear within it, or with HOLD as they were at its start. The 3/8 rule is torchdiffeq's "rk4" (Kutta 1901);
 // CLASSIC asks for Runge's rule with its two stages in the middle.
 #pragma once
 #ifdef CLASSIC
@@ -25,6 +25,12 @@ template <class T> static inline T advanced(const T& x, const T& a, const T& b, 
 }
 #endif
 
+#ifdef HOLD  // controls stay as they are within a step
+#define SHARE(g) 0.0
+#else
+#define SHARE(g) NODE[g]
+#endif
+
 // The step from x to `out`; slope(z, g, k) gives the rates k at the state z of stage g.
 template <class T, class Slope> static inline void runge_kutta(const T* x, double dt, Slope slope, T* out) {
   T k[4][NX], z[NX];
@@ -39,7 +45,7 @@ template <class T, class Slope> static inline void runge_kutta(const T* x, doubl
 }
 
 template <class T> static inline void between(const T* u0, const T* u1, int g, T* u) {
-  for (int i = 0; i < NU; i++) u[i] = u0[i] + NODE[g] * (u1[i] - u0[i]);
+  for (int i = 0; i < NU; i++) u[i] = u0[i] + SHARE(g) * (u1[i] - u0[i]);
 }
 
 #ifndef LINEARISED  // the loops with derivatives have no rates for vectors

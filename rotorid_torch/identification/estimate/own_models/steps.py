@@ -1,0 +1,120 @@
+"""Steps short enough for the model's fastest pole, beyond which a Runge-Kutta step is wrong and then unstable."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.gauss_newton import InfiniteCost
+from rotorid_torch.errors import InputError
+from rotorid_torch.identification.estimate.segments import Records
+from rotorid_torch.identification.estimate.system import System
+
+LARGEST = 1.5
+"""Of a pole times a step: there the 3/8 rule is 5 % of the start wrong after one step; beyond 2.79 it is unstable."""
+WANTED = 0.75
+"""What shorter steps are made for."""
+MOST = 64
+"""Steps a sample is taken in, at most."""
+ROUNDS = 6
+"""How often steps are made shorter after a fit."""
+POINTS = 64
+"""Places of the flights at which poles are looked at."""
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Stepped(Generic[T]):
+    """A fit, the flights in the steps that it took, and what is to be said of them.
+
+    mended : whether the steps are short enough for what was found.
+    """
+
+    found: T
+    records: Records
+    remark: str
+    mended: bool
+
+
+def in_steps(
+    system: System, records: Records, solve: Callable[[Records, Tensor], T], end: Callable[[T], tuple[Tensor, Tensor]]
+) -> Stepped[T]:
+    """A fit in steps that are short enough where it starts and where it ends.
+
+    solve : the fit of flights from a start theta [P]. end : theta [P] and states [F, T, nx] that it found.
+
+    Raises
+    ------
+    InputError : the start has a pole that is too fast, or no run of it is finite.
+
+    Source: Hairer and Wanner, Solving Ordinary Differential Equations II, sec. IV.2 (regions of stability).
+    """
+    theta, states, interval = system.theta, records.states, records.dt
+    taken, found = 1, None
+    for _ in range(ROUNDS + 1):
+        pole = fastest(system, theta, records, states)
+        times = min(shorter(pole, records.dt), MOST // taken)
+        if found is not None and times == 1:
+            break
+        records, taken = records.refined(times), taken * times
+        if found is None and shorter(pole, records.dt) > 1:
+            said, wish = _unfollowed(pole, interval, taken)
+            raise InputError("model", "forward", f"{said}, where it starts", wish)
+        try:
+            found = solve(records, theta)
+        except InfiniteCost:
+            wrong = f"diverges where it starts; its fastest pole there is {_named(pole)}"
+            raise InputError("model", "forward", wrong, "a start from which runs stay finite") from None
+        theta, states = end(found)
+    assert found is not None
+    pole = fastest(system, theta, records, states)
+    mended = shorter(pole, records.dt) == 1
+    return Stepped(found, records, _remark(pole, interval, taken, mended), mended)
+
+
+def fastest(system: System, theta: Tensor, records: Records, states: Tensor) -> complex:
+    """The pole of largest size at places spread over the flights; zero where there is none that is finite."""
+    inside = torch.arange(records.samples) < records.lengths[:, None]
+    where = inside.nonzero()
+    where = where[torch.linspace(0, len(where) - 1, min(POINTS, len(where))).long()]
+    flight, place = where.unbind(-1)
+    first = records.states[flight, 0].nan_to_num(0.0)
+    x = torch.where(states[flight, place].isfinite(), states[flight, place], first)
+    u, t = records.controls[flight, place], records.start[flight] + place * records.dt
+    slopes = system.state_jacobian(theta, t, x, u).detach()
+    slopes = slopes[slopes.isfinite().flatten(1).all(dim=1)]
+    if not slopes.numel():
+        return 0j
+    poles = torch.linalg.eigvals(slopes).flatten()
+    return complex(poles[poles.abs().argmax()])
+
+
+def shorter(pole: complex, dt: float) -> int:
+    """Steps that one of dt is to be made of; one where the pole is slow enough for it."""
+    size = abs(pole) * dt
+    return 1 if size <= LARGEST else math.ceil(size / WANTED)
+
+
+def _remark(pole: complex, interval: float, taken: int, mended: bool) -> str:
+    """What to say of the steps, nothing where they are the samples."""
+    if not mended:
+        return "; ".join(_unfollowed(pole, interval, taken))
+    limit = f"one step a sample ({interval:.4g} s) follows poles up to {LARGEST / interval:.4g} 1/s"
+    return "" if taken == 1 else f"each sample is taken in {taken} steps, for the pole {_named(pole)}: {limit}"
+
+
+def _unfollowed(pole: complex, interval: float, taken: int) -> tuple[str, str]:
+    """What is wrong with a pole that even the shortest steps do not follow, and what to do."""
+    limit = f"they follow poles up to {LARGEST / interval * taken:.4g} 1/s"
+    wrong = f"the pole {_named(pole)} is too fast for {taken} steps a sample of {interval:.4g} s ({limit})"
+    return wrong, "a state less, a bound of its parameter, or a higher sample rate"
+
+
+def _named(pole: complex) -> str:
+    return f"{pole.real:.4g}{f' ± {abs(pole.imag):.4g}i' if pole.imag else ''} 1/s"
