@@ -162,6 +162,11 @@ def minimise(
     return Minimum(point, linear, held, blind & free, converged, message, iteration, history)
 
 
+def untold(linear: Linear, theta: Tensor, lower: Tensor, upper: Tensor) -> Tensor:
+    """Mask [n] of the parameters in directions that the data cannot tell at a point, as `minimise` names them."""
+    return _subproblem(linear, theta, lower, upper, torch.ones_like(lower, dtype=torch.bool))[1]
+
+
 def _subproblem(
     linear: Linear, theta: Tensor, lower: Tensor, upper: Tensor, free: Tensor
 ) -> tuple[_Subproblem, Tensor]:

@@ -7,7 +7,8 @@ of the sensors act on the outputs: `forward` at a sample, `tape` over the record
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
 
@@ -19,6 +20,7 @@ from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.core.rigid import vec
 from rotorid_torch.core.state import State
 from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.effects.weights import Weight, lent, taken
 
 
 class Stage(IntEnum):
@@ -102,6 +104,12 @@ class Frame:
         """Velocity over ground in body axes [..., 3], m/s."""
         return vec(*(self.signals.get(f"ground.{n}", self.signals[n]) for n in VELOCITIES))
 
+    def each(self, change: Callable[[Tensor, int], Tensor]) -> Frame:
+        """The same frame with every tensor changed; `change` is told how many dimensions follow the leading ones."""
+        vectors = [None if v is None else change(v, 1) for v in (self.force, self.moment, self.centre)]
+        signals, rates = ({n: change(v, 0) for n, v in part.items()} for part in (self.signals, self.rates))
+        return replace(self, signals=signals, rates=rates, force=vectors[0], moment=vectors[1], centre=vectors[2])
+
     def add(self, force: Tensor | None = None, moment: Tensor | None = None) -> Frame:
         """The same frame with specific force [..., 3] and angular acceleration [..., 3] added."""
         return replace(self, force=_sum(self.force, force), moment=_sum(self.moment, moment))
@@ -127,6 +135,10 @@ class Values:
         """These parameters as [..., len(names)]."""
         return self.vector[..., [self._place(n) for n in names]]
 
+    def first(self, count: int) -> tuple[Values, Tensor]:
+        """The first of these parameters, and the numbers of the others."""
+        return Values(self.vector[..., :count], self.names[:count]), self.vector[..., count:]
+
     def _place(self, name: str) -> int:
         if name not in self.names:
             raise ValueError(f"{name!r} is read and not declared; declared are {', '.join(self.names)}")
@@ -140,6 +152,8 @@ class Effect(nn.Module):
     names are local ("drag.x"); the model prefixes them with the id. `predicts` names channels beyond the body's that
     the effect publishes as signals: outputs where the flights have them. `ordinary` is structure that every rotor has,
     in every comparison from the start. `companion` is the id of an effect that may come with this one at once.
+    Modules of torch that are attributes are trained with the rest: their weights are parameters behind those declared,
+    with `weight_sd` for prior_sd, one number or one for each beginning of a name ("net.0").
     `proportional` : whether twice the size does about twice as much. `separated_by` are the flights that tell it from
     derivatives which absorb it.
     """
@@ -153,11 +167,54 @@ class Effect(nn.Module):
     companion: str = ""
     proportional: bool = True
     separated_by: str = "larger or longer inputs on every control"
+    weight_sd: float | Mapping[str, float] = 1.0
 
     def __init__(self, declared: tuple[Parameter, ...] = (), states: tuple[State, ...] = ()) -> None:
         super().__init__()
-        self.declared = declared
+        self._declared = declared
+        self._weights: list[Weight] = []
         self.states = states
+
+    @property
+    def declared(self) -> tuple[Parameter, ...]:
+        """Parameters: those declared, then the weights of the modules that the effect holds.
+
+        Raises
+        ------
+        InputError : a module's weights would not be trained.
+        """
+        if next(self.parameters(), None) is not None:
+            weights, parameters = taken(self, self.id or type(self).__name__, self.weight_sd)
+            self._weights, self._declared = [*self._weights, *weights], (*self._declared, *parameters)
+        return self._declared
+
+    @declared.setter
+    def declared(self, parameters: tuple[Parameter, ...]) -> None:
+        self._declared = parameters
+
+    @property
+    def network_weights(self) -> Sequence[Weight]:
+        """Tensors of weights, in the order in which their numbers end `declared`."""
+        return self._weights if self.declared else ()
+
+    @contextmanager
+    def lent(self, p: Values) -> Iterator[Values]:
+        """Within the block the modules have their weights out of one vector of parameters; the others are returned."""
+        if not self.network_weights:
+            yield p
+            return
+        declared, weights = p.first(len(self._declared) - sum(w.count for w in self._weights))
+        with lent(self._weights, weights):
+            yield declared
+
+    def __call__(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """`forward`, the modules with their weights; of several vectors of parameters one after the other."""
+        if not (self._weights or self._modules or self._parameters):
+            return super().__call__(frame, x, p)
+        if p.vector.dim() > 1 and self.network_weights:
+            return _one_by_one(self, frame, x, p)
+        with self.lent(p) as own:
+            return super().__call__(frame, x, own)
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> Effect:
@@ -193,3 +250,36 @@ class Effect(nn.Module):
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """The record [..., T, n] as it reaches the next stage: of controls, or, where sensors act, of outputs."""
         return record
+
+
+def _one_by_one(effect: Effect, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+    """An effect at parameters [K, ..., P], K times: modules of torch know one set of weights."""
+    vector = p.vector
+    if len(vector) == 1:
+        return effect(frame, x, replace(p, vector=vector[0]))
+    lead = torch.broadcast_shapes(vector.shape[:-1], x.shape[:-1], *(s.shape for s in frame.signals.values()))
+    place = len(lead) - (vector.dim() - 1)
+    inside = (*lead[:place], *lead[place + 1 :])
+
+    def chosen(k: int) -> Callable[[Tensor, int], Tensor]:
+        return lambda v, n: v.expand(*lead, *v.shape[v.dim() - n :]).select(place, k)
+
+    def whole(v: Tensor, n: int) -> Tensor:
+        return v.expand(*inside, *v.shape[v.dim() - n :])
+
+    results = [effect(frame.each(chosen(k)), chosen(k)(x, 1), replace(p, vector=vector[k])) for k in range(len(vector))]
+    parts = [iter(_tensors(frame.each(whole))) for frame, _ in results]
+    rates = torch.stack([whole(r, 1) for _, r in results], dim=place)
+    return results[0][0].each(lambda v, n: torch.stack([next(part) for part in parts], dim=place)), rates
+
+
+def _tensors(frame: Frame) -> list[Tensor]:
+    """All tensors of a frame in the order of `Frame.each`."""
+    found: list[Tensor] = []
+
+    def noted(v: Tensor, n: int) -> Tensor:
+        found.append(v)
+        return v
+
+    frame.each(noted)
+    return found

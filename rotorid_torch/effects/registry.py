@@ -8,6 +8,8 @@ from importlib import import_module
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, TypeVar
 
+import torch
+
 from rotorid_torch.core.names import nearest
 from rotorid_torch.effects.base import Effect
 from rotorid_torch.errors import InputError
@@ -92,4 +94,6 @@ def make(name: str, spec: ModelSpec) -> Effect:
     reason = refusal(name, spec)
     if reason is not None:
         raise InputError("--effect", name, f"this data set cannot test it: {reason}", "another effect, or other data")
-    return effects_by_id[name].from_spec(spec)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)  # weights of networks are drawn alike whenever the effect is made
+        return effects_by_id[name].from_spec(spec)

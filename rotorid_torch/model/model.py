@@ -16,7 +16,9 @@ from rotorid_torch.core.rigid import euler_rates, gyroscopic, join, specific_for
 from rotorid_torch.core.state import State, StateLayout
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
+from rotorid_torch.errors import InputError
 from rotorid_torch.model.training.free_run import FreeRun, free_run
+from rotorid_torch.model.training.named_parameters import NamedParameters, Piece
 from rotorid_torch.model.training.trajectories import Trajectories
 
 ATTITUDE = ATTITUDES[:2]
@@ -62,7 +64,8 @@ class Model(nn.Module):
         )
         self.register_buffer("inertia", inertia)
         self.register_buffer("imu", torch.tensor(body.imu, dtype=torch.float64))
-        self._slices = self._places()
+        self._slices, self._local = self._places(), [tuple(p.name for p in e.declared) for e in self.chain]
+        self._named: NamedParameters | None = None
         self._runs: tuple[Any, Trajectories] | None = None
 
     inertia: Tensor
@@ -82,6 +85,34 @@ class Model(nn.Module):
     def named_values(self) -> dict[str, float]:
         """Every parameter's value by its full name."""
         return dict(zip(self.parameter_set.names, self.theta.detach().tolist(), strict=True))
+
+    def named_parameters(
+        self, prefix: str = "", recurse: bool = True, remove_duplicate: bool = True
+    ) -> Iterator[tuple[str, nn.Parameter]]:
+        """Every parameter by its full name, those of a module's weights as one tensor; all share theta's numbers.
+
+        For optimisers of torch: groups by name, or some held by `requires_grad_(False)`. `theta` is one vector of them
+        all; after a step that does not know the bounds, `start_from({})` puts it inside.
+        """
+        if self._named is None or not self._named.belong_to(self.theta):
+            self._named = NamedParameters(self.theta, list(self._pieces()))
+        yield from ((f"{prefix}.{name}" if prefix else name, leaf) for name, leaf in self._named)
+
+    def _pieces(self) -> Iterator[Piece]:
+        first = 0
+        for e in self.chain:
+            weights = e.network_weights
+            for p in e.declared[: len(e.declared) - sum(w.count for w in weights)]:
+                yield Piece(f"{e.id}.{p.name}", first, (), 1)
+                first += 1
+            for w in weights:
+                yield Piece(f"{e.id}.{w.name}", first, w.shape, w.count)
+                first += w.count
+
+    def zero_grad(self, set_to_none: bool = True) -> None:
+        """Let go of all gradients."""
+        super().zero_grad(set_to_none)
+        self.theta.grad = None
 
     @torch.no_grad()
     def start_from(self, values: Mapping[str, float]) -> None:
@@ -118,7 +149,7 @@ class Model(nn.Module):
 
     def values(self, theta: Tensor, k: int) -> Values:
         """Slice of theta that belongs to the k-th effect of the chain."""
-        return Values(theta[..., self._slices[k][0]], tuple(p.name for p in self.chain[k].declared))
+        return Values(theta[..., self._slices[k][0]], self._local[k])
 
     def frame(self, theta: Tensor, x: Tensor, u: Tensor) -> tuple[Frame, Tensor]:
         """The frame after all stages, and the rates of the effects' own states [..., nx - nbody]."""
@@ -207,14 +238,33 @@ class Model(nn.Module):
         """Made anew where a number of the model has changed that is none of its parameters."""
         state = (self.theta.device, self.theta.dtype, *((id(b), b._version) for b in self.buffers()))
         if self._runs is None or self._runs[0] != state:
-            names = self.layout.names, self.body.controls
-            x, u = (self.theta.new_tensor([self.reference.get(n, 0.0) for n in listed]) for listed in names)
-            self._runs = state, Trajectories.of(self.motion, self.theta, x, u)
+            self.refuse_untrained()
+            self._runs = state, Trajectories.of(self.motion, self.theta, *self._reference_point())
         return self._runs[1]
+
+    def _reference_point(self) -> tuple[Tensor, Tensor]:
+        """States [nx] and controls [nu] at the reference."""
+        x, u = ([self.reference.get(n, 0.0) for n in names] for names in (self.layout.names, self.body.controls))
+        return self.theta.new_tensor(x), self.theta.new_tensor(u)
+
+    def refuse_untrained(self) -> None:
+        """Refuse tensors that wait for gradients and are no parameter: whoever made them expects them to be trained.
+
+        Raises
+        ------
+        InputError : there is one.
+        """
+        with torch.enable_grad():
+            results = self.motion(self.theta.detach(), *self._reference_point())
+        if any(r.requires_grad for r in results):
+            wrong = (
+                "computes with a tensor that requires gradients and is no parameter, so that it would not be trained"
+            )
+            raise InputError("model", "forward", wrong, "modules and nn.Parameters as attributes of an effect")
 
     def __getstate__(self) -> dict[str, Any]:
         """Copies and pickles hold nothing that is compiled."""
-        return {**self.__dict__, "_runs": None}
+        return {**self.__dict__, "_runs": None, "_named": None}
 
     def free_run(
         self,
@@ -250,7 +300,8 @@ class Model(nn.Module):
         """
         for k, effect in enumerate(self.chain):
             if effect.stage is Stage.SENSORS:
-                controls = effect.read(controls, self.body.controls, dt, self.values(self.theta, k))
+                with effect.lent(self.values(self.theta, k)) as p:
+                    controls = effect.read(controls, self.body.controls, dt, p)
         return self._taped(Stage.CONTROL, controls, self.body.controls, dt)
 
     def recorded(self, outputs: Tensor, dt: float) -> Tensor:
@@ -260,7 +311,8 @@ class Model(nn.Module):
     def _taped(self, stage: Stage, record: Tensor, names: tuple[str, ...], dt: float) -> Tensor:
         for k, effect in enumerate(self.chain):
             if effect.stage is stage:
-                record = effect.tape(record, names, dt, self.values(self.theta, k))
+                with effect.lent(self.values(self.theta, k)) as p:
+                    record = effect.tape(record, names, dt, p)
         return record
 
 

@@ -157,7 +157,34 @@ def _refuse_behaviour(name: str, model: Model, without: Model) -> None:
     for i, parameter in enumerate(model.parameter_set.names):
         if parameter.startswith(f"{name}.") and not bool(slopes[..., i].isfinite().all()):
             _refuse(name, where, f"has no finite derivative by {parameter} at its declared value", "a finite one")
+    _refuse_untrained(name, model, x, u)
     _refuse_restless(name, model, x, u)
+
+
+def _refuse_untrained(name: str, model: Model, x: Tensor, u: Tensor) -> None:
+    """Refuse a tensor that waits for gradients outside the parameters, and weights that nothing depends on."""
+    try:
+        model.refuse_untrained()
+    except InputError as error:
+        _refuse(name, error.key, error.wrong, error.expected)
+    effect = _of(model, name)
+    if not effect.network_weights:
+        return
+    first = next(i for i, n in enumerate(model.parameter_set.names) if n.startswith(f"{name}."))
+    first += len(effect.declared) - sum(w.count for w in effect.network_weights)
+    last = first + sum(w.count for w in effect.network_weights)
+    drawn = torch.randn(last - first, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    with torch.no_grad():
+        model.theta[first:last] = 0.3 * drawn  # elsewhere than where a last layer of zeros hides the others
+    results = [*model.motion(model.theta, x, u), model.tape(_record(model.body.controls), DT)]
+    results.append(model.recorded(_record(model.body.outputs), DT))
+    used = [r.nan_to_num(0.0).square().sum() for r in results if r.requires_grad]
+    (slopes,) = torch.autograd.grad(used, model.theta)
+    for weight in effect.network_weights:
+        if not bool(slopes[first : first + weight.count].any()):
+            wrong = "nothing depends on it, so that it would not be trained"
+            _refuse(name, weight.name, wrong, "a module that forward or tape uses")
+        first += weight.count
 
 
 def _refuse_restless(name: str, model: Model, x: Tensor, u: Tensor) -> None:

@@ -10,12 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from rotorid_torch.core.fallback import say_once
+from rotorid_torch.core.native.adjoint import Adjoint, trajectories
 from rotorid_torch.core.native.build import threads
 from rotorid_torch.core.native.dynamics import Dynamics, LinearProblem
 from rotorid_torch.core.native.graph.tracing import Unsupported
@@ -28,6 +30,7 @@ from rotorid_torch.identification.estimate.sensitivity import (
     corrected,
     sensitivities,
     simulated,
+    traced,
 )
 from rotorid_torch.identification.estimate.system import System
 
@@ -90,6 +93,10 @@ class Engine(Protocol):
         """Trajectories of segments from x0 [S, nx]; near [S, T, nx] and its steps' transitions are known ones."""
         ...
 
+    def differentiable(self, theta: Tensor, records: Records, segments: Segments, x0: Tensor) -> Run:
+        """Trajectories of segments from x0 [S, nx], with torch's gradients by theta and x0."""
+        ...
+
     def eliminate(self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns) -> Elimination:
         """The linear model of a part, initial states eliminated."""
         ...
@@ -122,6 +129,10 @@ class TorchEngine:
         if self.solver == "rk4":
             run = corrected(self.system, theta, records, segments, x0, near, steps)
         return simulated(self.system, theta, records, segments, x0, self.solver) if run is None else run
+
+    def differentiable(self, theta: Tensor, records: Records, segments: Segments, x0: Tensor) -> Run:
+        """See `Engine`."""
+        return traced(self.system, theta, records, segments, x0, self.solver)
 
     def eliminate(self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns) -> Elimination:
         """See `Engine`; QR of the rows, block by block."""
@@ -224,6 +235,18 @@ class NativeEngine:
         path = self._given(controls, segments)
         states, outputs = self.traced.simulate(theta, x0, path, segments.dt, threads=threads())
         return Run(theta, controls, states, outputs)
+
+    def differentiable(self, theta: Tensor, records: Records, segments: Segments, x0: Tensor) -> Run:
+        """See `Engine`; by the discrete adjoint."""
+        controls = controls_at(self.system, theta, records, segments)
+        path = self._given(controls, segments)
+        states, outputs = trajectories(self.adjoint, theta, x0, path, segments.dt)
+        return Run(theta, controls, states, outputs)
+
+    @cached_property
+    def adjoint(self) -> Adjoint:
+        """What carries derivatives back."""
+        return Adjoint(self.traced)
 
     def _given(self, controls: Tensor, segments: Segments) -> Tensor:
         """Controls, and time behind them where the rates ask for it."""

@@ -1,4 +1,4 @@
-"""L-BFGS on the output-error likelihood, by torch's gradients through the trajectories: the alternative optimiser."""
+"""L-BFGS on the output-error likelihood, by gradients through the trajectories: the alternative optimiser."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.gauss_newton import FLOOR, Minimum, Options
+from rotorid_torch.core.gauss_newton import FLOOR, Minimum, Options, untold
 from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
-from rotorid_torch.identification.estimate.sensitivity import traced
 
 MEMORY = 20
 """Steps whose gradients are remembered."""
@@ -57,7 +56,7 @@ def minimise_lbfgs(
     place = variables.place()
     linear = problem.linearise(place)
     theta, lower, upper = place.theta, problem.system.lower, problem.system.upper
-    blind = torch.linalg.vector_norm(linear.A, dim=0) <= FLOOR
+    blind = untold(linear, theta, lower, upper)
     message = "converged: the cost no longer falls" if converged else f"stopped after {iteration} iterations"
     return Minimum(place, linear, (theta <= lower) | (theta >= upper), blind, converged, message, iteration, history)
 
@@ -68,8 +67,10 @@ class _Variables:
     def __init__(self, problem: Likelihood, start: Place) -> None:
         self.problem, self.start = problem, start
         A = problem.linearise(start).A
-        norms = torch.linalg.vector_norm(A, dim=0).clamp_min(FLOOR)
-        weak = 1e-6 * torch.eye(len(norms), dtype=A.dtype)
+        norms = torch.linalg.vector_norm(A, dim=0)
+        blind = norms <= FLOOR  # a network's first weights, while those behind them are zero: in their own unit
+        norms = torch.where(blind, 1.0, norms)
+        weak = torch.diag(torch.where(blind, 1.0, 1e-6))
         self.triangle, self.norms = torch.linalg.qr(torch.cat([A / norms, weak]), mode="r").R, norms
         assert start.locals is not None
         self.locals = start.locals
@@ -94,7 +95,7 @@ class _Variables:
         """Minus log-likelihood and the pull back to the bounds."""
         theta, x0, bias, pull = self.values()
         p = self.problem
-        run = traced(p.system, theta, p.records, p.segments, x0, p.engine.solver)
+        run = p.engine.differentiable(theta, p.records, p.segments, x0)
         return p.total(p.place(theta, x0, bias, run)) + pull
 
     @torch.no_grad()
@@ -102,4 +103,4 @@ class _Variables:
         """Where the variables are."""
         theta, x0, bias, _ = self.values()
         p = self.problem
-        return p.place(theta, x0, bias, traced(p.system, theta, p.records, p.segments, x0, p.engine.solver))
+        return p.place(theta, x0, bias, p.engine.differentiable(theta, p.records, p.segments, x0))

@@ -78,7 +78,7 @@ class System:
         self.names = tuple(e.name for e in self.entries)
         self.units = tuple(e.unit for e in self.entries)
         self.lower, self.upper = column([e.lower for e in self.entries]), column([e.upper for e in self.entries])
-        tensors = dict(self.model.named_parameters())
+        tensors = _tensors(self.model)
         self.theta = torch.stack([tensors[e.tensor].detach().reshape(-1)[e.place] for e in self.entries])
         self._whole = {name: p.detach() for name, p in tensors.items()}
         self._places = {name: [i for i, e in enumerate(self.entries) if e.tensor == name] for name in tensors}
@@ -99,7 +99,7 @@ class System:
         """A copy of the module with the free numbers at theta."""
         model = copy.deepcopy(self.model)
         with torch.no_grad():
-            for name, parameter in model.named_parameters():
+            for name, parameter in _tensors(model).items():
                 if self._places[name]:
                     parameter.copy_(self._filled(theta, name))
         return model
@@ -271,6 +271,14 @@ def _bounded(entry: Entry, bounds: tuple[float, float] | None) -> Entry:
 def _of_set(declared: Any) -> dict[str, list[Entry]]:
     rows = zip(declared.names, declared.units, declared.lower.tolist(), declared.upper.tolist(), strict=True)
     return {n: [Entry(n, "theta", i, unit, low, high)] for i, (n, unit, low, high) in enumerate(rows)}
+
+
+def _tensors(model: nn.Module) -> dict[str, nn.Parameter]:
+    """Tensors that hold the free numbers, by name."""
+    vector = getattr(model, "theta", None)
+    if getattr(model, "parameter_set", None) is not None and isinstance(vector, nn.Parameter):
+        return {"theta": vector}
+    return dict(model.named_parameters())
 
 
 def _of_tensors(model: nn.Module) -> dict[str, list[Entry]]:

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import of_others, registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model
@@ -44,9 +45,12 @@ def with_screening_sizes(
 ) -> tuple[ModelSpec, list[str], list[Finding]]:
     """The spec with sizes for users' effects that declare none, the effects that can be tested, findings of the others.
 
+    Networks have weights and no size.
+
     values : parameters of the fitted model that the effects join.
     """
-    asked = without_sizes(spec, [e for e in of_others() if e in effects])
+    sized = [e for e in of_others() if e in effects and registered()[e].role is not Role.LEARNT]
+    asked = without_sizes(spec, sized)
     if not asked:
         return spec, [*effects], []
     sizes = screening_sizes(spec, values, dataset, asked)
