@@ -220,10 +220,17 @@ def _add_fly(commands) -> None:
     command.add_argument("--effect", metavar="ID", action=AddEffect, help="hide this effect; repeatable")
     size_help = "size of the effect before it, as a factor of its typical size (1)"
     command.add_argument("--size", metavar="F", type=_number, action=SizeLastEffect, help=size_help)
-    command.add_argument("--speed", metavar="V", type=_number, help="trimmed speed, m/s (hover)")
+    command.add_argument(
+        "--speed", metavar="V", type=_number, help="trimmed speed, m/s (hover); of a multirotor's figures"
+    )
     command.add_argument("--heading", metavar="PSI", type=_number, help="heading of the trim, rad (0)")
-    command.add_argument("--height", metavar="H", type=_number, help="height of the trim, m (27.4)")
-    command.add_argument("--vehicle", metavar="FILE", type=Path, help="another vehicle, declared in a TOML file")
+    command.add_argument(
+        "--height", metavar="H", type=_number, help="height of the trim, m (27.4; a multirotor's goes with its size)"
+    )
+    vehicle_help = (
+        "another vehicle: declared in a TOML file; or quad, or multirotor-N, the Nth multirotor drawn at random"
+    )
+    command.add_argument("--vehicle", metavar="FILE", help=vehicle_help)
     flights_help = "names with commas, also under a condition: dbl_lon_p, dbl_lon_p-90deg, dbl_col_p-5m, "
     flights_help += "dbl_lon_p-20mps; or all, headings, heights, speeds (all, and what the effects need)"
     command.add_argument("--flights", metavar="LIST", type=_names, help=flights_help)

@@ -3,10 +3,13 @@
 Read `flight_test` (what `rotorid fly` does, from an aircraft to a data set) and `effects` (what can be hidden in the
 aircraft), then the chapters: `vehicles/` (the file that describes an aircraft), `helicopter/` (its parts), `flight/`
 (how it moves, is trimmed, steered and measured), `multiblade/` (many different helicopters at once, in multi-blade
-coordinates), `drawn/` (clean aircraft like that of a data set). No equation is shared with `model` or `effects`.
+coordinates), `multirotor/` (multirotors, whole), `drawn/` (clean aircraft like that of a data set). No equation is
+shared with `model` or `effects`.
 """
 
 from rotorid_torch.simulation.effects import EFFECT_CLASSES as EFFECT_CLASSES
 from rotorid_torch.simulation.effects import EFFECTS as EFFECTS
 from rotorid_torch.simulation.flight_test import FlightTest as FlightTest
+from rotorid_torch.simulation.flight_test import FlownSet as FlownSet
+from rotorid_torch.simulation.flight_test import MultirotorTest as MultirotorTest
 from rotorid_torch.simulation.flight_test import fly as fly

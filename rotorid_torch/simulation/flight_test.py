@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -23,6 +23,11 @@ from rotorid_torch.simulation.flight.simulation import Progress, fly_batch, with
 from rotorid_torch.simulation.flight.trim import Trim, find_trim
 from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES, Aircraft
 from rotorid_torch.simulation.helicopter.rotor import LOCK_SLOPE
+from rotorid_torch.simulation.multirotor import channels, manoeuvres
+from rotorid_torch.simulation.multirotor.craft import Multirotor
+from rotorid_torch.simulation.multirotor.flown import Course, fly_craft
+from rotorid_torch.simulation.multirotor.hidden import HIDDEN as MULTIROTOR
+from rotorid_torch.simulation.multirotor.vehicles import is_multirotor, multirotor
 from rotorid_torch.simulation.vehicles.vehicle import load_aircraft
 
 FLOWN = "Built-in flight-test aircraft"
@@ -30,21 +35,17 @@ FLOWN = "Built-in flight-test aircraft"
 
 
 @dataclass(frozen=True)
-class FlightTest:
+class FlownSet:
     """A flown data set: `declaration` is its dataset.toml; `flights` are measured, `truth` is without noise.
 
-    `aircraft`, `trim` and `augmentation` are what flew (the latter two in the data set's own condition); `hidden` are
-    the effects with their sizes and what they changed, as truth/effects.json has them.
+    `hidden` are the effects with their sizes and what they changed, as truth/effects.json has them.
     """
 
     name: str
     declaration: dict[str, Any]
     flights: dict[str, Channels]
     truth: dict[str, Channels]
-    aircraft: Aircraft
-    trim: Trim
-    augmentation: Augmentation
-    hidden: tuple[dict[str, Any], ...] = ()
+    hidden: tuple[dict[str, Any], ...]
 
     def dataset(self) -> Dataset:
         """Return the measured flights as a data set in memory."""
@@ -54,42 +55,67 @@ class FlightTest:
         return Dataset.from_arrays(self.flights, name=self.name, **self.declaration["flights"], **tables)
 
 
+@dataclass(frozen=True)
+class FlightTest(FlownSet):
+    """Flights of a helicopter: what flew, with `trim` and `augmentation` of the data set's own condition."""
+
+    aircraft: Aircraft
+    trim: Trim
+    augmentation: Augmentation
+
+
+@dataclass(frozen=True)
+class MultirotorTest(FlownSet):
+    """Flights of a multirotor: `craft` is what flew, `clean` what its maker knows."""
+
+    craft: Multirotor
+    clean: Multirotor
+
+
 def fly(
     out: Path | None,
     *,
-    speed: float = 0.0,
+    speed: float | None = None,
     heading: float = 0.0,
-    height: float = 27.4,
-    vehicle: Path | None = None,
+    height: float | None = None,
+    vehicle: Path | str | None = None,
     flights: Sequence[str] | None = None,
     seed: int = 0,
     effects: Sequence[tuple[str, float | None]] = (),
     progress: Progress | None = None,
-    seconds: float = 15.0,
-) -> FlightTest:
+    seconds: float | None = None,
+) -> FlownSet:
     """Fly the built-in flight-test aircraft and write the data set.
 
     Parameters
     ----------
     out : folder to write, or None to keep the result in memory only.
-    speed, heading, height : of the trimmed flight: m/s, rad, m.
-    vehicle : a vehicle file (see `vehicle`); without one the UH-60.
-    flights : names of flights (see `manoeuvres`); without them all thirteen, and those that an effect needs to show.
+    speed, heading, height : of the trimmed flight: m/s (hover), rad, m (27.4). Of a multirotor: speed of its figures
+        and height of its hover, which go with its size.
+    vehicle : a vehicle file (see `vehicle`), without one the UH-60; or the name of a multirotor, "quad", or
+        "multirotor-N": the Nth one drawn at random.
+    flights : names of flights (see `manoeuvres`); without them all of them, and those that an effect needs to show.
     seed : of sensor noise and gusts.
     effects : pairs of id and factor of the typical size (None: one); see `effects`.
     progress : called with samples done and in all.
-    seconds : length of each flight.
+    seconds : length of each flight (15; 20 of a multirotor).
 
     Raises
     ------
     InputError : an unknown flight or effect, a bad vehicle file, no trim, something in the way of `out`.
     """
     out = None if out is None else Path(out)
+    if is_multirotor(vehicle):
+        craft = _of_size(multirotor(str(vehicle)), speed, height)
+        course = Course(20.0 if seconds is None else seconds, heading, seed)
+        return _fly_multirotor(out, craft, course, flights, effects, progress)
     if out is not None:
         refuse_unless_free(out, FLOWN, [] if vehicle is None else [Path(vehicle)])
+    speed, height = 0.0 if speed is None else speed, 27.4 if height is None else height
+    seconds = 15.0 if seconds is None else seconds
     _check_numbers(speed, heading, height, seconds)
     clean = load_aircraft(None if vehicle is None else Path(vehicle))
-    aircraft, hidden = _altered(clean, effects)
+    aircraft, hidden = _altered(clean, effects, EFFECTS)
     wanted = flights if flights is not None else ["all", *(HIDDEN[one["id"]].flights or "all" for one in hidden)]
     names = chosen(wanted, speed)
     usual = Condition(heading, height, speed)
@@ -107,7 +133,42 @@ def fly(
     declaration = declare(clean, label, names, MEASURED, speed, height)
     if out is not None:
         _write(out, declaration, measured, truth, hidden)
-    return FlightTest(label, declaration, measured, truth, aircraft, trims[usual], augmentations[speed], hidden)
+    return FlightTest(label, declaration, measured, truth, hidden, aircraft, trims[usual], augmentations[speed])
+
+
+def _of_size(craft: Multirotor, speed: float | None, height: float | None) -> Multirotor:
+    """A multirotor whose figures are flown at a speed and whose hover is at a height, where they are asked for."""
+    speed = craft.speed if speed is None else speed
+    height = craft.height if height is None else height
+    _check_numbers(speed, 0.0, height, 1.0)
+    if not 0.1 <= speed <= 30.0:
+        raise InputError("usage", "speed", f"is {speed}", "a speed of figures of 0.1 to 30 m/s")
+    return replace(craft, speed=speed, height=height)
+
+
+def _fly_multirotor(
+    out: Path | None,
+    clean: Multirotor,
+    course: Course,
+    flights: Sequence[str] | None,
+    effects: Sequence[tuple[str, float | None]],
+    progress: Progress | None,
+) -> MultirotorTest:
+    """Fly a multirotor and write the data set."""
+    if out is not None:
+        refuse_unless_free(out, FLOWN, [])
+    _check_numbers(0.0, course.heading, clean.height, course.seconds)
+    craft, hidden = _altered(clean, effects, {name: one.change for name, one in MULTIROTOR.items()})
+    wanted = flights if flights is not None else ["all", *(MULTIROTOR[one["id"]].flights or "all" for one in hidden)]
+    names = manoeuvres.chosen(wanted)
+    truth, measured = fly_craft(craft, clean, names, course, progress)
+    label = out.name if out is not None else clean.name
+    what = f"{FLOWN} ({clean.name}), a multirotor flown by its position controller; hover at {clean.height:.3g} m."
+    declaration = channels.declare(clean, label, names, what)
+    hidden = tuple({**one, "brings": list(MULTIROTOR[one["id"]].brings) if one["size"] else []} for one in hidden)
+    if out is not None:
+        _write(out, declaration, measured, truth, hidden)
+    return MultirotorTest(label, declaration, measured, truth, hidden, craft, clean)
 
 
 def _trims(aircraft: Aircraft, conditions: set[Condition]) -> tuple[dict[Condition, Trim], dict[float, Augmentation]]:
@@ -158,32 +219,33 @@ def _check_numbers(speed: float, heading: float, height: float, seconds: float) 
         raise InputError("usage", "seconds", f"is {seconds}", "a positive time in s")
 
 
+Vehicle = TypeVar("Vehicle", Aircraft, Multirotor)
+
+
 def _altered(
-    aircraft: Aircraft, effects: Sequence[tuple[str, float | None]]
-) -> tuple[Aircraft, tuple[dict[str, Any], ...]]:
+    aircraft: Vehicle, effects: Sequence[tuple[str, float | None]], library: Mapping[str, Callable[..., Vehicle]]
+) -> tuple[Vehicle, tuple[dict[str, Any], ...]]:
     """The aircraft with all effects switched on, and a list of what each one changed."""
     changes = []
     for effect, factor in effects:
         size = 1.0 if factor is None else factor
-        _check_effect(effect, size)
+        _check_effect(effect, size, library)
         if effect in (one["id"] for one in changes):
             raise InputError("usage", "effect", f"'{effect}' is there twice", "each effect once")
-        changed = EFFECTS[effect](aircraft, size)
+        changed = library[effect](aircraft, size)
         changes.append({"id": effect, "size": size, "changes": differences(aircraft, changed)})
         aircraft = changed
     return aircraft, tuple(changes)
 
 
-def _check_effect(effect: str, size: float) -> None:
-    """Refuse an effect that a helicopter cannot have, and a size that none has."""
-    if effect not in EFFECTS:
-        why = (
-            "it is a helicopter"
-            if effect.startswith("propulsion.")
-            else f"there is none of that name{nearest(effect, EFFECTS)}"
-        )
+def _check_effect(effect: str, size: float, library: Mapping[str, object]) -> None:
+    """Refuse an effect that an aircraft of this kind cannot have, and a size that none has."""
+    if effect not in library:
+        elsewhere = {**EFFECTS, **MULTIROTOR}
+        kind = "helicopter" if library is EFFECTS else "multirotor"
+        why = f"it is a {kind}" if effect in elsewhere else f"there is none of that name{nearest(effect, library)}"
         wrong = f"the flight-test aircraft has no effect '{effect}': {why}"
-        raise InputError("usage", "effect", wrong, f"one of: {', '.join(EFFECTS)}")
+        raise InputError("usage", "effect", wrong, f"one of: {', '.join(library)}")
     if not (np.isfinite(size) and 0.0 <= size <= 10.0):
         raise InputError("usage", "size", f"is {size} for {effect}", "a factor of its typical size, 0 to 10")
 

@@ -1,0 +1,202 @@
+"""Every effect that a multirotor can hide: how it changes the vehicle, at a factor of its typical size.
+
+An effect of size zero leaves the vehicle as it is. What a clean vehicle is and what each effect makes of it stands in
+docs/flight-test.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from rotorid_torch.simulation.helicopter.sensor_errors import GYROS
+from rotorid_torch.simulation.helicopter.slung_load import SlungLoad
+from rotorid_torch.simulation.multirotor.craft import Multirotor
+
+LAG, DELAY = 0.05, 0.03
+"""s: of motors, of commands."""
+WIND, GUSTS = 1.0, 0.25
+"""Wind and standard deviation of gusts over the vehicle's own speed."""
+WEAK = 0.1
+"""Share of its lift that one rotor lacks."""
+LOADED, HEAVIER, AHEAD, ROPE = 0.12, 0.25, 0.06, 5.0
+"""Payload over mass; share of inertia; centre of gravity and rope over the arm."""
+TILT = 0.035
+"""rad: of a turned sensor."""
+ROTOR = 0.004
+"""Inertia of a rotor about its axis over mass and the square of its radius."""
+DISC = 3.0
+"""Drag in the discs over that of blade elements, which give small vehicles a third of the 0.4 1/s that are measured."""
+DRAG = 0.02
+"""1/m: what the body's drag decelerates by at 1 m/s."""
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """One effect: the change at a factor of its typical size, and the group of flights without which it hides.
+
+    `brings` : what else the change makes the vehicle feel, by id.
+    """
+
+    change: Callable[[Multirotor, float], Multirotor]
+    flights: str = ""
+    brings: tuple[str, ...] = ()
+
+
+def _drive(**typical: float) -> Callable[[Multirotor, float], Multirotor]:
+    """A number of the drive, in proportion to the size."""
+
+    def change(craft: Multirotor, size: float) -> Multirotor:
+        more = {name: getattr(craft.drive, name) + value * size for name, value in typical.items()}
+        return replace(craft, drive=replace(craft.drive, **more))
+
+    return change
+
+
+def _air(**typical: float) -> Callable[[Multirotor, float], Multirotor]:
+    """A share of what the air does, in proportion to the size."""
+
+    def change(craft: Multirotor, size: float) -> Multirotor:
+        more = {name: getattr(craft.air, name) + value * size for name, value in typical.items()}
+        return replace(craft, air=replace(craft.air, **more))
+
+    return change
+
+
+def _rotor_inertia(craft: Multirotor, size: float) -> Multirotor:
+    """Rotors and bells whose angular momentum the body feels."""
+    inertia = craft.drive.inertia + size * ROTOR * craft.mass * craft.propeller.radius**2 * 4.0 / craft.count
+    return replace(craft, drive=replace(craft.drive, inertia=inertia))
+
+
+def _unequal(craft: Multirotor, size: float) -> Multirotor:
+    """The second rotor gives less: a cut propeller."""
+    lifts = tuple(lift * (1.0 - WEAK * size) if k == 1 else lift for k, lift in enumerate(craft.lifts))
+    return replace(craft, lifts=lifts)
+
+
+def _felt(craft: Multirotor) -> Multirotor:
+    """A vehicle that feels the air that it flies through, as all of them do."""
+    air = craft.air
+    felt = replace(air, axial=max(air.axial, 1.0), lift=max(air.lift, 1.0), drag=max(air.drag, DISC))
+    return replace(craft, air=felt)
+
+
+def _drag(craft: Multirotor, size: float) -> Multirotor:
+    """A body that the air holds: more from the side, most from below."""
+    area = 2.0 * DRAG * size * craft.mass / craft.air_density * np.array([1.0, 1.2, 1.6])
+    total = np.asarray(craft.air.drag_area) + area
+    return replace(craft, air=replace(craft.air, drag_area=_three(total)))
+
+
+def _wind(craft: Multirotor, size: float) -> Multirotor:
+    """From 40 degrees, right of a nose that points north, as fast as the vehicle flies."""
+    if not size:
+        return craft
+    speed = WIND * craft.speed * size
+    to = -speed * np.array([np.cos(np.deg2rad(40.0)), np.sin(np.deg2rad(40.0)), 0.0])
+    felt = _felt(craft)
+    return replace(felt, air=replace(felt.air, wind=_three(np.asarray(craft.air.wind) + to)))
+
+
+def _turbulence(craft: Multirotor, size: float) -> Multirotor:
+    """Gusts in each direction."""
+    felt = _felt(craft) if size else craft
+    return replace(felt, air=replace(felt.air, gusts=craft.air.gusts + GUSTS * craft.speed * size))
+
+
+def _payload(craft: Multirotor, size: float) -> Multirotor:
+    """A box at the centre of gravity."""
+    return replace(craft, mass=craft.mass * (1.0 + LOADED * size))
+
+
+def _cg(craft: Multirotor, size: float) -> Multirotor:
+    """Centre of gravity forward of the declared one, and a third of that to the right."""
+    shift = AHEAD * size * _arm(craft) * np.array([1.0, 1.0 / 3.0, 0.0])
+    load = craft.load and replace(craft.load, hook=_three(np.asarray(craft.load.hook) - shift))
+    return replace(
+        craft,
+        places=tuple(_three(np.asarray(place) - shift) for place in craft.places),
+        imu=_three(np.asarray(craft.imu) - shift),
+        reference=_three(np.asarray(craft.reference) - shift),
+        load=load,
+    )
+
+
+def _inertia(craft: Multirotor, size: float) -> Multirotor:
+    """More inertia about all axes."""
+    return replace(craft, inertia=tuple(_three((1.0 + HEAVIER * size) * row) for row in craft.inertia_matrix))
+
+
+def _slung_load(craft: Multirotor, size: float) -> Multirotor:
+    """A weight on a rope below the declared centre of gravity."""
+    if not size:
+        return craft
+    arm = _arm(craft)
+    hook = _three(np.asarray(craft.reference) + np.array([0.0, 0.0, 0.1 * arm]))
+    mass = LOADED * size * craft.mass
+    load = SlungLoad(mass, ROPE * arm, hook, drag_area=0.01 * mass / craft.air_density, damping=0.05)
+    return replace(craft, load=load)
+
+
+def _sensors(name: str, typical: Mapping[str, float] | tuple[float, ...]) -> Callable[[Multirotor, float], Multirotor]:
+    """An error of the sensors in proportion to the size: values by channel join, vectors add up."""
+
+    def change(craft: Multirotor, size: float) -> Multirotor:
+        earlier = getattr(craft.sensors, name)
+        if isinstance(typical, Mapping):
+            joined: Any = {**earlier, **{channel: value * size for channel, value in typical.items()}}
+        else:
+            joined = _three(np.asarray(earlier) + np.asarray(typical) * size)
+        return replace(craft, sensors=replace(craft.sensors, **{name: joined}))
+
+    return change
+
+
+def _lever_arm(craft: Multirotor, size: float) -> Multirotor:
+    """An IMU that is not where it is declared to be."""
+    arm = _three(np.array([0.3, 0.15, -0.2]) * _arm(craft))
+    return _sensors("lever_arm", arm)(craft, size)
+
+
+def _arm(craft: Multirotor) -> float:
+    """Radius of the circle of the rotors, m."""
+    return float(np.hypot(*np.subtract(craft.places[0], craft.reference)[:2]))
+
+
+def _three(values: Any) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+FELT = ("propulsion.rotor_drag", "propulsion.axial_inflow", "forces.translational_lift")
+"""What a vehicle that feels the air has."""
+
+HIDDEN: dict[str, Hidden] = {
+    "propulsion.motor_lag": Hidden(_drive(lag=LAG)),
+    "propulsion.voltage": Hidden(_drive(voltage_power=1.0)),
+    "propulsion.rotor_inertia": Hidden(_rotor_inertia),
+    "propulsion.rotor_drag": Hidden(_air(drag=DISC)),
+    "propulsion.axial_inflow": Hidden(_air(axial=1.0)),
+    "propulsion.unequal": Hidden(_unequal),
+    "control.delay": Hidden(_drive(delay=DELAY)),
+    "forces.drag": Hidden(_drag, "speeds"),
+    "forces.translational_lift": Hidden(_air(lift=1.0), "speeds"),
+    "environment.ground": Hidden(_air(ground=1.0), "heights"),
+    "environment.wind": Hidden(_wind, "headings", FELT),
+    "environment.turbulence": Hidden(_turbulence, "", FELT),
+    "mass.payload": Hidden(_payload),
+    "mass.cg": Hidden(_cg),
+    "mass.inertia": Hidden(_inertia),
+    "mass.slung_load": Hidden(_slung_load),
+    "sensors.bias": Hidden(_sensors("bias", {"p": 0.02, "q": -0.014, "r": 0.01})),
+    "sensors.scale": Hidden(_sensors("scale", dict.fromkeys(GYROS, 0.05))),
+    "sensors.misalignment": Hidden(_sensors("rotation", (TILT / 3, 2 * TILT / 3, 2 * TILT / 3))),
+    "sensors.lever_arm": Hidden(_lever_arm),
+    "sensors.delay": Hidden(_sensors("delay", dict.fromkeys(GYROS, 0.03))),
+    "sensors.filter": Hidden(_sensors("lag", dict.fromkeys(GYROS, 0.03))),
+}
+"""Physics that can be switched on, by id."""
