@@ -215,6 +215,12 @@ OPTIONS: list[tuple[str, dict[str, Any], str]] = [
     ("no iterations", {"max_iterations": -1}, "max_iterations"),
     ("half an iteration", {"max_iterations": 1.5}, "max_iterations"),
     ("a word for a monitor", {"monitor": "print"}, "monitor"),
+    ("an angle that is no output", {"angles": [1]}, "angles"),
+    ("a number for angles", {"angles": 0}, "angles"),
+    ("a delay of a control that there is not", {"delays": {1: 0.02}}, "delays"),
+    ("a number for delays", {"delays": 0.02}, "delays"),
+    ("a delay below zero", {"delays": {0: -0.02}}, "delays"),
+    ("a delay in words", {"delays": {0: "20 ms"}}, "delays"),
 ]
 OUTPUT_ERROR: list[tuple[str, dict[str, Any], str]] = [
     ("no segments", {"segment_lengths": []}, "segment_lengths"),
@@ -378,6 +384,8 @@ UNSCENTED: list[tuple[str, dict[str, Any], str]] = [
     ("h gives a list", {"h": lambda x, u: [x[..., 0]]}, "h"),
     ("None for h", {"h": None}, "h"),
     ("a word for smooth", {"smooth": "yes"}, "smooth"),
+    ("an angle that is no output", {"angles": (3,)}, "angles"),
+    ("a word for angles", {"angles": "psi"}, "angles"),
 ]
 
 

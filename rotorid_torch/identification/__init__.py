@@ -4,5 +4,6 @@
 regression) and `estimate/` step 3 (output error), each on anybody's arrays; `filter_error/` is step 3 where the air
 moves. On the package's model: `structure` (which model the data support), `model_regression` and `rotor_regression`
 (step 2), `model_estimation` (step 3); `method_choice` says whether by output error or by filter error, `gusts` how the
-air moved. `arguments` is what estimators on anybody's model take, checked.
+air moved. `arguments` is what estimators on anybody's model take, checked; `own_model` stands
+between such a model and the records (delays, angles).
 """

@@ -181,6 +181,40 @@ def _long_enough(value: Any, dt: float) -> bool:
         return False
 
 
+def angles_of(of: str, angles: Any, ny: int) -> tuple[int, ...]:
+    """Places of outputs that are angles.
+
+    Raises
+    ------
+    InputError : no list of places that there are.
+    """
+    argument = Argument(of, "angles")
+    expected = f"a list of places of outputs, 0 to {ny - 1}"
+    return tuple(_place(argument, place, ny, expected) for place in arguments.sequence(argument, angles, expected))
+
+
+def delays_of(delays: Any, nu: int) -> dict[int, float]:
+    """Where pure delays start, s, by place of the control.
+
+    Raises
+    ------
+    InputError : no dict of delays by places that there are, or one below zero.
+    """
+    argument, expected = Argument("arguments", "delays"), f"a dict of seconds by place of the control, 0 to {nu - 1}"
+    if delays is None:
+        return {}
+    arguments.instance(argument, delays, Mapping, expected)
+    found = {_place(argument, place, nu, expected): delay for place, delay in delays.items()}
+    return {place: arguments.number(argument, delay, "a delay, s", least=0.0) for place, delay in found.items()}
+
+
+def _place(argument: Argument, place: Any, count: int, expected: str) -> int:
+    whole = isinstance(place, int) and not isinstance(place, bool)
+    if not whole or not 0 <= place < count:
+        raise argument.wrong(f"has {place!r}", expected)
+    return int(place)
+
+
 def refuse_search(max_iterations: Any, monitor: Any) -> None:
     """Iterations that are no number of them, or a monitor that cannot be called.
 

@@ -18,8 +18,11 @@ from rotorid_torch.core.parameters import ParameterTable
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.arguments import (
     SOLVERS,
+    angles_of,
+    delays_of,
     floor_of,
     lengths_of,
+    module,
     noise_of,
     refuse_search,
     refuse_too_few,
@@ -33,6 +36,7 @@ from rotorid_torch.identification.estimate.residuals import Colour, colour
 from rotorid_torch.identification.estimate.segments import Records, records_from
 from rotorid_torch.identification.estimate.system import System
 from rotorid_torch.identification.estimate.uncertainty import Uncertainty
+from rotorid_torch.identification.own_model import OwnModel, unwrapped
 
 
 @dataclass(frozen=True)
@@ -110,6 +114,8 @@ def output_error(
     optimiser: str = "gauss-newton",
     max_iterations: int = 50,
     controls: str = "linear",
+    delays: Mapping[int, float] | None = None,
+    angles: Sequence[int] = (),
     monitor: Monitor | None = None,
 ) -> OutputError:
     """Output-error estimate of the free parameters of any module from flights.
@@ -128,6 +134,8 @@ def output_error(
     solver : method of torchdiffeq for the trajectories; derivatives are exact for "rk4".
     optimiser : "gauss-newton" or "lbfgs".
     controls : between samples: "linear", or "held" as they were at the last sample, as digital controllers send them.
+    delays : pure delays that are estimated, start in s by place of the control: {0: 0.02} adds the parameter delay[0].
+    angles : places of outputs that are angles, rad: they are compared within half a turn.
     monitor : called after each accepted step with iteration, cost, theta.
 
     Samples are taken in several steps where the model's poles are too fast for one, and the message says so.
@@ -140,7 +148,7 @@ def output_error(
     Source: Morelli and Klein, Aircraft System Identification (2nd ed.), ch. 6; Jategaonkar, Flight Vehicle System
     Identification, ch. 4 and 9 (unstable aircraft).
     """
-    system, records = given(model, flights, free, bounds, controls)
+    system, records = given(model, flights, free, bounds, Between(controls, delays, angles))
     refuse_search(max_iterations, monitor)
     settings = settings_of(records, x0, noise, noise_floor, segment_lengths, solver, optimiser, max_iterations)
     refuse_too_few(records.outputs, len(system.theta), 0 if x0 == "fixed" else records.states.shape[-1])
@@ -190,8 +198,17 @@ def settings_of(
     )
 
 
+@dataclass(frozen=True)
+class Between:
+    """What stands between a model and the records: `controls`, `delays` and `angles` as in `output_error`."""
+
+    controls: str = "linear"
+    delays: Mapping[int, float] | None = None
+    angles: Sequence[int] = ()
+
+
 def given(
-    model: nn.Module, flights: Any, free: Sequence[str] | None, bounds: Any, controls: str = "linear"
+    model: nn.Module, flights: Any, free: Sequence[str] | None, bounds: Any, between: Between
 ) -> tuple[System, Records]:
     """What is estimated and from what, a model that fits the flights.
 
@@ -199,11 +216,21 @@ def given(
     ------
     InputError : a flight, a name or the model does not fit.
     """
-    arguments.word(Argument("arguments", "controls"), controls, ("linear", "held"))
-    system, records = System(model, free, bounds), records_from(flights, hold=controls == "held")
+    arguments.word(Argument("arguments", "controls"), between.controls, ("linear", "held"))
+    records, model = records_from(flights, hold=between.controls == "held"), module(model)
     refuse_unmeasured(records.outputs)
-    x = records.states[:, 0].nan_to_num(0.0)
-    refuse_unfit(system.model, records.start, x, records.controls[:, 0], records.outputs.shape[-1])
+    nu, ny = records.controls.shape[-1], records.outputs.shape[-1]
+    angles, delays = angles_of("arguments", between.angles, ny), delays_of(between.delays, nu)
+    around = (lambda copied: OwnModel(copied, nu, angles, delays)) if angles or delays else None
+    system = System(model, free, bounds, around)
+    own = system.model.model if isinstance(system.model, OwnModel) else system.model
+    refuse_unfit(own, records.start, records.states[:, 0].nan_to_num(0.0), records.controls[:, 0], ny)
+    if angles:
+        outputs = records.outputs.clone()
+        for i in angles:
+            outputs[..., i] = unwrapped(outputs[..., i])  # jumps are no noise
+        measured = outputs[..., list(angles)].nan_to_num(0.0)
+        records = replace(records, outputs=outputs, controls=torch.cat([records.controls, measured], dim=-1))
     return system, records
 
 

@@ -15,6 +15,7 @@ from torch.func import functional_call, jvp, vjp, vmap
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument
 from rotorid_torch.identification.arguments import bounds_of, module
+from rotorid_torch.identification.own_model import OwnModel
 from rotorid_torch.model.model import Model
 
 T = TypeVar("T")
@@ -54,6 +55,7 @@ class System:
     free : names of nn.Parameters (whole tensors, or one entry as "name[i]") or, where the module has a `parameter_set`,
         of entries of its `theta`. None: all.
     bounds : lower and upper bound by name; a parameter set brings its own.
+    around : what stands between the module and the records; its delays are free as well.
 
     Raises
     ------
@@ -66,8 +68,10 @@ class System:
         model: nn.Module,
         free: Sequence[str] | None = None,
         bounds: Mapping[str, tuple[float, float]] | None = None,
+        around: Callable[[nn.Module], OwnModel] | None = None,
     ) -> None:
-        self.model = copy.deepcopy(module(model)).double().to(torch.get_default_device())
+        copied = copy.deepcopy(module(model)).double().to(torch.get_default_device())
+        self.model = copied if around is None else around(copied)
         self._surface = _Surface(self.model)
         self.entries = _entries(self.model, free, bounds or {})
         if not self.entries:
@@ -102,7 +106,7 @@ class System:
             for name, parameter in _tensors(model).items():
                 if self._places[name]:
                     parameter.copy_(self._filled(theta, name))
-        return model
+        return model.model if isinstance(model, OwnModel) else model
 
     def rates(self, theta: Tensor, t: Tensor, x: Tensor, u: Tensor) -> Tensor:
         """dx/dt [..., nx]."""
@@ -248,13 +252,19 @@ def _passes(function: Callable[..., Tensor], theta: Tensor, seeds: Tensor, *poin
 
 
 def _entries(model: nn.Module, free: Sequence[str] | None, bounds: Any) -> list[Entry]:
-    declared = getattr(model, "parameter_set", None)
-    named_values = _of_set(declared) if declared is not None else _of_tensors(model)
+    own = model.model if isinstance(model, OwnModel) else model
+    declared = getattr(own, "parameter_set", None)
+    named_values = _of_set(declared) if declared is not None else _of_tensors(own)
+    delays: list[Entry] = []
+    if isinstance(model, OwnModel):
+        named_values = {k: [replace(e, tensor=f"model.{e.tensor}") for e in v] for k, v in named_values.items()}
+        delays = [Entry(name, "delay", i, "s", low, high) for name, (i, low, high) in model.delays().items()]
+        named_values |= {e.name: [e] for e in delays}
     single = {e.name: [e] for group in named_values.values() for e in group}
     argument = Argument("arguments", "free")
-    chosen = (
-        list(named_values) if free is None else arguments.names(argument, free, [*named_values, *single], "parameter")
-    )
+    known = [*named_values, *single]
+    chosen = [*(named_values if free is None else arguments.names(argument, free, known, "parameter"))]
+    chosen += [e.name for e in delays if e.name not in chosen]
     entries = [entry for name in chosen for entry in (named_values.get(name) or single[name])]
     twice = sorted({e.name for e in entries if sum(o.name == e.name for o in entries) > 1})
     if twice:

@@ -20,6 +20,7 @@ from rotorid_torch.errors import InputError
 from rotorid_torch.identification.arguments import floor_of, noise_of, refuse_search, refuse_too_few
 from rotorid_torch.identification.estimate.initial_states import smallest_noise
 from rotorid_torch.identification.estimate.output_error import (
+    Between,
     ParameterEstimate,
     estimates,
     fitted_in_steps,
@@ -113,6 +114,8 @@ def filter_error(
     max_iterations: int = 100,
     gain: str = "exact",
     engine: str | None = None,
+    delays: Mapping[int, float] | None = None,
+    angles: Sequence[int] = (),
     monitor: Monitor | None = None,
 ) -> FilterError:
     """Maximum-likelihood estimate of the free parameters of any module from flights in moving air.
@@ -136,6 +139,7 @@ def filter_error(
         which costs little more than output error. Parameters are a little less certain, as their errors say; errors of
         the noises then believe the parameters.
     engine : "native" or "reference" (torch, slow); by default native code where the model can be compiled.
+    delays, angles : pure delays of controls, outputs that are angles; as in `output_error`.
     monitor : called after each accepted step with iteration, cost, theta.
 
     Raises
@@ -145,7 +149,7 @@ def filter_error(
 
     Source: Maine and Iliff (1981), SIAM J. Appl. Math. 41; Jategaonkar, Flight Vehicle System Identification, ch. 5.
     """
-    system, records = given(model, flights, free, bounds)
+    system, records = given(model, flights, free, bounds, Between(delays=delays, angles=angles))
     arguments.word(Argument("arguments", "x0"), x0, ("free", "fixed"))
     arguments.word(Argument("arguments", "engine"), engine or "native", ("native", "reference"))
     arguments.word(Argument("arguments", "gain"), gain, ("exact", "held"))

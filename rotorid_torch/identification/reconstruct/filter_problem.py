@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -11,6 +11,7 @@ from torch import Tensor
 
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument, Sizes
+from rotorid_torch.identification.own_model import near
 
 Dynamics = Callable[[Tensor, Tensor], Tensor]
 """f(x[..., nx], u[..., nu]) -> dx/dt [..., nx], or h(x, u) -> y [..., ny]"""
@@ -29,6 +30,21 @@ class Problem:
     controls: Tensor
     outputs: Tensor
     dt: float
+
+
+def with_angles(problem: Problem, angles: Sequence[int]) -> Problem:
+    """The same, h giving these outputs within half a turn of the measured ones, which are further controls."""
+    if not angles:
+        return problem
+    nu, measured = problem.controls.shape[-1], problem.outputs[..., list(angles)].nan_to_num(0.0)
+    batch = torch.broadcast_shapes(problem.controls.shape[:-2], measured.shape[:-2])
+    parts = [part.expand(*batch, *part.shape[-2:]) for part in (problem.controls, measured)]
+    return replace(
+        problem,
+        f=lambda x, u: problem.f(x, u[..., :nu]),
+        h=lambda x, u: near(problem.h(x, u[..., :nu]), u[..., nu:], angles),
+        controls=torch.cat(parts, dim=-1),
+    )
 
 
 @dataclass(frozen=True, repr=False)

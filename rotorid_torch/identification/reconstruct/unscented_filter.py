@@ -10,6 +10,7 @@ the sigma points after the process noise; Sarkka, IEEE Trans. Automatic Control 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
@@ -27,8 +28,9 @@ from rotorid_torch.core.native import filtering
 from rotorid_torch.core.native.build import threads
 from rotorid_torch.core.native.filtering import Weights
 from rotorid_torch.core.native.graph.tracing import Unsupported
+from rotorid_torch.identification.arguments import angles_of
 from rotorid_torch.identification.reconstruct import sigma_points
-from rotorid_torch.identification.reconstruct.filter_problem import Dynamics, Filtered, problem_of
+from rotorid_torch.identification.reconstruct.filter_problem import Dynamics, Filtered, problem_of, with_angles
 from rotorid_torch.identification.reconstruct.iterated import iterated, learns_constants
 from rotorid_torch.identification.reconstruct.sigma_points import ProcessNoise, SigmaPoints, divide, root
 
@@ -49,6 +51,7 @@ def unscented_filter(
     outputs: Any,
     dt: float,
     smooth: bool = True,
+    angles: Sequence[int] = (),
 ) -> Filtered:
     """Filter and smooth sampled outputs of dx/dt = f(x, u) + noise, y = h(x, u) + noise, for any f and h.
 
@@ -63,6 +66,7 @@ def unscented_filter(
     outputs : [..., T, ny]; NaN marks a missing one, which is left out exactly.
     dt : sample interval, s.
     smooth : also run the Rauch-Tung-Striebel smoother.
+    angles : places of outputs that are angles, rad: innovations are taken within half a turn, wrapped or not.
 
     Leading dimensions (flights) are a batch. Arrays of numpy are taken as well; all is done in float64.
     To estimate a constant parameter, append it to the state with a rate of zero. Where f or h are not linear with it,
@@ -81,16 +85,17 @@ def unscented_filter(
     """
     given = {"x0": x0, "P0": P0, "Q": Q, "R": R, "controls": controls, "outputs": outputs}
     problem, smooth = problem_of(f, h, given, dt), arguments.flag(Argument("unscented_filter", "smooth"), smooth)
+    near = with_angles(problem, angles_of("unscented_filter", angles, problem.outputs.shape[-1]))
     noise = ProcessNoise.constant(problem.Q)
 
     def single_pass(cov: Tensor, smooth: bool = True) -> Filtered:
-        prior, records = (problem.x0, cov), (problem.R, problem.controls, problem.outputs)
-        return filter_and_smooth(f, h, prior, noise, *records, problem.dt, smooth)
+        prior, records = (near.x0, cov), (near.R, near.controls, near.outputs)
+        return filter_and_smooth(near.f, near.h, prior, noise, *records, near.dt, smooth)
 
     with torch.no_grad():
         if not learns_constants(problem):
             return single_pass(problem.P0, smooth)
-        got = iterated(problem, single_pass)
+        got = iterated(near, single_pass)
     return got if smooth else replace(got, smoothed_means=None, smoothed_covariances=None)
 
 
