@@ -7,6 +7,7 @@
     loop = rotorid.close_loop(data)                       what the model lacks by name; loop.verdict, loop.effects
     rotorid.open_run("RUN")                               a run that was written, with its model
     rotorid.simulate(run, data["doublet"], seconds=8.0)   a free run of the model on a flight
+    run.export(fmu="model.fmu")                           the model for other tools; rotorid.export(run, ...) too
     rotorid.fly("DATASET", seed=1)                        flights of the built-in aircraft
 
 The steps alone, on anybody's model:
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
     from rotorid_torch.run.close_loop import close_loop as close_loop
     from rotorid_torch.run.pipeline import identify as identify
     from rotorid_torch.run.result import Run as Run
+    from rotorid_torch.run.saved_model import export as export
     from rotorid_torch.run.saved_model import open_run as open_run
     from rotorid_torch.run.saved_model import simulate as simulate
     from rotorid_torch.simulation.flight_test import fly as fly
@@ -82,6 +84,7 @@ _PUBLIC = {
     "close_loop": "run.close_loop",
     "Run": "run.result",
     "identify": "run.pipeline",
+    "export": "run.saved_model",
     "open_run": "run.saved_model",
     "simulate": "run.saved_model",
     "fly": "simulation.flight_test",

@@ -192,6 +192,7 @@ def parser() -> Parser:
     _add_identify(commands)
     _add_close_loop(commands)
     _add_simulate(commands)
+    _add_export(commands)
     _add_command(commands, "effects", effects, "the table of effects that a model can hold")
     show_parser = _add_command(commands, "show", show, "the scorecard of one run or of several")
     show_parser.add_argument("runs", metavar="RUN", nargs="+", type=Path, help="folder of a run")
@@ -279,13 +280,28 @@ def _add_close_loop(commands) -> None:
 
 def _add_simulate(commands) -> None:
     command = _add_command(commands, "simulate", simulate, "free run of a model on a flight")
-    command.add_argument("model", metavar="MODEL", type=Path, help="a RUN or its model.pt")
+    command.add_argument("model", metavar="MODEL", type=Path, help="a RUN, its model.pt, or an FMU of it")
     command.add_argument("dataset", metavar="DATASET", type=Path, help=DATASET)
     command.add_argument("--flight", metavar="NAME", required=True, help="whose controls the model flies by")
     command.add_argument("--out", metavar="FILE", type=Path, required=True, help="FILE.npz or FILE.csv to write")
     command.add_argument("--start", metavar="S", type=_number, default=0.0, help="where in the flight to begin, s (0)")
     command.add_argument("--seconds", metavar="S", type=_number, help="how long to run, s (to the flight's end)")
     command.add_argument("--overwrite", action="store_true", help="replace FILE, whatever it is, but no input")
+
+
+def _add_export(commands) -> None:
+    command = _add_command(commands, "export", export, "the model of a run for other tools")
+    command.add_argument("run_folder", metavar="RUN", type=Path, help="of identify or close-loop")
+    fmu_help = "for co-simulation, with its C sources; needs a C compiler"
+    command.add_argument("--fmu", metavar="FILE.fmu", type=Path, help=fmu_help)
+    command.add_argument("--fmi", choices=("2.0", "3.0"), default="2.0", help="version of the FMU (2.0)")
+    statespace_help = "A, B, C, D with names, units and trim: .json or .mat"
+    command.add_argument("--statespace", metavar="FILE", type=Path, help=statespace_help)
+    onnx_help = "derivative and output functions; needs the package onnx"
+    command.add_argument("--onnx", metavar="FILE.onnx", type=Path, help=onnx_help)
+    command.add_argument("--c", metavar="DIR", type=Path, help="header and source in C99")
+    command.add_argument("--csv", metavar="FILE.csv", type=Path, help="the parameters as a table")
+    command.add_argument("--overwrite", action="store_true", help="replace what is in the way")
 
 
 def fly(options: Options) -> None:
@@ -388,6 +404,18 @@ def simulate(options: Options) -> None:
     told = [str(warning.message) for warning in caught if warning.category is UserWarning]
     lines = [f"free run: {options.out}", *(f"warning: {sentence}" for sentence in told)]
     _answer(options, {"file": str(options.out), "warnings": told}, "\n".join(lines))
+
+
+def export(options: Options) -> None:
+    """Write the model of a run for other tools."""
+    from rotorid_torch.exporting.targets import TARGETS
+    from rotorid_torch.run.saved_model import open_run
+
+    places = {target: getattr(options, target) for target in TARGETS}
+    places = {target: place for target, place in places.items() if place is not None}
+    written = open_run(options.run_folder).export(fmi=options.fmi, overwrite=options.overwrite, **places)
+    lines = [f"{target}: {place}" for target, place in written.items()]
+    _answer(options, {target: str(place) for target, place in written.items()}, "\n".join(lines))
 
 
 def effects(options: Options) -> None:

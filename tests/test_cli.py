@@ -20,7 +20,7 @@ from rotorid_torch.core.storage import cache
 from rotorid_torch.errors import InputError
 from rotorid_torch.report import records
 
-COMMANDS = ("fly", "check", "reconstruct", "identify", "close-loop", "simulate", "effects", "show", "doctor")
+COMMANDS = ("fly", "check", "reconstruct", "identify", "close-loop", "simulate", "export", "effects", "show", "doctor")
 PROGRAM = [sys.executable, "-m", "rotorid_torch"]
 
 

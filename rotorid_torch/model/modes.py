@@ -28,9 +28,12 @@ class Mode:
 
 
 def reference_point(model: Model) -> tuple[Tensor, Tensor]:
-    """State [nx] and controls [nu] at the model's reference; what it does not know is zero."""
+    """State [nx] and controls [nu] at the model's reference; what it does not know is zero.
+
+    A state that a channel measures (height, heading) is at the channel's reference.
+    """
     at = lambda names: torch.tensor([model.reference.get(n, 0.0) for n in names], dtype=torch.float64)  # noqa: E731
-    return at(model.layout.names), at(model.body.controls)
+    return at([s.channel or s.name for s in model.layout.states]), at(model.body.controls)
 
 
 def _by_state(model: Model, of: Callable[[Tensor, Tensor, Tensor], Tensor]) -> Tensor:

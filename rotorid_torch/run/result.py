@@ -11,6 +11,8 @@ import numpy as np
 from rotorid_torch.core.names import VELOCITIES
 from rotorid_torch.core.parameters import ParameterTable
 from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.exporting.subject import Subject
+from rotorid_torch.exporting.targets import export
 from rotorid_torch.identification.model_estimation import Step3
 from rotorid_torch.identification.model_regression import Step2
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
@@ -32,8 +34,29 @@ class Result(ParameterTable):
     """What a run says, whether it was made just now or read from its folder."""
 
     model: Model
+    spec: ModelSpec
     fit: FitRecord
     record: Report
+
+    @property
+    def step(self) -> float:
+        """Sample interval of the flights, s."""
+        raise NotImplementedError
+
+    def export(self, *, fmi: str = "2.0", overwrite: bool = False, **places: str | Path) -> dict[str, Path]:
+        """Write the model for other tools: fmu=, statespace= (.json or .mat), onnx=, csv= a file, c= a folder.
+
+        Parameters
+        ----------
+        fmi : version of the FMU, "2.0" or "3.0". overwrite : replace what is in the way.
+
+        Raises
+        ------
+        InputError : a place is taken, a compiler or package is missing, or the model has no such form.
+        """
+        tool = f"rotorid {self.record.rotorid}"
+        subject = Subject(self.model, self.spec, self.record.dataset.name, self.step, tool, self.parameters)
+        return export(subject, places, fmi, overwrite)
 
     @property
     def title(self) -> str:
@@ -89,6 +112,12 @@ class Run(Result):
     regressions: Step2
     estimate: Step3
     overlays: tuple[Overlay, ...] = field(repr=False)
+
+    @property
+    def step(self) -> float:
+        """Sample interval of the flights, s."""
+        time = self.reconstruction.arrays(next(iter(self.reconstruction.flights)))["time"]
+        return float(time[1] - time[0])
 
     def plot(self) -> dict[str, Figure]:
         """The report's pictures as matplotlib figures, by name."""

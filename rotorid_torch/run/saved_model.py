@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 import os
 import warnings as python_warnings
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +22,7 @@ from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.velocities import with_velocities
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError
+from rotorid_torch.exporting.fmu_run import Span, fly_fmu, read_facts
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.save import load as load_model
 from rotorid_torch.report.records import FitRecord, Report, read_report
@@ -49,9 +52,19 @@ class SavedRun(Result):
         return self._loaded[0]
 
     @property
-    def spec(self) -> ModelSpec:
+    def spec(self) -> ModelSpec:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Structure of the model."""
         return self._loaded[1]
+
+    @property
+    def step(self) -> float:
+        """Sample interval of the flights that were reconstructed, s."""
+        files = sorted((self.path / "reconstruct").glob("*.npz"))
+        if not files:
+            raise InputError(self.path / "reconstruct", "", "holds no flight", "a whole run")
+        with np.load(files[0]) as arrays:
+            time = arrays["time"]
+        return float((time[-1] - time[0]) / (len(time) - 1))
 
     @property
     def fit(self) -> FitRecord:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -74,6 +87,21 @@ def open_run(path: str | Path) -> SavedRun:
     return SavedRun(place, read_report(place))
 
 
+def export(run: Result | str | Path, **options: Any) -> dict[str, Path]:
+    """Write the model of a run for other tools; what was written, by target.
+
+    Parameters
+    ----------
+    run : of `identify` or `close_loop`, or the path of a RUN. options : as `run.export`: fmu, statespace, onnx, csv a
+        file, c a folder; fmi the version of the FMU, overwrite.
+
+    Raises
+    ------
+    InputError : no such run, a place is taken, a compiler or package is missing, or the model has no such form.
+    """
+    return (run if isinstance(run, Result) else open_run(run)).export(**options)
+
+
 def simulate(
     model: Model | Result | str | Path,
     flight: Flight,
@@ -85,7 +113,7 @@ def simulate(
 
     Parameters
     ----------
-    model : a model, a run, or the path of a RUN or a model.pt.
+    model : a model, a run, or the path of a RUN, a model.pt or an FMU that `export` wrote.
     start, seconds : where the free run begins, and its length, s; None is to the end of the flight.
     data : the data set of the flight, with the noise of its channels; without it the flight alone tells the noise.
 
@@ -103,32 +131,53 @@ def simulate(
     arguments.optional(of_data)(Argument(of, "data"), data)
     start = arguments.number(Argument(of, "start"), start, "s")
     seconds = None if seconds is None else arguments.number(Argument(of, "seconds"), seconds, "s", above=0.0)
-    module, spec = _module(model)
-    data = (
-        data
-        if data is not None
-        else Dataset.from_arrays(
-            {flight.name: flight.channels}, identify=[flight.name], controls={c: {} for c in module.body.controls}
-        )
-    )
-    return _free_run(module, spec, data, flight.name, start, seconds)
+    source = _source(model)
+    if data is None:
+        controls: dict[str, Any] = {c: {} for c in source.controls}
+        data = Dataset.from_arrays({flight.name: flight.channels}, identify=[flight.name], controls=controls)
+    return _free_run(source, data, flight.name, start, seconds)
 
 
-def _module(model: Model | Result | str | Path) -> tuple[Model, ModelSpec | None]:
-    """A model, and its spec where that is on record."""
+@dataclass(frozen=True)
+class _Source:
+    """What flies: its controls, the ranges that it was identified in, and the free run of a piece of a flight."""
+
+    controls: tuple[str, ...]
+    ranges: Mapping[str, tuple[float, float]]
+    fly: Callable[[Dataset, str, Span], dict[str, np.ndarray]]
+
+
+def _source(model: Model | Result | str | Path) -> _Source:
     if isinstance(model, Model):
-        return model, None
+        return _of_model(model, {})
     if isinstance(model, Result):
-        return model.model, getattr(model, "spec", None)
-    if isinstance(model, str | os.PathLike):
-        return _read(arguments.place(Argument("simulate", "model"), model))
-    wrong = f"is {arguments.described(model)}"
-    raise Argument("simulate", "model").wrong(wrong, "a Model, a Run, or the path of a RUN or model.pt")
-
-
-def _read(place: Path) -> tuple[Model, ModelSpec]:
+        return _of_model(model.model, model.spec.ranges)
+    if not isinstance(model, str | os.PathLike):
+        wrong = f"is {arguments.described(model)}"
+        raise Argument("simulate", "model").wrong(wrong, "a Model, a Run, or the path of a RUN, a model.pt or an FMU")
+    place = arguments.place(Argument("simulate", "model"), model)
     restore(place)
-    return load_model(place / "model.pt" if place.is_dir() else place)
+    if place.suffix == ".fmu":
+        facts = read_facts(place)
+        return _Source(facts.controls, facts.ranges, partial(fly_fmu, place, facts))
+    loaded, spec = load_model(_file(place))
+    return _of_model(loaded, spec.ranges)
+
+
+def _file(place: Path) -> Path:
+    return place / "model.pt" if place.is_dir() else place
+
+
+def _of_model(model: Model, ranges: Mapping[str, tuple[float, float]]) -> _Source:
+    return _Source(model.body.controls, ranges, partial(_fly, model))
+
+
+def _fly(model: Model, dataset: Dataset, flight: str, span: Span) -> dict[str, np.ndarray]:
+    pieces = windows(model, dataset, [(flight, span.first)], span.samples)
+    states, outputs = free_run(model, pieces)
+    found = {"time": dataset.flights[flight].time[span.first : span.first + span.samples].numpy()}
+    found |= dict(zip(model.layout.names, states[0].numpy().T, strict=True))
+    return found | dict(zip(model.body.outputs, outputs[0].numpy().T, strict=True))
 
 
 def write_free_run(
@@ -145,7 +194,8 @@ def write_free_run(
 
     Parameters
     ----------
-    model : a RUN or a model.pt. start : s, where the run begins. seconds : its length; to the flight's end by default.
+    model : a RUN, a model.pt or an FMU. start : s, where the run begins. seconds : its length; to the flight's end by
+        default.
     overwrite : replace a file at `out` that is no earlier free run; files of the model and the data set never.
 
     Raises
@@ -153,12 +203,9 @@ def write_free_run(
     InputError : no such model or flight, a control is missing, start and seconds leave the flight, or `out` is in the
         way.
     """
-    place = Path(model)
-    file = place / "model.pt" if place.is_dir() else place
-    how = {"overwrite": overwrite, "inputs": (file, *dataset.files())}
+    how = {"overwrite": overwrite, "inputs": (_file(Path(model)), *dataset.files())}
     refuse_unless_free_run(out, **how)
-    loaded, spec = _read(place)
-    found = _free_run(loaded, spec, dataset, flight, start, seconds)
+    found = _free_run(_source(model), dataset, flight, start, seconds)
     with free_run_file(out, **how) as partial, partial.open("wb") as handle:
         if is_table(out):
             np.savetxt(handle, np.column_stack(list(found.values())), "%.10g", ",", header=",".join(found), comments="")
@@ -168,7 +215,7 @@ def write_free_run(
 
 
 def _free_run(
-    model: Model, spec: ModelSpec | None, dataset: Dataset, flight: str, start: float, seconds: float | None
+    source: _Source, dataset: Dataset, flight: str, start: float, seconds: float | None
 ) -> dict[str, np.ndarray]:
     if flight not in dataset.flights:
         raise InputError(
@@ -178,37 +225,33 @@ def _free_run(
             ", ".join(dataset.flights),
         )
     dataset = with_velocities(dataset)
-    record = dataset.flights[flight]
-    first, samples = _span(record.dt, record.samples, start, seconds, dataset.file(flight))
-    missing = [c for c in model.body.controls if not record.has(c)]
+    record, file = dataset.flights[flight], dataset.file(flight)
+    span = _span(record.dt, record.samples, start, seconds, file)
+    missing = [c for c in source.controls if not record.has(c)]
     if missing:
-        raise InputError(dataset.file(flight), missing[0], "control is missing", "the controls of the model")
-    pieces = windows(model, dataset, [(flight, first)], samples)
-    states, outputs = free_run(model, pieces)
-    found = {"time": record.time[first : first + samples].numpy()}
-    found |= dict(zip(model.layout.names, states[0].numpy().T, strict=True))
-    found |= dict(zip(model.body.outputs, outputs[0].numpy().T, strict=True))
-    if spec is not None:
-        _warn_outside(found | dict(zip(model.body.controls, pieces.controls[0].numpy().T, strict=True)), spec)
+        raise InputError(file, missing[0], "control is missing", "the controls of the model")
+    found = source.fly(dataset, flight, span)
+    inputs = record.bridged(source.controls)[span.first : span.first + span.samples]
+    _warn_outside(found | dict(zip(source.controls, inputs.numpy().T, strict=True)), source.ranges)
     return found
 
 
-def _span(dt: float, samples: int, start: float, seconds: float | None, file: str | Path) -> tuple[int, int]:
+def _span(dt: float, samples: int, start: float, seconds: float | None, file: str | Path) -> Span:
     last = (samples - 2) * dt
     if not -0.5 * dt <= start < last + 0.5 * dt:
         raise InputError(file, "start", f"{start} s lies outside the flight", f"0 to {last:.2f} s")
     first = round(start / dt)
     if seconds is None:
-        return first, samples - first
+        return Span(first, samples - first)
     if not 0.5 * dt < seconds < math.inf:
         raise InputError(file, "seconds", f"is {seconds}", f"at least one sample interval, {dt:.4g} s")
     wanted = round(seconds / dt) + 1
-    return first, min(wanted, samples - first)
+    return Span(first, min(wanted, samples - first))
 
 
-def _warn_outside(arrays: dict[str, np.ndarray], spec: ModelSpec) -> None:
+def _warn_outside(arrays: dict[str, np.ndarray], ranges: Mapping[str, tuple[float, float]]) -> None:
     left = []
-    for name, (low, high) in spec.ranges.items():
+    for name, (low, high) in ranges.items():
         margin = OUTSIDE * (high - low)
         if name in arrays and (np.nanmin(arrays[name]) < low - margin or np.nanmax(arrays[name]) > high + margin):
             left.append(name)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -71,14 +72,16 @@ def windows(model: Model, dataset: Dataset, places: Sequence[tuple[str, int]], s
 
 
 def _measured_starts(model: Model, flight: Flight, start: int) -> Tensor:
-    """Values at which the effects' own states start by a channel, its first moments' mean [n]; NaN for the others."""
-    starts = []
-    for state in model.own_states:
-        values = torch.full((1,), torch.nan, dtype=torch.float64)
-        if state.channel is not None and flight.has(state.channel):
-            values = flight.stack([state.channel])[start : start + max(1, _first(flight.dt) // MOMENT), 0]
-        starts.append(values.nanmean())
-    return torch.stack(starts) if starts else torch.zeros(0, dtype=torch.float64)
+    """Values at which the effects' own states start by a channel [n]; NaN for the others."""
+    starts = [measured_start(flight, state.channel, start) for state in model.own_states]
+    return torch.tensor(starts, dtype=torch.float64)
+
+
+def measured_start(flight: Flight, channel: str | None, start: int) -> float:
+    """A channel's mean over the first moments from a sample on; NaN where there is none."""
+    if channel is None or not flight.has(channel):
+        return math.nan
+    return float(flight.stack([channel])[start : start + max(1, _first(flight.dt) // MOMENT), 0].nanmean())
 
 
 def _first(dt: float) -> int:
@@ -142,25 +145,43 @@ class Runs:
 
 
 def _initial(run: Runs, pieces: Windows) -> Tensor:
-    """Initial states [W, nx] by Gauss-Newton on the first second, all perturbed bodies as further rows of one batch."""
+    """Initial states [W, nx]: the body's by `fitted_start`, all perturbed bodies as further rows of one batch."""
     model = run.model
-    body, samples = model.body.states, max(2, min(_first(pieces.dt), pieces.controls.shape[1]))
-    controls, outputs = pieces.controls[:, :samples], [i for i, c in enumerate(model.body.outputs) if c in body]
+
+    def outputs(trials: Tensor, samples: int) -> Tensor:
+        controls = pieces.controls[:, :samples]
+        x0 = equilibrium(model, trials, controls[:, 0], pieces.starts_at)
+        return model.recorded(run(x0, controls, pieces.dt)[1], pieces.dt)
+
+    reference = {n: model.reference.get(n, 0.0) for n in model.body.states}
+    body = fitted_start(outputs, reference, model.body.outputs, pieces)
+    return equilibrium(model, body, pieces.controls[:, 0], pieces.starts_at)
+
+
+def fitted_start(
+    run: Callable[[Tensor, int], Tensor], reference: Mapping[str, float], names: Sequence[str], pieces: Windows
+) -> Tensor:
+    """Initial body states [W, n] by Gauss-Newton on the measured outputs of the first second.
+
+    run : recorded outputs [K, W, samples, ny] from body states [K, W, n] over so many samples. reference : of the body
+    states, in their order. names : of the outputs.
+    """
+    states = list(reference)
+    samples = max(2, min(_first(pieces.dt), pieces.controls.shape[1]))
+    outputs = [i for i, c in enumerate(names) if c in reference]
     wanted = pieces.measured[:, :samples, outputs]
     present = ~wanted.isnan()
     weight = present / pieces.noise[outputs]
-    columns = [body.index(model.body.outputs[i]) for i in outputs]
-    x = torch.tensor([model.reference.get(n, 0.0) for n in body], dtype=torch.float64).repeat(len(wanted), 1)
+    columns = [states.index(names[i]) for i in outputs]
+    x = torch.tensor([*reference.values()], dtype=torch.float64).repeat(len(wanted), 1)
     first = wanted[:, : max(1, samples // MOMENT)].nanmean(dim=1)
     x[:, columns] = torch.where(first.isnan(), x[:, columns], first)
-    probes = PROBE * torch.eye(len(body), dtype=torch.float64)
+    probes = PROBE * torch.eye(len(states), dtype=torch.float64)
     for _ in range(ITERATIONS):
-        trials = torch.cat([x[None], x + probes[:, None]])
-        x0 = equilibrium(model, trials, controls[:, 0], pieces.starts_at)
-        runs = model.recorded(run(x0, controls, pieces.dt)[1], pieces.dt)[..., outputs]
+        runs = run(torch.cat([x[None], x + probes[:, None]]), samples)[..., outputs]
         jacobian = ((runs[1:] - runs[0]) / PROBE * weight).permute(1, 2, 3, 0).flatten(1, 2)
         residual = torch.where(present, (wanted - runs[0]) * weight, 0.0).flatten(1, 2)
         norms = jacobian.norm(dim=1, keepdim=True).clamp_min(1e-12)
         step = least_squares(jacobian / norms, residual.unsqueeze(-1), rcond=1e-8)
         x = x + step.squeeze(-1) / norms[:, 0]
-    return equilibrium(model, x, controls[:, 0], pieces.starts_at)
+    return x

@@ -171,7 +171,7 @@ def _of_units(channels: tuple[str, ...], low: float, high: float, typical: float
     return tuple(Parameter(u, 0.0, "s", (low, high), free=False, doc=f"{what} of {u}", typical=typical) for u in units)
 
 
-def _per_channel(p: Values, names: tuple[str, ...]) -> Tensor:
+def per_channel(p: Values, names: tuple[str, ...]) -> Tensor:
     """Each channel's time [..., n], that of its unit; zero outside the units."""
     zero = torch.zeros_like(p.vector[..., 0])
     owner = {c: u for u, members in UNITS.items() if u in p.names for c in members}
@@ -207,7 +207,7 @@ class SensorDelay(_Sensor):
 
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Outputs [..., T, ny], each unit's by its delay later."""
-        return shifted(record, _per_channel(p, names), dt)
+        return shifted(record, per_channel(p, names), dt)
 
 
 @register
@@ -229,4 +229,4 @@ class SensorFilter(_Sensor):
 
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Outputs [..., T, ny], each unit's behind its filter."""
-        return lagged(record, _per_channel(p, names), dt)
+        return lagged(record, per_channel(p, names), dt)

@@ -91,7 +91,7 @@ def straight_line(graph: Graph, results: Mapping[str, int], named: Callable[[int
         if operation == "input":
             _, name, place = graph.nodes[node]
             text[node] = f"{name}[{place}]"
-        elif operation in ("sin", "cos"):
+        elif operation in ("sin", "cos") and kind != "double":  # of one double the compiler joins them
             (argument,) = graph.arguments(node)
             if argument not in pairs:
                 pairs.add(argument)
@@ -112,7 +112,8 @@ def _as(kind: str, text: str, varies: bool) -> str:
 
 
 def _type(operation: str, kind: str) -> str:
-    return "auto" if operation in COMPARISONS else kind
+    """Of a result: a comparison of doubles is a number, in C too; of vectors it is a mask."""
+    return ("int" if kind == "double" else "auto") if operation in COMPARISONS else kind
 
 
 def _expression(graph: Graph, node: int, text: Mapping[int, str], varies: Mapping[int, bool], kind: str) -> str:

@@ -58,8 +58,8 @@ OPERATIONS: dict[str, Operation] = {
     "mul": Operation(lambda a, b: a * b, lambda y, a, b: (b, a), "{0} * {1}"),
     "div": Operation(lambda a, b: a / b, lambda y, a, b: (1.0 / b, -(y / b)), "{0} / {1}"),
     "neg": Operation(lambda a: -a, lambda y, a: (-1.0,), "-{0}"),
-    "sin": Operation(math.sin, lambda y, a: (a.to("cos"),), ""),
-    "cos": Operation(math.cos, lambda y, a: (-a.to("sin"),), ""),
+    "sin": Operation(math.sin, lambda y, a: (a.to("cos"),), "F_sin({0})"),
+    "cos": Operation(math.cos, lambda y, a: (-a.to("sin"),), "F_cos({0})"),
     "sqrt": Operation(math.sqrt, lambda y, a: (0.5 / y,), "F_sqrt({0})"),
     "root": Operation(  # of a sum of squares: a norm's derivative where all is zero is zero
         math.sqrt, lambda y, a: (y.to("gt", 0.0).to("where", 0.5 / y, 0.0),), "F_sqrt({0})"

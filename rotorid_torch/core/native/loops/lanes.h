@@ -26,6 +26,8 @@ static inline vd lanes(double x) { return vd{} + x; }
 // Sine and cosine together, for |x| < 1e5, error below 2 ulp: argument reduced by pi/2 in three parts (Cody and
 // Waite 1980), kernels of fdlibm (Sun Microsystems 1993).
 static inline void SinCos(double x, double& s, double& c) { s = std::sin(x); c = std::cos(x); }
+static inline double F_sin(double x) { return std::sin(x); }
+static inline double F_cos(double x) { return std::cos(x); }
 static inline void SinCos(vd x, vd& s, vd& c) {
   const double ROUND = 6755399441055744.0;  // 1.5 * 2^52: adding it rounds to an integer in the low bits
   const vd shifted = x * 0.63661977236758134308 + ROUND;

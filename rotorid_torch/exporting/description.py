@@ -1,0 +1,180 @@
+"""The modelDescription.xml of an FMU: variables named as the channels, states and parameters, with units."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from enum import Enum
+from xml.etree import ElementTree
+
+from rotorid_torch.core.names import channel
+from rotorid_torch.model.model import Model
+from rotorid_torch.model.modes import reference_point
+
+CONTROL, OUTPUT, STATE, START, SLOPE, STEP, HOLD, SETTLE, TIME, THETA = (
+    0, 1000, 2000, 3000, 4000, 5000, 5001, 5002, 5003, 10000,
+)  # fmt: skip
+"""References of the variables, as `runtime/fmu.c` counts them."""
+
+
+class Fmi(Enum):
+    """Version of the interface; 2.0 is what most tools take."""
+
+    TWO = "2.0"
+    THREE = "3.0"
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One variable of the FMU. start : its value at the beginning; None for one that is calculated."""
+
+    name: str
+    reference: int
+    causality: str
+    variability: str
+    unit: str = ""
+    about: str = ""
+    start: float | bool | None = None
+
+
+def variables(model: Model, units: Mapping[str, str], step: float, fmi: Fmi) -> list[Variable]:
+    """All variables. units : of the controls. step : of the integration, s.
+
+    A control is an input, an output of the model an output, a state that is no output a local variable. Where a flight
+    begins are the parameters start.STATE. In FMI 3.0, which has no derivatives of inputs, slope.CONTROL is how fast a
+    control changes within a step.
+    """
+    x, u = reference_point(model)
+    found = [
+        Variable(n, CONTROL + k, "input", "continuous", units.get(n, _unit(n)), _about(n), float(u[k]))
+        for k, n in enumerate(model.body.controls)
+    ]
+    if fmi is Fmi.THREE:
+        found.insert(0, Variable("time", TIME, "independent", "continuous", "s"))
+        found += [
+            Variable(
+                f"slope.{n}", SLOPE + k, "input", "continuous", f"{units.get(n, _unit(n))}/s", "within a step", 0.0
+            )
+            for k, n in enumerate(model.body.controls)
+        ]
+    outputs = model.body.outputs
+    found += [Variable(n, OUTPUT + k, "output", "continuous", _unit(n), _about(n)) for k, n in enumerate(outputs)]
+    named = {v.name for v in found}
+    states = model.layout.states
+    found += [
+        Variable(s.name, STATE + k, "local", "continuous", s.unit, s.doc)
+        for k, s in enumerate(states)
+        if s.name not in named
+    ]
+    found += [
+        Variable(f"start.{s.name}", START + k, "parameter", "tunable", s.unit, "where the flight begins", float(x[k]))
+        for k, s in enumerate(states)
+    ]
+    theta = zip(model.parameter_set.parameters, model.theta.tolist(), strict=True)
+    found += [Variable(p.name, THETA + k, "parameter", "tunable", p.unit, p.doc, v) for k, (p, v) in enumerate(theta)]
+    found.append(Variable("step", STEP, "parameter", "tunable", "s", "longest step of the integration", step))
+    settle = "states of effects begin at rest under body states and controls; false: at start.STATE"
+    hold = "states stay where the flight begins; only the way of the controls goes on"
+    found.append(Variable("settle", SETTLE, "parameter", "tunable", "", settle, True))
+    found.append(Variable("hold", HOLD, "parameter", "tunable", "", hold, False))
+    return found
+
+
+def _unit(name: str) -> str:
+    listed = channel(name)
+    return listed.unit.replace("²", "2") if listed else ""
+
+
+def _about(name: str) -> str:
+    listed = channel(name)
+    return listed.about if listed else ""
+
+
+def description(listed: list[Variable], fmi: Fmi, identity: Mapping[str, str], step: float) -> bytes:
+    """The XML file. identity : name, guid, file (name of the library), tool and description of the model."""
+    write = {Fmi.TWO: _two, Fmi.THREE: _three}[fmi]
+    root = write(listed, identity, step)
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
+
+
+def _head(fmi: Fmi, identity: Mapping[str, str]) -> dict[str, str]:
+    token = "guid" if fmi is Fmi.TWO else "instantiationToken"
+    attributes = {"fmiVersion": fmi.value, "modelName": identity["name"], token: identity["guid"]}
+    attributes |= {"description": identity["description"], "generationTool": identity["tool"]}
+    return attributes | {"variableNamingConvention": "flat"}
+
+
+def _units(root: ElementTree.Element, listed: list[Variable]) -> None:
+    names = sorted({v.unit for v in listed if v.unit})
+    if names:
+        units = ElementTree.SubElement(root, "UnitDefinitions")
+        for name in names:
+            ElementTree.SubElement(units, "Unit", name=name)
+
+
+def _text(value: float | bool) -> str:
+    return str(value).lower() if isinstance(value, bool) else repr(value)
+
+
+def _common(v: Variable) -> dict[str, str]:
+    attributes = {"name": v.name, "valueReference": str(v.reference), "causality": v.causality}
+    attributes["variability"] = v.variability
+    return attributes | ({"description": v.about} if v.about else {})
+
+
+def _two(listed: list[Variable], identity: Mapping[str, str], step: float) -> ElementTree.Element:
+    root = ElementTree.Element("fmiModelDescription", _head(Fmi.TWO, identity))
+    able = dict.fromkeys(
+        (
+            "canHandleVariableCommunicationStepSize",
+            "canInterpolateInputs",
+            "canGetAndSetFMUstate",
+            "canSerializeFMUstate",
+        ),
+        "true",
+    )
+    simulation = ElementTree.SubElement(root, "CoSimulation", {"modelIdentifier": identity["file"], **able})
+    files = ElementTree.SubElement(simulation, "SourceFiles")
+    for name in ("fmi2.c", f"{identity['file']}.c"):
+        ElementTree.SubElement(files, "File", name=name)
+    _units(root, listed)
+    ElementTree.SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(step))
+    listing = ElementTree.SubElement(root, "ModelVariables")
+    for v in listed:
+        scalar = ElementTree.SubElement(listing, "ScalarVariable", _common(v))
+        start = {} if v.start is None else {"start": _text(v.start)}
+        kind = "Boolean" if isinstance(v.start, bool) else "Real"
+        ElementTree.SubElement(scalar, kind, start | ({"unit": v.unit} if v.unit else {}))
+    structure = ElementTree.SubElement(root, "ModelStructure")
+    for part, causalities in (("Outputs", ("output",)), ("InitialUnknowns", ("output",))):
+        names = ElementTree.SubElement(structure, part)
+        for index in _places(listed, causalities):
+            ElementTree.SubElement(names, "Unknown", index=str(index))
+    return root
+
+
+def _places(listed: list[Variable], causalities: tuple[str, ...]) -> Iterator[int]:
+    """Places of variables, counted from one."""
+    return (k for k, v in enumerate(listed, 1) if v.causality in causalities)
+
+
+def _three(listed: list[Variable], identity: Mapping[str, str], step: float) -> ElementTree.Element:
+    root = ElementTree.Element("fmiModelDescription", _head(Fmi.THREE, identity))
+    able = dict.fromkeys(
+        ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "canSerializeFMUState"), "true"
+    )
+    ElementTree.SubElement(root, "CoSimulation", {"modelIdentifier": identity["file"], **able})
+    _units(root, listed)
+    ElementTree.SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(step))
+    listing = ElementTree.SubElement(root, "ModelVariables")
+    for v in listed:
+        start = {} if v.start is None else {"start": _text(v.start)}
+        kind = "Boolean" if isinstance(v.start, bool) else "Float64"
+        ElementTree.SubElement(listing, kind, _common(v) | start | ({"unit": v.unit} if v.unit else {}))
+    structure = ElementTree.SubElement(root, "ModelStructure")
+    for part in ("Output", "InitialUnknown"):
+        for v in listed:
+            if v.causality == "output":
+                ElementTree.SubElement(structure, part, valueReference=str(v.reference))
+    return root

@@ -1,0 +1,165 @@
+"""The model in C says what the model in torch says: with every effect, and every element of a record's way."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from rotorid_torch.effects.base import Effect, Stage, Values
+from rotorid_torch.effects.examples import MULTIROTOR, example
+from rotorid_torch.effects.registry import EFFECTS, registered
+from rotorid_torch.effects.signal_operations import lagged, rate_limited, shifted, with_play
+from rotorid_torch.errors import InputError
+from rotorid_torch.exporting.c_source import c_source, identifier
+from rotorid_torch.model.model import Model
+from rotorid_torch.model.modes import reference_point
+from rotorid_torch.model.nominal import build
+from tests.effects.own_effects import OWN
+from tests.exporting.fly import fly_c, fly_torch
+from tests.known_models import helicopter, helicopter_spec, scattered, with_values
+
+DT = 0.02
+SAMPLES = 40
+AGREE = 1e-9
+MEMORY = {"control.delay", "control.lag", "control.rate_limit", "control.backlash"}
+
+
+def moved(model: Model, size: float = 0.02) -> Tensor:
+    """Smooth controls about the reference [T, nu], steps of no more than one rate at a time."""
+    time = DT * torch.arange(SAMPLES, dtype=torch.float64)[:, None]
+    turns = torch.arange(1.0, len(model.body.controls) + 1.0, dtype=torch.float64)
+    at = reference_point(model)[1]
+    scale = torch.where(at.abs() > 1.0, 0.1 * at.abs(), 1.0)
+    return at + size * scale * torch.sin(3.0 * time * turns.sqrt() + turns)
+
+
+def differs(model: Model, folder: Path) -> float:
+    """Largest difference of states and outputs, over what they are at most."""
+    x, _ = reference_point(model)
+    controls = moved(model)
+    c = fly_c(c_source(model, "a model", DT), folder, x.tolist(), controls, DT)
+    reference = fly_torch(model, x.tolist(), controls, DT)
+    assert c.shape == reference.shape
+    return float((np.abs(c - reference) / (1.0 + np.abs(reference))).max())
+
+
+def with_typical(effect: type[Effect]) -> Model:
+    """A vehicle that has the effect at its typical size."""
+    spec = example(effect)
+    plain = scattered(build(spec))
+    model = build(msgspec.structs.replace(spec, effects=(effect.id,)))
+    with_values(model, dict(zip(plain.parameter_set.names, plain.theta.tolist(), strict=True)))
+    return with_values(model, {p.name: p.typical for p in model.parameter_set.sizes(effect.id) if p.typical})
+
+
+@pytest.mark.parametrize("name", sorted(set(registered()) - MEMORY - {"sensors.delay"}))
+def test_every_effect_is_the_same_in_c(name: str, tmp_path: Path):
+    assert differs(with_typical(registered()[name]), tmp_path) < AGREE
+
+
+@pytest.mark.parametrize("effect", OWN, ids=lambda effect: effect.id)
+def test_effects_of_users_are_the_same_in_c(effect: type[Effect], tmp_path: Path, monkeypatch):
+    monkeypatch.setitem(EFFECTS, effect.id, effect)
+    model = with_typical(effect)
+    assert differs(model, tmp_path) < AGREE
+
+
+def test_an_effect_that_knows_whole_records_alone_is_refused_by_name(monkeypatch):
+    class Mean(Effect):
+        id, stage = "my.mean", Stage.CONTROL
+
+        def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
+            return record - record.mean(-2, keepdim=True)
+
+    monkeypatch.setitem(EFFECTS, Mean.id, Mean)
+    with pytest.raises(InputError, match=r"my\.mean: acts on whole records"):
+        c_source(build(helicopter_spec("none", effects=(Mean.id,))), "refused", DT)
+
+
+@pytest.mark.parametrize("flapping", ["none", "algebraic", "first order"])
+def test_a_helicopter_with_and_without_a_rotor(flapping, tmp_path: Path):
+    assert differs(helicopter(flapping), tmp_path) < AGREE
+
+
+def test_a_multirotor(tmp_path: Path):
+    assert differs(scattered(build(MULTIROTOR)), tmp_path) < AGREE
+
+
+def behind(effect: str, values: dict[str, float]) -> Model:
+    """A helicopter with one effect at these values."""
+    model = build(helicopter_spec("none", effects=(effect,)))
+    return with_values(with_values(model, helicopter("none").named_values), values)
+
+
+def path_of(effect: str, values: dict[str, float], controls: Tensor, folder: Path) -> np.ndarray:
+    """States and outputs of a helicopter whose controls pass one effect."""
+    model = behind(effect, values)
+    return fly_c(c_source(model, "path", DT), folder, reference_point(model)[0].tolist(), controls, DT)
+
+
+def plain_run(controls: Tensor) -> np.ndarray:
+    """The same helicopter in torch, under controls that have passed already."""
+    model = helicopter("none")
+    return fly_torch(model, reference_point(model)[0].tolist(), controls, DT)
+
+
+@pytest.mark.parametrize("delay", [0.0, DT, 1.3 * DT, 0.0731, 0.2])
+def test_a_delay_is_that_of_whole_records(delay: float, tmp_path: Path):
+    controls = moved(helicopter("none"))
+    passed = shifted(controls, torch.full((4,), delay, dtype=torch.float64), DT)
+    found = path_of("control.delay", {"control.delay.common": delay}, controls, tmp_path)
+    assert np.allclose(found, plain_run(passed), rtol=0.0, atol=AGREE)
+
+
+def test_a_delay_below_one_sample_looks_no_further_than_the_present(tmp_path: Path):
+    controls = moved(helicopter("none"))
+    passed = shifted(controls, torch.full((4,), 0.4 * DT, dtype=torch.float64), DT)
+    found = path_of("control.delay", {"control.delay.common": 0.4 * DT}, controls, tmp_path)
+    assert np.allclose(found, plain_run(passed), rtol=0.0, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("effect", "parameter", "size", "passed"),
+    [
+        ("control.lag", "common", 0.07, lambda u, p: lagged(u, p, DT)),
+        ("control.lag", "common", 0.0, lambda u, p: u),
+        ("control.rate_limit", "inverse", 20.0, lambda u, p: rate_limited(u, p, DT)),
+        ("control.backlash", "width", 0.01, lambda u, p: with_play(u, p)),
+    ],
+)
+def test_an_element_with_memory_is_that_of_whole_records(effect, parameter, size, passed, tmp_path: Path):
+    controls = moved(helicopter("none"))
+    late = passed(controls, torch.full((4,), size, dtype=torch.float64))
+    found = path_of(effect, {f"{effect}.{parameter}": size}, controls, tmp_path)
+    assert np.allclose(found, plain_run(late), rtol=0.0, atol=AGREE)
+
+
+def test_a_late_sensor_is_late_and_an_early_one_refused(tmp_path: Path):
+    model = behind("sensors.delay", {"sensors.delay.rates": 0.05})
+    assert differs(model, tmp_path) < AGREE
+    with_values(model, {"sensors.delay.rates": -0.05})
+    with pytest.raises(InputError, match=r"p comes 0.05 s before it is recorded"):
+        c_source(model, "early", DT)
+
+
+def test_controls_that_are_recorded_late_are_refused():
+    model = behind("sensors.delay", {"sensors.delay.controls": 0.05})
+    with pytest.raises(InputError, match="looks ahead"):
+        c_source(model, "ahead", DT)
+
+
+def test_the_same_model_is_the_same_text():
+    model = helicopter()
+    assert c_source(model, "uh60 60 kt", DT) == c_source(model, "uh60 60 kt", DT)
+
+
+@pytest.mark.parametrize(
+    ("title", "name"), [("UH-60 60 kt", "uh_60_60_kt"), ("67g", "model_67g"), ("for", "model_for"), ("±", "model")]
+)
+def test_titles_become_names_of_c(title: str, name: str):
+    assert identifier(title) == name
