@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -144,8 +143,8 @@ def test_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]):
 
 
 def test_every_argument_of_every_command_is_described():
-    (commands,) = (a for a in cli.parser()._actions if isinstance(a.choices, dict))
-    assert [(n, a.dest) for n, c in commands.choices.items() for a in c._actions if not a.help] == []
+    (commands,) = (a.choices for a in cli.parser()._actions if isinstance(a.choices, dict))
+    assert [(n, a.dest) for n, c in commands.items() for a in c._actions if not a.help] == []
 
 
 def test_module_and_console_script_are_the_same_program(tmp_path: Path):
@@ -158,7 +157,7 @@ def test_module_and_console_script_are_the_same_program(tmp_path: Path):
     assert {script.value for script in scripts} <= {"rotorid_torch.cli:main"}
 
 
-def options_of(*arguments: str) -> object:
+def options_of(*arguments: str) -> cli.Options:
     return cli.parser().parse_args(arguments)
 
 
@@ -358,7 +357,7 @@ def a_data_set(folder: Path) -> Path:
         stick = np.where((time > 2) & (time < 4), 0.05, 0.0)
         channels = {"time": time, "lat": stick + 1e-4 * generator.standard_normal(600)}
         channels |= {name: 0.01 * generator.standard_normal(600).cumsum() / 10 for name in "pqr"}
-        np.savez(folder / "flights" / f"{name}.npz", **channels)
+        np.savez(folder / "flights" / f"{name}.npz", **channels)  # pyright: ignore[reportArgumentType]
     head = 'format = 1\nname = "small"\nkind = "helicopter"\n[controls.lat]\nunit = "rad"\n'
     (folder / "dataset.toml").write_text(head + '[flights]\nidentify = ["one"]\nvalidate = ["two"]\n')
     return folder
@@ -390,7 +389,7 @@ def test_cuda_where_there_is_none_is_bad_input(monkeypatch, capsys: pytest.Captu
 
 
 def test_json_of_a_number_that_is_not_finite_is_null(capsys: pytest.CaptureFixture[str]):
-    cli._answer(SimpleNamespace(json=True, quiet=False), {"J": float("inf")}, "")
+    cli._answer(cli.Options(json=True, quiet=False), {"J": float("inf")}, "")
     assert msgspec.json.decode(capsys.readouterr().out) == {"J": None}
 
 
