@@ -25,6 +25,10 @@ class Rotor(Struct, frozen=True, forbid_unknown_fields=True):
     lock_number: float | None = None
 
 
+Frame = Literal["quad-x", "quad-+", "hexa-x", "hexa-+", "octa-x", "octa-+", "coaxial-x", "custom"]
+"""Where a multirotor's motors stand; logs number them in many orders, which flights tell."""
+
+
 class Motor(Struct, frozen=True, forbid_unknown_fields=True):
     """One motor: position in m from the centre of gravity, thrust = c0 + c1 m + c2 m² in N, torque over thrust in m."""
 
@@ -46,6 +50,7 @@ class Vehicle(Struct, frozen=True, forbid_unknown_fields=True):
     imu: Point | None = None
     rotor: Rotor | None = None
     motors: tuple[Motor, ...] = ()
+    frame: Frame | None = None
 
 
 class ControlSpec(Struct, frozen=True, forbid_unknown_fields=True):

@@ -121,3 +121,11 @@ def smoothed(record: Tensor, width: int) -> Tensor:
     before, after = width // 2, width - 1 - width // 2
     held = [rows[..., :1].expand(*rows.shape[:-1], before), rows, rows[..., -1:].expand(*rows.shape[:-1], after)]
     return (torch.cat(held, dim=-1).unfold(-1, width, 1) @ (kernel / kernel.sum())).movedim(-1, -2)
+
+
+def averaged(record: Tensor, half: int) -> Tensor:
+    """Centred mean over 2 half + 1 samples of a record [..., T], over fewer at its ends."""
+    total = torch.cat([torch.zeros_like(record[..., :1]), record.cumsum(-1)], dim=-1)
+    place = torch.arange(record.shape[-1])
+    first, last = (place - half).clamp(min=0), (place + half + 1).clamp(max=record.shape[-1])
+    return (total[..., last] - total[..., first]) / (last - first)

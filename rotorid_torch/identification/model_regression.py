@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
@@ -65,6 +65,10 @@ class Step2:
     theta: Tensor
     held: tuple[str, ...]
     own_share: Mapping[str, float]  # of each control's in-band motion, what body states do not explain (feedback)
+    errors: Mapping[str, float] = field(default_factory=dict)  # standard errors by full name: of a multirotor
+    constants: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # of flights, by response
+    without: Mapping[str, Tensor] = field(default_factory=dict)  # a multirotor's theta of all flights but that one
+    explained: Mapping[str, float] = field(default_factory=dict)  # R2 by response: of a multirotor
 
 
 def regress_model(model: Model, dataset: Dataset, reconstruction: Reconstruction) -> Step2:

@@ -16,7 +16,8 @@ from rotorid_torch.core.names import ATTITUDES, FLAPPING, FORCES, MOMENTS, RATES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.registry import predicted_by, refusal
-from rotorid_torch.effects.spec import FlappingKind, ModelSpec, MotorSpec, RotorSpec
+from rotorid_torch.effects.spec import FlappingKind, ModelSpec, MotorSpec, RotorSpec, usual_arm
+from rotorid_torch.identification.mixer import Mixer, find_mixer
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.model.inflow import CYCLIC, INDUCED, trim_velocity
 from rotorid_torch.model.nominal import thrust
@@ -60,6 +61,7 @@ def propose(dataset: Dataset, reconstruction: Reconstruction | None, effects: Se
     lag = _flapping_lag(dataset, drivers) if moving and have(dataset, FLAPPING) else None
     flapping: FlappingKind = "none" if lag is None else "algebraic" if lag == 0 else "first order"
     vehicle = dataset.vehicle
+    places, explained = motors(dataset, find=reconstruction is not None)
     spec = ModelSpec(
         states=tuple(states),
         controls=dataset.controls,
@@ -86,11 +88,12 @@ def propose(dataset: Dataset, reconstruction: Reconstruction | None, effects: Se
         mass_excludes=vehicle.mass_excludes,
         rotor=rotor,
         inputs=measured_inputs(dataset),
-        motors=motors(dataset),
-        spins=spins(dataset),
+        motors=places,
+        found_places=explained,
+        spins=spins(dataset) or (() if "N" not in (explained or {}) else tuple(m.spin for m in places)),
         effects=tuple(effects),
     )
-    return _with_patterns(spec, drivers if dataset.kind == "helicopter" else () if spec.motors else dataset.controls)
+    return _with_patterns(spec, drivers if dataset.kind == "helicopter" else ())
 
 
 def rival(spec: ModelSpec) -> ModelSpec | None:
@@ -171,7 +174,7 @@ def _predicted(channel: str, states: Sequence[str], flapping: FlappingKind, data
     if not any(dataset.facts[f].has(channel) for f in dataset.identify):
         return False
     if channel in SPECIFIC_FORCES:
-        alone = dataset.kind == "multirotor" and bool(motors(dataset))  # whose thrust has one axis
+        alone = dataset.kind == "multirotor"  # whose thrust has one axis
         return "u" in states or have(dataset, (channel,) if alone else SPECIFIC_FORCES)
     return channel in states or (channel in FLAPPING and flapping != "none")
 
@@ -265,25 +268,34 @@ def spins(dataset: Dataset) -> tuple[float, ...]:
     return tuple(1.0 if motor.spin == "ccw" else -1.0 for motor in dataset.vehicle.motors)
 
 
-def motors(dataset: Dataset) -> tuple[MotorSpec, ...]:
-    """The declared motors of a multirotor; none where their places are not declared."""
+def motors(dataset: Dataset, find: bool) -> tuple[tuple[MotorSpec, ...], dict[str, float] | None]:
+    """The motors of a multirotor as declared; else where flights say that they stand, and how well they say it.
+
+    find : whether to look; unknown places are at the centre, so that they turn nothing.
+    """
     if dataset.kind != "multirotor":
-        return ()
-    return tuple(
+        return (), None
+    declared = tuple(
         MotorSpec(position=m.position, spin=spin, thrust=m.thrust, torque_ratio=m.torque_ratio)
         for m, spin in zip(dataset.vehicle.motors, spins(dataset), strict=True)
     )
+    if declared:
+        return declared, None
+    count = len(dataset.controls)
+    nowhere = Mixer(torch.zeros(count, 3, dtype=torch.float64), {})
+    mixer = find_mixer(dataset, rotor_speeds(dataset)) if find else nowhere
+    return mixer.motors(usual_arm(dataset.vehicle.mass), dataset.vehicle.frame), dict(mixer.explained)
 
 
 def rotor_speeds(dataset: Dataset) -> tuple[str, ...]:
     """Channels of the rotors' speeds where every flight has all of them, one per motor command."""
     wanted = tuple(f"omega{control.removeprefix('motor')}" for control in dataset.controls)
-    return wanted if motors(dataset) and _every_flight_has(dataset, wanted) else ()
+    return wanted if dataset.kind == "multirotor" and _every_flight_has(dataset, wanted) else ()
 
 
 def measured_inputs(dataset: Dataset) -> tuple[str, ...]:
     """Measured quantities besides the commands that drive a multirotor: rotor speeds, battery voltage."""
-    battery = ("voltage",) if motors(dataset) and _every_flight_has(dataset, ("voltage",)) else ()
+    battery = ("voltage",) if dataset.kind == "multirotor" and _every_flight_has(dataset, ("voltage",)) else ()
     return (*rotor_speeds(dataset), *battery)
 
 

@@ -123,7 +123,7 @@ def _powers(spec: ModelSpec) -> tuple[Parameter, ...]:
 
 
 def _declared(spec: ModelSpec) -> bool:
-    return spec.mass is not None and spec.inertia is not None
+    return spec.mass is not None and spec.inertia is not None and spec.found_places is None
 
 
 def _trims(spec: ModelSpec, span: float) -> tuple[Parameter, ...]:

@@ -26,6 +26,7 @@ from rotorid_torch.validate.scores import autocorrelation
 MEASURED, MODEL, QUIET = "#c0392b", "#1f4e9c", "#b8bcc4"
 LIST_COLOURS = {"identify": "#7f8c8d", "validate": "#1f4e9c", "acid": "#8e2f8f"}
 ROTOR = (*names.FLAPPING, "omega")
+ANGULAR_ACCELERATIONS = tuple(f"{rate}dot" for rate in names.RATES)
 SHOWN_FLIGHTS = 4
 WIDTH = 4.8  # inches: on a phone the letters stay readable
 LETTER = 0.075  # inches, of size 9
@@ -34,7 +35,7 @@ LAGS = 50
 
 @dataclass(frozen=True)
 class Overlay:
-    """A free run beside its measurement.
+    """A free run, or a multirotor's accelerations at measured states, beside what was measured.
 
     Attributes
     ----------
@@ -58,7 +59,7 @@ class Overlay:
 def draw(overlays: Sequence[Overlay], fit: FitRecord | None) -> dict[str, Figure]:
     """Every picture that these free runs and scores allow, by the name of its file."""
     pictures: dict[str, Figure] = {}
-    if fit is not None and fit.flights:
+    if fit is not None and fit.flights and not any(flight.responses for flight in fit.flights.values()):
         pictures["scores"] = scores(fit)
     judged = [overlay for overlay in overlays if overlay.list == "validate"]
     acid = [overlay for overlay in overlays if overlay.list == "acid"] or judged
@@ -79,6 +80,8 @@ def _of_one_flight(overlay: Overlay) -> Iterator[tuple[str, Figure]]:
         "figure8_rates": names.RATES,
         "figure9_rotor": ROTOR,
         "attitude": names.ATTITUDES,
+        "accelerations": names.SPECIFIC_FORCES,
+        "turning": ANGULAR_ACCELERATIONS,
     }
     for name, channels in groups.items():
         if overlay.common(channels):

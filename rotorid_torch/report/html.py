@@ -10,7 +10,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 
 from rotorid_torch.printable import printable
 from rotorid_torch.report.records import FitRecord, ModeRecord, ParameterRecord, Report
-from rotorid_torch.report.short_horizon import FREE_RUN, NAMES, short_horizon
+from rotorid_torch.report.short_horizon import BRACKETS, NAMES, short_horizon
 from rotorid_torch.report.summary import air_of, headline, list_summaries, next_steps, shown_flights
 
 CAPTIONS = {
@@ -29,6 +29,8 @@ CAPTIONS = {
     "figure8_rates": "Body rates.",
     "figure9_rotor": "Rotor.",
     "attitude": "Attitude.",
+    "accelerations": "Specific forces at measured states, one constant per flight taken out.",
+    "turning": "Angular accelerations at measured states, one constant per flight taken out.",
     "residual": "What the model leaves over. A slow drift points to trim or low-frequency derivatives, a burst at the"
     " edges of controls to delay or missing rotor dynamics, a line to vibration.",
 }
@@ -56,7 +58,7 @@ def render(report: Report, pictures: Mapping[str, bytes]) -> str:
         fits=[(title, fit, list_summaries(fit), shown_flights(fit)) for title, fit in _fits(report)],
         short={title: short_horizon(fit) for title, fit in _fits(report)},
         names=NAMES,
-        free_run=FREE_RUN,
+        brackets=BRACKETS,
         tested=sorted((e for e in report.effects if e.verdict in ORDER), key=lambda e: ORDER.index(e.verdict)),
         untested=[e for e in report.effects if e.verdict not in ORDER],
         pictures=[(name, _caption(name), base64.b64encode(png).decode()) for name, png in pictures.items()],

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
-from rotorid_torch.core.names import ATTITUDES, FLAPPING, MOMENTS, VELOCITIES
+from rotorid_torch.core.names import ATTITUDES, FLAPPING, MOMENTS, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.effects.spec import ModelSpec, MotorSpec
 from rotorid_torch.identification.structure import have, sticks_alone
 from rotorid_torch.model.rotors import beyond_belief
 from rotorid_torch.report.records import FitRecord
@@ -19,6 +19,10 @@ SLOWER = 4.0
 """Times by which a disc that tilts more slowly than it cones is worth a sentence; one Lock number makes it 2 to 3.5."""
 SURE = 2.0
 """Standard errors by which it must be so."""
+TILTED = 0.1
+"""m/s2 by which flights' constants along x and y differ at least to be worth a sentence: a tilt of 0.6 degrees."""
+LIFTED = 0.02
+"""The same of the thrust, over the weight."""
 CYCLIC = {"a1": "lon", "b1": "lat"}
 
 
@@ -37,10 +41,34 @@ def of_channels(dataset: Dataset, spec: ModelSpec) -> Iterator[str]:
         yield f"{', '.join(left)} measured, but not all that they need beside them: left out and not scored"
     if dataset.kind == "helicopter":
         yield from _of_helicopter(dataset, spec)
-    elif not spec.motors:
-        yield "the motors' places are not declared ([[vehicle.motors]]): each command has free derivatives instead"
-    elif "Z" not in spec.patterns:
+        return
+    if spec.found_places is not None:
+        yield _of_places(spec)
+    if "Z" not in spec.patterns:
         yield "neither az nor w is measured: the thrust curve is held at hover balance, control powers carry its error"
+
+
+def _of_places(spec: ModelSpec) -> str:
+    """Where flights say that motors stand whose places are not declared."""
+    found, start = spec.found_places or {}, "the motors' places are not declared ([[vehicle.motors]]): "
+    unknown = [row for row in MOMENTS if row not in found]
+    lost = f"{' '.join(unknown)} not testable, for little of the angular acceleration goes with the motors"
+    if not found:
+        return f"{start}thrust acts along -z; {lost}"
+    each = [f"{name} {_stands(m, found)}" for name, m in zip(spec.controls, spec.motors, strict=True)]
+    share = ", ".join(f"{row} {r2:.2f}" for row, r2 in found.items())
+    said = f"{start}found from the flights (R² of {share}): {', '.join(each)}; arms over inertia alone are known"
+    return f"{said}; {lost}" if unknown else said
+
+
+def _stands(motor: MotorSpec, found: Mapping[str, float]) -> str:
+    """In words, by the moments that tell."""
+    x, y, _ = motor.position
+    least = 0.2 * max(abs(x), abs(y))
+    along = ("ahead" if x > 0.0 else "behind") if "M" in found and abs(x) > least else ""
+    across = ("right" if y > 0.0 else "left") if "L" in found and abs(y) > least else ""
+    spin = ("ccw" if motor.spin > 0.0 else "cw") if "N" in found else ""
+    return " ".join(word for word in (along, across, spin) if word) or "near the middle"
 
 
 def _of_helicopter(dataset: Dataset, spec: ModelSpec) -> Iterator[str]:
@@ -68,9 +96,9 @@ def of_rotors(spec: ModelSpec, fit: FitRecord) -> Iterator[str]:
     silent = [row for row in MOMENTS if values[f"rotors.power.{row}"].status == "frozen"]
     if silent:
         yield (
-            f"{' '.join(silent)} not testable: the thrusts predict body rates over 0.1 s worse than holding them does,"
-            " so the model holds them; commands that a rate controller makes faster than they were recorded, or"
-            " streams that do not belong together in time, look like that"
+            f"{' '.join(silent)} not testable: the thrusts explain little of the angular accelerations, or predict"
+            " rates over 0.1 s worse than holding them does, so the model holds them; commands that a rate controller"
+            " makes faster than they were recorded, or streams that do not belong together in time, look like that"
         )
     wrong = beyond_belief(spec, {p.name: p.value or 0.0 for p in fit.parameters})
     for row in MOMENTS:
@@ -89,6 +117,29 @@ def of_rotors(spec: ModelSpec, fit: FitRecord) -> Iterator[str]:
                 f" {declared / power:.3g} kg m² ({100 * (1 / power - 1):+.0f} %) would explain it, if mass and arms are"
                 " right and no lag is missing"
             )
+
+
+def of_constants(spec: ModelSpec, fit: FitRecord) -> Iterator[str]:
+    """Constants of a multirotor's specific forces that differ from flight to flight, and what they may be."""
+    means = {
+        c: [r.constant for f in fit.flights.values() if (r := f.responses.get(c)) and r.constant is not None]
+        for c in SPECIFIC_FORCES
+    }
+    across = {c: v for c, v in means.items() if c != "az" and len(v) > 1 and max(v) - min(v) > TILTED}
+    if across:
+        most = max(abs(x - sum(v) / len(v)) for v in across.values() for x in v)
+        ranges = ", ".join(f"{c} from {min(v):.2g} to {max(v):.2g} m/s²" for c, v in across.items())
+        yield (
+            f"constants of flights differ ({ranges}): the attitude's zero is tilted against the accelerometers by up to"
+            f" {math.degrees(most / spec.gravity):.1f} degrees, differently in each flight, or these are biased; no"
+            " effect of the model stands for it, and R² as measured counts it as an error"
+        )
+    level = means["az"]
+    if len(level) > 1 and max(level) - min(level) > LIFTED * spec.gravity:
+        yield (
+            f"measured less modelled az is {min(level):.2g} to {max(level):.2g} m/s² on average, from flight to flight:"
+            " battery, mass, propellers or the accelerometer's bias; R² as measured counts it as an error"
+        )
 
 
 def of_flapping(fit: FitRecord) -> Iterator[str]:

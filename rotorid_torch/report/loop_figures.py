@@ -26,6 +26,7 @@ def draw_loop(
     if ranked:
         pictures["evidence"] = evidence(ranked)
     pairs = [(b, a) for b in before for a in after if a.flight == b.flight and a.list != "identify"]
+    pairs = [(b, a) for b, a in pairs if set(b.common(names.BODY)) & set(a.common(names.BODY))]
     if pairs:
         pictures["residual_spectrum"] = spectra(pairs)
     return pictures

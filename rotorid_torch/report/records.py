@@ -94,11 +94,16 @@ class WindowsRecord(Record, frozen=True, kw_only=True):
 
 
 class ResponseRecord(Record, frozen=True, kw_only=True):
-    """What a model gives at measured states against what was measured: nothing is integrated."""
+    """What a model gives at measured states against what was measured: nothing is integrated.
+
+    constant : mean of measured minus model over the flight; r2_without_constant : R2 with it taken out.
+    """
 
     rmse: Size
     r2: AtMostOne
     unit: str
+    constant: Number = None
+    r2_without_constant: AtMostOne = None
 
 
 class PredictionRecord(Record, frozen=True, kw_only=True):

@@ -14,7 +14,7 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.identification.model_estimation import Step3
 from rotorid_torch.identification.model_regression import Step2
 from rotorid_torch.report.records import FitRecord
-from rotorid_torch.report.short_horizon import FREE_RUN, short_horizon
+from rotorid_torch.report.short_horizon import short_horizon
 from rotorid_torch.report.summary import GRADED, WORSE_THAN_TRIM, at_an_edge, at_once, list_summaries
 
 OWN_SHARE = 0.1
@@ -109,10 +109,7 @@ def of_estimate(step3: Step3, fit: FitRecord) -> Iterator[str]:
             f"step 3 did not converge ({step3.fit.minimum.message}): take the standard errors with care;"
             " longer flights, or test inputs on every control, would help"
         )
-    meaningless = bool(short_horizon(fit))
-    if meaningless:
-        yield FREE_RUN
-    for summary in () if meaningless else list_summaries(fit):
+    for summary in () if short_horizon(fit) else list_summaries(fit):
         if summary.grade == WORSE_THAN_TRIM:
             yield (
                 f"on the {summary.name} flights the model is {WORSE_THAN_TRIM} (J {summary.judged:.3g} against"

@@ -7,7 +7,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rotorid_torch.report.records import FitRecord, Report
-from rotorid_torch.report.short_horizon import NAMES, short_horizon
+from rotorid_torch.report.short_horizon import BRACKETS, NAMES, short_horizon
 from rotorid_torch.report.summary import air_of, headline, list_summaries, place_of
 
 
@@ -19,8 +19,8 @@ def scorecard(report: Report) -> RenderableType:
             heading = f"{report.dataset.name}, {title}" if report.after else report.dataset.name
             if short_horizon(fit):
                 parts.append(_short(heading, fit))
-                heading = "free runs of 8 s, which mean nothing here"
-            parts.append(_scores(heading, fit))
+            else:
+                parts.append(_scores(heading, fit))
             parts += [Text(said) for said in (report.method_of(fit), air_of(fit)) if said]
     parts.append(Text(headline(report)))
     if report.verdict:
@@ -52,13 +52,13 @@ def _scores(title: str, fit: FitRecord) -> Table:
 def _short(title: str, fit: FitRecord) -> Table:
     """Responses and predictions of a multirotor, list by list."""
     lists = short_horizon(fit)
-    table = Table(title=title, title_justify="left")
+    table = Table(title=title, title_justify="left", caption=BRACKETS, caption_justify="left")
     table.add_column("")
     for one in lists:
         table.add_column(f"{one.name} ({one.flights})", justify="right")
     for name in dict.fromkeys(name for one in lists for name in one.responses):
-        values = (one.responses.get(name) for one in lists)
-        table.add_row(f"R² of {NAMES.get(name, name)}", *map(_number, values))
+        values = ((one.responses.get(name), one.measured.get(name)) for one in lists)
+        table.add_row(f"R² of {NAMES.get(name, name)}", *(f"{_number(r2)} ({_number(raw)})" for r2, raw in values))
     for p in lists[0].predictions:
         same = ({(q.quantity, q.seconds): q for q in one.predictions}.get((p.quantity, p.seconds)) for one in lists)
         cells = ("-" if q is None else f"{q.error:.3g} ({q.held:.3g})" for q in same)

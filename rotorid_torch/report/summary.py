@@ -172,10 +172,9 @@ def failing(fit: FitRecord) -> str:
 
 def _failing_ahead(flights: ShortHorizon) -> str:
     """The same for a multirotor: predictions over the longest time, then the mean R² of the accelerations."""
-    last = max((p.seconds for p in flights.predictions), default=0.0)
-    worse = [p.quantity for p in flights.predictions if p.seconds == last and p.error > p.held]
-    if worse:
-        return f"on the {flights.name} flights the model predicts {_listed(worse)} worse than holding what was measured"
+    if flights.worse:
+        said = f"{_listed(flights.worse)} worse than holding what was measured"
+        return f"on the {flights.name} flights the model predicts {said}"
     accelerations = {name: r2 for name, r2 in flights.responses.items() if not name.startswith("omega")}
     shares = [r2 for r2 in accelerations.values() if math.isfinite(r2)]
     mean = sum(shares) / len(shares) if shares else 1.0

@@ -27,7 +27,7 @@ from rotorid_torch.report.figures import Overlay
 from rotorid_torch.report.records import FitRecord, ParameterRecord, Report, VerdictRecord
 from rotorid_torch.report.short_horizon import short_horizon
 from rotorid_torch.report.summary import failing
-from rotorid_torch.run.estimate import estimated
+from rotorid_torch.run.estimate import at_measured_states, estimated
 from rotorid_torch.run.fit_record import fit_record, judge
 from rotorid_torch.run.free_runs import best_of, free_run_gain, worse
 from rotorid_torch.run.loop_record import as_fitted, effect_record, of_sensors, unknown_record
@@ -42,7 +42,7 @@ from rotorid_torch.run.turbulence import in_turbulence, with_gusts, without_clea
 from rotorid_torch.trace.clean_aircraft import clean_draws
 from rotorid_torch.trace.evidence.fits import Fitted, Flights, refit
 from rotorid_torch.trace.loop import Tracing, trace
-from rotorid_torch.trace.multirotor import Identified, trace_rotors
+from rotorid_torch.trace.multirotor import trace_rotors
 from rotorid_torch.trace.network import learn
 from rotorid_torch.trace.search.decide import Row, decide
 from rotorid_torch.trace.search.forward_selection import of_effects
@@ -214,16 +214,11 @@ def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
 
 
 def _rotors_traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
-    """By accelerations at measured states, each candidate identified in full."""
-    quiet = Steps(Monitor(), ALONE, Checkpoint())
+    """By accelerations at measured states, to which each candidate is fitted."""
     told = [f"rotors.{kind}.{row}" for kind in ("power", "trim") for row in MOMENTS]
     free, values = ({n: v for n, v in known.items() if n not in told} for known in (base.spec.free, base.spec.values))
 
-    def fit(spec: ModelSpec) -> Identified:
-        _, model, _, found = estimated(spec, flights.dataset, flights.reconstruction, quiet)
-        errors = dict(zip(found.names, found.fit.errors.tolist(), strict=True))
-        return Identified(spec, model, errors)
-
+    fit = partial(at_measured_states, dataset=flights.dataset, reconstruction=flights.reconstruction)
     # what step 2 could not tell without an effect may be told with it
     untold = msgspec.structs.replace(base.spec, free=free, values=values)
     return trace_rotors(untold, flights.dataset, fit, steps.monitor.say, seed, steps.ranks)

@@ -2,34 +2,61 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator
 
 import msgspec
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.names import MOMENTS
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.model_estimation import Step3, estimate_model
 from rotorid_torch.identification.model_regression import Step2, regress_model
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.identification.rotor_regression import regress_rotors
-from rotorid_torch.model.model import Model
+from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.report import remarks
 from rotorid_torch.run.output.checkpoint import Steps
+from rotorid_torch.trace.multirotor import Identified
 from rotorid_torch.validate.predictions import unexplained_moments
+
+EXPLAINED = 0.3
+"""R² of an angular acceleration at measured states below which the rotors do not explain it."""
+PREDICTED = 6
+"""Identify flights on which body rates are predicted, at most."""
+
+
+def regressed(spec: ModelSpec, dataset: Dataset, reconstruction: Reconstruction) -> tuple[ModelSpec, Model, Step2]:
+    """Step 2 of one structure; of a multirotor's once more where the first says that a moment is not explained."""
+    model = build(spec)
+    if not spec.motors:
+        return spec, model, regress_model(model, dataset, reconstruction)
+    regressions = regress_rotors(model, dataset, reconstruction)
+    told = _told(spec, model, regressions, dataset)
+    if told == spec:
+        return spec, model, regressions
+    model, known = build(told), model.named_values
+    model.start_from({n: v for n, v in known.items() if n not in told.values})
+    return told, model, regress_rotors(model, dataset, reconstruction)
+
+
+def at_measured_states(spec: ModelSpec, dataset: Dataset, reconstruction: Reconstruction) -> Identified:
+    """A multirotor's model by step 2 alone, which is least squares of what its effects are judged by."""
+    _, model, regressions = regressed(spec, dataset, reconstruction)
+    with torch.no_grad():
+        model.theta.copy_(regressions.theta)
+    return Identified(spec, model, regressions.errors, regressions.without)
 
 
 def estimated(
     spec: ModelSpec, dataset: Dataset, reconstruction: Reconstruction, steps: Steps
 ) -> tuple[ModelSpec, Model, Step2, Step3]:
     """Steps 2 and 3 of one structure."""
-    model, monitor = build(spec), steps.monitor
-    regress = regress_rotors if spec.motors else regress_model
-    regressions = steps.do("ftr", f"ftr-{spec.flapping}", lambda: regress(model, dataset, reconstruction))
-    if spec.motors:
-        spec, model, regressions = _told(spec, model, regressions, dataset)
+    monitor = steps.monitor
+    spec, model, regressions = steps.do("ftr", f"ftr-{spec.flapping}", lambda: regressed(spec, dataset, reconstruction))
     monitor.scalars({f"ftr/R2/{row}": float(r.r2) for row, r in regressions.regressions.items()}, 0)
     for line in remarks.regression_table(regressions):
         monitor.log(line)
@@ -49,15 +76,23 @@ def estimated(
     return spec, model, regressions, estimate
 
 
-def _told(spec: ModelSpec, model: Model, regressions: Step2, dataset: Dataset) -> tuple[ModelSpec, Model, Step2]:
-    """A multirotor's structure with those control powers held at zero whose rates are better held than predicted."""
+def _told(spec: ModelSpec, model: Model, regressions: Step2, dataset: Dataset) -> ModelSpec:
+    """A multirotor's structure with those control powers held at zero which explain little of the moments.
+
+    That is of the angular accelerations, or of the rates, which are better held than predicted then.
+    """
+    r2 = dict(zip(MOMENTS, (regressions.explained[a] for a in ANGULAR_ACCELERATIONS), strict=True))
     with torch.no_grad():
         model.theta.copy_(regressions.theta)
-    rows = unexplained_moments(model, (dataset.flights[name] for name in dataset.identify))
+    little = [row for row in MOMENTS if r2[row] < EXPLAINED]
+    ahead = little if len(little) == len(MOMENTS) else unexplained_moments(model, _first(dataset))
+    rows = [row for row in MOMENTS if row in {*little, *ahead}]
     held = [name for row in rows for name in (f"rotors.power.{row}", f"rotors.trim.{row}")]
-    theta = regressions.theta.clone()
-    theta[[model.parameter_set.index(name) for name in held]] = 0.0
-    spec = msgspec.structs.replace(
+    return msgspec.structs.replace(
         spec, free={**spec.free, **dict.fromkeys(held, False)}, values={**spec.values, **dict.fromkeys(held, 0.0)}
     )
-    return spec, build(spec), replace(regressions, theta=theta)
+
+
+def _first(dataset: Dataset) -> Iterator[Flight]:
+    """The first identify flights, on which rates are predicted."""
+    return (dataset.flights[name] for name in dataset.identify[:PREDICTED])

@@ -37,9 +37,11 @@ from rotorid_torch.report.summary import SHOWN
 from rotorid_torch.validate import scores
 from rotorid_torch.validate.free_run import Runs, Windows
 from rotorid_torch.validate.predictions import UNITS, predictions
-from rotorid_torch.validate.responses import responses
+from rotorid_torch.validate.responses import compared, responses
 from rotorid_torch.validate.windows import Scored, all_windows
 
+PICTURED_S = 20.0
+"""Seconds of a multirotor's flight that pictures show."""
 RESPONSE_UNITS = dict.fromkeys(ANGULAR_ACCELERATIONS, "rad/s2") | dict.fromkeys(SPECIFIC_FORCES, "m/s2")
 
 
@@ -109,7 +111,10 @@ def judge(model: Model, dataset: Dataset, ranks: Ranks = ALONE) -> Judged:
         if dataset.kind == "multirotor":
             records[name] = _without_free_run(model, dataset, name, records[name], run)
         if name in shown:
-            overlays[name] = _overlay(model, dataset, name, piece, outputs)
+            multirotor = dataset.kind == "multirotor"
+            overlays[name] = (
+                _accelerations(model, dataset, name) if multirotor else _overlay(model, dataset, name, piece, outputs)
+            )
     for others, pictures in ranks.gather((records, overlays)):
         records, overlays = records | others, overlays | pictures
     ordered, J = {name: records[name] for name in dataset.flights}, defaultdict(list)
@@ -140,7 +145,7 @@ def _without_free_run(model: Model, dataset: Dataset, name: str, record: FlightR
     """
     flight = dataset.flights[name]
     explained = {
-        name: ResponseRecord(rmse=response.rmse, r2=response.r2, unit=RESPONSE_UNITS.get(name, "rad/s"))
+        name: ResponseRecord(**vars(response), unit=RESPONSE_UNITS.get(name, "rad/s"))
         for name, response in responses(model, flight).items()
     }
     ahead = tuple(
@@ -166,6 +171,19 @@ def _channels(model: Model, piece: Windows, outputs: Tensor) -> dict[str, Channe
         for i, channel in enumerate(model.body.outputs)
         if not bool(measured[:, i].isnan().all())
     }
+
+
+def _accelerations(model: Model, dataset: Dataset, name: str) -> Overlay:
+    """What the model of a multirotor makes of measured states beside what was measured, less a constant each."""
+    flight = dataset.flights[name]
+    pairs = compared(model, flight)
+    measured, modelled = ({c: pair[k] for c, pair in pairs.items()} for k in (0, 1))
+    level = {c: m + (measured[c] - m).mean() for c, m in modelled.items()}
+    samples = len(next(iter(measured.values()), flight.time))
+    shown = slice(0, min(samples, round(PICTURED_S / flight.dt)))
+    time = flight.dt * torch.arange(shown.stop, dtype=torch.float64)
+    first, second = ({c: v[shown] for c, v in values.items()} for values in (measured, level))
+    return Overlay(name, dataset.listed(name), time, first, second)
 
 
 def _overlay(model: Model, dataset: Dataset, name: str, piece: Windows, outputs: Tensor) -> Overlay:

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import msgspec
 
-from rotorid_torch.core.processes.ranks import ALONE
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model
 from rotorid_torch.report.records import EffectRecord, ParameterRecord, Role, UnknownRecord, VisibleRecord
-from rotorid_torch.run.estimate import estimated
-from rotorid_torch.run.output.checkpoint import Checkpoint, Steps
-from rotorid_torch.run.output.monitor import Monitor
+from rotorid_torch.run.estimate import at_measured_states
 from rotorid_torch.run.result import Run
 from rotorid_torch.trace.evidence.fits import Flights, refit
-from rotorid_torch.trace.multirotor import Identified, rotors_earned
+from rotorid_torch.trace.multirotor import rotors_earned
 from rotorid_torch.trace.search.requested import earned
 from rotorid_torch.trace.sensors.sensor_finding import KinematicFinding
 from rotorid_torch.trace.terms.eligible import untried
@@ -88,12 +85,7 @@ def with_evidence(run: Run, dataset: Dataset, effects: Sequence[str], seed: int)
     dataset : as the steps saw it. seed : of the residuals that say what chance explains.
     """
     if run.spec.motors:
-        quiet = Steps(Monitor(), kept=Checkpoint(), ranks=ALONE)
-
-        def fit(spec: ModelSpec) -> Identified:
-            _, model, _, estimate = estimated(spec, dataset, run.reconstruction, quiet)
-            return Identified(spec, model, dict(zip(estimate.names, estimate.fit.errors.tolist(), strict=True)))
-
+        fit = partial(at_measured_states, dataset=dataset, reconstruction=run.reconstruction)
         findings = rotors_earned(fit(run.spec), dataset, fit, effects, seed)
     else:
         flights, held = Flights(dataset, run.reconstruction), run.regressions.held

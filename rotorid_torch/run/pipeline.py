@@ -176,6 +176,7 @@ def remarks_on(
         *remarks.of_estimate(estimate, fit),
         *limits.of_channels(dataset, spec),
         *limits.of_rotors(spec, fit),
+        *limits.of_constants(spec, fit),
         *limits.of_flapping(fit),
     ]
 

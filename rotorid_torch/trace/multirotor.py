@@ -2,13 +2,13 @@
 
 Free runs of a vehicle that was flown in closed loop mean little, and no clean multirotor is drawn: a candidate counts
 above what its own signature would gain on the model's residual with its blocks in another order, and where flights
-that no fit has seen gain too.
+that no fit has seen gain too: validate flights, and each identify flight by a fit of all others.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import msgspec
@@ -40,22 +40,36 @@ BLOCK_S = 1.0
 """Blocks of the residual that are put in another order: longer than what a motor or a stream is late by."""
 PAIRED_S = 5.0
 """s: blocks that are compared as pairs."""
+LEFT_OUT = "without "
+"""Before the name of a flight: its responses by a fit of all others."""
 SHUFFLES = 200
 """Orders of the blocks: enough for a quantile of 5 %."""
 
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """A model identified by the three steps. errors : standard errors of the estimated parameters by full name."""
+    """A model that was identified.
+
+    errors : standard errors of the estimated parameters by full name. without : theta of all identify flights but one,
+    by that one's name: to it, that flight is unseen.
+    """
 
     spec: ModelSpec
     model: Model
     errors: Mapping[str, float]
+    without: Mapping[str, Tensor] = field(default_factory=dict)
 
     @property
     def values(self) -> dict[str, float]:
         """Every parameter by its full name."""
         return self.model.named_values
+
+    def started(self, spec: ModelSpec) -> ModelSpec:
+        """A spec whose effects begin with the sizes that they have here."""
+        begins = [f"{e}." for e in (*self.spec.effects, *spec.effects)]
+        others = {n: v for n, v in spec.values.items() if not any(n.startswith(b) for b in begins)}
+        known = {n: v for n, v in self.values.items() if any(n.startswith(f"{e}.") for e in spec.effects)}
+        return msgspec.structs.replace(spec, values={**others, **known})
 
 
 Fit = Callable[[ModelSpec], Identified]
@@ -90,7 +104,8 @@ def trace_rotors(
     final = search.confirmed(now)
     alike = {e: search.in_place_of(final, e, search.near[e]) for e in search.accepted}
     search.groups = {e: others for e, others in alike.items() if others}
-    centre, missing = out_of_balance(final.model, final.spec, dataset, dataset.unseen) if spec.motors else (None, None)
+    balanced = bool(spec.motors) and spec.found_places is None  # of arms that are not known nothing balances
+    centre, missing = out_of_balance(final.model, final.spec, dataset, dataset.unseen) if balanced else (None, None)
     note = "critical values come from residuals whose blocks stand in another order: no clean multirotor is drawn"
     findings += [search.finding(final, e) for e in undeclared]
     centred = tuple(centre if centre and f.id == centre.id else f for f in findings)
@@ -110,7 +125,7 @@ def rotors_earned(
         if registered()[effect].showing in ELSEWHERE:
             findings.append(Finding(effect, role, "not testable", NOT_IN_TRAJECTORIES))
             continue
-        without = fit(whole.spec.without([effect]))
+        without = fit(whole.started(whole.spec.without([effect])))
         search.rows = believed([without, whole])
         search.observe(without, {effect: whole})
         trial = search.trials[effect]
@@ -134,17 +149,21 @@ def believed(models: Sequence[Identified]) -> tuple[str, ...]:
     return (*SPECIFIC_FORCES, *turns)
 
 
-def _told(identified: Identified) -> tuple[dict[str, Any], Tensor, dict[str, float]]:
-    """What travels between ranks."""
-    return identified.spec.plain(), identified.model.theta.detach().clone(), dict(identified.errors)
+Message = tuple[dict[str, Any], Tensor, dict[str, float], dict[str, Tensor]]
+"""What travels between ranks."""
 
 
-def _again(_: ModelSpec, message: tuple[dict[str, Any], Tensor, dict[str, float]]) -> Identified:
+def _told(identified: Identified) -> Message:
+    theta = identified.model.theta.detach().clone()
+    return identified.spec.plain(), theta, dict(identified.errors), dict(identified.without)
+
+
+def _again(_: ModelSpec, message: Message) -> Identified:
     spec = ModelSpec.from_plain(message[0])
     model = build(spec)
     with torch.no_grad():
         model.theta.copy_(message[1])
-    return Identified(spec, model, message[2])
+    return Identified(spec, model, message[2], message[3])
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,10 +195,20 @@ class _Search:
         """Responses of a model on all flights that may be looked at."""
         if id(model) not in self._kept:
             names = (*self.dataset.identify, *self.dataset.validate)
-            self._kept[id(model)] = (model, {n: compared(model.model, self.dataset.flights[n]) for n in names})
+            records = {n: compared(model.model, self.dataset.flights[n]) for n in names}
+            for flight, theta in model.without.items():
+                with model.model.restored(), torch.no_grad():
+                    model.model.theta.copy_(theta)
+                    records[LEFT_OUT + flight] = compared(model.model, self.dataset.flights[flight])
+            self._kept[id(model)] = (model, {n: _about_means(pairs) for n, pairs in records.items()})
         whole = self._kept[id(model)][1]
         counts = lambda name: name in self.rows or name.startswith("omega")  # noqa: E731
         return {flight: {c: pair for c, pair in pairs.items() if counts(c)} for flight, pairs in whole.items()}
+
+    def unseen(self, *models: Identified) -> tuple[str, ...]:
+        """Flights that no fit has seen: validate flights, and identify flights to models fitted without them."""
+        left_out = [n for n in self.dataset.identify if all(n in m.without for m in models)]
+        return (*self.dataset.validate, *(LEFT_OUT + n for n in left_out)) or tuple(self.dataset.unseen)
 
     def by_flight(self, null: Identified, other: Identified, flights: Sequence[str]) -> Tensor:
         """Mean over the responses of log(rms without / rms with) on each flight [F]; an axis left alone counts little.
@@ -196,10 +225,11 @@ class _Search:
     def _log_ratios(self, null: Identified, other: Identified, flight: str, block_s: float | None) -> Tensor:
         """Of the blocks of a flight [B], or of all of the flight [1]."""
         before, after, usual = self.compared(null)[flight], self.compared(other)[flight], self.sigma(other)
+        dt = self.dataset.facts[flight.removeprefix(LEFT_OUT)].dt
 
         def squares(pair: tuple[Tensor, Tensor]) -> Tensor:
             error = (pair[0] - pair[1]).square()
-            count = len(error) if block_s is None else round(block_s / self.dataset.facts[flight].dt)
+            count = len(error) if block_s is None else round(block_s / dt)
             whole = max(len(error) // count, 1) * count
             return error[:whole].unflatten(0, (-1, min(count, len(error)))).mean(dim=1)
 
@@ -230,7 +260,7 @@ class _Search:
         p, floors = adjusted_p(gains, drawn), critical_values(gains, drawn)
         for effect, one in fitted.items():
             size = estimate(one.model, one.errors, effect, len(fitted))
-            better = self.by_flight(null, one, self.dataset.unseen)
+            better = self.by_flight(null, one, self.unseen(null, one))
             row = Row(
                 significant=p[effect] <= SETTINGS.level,
                 estimate=size.estimate,
@@ -269,7 +299,7 @@ class _Search:
         No accusation, for every rotor has it: unseen flights alone decide, however few of them tell its size.
         """
         companion = registered()[effect].companion
-        both = self.fit(fitted.spec.with_effects(companion))
+        both = self.fit(fitted.started(fitted.spec.with_effects(companion)))
         self.observe(fitted, {companion: both})
         row = self.trials[companion].row
         return both if row.significant and row.unseen_better else fitted
@@ -279,7 +309,7 @@ class _Search:
         remaining = [e for e in tried if e not in self.accepted]
         if not remaining or len(self.accepted) >= SETTINGS.effects:
             return None
-        identified = ranks.carry([now.spec.with_effects(e) for e in remaining], self.fit, _told, _again)
+        identified = ranks.carry([now.started(now.spec.with_effects(e)) for e in remaining], self.fit, _told, _again)
         fitted = dict(zip(remaining, identified, strict=True))
         self.rows = believed([now, *fitted.values()])
         trials: dict[str, Trial] = {}
@@ -300,22 +330,23 @@ class _Search:
 
     def not_told_from(self, fitted: Mapping[str, Identified], best: str, standing: Sequence[str]) -> tuple[str, ...]:
         """Candidates that flights which no fit has seen do not tell from the best."""
-        distinct = {
-            e: exceeds(self.by_block(fitted[e], fitted[best], self.dataset.unseen)) for e in standing if e != best
-        }
+        others, chosen = [e for e in standing if e != best], fitted[best]
+        unseen = self.unseen(*fitted.values())
+        distinct = {e: exceeds(self.by_block(fitted[e], chosen, unseen)) for e in others}
         return tuple(e for e, better in distinct.items() if not better)
 
     def in_place_of(self, final: Identified, effect: str, others: Sequence[str]) -> tuple[str, ...]:
         """Those of the others that in an accepted effect's place, beside all that joined later, do as well."""
         rivals = [e for e in others if e not in self.accepted]
         swapped = {e: tuple(e if listed == effect else listed for listed in final.spec.effects) for e in rivals}
-        fitted = {e: self.fit(msgspec.structs.replace(final.spec, effects=them)) for e, them in swapped.items()}
-        return tuple(e for e, f in fitted.items() if not exceeds(self.by_block(f, final, self.dataset.unseen)))
+        specs = {e: msgspec.structs.replace(final.spec, effects=them) for e, them in swapped.items()}
+        fitted = {e: self.fit(final.started(spec)) for e, spec in specs.items()}
+        return tuple(e for e, f in fitted.items() if not exceeds(self.by_block(f, final, self.unseen(f, final))))
 
     def confirmed(self, final: Identified) -> Identified:
         """Each accepted effect tested again beside the others; those that explain nothing more are taken out."""
         for effect in list(self.accepted) if len(self.accepted) > 1 else []:
-            without = self.fit(final.spec.without([effect]))
+            without = self.fit(final.started(final.spec.without([effect])))
             joined = self.trials[effect]
             self.observe(without, {effect: final})
             trial = self.trials[effect]
@@ -352,6 +383,14 @@ class _Search:
         said = reason(why, **details)
         values = _errors(final if joined else trial.fitted, effect)
         return replace(finding, verdict=verdict, reason=said, group=group, values=values)
+
+
+def _about_means(pairs: Mapping[str, tuple[Tensor, Tensor]]) -> dict[str, tuple[Tensor, Tensor]]:
+    """Responses of a flight, measured and modelled, less a constant each.
+
+    It differs from flight to flight by the attitude's tilt, the accelerometers' bias, battery and mass.
+    """
+    return {c: (measured - (measured - modelled).mean(), modelled) for c, (measured, modelled) in pairs.items()}
 
 
 def _errors(model: Identified, effect: str) -> dict[str, tuple[float, float]]:

@@ -22,8 +22,10 @@ from rotorid_torch.model.training.equilibrium import equilibrium
 from rotorid_torch.validate.free_run import Runs
 from rotorid_torch.validate.responses import measured_states
 
-HORIZONS_S = (0.1, 0.5)
+HORIZONS_S = (0.1, 0.5, 1.0)
 """Lengths of the predictions."""
+USUAL_S = 0.5
+"""Seconds at a flight's end in which no prediction starts; longer ones end where their flight does."""
 STARTS = 800
 """Samples of a flight from which it is predicted, where nobody asks for all."""
 WORSE = 1.1
@@ -53,22 +55,20 @@ def predictions(
     over the flight; None: from every one.
     """
     run = run or Runs.of(model)
-    longest = round(HORIZONS_S[-1] / flight.dt)
-    if flight.samples <= longest:
+    longest, usual = (round(seconds / flight.dt) for seconds in (HORIZONS_S[-1], USUAL_S))
+    if flight.samples <= usual:
         return ()
     measured = _measured(flight)
     with torch.no_grad():
         taped = model.tape(flight.bridged(model.body.controls), flight.dt)
         states = Accelerations(model).inside(measured_states(model, flight), taped)
-        count = flight.samples - longest
+        count = flight.samples - usual
         places = torch.arange(0, count, 1 if starts is None else max(1, count // starts))
         errors: dict[tuple[str, float], list[Tensor]] = {}
         for some in places.split(max(1, TOGETHER // longest)):
             _predicted(model, run, Record(flight.dt, states, taped, measured), some, errors)
-    return tuple(
-        Prediction(quantity, seconds, *torch.cat(error).nanmean(0).tolist())
-        for (quantity, seconds), error in errors.items()
-    )
+    means = {about: torch.cat(error).nanmean(0).tolist() for about, error in errors.items() if any(map(len, error))}
+    return tuple(Prediction(quantity, seconds, *mean) for (quantity, seconds), mean in means.items())
 
 
 def unexplained_moments(model: Model, flights: Iterable[Flight]) -> tuple[str, ...]:
@@ -108,7 +108,7 @@ def _predicted(
 ) -> None:
     """Append errors of model and of holding [starts, 2] of each quantity after each horizon."""
     dt, states, taped, measured = record
-    window = places[:, None] + torch.arange(round(HORIZONS_S[-1] / dt) + 1)
+    window = (places[:, None] + torch.arange(round(HORIZONS_S[-1] / dt) + 1)).clamp(max=len(taped) - 1)
     body = len(model.body.states)
     x0 = equilibrium(model, states[places][:, :body], taped[places])
     outputs = run(x0, taped[window], dt)[1]
@@ -118,10 +118,11 @@ def _predicted(
     motion = _motion(path, measured, places, dt)
     for seconds in HORIZONS_S:
         k = round(seconds / dt)
+        inside = places + k < len(taped)
         for quantity, values in motion.items():
-            truth = measured[quantity]
-            both = (values[:, k], truth[places])
-            distances = torch.stack([_distance(quantity, value, truth[places + k]) for value in both], dim=-1)
+            truth, starts = measured[quantity], places[inside]
+            both = (values[inside, k], truth[starts])
+            distances = torch.stack([_distance(quantity, value, truth[starts + k]) for value in both], dim=-1)
             errors.setdefault((quantity, seconds), []).append(distances)
 
 

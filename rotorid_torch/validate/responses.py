@@ -13,6 +13,7 @@ from torch import Tensor
 
 from rotorid_torch.core.names import RATES
 from rotorid_torch.data.flight import Flight
+from rotorid_torch.effects.signal_operations import averaged
 from rotorid_torch.model.accelerations import Accelerations
 from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
 
@@ -22,10 +23,15 @@ SMOOTHED_S = 0.03
 
 @dataclass(frozen=True)
 class Response:
-    """One response of a flight: rms of measured minus model in its unit, and R2 = 1 - sum(error^2)/sum(deviation^2)."""
+    """One response of a flight: rms of measured minus model in its unit, and R2 = 1 - sum(error^2)/sum(deviation^2).
+
+    constant : mean of measured minus model. r2_without_constant : R2 with that taken out of the error.
+    """
 
     rmse: float
     r2: float
+    constant: float
+    r2_without_constant: float
 
 
 def responses(model: Model, flight: Flight, smoothed: float = SMOOTHED_S) -> dict[str, Response]:
@@ -58,17 +64,10 @@ def compared(model: Model, flight: Flight, smoothed: float = SMOOTHED_S) -> dict
 
 
 def _judged(measured: Tensor, model: Tensor) -> Response:
-    error = (measured - model).square()
+    error = measured - model
     spread = (measured - measured.mean()).square().sum()
-    return Response(float(error.mean().sqrt()), float(1.0 - error.sum() / spread))
-
-
-def averaged(record: Tensor, half: int) -> Tensor:
-    """Centred mean over 2 half + 1 samples of a record (T,), over fewer at its ends."""
-    total = torch.cat([record.new_zeros(1), record.cumsum(0)])
-    place = torch.arange(len(record))
-    first, last = (place - half).clamp(min=0), (place + half + 1).clamp(max=len(record))
-    return (total[last] - total[first]) / (last - first)
+    explained = [float(1.0 - e.square().sum() / spread) for e in (error, error - error.mean())]
+    return Response(float(error.square().mean().sqrt()), explained[0], float(error.mean()), explained[1])
 
 
 def measured_states(model: Model, flight: Flight) -> Tensor:

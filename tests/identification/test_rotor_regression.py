@@ -11,8 +11,9 @@ from scipy.signal import lfilter
 
 import rotorid_torch as rotorid
 from rotorid_torch.data import Dataset
+from rotorid_torch.identification.mixer import find_mixer
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction, reconstruct
-from rotorid_torch.identification.rotor_regression import regress_rotors, with_memory
+from rotorid_torch.identification.rotor_regression import nonlinear, regress_rotors
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build
 
@@ -71,7 +72,7 @@ def seen() -> Reconstruction:
 
 def test_what_is_linear_comes_back_by_regression_beside_lag_and_delay():
     model = build(propose(dataset(), seen(), EFFECTS))
-    assert with_memory(model) == ("propulsion.motor_lag.tau", "control.delay.common")
+    assert nonlinear(model) == ("propulsion.motor_lag.tau", "control.delay.common")
     found = regress_rotors(model, dataset(), seen())
     value = dict(zip(model.parameter_set.names, found.theta.tolist(), strict=True))
     assert value["propulsion.motor_lag.tau"] + value["control.delay.common"] == pytest.approx(LAG + DELAY, rel=0.3)
@@ -112,7 +113,61 @@ def test_what_is_missing_for_a_moment_is_missing_for_a_moment():
         assert found[name] == pytest.approx(known[name], rel=0.1)
 
 
-def test_motors_of_unknown_places_have_free_derivatives():
-    run = rotorid.identify(recorded({name: flown(k) for k, name in enumerate(("one", "two", "three"))}, vehicle={}))
-    assert {"forces.L.motor1", "forces.N.motor4"} <= set(run.model.parameter_set.names)
-    assert (run.scores["validate"] or np.inf) < 1.0
+def test_places_that_are_not_declared_are_found_from_the_flights():
+    flights = {name: flown(k) for k, name in enumerate(("one", "two", "three"))}
+    mixer = find_mixer(recorded(flights, vehicle={}), ())
+    assert set(mixer.explained) == {"L", "M", "N"}
+    right = np.stack([-PLACES[:, 1], PLACES[:, 0], 0.1 * SPINS], axis=1) / 0.1
+    np.testing.assert_allclose(mixer.shares.numpy(), right, atol=0.3)
+    for motor, at, spin in zip(mixer.motors(0.1, None), PLACES, SPINS, strict=True):
+        assert np.sign(motor.position[:2]).tolist() == np.sign(at).tolist()
+        assert motor.spin == spin
+    named = mixer.motors(0.2, "quad-x")
+    np.testing.assert_allclose([m.position[:2] for m in named], PLACES * 2.0 / np.sqrt(2.0), atol=1e-9)
+
+
+def test_motors_of_unknown_places_thrust_along_z_and_moments_are_testable_where_flights_say_so():
+    flights = {name: flown(k) for k, name in enumerate(("one", "two", "three"))}
+    run = rotorid.identify(recorded(flights, vehicle={}), effects=EFFECTS[:2])
+    assert not any(name.startswith("forces.") for name in run.model.parameter_set.names)
+    value = {p.name: p.value or 0.0 for p in run.parameters}
+    assert value["propulsion.motor_lag.tau"] + value["control.delay.common"] == pytest.approx(LAG + DELAY, abs=0.01)
+    told = run.fit.flights["three"].responses
+    assert min(told[a].r2_without_constant or 0.0 for a in ("pdot", "qdot", "az")) > 0.8
+    still = {n: {**f, "p": f["r"] * 0.0 + 1e-3, "q": f["r"][::-1].copy()} for n, f in flights.items()}
+    assert not {"L", "M"} & set(find_mixer(recorded(still, vehicle={}), ()).explained)
+
+
+RADIUS, ABOVE = 0.3, 0.05
+
+
+def near_the_ground(seed: int, samples: int = 1500) -> dict[str, np.ndarray]:
+    """Up and down over a floor: thrust by Cheeseman and Bennett, and a drag; a controller of the height."""
+    rng, dt = np.random.default_rng(seed), 0.02
+    wanted = np.interp(np.arange(samples), np.arange(0, samples + 50, 50), rng.uniform(0.15, 1.0, samples // 50 + 1))
+    height, climb, seen, commands = wanted[0], 0.0, [], []
+    for k in range(samples):
+        gain = 1.0 / (1.0 - (RADIUS / (4.0 * (height + ABOVE))) ** 2)
+        command = HOVER + 0.15 * (wanted[k] - height) - 0.12 * climb + 0.01 * rng.standard_normal()
+        force = -gain * 4.0 * (0.2 + 1.5 * command**2) / MASS
+        seen.append([force, -climb, height])
+        commands.append(command)
+        climb, height = climb - dt * (force + G), max(height + dt * climb, 0.1)
+    az, w, height_seen = (np.array(seen) + rng.standard_normal((samples, 3)) * np.array([0.05, 0.01, 0.002])).T
+    still = {c: 0.001 * rng.standard_normal(samples) for c in ("u", "v", "p", "q", "r", "phi", "theta", "ax", "ay")}
+    motors = {f"motor{i + 1}": np.array(commands) for i in range(4)}
+    return {"time": dt * np.arange(samples), **still, "az": az, "w": w, "height": height_seen, **motors}
+
+
+def test_ground_effect_comes_back_with_the_radius_and_the_height_of_the_rotors():
+    data = recorded({name: near_the_ground(k) for k, name in enumerate(("one", "two", "three"))})
+    step1 = reconstruct(data)
+    model = build(propose(data, step1, ("environment.ground",)))
+    found = regress_rotors(model, data, step1)
+    value = dict(zip(model.parameter_set.names, found.theta.tolist(), strict=True))
+    assert value["environment.ground.radius"] == pytest.approx(RADIUS, rel=0.1)
+    assert value["environment.ground.offset"] == pytest.approx(ABOVE, abs=0.02)
+    assert found.explained["az"] > 0.9
+    far = [without["one"] for without in (found.without,)]
+    place = model.parameter_set.index("environment.ground.radius")
+    assert float(far[0][place]) == pytest.approx(RADIUS, rel=0.15)  # as a fit without the first flight says

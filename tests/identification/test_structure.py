@@ -129,9 +129,12 @@ def test_a_multirotor_has_its_motors():
     assert spec.controls == motors
     assert spec.states == (*RATES, "phi", "theta")
     assert spec.control_units == dict.fromkeys(motors, "norm")
-    assert spec.patterns["L"] == motors  # no damping: rotors have effects of their own
+    assert spec.patterns["L"] == ()  # no damping: rotors have effects of their own
+    assert spec.found_places == {}  # commands that go with nothing say nothing of where motors stand
+    assert [m.position for m in spec.motors] == [(0.0, 0.0, 0.0)] * 4
     units = {p.name: p.unit for p in build(spec).parameter_set.parameters}
-    assert units["forces.L.motor1"] == "rad/s2"
+    assert units["rotors.thrust.c2"] == "N"
+    assert not any(name.startswith("forces.") for name in units)  # motors push along z alone
 
 
 def test_declared_motors_bring_rotors_at_their_places():

@@ -52,11 +52,17 @@ def test_wind_is_told_unless_airspeed_is_measured():
     assert not any("wind" in t for t in limits.of_channels(data(*body, "airspeed"), spec()))
 
 
-def test_motors_without_places_have_free_derivatives():
-
-    without = msgspec.structs.replace(MULTIROTOR, motors=())
-    said = list(limits.of_channels(data("p", "q", "r", "az", kind="multirotor"), without))
-    assert any("places are not declared" in t for t in said)
+def test_where_motors_stand_is_told_as_far_as_flights_say_it():
+    said = lambda found: list(  # noqa: E731
+        limits.of_channels(
+            data("p", "q", "r", "az", kind="multirotor"), msgspec.structs.replace(MULTIROTOR, found_places=found)
+        )
+    )
+    (told,) = (t for t in said({"L": 0.9, "M": 0.8}) if "places are not declared" in t)
+    assert "motor1 ahead right, motor2 behind right, motor3 behind left, motor4 ahead left" in told
+    assert "N not testable" in told
+    assert any("L M N not testable" in t for t in said({}))
+    assert not any("places are not declared" in t for t in said(None))
 
 
 def powers(**found: float | None) -> SimpleNamespace:

@@ -1,15 +1,13 @@
-"""What a report says of a multirotor: what it explains and predicts first, and that free runs mean nothing."""
-
-from types import SimpleNamespace
+"""What a report says of a multirotor: what it explains and predicts; free runs do not appear."""
 
 import msgspec
 import pytest
 from rich.console import Console
 
-from rotorid_torch.report import records, remarks
+from rotorid_torch.report import records
 from rotorid_torch.report.html import render
 from rotorid_torch.report.scorecard import scorecard
-from rotorid_torch.report.short_horizon import FREE_RUN, explained, short_horizon
+from rotorid_torch.report.short_horizon import explained, short_horizon
 from rotorid_torch.report.summary import failing, headline, next_steps
 
 
@@ -42,25 +40,48 @@ def test_an_axis_that_a_flight_leaves_alone_counts_for_little(flown: records.Rep
     assert acid.responses["pdot"] == pytest.approx(1.0 - 1.01 / (10.0 + 0.005))
     assert [(p.seconds, p.error) for p in acid.predictions] == [(0.1, 0.3), (0.5, 2.0)]
     said = explained(acid)
-    assert "roll acceleration 0.90, rotor speeds 0.80" in said
+    assert "roll acceleration 0.90 (0.90), rotor speeds 0.80 (0.80)" in said
     assert "errors after 0.5 s: rates 2 rad/s (2 if held)" in said
+    assert not acid.worse
 
 
-def test_free_runs_are_told_to_mean_nothing_and_do_not_lead(flown: records.Report):
+def test_a_constant_of_each_flight_is_taken_out_and_both_scores_are_told(flown: records.Report):
+    """Two flights of one deviation, one with nothing but a constant as its error."""
     assert flown.before is not None
-    assert headline(flown).startswith("On the acid flights, which it has not seen, the model explains (R²")
+    off = msgspec.structs.replace(response(2.0, -3.0), constant=2.0, r2_without_constant=1.0)
+    right = msgspec.structs.replace(response(0.5, 0.75), constant=0.0, r2_without_constant=0.75)
+    acid = flown.before.flights["sweep"]
+    flights = {n: msgspec.structs.replace(acid, responses={"ax": r}) for n, r in (("off", off), ("right", right))}
+    (told,) = short_horizon(msgspec.structs.replace(flown.before, flights=flights))
+    assert told.measured["ax"] == pytest.approx(1.0 - (4.0 + 0.25) / 2.0)
+    assert told.responses["ax"] == pytest.approx(1.0 - (0.0 + 0.25) / 2.0)
+    assert f"ax {told.responses['ax']:.2f} ({told.measured['ax']:.2f})" in explained(told)
+
+
+def test_a_model_that_predicts_worse_than_holding_is_said_to_first(flown: records.Report):
+    fit = flown.before
+    assert fit is not None
+    flights = {n: msgspec.structs.replace(f, predictions=(ahead(2.5),)) for n, f in fit.flights.items() if f.responses}
+    worse = msgspec.structs.replace(fit, flights=flights)
+    said = explained(short_horizon(worse)[-1])
+    assert said.startswith("On the acid flights, which it has not seen, the model predicts rates worse than holding")
+    assert failing(worse) == "on the acid flights the model predicts rates worse than holding what was measured"
+
+
+def test_free_runs_do_not_appear(flown: records.Report):
+    assert flown.before is not None
+    assert headline(flown).startswith("On the acid flights, which it has not seen, the model explains roll")
     assert failing(flown.before) == ""
     assert not any("worse than holding trim" in step for step in next_steps(flown))
     console = Console(width=200, record=True)
     console.print(scorecard(flown))
     text = console.export_text()
-    assert text.index("R² of roll acceleration") < text.index("free runs of 8 s, which mean nothing here")
+    assert "R² of roll acceleration" in text
+    assert "holding trim" not in text
     page = render(flown, {})
     assert "R² of roll acceleration" in page
-    assert FREE_RUN[1:60] in page
-    step3 = SimpleNamespace(fit=SimpleNamespace(minimum=SimpleNamespace(converged=True)))
-    said = list(remarks.of_estimate(step3, flown.before))  # pyright: ignore[reportArgumentType]
-    assert said[0] == FREE_RUN
+    assert "free run" not in page
+    assert "Windows: J" not in page
 
 
 def test_a_helicopters_report_has_no_word_of_it(report: records.Report):

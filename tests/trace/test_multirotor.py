@@ -156,14 +156,14 @@ def test_a_centre_of_gravity_that_balance_shows_is_told_with_or_without_a_declar
 
 
 def test_turns_count_only_where_some_model_gives_a_control_power_that_can_be():
-    spec: Any = SimpleNamespace(mass=1.0, inertia=((1, 0, 0), (0, 1, 0), (0, 0, 1)), motors=())
+    spec: Any = SimpleNamespace(mass=1.0, inertia=((1, 0, 0), (0, 1, 0), (0, 0, 1)), motors=(), found_places=None)
 
     def model(L: float, M: float) -> Any:
         return SimpleNamespace(spec=spec, values={"rotors.power.L": L, "rotors.power.M": M, "rotors.power.N": 1.0})
 
     assert believed([model(0.1, 0.2), model(0.5, 0.2)]) == ("ax", "ay", "az", "pdot", "rdot")
     assert believed([model(4.0, 0.9)]) == ("ax", "ay", "az", "qdot", "rdot")
-    undeclared: Any = SimpleNamespace(mass=None, inertia=None, motors=())
+    undeclared: Any = SimpleNamespace(mass=None, inertia=None, motors=(), found_places=None)
     free: Any = SimpleNamespace(spec=undeclared, values={"rotors.power.L": 900.0})
     assert "pdot" in believed([free])
 

@@ -50,7 +50,7 @@ def test_the_model_that_flew_predicts_its_rates_and_explains_everything():
     model = vehicle(**{"propulsion.rotor_inertia.N": 1.0})
     flight = flown(model)
     found = {(p.quantity, p.seconds): p for p in predictions(model, flight, starts=None)}
-    assert set(found) == {(q, s) for q in ("rates", "attitude", "velocity", "position") for s in (0.1, 0.5)}
+    assert set(found) == {(q, s) for q in ("rates", "attitude", "velocity", "position") for s in (0.1, 0.5, 1.0)}
     assert found["rates", 0.5].error < 1e-6 < 0.01 < found["rates", 0.5].held
     explained = responses(model, flight)
     assert min(explained[name].r2 for name in ("pdot", "qdot", "az")) > 0.999

@@ -11,11 +11,13 @@ from rotorid_torch.core.rigid import vec
 from rotorid_torch.core.state import State
 from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Values
 from rotorid_torch.effects.registry import register
-from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.effects.spec import ModelSpec, arm
 from rotorid_torch.effects.testable import first, no_channel, no_forces, no_rates, no_rotor, no_velocities
 
 LOWEST = 0.3
 """Rotor radii: no rotor is nearer to the ground; below it the effect is held."""
+NEAREST = 0.5
+"""Radius over four heights at which a multirotor's ground effect grows no more."""
 HEIGHT_KNOWN, HEADING_KNOWN = 0.3, 0.02
 """m, rad: how well channels tell them where a segment begins; free there, each segment would have its own wind."""
 
@@ -55,8 +57,13 @@ class Ground(Effect):
             self.stage = Stage.ROTOR
 
     @classmethod
-    def from_spec(cls, spec: ModelSpec) -> Ground:
-        """From the declared rotor and hub; induced velocity by momentum theory in hover where it is known."""
+    def from_spec(cls, spec: ModelSpec) -> Effect:
+        """From the declared rotor and hub; induced velocity by momentum theory in hover where it is known.
+
+        A multirotor's has its radius and the height of its rotors free.
+        """
+        if spec.motors:
+            return _GroundBelowRotors(arm(spec))
         assert spec.rotor is not None
         hub = 0.0 if spec.hub is None else -spec.hub[2]
         at = spec.reference
@@ -67,7 +74,8 @@ class Ground(Effect):
     @classmethod
     def untestable(cls, spec: ModelSpec) -> str | None:
         """Without height, rotor or velocities."""
-        return first(no_channel(spec, "height"), no_rotor(spec), no_velocities(spec), no_forces(spec))
+        rotor = None if spec.motors else no_rotor(spec)
+        return first(no_channel(spec, "height"), rotor, no_velocities(spec), no_forces(spec))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Tells what is left of the induced velocity, or adds the thrust gained; the rate of climb."""
@@ -88,6 +96,54 @@ class Ground(Effect):
         lift = more * frame.force[..., 2]
         zero = torch.zeros_like(lift)
         return frame.add(force=vec(zero, zero, lift)), climb
+
+
+class _GroundBelowRotors(Effect):
+    """Ground effect of a multirotor: near the ground its rotors thrust more at the same speed.
+
+    T = T_out/(1 - (R/(4 z))^2), z = height + offset of all rotors alike. The images of several rotors act together, so
+    that R is the radius of one rotor that does the same, larger than that of each; no more is lost than at z = R/2.
+
+    Source: Cheeseman and Bennett, ARC R&M 3021 (1955); Sanchez-Cuevas, Heredia and Ollero (2017), International Journal
+    of Aerospace Engineering, 1823056 (multirotors).
+    """
+
+    id, stage, role = Ground.id, Ground.stage, Ground.role
+    separated_by, showing = Ground.separated_by, Ground.showing
+
+    def __init__(self, arm: float) -> None:
+        super().__init__(
+            (
+                Parameter(
+                    "radius",
+                    0.0,
+                    "m",
+                    (0.0, 10.0 * arm),
+                    doc="of one rotor that does what all do",
+                    typical=2.0 * arm,
+                    tried=(arm, 2.0 * arm, 4.0 * arm),
+                ),
+                Parameter(
+                    "offset",
+                    0.0,
+                    "m",
+                    (-5.0 * arm, 5.0 * arm),
+                    doc="rotors above the height's channel, and its datum above the ground",
+                    tried=(-arm, 0.5 * arm, arm),
+                ),
+            ),
+            (State("height", "m", "height of the reference point", "height", HEIGHT_KNOWN),),
+        )
+        self.least = 0.01 * arm
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Adds the thrust gained; the rate of climb."""
+        assert frame.force is not None
+        share = p["radius"] / (4.0 * (x[..., 0] + p["offset"]).clamp(min=self.least))
+        image = share.clamp(max=NEAREST).square()
+        lift = image / (1.0 - image) * frame.force[..., 2]
+        zero = torch.zeros_like(lift)
+        return frame.add(force=vec(zero, zero, lift)), _climb(frame).unsqueeze(-1)
 
 
 def _climb(frame: Frame) -> Tensor:

@@ -1,0 +1,246 @@
+"""Least squares of a multirotor's accelerations at measured states, all parameters at once.
+
+Nothing is integrated, so that no error grows. In every flight each response has a small constant of its own: the
+attitude's tilt, the accelerometers' bias, battery and mass differ from flight to flight, and are no size of any effect.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.gauss_newton import Linear, Options, minimise
+from rotorid_torch.core.least_squares import least_squares
+from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
+from rotorid_torch.identification.rotor_equations import RotorEquations, Seen
+from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
+
+SMOOTHED_S = 0.03
+"""Length of the centred mean that measurement and model both pass before rates are differentiated."""
+SPREAD = 0.03
+"""Standard deviation of a flight's constant over the size of the response: gravity, or the usual rotor speed."""
+BLOCK_S = 2.0
+"""Residuals of one such block may resemble each other; those of two do not."""
+SEARCHES = (Options(max_iterations=2), Options(max_iterations=2), Options(max_iterations=10, absolute=0.01))
+"""One for each time that the responses are weighed by what is left of them."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredFit:
+    """What least squares at measured states come to.
+
+    theta : [P]. errors : standard errors by full name, for residuals that resemble their neighbours. constants : of
+    each flight, in order, measured less modelled on average, by response. without : theta [P] of all flights but one,
+    for each, by one step from theta. explained : R2 of each response on all flights, constants taken out.
+    """
+
+    theta: Tensor
+    errors: Mapping[str, float]
+    constants: tuple[Mapping[str, float], ...]
+    without: tuple[Tensor, ...]
+    explained: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """A place of the search: theta of the free parameters [n] and the cost there."""
+
+    theta: Tensor
+    cost: float
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredStates:
+    """Responses of flights at measured states, and their model.
+
+    equations : on means over `SMOOTHED_S`. measured : responses of each flight behind the same means, rates
+    differentiated.
+    """
+
+    equations: RotorEquations
+    measured: Sequence[Mapping[str, Tensor]]
+
+    @classmethod
+    def of(cls, model: Model, flights: Sequence[Seen]) -> MeasuredStates:
+        """Of whole records."""
+        means = [flight.condense(*_condensed(flight)) for flight in flights]
+        equations = RotorEquations(model, tuple(means))
+        outputs = model.body.outputs
+        rows = [o for group in equations.groups for o in group if o in ANGULAR_ACCELERATIONS or o in outputs]
+        return cls(equations, [{row: _response(row, outputs, flight) for row in rows} for flight in means])
+
+    @cached_property
+    def _rows(self) -> tuple[str, ...]:
+        return tuple(self.measured[0])
+
+    def fitted(self, theta: Tensor, names: Sequence[str]) -> MeasuredFit:
+        """Theta with these parameters by least squares from there on.
+
+        Each response counts by what is left of it, so that what the model does not explain weighs little.
+        """
+        if not names:
+            without = (theta,) * len(self.measured)
+            return MeasuredFit(theta, {}, self._constants(theta), without, self._explained(theta))
+        parameter_set = self.equations.model.parameter_set
+        places = [parameter_set.index(name) for name in names]
+        lower, upper = (
+            torch.tensor([parameter_set.parameters[i].bounds[k] for i in places], dtype=torch.float64) for k in (0, 1)
+        )
+        prior = parameter_set.values[places], parameter_set.prior_sd[places]
+
+        def whole(part: Tensor) -> Tensor:
+            moved = theta.clone()
+            moved[places] = part
+            return moved
+
+        best = theta[places]
+        for options in SEARCHES:
+            sigma = self._sigma(whole(best))
+
+            def evaluate(part: Tensor, base: _Place | None, share: float, sigma: Mapping[str, float] = sigma) -> _Place:
+                left = sum(
+                    float(self._weighed(r, row, sigma[row]).square().sum())
+                    for one in self._left(whole(part))
+                    for row, r in one.items()
+                )
+                return _Place(part, 0.5 * (left + float(((part - prior[0]) / prior[1]).square().sum())))
+
+            def linearise(place: _Place, sigma: Mapping[str, float] = sigma) -> Linear:
+                return self._linear(whole(place.theta), names, sigma, prior)
+
+            best = minimise(evaluate, linearise, best, lower, upper, options=options).point.theta
+        theta = whole(best)
+        errors, without = self._errors(theta, names, prior[1]), self._without(theta, names, prior)
+        return MeasuredFit(theta, errors, self._constants(theta), without, self._explained(theta))
+
+    def _modelled(self, theta: Tensor) -> list[dict[str, Tensor]]:
+        return [{row: one[row][0] for row in self._rows} for one in self.equations.at(theta[None])]
+
+    def _left(self, theta: Tensor) -> list[dict[str, Tensor]]:
+        """Measured less modelled."""
+        return [
+            {row: measured[row] - modelled[row] for row in self._rows}
+            for measured, modelled in zip(self.measured, self._modelled(theta), strict=True)
+        ]
+
+    @cached_property
+    def _spreads(self) -> dict[str, float]:
+        """Standard deviation of a flight's constant in each response."""
+        sizes = {row: torch.cat([one[row] for one in self.measured]).square().mean().sqrt() for row in self._rows}
+        gravity = self.equations.model.body.gravity
+        return {row: SPREAD * (gravity if row in SPECIFIC_FORCES else float(size)) for row, size in sizes.items()}
+
+    def _weighed(self, values: Tensor, row: str, sigma: float) -> Tensor:
+        """Values [..., T] of a flight in units of what is left: about their mean, and their mean [..., T + 1].
+
+        The latter counts as the constant of a flight is known: squares add up to what they are if this is taken out.
+        """
+        mean = values.mean(dim=-1, keepdim=True)
+        known = math.sqrt(self._spreads[row] ** 2 + sigma**2 / values.shape[-1])
+        return torch.cat([(values - mean) / sigma, mean / known], dim=-1)
+
+    def _constants(self, theta: Tensor) -> tuple[Mapping[str, float], ...]:
+        return tuple({row: float(r.mean()) for row, r in one.items()} for one in self._left(theta))
+
+    def _explained(self, theta: Tensor) -> dict[str, float]:
+        """R2 of each response, the constants of flights taken out."""
+        left = self._sigma(theta)
+        moved = {row: torch.cat([centred(one[row]) for one in self.measured]).square().mean() for row in self._rows}
+        return {row: 1.0 - left[row] ** 2 / max(float(moved[row]), 1e-300) for row in self._rows}
+
+    def _sigma(self, theta: Tensor) -> dict[str, float]:
+        """Rms of what is left of each response."""
+        left = self._left(theta)
+        squares = {row: torch.cat([centred(one[row]) for one in left]).square().mean() for row in self._rows}
+        return {row: max(math.sqrt(float(square)), 1e-300) for row, square in squares.items()}
+
+    def _columns(
+        self, theta: Tensor, names: Sequence[str], sigma: Mapping[str, float]
+    ) -> list[dict[str, tuple[Tensor, Tensor]]]:
+        """Of each flight and response, columns [T' + 1, n] and residual [T' + 1], weighed."""
+        base, columns = self.equations.columns(theta, names)
+        every = []
+        for k in range(len(self.measured)):
+            one = {}
+            for row in self._rows:
+                z = torch.stack([columns[name][k][row] for name in names])
+                left = self.measured[k][row] - base[k][row]
+                one[row] = self._weighed(z, row, sigma[row]).mT, self._weighed(left, row, sigma[row])
+            every.append(one)
+        return every
+
+    def _without(self, theta: Tensor, names: Sequence[str], prior: tuple[Tensor, Tensor]) -> tuple[Tensor, ...]:
+        """Theta of all flights but one, for each: a step of Gauss and Newton from the theta of all.
+
+        Source: Efron and Tibshirani, An Introduction to the Bootstrap (1993), ch. 11 (jackknife).
+        """
+        if len(self.measured) < 2:
+            return ()
+        places = [self.equations.model.parameter_set.index(name) for name in names]
+        known = (1.0 / prior[1]).nan_to_num(0.0)
+        columns = self._columns(theta, names, self._sigma(theta))
+        parts = [torch.cat([torch.cat([z, y[:, None]], dim=1) for z, y in one.values()]) for one in columns]
+        triangles = [torch.linalg.qr(part, mode="r").R for part in parts]
+        expected = torch.cat([known.diag(), (known * (prior[0] - theta[places]))[:, None]], dim=1)
+        thetas = []
+        for k in range(len(triangles)):
+            others = torch.cat([expected, *(one for i, one in enumerate(triangles) if i != k)])
+            moved = theta.clone()
+            moved[places] += least_squares(others[:, :-1], others[:, -1:])[:, 0]
+            thetas.append(self.equations.model.parameter_set.clamp(moved))
+        return tuple(thetas)
+
+    def _linear(
+        self, theta: Tensor, names: Sequence[str], sigma: Mapping[str, float], prior: tuple[Tensor, Tensor]
+    ) -> Linear:
+        """Triangle of the weighed columns, with the prior's rows."""
+        places = [self.equations.model.parameter_set.index(name) for name in names]
+        known = (1.0 / prior[1]).nan_to_num(0.0)
+        stacked = [torch.cat([known.diag(), (known * (prior[0] - theta[places]))[:, None]], dim=1)]
+        for one in self._columns(theta, names, sigma):
+            stacked += [torch.cat([z, y[:, None]], dim=1) for z, y in one.values()]
+        triangle = torch.linalg.qr(torch.cat(stacked), mode="r").R
+        return Linear(triangle[:, :-1], triangle[:, -1])
+
+    def _errors(self, theta: Tensor, names: Sequence[str], sd: Tensor) -> dict[str, float]:
+        """Standard errors that hold for residuals which resemble each other within a block.
+
+        Source: Liang and Zeger (1986), Biometrika 73 (robust covariance by clusters).
+        """
+        sigma = self._sigma(theta)
+        known = (1.0 / sd).nan_to_num(0.0)
+        bread, scores = known.square().diag(), []
+        for one, flight in zip(self._columns(theta, names, sigma), self.equations.flights, strict=True):
+            length = max(1, round(BLOCK_S / flight.step))
+            bread = bread + sum(z.mT @ z for z, _ in one.values())
+            each = sum(z * y[:, None] for z, y in one.values())
+            assert isinstance(each, Tensor)
+            scores += [part.sum(0) for part in each.split(length)]
+        scale = bread.diagonal().sqrt().clamp(min=1e-300)
+        inverse = torch.linalg.pinv(bread / scale / scale[:, None], hermitian=True) / scale / scale[:, None]
+        score = torch.stack(scores)
+        covariance = inverse @ (score.mT @ score + known.square().diag()) @ inverse
+        return dict(zip(names, covariance.diagonal().clamp(min=0.0).sqrt().tolist(), strict=True))
+
+
+def _condensed(flight: Seen) -> tuple[int, int]:
+    half = round(0.5 * SMOOTHED_S / flight.dt)
+    return half, max(1, half)
+
+
+def _response(row: str, outputs: Sequence[str], flight: Seen) -> Tensor:
+    """What was measured, where the flight's means lie."""
+    if row not in ANGULAR_ACCELERATIONS:
+        return flight.means(flight.outputs[:, [outputs.index(row)]])[:, 0]
+    rate = flight.outputs[:, outputs.index(RATES[ANGULAR_ACCELERATIONS.index(row)])]
+    return flight.means(torch.gradient(rate, spacing=flight.dt)[0][:, None])[:, 0]
+
+
+def centred(values: Tensor) -> Tensor:
+    """Values [..., T] less their mean."""
+    return values - values.mean(dim=-1, keepdim=True)

@@ -1,0 +1,153 @@
+"""Where the rotors of a multirotor stand whose places are not declared: sign and share of each motor in p', q' and r'.
+
+Thrust acts along -z wherever a rotor stands. What it does to the angular accelerations says where that is, up to the
+arm over the inertia; where little of an axis is explained, its part of the places stays unknown.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from scipy.optimize import linear_sum_assignment
+from torch import Tensor
+
+from rotorid_torch.core.least_squares import least_squares
+from rotorid_torch.core.names import MOMENTS, RATES
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.flight import Flight
+from rotorid_torch.effects.signal_operations import averaged, lagged, shifted
+from rotorid_torch.effects.spec import MotorSpec
+
+LOOKED_AT = 12
+"""Identify flights, at most."""
+SAMPLES = 5000
+"""Of each flight, from its middle."""
+SMOOTHED_S = 0.03
+"""Length of the centred mean that inputs and rates pass."""
+LAGS_S, DELAYS_S = (0.0, 0.03, 0.06, 0.1), (0.0, 0.015, 0.03)
+"""Lags and delays of the motors that are tried: without them an axis seems unexplained."""
+TOLD = 0.3
+"""R2 of an angular acceleration from which on the motors' shares in it count."""
+SURE = 3.0
+"""Standard errors by which a share must differ from none, for half of the motors at least."""
+BLOCK_S = 2.0
+"""Residuals of one such block may resemble each other."""
+TORQUE_SHARE = 0.1
+"""Torque over thrust as a share of the arm: usual for small propellers."""
+FRAMES: Mapping[str, tuple[float, ...]] = {
+    "quad-x": (45.0, 135.0, 225.0, 315.0),
+    "quad-+": (0.0, 90.0, 180.0, 270.0),
+    "hexa-x": (30.0, 90.0, 150.0, 210.0, 270.0, 330.0),
+    "hexa-+": (0.0, 60.0, 120.0, 180.0, 240.0, 300.0),
+    "octa-x": (22.5, 67.5, 112.5, 157.5, 202.5, 247.5, 292.5, 337.5),
+    "octa-+": (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0),
+    "coaxial-x": (45.0, 45.0, 135.0, 135.0, 225.0, 225.0, 315.0, 315.0),
+}
+"""Places of frames of a name, degrees from ahead towards the right; logs number the motors in many orders."""
+
+
+@dataclass(frozen=True)
+class Mixer:
+    """What motors do to the axes.
+
+    shares : [motors, 3] of roll, pitch and yaw acceleration by a motor, of rms 1 on each axis; zero where it is not
+    told. explained : R2 of the rows L M N that are told.
+    """
+
+    shares: Tensor
+    explained: Mapping[str, float]
+
+    def motors(self, arm: float, frame: str | None) -> tuple[MotorSpec, ...]:
+        """The rotors with arms of this length: at the places of a frame that are nearest, or where the shares say."""
+        x, y = self.shares[:, 1], -self.shares[:, 0]
+        at = torch.stack([x, y], dim=1) * arm / math.sqrt(2.0)
+        corners = FRAMES.get(frame or "", ())
+        if {"L", "M"} <= set(self.explained) and len(corners) == len(at):
+            angles = torch.tensor(corners, dtype=torch.float64).deg2rad()
+            nominal = arm * torch.stack([angles.cos(), angles.sin()], dim=1)
+            at = nominal[linear_sum_assignment(torch.cdist(at, nominal).numpy())[1]]
+        yaw = self.shares[:, 2]
+        return tuple(
+            MotorSpec(
+                position=(float(place[0]), float(place[1]), 0.0),
+                spin=1.0 if float(turn) >= 0.0 else -1.0,
+                torque_ratio=TORQUE_SHARE * arm * abs(float(turn)),
+            )
+            for place, turn in zip(at, yaw, strict=True)
+        )
+
+
+def find_mixer(dataset: Dataset, speeds: Sequence[str]) -> Mixer:
+    """From the identify flights; speeds : channels of the rotors' speeds where they are measured, not commands."""
+    inputs = tuple(speeds) or dataset.controls
+    shares, explained = torch.zeros(len(inputs), len(MOMENTS), dtype=torch.float64), {}
+    flights = [f for f in (dataset.flights[n] for n in dataset.identify[:LOOKED_AT]) if f.has(*RATES, *inputs)]
+    best: list[tuple[float, Tensor, Tensor]] = [(0.0, torch.zeros(0), torch.zeros(0))] * len(MOMENTS)
+    for lag in () if not flights else (0.0,) if speeds else LAGS_S:
+        for delay in DELAYS_S[:1] if speeds else DELAYS_S:
+            records = list(_records(flights, inputs, lag, delay))
+            for k in range(len(MOMENTS)):
+                found = _regressed(records, k, len(inputs))
+                best[k] = max(best[k], found, key=lambda one: one[0])
+    for k, (r2, share, error) in enumerate(best):
+        if r2 >= TOLD and int((share.abs() > SURE * error).sum()) >= len(inputs) / 2:
+            shares[:, k], explained[MOMENTS[k]] = share / share.square().mean().sqrt(), r2
+    return Mixer(shares, explained)
+
+
+def _records(
+    flights: Sequence[Flight], inputs: Sequence[str], lag: float, delay: float
+) -> Iterator[tuple[Tensor, Tensor, int]]:
+    """Thrust-like inputs, and their rates, [T, 2 n] and angular accelerations [T, 3] of each flight, about their means.
+
+    And the samples of a block.
+    """
+    for flight in flights:
+        dt, half = flight.dt, round(0.5 * SMOOTHED_S / flight.dt)
+        first = max(0, (flight.samples - SAMPLES) // 2)
+        part = slice(first, first + SAMPLES)
+        record = flight.bridged(inputs)[part]
+        record = record.square() if inputs[0].startswith("omega") else record
+        late = lagged(
+            shifted(record, record.new_full((len(inputs),), delay), dt), record.new_full((len(inputs),), lag), dt
+        )
+        s = averaged(late.mT, half)
+        rates = averaged(flight.bridged(RATES)[part].mT, half)
+        every = slice(half + 1, -half - 1, max(1, half))
+        z = torch.cat([s, torch.gradient(s, spacing=dt, dim=-1)[0]])[:, every]
+        turning = torch.gradient(rates, spacing=dt, dim=-1)[0][:, every]
+        block = max(1, round(BLOCK_S / (dt * max(1, half))))
+        yield (z - z.mean(-1, keepdim=True)).mT, (turning - turning.mean(-1, keepdim=True)).mT, block
+
+
+def _regressed(records: Sequence[tuple[Tensor, Tensor, int]], axis: int, motors: int) -> tuple[float, Tensor, Tensor]:
+    """R2 of an axis, the motors' shares in it and their errors; yaw also answers how fast the rotors turn up.
+
+    Source of the errors: Liang and Zeger (1986), Biometrika 73 (robust covariance by clusters).
+    """
+    columns = slice(0, motors if MOMENTS[axis] != "N" else 2 * motors)
+    z, y = torch.cat([one[0][:, columns] for one in records]), torch.cat([one[1][:, axis] for one in records])
+    size = z.square().mean(0).sqrt().clamp(min=1e-300)
+    scaled = z / size
+    b = least_squares(scaled, y[:, None])[:, 0]
+    left = y - scaled @ b
+    inverse = torch.linalg.pinv(scaled.mT @ scaled, hermitian=True)
+    blocks, at = [], 0
+    for part, _, block in records:
+        here = slice(at, at + len(part))
+        blocks += [one.sum(0) for one in (scaled[here] * left[here, None]).split(block)]
+        at += len(part)
+    score = torch.stack(blocks)
+    errors = (inverse @ score.mT @ score @ inverse).diagonal().clamp(min=0.0).sqrt() / size
+    shares, r2 = b / size, 1.0 - float(left.square().sum() / y.square().sum().clamp(min=1e-300))
+    by_thrust, by_speeding_up = (slice(k * motors, (k + 1) * motors) for k in (0, 1))
+    if MOMENTS[axis] != "N":
+        return r2, shares, errors
+    if float(shares[by_thrust] @ shares[by_speeding_up]) <= 0.0:
+        return 0.0, shares[by_thrust], errors[by_thrust]  # a controller that answers the rate, and no rotors
+    parts = (by_thrust, by_speeding_up)
+    surest = max(parts, key=lambda part: float((shares[part] / errors[part].clamp(min=1e-300)).abs().sum()))
+    return r2, shares[surest], errors[surest]

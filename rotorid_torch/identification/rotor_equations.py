@@ -1,0 +1,277 @@
+"""The equations of a multirotor at measured states, and the regression of what they are linear in, one after the other.
+
+Every equation compares what the model gives at measured states with what was measured: specific force, the rate of a
+body rate, rotor speed. Parameters that an equation is linear in come from finite transforms in a band.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.names import RATES, SPECIFIC_FORCES, VELOCITIES
+from rotorid_torch.core.rigid import cross, gravity_in_body
+from rotorid_torch.data.flight import bridged
+from rotorid_torch.effects.base import Stage
+from rotorid_torch.effects.signal_operations import averaged
+from rotorid_torch.identification.estimate.segments import Records
+from rotorid_torch.identification.model_regression import integral
+from rotorid_torch.identification.regress.equation import Equation, fit_equation
+from rotorid_torch.identification.regress.ftr import Regression
+from rotorid_torch.identification.structure import ATTITUDE
+from rotorid_torch.model.accelerations import Accelerations
+from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
+
+BAND = (0.3, 10.0)
+"""Hz: where commands move a small vehicle and its sensors still see it; less where a flight is short or slow."""
+STEP = 1e-3
+"""Of a parameter for a column, over its prior's standard deviation or its size; the equations are linear in it."""
+ROUNDING = 1e-11
+"""Share of a row's size by which it changes at least where a parameter reaches it."""
+STILL = 1e-6
+"""Share of its mean by which a column moves at least if it is not constant."""
+
+Rows = Mapping[str, Tensor]
+"""Values by row."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """One flight: inputs (T, nu) as recorded, states (T, nx) and outputs (T, ny) as measured; step 1 bridges gaps.
+
+    condensed : of states and inputs behind the control path, half the samples of a centred mean, and how many samples
+    lie between two of them; the states are those means.
+    """
+
+    dt: float
+    controls: Tensor
+    states: Tensor
+    outputs: Tensor
+    condensed: tuple[int, int] = (0, 1)
+
+    @property
+    def step(self) -> float:
+        """S between two states."""
+        return self.dt * self.condensed[1]
+
+    def means(self, record: Tensor) -> Tensor:
+        """Means of a record [..., T, n] where the states are [..., T', n]."""
+        half, every = self.condensed
+        if self.condensed == (0, 1):
+            return record
+        whole = averaged(record.mT, half)
+        return whole[..., half + 1 : whole.shape[-1] - half - 1 : every].mT
+
+    def condense(self, half: int, every: int) -> Seen:
+        """The flight with means of its states."""
+        fewer = replace(self, condensed=(half, every))
+        return replace(fewer, states=fewer.means(self.states))
+
+    def middle(self, most: int) -> Seen:
+        """At most so many samples about the flight's middle."""
+        first = max(0, (len(self.controls) - most) // 2)
+        inner = slice(first, first + most)
+        return Seen(self.dt, self.controls[inner], self.states[inner], self.outputs[inner])
+
+
+@dataclass(frozen=True, eq=False)
+class RotorEquations:
+    """The equations of a model on its identify flights."""
+
+    model: Model
+    flights: tuple[Seen, ...]
+    _tapes: dict[tuple[float, ...], list[Tensor]] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def accelerations(self) -> Accelerations:
+        """The model without integration."""
+        return Accelerations(self.model)
+
+    @cached_property
+    def band(self) -> tuple[float, float]:
+        """Hz."""
+        longest = max(len(f.controls) * f.dt for f in self.flights)
+        low = max(BAND[0], 2.0 / longest)
+        return low, max(min(BAND[1], 0.4 / max(f.dt for f in self.flights)), 4.0 * low)
+
+    @cached_property
+    def groups(self) -> tuple[tuple[str, ...], ...]:
+        """Names of the rows; what a later group is linear in holds parameters of an earlier one."""
+        outputs, moving = self.model.body.outputs, self.model.layout.has(*VELOCITIES)
+        forces = tuple(a for a in SPECIFIC_FORCES if a in outputs or moving)
+        return (*forces, *(o for o in outputs if o.startswith("omega"))), ANGULAR_ACCELERATIONS
+
+    def kind(self, row: str) -> str:
+        """Whether the response is regressed or its rate."""
+        return "value" if row in self.model.body.outputs else "derivative"
+
+    def response(self, row: str, flight: Seen) -> Tensor:
+        """What was measured (T,): the row, or what it is the rate of."""
+        outputs, pick = self.model.body.outputs, self.model.layout.pick
+        if row in outputs:
+            return flight.outputs[:, outputs.index(row)]
+        if row in ANGULAR_ACCELERATIONS:
+            return flight.outputs[:, outputs.index(RATES[ANGULAR_ACCELERATIONS.index(row)])]
+        velocity, rates, attitude = (pick(flight.states, *g) for g in (VELOCITIES, RATES, ATTITUDE))
+        other = gravity_in_body(attitude, self.model.body.gravity) - cross(rates, velocity)
+        axis = SPECIFIC_FORCES.index(row)
+        return velocity[:, axis] - integral(other[:, axis], flight.dt)
+
+    def at(self, thetas: Tensor) -> list[Rows]:
+        """Rows of every flight [K, T] at thetas [K, P] that have the first one's control path."""
+        return [
+            self.accelerations(thetas[:, None], flight.states, taped, flight.step)
+            for flight, taped in zip(self.flights, self._taped(thetas[0]), strict=True)
+        ]
+
+    def _taped(self, theta: Tensor) -> list[Tensor]:
+        """Inputs of every flight behind the control path; those of the last path are kept."""
+        key = tuple(theta[self._path].tolist())
+        if key not in self._tapes:
+            self._tapes.clear()
+            with self.model.restored(), torch.no_grad():
+                self.model.theta.copy_(theta)
+                self._tapes[key] = [f.means(self.model.tape(f.controls, f.dt)) for f in self.flights]
+        return self._tapes[key]
+
+    @cached_property
+    def _path(self) -> list[int]:
+        """Places of the control path's parameters."""
+        path = [effect for effect in self.model.chain if effect.stage is Stage.CONTROL]
+        return [self.model.parameter_set.index(f"{effect.id}.{p.name}") for effect in path for p in effect.declared]
+
+    @torch.no_grad()
+    def fitted(self, theta: Tensor, names: Sequence[str]) -> tuple[Tensor, dict[str, Regression]]:
+        """Theta with these parameters regressed, each in the first row that it reaches; regressions by row."""
+        left, regressions = list(names), dict[str, Regression]()
+        for group in self.groups:
+            base, columns = self.columns(theta, left)
+            for row in group:
+                mine = {n: [one[row] for one in columns[n]] for n in left}
+                mine = {n: c for n, c in mine.items() if any(bool((part != 0.0).any()) for part in c)}
+                moving = {n: c for n, c in mine.items() if any(_moves(part) for part in c)}
+                remainders = [one[row] for one in base]
+                if moving:
+                    regressions[row] = self._regress(row, theta, remainders, moving)
+                    change = self._stored(theta, moving, regressions[row].coefficients)
+                    theta = theta + change
+                    remainders = _moved(remainders, moving, change[[self.model.parameter_set.index(n) for n in moving]])
+                for name in [n for n in mine if n not in moving][:1]:  # a second constant could not be told from it
+                    more = self._mean_error(row, remainders) / float(mine[name][0].mean())
+                    theta = with_values(
+                        self.model, theta, {name: float(theta[self.model.parameter_set.index(name)]) + more}
+                    )
+                left = [n for n in left if n not in mine]
+        return theta, regressions
+
+    def columns(self, theta: Tensor, names: Sequence[str]) -> tuple[list[Rows], dict[str, list[Rows]]]:
+        """Rows of every flight at theta, and their derivatives by each of the parameters."""
+        places = {name: self.model.parameter_set.index(name) for name in names}
+        steps = {name: self._step(theta, i) for name, i in places.items()}
+        base = self.at(theta[None])
+        columns = dict[str, list[Rows]]()
+        together = [name for name, i in places.items() if i not in self._path]
+        for batch in (together, *([name] for name, i in places.items() if i in self._path)):
+            if not batch:
+                continue
+            thetas = theta.repeat(len(batch), 1)
+            for k, name in enumerate(batch):
+                thetas[k, places[name]] += steps[name]
+            moved = self.at(thetas)
+            for k, name in enumerate(batch):
+                columns[name] = [
+                    {row: _change(bumped[row].expand(len(batch), -1)[k], here[row][0]) / steps[name] for row in here}
+                    for bumped, here in zip(moved, base, strict=True)
+                ]
+        return [{row: values[0] for row, values in one.items()} for one in base], columns
+
+    def _step(self, theta: Tensor, i: int) -> float:
+        declared = self.model.parameter_set.parameters[i]
+        size = declared.prior_sd if declared.prior_sd < torch.inf else max(1.0, abs(float(theta[i])))
+        return STEP * size if float(theta[i]) + STEP * size <= declared.bounds[1] else -STEP * size
+
+    def _regress(
+        self, row: str, theta: Tensor, base: Sequence[Tensor], columns: Mapping[str, Sequence[Tensor]]
+    ) -> Regression:
+        parameter_set = self.model.parameter_set
+        places = [parameter_set.index(name) for name in columns]
+        regressors = [torch.stack(parts, dim=-1) for parts in zip(*columns.values(), strict=True)]
+        responses = []
+        for flight, one, z in zip(self.flights, base, regressors, strict=True):
+            remainder = one - z @ theta[places]
+            response = remainder if self.kind(row) == "value" else integral(remainder, flight.dt)
+            responses.append(self.response(row, flight) - response)
+        return fit_equation(
+            Equation(
+                name=row,
+                response=responses,
+                regressors=regressors,
+                names=tuple(columns),
+                dt=[flight.dt for flight in self.flights],
+                kind=self.kind(row),
+                regressor_noise=[0.0] * len(columns),
+                prior_mean=parameter_set.values[places],
+                prior_sd=parameter_set.prior_sd[places],
+                band=self.band,
+                trend=False,
+            )
+        )
+
+    def _stored(self, theta: Tensor, names: Mapping[str, Sequence[Tensor]], values: Tensor) -> Tensor:
+        """Change of theta to these values inside their bounds."""
+        wanted = theta.clone()
+        wanted[[self.model.parameter_set.index(name) for name in names]] = values
+        return self.model.parameter_set.clamp(wanted) - theta
+
+    def _mean_error(self, row: str, remainders: Sequence[Tensor]) -> float:
+        """Measured less the model's row on average over the flights."""
+        more, weight = 0.0, 0.0
+        for flight, one in zip(self.flights, remainders, strict=True):
+            measured = self.response(row, flight)
+            if self.kind(row) == "value":
+                more += float((measured - one).sum()) * flight.dt
+            else:
+                more += float(measured[-1] - measured[0] - integral(one, flight.dt)[-1])
+            weight += (len(one) - (self.kind(row) != "value")) * flight.dt
+        return more / weight
+
+
+def seen_flights(model: Model, data: Records) -> Iterator[Seen]:
+    """The flights of a batch of records; measured values in place of smoothed ones where there are any."""
+    body = model.body
+    places = [(body.outputs.index(s), i) for i, s in enumerate(body.states) if s in body.outputs]
+    for k, samples in enumerate(data.lengths.tolist()):
+        states, outputs = bridged(data.states[k, :samples]).nan_to_num(0.0), data.outputs[k, :samples].clone()
+        for o, s in places:
+            if body.outputs[o] not in RATES:  # those are smoothed anyway, and whole
+                states[:, s] = torch.where(outputs[:, o].isnan(), states[:, s], outputs[:, o])
+            outputs[:, o] = states[:, s]
+        yield Seen(data.dt, data.controls[k, :samples], states, bridged(outputs))
+
+
+def with_values(model: Model, theta: Tensor, values: Mapping[str, float]) -> Tensor:
+    """Theta with some parameters at other values."""
+    theta = theta.clone()
+    for name, value in values.items():
+        theta[model.parameter_set.index(name)] = value
+    return theta
+
+
+def _moved(rows: Sequence[Tensor], columns: Mapping[str, Sequence[Tensor]], change: Tensor) -> list[Tensor]:
+    """Rows of every flight after a change of the parameters that they are linear in."""
+    per_flight = zip(*columns.values(), strict=True)
+    return [one + torch.stack(parts, -1) @ change for one, parts in zip(rows, per_flight, strict=True)]
+
+
+def _change(moved: Tensor, before: Tensor) -> Tensor:
+    """What has changed beyond rounding."""
+    change = moved - before
+    return torch.where(change.abs() > ROUNDING * before.abs().max(), change, 0.0)
+
+
+def _moves(column: Tensor) -> bool:
+    return float(column.std()) > STILL * float(column.abs().mean())
