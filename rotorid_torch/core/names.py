@@ -120,6 +120,11 @@ def is_control(name: str) -> bool:
     return name in STICKS or is_motor(name)
 
 
+def thrust_share(name: str) -> str:
+    """Signal of the model: what the rotor of a motor command or speed gives of its thrust."""
+    return f"thrust.share.{name}"
+
+
 def unit(name: str) -> str:
     """Unit of a channel; an empty string for a name outside the table."""
     listed = channel(name)

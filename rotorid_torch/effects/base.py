@@ -155,7 +155,7 @@ class Effect(nn.Module):
     Modules of torch that are attributes are trained with the rest: their weights are parameters behind those declared,
     with `weight_sd` for prior_sd, one number or one for each beginning of a name ("net.0").
     `proportional` : whether twice the size does about twice as much. `separated_by` are the flights that tell it from
-    derivatives which absorb it.
+    derivatives which absorb it. `swings` : whether it has a motion of its own that no channel tells.
     """
 
     id: str = ""
@@ -166,6 +166,7 @@ class Effect(nn.Module):
     ordinary: bool = False
     companion: str = ""
     proportional: bool = True
+    swings: bool = False
     separated_by: str = "larger or longer inputs on every control"
     weight_sd: float | Mapping[str, float] = 1.0
 

@@ -7,7 +7,7 @@ attitude's tilt, the accelerometers' bias, battery and mass differ from flight t
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -117,6 +117,21 @@ class MeasuredStates:
         theta = whole(best)
         errors, without = self._errors(theta, names, prior[1]), self._without(theta, names, prior)
         return MeasuredFit(theta, errors, self._constants(theta), without, self._explained(theta))
+
+    def misfit(self, theta: Tensor, names: Sequence[str]) -> Callable[[Tensor], float]:
+        """What is left, at thetas near one, with these parameters after a step of least squares from there.
+
+        Each response counts by what is left of it at the first theta.
+        """
+        parameter_set, sigma = self.equations.model.parameter_set, self._sigma(theta)
+        places = [parameter_set.index(name) for name in names]
+        prior = parameter_set.values[places], parameter_set.prior_sd[places]
+
+        def at(other: Tensor) -> float:
+            A, b, _ = self._linear(other, names, sigma, prior)
+            return float((b - A @ least_squares(A, b[:, None])[:, 0]).square().sum())
+
+        return at
 
     def _modelled(self, theta: Tensor) -> list[dict[str, Tensor]]:
         return [{row: one[row][0] for row in self._rows} for one in self.equations.at(theta[None])]
@@ -230,7 +245,7 @@ class MeasuredStates:
 
 def _condensed(flight: Seen) -> tuple[int, int]:
     half = round(0.5 * SMOOTHED_S / flight.dt)
-    return half, max(1, half)
+    return half, max(1, 2 * half)
 
 
 def _response(row: str, outputs: Sequence[str], flight: Seen) -> Tensor:

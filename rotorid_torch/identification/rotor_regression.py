@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import torch
 from torch import Tensor
 
 from rotorid_torch.data.dataset import Dataset
@@ -17,6 +16,7 @@ from rotorid_torch.identification.measured_states import MeasuredStates
 from rotorid_torch.identification.model_estimation import records
 from rotorid_torch.identification.model_regression import Step2
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
+from rotorid_torch.identification.regress.ftr import Regression
 from rotorid_torch.identification.rotor_equations import RotorEquations, seen_flights, with_values
 from rotorid_torch.model.model import Model
 
@@ -28,20 +28,25 @@ SEARCHED = 1000
 """Samples of each flight, from its middle, that the search for parameters with memory looks at."""
 
 
-def regress_rotors(model: Model, dataset: Dataset, reconstruction: Reconstruction) -> Step2:
+def regress_rotors(model: Model, dataset: Dataset, reconstruction: Reconstruction, begun: bool = False) -> Step2:
     """Start of step 3 for a multirotor, from the identify flights.
 
-    Parameters that the equations are not linear in start where the model has them, where that is not nothing.
+    Parameters that the equations are not linear in start where the model has them, where that is not nothing. begun :
+    the others start there too, and no regression in a band is asked for.
 
     Source: Morelli and Klein, Aircraft System Identification (2nd ed.), ch. 7; Foerster (2015), sec. 3.
     """
     flights = tuple(seen_flights(model, records(model, dataset, reconstruction)))
-    equations, curved = RotorEquations(model, flights), nonlinear(model)
+    curved, theta = nonlinear(model), model.theta.detach().clone()
     linear = [name for name in model.parameter_set.free if name not in curved]
-    searched, theta = RotorEquations(model, tuple(f.middle(SEARCHED) for f in flights)), model.theta.detach().clone()
     declared = dict(zip(model.parameter_set.names, model.parameter_set.values.tolist(), strict=True))
-    theta = _tried(searched, theta, [n for n in curved if model.named_values[n] == declared[n]], linear)
-    theta, regressions = equations.fitted(theta, linear)
+    unknown = [name for name in curved if model.named_values[name] == declared[name]]
+    if unknown:
+        searched = MeasuredStates.of(model, [flight.middle(SEARCHED) for flight in flights])
+        theta = _tried(searched, theta, unknown, linear)
+    regressions = dict[str, Regression]()
+    if not begun:
+        theta, regressions = RotorEquations(model, flights).fitted(theta, linear)
     fit = MeasuredStates.of(model, flights).fitted(model.parameter_set.clamp(theta), model.parameter_set.free)
     constants = dict(zip(dataset.identify, fit.constants, strict=True))
     without = dict(zip(dataset.identify, fit.without, strict=False))  # none of one flight alone
@@ -58,28 +63,23 @@ def nonlinear(model: Model) -> tuple[str, ...]:
     )
 
 
-def _tried(equations: RotorEquations, theta: Tensor, curved: Sequence[str], linear: Sequence[str]) -> Tensor:
-    """Theta with these parameters where all equations together fit best, one after the other on a grid."""
-    parameter_set = equations.model.parameter_set
-    declared = [parameter_set.parameters[parameter_set.index(name)] for name in curved]
+def _tried(states: MeasuredStates, theta: Tensor, unknown: Sequence[str], linear: Sequence[str]) -> Tensor:
+    """Theta with these parameters where all responses together fit best, one after the other on a grid."""
+    parameter_set = states.equations.model.parameter_set
+    declared = [parameter_set.parameters[parameter_set.index(name)] for name in unknown]
     usual = ([min(max(share * p.typical, p.bounds[0]), p.bounds[1]) for share in TRIED] for p in declared)
     grids = [[p.value, *p.tried] if p.tried else grid for p, grid in zip(declared, usual, strict=True)]
-    misfits = dict[tuple[float, ...], float]()
+    theta = states.fitted(theta, linear).theta
+    misfit, misfits = states.misfit(theta, linear), dict[tuple[float, ...], float]()
 
     def at(values: tuple[float, ...]) -> Tensor:
-        return with_values(equations.model, theta, dict(zip(curved, values, strict=True)))
+        return with_values(states.equations.model, theta, dict(zip(unknown, values, strict=True)))
 
     best = tuple(p.value for p in declared)
-    for k in list(range(len(curved))) * (SWEEPS if len(curved) > 1 else 1):
+    for k in list(range(len(unknown))) * (SWEEPS if len(unknown) > 1 else 1):
         trials = [(*best[:k], value, *best[k + 1 :]) for value in grids[k]]
         for trial in trials:
             if trial not in misfits:
-                misfits[trial] = _misfit(equations, at(trial), linear)
+                misfits[trial] = misfit(at(trial))
         best = min(trials, key=lambda trial: misfits[trial])
     return at(best)
-
-
-def _misfit(equations: RotorEquations, theta: Tensor, linear: Sequence[str]) -> float:
-    """Minus log-likelihood of all rows that have a regressor."""
-    _, regressions = equations.fitted(theta, linear)
-    return sum(0.5 * r.information * float(torch.log((1.0 - r.r2).clamp_min(1e-9))) for r in regressions.values())

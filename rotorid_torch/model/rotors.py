@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.names import FORCES, MOMENTS
+from rotorid_torch.core.names import FORCES, MOMENTS, thrust_share
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.core.rigid import cross, vec
 from rotorid_torch.core.state import State
@@ -89,6 +89,9 @@ class Rotors(Effect):
         s = frame.stack(self.driven)
         c0, c1, c2 = p.stack("thrust.c0", "thrust.c1", "thrust.c2").unsqueeze(-2).unbind(-1)
         thrust = c0 + s * (c1 + s * c2)  # [..., motors]
+        shares = tuple(thrust_share(name) for name in self.driven)
+        if set(shares) <= set(frame.signals):
+            thrust = thrust * frame.stack(shares)
         zero = torch.zeros_like(thrust)
         moment = cross(self.place, vec(zero, zero, -thrust)).sum(-2)
         moment = moment + vec(zero[..., 0], zero[..., 0], (self.torque * thrust).sum(-1))

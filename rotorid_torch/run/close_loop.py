@@ -327,9 +327,11 @@ def _with_spread(fit: FitRecord, spread: Mapping[str, float], traced: Mapping[st
 
 
 def _with_sensors(spec: ModelSpec, model: Model, sensors: Mapping[str, float]) -> tuple[ModelSpec, Model]:
-    """The model with the sensors' errors on its outputs."""
+    """The model with the sensors' errors on its outputs; those of channels that are no outputs are none of its own."""
     effects = dict.fromkeys(".".join(n.split(".")[:2]) for n in sensors)
-    richer = msgspec.structs.replace(spec, effects=(*spec.effects, *effects), values={**spec.values, **sensors})
+    richer = msgspec.structs.replace(spec, effects=(*spec.effects, *effects))
+    known = {n: v for n, v in sensors.items() if n in build(richer).parameter_set}
+    richer = msgspec.structs.replace(richer, values={**spec.values, **known})
     sensing = build(richer)
     sensing.start_from(model.named_values)
     return richer, sensing

@@ -29,23 +29,29 @@ PREDICTED = 6
 """Identify flights on which body rates are predicted, at most."""
 
 
-def regressed(spec: ModelSpec, dataset: Dataset, reconstruction: Reconstruction) -> tuple[ModelSpec, Model, Step2]:
-    """Step 2 of one structure; of a multirotor's once more where the first says that a moment is not explained."""
+def regressed(
+    spec: ModelSpec, dataset: Dataset, reconstruction: Reconstruction, begun: bool = False
+) -> tuple[ModelSpec, Model, Step2]:
+    """Step 2 of one structure; of a multirotor's once more where the first says that a moment is not explained.
+
+    begun : whether the spec's values are those of a fit without some of its effects.
+    """
     model = build(spec)
     if not spec.motors:
         return spec, model, regress_model(model, dataset, reconstruction)
-    regressions = regress_rotors(model, dataset, reconstruction)
+    regressions = regress_rotors(model, dataset, reconstruction, begun)
     told = _told(spec, model, regressions, dataset)
     if told == spec:
         return spec, model, regressions
     model, known = build(told), model.named_values
     model.start_from({n: v for n, v in known.items() if n not in told.values})
-    return told, model, regress_rotors(model, dataset, reconstruction)
+    return told, model, regress_rotors(model, dataset, reconstruction, begun)
 
 
 def at_measured_states(spec: ModelSpec, dataset: Dataset, reconstruction: Reconstruction) -> Identified:
     """A multirotor's model by step 2 alone, which is least squares of what its effects are judged by."""
-    _, model, regressions = regressed(spec, dataset, reconstruction)
+    begun = any(name.startswith("rotors.thrust.") for name in spec.values)
+    _, model, regressions = regressed(spec, dataset, reconstruction, begun)
     with torch.no_grad():
         model.theta.copy_(regressions.theta)
     return Identified(spec, model, regressions.errors, regressions.without)

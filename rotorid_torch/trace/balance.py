@@ -18,6 +18,7 @@ from rotorid_torch.core.names import RATES, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.families.mass import CentreOfGravity
+from rotorid_torch.effects.families.propulsion import Unequal
 from rotorid_torch.effects.signal_operations import lagged
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model
@@ -198,8 +199,10 @@ class Standing:
     centre: Tensor
     errors: Tensor
     moved_alone: bool
+    moved_hardly: bool
     rotor: int | None
     less: float
+    less_error: float
     without: Tensor
     remaining: Tensor
 
@@ -224,7 +227,7 @@ def standing(spec: ModelSpec, identify: Sequence[Balance], unseen: Sequence[Bala
     misfits = (remainder @ inverse * remainder).sum(dim=1)
     rotor = int(misfits.argmin())
     explains = _chance(misfits[rotor], 2) > EXCLUDED
-    moved = _chance(centre[2].square() / ordinary[2, 2], 1) > EXCLUDED
+    moved = _chance(centre[2].square() / ordinary[2, 2], 1)
     unseen_centres = torch.cat([b.centre for b in unseen])
     without, after = (values.square().mean(dim=0).sqrt() for values in (unseen_centres, unseen_centres - centre))
     if _misfit(after, inverse) >= _misfit(without, inverse):
@@ -232,7 +235,9 @@ def standing(spec: ModelSpec, identify: Sequence[Balance], unseen: Sequence[Bala
     one = rotor if explains else None
     # its share of all thrusts is larger than the others' by this over their number, and its true thrust is theirs
     less = float(beyond[rotor] / (1.0 + beyond[rotor] * (1.0 - 1.0 / len(levers))))
-    return Standing(centre, ordinary.diagonal().sqrt(), moved, one, less, without, after)
+    error = float((levers[rotor] @ inverse @ levers[rotor]).rsqrt())
+    errors, open_, hardly = ordinary.diagonal().sqrt(), moved > EXCLUDED, moved > FALSE_ALARMS
+    return Standing(centre, errors, open_, hardly, one, less, error, without, after)
 
 
 def _misfit(centre: Tensor, inverse: Tensor) -> Tensor:
@@ -248,12 +253,16 @@ def _chance(misfit: Tensor, freedom: int) -> float:
 def out_of_balance(
     model: Model, spec: ModelSpec, dataset: Dataset, unseen: Sequence[str]
 ) -> tuple[Finding | None, Unknown | None]:
-    """A finding about the centre of gravity, and what else is missing; None where there is nothing to tell."""
+    """A finding about the centre of gravity or a rotor, and what else is missing; None where nothing is."""
     identified, new = balances(model, spec, dataset, dataset.identify), balances(model, spec, dataset, unseen)
     if not identified or not new:
         return None, None
     going, off = going_with(identified, new), standing(spec, identified, new)
-    finding = _centre_of_gravity(off, spec) if off is not None and off.moved_alone else None
+    finding = None
+    if off is not None and off.moved_alone:
+        finding = _centre_of_gravity(off, spec)
+    elif off is not None and off.rotor is not None and off.less > 0.0:
+        finding = _unequal(off, spec)
     said = [_said(g) for g in going]
     rows, signal = [g.row for g in going], going[0].signal if going else None
     if off is not None and finding is None:
@@ -297,6 +306,21 @@ def _stands(off: Standing, spec: ModelSpec) -> str:
     rotor = _rotor(off, spec)
     single = "" if rotor is None else f"; as if the rotor of {rotor} gave {_less(off)} than its input says"
     return f"L, M and N: {_where(off)}; a centre of gravity elsewhere would leave yaw alone{single}"
+
+
+def _unequal(off: Standing, spec: ModelSpec) -> Finding:
+    """One rotor gives less; or, where chance leaves that open, a weight near the opposite one."""
+    rotor = _rotor(off, spec)
+    values = {f"{Unequal.id}.{rotor}": (off.less, off.less_error)}
+    said = f"{_where(off)}: as if the rotor of {rotor} gave {_less(off)} than its input says"
+    if off.moved_hardly:
+        said = (
+            f"{said}; a centre of gravity elsewhere would leave yaw alone, and rotors that differ may turn it by chance"
+        )
+        group = (CentreOfGravity.id,)
+        return Finding(Unequal.id, "undeclared", "indistinguishable", said, group=group, values=values)
+    said = f"{said}; a centre of gravity elsewhere would leave yaw alone"
+    return Finding(Unequal.id, "undeclared", "accepted", said, values=values)
 
 
 def _centre_of_gravity(off: Standing, spec: ModelSpec) -> Finding:

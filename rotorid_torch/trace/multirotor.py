@@ -40,6 +40,7 @@ BLOCK_S = 1.0
 """Blocks of the residual that are put in another order: longer than what a motor or a stream is late by."""
 PAIRED_S = 5.0
 """s: blocks that are compared as pairs."""
+UNSEEN_STATE = "it has a motion of its own, which no channel tells; accelerations at measured states show nothing of it"
 LEFT_OUT = "without "
 """Before the name of a flight: its responses by a fit of all others."""
 SHUFFLES = 200
@@ -65,10 +66,13 @@ class Identified:
         return self.model.named_values
 
     def started(self, spec: ModelSpec) -> ModelSpec:
-        """A spec whose effects begin with the sizes that they have here."""
-        begins = [f"{e}." for e in (*self.spec.effects, *spec.effects)]
-        others = {n: v for n, v in spec.values.items() if not any(n.startswith(b) for b in begins)}
-        known = {n: v for n, v in self.values.items() if any(n.startswith(f"{e}.") for e in spec.effects)}
+        """A spec that begins with the values that parameters have here, but for moments that are not explained here."""
+        effects = {e: f"{e}." for e in (*self.spec.effects, *spec.effects)}
+        others = {n: v for n, v in spec.values.items() if not any(n.startswith(b) for b in effects.values())}
+        silent = [row for row in MOMENTS if self.values.get(f"rotors.power.{row}") == 0.0]
+        untold = [f"rotors.{kind}.{row}" for kind in ("power", "trim") for row in silent]
+        kept = (*(effects[e] for e in spec.effects), "rotors.", "speed.")
+        known = {n: v for n, v in self.values.items() if n.startswith(kept) and n not in untold}
         return msgspec.structs.replace(spec, values={**others, **known})
 
 
@@ -93,7 +97,9 @@ def trace_rotors(
     seed : of the order of the residual's blocks. ranks : processes that share the candidates; each calls this.
     """
     testable, findings = candidates(spec)
-    undeclared = [e for e in testable if registered()[e].role is Role.UNDECLARED]
+    blind = [e for e in testable if registered()[e].swings]
+    findings += [Finding(e, registered()[e].role.value, "not testable", UNSEEN_STATE) for e in blind]
+    undeclared = [e for e in testable if registered()[e].role is Role.UNDECLARED and e not in blind]
     search, null = _Search(dataset, fit, say, seed), fit(spec)
     sized, undeclared, unmoved = with_screening_sizes(null.spec, null.values, dataset, undeclared)
     findings += unmoved

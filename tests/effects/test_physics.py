@@ -406,10 +406,36 @@ def test_rotors_turn_the_body_by_their_places_and_spins():
 
 
 def test_rotor_drag_grows_with_speed_and_inflow_takes_thrust():
-    model = made("propulsion.rotor_drag", MULTIROTOR, xy=0.4, z=0.3)
-    still, moving = (rates(model, u=u, w=w) for u, w in ((0.0, 0.0), (2.0, -1.0)))
+    model = made("propulsion.rotor_drag", MULTIROTOR, x=0.4, y=0.2)
+    still, moving = (rates(model, u=u, v=u, w=w) for u, w in ((0.0, 0.0), (2.0, -1.0)))
     assert moving["u"] - still["u"] == pytest.approx(-0.8)
+    assert moving["v"] - still["v"] == pytest.approx(-0.4)
+    assert moving["w"] == still["w"]
+    model = made("propulsion.axial_inflow", MULTIROTOR, z=0.3)
+    still, moving = (rates(model, u=u, w=w) for u, w in ((0.0, 0.0), (2.0, -1.0)))
+    assert moving["u"] == still["u"]
     assert moving["w"] - still["w"] == pytest.approx(0.3)
+
+
+def test_a_rotor_that_gives_less_lifts_and_turns_less():
+    spec = msgspec.structs.replace(MULTIROTOR, inputs=(), effects=("propulsion.unequal",))
+    model, hover = build(spec), dict.fromkeys(MOTORS, 0.6)
+    model.start_from({"propulsion.unequal.motor1": 0.1})
+    thrust = 0.03 * 9.80665 / 4
+    found = rates(model, **hover)
+    assert found["w"] == pytest.approx(0.1 * thrust / 0.03)
+    assert found["p"] == pytest.approx(0.028 * 0.1 * thrust / 1.66e-5)
+    assert found["q"] == pytest.approx(-0.028 * 0.1 * thrust / 1.67e-5)
+
+
+def test_a_multirotors_ground_lifts_by_cheeseman_and_bennett():
+    spec = msgspec.structs.replace(MULTIROTOR, inputs=(), effects=("environment.ground",))
+    model, hover = build(spec), dict.fromkeys(MOTORS, 0.6)
+    model.start_from({"environment.ground.radius": 0.1, "environment.ground.offset": 0.02})
+    heights = {h: rates(model, **hover, **{"environment.ground.height": h})["w"] for h in (0.03, 0.08, 10.0)}
+    for h in (0.03, 0.08):
+        assert heights[h] == pytest.approx(9.80665 - 9.80665 / (1.0 - (0.1 / (4.0 * (h + 0.02))) ** 2))
+    assert heights[10.0] == pytest.approx(0.0, abs=1e-3)
 
 
 def test_sensors_err_as_they_say_and_the_motion_does_not():

@@ -141,12 +141,21 @@ def told(monkeypatch: pytest.MonkeyPatch, **what: Any) -> Any:
     return out_of_balance(none, SPEC, data, [4, 5])  # pyright: ignore[reportArgumentType]
 
 
-def test_words_name_the_rotor_but_no_effect(monkeypatch: pytest.MonkeyPatch):
+def test_one_rotor_that_gives_less_is_named_with_its_size(monkeypatch: pytest.MonkeyPatch):
     finding, missing = told(monkeypatch, centre=of_weak(2, 0.5), by_speed=3e-4)
-    assert finding is None
-    assert (missing.where, missing.goes_with) == ("LMN", "motor3")
-    assert "as if the rotor of motor3 gave 50 % less" in missing.sentence
+    assert (finding.id, finding.verdict, finding.group) == ("propulsion.unequal", "accepted", ())
+    value, error = finding.values["propulsion.unequal.motor3"]
+    assert abs(value - 0.5) < 2.0 * error < 0.3
+    assert "as if the rotor of motor3 gave 50 % less" in finding.reason
+    assert missing.where == "M"
     assert "M: it goes with u" in missing.sentence
+
+
+def test_a_rotor_and_a_weight_near_another_are_a_group_where_yaw_leaves_both_open(monkeypatch: pytest.MonkeyPatch):
+    finding, missing = told(monkeypatch, centre=of_weak(2, 0.3))
+    assert missing is None
+    assert (finding.id, finding.verdict, finding.group) == ("propulsion.unequal", "indistinguishable", ("mass.cg",))
+    assert finding.values["propulsion.unequal.motor3"][0] == pytest.approx(0.3, abs=0.02)
 
 
 @pytest.mark.parametrize(
@@ -160,9 +169,10 @@ def test_words_name_the_rotor_but_no_effect(monkeypatch: pytest.MonkeyPatch):
 def test_words_have_sides_and_no_minus_signs(
     rotor: int, less: float, words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ):
-    _, missing = told(monkeypatch, centre=of_weak(rotor, less))
-    assert [word for word in words if word not in missing.sentence] == []
-    assert "-" not in missing.sentence.replace("counter-clockwise", "")
+    finding, missing = told(monkeypatch, centre=of_weak(rotor, less))
+    said = finding.reason if less > 0.0 else missing.sentence
+    assert [word for word in words if word not in said] == []
+    assert "-" not in said.replace("counter-clockwise", "")
 
 
 def test_a_moved_centre_of_gravity_is_told_with_its_rivals(monkeypatch: pytest.MonkeyPatch):

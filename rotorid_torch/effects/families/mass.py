@@ -202,6 +202,7 @@ class SlungLoad(Effect):
     """
 
     id, stage, role = "mass.slung_load", Stage.MASS, Role.UNDECLARED
+    swings = True
     hang: Tensor
     inverse: Tensor | None
 

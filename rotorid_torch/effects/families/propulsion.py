@@ -1,12 +1,13 @@
-"""Effects of a multirotor's drives: lag of the motors, battery voltage, the rotors' inertia and drag."""
+"""Effects of a multirotor's drives: motors' lag, battery voltage, rotors' inertia, drag, inflow, unlike rotors."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.names import VELOCITIES, is_motor
+from rotorid_torch.core.names import VELOCITIES, is_motor, thrust_share
 from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.core.rigid import vec
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.signal_operations import lagged
@@ -136,11 +137,16 @@ class RotorInertia(Effect):
         return frame.with_signals(r=frame.signals["r"] + p["N"] * total), x
 
 
+def _total(spec: ModelSpec) -> float:
+    """Sum of the commands or speeds at the reference."""
+    return sum(spec.reference.get(n, 0.0) for n in spec.driven) or 1.0
+
+
 @register
 class RotorDrag(Effect):
-    """Drag of the rotors in their own plane and inflow along their axes, linear in speed, growing with the rotors'.
+    """Drag of the rotors in their own plane, linear in speed, growing with the rotors' speed.
 
-    X -= xy s u, Y -= xy s v, Z -= z s w with s the sum of the commands or speeds over that at the reference.
+    X -= x s u, Y -= y s v with s the sum of the commands or speeds over that at the reference.
 
     Source: Faessler, Franchi and Scaramuzza, IEEE Robotics and Automation Letters 3 (2018); Foerster (2015), sec. 3.4.
     """
@@ -149,9 +155,9 @@ class RotorDrag(Effect):
 
     def __init__(self, driven: tuple[str, ...], total: float) -> None:
         super().__init__(
-            (
-                Parameter("xy", 0.0, "1/s", (0.0, 5.0), doc="drag in the rotors' plane", typical=0.3),
-                Parameter("z", 0.0, "1/s", (0.0, 5.0), doc="axial inflow: thrust lost by climbing", typical=0.3),
+            tuple(
+                Parameter(n, 0.0, "1/s", (0.0, 5.0), doc=f"drag in the rotors' plane along {n}", typical=0.3)
+                for n in "xy"
             )
         )
         self.driven, self.total = driven, total
@@ -159,7 +165,7 @@ class RotorDrag(Effect):
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> RotorDrag:
         """About the reference's commands or speeds."""
-        return cls(spec.driven, sum(spec.reference.get(n, 0.0) for n in spec.driven) or 1.0)
+        return cls(spec.driven, _total(spec))
 
     @classmethod
     def untestable(cls, spec: ModelSpec) -> str | None:
@@ -169,4 +175,82 @@ class RotorDrag(Effect):
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds the drag."""
         share = frame.stack(self.driven).sum(-1, keepdim=True) / self.total
-        return frame.add(force=-p.stack("xy", "xy", "z") * share * frame.stack(VELOCITIES)), x
+        across = p.stack("x", "y") * share * frame.stack(VELOCITIES[:2])
+        return frame.add(force=vec(-across[..., 0], -across[..., 1], torch.zeros_like(across[..., 0]))), x
+
+
+@register
+class AxialInflow(Effect):
+    """Thrust lost by climbing and gained by sinking, linear in the speed along the rotors' axes.
+
+    Z -= z s w with s the sum of the commands or speeds over that at the reference: air that meets the blades from above
+    takes from their angle of attack.
+
+    Source: Foerster, System Identification of the Crazyflie 2.0 (ETH, 2015), sec. 3.4; Bangura and Mahony (2012),
+    Nonlinear dynamic modelling for high performance control of a quadrotor, eq. 15.
+    """
+
+    id, stage, role = "propulsion.axial_inflow", Stage.FORCES, Role.UNDECLARED
+
+    def __init__(self, driven: tuple[str, ...], total: float) -> None:
+        super().__init__((Parameter("z", 0.0, "1/s", (0.0, 5.0), doc="thrust lost by climbing", typical=0.3),))
+        self.driven, self.total = driven, total
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> AxialInflow:
+        """About the reference's commands or speeds."""
+        return cls(spec.driven, _total(spec))
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Without motors, velocities or forces."""
+        return first(no_motors(spec), no_velocities(spec), no_forces(spec))
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Takes from the thrust."""
+        lost = p["z"] * frame.stack(self.driven).sum(-1) / self.total * frame.signals["w"]
+        zero = torch.zeros_like(lost)
+        return frame.add(force=vec(zero, zero, -lost)), x
+
+
+@register
+class Unequal(Effect):
+    """Rotors that give less than the others at the same command or speed: a damaged propeller, a tired motor.
+
+    T_i = T (1 - less_i), its torque likewise. Averaged over flights the trims of the moments stand for it; where the
+    thrusts balance, and how yaw does, tells which rotor it is.
+
+    Source: Mahony, Kumar and Corke, IEEE Robotics and Automation Magazine 19 (2012), eq. 5 (a rotor's thrust).
+    """
+
+    id, stage, role = "propulsion.unequal", Stage.ROTOR, Role.UNDECLARED
+    separated_by = "flights before and after a propeller is changed"
+
+    def __init__(self, driven: tuple[str, ...]) -> None:
+        super().__init__(
+            tuple(
+                Parameter(n, 0.0, "1", (-0.5, 0.9), doc="share of its thrust that the rotor lacks", typical=0.1)
+                for n in driven
+            )
+        )
+        self.driven = driven
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> Unequal:
+        """Of each rotor."""
+        return cls(spec.driven)
+
+    @classmethod
+    def untestable(cls, spec: ModelSpec) -> str | None:
+        """Without motors whose places are declared."""
+        places = None if spec.motors and spec.found_places is None else "the motors' places are not declared"
+        return first(no_motors(spec), places)
+
+    @classmethod
+    def absorbed_by(cls, spec: ModelSpec) -> str:
+        """By what is there whatever the rotors do."""
+        return "rotors.trim"
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Says what each rotor gives of its thrust."""
+        return frame.with_signals(**{thrust_share(n): 1.0 - p[n] for n in self.driven}), x
