@@ -23,6 +23,8 @@ from torch import Tensor
 
 from rotorid_torch.errors import InputError
 
+Numbers = Tensor | np.ndarray | Sequence[Any]
+"""What is taken as an array."""
 LISTED = 12
 """Names that a message lists at most."""
 ROUNDING = 1e-9

@@ -223,6 +223,11 @@ OPTIONS: list[tuple[str, dict[str, Any], str]] = [
     ("a delay in words", {"delays": {0: "20 ms"}}, "delays"),
 ]
 OUTPUT_ERROR: list[tuple[str, dict[str, Any], str]] = [
+    ("a state that there is not", {"x0": {"q": "fixed"}}, "x0"),
+    ("a place that there is not", {"x0": {1: "fixed"}}, "x0"),
+    ("a wish that there is not", {"x0": {0: "held"}}, "x0"),
+    ("bounds of an initial state reversed", {"x0": {0: (1.0, 0.0)}}, "x0"),
+    ("one bound of an initial state", {"x0": {0: 1.0}}, "x0"),
     ("no segments", {"segment_lengths": []}, "segment_lengths"),
     ("negative segments", {"segment_lengths": [-1.0]}, "segment_lengths"),
     ("segments of nothing", {"segment_lengths": [0.0]}, "segment_lengths"),

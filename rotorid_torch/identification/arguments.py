@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -111,6 +113,16 @@ def module(model: Any) -> nn.Module:
     return model
 
 
+def state_names(model: nn.Module, nx: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and units of a module's states."""
+    layout, named = getattr(model, "layout", None), getattr(model, "states", None)
+    if layout is not None and len(layout) == nx:
+        return layout.names, tuple(s.unit for s in layout.states)
+    if isinstance(named, Sequence) and not isinstance(named, str) and len(named) == nx:
+        return tuple(str(name) for name in named), ("",) * nx
+    return tuple(f"x[{i}]" for i in range(nx)), ("",) * nx
+
+
 def refuse_unfit(model: nn.Module, start: Tensor, x: Tensor, u: Tensor, ny: int) -> None:
     """A model that does not take the flights' states [F, nx] and controls [F, nu], or gives something else.
 
@@ -213,6 +225,40 @@ def _place(argument: Argument, place: Any, count: int, expected: str) -> int:
     if not whole or not 0 <= place < count:
         raise argument.wrong(f"has {place!r}", expected)
     return int(place)
+
+
+@dataclass(frozen=True)
+class InitialStates:
+    """How initial states are treated: "free" or "fixed" as a whole; of a free one, which are believed, and bounds."""
+
+    whole: str
+    held: Tensor | None = None  # [nx]
+    bounds: tuple[Tensor, Tensor] | None = None  # [nx]
+
+
+def initial_states_of(x0: Any, names: Sequence[str]) -> InitialStates:
+    """What `x0` asks for: a word, or by place or name of a state "free", "fixed" or (lower, upper).
+
+    Raises
+    ------
+    InputError : a state that there is not, or another wish.
+    """
+    argument = Argument("arguments", "x0")
+    if not isinstance(x0, Mapping):
+        return InitialStates(arguments.word(argument, x0, ("free", "fixed"), ", or a dict of them by state"))
+    held = torch.zeros(len(names), dtype=torch.bool)
+    low, high = torch.full((len(names),), -math.inf, dtype=torch.float64), torch.full((len(names),), math.inf)
+    for key, wish in x0.items():
+        known = [*names, *range(len(names))]
+        if isinstance(key, bool) or key not in known:
+            raise argument.wrong(f"there is no state {key!r}", f"one of {arguments.listed(names)}, or its place")
+        place = key if isinstance(key, int) else names.index(key)
+        if isinstance(wish, str):
+            held[place] = arguments.word(argument, wish, ("free", "fixed"), " or (lower, upper)") == "fixed"
+        else:
+            low[place], high[place] = _pair(argument, str(key), wish)
+    bounded = bool((low.isfinite() | high.isfinite()).any())
+    return InitialStates("free", held if bool(held.any()) else None, (low, high.to(low)) if bounded else None)
 
 
 def refuse_search(max_iterations: Any, monitor: Any) -> None:

@@ -23,6 +23,8 @@ from rotorid_torch.identification.estimate.segments import Records, Segments
 from rotorid_torch.identification.estimate.sensitivity import Run
 from rotorid_torch.identification.estimate.system import System
 
+HELD = 1e-12
+"""Prior's standard deviation of an initial state that is held: no data move it by more than rounding."""
 SOLVED = 256
 """Triangles that are solved at once."""
 PART_NUMBERS = 4_000_000
@@ -74,6 +76,7 @@ class Place:
     moments: Moments | None = None
     cost: float = math.inf
     locals: Locals | None = None
+    held: Tensor | None = None  # [S, nx] initial states that rest on a bound
     passage: Tensor | None = None  # [S, nx, nx] last state of each segment by its first
     transitions: list[Tensor | None] = field(default_factory=list)  # part by part
     blocks: list[tuple[Tensor, Tensor]] = field(default_factory=list)  # linear models of blocks of flights
@@ -89,6 +92,7 @@ class Likelihood:
     states : [F, T, nx] trajectories to start from, NaN where nothing is known.
     x0 : [S, nx] where initial states start from; they are held there where `x0_sd` is None.
     x0_mean, x0_sd : [S, nx] prior of the initial states, infinite sd where there is none.
+    x0_bounds : [S, nx] within which initial states stay, where there are any.
     bias_sd : [ny] prior about zero of a constant per flight and output: 0 for none, infinite for a free one.
     ranks : among which the flights are spread; records and segments are those of this rank.
 
@@ -109,6 +113,7 @@ class Likelihood:
     prior_sd: Tensor
     bias_sd: Tensor
     ranks: Ranks = ALONE
+    x0_bounds: tuple[Tensor, Tensor] | None = None
 
     @cached_property
     def biased(self) -> Tensor:
@@ -182,9 +187,12 @@ class Likelihood:
         if base is not None and base.locals is not None:
             x0_step, bias_step = base.locals.move(theta - base.theta, self.segments.flight, share)
             x0, bias = base.x0 + (x0_step if self.x0_sd is not None else 0.0), base.bias + bias_step
-        place = Place(theta, x0, bias)
+        place = Place(theta, self._within(x0), bias)
         evaluated = self._made(place, base)
         return self.judged(place, list(evaluated) if self._kept else None)
+
+    def _within(self, x0: Tensor) -> Tensor:
+        return x0 if self.x0_bounds is None else torch.clamp(x0, *self.x0_bounds)
 
     def parts(self, place: Place) -> Iterable[Part]:
         """The place's runs and residuals, part by part."""
@@ -269,7 +277,10 @@ class Likelihood:
 
     def x0_rows(self, place: Place) -> Tensor:
         """Rows [S, nx] of the initial states' prior."""
-        return self.x0.new_zeros(0) if self.x0_sd is None else (self.x0_mean - place.x0) / self.x0_sd
+        if self.x0_sd is None:
+            return self.x0.new_zeros(0)
+        rows = (self.x0_mean - place.x0) / self.x0_sd
+        return rows if place.held is None else torch.where(place.held, 0.0, rows)
 
     def _bias_rows(self, place: Place) -> Tensor:
         return -place.bias / self.bias_sd[self.biased]
@@ -278,11 +289,25 @@ class Likelihood:
         """The columns of the linear model of some segments."""
         if self.x0_sd is None:
             return Unknowns(None, self.x0.new_zeros(0), self.biased)
-        return Unknowns(self.x0_sd[which], self.x0_rows(place)[which], self.biased)
+        sd = self.x0_sd if place.held is None else torch.where(place.held, HELD, self.x0_sd)
+        return Unknowns(sd[which], self.x0_rows(place)[which], self.biased)
+
+    def linearise(self, place: Place) -> Linear:
+        """Linear model of the whitened residual in the shared parameters; the place remembers the elimination.
+
+        Initial states on a bound that pull beyond it are held there.
+        """
+        linear = self._linearised(place)
+        if self.x0_bounds is None:
+            return linear
+        assert place.locals is not None
+        step = place.locals.move(torch.zeros_like(place.theta), self.segments.flight, 1.0)[0]
+        low, high = self.x0_bounds
+        place.held = ((place.x0 <= low) & (step < 0.0)) | ((place.x0 >= high) & (step > 0.0))
+        return self._linearised(place) if bool(place.held.any()) else linear
 
     @torch.no_grad()
-    def linearise(self, place: Place) -> Linear:
-        """Linear model of the whitened residual in the shared parameters; the place remembers the elimination."""
+    def _linearised(self, place: Place) -> Linear:
         local, globals_count = self.locals_per_segment, len(place.theta) + 1
         starts = mapped_arrays.empty(len(self.segments), local, local + len(self.biased) + globals_count)
         passage = self.x0.new_empty(len(self.segments), self.x0.shape[-1], self.x0.shape[-1])

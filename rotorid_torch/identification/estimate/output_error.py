@@ -12,15 +12,17 @@ from torch import Tensor, nn
 from torch.nn.utils.rnn import pad_sequence
 
 from rotorid_torch import arguments
-from rotorid_torch.arguments import Argument
+from rotorid_torch.arguments import Argument, listed
 from rotorid_torch.core.gauss_newton import Minimum
 from rotorid_torch.core.parameters import ParameterTable
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.arguments import (
     SOLVERS,
+    InitialStates,
     angles_of,
     delays_of,
     floor_of,
+    initial_states_of,
     lengths_of,
     module,
     noise_of,
@@ -28,7 +30,9 @@ from rotorid_torch.identification.arguments import (
     refuse_too_few,
     refuse_unfit,
     refuse_unmeasured,
+    state_names,
 )
+from rotorid_torch.identification.estimate.own_models.feedback import acting_back
 from rotorid_torch.identification.estimate.own_models.steps import Stepped, in_steps
 from rotorid_torch.identification.estimate.own_models.whole_flights import WholeFlights, whole_flights
 from rotorid_torch.identification.estimate.progressive_fit import FINE, Fit, Monitor, Settings, fit
@@ -104,7 +108,7 @@ def output_error(
     model: nn.Module,
     flights: Sequence[Mapping[str, Any]],
     free: Sequence[str] | None = None,
-    x0: str = "free",
+    x0: str | Mapping[int | str, str | tuple[float, float]] = "free",
     noise: str | Tensor = "diagonal",
     *,
     bounds: Mapping[str, tuple[float, float]] | None = None,
@@ -126,7 +130,8 @@ def output_error(
     flights : dicts of time (T,), controls (T, nu), outputs (T, ny; NaN = missing), x0 (nx,); optionally states (T, nx),
         what is known of the states beforehand, for a start only.
     free : names of the parameters to estimate, all by default; entries of a tensor are named name[i].
-    x0 : "free" estimates the initial states, from those given; "fixed" believes them.
+    x0 : "free" estimates the initial states, from those given; "fixed" believes them. By place or name of a state one
+        of the words or bounds: {0: "fixed", 1: (-0.1, 0.1)}; states that are not named are free.
     noise : "diagonal", "full", or a covariance [ny, ny] to hold.
     bounds : lower and upper bound by name.
     noise_floor : [ny] standard deviation of the sensors, below which no residual is believed.
@@ -150,7 +155,8 @@ def output_error(
     """
     system, records = given(model, flights, free, bounds, Between(controls, delays, angles))
     refuse_search(max_iterations, monitor)
-    settings = settings_of(records, x0, noise, noise_floor, segment_lengths, solver, optimiser, max_iterations)
+    starts = initial_states_of(x0, state_names(model, records.states.shape[-1])[0])
+    settings = settings_of(records, starts, noise, noise_floor, segment_lengths, solver, optimiser, max_iterations)
     refuse_too_few(records.outputs, len(system.theta), 0 if x0 == "fixed" else records.states.shape[-1])
     return result_of(system, fitted_in_steps(system, records, settings, monitor))
 
@@ -170,7 +176,7 @@ def fitted_in_steps(system: System, records: Records, settings: Settings, monito
 
 def settings_of(
     records: Records,
-    x0: str,
+    x0: InitialStates,
     noise: str | Tensor,
     noise_floor: Sequence[float] | Tensor | None,
     segment_lengths: Sequence[float] | None,
@@ -180,18 +186,22 @@ def settings_of(
 ) -> Settings:
     """Settings of a fit from the arguments of `output_error`, checked."""
     ny = records.outputs.shape[-1]
-    arguments.word(Argument("arguments", "x0"), x0, ("free", "fixed"))
     arguments.word(Argument("arguments", "optimiser"), optimiser, ("gauss-newton", "lbfgs"))
     arguments.word(Argument("arguments", "solver"), solver, SOLVERS)
     kind, matrix = noise_of(noise, ny)
-    if x0 == "fixed" and bool(records.states[:, 0].isnan().any()):
+    first = records.states[:, 0].isnan()
+    if bool((first if x0.whole == "fixed" else first & (x0.held if x0.held is not None else False)).any()):
         raise InputError("flights", "x0", "absent", 'the initial state of every flight where x0 is "fixed"')
+    if optimiser == "lbfgs" and x0.bounds is not None:
+        raise Argument("arguments", "x0").wrong("has bounds", 'none with optimiser "lbfgs", which does not hold them')
     return Settings(
         noise=kind,
         matrix=matrix,
         floor=floor_of(noise_floor, ny),
         lengths=lengths_of(segment_lengths, records.dt),
-        x0=x0,
+        x0=x0.whole,
+        x0_held=x0.held,
+        x0_bounds=x0.bounds,
         solver=solver,
         optimiser=optimiser,
         options=replace(FINE, max_iterations=max_iterations),
@@ -247,6 +257,7 @@ def result_of(system: System, stepped: Stepped[Fit]) -> OutputError:
     whole, missed = whole_flights(records, fitted), _missed(fitted)
     residuals = records.measured(residual)
     parts = [sentence(minimum.message, parameters), _over(fitted, records), missed, whole.remark, stepped.remark]
+    parts += [_starts_on_bounds(fitted, records), acting_back(residuals, records)]
     parts.append(coloured(colour(pad_sequence(residuals, batch_first=True, padding_value=math.nan))))
     first = (fitted.likelihood.segments.place[:, 0] == 0).nonzero()[:, 0]
     return OutputError(
@@ -265,6 +276,15 @@ def result_of(system: System, stepped: Stepped[Fit]) -> OutputError:
         segment_seconds=_seconds(fitted, records),
         whole=whole,
     )
+
+
+def _starts_on_bounds(fitted: Fit, records: Records) -> str:
+    """Which initial states rest on a bound."""
+    held, segments = fitted.minimum.point.held, fitted.likelihood.segments
+    if held is None or not bool(held.any()):
+        return ""
+    rows = held.nonzero().tolist()
+    return "initial states on a bound: " + listed(f"x[{i}] of flight {int(segments.flight[s])}" for s, i in rows)
 
 
 def _seconds(fitted: Fit, records: Records) -> float:

@@ -15,7 +15,7 @@ from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.identification.estimate.engine import Engine, Part, engine_for
 from rotorid_torch.identification.estimate.initial_states import filled, fitted_states, roughness, smallest_noise
 from rotorid_torch.identification.estimate.lbfgs import minimise_lbfgs
-from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
+from rotorid_torch.identification.estimate.likelihood import HELD, Likelihood, Place
 from rotorid_torch.identification.estimate.residuals import Noise
 from rotorid_torch.identification.estimate.segments import Records, cut
 from rotorid_torch.identification.estimate.system import System
@@ -53,6 +53,8 @@ class Settings:
     floor: Tensor | None = None  # [ny] sensor noise, below which the residual's standard deviation is not believed
     lengths: tuple[float, ...] | None = None  # of the segments, s, stage by stage; None: chosen from the data
     x0: str = "free"  # or "fixed"
+    x0_held: Tensor | None = None  # [nx] mask of the initial states that are believed where x0 is "free"
+    x0_bounds: tuple[Tensor, Tensor] | None = None  # [nx] of a flight's initial states
     x0_sd: Tensor | None = None  # [nx] prior of the initial states about the states given, none by default
     prior_mean: Tensor | None = None  # [P]
     prior_sd: Tensor | None = None  # [P], infinite for none
@@ -343,6 +345,10 @@ class _Stages:
         x0, measured = segments.first(states), segments.first(self.records.states)
         spread = torch.full((nx,), math.inf, dtype=torch.float64) if s.x0_sd is None else s.x0_sd
         sd = torch.where(measured.isnan(), math.inf, spread)
+        begins = segments.place[:, :1] == 0
+        if s.x0_held is not None:
+            sd = torch.where(begins & s.x0_held, HELD, sd)
+        bounds = None if s.x0_bounds is None else _of_beginnings(begins, s.x0_bounds)
         problem = Likelihood(
             system=self.system,
             engine=self.engine,
@@ -357,6 +363,7 @@ class _Stages:
             prior_sd=torch.full((count,), math.inf, dtype=torch.float64) if s.prior_sd is None else s.prior_sd,
             bias_sd=torch.zeros(ny, dtype=torch.float64) if s.bias_sd is None else s.bias_sd,
             ranks=self.ranks,
+            x0_bounds=None if fixed else bounds,
         )
         if not fixed and self.ranks.largest(float(x0.isnan().any())) > 0.0:
             problem = replace(problem, x0=torch.where(x0.isnan(), fitted_states(problem, theta), x0))
@@ -391,6 +398,12 @@ class _Stages:
 
         method = minimise_lbfgs if self.settings.optimiser == "lbfgs" else gauss_newton
         return method(problem, start, options, monitor)
+
+
+def _of_beginnings(begins: Tensor, bounds: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+    """Bounds [nx] for the segments [S, nx] that begin a flight [S, 1], none for the others."""
+    low, high = bounds
+    return torch.where(begins, low, -math.inf), torch.where(begins, high, math.inf)
 
 
 def _growth(problem: Likelihood, place: Place, samples: int) -> float:

@@ -17,7 +17,14 @@ from rotorid_torch.core.gauss_newton import Minimum, minimise
 from rotorid_torch.core.native.graph.tracing import Unsupported
 from rotorid_torch.core.parameters import ParameterTable
 from rotorid_torch.errors import InputError
-from rotorid_torch.identification.arguments import floor_of, noise_of, refuse_search, refuse_too_few
+from rotorid_torch.identification.arguments import (
+    InitialStates,
+    floor_of,
+    noise_of,
+    refuse_search,
+    refuse_too_few,
+    state_names,
+)
 from rotorid_torch.identification.estimate.initial_states import smallest_noise
 from rotorid_torch.identification.estimate.output_error import (
     Between,
@@ -168,7 +175,8 @@ def filter_error(
     if x0 == "fixed" and bool(records.states[:, 0].isnan().any()):
         raise InputError("flights", "x0", "absent", 'the initial state of every flight where x0 is "fixed"')
     if problem.process.matrix is not None and not bool(problem.process.matrix.any()):
-        settings = settings_of(records, x0, noise, noise_floor, None, "rk4", "gauss-newton", max_iterations)
+        search = "rk4", "gauss-newton", max_iterations
+        settings = settings_of(records, InitialStates(x0), noise, noise_floor, None, *search)
         return _without_gusts(problem, fitted_in_steps(system, records, settings, monitor))
     search = _Search(problem, floor, x0 == "free", max_iterations, gain, engine, monitor)
 
@@ -279,16 +287,6 @@ def diverged(problem: FilterProblem, run: Filtered) -> InputError:
     return InputError(
         f"flights[{flight}]", problem.process.names[state], f"the filter diverges at {time:.4g} s", expected
     )
-
-
-def state_names(model: nn.Module, nx: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and units of a module's states."""
-    layout, named = getattr(model, "layout", None), getattr(model, "states", None)
-    if layout is not None and len(layout) == nx:
-        return layout.names, tuple(s.unit for s in layout.states)
-    if isinstance(named, Sequence) and not isinstance(named, str) and len(named) == nx:
-        return tuple(str(name) for name in named), ("",) * nx
-    return tuple(f"x[{i}]" for i in range(nx)), ("",) * nx
 
 
 def _outputs_form(noise: str | Tensor, body: Any, ny: int) -> CovarianceForm:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from rotorid_torch import arguments
-from rotorid_torch.arguments import Argument, Sizes
+from rotorid_torch.arguments import Argument, Numbers, Sizes
 from rotorid_torch.errors import InputError
+from rotorid_torch.identification.regress.feedback import acting_back
 from rotorid_torch.identification.regress.noisy_least_squares import Solution, noisy_least_squares, smooth_variance
 from rotorid_torch.identification.regress.rows import KINDS, NOISES, Rows, flight_rows, total_noise
 
@@ -30,7 +32,9 @@ class Regression:
     """Result of a Fourier transform regression.
 
     coefficients, standard_errors : (..., n); a coefficient that the data cannot tell is 0 with an infinite error.
-    covariance : (..., n, n), for coloured residuals and noisy regressors. r2 : (...) in the band, nuisance removed.
+    uncorrected_errors : (..., n) what white residuals and exact regressors would leave; smaller where residuals are
+    coloured. covariance : (..., n, n), for coloured residuals and noisy regressors.
+    r2 : (...) in the band, nuisance removed.
     residual : (..., M) complex residual spectrum per square root of T. frequencies : (M,) Hz, flight after flight.
     reliability : (..., n) share of each regressor's in-band power that is not noise.
     reliability_beyond : (..., n) the same for the part that the other regressors do not explain.
@@ -43,6 +47,7 @@ class Regression:
 
     coefficients: Tensor
     standard_errors: Tensor
+    uncorrected_errors: Tensor
     covariance: Tensor
     r2: Tensor
     residual: Tensor
@@ -64,25 +69,30 @@ class Regression:
         batch = (0,) * (self.coefficients.dim() - 1)
         names = self.names or tuple(str(k) for k in range(self.coefficients.shape[-1]))
         columns = (self.coefficients[batch].tolist(), self.standard_errors[batch].tolist())
-        rows = [f"{n:<12}{value:>12.5g} ± {error:.2g}" for n, value, error in zip(names, *columns, strict=True)]
-        return "\n".join(rows)
+        return "\n".join(_row(*row) for row in zip(names, *columns, strict=True))
 
     def __repr__(self) -> str:
         low, high = self.band
         r2 = ", ".join(f"{v:.4g}" for v in self.r2.flatten()[:SHOWN].tolist())
         shape = tuple(self.coefficients.shape[:-1])
         batch = f" of a batch {shape}, its first" if shape else ""
-        return f"Regression{batch}, {low:g} to {high:g} Hz, R2 {r2}\n{self.table()}"
+        notes = "".join(f"\n{note}" for note in self.notes)
+        return f"Regression{batch}, {low:g} to {high:g} Hz, R2 {r2}\n{self.table()}{notes}"
+
+
+def _row(name: str, value: float, error: float) -> str:
+    """A line of the table."""
+    return f"{name:<12}{value:>12.5g} ± {error:.2g}" if math.isfinite(error) else f"{name:<12}  not identifiable"
 
 
 def regress(
-    response: Tensor | Sequence[Tensor],
-    regressors: Tensor | Sequence[Tensor],
+    response: Numbers,
+    regressors: Numbers,
     dt: float | Sequence[float],
     band: tuple[float, float] = (0.1, 2.0),
     kind: str = "derivative",
     *,
-    noise: str | Tensor | Sequence[float] = "estimated",
+    noise: str | Numbers = "estimated",
     trend: bool = True,
     oversample: int = 1,
 ) -> Regression:
@@ -110,7 +120,8 @@ def regress(
     Returns
     -------
     Regression, with `.coefficients .standard_errors .covariance` (..., n) and `.r2` (...).
-    Missing samples (NaN) are filled by straight lines, and `.notes` says so.
+    Missing samples (NaN) are filled by straight lines, and `.notes` says so, as it does of regressors that cannot be
+    told apart, and of those that follow the residual, through feedback or in moving air.
 
     Raises
     ------
@@ -128,7 +139,18 @@ def regress(
         flight_rows(y, x, step, band, kind, noise=noise, trend=trend, oversample=oversample, notes=notes)
         for y, x, step in zip(responses, matrices, steps, strict=True)
     ]
-    return solve(rows, band, notes=notes)
+    found = solve(rows, band, notes=notes)
+    told = found.standard_errors.isfinite()
+    coefficients = torch.where(told, found.coefficients, 0.0)
+    return replace(found, coefficients=coefficients, notes=(*found.notes, *_untold(told), *acting_back(rows, found)))
+
+
+def _untold(told: Tensor) -> list[str]:
+    """What to say of coefficients that the data do not tell."""
+    columns = sorted({int(i) for i in (~told).nonzero()[:, -1]})
+    if not columns:
+        return []
+    return [f"regressors {columns}: do not move in the band, or are combinations of each other; not identifiable"]
 
 
 def solve(
@@ -168,6 +190,7 @@ def solve(
     return Regression(
         coefficients=solution.coefficients,
         standard_errors=covariance.diagonal(dim1=-2, dim2=-1).clamp(min=0.0).sqrt(),
+        uncorrected_errors=_white_errors(z, y, solution, information),
         covariance=covariance,
         r2=1.0 - error / signal,
         residual=_as_spectrum(residual, flights),
@@ -192,6 +215,12 @@ def _residual(z: Tensor, y: Tensor, solution: Solution) -> Tensor:
 def _variance(z: Tensor, y: Tensor, solution: Solution, information: float) -> Tensor:
     """Mean residual variance of one independent datum."""
     return _residual(z, y, solution).square().sum(-1) / (information - z.shape[-1])
+
+
+def _white_errors(z: Tensor, y: Tensor, solution: Solution, information: float) -> Tensor:
+    """Standard errors (..., n) of plain least squares."""
+    spread = _variance(z, y, solution, information).unsqueeze(-1) * solution.inverse.diagonal(dim1=-2, dim2=-1)
+    return torch.where(solution.unknown, torch.inf, spread.clamp(min=0.0).sqrt())
 
 
 def _scatter(flights: Sequence[Rows], solution: Solution, prior_power: Tensor) -> Tensor:

@@ -103,6 +103,39 @@ def test_a_pure_delay_is_a_parameter(start: float) -> None:
     assert none["delay[0]"].bounds == (0.0, 0.2)
 
 
+def test_initial_states_may_be_fixed_in_part() -> None:
+    """The second state is believed: what is found is what a model without it as an unknown finds."""
+    flight: dict[str, Any] = roll_flight(np.random.default_rng(0)) | {"x0": np.array([0.05, 0.01])}
+    part = rotorid.output_error(Roll(), [flight], x0={1: "fixed"})
+    assert part.converged
+    assert float(part.initial_states[0, 1]) == pytest.approx(0.01, abs=1e-12)
+    assert abs(float(part.initial_states[0, 0])) < 0.02  # the truth is zero
+
+    words = rotorid.output_error(Roll(), [flight], x0={"x[0]": "fixed", "x[1]": "fixed"})
+    whole = rotorid.output_error(Roll(), [flight], x0="fixed")
+    for p, q in zip(words.parameters, whole.parameters, strict=True):
+        assert abs(p.value - q.value) < 1e-4 * q.se
+        assert p.se == pytest.approx(q.se, rel=0.05)
+
+
+@pytest.mark.parametrize("engine", ["native", "torch"])
+def test_initial_states_stay_within_bounds(engine: str) -> None:
+    """On a bound the estimate is that with the state believed there; within wide bounds that with it free."""
+    flight: dict[str, Any] = roll_flight(np.random.default_rng(1))
+    solver = "rk4" if engine == "native" else "dopri5"
+    free = rotorid.output_error(Roll(), [flight], solver=solver)
+    wide = rotorid.output_error(Roll(), [flight], x0={0: (-1.0, 1.0)}, solver=solver)
+    bound = float(free.initial_states[0, 0]) + 0.02
+    held = rotorid.output_error(Roll(), [flight], x0={0: (bound, 1.0)}, solver=solver)
+    believed = rotorid.output_error(Roll(), [flight | {"x0": np.array([bound, 0.0])}], x0={0: "fixed"}, solver=solver)
+    assert held.converged, held.message
+    assert float(held.initial_states[0, 0]) == pytest.approx(bound, abs=1e-9)
+    assert "initial states on a bound: x[0] of flight 0" in held.message
+    for p, q, r, s in zip(free.parameters, wide.parameters, held.parameters, believed.parameters, strict=True):
+        assert abs(p.value - q.value) < 1e-3 * p.se
+        assert abs(r.value - s.value) < 1e-2 * s.se
+
+
 def late_by(flight: dict[str, Any], samples: int) -> dict[str, Any]:
     """The flight with its controls recorded so many samples too early."""
     u = np.asarray(flight["controls"])

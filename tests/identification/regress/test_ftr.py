@@ -199,6 +199,51 @@ def test_missing_samples_are_filled_and_noted() -> None:
     assert "3 missing samples" in result.notes[0]
 
 
+def test_collinear_regressors_are_told_and_have_no_coefficient() -> None:
+    record = flights(ROLL_PITCH_YAW, [20.0], 0.02)[0]
+    twice = torch.cat([record, record[:, :1] + 2.0 * record[:, 3:4], torch.zeros_like(record[:, :1])], dim=-1)
+    plain, found = regress(record[:, 0], record, DT), regress(record[:, 0], twice, DT)
+    lost = [0, 3, record.shape[1], record.shape[1] + 1]
+    others = [i for i in range(record.shape[1]) if i not in lost]
+    assert bool(found.standard_errors[lost].isinf().all())
+    assert bool(found.uncorrected_errors[lost].isinf().all())
+    assert torch.equal(found.coefficients[lost], torch.zeros(len(lost), dtype=torch.float64))
+    torch.testing.assert_close(found.coefficients[others], plain.coefficients[others], rtol=1e-6, atol=1e-8)
+    assert float(found.r2) == pytest.approx(float(plain.r2), abs=1e-9)
+    assert f"regressors {lost}: do not move in the band, or are combinations" in " ".join(found.notes)
+    assert sum(line.endswith("not identifiable") for line in found.table().splitlines()) == len(lost)
+
+
+def test_errors_without_colour_are_those_of_plain_least_squares() -> None:
+    """White noise on the response: both errors are the textbook's. Coloured: the uncorrected one is too small."""
+    rng, time = np.random.default_rng(0), DT * np.arange(3000)
+    turns = (0.1 + 0.01 * time) * time, (0.2 + 0.008 * time) * time
+    x = np.stack([np.sin(2.0 * np.pi * turns[0]), np.cos(2.0 * np.pi * turns[1])], axis=-1)
+    white = 0.1 * rng.standard_normal(len(time))
+    coloured = np.convolve(white, np.exp(-DT * np.arange(200) / 0.3), mode="same")
+    band = (0.1, 1.5)
+    one = regress(x @ [1.0, -2.0] + white, x, DT, band, kind="value", noise="none")
+    two = regress(x @ [1.0, -2.0] + coloured, x, DT, band, kind="value", noise="none")
+    expected = torch.as_tensor(np.sqrt(np.diag(np.linalg.inv(x.T @ x))) * 0.1)
+    torch.testing.assert_close(one.uncorrected_errors, expected, rtol=0.2, atol=0.0)
+    torch.testing.assert_close(one.standard_errors, expected, rtol=0.4, atol=0.0)
+    assert float((two.standard_errors / two.uncorrected_errors).max()) > 1.15
+
+
+@pytest.mark.parametrize(("gain", "told"), [(0.0, False), (1.0, True)])
+def test_strong_feedback_is_told(gain: float, told: bool) -> None:
+    """x' = -1.5 x + 6 u + d, u = pilot - gain x: the control follows what d has done."""
+    for seed in range(3):
+        rng, time = np.random.default_rng(seed), 0.02 * np.arange(2000)
+        x, u, d = np.zeros(2000), np.zeros(2000), 0.0
+        for k in range(1999):
+            u[k] = 0.3 * np.sin(2.0 * np.pi * (0.1 + 0.02 * time[k]) * time[k]) - gain * x[k]
+            d = 0.95 * d + 0.6 * rng.standard_normal()
+            x[k + 1] = x[k] + 0.02 * (-1.5 * x[k] + 6.0 * u[k] + d)
+        found = regress(x + 0.02 * rng.standard_normal(2000), np.stack([x, u], axis=-1), 0.02, band=(0.05, 2.0))
+        assert any("follows the residual" in note for note in found.notes) == told
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
