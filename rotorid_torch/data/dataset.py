@@ -32,7 +32,7 @@ from rotorid_torch.data.reading.grid import make_flight
 from rotorid_torch.data.reading.noise import white_noise
 from rotorid_torch.data.reading.quiet import quiet_samples
 from rotorid_torch.data.reading.read import FOLDERS, find_flight, parse_flight, read_flight, take_arrays
-from rotorid_torch.data.schema import ChannelSpec, ControlSpec, ModelSettings, Vehicle
+from rotorid_torch.data.schema import ChannelSpec, ControlSpec, FlightLists, ModelSettings, Vehicle
 from rotorid_torch.errors import InputError
 from rotorid_torch.printable import printable
 
@@ -372,6 +372,7 @@ def _assemble(
 ) -> Dataset:
     """Checks that need declaration and flights together, then the Dataset."""
     folder, toml, places, sha256 = origin
+    declaration, flights, facts, left = _of_one_kind(declaration, flights, facts)
     controls, remarks = _controls(declaration, facts, places)
     specs = {
         name: declaration.controls.get(name) or ControlSpec(unit="norm" if names.is_motor(name) else "rad")
@@ -409,8 +410,33 @@ def _assemble(
         validate=declaration.flights.validate,
         acid=declaration.flights.acid,
         settings=declaration.model,
-        warnings=(*declaration.warnings, *warnings, *remarks),
+        warnings=(*declaration.warnings, *warnings, *left, *remarks),
         dead=dead,
+    )
+
+
+def _of_one_kind(
+    declaration: Declaration, flights: Mapping[str, Flight], facts: Mapping[str, Facts]
+) -> tuple[Declaration, Mapping[str, Flight], Mapping[str, Facts], list[str]]:
+    """A multirotor's flights that tell of commands and rates, where others are logs of another kind; and a remark."""
+    commands = {c for one in facts.values() for c in one.channels if names.is_motor(c)}
+    whole = {name for name, one in facts.items() if one.has(*names.RATES, *commands)}
+    listed = {
+        w: tuple(n for n in getattr(declaration.flights, w) if n in whole) for w in ("identify", "validate", "acid")
+    }
+    if declaration.kind != "multirotor" or len(whole) == len(facts) or not listed["identify"]:
+        return declaration, flights, facts, []
+    left = [name for name in facts if name not in whole]
+    shown = ", ".join(left[:SHOWN]) + (f" and {len(left) - SHOWN} more" if len(left) > SHOWN else "")
+    said = (
+        f"{shown} left out: logs of another kind, without body rates or motor commands, beside flights that have both"
+    )
+    kept = msgspec.structs.replace(declaration, flights=FlightLists(**listed))
+    return (
+        kept,
+        OnDemand([name for name in flights if name in whole], lambda name: flights[name]),
+        {name: one for name, one in facts.items() if name in whole},
+        [said],
     )
 
 
