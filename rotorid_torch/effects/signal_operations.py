@@ -18,6 +18,9 @@ EDGE = 0.02
 NOTHING = 1e-12
 """Keeps the rounding of no play from being nothing over nothing."""
 
+HELD_S = 2.0
+"""s for which a record is held at its ends while a filter of second order rings out."""
+
 QUIET_S = 0.1
 """s over which the noise of a record is taken out before a play, whose edges would follow the largest of it."""
 
@@ -61,6 +64,30 @@ def lagged(record: Tensor, tau: Tensor, dt: float) -> Tensor:
     return followed(
         linear, first[..., 0, :], a, torch.cat([(1.0 - a) * first, (share - a) * before + (1.0 - share) * here], dim=-2)
     )
+
+
+def low_passed(record: Tensor, period: Tensor, damping: Tensor, variance: Tensor, dt: float) -> Tensor:
+    """The record behind a second-order filter and a symmetric window, from rest; itself where both are none.
+
+    T² y'' + 2 zeta T y' + y = u with T = `period`, s; then a Gaussian window without phase of this `variance`, s².
+    By discrete Fourier transforms of the record held at both ends, so it is exact for what the samples can hold.
+
+    Source: Oppenheim and Schafer, Discrete-Time Signal Processing, 3rd ed., sec. 8.7 (filtering by transforms).
+    """
+    samples, first = record.shape[-2], record[..., :1, :]
+    held = int(HELD_S / dt) + 1
+    back = torch.linspace(0.0, torch.pi, 2 * held, dtype=record.dtype, device=record.device).cos()[:, None]
+    # held before and after, and led back to where it began: the transform sees one smooth period
+    moved = record - first
+    ends = moved[..., -1:, :]
+    whole = [torch.zeros_like(ends).expand(*ends.shape[:-2], held, -1), moved, ends * (0.5 + 0.5 * back)]
+    period_of_all = torch.cat(whole, dim=-2)
+    count = period_of_all.shape[-2]
+    omega = 2.0 * torch.pi * torch.fft.rfftfreq(count, dt, dtype=record.dtype, device=record.device)[:, None]
+    t, z, v = (each.unsqueeze(-2) for each in (period, damping, variance))
+    response = torch.exp(-0.5 * v * omega**2) / torch.complex(1.0 - (t * omega) ** 2, 2.0 * z * t * omega)
+    change = torch.fft.irfft((response - 1.0) * torch.fft.rfft(period_of_all, dim=-2), n=count, dim=-2)
+    return record + change[..., held : held + samples, :]
 
 
 def rate_limited(record: Tensor, inverse: Tensor, dt: float) -> Tensor:

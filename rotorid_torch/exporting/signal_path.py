@@ -19,7 +19,7 @@ from rotorid_torch.core.native.graph.symbols import Graph
 from rotorid_torch.core.native.graph.tracing import scalarise
 from rotorid_torch.effects.base import Effect, Stage, Values
 from rotorid_torch.effects.families.control import per_control
-from rotorid_torch.effects.families.sensors import per_channel
+from rotorid_torch.effects.families.sensors import PERIOD, SMOOTHED, per_channel
 from rotorid_torch.errors import InputError
 from rotorid_torch.model.model import Model
 
@@ -95,6 +95,12 @@ def control_path(model: Model, graph: Graph) -> list[Element]:
 
 def output_path(model: Model, graph: Graph) -> list[Element]:
     """Elements between the ideal sensors and the recorded outputs, in order; InputError as for `control_path`."""
+    for k, effect in enumerate(model.chain):
+        p = model.values(model.theta.detach(), k)
+        for name in p.names:
+            if effect.id == "sensors.filter" and name.endswith((PERIOD, SMOOTHED)) and float(p[name]) != 0.0:
+                wrong = f"is {float(p[name]):g}: an exported model has filters of first order alone"
+                raise InputError("export", f"{effect.id}.{name}", wrong, "0, or the model without its sensors' filters")
     return _elements(model, graph, Stage.SENSORS, model.body.outputs, OUTPUTS)
 
 

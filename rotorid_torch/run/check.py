@@ -21,6 +21,7 @@ from rotorid_torch.consistency.examination.grade import AxisGrade, Grade, graded
 from rotorid_torch.consistency.examination.needs import examinable
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.effects.families.sensors import SMOOTHED
 from rotorid_torch.report.check_figures import draw_check
 from rotorid_torch.report.html import render
 from rotorid_torch.report.records import DatasetRecord, Report, encode_report, package_version
@@ -137,7 +138,7 @@ def _sentence(error: KinematicFinding) -> Finding:
 
 def _channels(member: str) -> tuple[str, ...]:
     """Channels of a sensor error's last name: a unit's, an IMU axis's, or the channel itself."""
-    return UNITS.get(member) or (() if member in ("x", "y", "z") else (member,))
+    return UNITS.get(member.partition("_")[0]) or (() if member in ("x", "y", "z") else (member,))
 
 
 def _misfit(dataset: Dataset) -> float | None:
@@ -149,7 +150,9 @@ def _misfit(dataset: Dataset) -> float | None:
     if not cut:
         return None
     channels = dict.fromkeys(channel for piece in cut for channel in piece.channels)
-    errors = [f"{kind}.{unit}" for kind in ("delay", "filter") for unit in UNITS if set(UNITS[unit]) & set(channels)]
+    units = [unit for unit in UNITS if set(UNITS[unit]) & set(channels)]
+    errors = [f"{kind}.{unit}" for kind in ("delay", "filter") for unit in units]
+    errors += [f"filter.{unit}{SMOOTHED}" for unit in units]
     errors += [f"scale.{channel}" for channel in channels if channel in names.CHANNELS]
     if set(names.VELOCITIES) & {name for piece in cut for name in piece.equations}:
         errors += [f"{kind}.{axis}" for kind in ("misalignment", "lever_arm") for axis in "xyz"]

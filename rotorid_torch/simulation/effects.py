@@ -203,6 +203,14 @@ def _sensor(name: str, **typical: float) -> Callable[[Aircraft, float], Aircraft
     return change
 
 
+def _low_pass(aircraft: Aircraft, size: float) -> Aircraft:
+    """Gyros behind a filter of second order: the larger, the lower its natural frequency."""
+    if not size:
+        return aircraft
+    frequency, damping = LOW_PASS
+    return _sensors(aircraft, low_pass=dict.fromkeys(GYROS, (frequency / size, damping)))
+
+
 def _sensor_vector(name: str, typical: tuple[float, float, float]) -> Callable[[Aircraft, float], Aircraft]:
     """An error that is a vector, in proportion to the size."""
 
@@ -217,6 +225,7 @@ def _three(values: Any) -> tuple[float, float, float]:
     return x, y, z
 
 
+LOW_PASS = (25.0, 0.7)  # rad/s and damping: 56 ms late at low frequencies
 TILT = 0.035  # rad: 2 degrees
 
 HIDDEN: dict[str, Hidden] = {
@@ -250,8 +259,15 @@ HIDDEN: dict[str, Hidden] = {
     "sensors.filter": Hidden(_sensor("lag", **dict.fromkeys(GYROS, 0.05)), "identifiable"),
 }
 
+
 EFFECTS: dict[str, Callable[[Aircraft, float], Aircraft]] = {name: hidden.change for name, hidden in HIDDEN.items()}
 """Physics that can be switched on: id -> a changed copy of the aircraft, at a factor of the typical size."""
+
+FORMS = {"sensors.filter.second_order": "sensors.filter"}
+"""Further forms of an effect: name -> the effect."""
+
+EVERY_FORM = {**EFFECTS, "sensors.filter.second_order": _low_pass}
+"""All that can be switched on."""
 
 EFFECT_CLASSES: dict[str, EffectClass] = {name: hidden.kind for name, hidden in HIDDEN.items()}
 """Whether the effect's usual flights, at typical size and in hover, can tell it from free derivatives and trims."""

@@ -14,7 +14,7 @@ from rotorid_torch.core.names import nearest
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.write import declarations, refuse_unless_free, write_dataset
 from rotorid_torch.errors import InputError
-from rotorid_torch.simulation.effects import EFFECTS, HIDDEN, differences
+from rotorid_torch.simulation.effects import EVERY_FORM, FORMS, HIDDEN, differences
 from rotorid_torch.simulation.flight.augmentation import Augmentation, design
 from rotorid_torch.simulation.flight.linear import linearise
 from rotorid_torch.simulation.flight.manoeuvres import Condition, chosen, conditioned, lists
@@ -115,7 +115,7 @@ def fly(
     seconds = 15.0 if seconds is None else seconds
     _check_numbers(speed, heading, height, seconds)
     clean = load_aircraft(None if vehicle is None else Path(vehicle))
-    aircraft, hidden = _altered(clean, effects, EFFECTS)
+    aircraft, hidden = _altered(clean, effects, EVERY_FORM)
     wanted = flights if flights is not None else ["all", *(HIDDEN[one["id"]].flights or "all" for one in hidden)]
     names = chosen(wanted, speed)
     usual = Condition(heading, height, speed)
@@ -230,10 +230,11 @@ def _altered(
     for effect, factor in effects:
         size = 1.0 if factor is None else factor
         _check_effect(effect, size, library)
-        if effect in (one["id"] for one in changes):
-            raise InputError("usage", "effect", f"'{effect}' is there twice", "each effect once")
-        changed = library[effect](aircraft, size)
-        changes.append({"id": effect, "size": size, "changes": differences(aircraft, changed)})
+        family, change = FORMS.get(effect, effect), library[effect]
+        if family in (one["id"] for one in changes):
+            raise InputError("usage", "effect", f"'{family}' is there twice", "each effect once")
+        changed = change(aircraft, size)
+        changes.append({"id": family, "size": size, "changes": differences(aircraft, changed)})
         aircraft = changed
     return aircraft, tuple(changes)
 
@@ -241,8 +242,8 @@ def _altered(
 def _check_effect(effect: str, size: float, library: Mapping[str, object]) -> None:
     """Refuse an effect that an aircraft of this kind cannot have, and a size that none has."""
     if effect not in library:
-        elsewhere = {**EFFECTS, **MULTIROTOR}
-        kind = "helicopter" if library is EFFECTS else "multirotor"
+        elsewhere = {**EVERY_FORM, **MULTIROTOR}
+        kind = "helicopter" if library is EVERY_FORM else "multirotor"
         why = f"it is a {kind}" if effect in elsewhere else f"there is none of that name{nearest(effect, library)}"
         wrong = f"the flight-test aircraft has no effect '{effect}': {why}"
         raise InputError("usage", "effect", wrong, f"one of: {', '.join(library)}")

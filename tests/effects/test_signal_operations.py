@@ -14,6 +14,7 @@ from torch import Tensor
 
 from rotorid_torch.effects.signal_operations import (
     lagged,
+    low_passed,
     rate_limited,
     shifted,
     smoothed,
@@ -45,6 +46,31 @@ def test_no_lag_is_the_record_and_its_derivative_the_slope():
     assert torch.equal(lagged(record, one(0.0), DT), record)
     found = torch.func.jacfwd(lambda tau: lagged(record, tau, DT))(one(0.0))[1:, 0, 0]
     torch.testing.assert_close(found, -record[:, 0].diff() / DT)
+
+
+@pytest.mark.parametrize(("frequency", "damping"), [(6.0, 0.3), (18.8, 0.7), (40.0, 1.2)])
+def test_a_filter_of_second_order_is_the_exact_response_to_what_samples_can_hold(frequency: float, damping: float):
+    fine = torch.linspace(0.0, 4.0, 40 * 200, dtype=torch.float64)
+    u = (fine * 2.0).sin() + 0.5 * (7.0 * fine + 1.0).cos() - 0.5 * math.cos(1.0)
+    u = u * (1.0 - (-((fine / 0.8) ** 4)).exp())  # begins at rest
+    system = ([frequency**2], [1.0, 2.0 * damping * frequency, frequency**2])
+    wanted = lsim(system, u.numpy(), fine.numpy())[1]
+    step = 40
+    dt = float(fine[step] - fine[0])
+    found = low_passed(u[::step, None], one(1.0 / frequency), one(damping), one(0.0), dt)[:, 0]
+    np.testing.assert_allclose(found.numpy(), wanted[::step], atol=2e-3)
+
+
+def test_a_window_without_phase_lowers_a_sine_and_leaves_its_place():
+    omega, sigma = 9.0, 0.06
+    sine = (omega * TIME).sin()[:, None]
+    found = low_passed(sine, one(0.0), one(0.7), one(sigma**2), DT)
+    inner = slice(40, -40)
+    torch.testing.assert_close(found[inner], math.exp(-0.5 * (omega * sigma) ** 2) * sine[inner], atol=1e-3, rtol=0)
+
+
+def test_neither_filter_nor_window_is_the_record():
+    assert torch.equal(low_passed(noise(50, 2), *(torch.zeros(2, dtype=torch.float64),) * 3, DT), noise(50, 2))
 
 
 def test_lag_of_one_sample_and_of_a_batch():

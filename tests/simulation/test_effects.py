@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.signal import lsim
 
 from rotorid_torch.data import load
 from rotorid_torch.errors import InputError
@@ -43,6 +44,20 @@ def test_every_id_of_a_helicopter_is_there():
     assert set(EFFECT_CLASSES) == set(EFFECTS)
     assert len(EFFECTS) == 28
     assert {"control.delay", "mass.slung_load", "sensors.filter", "environment.ground"} <= set(EFFECTS)
+
+
+def test_gyros_behind_a_filter_of_second_order():
+    """What p reads is the response of scipy's own second-order system to the true p; its effect is sensors.filter."""
+    hidden = flown("sensors.filter.second_order")
+    assert [one["id"] for one in hidden.hidden] == ["sensors.filter"]
+    truth = hidden.truth["dbl_lat_p"]
+    omega, damping = 25.0, 0.7
+    system = ([omega**2], [1.0, 2.0 * damping * omega, omega**2])
+    wanted = lsim(system, truth["p"] - truth["p"][0], truth["time"] - truth["time"][0])[1] + truth["p"][0]
+    np.testing.assert_allclose(truth["effect_p"], wanted, atol=1e-9)
+    assert np.abs(wanted - truth["p"]).max() > 0.01
+    with pytest.raises(InputError, match="there twice"):
+        flown("sensors.filter", "sensors.filter.second_order")
 
 
 @pytest.mark.parametrize("effect", EFFECTS)

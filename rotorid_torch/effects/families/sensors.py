@@ -13,7 +13,7 @@ from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.core.rigid import cross, specific_force_at
 from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Values
 from rotorid_torch.effects.registry import register
-from rotorid_torch.effects.signal_operations import lagged, shifted
+from rotorid_torch.effects.signal_operations import lagged, low_passed, shifted
 from rotorid_torch.effects.spec import ModelSpec
 
 UNITS = {
@@ -27,6 +27,11 @@ UNITS = {
 ANGULAR_ACCELERATIONS = ("pdot", "qdot", "rdot")
 LARGEST_BIAS = {"m/s": 5.0, "rad/s": 0.1, "rad": 0.1, "m/s2": 2.0, "rad/s2": 0.5}
 TYPICAL_BIAS = {"m/s": 0.5, "rad/s": 0.005, "rad": 0.01, "m/s2": 0.2, "rad/s2": 0.02}
+
+FILTER_ENDINGS = PERIOD, DAMPED, SMOOTHED = ("_period", "_damping", "_smoothing")
+"""Of a unit's filter: 1/natural frequency in s, damping, and the variance of a symmetric window in s²."""
+DAMPING = (0.2, 1.5, 0.7)
+"""Least, largest and usual damping of a filter of second order; with more it is two of first order, far apart."""
 
 TINY = 1e-12
 """Angle in rad below which a rotation is none."""
@@ -171,10 +176,10 @@ def _of_units(channels: tuple[str, ...], low: float, high: float, typical: float
     return tuple(Parameter(u, 0.0, "s", (low, high), free=False, doc=f"{what} of {u}", typical=typical) for u in units)
 
 
-def per_channel(p: Values, names: tuple[str, ...]) -> Tensor:
-    """Each channel's time [..., n], that of its unit; zero outside the units."""
+def per_channel(p: Values, names: tuple[str, ...], ending: str = "") -> Tensor:
+    """Each channel's value [..., n] of its unit's parameter with this ending; zero outside the units."""
     zero = torch.zeros_like(p.vector[..., 0])
-    owner = {c: u for u, members in UNITS.items() if u in p.names for c in members}
+    owner = {c: f"{u}{ending}" for u, members in UNITS.items() if f"{u}{ending}" in p.names for c in members}
     return torch.stack([p[owner[n]] if n in owner else zero for n in names], dim=-1)
 
 
@@ -212,7 +217,11 @@ class SensorDelay(_Sensor):
 
 @register
 class SensorFilter(_Sensor):
-    """Channels of one unit behind a first-order filter: tau dy/dt = true - y, exact for what is linear in between.
+    """Channels of one unit behind filters: first order, second order, and a window without phase, null each.
+
+    tau dy/dt = true - y, exact for what is linear in between; then T² y'' + 2 zeta T y' + y = y1, with T one over the
+    natural frequency (`_period`) and zeta the damping (`_damping`); then a symmetric window of a variance
+    (`_smoothing`), which records that were smoothed after the flight have passed.
 
     Source: Tischler and Remple, Aircraft and Rotorcraft System Identification, sec. 5.7 (anti-alias filters).
     """
@@ -220,13 +229,25 @@ class SensorFilter(_Sensor):
     id = "sensors.filter"
 
     def __init__(self, channels: tuple[str, ...]) -> None:
-        super().__init__(_of_units(channels, 0.0, 0.5, 0.05, "time constant"))
+        first = _of_units(channels, 0.0, 0.5, 0.05, "time constant")
+        super().__init__((*first, *(p for unit in first for p in self._more(unit.name))))
+
+    @staticmethod
+    def _more(unit: str) -> tuple[Parameter, ...]:
+        period, damping, smoothing = (f"{unit}{ending}" for ending in FILTER_ENDINGS)
+        low, high, usual = DAMPING
+        return (
+            Parameter(period, 0.0, "s", (0.0, 0.3), free=False, doc=f"1/natural frequency of {unit}", typical=0.05),
+            Parameter(damping, usual, "1", (low, high), free=False, doc=f"damping of {unit}'s filter", typical=usual),
+            Parameter(smoothing, 0.0, "s2", (0.0, 0.1), free=False, doc=f"variance of {unit}'s window", typical=0.003),
+        )
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> SensorFilter:
-        """One filter per unit among the outputs."""
+        """The filters of each unit among the outputs."""
         return cls(spec.outputs)
 
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
-        """Outputs [..., T, ny], each unit's behind its filter."""
-        return lagged(record, per_channel(p, names), dt)
+        """Outputs [..., T, ny], each unit's behind its filters."""
+        period, damping, smoothing = (per_channel(p, names, ending) for ending in FILTER_ENDINGS)
+        return low_passed(lagged(record, per_channel(p, names), dt), period, damping, smoothing, dt)

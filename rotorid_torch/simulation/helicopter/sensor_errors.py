@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.signal import lfilter
+from scipy.signal import cont2discrete, lfilter, lfilter_zi
 from scipy.spatial.transform import Rotation
 
 from rotorid_torch.simulation.helicopter.section import Array
@@ -35,14 +36,16 @@ class Line:
 class SensorErrors:
     """What the sensors do wrong; nothing by default.
 
-    `bias` in SI, `scale` as a part, `delay` and `lag` (first-order filter) in s, each by channel. `lever_arm`: the
-    IMU's true place from the declared one, m; `rotation`: vector that turns the body's axes into the IMU's, rad.
+    `bias` in SI, `scale` as a part, `delay` and `lag` (first-order filter) in s, `low_pass` (second-order filter) as
+    natural frequency, rad/s, and damping, each by channel. `lever_arm`: the IMU's true place from the declared one, m;
+    `rotation`: vector that turns the body's axes into the IMU's, rad.
     """
 
     bias: Mapping[str, float] = field(default_factory=dict)
     scale: Mapping[str, float] = field(default_factory=dict)
     delay: Mapping[str, float] = field(default_factory=dict)
     lag: Mapping[str, float] = field(default_factory=dict)
+    low_pass: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     lever_arm: Three = (0.0, 0.0, 0.0)
     rotation: Three = (0.0, 0.0, 0.0)
     vibration: tuple[Line, ...] = ()
@@ -70,7 +73,7 @@ def readings(errors: SensorErrors, truth: Mapping[str, Array], azimuth: Array) -
         matrix = Rotation.from_rotvec(errors.rotation).as_matrix().T
         for names in (ACCELEROMETERS, GYROS):
             read |= dict(zip(names, matrix @ _rows(read, names).T, strict=True))
-    for name in {*errors.scale, *errors.bias, *errors.lag, *errors.delay}:
+    for name in {*errors.scale, *errors.bias, *errors.lag, *errors.low_pass, *errors.delay}:
         read[name] = _instrument(errors, name, read.get(name, truth[name]), truth["time"])
     return {name: values for name, values in read.items() if values is not truth[name]}
 
@@ -85,6 +88,8 @@ def _instrument(errors: SensorErrors, name: str, values: Array, time: Array) -> 
     out = (1.0 + errors.scale.get(name, 0.0)) * values + errors.bias.get(name, 0.0)
     if lag := errors.lag.get(name, 0.0):
         out = _lagged(out, lag, time[1] - time[0])
+    if low_pass := errors.low_pass.get(name):
+        out = _low_passed(out, *low_pass, dt=time[1] - time[0])
     if delay := errors.delay.get(name, 0.0):
         out = np.asarray(CubicSpline(time, out)(np.maximum(time - delay, time[0])))
     return out
@@ -95,4 +100,13 @@ def _lagged(values: Array, lag: float, dt: float) -> Array:
     decay = np.exp(-dt / lag)
     mean = lag / dt * (1.0 - decay)
     out, _ = lfilter([1.0 - mean, mean - decay], [1.0, -decay], values, zi=[mean * values[0]])
+    return np.asarray(out, dtype=np.float64)
+
+
+def _low_passed(values: Array, frequency: float, damping: float, dt: float) -> Array:
+    """Second-order low-pass, exact for an input that is linear between samples, from its steady state."""
+    denominator = [1.0, 2.0 * damping * frequency, frequency**2]
+    discrete: Any = cont2discrete(([frequency**2], denominator), dt, method="foh")
+    b, a = np.ravel(discrete[0]), np.ravel(discrete[1])
+    out, _ = lfilter(b, a, values, zi=lfilter_zi(b, a) * values[0])
     return np.asarray(out, dtype=np.float64)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorid_torch.core.names import ATTITUDES, POSITIONS, RATES, SPECIFIC_FORCES, VELOCITIES
+from rotorid_torch.effects.families.sensors import DAMPED, DAMPING, PERIOD, SMOOTHED
 
 Array = np.ndarray
 
@@ -156,6 +157,23 @@ def rotated(values: Sequence[Array], vector: Sequence[Array | float]) -> list[Ar
 
 def _cross(a: Sequence[Array | float], b: Sequence[Array]) -> list[Array]:
     return [a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)]
+
+
+def undoing(errors: Mapping[str, Array | float], unit: str) -> tuple[Array | float, Array | float]:
+    """Coefficients a, s, and b, s², by which a unit's filters are undone: x = y + a dy/dt + b d²y/dt².
+
+    A filter of first order (tau) has a = tau; one of second order a = 2 zeta T, b = T² with T one over its natural
+    frequency; a symmetric window b = -variance/2, to second order in frequency. One behind the other they multiply.
+    """
+    tau, period = errors.get(f"filter.{unit}", 0.0), errors.get(f"filter.{unit}{PERIOD}", 0.0)
+    damped = 2.0 * errors.get(f"filter.{unit}{DAMPED}", DAMPING[2]) * period
+    smoothed = 0.5 * errors.get(f"filter.{unit}{SMOOTHED}", 0.0)
+    return tau + damped, period * period + damped * tau - smoothed
+
+
+def null(name: str) -> float:
+    """Value of an error where there is none: the damping of a filter without period is that of most."""
+    return DAMPING[2] if name.endswith(DAMPED) else 0.0
 
 
 _UNIT = {channel: unit for unit, members in UNITS.items() for channel in members}

@@ -14,7 +14,7 @@ import numpy as np
 from rotorid_torch.consistency.alignment import EVERY_S, alignment
 from rotorid_torch.core.names import RATES
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.effects.families.sensors import SensorDelay
+from rotorid_torch.effects.families.sensors import DAMPED, FILTER_ENDINGS, SMOOTHED, SensorDelay
 from rotorid_torch.trace.sensors import sensor_words
 from rotorid_torch.trace.sensors.constants import Constant, constants
 from rotorid_torch.trace.sensors.correction import without_errors
@@ -67,7 +67,9 @@ def _candidates(dataset: Dataset, cut: Sequence[Piece]) -> tuple[str, ...]:
     channels = dict.fromkeys(channel for piece in cut for channel in piece.channels)
     equations = {name for piece in cut for name in piece.equations}
     moving = {channel for channel in channels if _moves(cut, channel)}
-    effects = [f"{kind}.{unit}" for kind in ("delay", "filter") for unit in UNITS if moving & set(UNITS[unit])]
+    units = [unit for unit in UNITS if moving & set(UNITS[unit])]
+    effects = [f"{kind}.{unit}" for kind in ("delay", "filter") for unit in units]
+    effects += [f"filter.{unit}{ending}" for ending in FILTER_ENDINGS for unit in units]
     effects += [f"scale.{c}" for c in channels if c in moving and (unit_of(c) or c.endswith("dot"))]
     level: list[str] = ["psi"] if {"north", "east"} <= equations else []
     if moving & set(RATES) and equations & {"phi", "u", "v", "w"}:
@@ -107,7 +109,8 @@ def _untested(dataset: Dataset, kind: str, floor: float) -> KinematicFinding:
 
 
 def _finding(case: Case, kind: str, point: Point, biases: Sequence[Constant]) -> KinematicFinding:
-    parameters = [_parameter(case, name, point) for name in case.candidates if kind_of(name) == kind]
+    names = [n for n in case.candidates if kind_of(n) == kind and (n in case.fitted or not n.endswith(DAMPED))]
+    parameters = [_parameter(case, name, point) for name in names]
     parameters = [_with_clock(case, parameter) for parameter in parameters]
     if kind == "bias":
         parameters += [constant.parameter() for constant in biases]
@@ -143,11 +146,7 @@ def _group(case: Case, kind: str) -> tuple[str, ...]:
 def _alternatives(case: Case, kind: str) -> str:
     """Other sensors of the same effect that could be the cause."""
     others = [(n, v) for name, rivals in case.rivals.items() for n, v in rivals.items() if kind_of(name) == kind_of(n)]
-    sizes = [
-        f"{n.partition('.')[2]} by {v:+.3g} {sensor_words.unit(kind, n.partition('.')[2])}"
-        for n, v in others
-        if kind_of(n) == kind
-    ]
+    sizes = [sensor_words.alternative(n, v) for n, v in others if kind_of(n) == kind]
     return f"; it could also be {' or '.join(sizes)}" if sizes else ""
 
 
@@ -156,6 +155,7 @@ def _parameter(case: Case, name: str, point: Point) -> SensorParameter:
     error, smallest = spread(point, name, case.fitted), least(case.dataset, kind)
     value = point.errors[name] if name in case.fitted else point.joining(name, case.fitted)[0]
     gain = case.gains.get(name, (value / error) ** 2) if name in case.fitted else (value / error) ** 2
+    smallest = smallest**2 if name.endswith(SMOOTHED) else smallest
     visible = float(max(np.sqrt(case.floor) * error, smallest + 2.0 * error))
     unit, named = sensor_words.unit(kind, member), name in case.named
     return SensorParameter(f"sensors.{name}", value, error, unit, named, gain, visible)

@@ -9,7 +9,8 @@ import numpy as np
 
 from rotorid_torch.core.names import RATES, VELOCITIES
 from rotorid_torch.effects.base import Effect
-from rotorid_torch.effects.families.sensors import LeverArm, Misalignment, SensorFilter, SensorScale
+from rotorid_torch.effects.families.sensors import FILTER_ENDINGS, LeverArm, Misalignment, SensorFilter, SensorScale
+from rotorid_torch.trace.sensors.equations import null
 from rotorid_torch.trace.sensors.pieces import REACH_S, Piece
 from rotorid_torch.trace.sensors.weighted_fit import BANDS_HZ, Errors, Levels, Rows, Setting, constant_columns, rows
 
@@ -115,7 +116,7 @@ class Search:
 
     def fit(self, errors: Errors, free: Sequence[str]) -> Point:
         """Gauss-Newton over the errors named, the others held where they are."""
-        point = self.at({**dict.fromkeys(free, 0.0), **errors}, free)
+        point = self.at({**{name: null(name) for name in free}, **errors}, free)
         for _ in range(ITERATIONS):
             step, covariance = point.solve(free)
             if not np.all(np.isfinite(step)) or np.all(np.abs(step) < SETTLED * np.sqrt(np.diag(covariance))):
@@ -148,16 +149,18 @@ def _sum(errors: Errors, names: Sequence[str], rows: Sequence[Rows]) -> Point:
 
 
 def _stepped(errors: Errors, free: Sequence[str], step: Array) -> dict[str, float]:
-    return {**errors, **{name: bounded(name, errors.get(name, 0.0) + by) for name, by in zip(free, step, strict=True)}}
+    moved = {name: errors.get(name, null(name)) + by for name, by in zip(free, step, strict=True)}
+    return {**errors, **{name: bounded(name, value) for name, value in moved.items()}}
 
 
 def _bounds(effect: Effect) -> tuple[float, float]:
     return effect.declared[0].bounds
 
 
+_FILTERS = {p.name.removeprefix("rates"): p.bounds for p in SensorFilter(RATES).declared}
 LIMITS = {
     "delay": (-REACH_S, REACH_S),
-    "filter": _bounds(SensorFilter(VELOCITIES)),
+    "filter": _FILTERS[""],
     "scale": _bounds(SensorScale(VELOCITIES)),
     "misalignment": _bounds(Misalignment(RATES)),
     "lever_arm": _bounds(LeverArm()),
@@ -167,9 +170,14 @@ LIMITS = {
 limit here, its unit differs by channel."""
 
 
+def limits(name: str) -> tuple[float, float]:
+    """What a sensor can have of the error of this name."""
+    return next((_FILTERS[e] for e in FILTER_ENDINGS if name.endswith(e)), LIMITS[name.partition(".")[0]])
+
+
 def bounded(name: str, value: float) -> float:
     """The value inside what a sensor can have."""
-    low, high = LIMITS[name.partition(".")[0]]
+    low, high = limits(name)
     return float(min(max(value, low), high))
 
 

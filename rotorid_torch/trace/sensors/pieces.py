@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
-from rotorid_torch.trace.sensors.equations import EQUATIONS, unit_of, usable
+from rotorid_torch.trace.sensors.equations import EQUATIONS, undoing, unit_of, usable
 
 Array = np.ndarray
 
@@ -25,13 +26,17 @@ BRIDGED_S = 0.05
 """Gaps up to this are bridged by straight lines."""
 PIECES = 16
 """Pieces that are looked at, at most: sensor errors are the same in all, and these make them certain."""
+KERNEL_S, SMALL = 0.12, 1e-5
+"""Half-width of the kernels that differentiate, and how much the size of their taps counts."""
 STILL = 1e-3
 """Least noise, as a share of a channel's rms deviation: what is integrated and stored in steps is no more exact."""
 
 
 @dataclass(frozen=True)
 class Piece:
-    """Samples of one piece of a flight and their rates of change, (channels, N + 2 margin), and their noise.
+    """Samples of one piece of a flight, their rates of change and the rates of these, and their noise.
+
+    Each (channels, N + 2 margin).
 
     `readings` covers `margin` samples beyond both ends, so that a clock can be moved; `noise` is the standard
     deviation of one of the N samples, per channel.
@@ -43,6 +48,7 @@ class Piece:
     channels: tuple[str, ...]
     readings: Array
     slopes: Array
+    bends: Array
     noise: Array
     equations: tuple[str, ...]
 
@@ -52,20 +58,21 @@ class Piece:
         return self.readings.shape[1] - 2 * self.margin
 
     def on_time(self, errors: Mapping[str, Array | float]) -> dict[str, Array]:
-        """Readings (N) of each channel with delays and lags taken out: x = y(t + delay) + lag dy/dt(t + delay).
+        """Readings (N) of each channel with delays and filters taken out: y + a dy/dt + b d²y/dt² at t + delay.
 
-        Where its delay or lag is an array of several values, (values, N).
+        Where its delay or a filter is an array of several values, (values, N).
         """
         return {name: self._on_time(i, unit_of(name) or "positions", errors) for i, name in enumerate(self.channels)}
 
     def _on_time(self, row: int, unit: str, errors: Mapping[str, Array | float]) -> Array:
-        clocks = np.broadcast_arrays(errors.get(f"delay.{unit}", 0.0), errors.get(f"filter.{unit}", 0.0))
+        clocks = np.broadcast_arrays(errors.get(f"delay.{unit}", 0.0), *undoing(errors, unit))
         each = list(zip(*(clock.reshape(-1).tolist() for clock in clocks), strict=True))
         readings = {clock: self._read(row, *clock) for clock in dict.fromkeys(each)}
         return readings[each[0]] if clocks[0].ndim == 0 else np.stack([readings[clock] for clock in each])
 
-    def _read(self, row: int, delay: float, lag: float) -> Array:
-        values = self.readings[row] + lag * self.slopes[row] if lag else self.readings[row]
+    def _read(self, row: int, delay: float, first: float, second: float) -> Array:
+        values = self.readings[row] + first * self.slopes[row] if first else self.readings[row]
+        values = values + second * self.bends[row] if second else values
         return advanced(values, delay / self.dt, self.margin)
 
 
@@ -108,7 +115,8 @@ def _cut(dataset: Dataset, flight: Flight) -> Iterator[Piece]:
         length = _quick((count - 2 * margin) // parts - 1) + 1
         for k in range(parts):
             part = mean[:, k * length : (k + 1) * length + 2 * margin]
-            yield Piece(flight.name, dt, margin, channels, part, _slopes(part, dt), noise, equations)
+            slopes, bends = (_filtered(part, kernel) for kernel in _differentiators(round(dt, 9)))
+            yield Piece(flight.name, dt, margin, channels, part, slopes, bends, noise, equations)
 
 
 def _quick(intervals: int) -> int:
@@ -144,11 +152,31 @@ def _whole(missing: Array, bridged: int) -> Iterator[tuple[int, int]]:
     yield start, len(missing)
 
 
-def _slopes(rows: Array, dt: float) -> Array:
-    """Rates of change by the central formula of fourth order, by that of second order next to the ends.
+@cache
+def _differentiators(dt: float) -> tuple[Array, Array]:
+    """Kernels of the first and the second rate of change that are exact in the compared band and deaf above it.
 
-    Source: Abramowitz and Stegun, Handbook of Mathematical Functions, eq. 25.3.21 ff.
+    Differences of neighbours would carry the noise of all frequencies to both ends of a piece. The taps (2 n + 1) are
+    those whose response comes closest to j w and -w² in the band, of small size elsewhere.
+
+    Source: Oppenheim and Schafer, Discrete-Time Signal Processing, 3rd ed., sec. 7.7 (least-squares design).
     """
-    slopes = np.gradient(rows, dt, axis=1)
-    slopes[:, 2:-2] = (8.0 * (rows[:, 3:-1] - rows[:, 1:-3]) - (rows[:, 4:] - rows[:, :-4])) / (12.0 * dt)
-    return slopes
+    taps = np.arange(1, max(4, round(KERNEL_S / dt)) + 1)
+    omega = 2.0 * np.pi * np.linspace(0.02, 1.05, 60) * min(HIGHEST_HZ, 0.25 / dt)
+    angles = np.outer(omega, taps) * dt
+
+    def closest(response: Array, wanted: Array) -> Array:
+        rows = response / wanted[:, None]
+        small = SMALL * np.sqrt(len(omega)) * np.linalg.norm(rows, 2) * np.eye(len(taps))
+        right = np.concatenate([np.ones(len(omega)), np.zeros(len(taps))])
+        return np.linalg.lstsq(np.concatenate([rows, small]), right, rcond=None)[0]
+
+    odd, even = closest(2.0 * np.sin(angles), omega), closest(2.0 * (np.cos(angles) - 1.0), -(omega**2))
+    return np.concatenate([odd[::-1], [0.0], -odd]), np.concatenate([even[::-1], [-2.0 * even.sum()], even])
+
+
+def _filtered(rows: Array, kernel: Array) -> Array:
+    """Records (channels, T) through a kernel, straight on beyond both ends."""
+    half = len(kernel) // 2
+    held = np.pad(rows, ((0, 0), (half, half)), mode="reflect", reflect_type="odd")
+    return np.stack([np.convolve(row, kernel, "valid") for row in held])

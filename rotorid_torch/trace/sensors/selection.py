@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,8 +10,10 @@ import numpy as np
 from rotorid_torch.consistency.alignment import Alignment
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.effects.families.sensors import DAMPED, PERIOD, SMOOTHED
 from rotorid_torch.trace.sensors import sensor_words
-from rotorid_torch.trace.sensors.normal_equations import LIMITS, Point, Search
+from rotorid_torch.trace.sensors.equations import null
+from rotorid_torch.trace.sensors.normal_equations import Point, Search, limits
 from rotorid_torch.trace.sensors.sensor_finding import Verdict
 
 MOST = 6
@@ -90,7 +92,7 @@ def _forward(case: Case) -> Point:
         if best is None:
             return base
         name, fit = best
-        companions = [n for n in case.candidates if kind_of(n) == kind_of(name) in VECTORS and n != name]
+        companions = _companions(case, name)
         case.fitted += [name, *(n for n in companions if n not in case.fitted)]
         errors = case.search.fit(fit.errors, case.fitted).errors if companions else fit.errors
         point = case.search.measure(errors, case.candidates)
@@ -106,7 +108,7 @@ def _ranked(case: Case, point: Point, held: Sequence[str]) -> list[tuple[float, 
     """Candidates that can have this sign, by what each would gain beside those held."""
     ranked = []
     for name in case.candidates:
-        if name not in held:
+        if name not in held and not name.endswith(DAMPED):
             step, information = point.joining(name, held)
             if kind_of(name) != "filter" or step > 0.0:
                 ranked.append((step * step * information, name))
@@ -116,25 +118,50 @@ def _ranked(case: Case, point: Point, held: Sequence[str]) -> list[tuple[float, 
 def _best(case: Case, base: Point, at_base: Point) -> tuple[str, Point] | None:
     """The candidate whose full fit explains most beyond the floor; one too small to be named only if it must be."""
     ranked = _ranked(case, at_base, case.fitted)
-    near = [name for gain, name in ranked if gain > max(case.floor, NEAR * ranked[0][0])][:TRIED]
-    fits = [(name, case.search.fit(base.errors, (*case.fitted, name))) for name in near]
-    inside = [(base.cost - fit.cost, name, fit) for name, fit in fits if _inside(name, fit.errors[name])]
+    near = _near([name for gain, name in ranked if gain > max(case.floor, NEAR * ranked[0][0])])
+    fits = [(name, _joined(case, base, case.fitted, name)) for name in near]
+    paid = {name: case.floor if name.endswith(PERIOD) else 0.0 for name in near}  # for the damping
+    inside = [(base.cost - fit.cost - paid[name], name, fit) for name, fit in fits if _inside(name, fit)]
     most = max((gain for gain, _, _ in inside), default=0.0)
     if most < case.floor:
         return None
     equal = [g for g in inside if g[0] > most - case.floor]
-    large = [g for g in equal if _large(case, g[1], g[2].errors[g[1]])]
+    large = [g for g in equal if _large(case, g[1], g[2])]
     _, name, fit = max(large or equal, key=lambda g: g[0])
     return name, fit
 
 
-def _inside(name: str, value: float) -> bool:
-    low, high = LIMITS[kind_of(name)]
-    return low < value < high
+def _near(ranked: Sequence[str]) -> list[str]:
+    """The best candidates, and the best filter of second order, which begins as one of first order does."""
+    plain, second = ([n for n in ranked if n.endswith(PERIOD) == of_second] for of_second in (False, True))
+    return [*plain[:TRIED], *second[:1]]
 
 
-def _large(case: Case, name: str, value: float) -> bool:
-    return abs(value) > least(case.dataset, kind_of(name))
+def _joined(case: Case, base: Point, held: Sequence[str], name: str) -> Point:
+    """Fit of one more error; of a filter's damping too, once its frequency is about known."""
+    fit = case.search.fit(base.errors, (*held, name))
+    if not name.endswith(PERIOD) or not _inside(name, fit):
+        return fit
+    return case.search.fit(fit.errors, (*held, name, *_companions(case, name)))
+
+
+def _inside(name: str, point: Point) -> bool:
+    """Whether an error has a value that a sensor can have; a filter's damping too."""
+    both = (name, name.removesuffix(PERIOD) + DAMPED) if name.endswith(PERIOD) else (name,)
+    return all(limits(n)[0] < point.errors.get(n, null(n)) < limits(n)[1] for n in both)
+
+
+def _large(case: Case, name: str, point: Point) -> bool:
+    return size(name, point.errors) > least(case.dataset, kind_of(name))
+
+
+def size(name: str, errors: Mapping[str, float]) -> float:
+    """Size of an error; of filters the time, s, by which they are late at low frequencies, or the window's half."""
+    value = abs(errors[name])
+    if name.endswith(PERIOD):
+        damped = name.removesuffix(PERIOD) + DAMPED
+        return 2.0 * errors.get(damped, null(damped)) * value
+    return value**0.5 if name.endswith(SMOOTHED) else value
 
 
 def least(dataset: Dataset, kind: str) -> float:
@@ -145,12 +172,22 @@ def least(dataset: Dataset, kind: str) -> float:
 
 
 def _without(case: Case, name: str) -> list[str]:
-    """The accepted errors less this one; less its whole vector where it led one."""
-    return [n for n in case.fitted if n != name and not (kind_of(n) == kind_of(name) in VECTORS and _leads(case, name))]
+    """The accepted errors less this one; less its whole vector where it led one, less its damping where it has one."""
+    gone = _companions(case, name) if _leads(case, name) else ()
+    return [n for n in case.fitted if n != name and n not in gone]
+
+
+def _companions(case: Case, name: str) -> list[str]:
+    """Errors that come along with this one: the other axes of a vector, the damping of a filter of second order."""
+    if name.endswith(PERIOD):
+        return [name.removesuffix(PERIOD) + DAMPED]
+    return [n for n in case.candidates if kind_of(n) == kind_of(name) in VECTORS and n != name]
 
 
 def _leads(case: Case, name: str) -> bool:
     """Whether an accepted error stands for itself: an axis of a vector came along with the vector's first one."""
+    if name.endswith(DAMPED):
+        return False
     return kind_of(name) not in VECTORS or name == next(n for n in case.fitted if kind_of(n) == kind_of(name))
 
 
@@ -183,14 +220,14 @@ def _doubt(case: Case, point: Point, name: str) -> tuple[Verdict, str] | None:
     value, smallest = point.errors[name], least(case.dataset, kind_of(name))
     if case.gains[name] < case.floor:
         return "rejected", "the other errors explain it"
-    if not _large(case, name, value):
+    if not _large(case, name, point):
         return "below floor", sensor_words.too_small(kind_of(name), smallest)
     gross = max((float(level.max()) for level in case.search.levels.values()), default=1.0) > GROSS
     if gross and case.gains[name] < SHARE * point.cost:
         return "rejected", "the channels disagree far beyond noise, and it explains less than a tenth of that"
     at_fit = case.search.at(point.errors, case.fitted)
     error = spread(at_fit, name, case.fitted)
-    if abs(value) < STEADY * error or abs(value) - 2.0 * error < smallest:
+    if abs(value) < STEADY * error or size(name, point.errors) * (1.0 - 2.0 * error / abs(value)) < smallest:
         return "rejected", "its value differs from flight to flight by more than its size allows"
     return None
 
@@ -219,12 +256,12 @@ def _weigh_rivals(case: Case, point: Point) -> Point:
         base = _refit(case, point, held)
         ranked = _ranked(case, case.search.at(base.errors, case.candidates), held)
         gone = {n for n in case.fitted if n not in held}
-        near = [n for gain, n in ranked if n not in gone and gain > NEAR * ranked[0][0]][:TRIED]
-        fits = {n: case.search.fit(base.errors, (*held, n)) for n in near}
+        near = _near([n for gain, n in ranked if n not in gone and gain > NEAR * ranked[0][0]])
+        fits = {n: _joined(case, base, held, n) for n in near}
         equal = {
             n: fit
             for n, fit in fits.items()
-            if fit.cost - point.cost < case.floor and _inside(n, fit.errors[n]) and _large(case, n, fit.errors[n])
+            if fit.cost - point.cost < case.floor and _inside(n, fit) and _large(case, n, fit)
         }
         case.rivals[name] = {n: fit.errors[n] for n, fit in equal.items()}
         better = [n for n in equal if kind_of(n) == kind_of(name) and _unlikely(n, equal[n]) < _unlikely(name, point)]

@@ -8,20 +8,28 @@ import numpy as np
 
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.effects.families.sensors import DAMPED, PERIOD, SMOOTHED
 from rotorid_torch.trace.sensors.equations import usable
 from rotorid_torch.trace.sensors.sensor_finding import SensorParameter, Verdict
 
 
 def unit(kind: str, member: str) -> str:
     """Unit of a sensor error."""
+    if kind == "filter" and member.endswith((DAMPED, SMOOTHED)):
+        return "1" if member.endswith(DAMPED) else "s²"
     fixed = {"delay": "s", "filter": "s", "scale": "1", "misalignment": "rad", "lever_arm": "m"}
     return fixed.get(kind) or names.unit(member)
 
 
-def told(parameter: SensorParameter) -> str:
-    """One error with its value and standard error."""
+def told(parameter: SensorParameter, beside: Sequence[SensorParameter] = ()) -> str:
+    """One error with its value and standard error; a filter's frequency with the damping among those beside it."""
     _, kind, member = parameter.name.split(".")
     value, se = parameter.value, parameter.se
+    if member.endswith(PERIOD):
+        return _second_order(parameter, beside)
+    if member.endswith(SMOOTHED):
+        where = f"{member.removesuffix(SMOOTHED)} smoothed without phase (a symmetric window, after the flight)"
+        return f"{where}: half power at {half_power_hz(value):.2g} Hz" if value > 0.0 else f"{where}: none"
     return {
         "delay": f"{member} {abs(value) * 1e3:.0f} ms {'late' if value > 0 else 'early'} (± {se * 1e3:.1f})",
         "filter": f"{member} through a lag of {value * 1e3:.0f} ms (± {se * 1e3:.1f})",
@@ -30,6 +38,33 @@ def told(parameter: SensorParameter) -> str:
         "lever_arm": f"IMU {value:+.3f} m along {member} (± {se:.3f})",
         "bias": f"{member} off by {value:+.3g} {parameter.unit} (± {se:.1g})",
     }[kind]
+
+
+def _second_order(period: SensorParameter, beside: Sequence[SensorParameter]) -> str:
+    """A filter of second order: a natural frequency needs a value of the period."""
+    unit = period.name.removesuffix(PERIOD)
+    damping = next((p for p in beside if p.name == f"{unit}{DAMPED}"), None)
+    said = f"{unit.split('.')[2]} through a filter of second order"
+    if period.value <= 0.0:
+        return f"{said}: none"
+    omega = 1.0 / period.value
+    said += f", natural frequency {omega:.3g} rad/s (± {omega**2 * period.se:.2g})"
+    return f"{said}, damping {damping.value:.2f} (± {damping.se:.2g})" if damping else said
+
+
+def half_power_hz(variance: float) -> float:
+    """Frequency in Hz at which a Gaussian window of this variance, s², leaves half of the power."""
+    return float(np.sqrt(np.log(2.0) / variance) / (2.0 * np.pi))
+
+
+def alternative(name: str, value: float) -> str:
+    """Another error of the same effect that could be the cause, with its value."""
+    kind, _, member = name.partition(".")
+    if member.endswith(PERIOD):
+        return f"{member.removesuffix(PERIOD)} through a filter of second order, {1.0 / value:.3g} rad/s"
+    if member.endswith(SMOOTHED):
+        return f"{member.removesuffix(SMOOTHED)} smoothed without phase, half power at {half_power_hz(value):.2g} Hz"
+    return f"{member} by {value:+.3g} {unit(kind, member)}"
 
 
 def too_small(kind: str, least: float) -> str:
@@ -49,7 +84,8 @@ def verdict(
     """Verdict on an effect and its reason, from its parameters, its rivals, and what was refused after a trial."""
     accepted = [p for p in parameters if p.accepted]
     if accepted:
-        listed = "; ".join(told(p) for p in sorted(accepted, key=lambda p: -p.gain))
+        leading = [p for p in accepted if not p.name.endswith(DAMPED)]
+        listed = "; ".join(told(p, accepted) for p in sorted(leading, key=lambda p: -p.gain))
         if group:
             return "indistinguishable", f"{listed}; the data cannot tell it from {' or '.join(group)}"
         return "accepted", f"{listed}: the channels contradict each other without it"

@@ -17,7 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorid_torch.core.names import POSITIONS, RATES, SPECIFIC_FORCES
-from rotorid_torch.trace.sensors.equations import sides, unit_of, without_static_errors
+from rotorid_torch.effects.families.sensors import DAMPED, PERIOD, SMOOTHED
+from rotorid_torch.trace.sensors.equations import null, sides, undoing, unit_of, without_static_errors
 from rotorid_torch.trace.sensors.pieces import HIGHEST_HZ, Piece
 
 Array = np.ndarray
@@ -29,6 +30,8 @@ DRIFTING = (*RATES, *SPECIFIC_FORCES, "pdot", "qdot", "rdot")
 """Channels whose constant is free in every piece."""
 BANDS_HZ = (0.0, 0.15, 0.3, 0.6, 1.0, 1.6, 2.5, 3.6, HIGHEST_HZ + 1.0)
 """Edges of the bands in which the level of what is left is measured."""
+FILTER_STEPS = {PERIOD: 1e-4, DAMPED: 1e-3, SMOOTHED: 1e-6}
+"""The same for what a filter has besides a time constant: s, 1, s²."""
 STEPS = {"delay": 1e-4, "filter": 1e-4, "scale": 1e-4, "misalignment": 1e-4, "lever_arm": 1e-3, "bias": 1e-4}
 """Differences by which the columns are taken: s, s, 1, rad, m, the channel's unit."""
 NOISY = ("scale", "misalignment", "lever_arm", "filter")
@@ -95,12 +98,17 @@ def _linearised(
 
 
 def _steps(names: Sequence[str]) -> Array:
-    return np.array([STEPS[name.partition(".")[0]] for name in names])
+    return np.array([step_of(name) for name in names])
+
+
+def step_of(name: str) -> float:
+    """Difference by which the column of an error is taken."""
+    return next((s for ending, s in FILTER_STEPS.items() if name.endswith(ending)), STEPS[name.partition(".")[0]])
 
 
 def _moved(errors: Errors, names: Sequence[str]) -> Several:
     """The errors as they are, and with each of the names one step further."""
-    sets = [np.full(1 + len(names), errors.get(name, 0.0)) for name in names]
+    sets = [np.full(1 + len(names), errors.get(name, null(name))) for name in names]
     for i, (values, step) in enumerate(zip(sets, _steps(names), strict=True), 1):
         values[i] += step
     return {**errors, **dict(zip(names, sets, strict=True))}
@@ -198,8 +206,9 @@ def _covariance(piece: Piece, setting: Setting, errors: Several, frequencies: Ar
     slope = (both[..., 1:, :, :] - both[..., :1, :, :]) * (piece.noise / nudge)[:, None, None] / np.sqrt(len(places))
     left, right = np.split(slope, 2, axis=-2)
     omega = 2.0 * np.pi * frequencies
-    lags = np.broadcast_arrays(*(errors.get(f"filter.{unit_of(channel)}", 0.0) for channel in piece.channels))
-    power = 1.0 + (omega[:, None] * np.stack(lags, axis=-1)[..., None, :]) ** 2
+    first, second = zip(*(undoing(errors, unit_of(channel)) for channel in piece.channels), strict=True)
+    first, second = (np.stack(np.broadcast_arrays(*values), axis=-1)[..., None, :] for values in (first, second))
+    power = (1.0 - omega[:, None] ** 2 * second) ** 2 + (omega[:, None] * first) ** 2
 
     def summed(a: Array, b: Array) -> Array:
         products = a @ b.swapaxes(-1, -2)

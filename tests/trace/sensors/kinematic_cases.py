@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.signal import lfilter
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import lfilter, lsim
 
 from rotorid_torch.data.dataset import Dataset
 
@@ -120,8 +121,13 @@ def read(truth: Mapping, errors: Mapping[str, float], seed: int, dt: float = 1 /
             b1 = lag / step * (1 - keep) - keep
             b0 = 1 - lag / step * (1 - keep)
             values = lfilter([b0, b1], [1.0, -keep], values, zi=[values[0] * (1 - b0)])[0]
+        if period := errors.get(f"filter.{unit}_period", 0.0):
+            system = ([1.0], [period**2, 2.0 * errors.get(f"filter.{unit}_damping", 0.7) * period, 1.0])
+            values = values[0] + lsim(system, values - values[0], time - time[0])[1]
         out[channel] = CubicSpline(time, values)(grid - delay)
         out[channel] = out[channel] + noise * NOISE[channel] * rng.standard_normal(len(grid))
+        if window := errors.get(f"filter.{unit}_smoothing", 0.0):  # after the flight: noise and all
+            out[channel] = gaussian_filter1d(out[channel], window**0.5 / dt)
     return out
 
 

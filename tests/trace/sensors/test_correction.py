@@ -16,6 +16,7 @@ INNER = slice(30, -30)
         ({"delay.attitude": 0.0637}, 1e-4),
         ({"delay.velocities": -0.05}, 1e-3),
         ({"filter.velocities": 0.05}, 4e-2),
+        ({"filter.rates_period": 0.05, "filter.rates_damping": 0.6}, 4e-2),
         ({"scale.q": 0.05, "bias.q": 0.01}, 1e-6),
         ({"misalignment.y": 0.035, "misalignment.z": -0.02}, 1e-6),
         ({"lever_arm.x": 0.4, "lever_arm.z": -0.3}, 2e-2),

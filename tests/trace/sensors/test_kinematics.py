@@ -1,5 +1,8 @@
 """Sensor errors from kinematics: found where they are, nowhere else, and taken out again."""
 
+import math
+import re
+
 import numpy as np
 import pytest
 
@@ -24,8 +27,8 @@ INJECTED = {
 def test_one_error_is_named_alone_within_four_standard_errors(name: str, size: float) -> None:
     found = kinematic_findings(data({name: size * INJECTED[name]}, seed=1, flights=5))
     effect = f"sensors.{name.partition('.')[0]}"
-    # 25 ms of lag are no different from 25 ms of delay below 1.5 Hz
-    pair = {"sensors.delay", "sensors.filter"} if name.startswith("filter") and size < 1.0 else {effect}
+    # 25 ms of lag are no different from 25 ms of delay below 1.5 Hz, nor 30 ms of delay from a filter of 47 rad/s
+    pair = {"sensors.delay", "sensors.filter"} if name.startswith(("filter", "delay")) and size < 1.0 else {effect}
     assert {f.id for f in found.findings if f.verdict in ("accepted", "indistinguishable")} == pair
     if found.effects != (effect,):
         return
@@ -33,6 +36,33 @@ def test_one_error_is_named_alone_within_four_standard_errors(name: str, size: f
     assert parameter.accepted
     assert abs(parameter.value - size * INJECTED[name]) < 4.0 * parameter.se
     assert parameter.smallest_visible < size * INJECTED[name]
+
+
+def test_a_filter_of_second_order_has_its_frequency_and_damping() -> None:
+    unit, frequency, damping = "rates", 18.8, 0.6
+    period, damped = f"filter.{unit}_period", f"filter.{unit}_damping"
+    found = kinematic_findings(data({period: 1.0 / frequency, damped: damping}, 1, flights=5))
+    assert found.effects == ("sensors.filter",)
+    assert found.values[f"sensors.{period}"] == pytest.approx(1.0 / frequency, rel=0.03)
+    assert found.values[f"sensors.{damped}"] == pytest.approx(damping, rel=0.03)
+    assert "natural frequency 18.8 rad/s" in found["sensors.filter"].reason
+
+
+@pytest.mark.parametrize(("unit", "frequency"), [("rates", 60.0), ("velocities", 25.0)])
+def test_far_below_its_frequency_a_filter_is_a_group_with_delay(unit: str, frequency: float) -> None:
+    found = kinematic_findings(data({f"filter.{unit}_period": 1.0 / frequency}, 1, flights=5))
+    pair = {f.id for f in found.findings if f.verdict == "indistinguishable"}
+    assert pair == {"sensors.delay", "sensors.filter"}
+    assert found.values == {f"sensors.delay.{unit}": pytest.approx(1.4 / frequency, rel=0.05)}
+
+
+def test_records_that_were_smoothed_after_the_flight_are_told_with_their_band() -> None:
+    sigma = 0.06
+    found = kinematic_findings(data({"filter.rates_smoothing": sigma**2}, 1, flights=5))
+    assert set(found.values) == {"sensors.filter.rates_smoothing"}
+    said = re.search("without phase .*half power at ([0-9.]+) Hz", found["sensors.filter"].reason)
+    assert said
+    assert float(said[1]) == pytest.approx(math.sqrt(math.log(2.0)) / (2.0 * math.pi * sigma), rel=0.1)
 
 
 @pytest.mark.parametrize("seed", range(3))
