@@ -304,8 +304,8 @@ def _empty(one: Records, flights: int, samples: int) -> Records:
     def nothing(columns: int) -> Tensor:
         return mapped_arrays.empty(flights, samples, columns).fill_(math.nan)
 
-    sizes = (part.shape[-1] for part in (one.controls, one.outputs, one.states))
-    return Records(one.dt, one.lengths.repeat(flights), one.start.repeat(flights), *map(nothing, sizes))
+    controls, outputs, states = (nothing(part.shape[-1]) for part in (one.controls, one.outputs, one.states))
+    return Records(one.dt, one.lengths.repeat(flights), one.start.repeat(flights), controls, outputs, states)
 
 
 def _biases(model: Model, step1: ReconstructedFlight) -> Tensor:
