@@ -17,6 +17,7 @@ from rotorid_torch.simulation.flight.motion import rates
 from rotorid_torch.simulation.flight.sensors import MEASURED, NOISE, true_channels
 from rotorid_torch.simulation.flight.simulation import fly_batch
 from rotorid_torch.simulation.flight.trim import find_trim, passage
+from rotorid_torch.simulation.flight_test import FlightTest
 from rotorid_torch.simulation.vehicles.vehicle import load_aircraft
 
 AIRCRAFT = load_aircraft()
@@ -31,12 +32,14 @@ def altered(effect: str, size: float = 1.0):
 @pytest.fixture(scope="module")
 def clean():
     """One short clean flight."""
-    return fly(None, flights=["dbl_lat_p"], seconds=SECONDS)
+    return flown()
 
 
 def flown(*effects: str, flights: tuple[str, ...] = ("dbl_lat_p",), seconds: float = SECONDS, **options):
     """A short flight with effects."""
-    return fly(None, flights=flights, seconds=seconds, effects=[(effect, None) for effect in effects], **options)
+    test = fly(None, flights=flights, seconds=seconds, effects=[(effect, None) for effect in effects], **options)
+    assert isinstance(test, FlightTest)
+    return test
 
 
 def test_every_id_of_a_helicopter_is_there():
