@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
@@ -14,23 +13,16 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.evidence.critical_values import Draws, Null
 from rotorid_torch.trace.evidence.family import TURNED, Family, by_chance
 from rotorid_torch.trace.evidence.fits import Fitted, Flights, refit
-from rotorid_torch.trace.evidence.screen import PATH
-from rotorid_torch.trace.evidence.slips import deflected
-from rotorid_torch.trace.search.by_control import by_control
-from rotorid_torch.trace.search.decide import Estimate, decide, estimate, evidence, gain, size_of, total
-from rotorid_torch.trace.search.findings import Outcome
+from rotorid_torch.trace.evidence.trim_differences import explained_trims
+from rotorid_torch.trace.search.decide import Estimate, decide, estimate, gain, size_of
 from rotorid_torch.trace.search.forward_selection import Say, Search, Trial, observed, of_effects
-from rotorid_torch.trace.search.localisation import in_control_path, localised
 from rotorid_torch.trace.search.ordinary_physics import with_structure
+from rotorid_torch.trace.search.outcome import how_it_ended
 from rotorid_torch.trace.search.screening_sizes import with_screening_sizes
-from rotorid_torch.trace.search.trim_differences import explained_trims
 from rotorid_torch.trace.terms.candidate import UNATTRIBUTED, Candidate
-from rotorid_torch.trace.terms.eligible import candidates, of_control_path, untried
+from rotorid_torch.trace.terms.eligible import candidates, untried
 from rotorid_torch.trace.terms.finding import Finding, Unknown
-from rotorid_torch.trace.terms.settings import SETTINGS
 
-UNJUDGED = "No clean aircraft tells how much of this is ordinary."
-UNCONFIRMED = "No flight was kept back that could confirm it."
 STILL = "they fly in still air, far from the ground: what stays without a name is not compared with them"
 DrawClean = Callable[[Null, Sequence[str], Family], Draws | str]
 """Draws of clean aircraft for a null, effects and the data's family; or, in words, why none can be drawn."""
@@ -115,7 +107,7 @@ def trace(
     structure = tuple(f.id for f in ordinary if f.verdict == "accepted")
     final = search.back(search.forward(null, tested), tested)
     idle = [e for e in structure if size_of(final, e).estimate is not Estimate.SIZE]
-    outcome, unknown = _outcome(search, final, tested)
+    outcome, unknown = how_it_ended(search, final, tested)
     accepted = tuple(c.effect for c in search.joined) if outcome.adequate else ()
     if placed:  # the model before has the same structure
         null = refit(null.spec.without(placed), flights, null.values, held, near=null)
@@ -177,51 +169,6 @@ def _placed(search: Search, null: Fitted, effects: Sequence[str], placed: list[s
             search.scatter.update(one.scatter)
             null = fitted
     return null
-
-
-def _outcome(search: Search, final: Fitted, effects: Sequence[str]) -> tuple[Outcome, Unknown | None]:
-    """How the search ended, and what stays without a name."""
-    names = [c.effect for c in search.joined]
-    observed, p, _ = search.beside(final, effects)
-    assert search.first is not None
-    first, _, draws = search.first
-    low = [n for n, one in p.items() if n.startswith(UNATTRIBUTED) and one <= SETTINGS.level]
-    share = None
-    if low and names and draws.clean:
-        explained, left = total(evidence(search.null or first.null, final)), observed.nameless(low)
-        share = explained / max(explained + left, 1e-300)
-    unknown = None
-    if low and not (names and share is not None and share > 1.0 - SETTINGS.level):  # else next to nothing stays
-        described = [observed.descriptions.get(n.removeprefix(UNATTRIBUTED)) for n in low]
-        sentences = [one for one in described if one is not None]
-        unknown = in_control_path(final.flights)
-        if sentences:
-            unknown = localised(sentences, observed.residuals, deflected(final.model))
-        doubts = [
-            *([] if draws.clean else [UNJUDGED]),
-            *([] if search.flights.dataset.validate else [UNCONFIRMED]),
-        ]
-        unknown = replace(unknown, sentence=" ".join([unknown.sentence, *doubts]), judged=draws.clean)
-    by_controls, spread = _spread(search, final, draws)
-    other_law = tuple(of_control_path(names)) if draws.clean and f"{UNATTRIBUTED}{PATH}" in low else ()
-    return Outcome(search, final, share, other_law, by_controls, spread), unknown
-
-
-def _spread(search: Search, final: Fitted, draws: Draws) -> tuple[dict[str, str], dict[str, float]]:
-    """Words on how controls differ, and standard errors by the scatter of sizes over flights, controls and draws."""
-    words: dict[str, str] = {}
-    spread = dict(search.scatter)
-    for effect in (c.effect for c in search.joined):
-        for name, scatter in [*final.scatter(effect).items(), *draws.scatter(effect).items()]:
-            if name in final.names:
-                spread[name] = max(spread.get(name, 0.0), scatter)
-        sizes = by_control(final, effect, search.held)
-        if sizes is not None:
-            errors = [e for e in (final.error(sizes.parameter), spread.get(sizes.parameter, 0.0)) if math.isfinite(e)]
-            spread[sizes.parameter] = math.hypot(max(errors, default=0.0), sizes.spread)
-            words[effect] = f"; {sizes}"
-            search.say(f"{effect}: {sizes}")
-    return words, spread
 
 
 def _notes(search: Search) -> tuple[str, ...]:

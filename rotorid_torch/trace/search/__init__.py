@@ -1,6 +1,6 @@
 """The search: which candidates join, what each is worth, and in which words it is said.
 
-`trim_differences`, `screening_sizes` and `ordinary_physics` come before it; `forward_selection` is the search; `decide`
-is the one table, `findings` and `words` say it; `by_control` and `localisation` look closer; `requested` asks whether
-effects that a user named earn their place.
+`screening_sizes` and `ordinary_physics` come before it; `forward_selection` is the search, `outcome` how it ended;
+`decide` is the one table, `findings` and `words` say it; `by_control` and `localisation` look closer; `requested` asks
+whether effects that a user named earn their place.
 """

@@ -19,8 +19,8 @@ from rotorid_torch.trace.evidence.critical_values import Draws, Null
 from rotorid_torch.trace.evidence.family import Family
 from rotorid_torch.trace.evidence.fits import Flights
 from rotorid_torch.trace.evidence.residual import left_over
+from rotorid_torch.trace.evidence.trim_differences import explained_trims
 from rotorid_torch.trace.loop import trace
-from rotorid_torch.trace.search.trim_differences import explained_trims
 from tests.known_models import BODY, body_spec, flown, linear_vehicle, manoeuvres, with_values
 
 DT = 0.02

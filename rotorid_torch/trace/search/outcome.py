@@ -1,0 +1,100 @@
+"""How a search ended: what the names explain, what stays without a name, and how far sizes scatter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from rotorid_torch.trace.evidence.critical_values import Draws, adjusted_p
+from rotorid_torch.trace.evidence.family import Family
+from rotorid_torch.trace.evidence.fits import Fitted
+from rotorid_torch.trace.evidence.screen import PATH
+from rotorid_torch.trace.evidence.slips import deflected
+from rotorid_torch.trace.evidence.unattributed import Shape
+from rotorid_torch.trace.search.by_control import by_control
+from rotorid_torch.trace.search.decide import evidence, total
+from rotorid_torch.trace.search.findings import Outcome
+from rotorid_torch.trace.search.forward_selection import Search
+from rotorid_torch.trace.search.localisation import in_control_path, localised
+from rotorid_torch.trace.terms.candidate import UNATTRIBUTED
+from rotorid_torch.trace.terms.eligible import of_control_path
+from rotorid_torch.trace.terms.finding import Unknown
+from rotorid_torch.trace.terms.settings import SETTINGS
+
+UNJUDGED = "No clean aircraft tells how much of this is ordinary."
+UNCONFIRMED = "No flight was kept back that could confirm it."
+
+
+def how_it_ended(search: Search, final: Fitted, effects: Sequence[str]) -> tuple[Outcome, Unknown | None]:
+    """How the search ended, and what stays without a name."""
+    names = [c.effect for c in search.joined]
+    observed, p, _ = search.beside(final, effects)
+    assert search.first is not None
+    first, _, draws = search.first
+    low = [n for n, one in p.items() if n.startswith(UNATTRIBUTED) and one <= SETTINGS.level]
+    curves = _extreme_curves(observed, draws) if names and draws.clean else []
+    of_motion = of_curves = None
+    if names and draws.clean:
+        explained = total(evidence(search.null or first.null, final))
+        of_motion = explained / max(explained + observed.nameless(low), 1e-300) if low else None
+        of_curves = _share_of_curves(first, observed, curves, draws) if curves else None
+    share = min((one for one in (of_motion, of_curves) if one is not None), default=None)
+    outcome = Outcome(search, final, share, _other_law(names, low, draws), *_spread(search, final, draws))
+    next_to_nothing = of_motion is not None and of_motion > 1.0 - SETTINGS.level
+    unknown = None
+    if (low and not next_to_nothing) or not outcome.adequate:
+        unknown = _nameless(observed, low or curves, draws)
+    return outcome, unknown
+
+
+def _extreme_curves(beside: Family, draws: Draws) -> list[str]:
+    """Members that are curves and products of signals, by equation, with p at most the level among their kind."""
+    curves = [n for n in draws.statistics if n.startswith(UNATTRIBUTED) and n.endswith(Shape.CURVE.value)]
+    p = adjusted_p({n: beside.statistics[n] for n in curves if n in beside.statistics}, draws.statistics, draws.least)
+    return [n for n, one in p.items() if one <= SETTINGS.level]
+
+
+def _share_of_curves(before: Family, beside: Family, extreme: Sequence[str], draws: Draws) -> float:
+    """Share that names explain of the curves beside a null.
+
+    With T_k the statistic of the curves of an equation and m_k its mean size over the draws, the share is
+    1 - max_k(T_k / m_k beside the names) / max_k(T_k / m_k beside the null), over the curves that are extreme beside
+    either.
+    """
+    usual = {n: float(draws.statistics[n].abs().mean()) + 1e-300 for n in {*extreme, *_extreme_curves(before, draws)}}
+    first, last = (max(one.statistics.get(n, 0.0) / size for n, size in usual.items()) for one in (before, beside))
+    return 1.0 - last / max(first, 1e-300)
+
+
+def _other_law(names: Sequence[str], low: Sequence[str], draws: Draws) -> tuple[str, ...]:
+    """Names of the control path beside which what is left there is no chance."""
+    return tuple(of_control_path(names)) if draws.clean and f"{UNATTRIBUTED}{PATH}" in low else ()
+
+
+def _nameless(observed: Family, members: Sequence[str], draws: Draws) -> Unknown:
+    """Where these members say that something acts."""
+    described = [observed.descriptions.get(n.removeprefix(UNATTRIBUTED)) for n in members]
+    sentences, flights = [one for one in described if one is not None], observed.null.flights
+    unknown = in_control_path(flights)
+    if sentences:
+        unknown = localised(sentences, observed.residuals, deflected(observed.null.model))
+    doubts = [*([] if draws.clean else [UNJUDGED]), *([] if flights.dataset.validate else [UNCONFIRMED])]
+    return replace(unknown, sentence=" ".join([unknown.sentence, *doubts]), judged=draws.clean)
+
+
+def _spread(search: Search, final: Fitted, draws: Draws) -> tuple[dict[str, str], dict[str, float]]:
+    """Words on how controls differ, and standard errors by the scatter of sizes over flights, controls and draws."""
+    words: dict[str, str] = {}
+    spread = dict(search.scatter)
+    for effect in (c.effect for c in search.joined):
+        for name, scatter in [*final.scatter(effect).items(), *draws.scatter(effect).items()]:
+            if name in final.names:
+                spread[name] = max(spread.get(name, 0.0), scatter)
+        sizes = by_control(final, effect, search.held)
+        if sizes is not None:
+            errors = [e for e in (final.error(sizes.parameter), spread.get(sizes.parameter, 0.0)) if math.isfinite(e)]
+            spread[sizes.parameter] = math.hypot(max(errors, default=0.0), sizes.spread)
+            words[effect] = f"; {sizes}"
+            search.say(f"{effect}: {sizes}")
+    return words, spread
