@@ -1,0 +1,156 @@
+"""The documentation builds, its links lead somewhere, its code runs, its sentences are short, its figures hold."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import rotorid_torch as rotorid
+from rotorid_torch import cli
+from rotorid_torch.effects import registry
+from rotorid_torch.effects.registry import registered
+from tests.docs.validated import ROOT, ROWS, Row, table
+from tests.known_models import flown, manoeuvres, rate_vehicle, written
+
+DOCS = ROOT / "docs"
+PAGES = sorted(DOCS.rglob("*.md"))
+BLOCK = re.compile(r"^```(\w*)[^\n]*\n(.*?)^```", re.M | re.S)
+LONGEST, MEAN, FORMULAS = 45, 20, 60
+QUICK = {"check", "doctor", "effects", "export", "show", "simulate"}
+"""Commands that the pages' examples are run with; the others are parsed."""
+
+
+def identifier(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return [text for kind, text in BLOCK.findall(page.read_text(encoding="utf-8")) if kind == language]
+
+
+def commands(page: Path) -> list[list[str]]:
+    """Every rotorid command of a page's sh blocks, as words; under torchrun too."""
+    lines = [line for text in blocks(page, "sh") for line in text.splitlines()]
+    lines = [re.sub(r"^torchrun .* -m rotorid_torch ", "rotorid ", line) for line in lines]
+    return [shlex.split(line, comments=True) for line in lines if line.startswith("rotorid ")]
+
+
+WITH_PYTHON = [p for p in (ROOT / "README.md", *PAGES) if blocks(p, "python")]
+WITH_COMMANDS = [p for p in (ROOT / "README.md", *PAGES) if commands(p)]
+
+
+@pytest.fixture(scope="session")
+def workplace(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder as the pages have it: the data set `flights`, and its `run`."""
+    place = tmp_path_factory.mktemp("docs")
+    lists = {"identify": ["f_lon", "f_lat", "f_col"], "validate": ["f_ped"]}
+    data = flown(rate_vehicle(), manoeuvres(9.0, 0.04), 0.04, noise=0.02, lists=lists)
+    flights = written(data, place / "flights")
+    toml = flights / "dataset.toml"
+    toml.write_text(re.sub(r'^name = ".*"', 'name = "flights"', toml.read_text(), flags=re.M))
+    shutil.copy(flights / "flights" / "f_ped.npz", flights / "flights" / "sweep_col.npz")
+    lines = toml.read_text().replace("acid = []", 'acid = ["sweep_col"]')
+    toml.write_text(lines)
+    rotorid.identify(rotorid.load(flights), out=place / "run")
+    rotorid.export(place / "run", fmu=place / "model.fmu", onnx=place / "model.onnx", statespace=place / "model.json")
+    return place
+
+
+def test_the_site_builds_and_every_link_leads_somewhere(tmp_path: Path):
+    pytest.importorskip("mkdocs")
+    words = [
+        sys.executable,
+        "-W",
+        "ignore",
+        "-m",
+        "mkdocs",
+        "build",
+        "--strict",
+        "--quiet",
+        "-d",
+        str(tmp_path / "site"),
+    ]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "rotorid.identify" in (tmp_path / "site" / "reference" / "api" / "index.html").read_text()
+    assert "--statespace" in (tmp_path / "site" / "reference" / "commands" / "index.html").read_text()
+
+
+@pytest.mark.parametrize("page", WITH_PYTHON, ids=identifier)
+@pytest.mark.filterwarnings("ignore")
+def test_python_of_a_page_runs(page: Path, workplace: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(workplace)
+    monkeypatch.setattr(registry, "EFFECTS", dict(registry.EFFECTS))
+    variables: dict[str, object] = {"__name__": "docs"}
+    for text in blocks(page, "python"):
+        with contextlib.redirect_stdout(io.StringIO()):
+            exec(compile(text, identifier(page), "exec"), variables)
+
+
+@pytest.mark.parametrize("page", WITH_COMMANDS, ids=identifier)
+def test_commands_of_a_page_run(page: Path, workplace: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(workplace)
+    for words in commands(page):
+        cli.parser().parse_args(words[1:])
+        if words[1] in QUICK:
+            assert cli.main([*words[1:], "--quiet"]) == 0, shlex.join(words)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", WITH_COMMANDS, ids=identifier)
+def test_long_commands_of_a_page_run(page: Path, workplace: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(workplace)
+    for words in commands(page):
+        if words[1] in {"identify", "close-loop", "reconstruct"}:
+            assert cli.main([*words[1:], "--quiet"]) == 0, shlex.join(words)
+
+
+def test_c_of_the_export_page_compiles(workplace: Path, tmp_path: Path):
+    folder = rotorid.export(workplace / "run", c=tmp_path / "c")["c"]
+    (text,) = blocks(DOCS / "guide" / "export.md", "c")
+    (folder / "use.c").write_text(text)
+    subprocess.run(["gcc", "-std=c99", "-Wall", "-Werror", "-c", "use.c", "flights.c"], cwd=folder, check=True)
+
+
+def sentences(page: Path) -> list[int]:
+    """Words of each sentence, without code and tables."""
+    text = re.sub(r"```.*?```|^\|.*$|<!--.*?-->|\$\$.*?\$\$", "", page.read_text(encoding="utf-8"), flags=re.S | re.M)
+    parts = re.split(r"(?<=[.!?])\s+|\n\s*\n|\n[-#*] |\n\d+\. ", text)
+    return [len(part.split()) for part in parts if len(part.split()) > 3]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=identifier)
+def test_sentences_are_short(page: Path):
+    assert max(sentences(page), default=0) <= LONGEST
+
+
+def test_sentences_are_short_in_the_mean_and_models_have_equations():
+    words = [n for page in PAGES for n in sentences(page)]
+    assert sum(words) / len(words) <= MEAN
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    assert text.count("$$") // 2 + len(re.findall(r"(?<!\$)\$[^$\n]+\$", text)) >= FORMULAS
+
+
+def test_every_effect_has_its_equation():
+    text = (DOCS / "theory" / "effects.md").read_text(encoding="utf-8")
+    assert [name for name in registered() if f"`{name}`" not in text] == []
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
+def test_a_claim_is_a_test_with_that_figure(row: Row):
+    text = row.file.read_text(encoding="utf-8")
+    assert f"def {row.name}(" in text
+    assert row.figure in text
+
+
+def test_the_table_of_claims_stands_in_the_docs_and_in_short_in_the_readme():
+    assert table(ROWS) in (DOCS / "validated.md").read_text(encoding="utf-8")
+    assert table([row for row in ROWS if row.short]) in (ROOT / "README.md").read_text(encoding="utf-8")
