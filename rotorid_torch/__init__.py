@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from rotorid_torch.effects.base import Stage as Stage
     from rotorid_torch.effects.registry import register as register
     from rotorid_torch.errors import InputError as InputError
+    from rotorid_torch.errors import OutsideRange as OutsideRange
     from rotorid_torch.identification.estimate.output_error import output_error as output_error
     from rotorid_torch.identification.filter_error.method import filter_error as filter_error
     from rotorid_torch.identification.reconstruct.reconstruction import reconstruct as reconstruct
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
     from rotorid_torch.run.check import check as check
     from rotorid_torch.run.close_loop import Loop as Loop
     from rotorid_torch.run.close_loop import close_loop as close_loop
+    from rotorid_torch.run.output.monitor import Monitor as Monitor
     from rotorid_torch.run.pipeline import identify as identify
     from rotorid_torch.run.result import Run as Run
     from rotorid_torch.run.saved_model import export as export
@@ -71,6 +73,8 @@ _PUBLIC = {
     "State": "core.state",
     "register": "effects.registry",
     "InputError": "errors",
+    "OutsideRange": "errors",
+    "Monitor": "run.output.monitor",
     "regress": "identification.regress.ftr",
     "output_error": "identification.estimate.output_error",
     "filter_error": "identification.filter_error.method",

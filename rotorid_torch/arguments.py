@@ -162,7 +162,7 @@ def _tensor(argument: Argument, value: Any, expected: str) -> Tensor:
         raise argument.wrong("has rows of different lengths, or entries that are no numbers", expected) from None
     if array.dtype.kind not in "biufc":
         raise argument.wrong(f"holds {_foreign(array)}", expected)
-    plain = array.dtype.isnative and min(array.strides, default=0) >= 0
+    plain = array.dtype.isnative and min(array.strides, default=0) >= 0 and array.flags.writeable
     return torch.as_tensor(array if plain else np.array(array, dtype=array.dtype.newbyteorder("="), order="C"))
 
 

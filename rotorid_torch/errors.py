@@ -24,6 +24,10 @@ class InputError(ValueError):
         super().__init__(printable(" ".join(f"{place}: {wrong}; expected {expected}".split()), layout=False))
 
 
+class OutsideRange(UserWarning):
+    """A free run leaves the range of the flights that its model was identified from."""
+
+
 class LostRank(RuntimeError):
     """Another process of the run has ended or does not answer; exit code 1."""
 

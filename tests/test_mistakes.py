@@ -105,12 +105,19 @@ class Complex(nn.Module):
     forward, output = Lag.forward, Lag.output
 
 
+def read_only(array: np.ndarray) -> np.ndarray:
+    array = array.copy()
+    array.setflags(write=False)
+    return array
+
+
 ACCEPTED: list[tuple[str, dict[str, Any]]] = [
     ("lists", {key: value.tolist() for key, value in FLIGHT.items()}),
     ("tuples", {key: tuple(map(tuple, value)) if value.ndim == 2 else tuple(value) for key, value in FLIGHT.items()}),
     ("tensors", {key: torch.as_tensor(value) for key, value in FLIGHT.items()}),
     ("float32", {key: value.astype(np.float32) for key, value in FLIGHT.items()}),
     ("views that run back", {key: value[::-1].copy()[::-1] for key, value in FLIGHT.items()}),
+    ("arrays that are read only", {key: read_only(value) for key, value in FLIGHT.items()}),
     ("big endian", {key: value.astype(">f8") for key, value in FLIGHT.items()}),
     ("a masked array", FLIGHT | {"outputs": np.ma.masked_greater(FLIGHT["outputs"], 1e9)}),
     ("integers", FLIGHT | {"controls": STEP[:, None].astype(int), "x0": [0]}),

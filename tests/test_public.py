@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -89,7 +90,7 @@ def test_output_error_answers_by_name_too():
     fitted = rotorid.output_error(Lag(), [response()], free=["a", "b"], x0="fixed")
     assert fitted["a"].value == pytest.approx(-2.0, abs=4.0 * fitted["a"].se)
     assert fitted["b"].value == pytest.approx(3.0, abs=4.0 * fitted["b"].se)
-    assert fitted.table().splitlines()[1].startswith("a ")
+    assert fitted.text().splitlines()[1].startswith("a ")
 
 
 def test_a_run_that_is_opened_says_what_the_run_said(run: tuple[Run, Path]):
@@ -108,7 +109,7 @@ def test_what_is_no_run_is_refused_in_one_line(tmp_path: Path):
     assert len(str(refused.value).splitlines()) == 1
 
 
-@pytest.mark.filterwarnings("ignore:the run leaves the range")  # no fitted flight moves the pedals
+@pytest.mark.filterwarnings("ignore::rotorid_torch.errors.OutsideRange")  # no fitted flight moves the pedals
 def test_a_free_run_follows_a_flight_of_the_vehicle(run: tuple[Run, Path], data: Dataset):
     made, out = run
     flight = data["f_ped"]
@@ -120,6 +121,55 @@ def test_a_free_run_follows_a_flight_of_the_vehicle(run: tuple[Run, Path], data:
     assert np.sqrt(np.mean(error**2)) < 0.03  # noise of 0.02
     alone = rotorid.simulate(made, flight, seconds=3.0)  # noise of the one flight alone
     assert np.allclose(alone["r"], runs[0]["r"], atol=5e-3)
+
+
+def test_flights_are_drawn(data: Dataset):
+    figure = data["f_lon"].plot(["q", "lon"])
+    assert [axis.get_ylabel() for axis in figure.axes] == ["q, rad/s", "lon, rad"]
+    assert set(data.plot(["q"])) == set(data.flights)
+    with pytest.raises(InputError, match="did you mean 'q'"):
+        data["f_lon"].plot(["qq"])
+    for thing in (data, data["f_lon"]):
+        assert thing._repr_html_().startswith("<p>")
+
+
+def test_windows_feed_a_loader(data: Dataset):
+    from torch.utils.data import DataLoader
+
+    windows = data.windows(seconds=2.0, every=0.5, outputs=["p", "q"])
+    assert windows.flights == data.identify
+    assert len(windows) == 3 * 15  # 9 s: windows begin at 0, 0.5 ... 7 s
+    batch = next(iter(DataLoader(windows, batch_size=8, shuffle=True, generator=torch.Generator().manual_seed(0))))
+    assert batch["controls"].shape == (8, 51, 4)
+    assert batch["outputs"].shape == (8, 51, 2)
+    for flight, start, outputs in zip(batch["flight"], batch["start"], batch["outputs"], strict=True):
+        first = round(float(start) / DT)
+        record = data[windows.flights[int(flight)]].stack(["p", "q"])
+        assert torch.equal(outputs, record[first : first + 51])
+    for wrong in ({"seconds": 20.0}, {"seconds": 0.0}, {"every": -1.0}, {"flights": ["f"]}, {"outputs": "q"}):
+        with pytest.raises(InputError):
+            data.windows(**wrong)  # pyright: ignore[reportArgumentType]
+
+
+def test_tables_of_pandas(data: Dataset):
+    pandas = pytest.importorskip("pandas", reason="pandas is not installed: tables are text")
+    fitted = rotorid.output_error(Lag(), [response()], free=["a", "b"], x0="fixed")
+    table = fitted.table()
+    assert isinstance(table, pandas.DataFrame)
+    assert table.set_index("name").loc["a", "value"] == fitted["a"].value
+    frame = data["f_lon"].to_pandas()
+    assert frame.index.name == "time"
+    assert np.array_equal(frame["q"].to_numpy(), data["f_lon"]["q"].numpy())
+    assert len(data.to_pandas()) == sum(flight.samples for flight in data)
+    series = response() | {"controls": pandas.DataFrame({"u": np.ones(200)}), "time": pandas.Series(response()["time"])}
+    assert rotorid.output_error(Lag(), [series], x0="fixed")["a"].value == pytest.approx(fitted["a"].value, abs=1e-9)
+
+
+def test_without_pandas_it_is_said(data: Dataset, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(InputError, match="pandas is not installed"):
+        data["f_lon"].to_pandas()
+    assert isinstance(rotorid.output_error(Lag(), [response()], x0="fixed").table(), str)
 
 
 def test_flights_and_channels_that_are_not_there_are_answered_with_those_that_are(data: Dataset):

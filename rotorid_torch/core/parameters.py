@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
+from importlib import import_module
 from typing import Any
 
 import torch
@@ -164,7 +165,15 @@ class ParameterTable:
         near = ends or get_close_matches(name, names, n=3, cutoff=0.4)
         raise KeyError(f"no parameter '{name}'" + (f"; did you mean {', '.join(near[:5])}?" if near else ""))
 
-    def table(self) -> str:
+    def table(self) -> Any:
+        """The parameters one a line: a DataFrame where pandas is installed, else text."""
+        try:
+            pandas = import_module("pandas")
+        except ImportError:
+            return self.text()
+        return pandas.DataFrame([{field: getattr(p, field) for field in COLUMNS} for p in self._estimates])
+
+    def text(self) -> str:
         """The parameters as text, one a line."""
         rows = [SHOWN_COLUMNS, *map(_row, self._estimates)]
         widths = [max(len(row[i]) for row in rows) for i in range(len(SHOWN_COLUMNS))]
@@ -175,7 +184,7 @@ class ParameterTable:
         return {p.name: {field: getattr(p, field) for field in COLUMNS[1:]} for p in self._estimates}
 
     def __repr__(self) -> str:
-        some = "\n".join(self.table().splitlines()[: SHOWN + 1])
+        some = "\n".join(self.text().splitlines()[: SHOWN + 1])
         more = len(self._estimates) - SHOWN
         return f"{self.title}\n{some}" + (f"\n... and {more} more: .table()" if more > 0 else "")
 

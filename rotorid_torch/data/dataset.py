@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import html
 import json
 import math
 import os
@@ -11,7 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -33,8 +34,13 @@ from rotorid_torch.data.reading.noise import white_noise
 from rotorid_torch.data.reading.quiet import quiet_samples
 from rotorid_torch.data.reading.read import FOLDERS, find_flight, parse_flight, read_flight, take_arrays
 from rotorid_torch.data.schema import ChannelSpec, ControlSpec, FlightLists, ModelSettings, Vehicle
+from rotorid_torch.data.use.tables import frame
+from rotorid_torch.data.use.windows import Windows, windows_of
 from rotorid_torch.errors import InputError
 from rotorid_torch.printable import printable
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 NOISE_FLOOR = 1e-3
 """Least noise of a channel that declares none, as a share of its rms deviation: a filtered channel is not exact."""
@@ -99,6 +105,15 @@ class Dataset:
         Raises
         ------
         InputError : with file "arrays" and the key or channel at fault.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import rotorid_torch as rotorid
+        >>> time = np.arange(0.0, 10.0, 0.02)
+        >>> flight = {"time": time, "lat": 0.02 * np.sin(time), "p": 0.1 * np.cos(time)}
+        >>> rotorid.Dataset.from_arrays({"f1": flight}, identify=["f1"])
+        Dataset arrays, helicopter: controls lat; 1 identify, 0 validate, 0 acid: f1
         """
         flights = arguments.instance(Argument("arrays", "flights"), flights, Mapping, "a dict of channels by flight")
         lists = {"identify": identify, "validate": validate, "acid": acid}
@@ -148,6 +163,67 @@ class Dataset:
         if flight not in self.flights:
             raise KeyError(f"{self.name} has no flight '{flight}', but {', '.join(self.flights)}")
         return self.flights[flight]
+
+    def to_numpy(self) -> dict[str, dict[str, np.ndarray]]:
+        """Channels (T,) of each flight by its name."""
+        return {flight.name: flight.to_numpy() for flight in self}
+
+    def to_pandas(self) -> Any:
+        """All flights below each other as a DataFrame, with columns `flight` and `time`; InputError without pandas."""
+        columns = list(dict.fromkeys(c for flight in self for c in flight.channels))
+        parts = {c: np.concatenate([flight.stack([c])[:, 0].numpy() for flight in self]) for c in columns}
+        return frame({"flight": np.concatenate([[f.name] * f.samples for f in self]), **parts})
+
+    def plot(self, channels: Sequence[str] | None = None) -> dict[str, Figure]:
+        """Each flight's channels over time as a matplotlib figure, by its name."""
+        return {flight.name: flight.plot(channels) for flight in self}
+
+    def windows(
+        self,
+        seconds: float = 2.0,
+        every: float = 1.0,
+        flights: Sequence[str] | None = None,
+        outputs: Sequence[str] | None = None,
+    ) -> Windows:
+        """Windows of flights as a torch Dataset, for a DataLoader.
+
+        Parameters
+        ----------
+        seconds : length of a window. every : s from the start of one to that of the next.
+        flights : by name; the identify list by default. outputs : channels; those that are scored by default.
+
+        Raises
+        ------
+        InputError : a flight or channel that there is not, or no window fits.
+
+        Examples
+        --------
+        >>> from torch.utils.data import DataLoader
+        >>> import rotorid_torch as rotorid
+        >>> data = rotorid.load("DATASET")
+        >>> batch = next(iter(DataLoader(data.windows(seconds=2.0), batch_size=4)))
+        >>> batch["controls"].shape
+        torch.Size([4, 309, 4])
+        """
+        of, there = "windows", sorted({c for facts in self.facts.values() for c in facts.channels})
+        seconds = arguments.number(Argument(of, "seconds"), seconds, "s", above=0.0)
+        every = arguments.number(Argument(of, "every"), every, "s", above=0.0)
+        if flights is not None:
+            flights = arguments.names(Argument(of, "flights"), flights, list(self.flights), "flight")
+        if outputs is not None:
+            outputs = arguments.names(Argument(of, "outputs"), outputs, there, "channel")
+        chosen = self.identify if flights is None else flights
+        columns = self.scored() if outputs is None else outputs
+        return windows_of([self.flights[name] for name in chosen], self.controls, columns, seconds, every)
+
+    def _repr_html_(self) -> str:
+        """A table of the flights, for a notebook."""
+        rows = "".join(
+            f"<tr><td>{html.escape(name)}</td><td>{self.listed(name)}</td><td>{facts.samples}</td></tr>"
+            for name, facts in self.facts.items()
+        )
+        head = "<tr><th>flight</th><th>list</th><th>samples</th></tr>"
+        return f"<p>{html.escape(repr(self))}</p><table>{head}{rows}</table>"
 
     def __len__(self) -> int:
         return len(self.flights)
@@ -305,6 +381,13 @@ def load(path: str | Path) -> Dataset:
     Raises
     ------
     InputError : with the file, the channel or key, what is wrong and what was expected.
+
+    Examples
+    --------
+    >>> import rotorid_torch as rotorid
+    >>> data = rotorid.load("DATASET")
+    >>> data["f321_lon"].has("p", "q", "r")
+    True
     """
     folder = arguments.place(Argument("load", "path"), path)
     if folder.name == "dataset.toml":

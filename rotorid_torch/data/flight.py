@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from torch import Tensor
+
+from rotorid_torch import arguments
+from rotorid_torch.arguments import Argument
+from rotorid_torch.data.use.pictures import of_channels
+from rotorid_torch.data.use.tables import frame
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -46,6 +56,25 @@ class Flight:
     def to_numpy(self) -> dict[str, np.ndarray]:
         """All channels by name, each (T,)."""
         return {name: values.numpy() for name, values in self.channels.items()}
+
+    def to_pandas(self) -> Any:
+        """All channels as a DataFrame over the time in s; InputError where pandas is not installed."""
+        return frame(self.to_numpy(), index="time")
+
+    def plot(self, channels: Sequence[str] | None = None) -> Figure:
+        """Channels over time as a matplotlib figure; all that are not empty by default.
+
+        Raises
+        ------
+        InputError : a channel that there is not.
+        """
+        there = [name for name in self.channels if name != "time" and self.has(name)]
+        shown = there if channels is None else arguments.names(Argument("plot", "channels"), channels, there, "channel")
+        return of_channels(self.name, self.channels, shown)
+
+    def _repr_html_(self) -> str:
+        """The same as `repr`, for a notebook."""
+        return f"<p>{html.escape(repr(self))}</p>"
 
     def has(self, *names: str) -> bool:
         """Whether every one of these channels is there and not all NaN."""

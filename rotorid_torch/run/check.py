@@ -84,7 +84,18 @@ class Check:
 
 
 def check(dataset: Dataset) -> Check:
-    """Can a model be identified from it? Every record by itself, all against each other, and the controls."""
+    """Can a model be identified from it? Every record by itself, all against each other, and the controls.
+
+    Raises
+    ------
+    InputError : no data set.
+
+    Examples
+    --------
+    >>> import rotorid_torch as rotorid
+    >>> rotorid.check(rotorid.load("DATASET")).grade
+    'limited'
+    """
     refuse_arguments("check", dataset=dataset)
     findings, sensors, verdicts = records.check(dataset).findings, (), ()
     if examinable(dataset):

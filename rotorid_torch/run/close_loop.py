@@ -88,6 +88,12 @@ def close_loop(
     Raises
     ------
     InputError, LostRank : as `identify`.
+
+    Examples
+    --------
+    >>> import rotorid_torch as rotorid
+    >>> loop = rotorid.close_loop(rotorid.load("DATASET"))  # doctest: +SKIP
+    >>> print(loop.verdict.sentence)  # doctest: +SKIP
     """
     refuse_arguments("close_loop", dataset=dataset, out=out, hybrid=hybrid, seed=seed, device=device)
     refuse_arguments("close_loop", monitor=monitor, ranks=ranks)

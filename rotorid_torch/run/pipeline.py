@@ -84,6 +84,18 @@ def identify(
     InputError : the data set lacks what the steps need, an effect or method does not exist, `out` is not free, the
         interrupted run was another one, or there are more ranks than identify flights.
     LostRank : another rank has ended; an earlier RUN stays as it was.
+
+    Source: the chapters of `identification` name theirs; Morelli and Klein, Aircraft System Identification (2nd ed.).
+
+    Examples
+    --------
+    >>> import rotorid_torch as rotorid
+    >>> data = rotorid.load("DATASET")
+    >>> run = rotorid.identify(data)
+    >>> run.scores["identify"] < 0.2
+    True
+    >>> run["M.q"].unit
+    '1/s'
     """
     refuse_arguments("identify", dataset=dataset, effects=effects, out=out, seed=seed, device=device)
     refuse_arguments("identify", monitor=monitor, resume=resume, ranks=ranks)

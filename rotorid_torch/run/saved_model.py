@@ -21,7 +21,7 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.velocities import with_velocities
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.errors import InputError
+from rotorid_torch.errors import InputError, OutsideRange
 from rotorid_torch.exporting.fmu_run import Span, fly_fmu, read_facts
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.save import load as load_model
@@ -81,6 +81,13 @@ def open_run(path: str | Path) -> SavedRun:
     Raises
     ------
     InputError : there is no run, or its report cannot be read; where the model is asked for, that has none.
+
+    Examples
+    --------
+    >>> import rotorid_torch as rotorid
+    >>> run = rotorid.open_run("RUN")
+    >>> run["M.q"].unit
+    '1/s'
     """
     place = arguments.place(Argument("open_run", "path"), path)
     restore(place)
@@ -125,6 +132,14 @@ def simulate(
     Raises
     ------
     InputError : there is no such model, a control is missing, or start and seconds leave the flight.
+
+    Examples
+    --------
+    >>> import rotorid_torch as rotorid
+    >>> data = rotorid.load("DATASET")
+    >>> free = rotorid.simulate("RUN", data["f321_lat"], seconds=2.0, data=data)
+    >>> float(free["time"][-1])
+    2.0
     """
     of = "simulate"
     arguments.instance(Argument(of, "flight"), flight, Flight, 'a Flight: data["NAME"]')
@@ -257,4 +272,4 @@ def _warn_outside(arrays: dict[str, np.ndarray], ranges: Mapping[str, tuple[floa
             left.append(name)
     if left:
         said = f"the run leaves the range of the flights that the model was identified from in {', '.join(left)}"
-        python_warnings.warn(f"{said}; do not trust it there", stacklevel=4)
+        python_warnings.warn(f"{said}; do not trust it there", OutsideRange, stacklevel=4)

@@ -103,6 +103,13 @@ def fly(
     Raises
     ------
     InputError : an unknown flight or effect, a bad vehicle file, no trim, something in the way of `out`.
+
+    Examples
+    --------
+    >>> import rotorid_torch as rotorid
+    >>> test = rotorid.fly(None, flights=["f321_lon"], seconds=2.0)
+    >>> test.dataset()
+    Dataset uh60-0, helicopter: controls lon, lat, col, ped; 1 identify, 0 validate, 0 acid: f321_lon
     """
     out = None if out is None else Path(out)
     if is_multirotor(vehicle):

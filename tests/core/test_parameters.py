@@ -88,25 +88,28 @@ class Estimated:
     unit: str
     bounds: tuple[float, float]
     status: str
+    at_bound: bool = False
 
 
 class Estimates(ParameterTable):
-    """A result of three parameters."""
+    """A result of four parameters."""
 
     parameters = (
         Estimated("L.p", -3.1234567, 0.1, "1/s", (-50.0, 0.0), "free"),
         Estimated("delay", 0.02, None, "s", (0.0, 0.25), "frozen"),
-        Estimated("X.u", 0.5, math.nan, "1/s", (-math.inf, math.inf), "free"),
+        Estimated("X.u", 0.5, math.nan, "1/s", (-math.inf, math.inf), "not identifiable"),
+        Estimated("Z.w", 0.0, math.nan, "1/s", (-9.0, 0.0), "free", at_bound=True),
     )
 
 
 def test_table_prints_one_parameter_a_line():
-    lines = Estimates().table().splitlines()
+    lines = Estimates().text().splitlines()
     assert lines[0].split() == ["name", "value", "se", "unit", "bounds", "status"]
     assert lines[1].split() == ["L.p", "-3.1235", "0.1", "1/s", "-50", "..", "0", "free"]
-    assert lines[2].split() == ["delay", "0.02", "s", "0", "..", "0.25", "frozen"]
-    assert lines[3].split() == ["X.u", "0.5", "1/s", "-inf", "..", "inf", "free"]
-    assert len(lines) == 4
+    assert lines[2].split() == ["delay", "0.02", "-", "s", "0", "..", "0.25", "frozen"]
+    assert lines[3].split() == ["X.u", "0.5", "-", "1/s", "-inf", "..", "inf", "not", "identifiable"]
+    assert lines[4].split() == ["Z.w", "0", "-", "1/s", "-9", "..", "0", "on", "a", "bound"]
+    assert len(lines) == 5
 
 
 def test_a_parameter_is_there_by_the_end_of_its_name():

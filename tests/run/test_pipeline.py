@@ -6,6 +6,7 @@ import io
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -128,7 +129,7 @@ def test_simulate_starts_and_ends_where_it_is_told(run: tuple[Run, Path], data: 
     ],
 )
 def test_simulate_refuses_times_outside_the_flight(
-    more: dict[str, float], key: str, run: tuple[Run, Path], data: Dataset, tmp_path: Path
+    more: dict[str, Any], key: str, run: tuple[Run, Path], data: Dataset, tmp_path: Path
 ):
     with pytest.raises(InputError) as refusal:
         write_free_run(run[1], data, "f_lat", tmp_path / "free.npz", **more)  # f_lat was identified from: no warning
@@ -192,7 +193,7 @@ def test_the_same_seed_gives_the_same_numbers(run: tuple[Run, Path], data: Datas
 def test_python_shows_what_the_report_holds(run: tuple[Run, Path], tmp_path: Path):
     made, _ = run
     assert set(made.scores) == {"identify", "validate", "acid"}
-    table = made.table().splitlines()
+    table = made.text().splitlines()
     assert len(table) == len(made.parameters) + 1
     assert made.plot()
     out = made.report(tmp_path / "copy")

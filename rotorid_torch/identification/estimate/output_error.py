@@ -152,6 +152,32 @@ def output_error(
 
     Source: Morelli and Klein, Aircraft System Identification (2nd ed.), ch. 6; Jategaonkar, Flight Vehicle System
     Identification, ch. 4 and 9 (unstable aircraft).
+
+    Examples
+    --------
+    A lag x' = a x + b u with a = -2 and b = 3, from its answer to a step:
+
+    >>> import numpy as np
+    >>> import torch
+    >>> import rotorid_torch as rotorid
+    >>> class Lag(torch.nn.Module):
+    ...     def __init__(self):
+    ...         super().__init__()
+    ...         self.a = torch.nn.Parameter(torch.tensor(-1.0))
+    ...         self.b = torch.nn.Parameter(torch.tensor(1.0))
+    ...
+    ...     def forward(self, t, x, u):
+    ...         return self.a * x + self.b * u
+    ...
+    ...     def output(self, x, u):
+    ...         return x
+    >>> time = np.arange(0.0, 4.0, 0.02)
+    >>> noise = 0.01 * np.random.default_rng(0).standard_normal(200)
+    >>> outputs = 1.5 * (1.0 - np.exp(-2.0 * time)) + noise
+    >>> flight = {"time": time, "controls": np.ones((200, 1)), "outputs": outputs[:, None], "x0": [0.0]}
+    >>> found = rotorid.output_error(Lag(), [flight], x0="fixed")
+    >>> print(f"{found['a'].value:.1f} {found['b'].value:.1f}")
+    -2.0 3.0
     """
     system, records = given(model, flights, free, bounds, Between(controls, delays, angles))
     refuse_search(max_iterations, monitor)

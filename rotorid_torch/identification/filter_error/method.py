@@ -155,6 +155,38 @@ def filter_error(
         Where the flights, a name or a matrix do not fit, or the filter diverges from the start.
 
     Source: Maine and Iliff (1981), SIAM J. Appl. Math. 41; Jategaonkar, Flight Vehicle System Identification, ch. 5.
+
+    Examples
+    --------
+    A lag x' = a x + b u in gusts, with a = -2 and b = 3:
+
+    >>> import numpy as np
+    >>> import torch
+    >>> import rotorid_torch as rotorid
+    >>> class Lag(torch.nn.Module):
+    ...     def __init__(self):
+    ...         super().__init__()
+    ...         self.a = torch.nn.Parameter(torch.tensor(-1.0))
+    ...         self.b = torch.nn.Parameter(torch.tensor(1.0))
+    ...
+    ...     def forward(self, t, x, u):
+    ...         return self.a * x + self.b * u
+    ...
+    ...     def output(self, x, u):
+    ...         return x
+    >>> rng, dt = np.random.default_rng(0), 0.02
+    >>> time, x = dt * np.arange(1000), np.zeros((1000, 1))
+    >>> controls = np.sin(0.1 * time[:, None] ** 2)
+    >>> for k in range(999):
+    ...     gust = 0.2 * np.sqrt(dt) * rng.standard_normal()
+    ...     x[k + 1] = x[k] + dt * (-2.0 * x[k] + 3.0 * controls[k]) + gust
+    >>> outputs = x + 0.02 * rng.standard_normal(x.shape)
+    >>> flight = {"time": time, "controls": controls, "outputs": outputs, "x0": [0.0]}
+    >>> found = rotorid.filter_error(Lag(), [flight])
+    >>> abs(found["a"].value + 2.0) < 3.0 * found["a"].se
+    True
+    >>> print(f"{found.process_noise[0].value:.1f} {found.process_noise[0].unit}")
+    0.2 /sqrt(s)
     """
     system, records = given(model, flights, free, bounds, Between(delays=delays, angles=angles))
     arguments.word(Argument("arguments", "x0"), x0, ("free", "fixed"))

@@ -82,6 +82,33 @@ def unscented_filter(
     ------
     InputError : shapes that do not fit, functions that do not broadcast, NaN in anything but the outputs, a covariance
         that is not symmetric.
+
+    Source: Julier and Uhlmann, Proc. IEEE 92 (2004); Sarkka, IEEE Trans. Automatic Control 53 (2008).
+
+    Examples
+    --------
+    The bias of a gyro from a heading of -pi to pi: psi' = gyro - bias, bias' = 0.
+
+    >>> import numpy as np
+    >>> import torch
+    >>> import rotorid_torch as rotorid
+    >>> rng, dt = np.random.default_rng(0), 0.02
+    >>> rate = 0.5 + 0.3 * np.sin(dt * np.arange(1000))
+    >>> heading = dt * np.cumsum(rate) + 0.02 * rng.standard_normal(1000)
+    >>> found = rotorid.unscented_filter(
+    ...     f=lambda x, u: torch.stack([u[..., 0] - x[..., 1], 0.0 * x[..., 1]], dim=-1),
+    ...     h=lambda x, u: x[..., :1],
+    ...     x0=[0.0, 0.0],
+    ...     P0=np.diag([0.1, 0.1]),
+    ...     Q=np.diag([1e-8, 0.0]),
+    ...     R=[[0.02**2]],
+    ...     controls=rate[:, None] + 0.05,
+    ...     outputs=(heading[:, None] + np.pi) % (2.0 * np.pi) - np.pi,
+    ...     dt=dt,
+    ...     angles=[0],
+    ... )
+    >>> print(f"{float(found.smoothed_means[-1, 1]):.2f}")
+    0.05
     """
     given = {"x0": x0, "P0": P0, "Q": Q, "R": R, "controls": controls, "outputs": outputs}
     problem, smooth = problem_of(f, h, given, dt), arguments.flag(Argument("unscented_filter", "smooth"), smooth)

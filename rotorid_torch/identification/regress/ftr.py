@@ -128,6 +128,17 @@ def regress(
     InputError : shapes that do not fit, a band without enough points, infinite samples, a record mostly missing.
 
     Source: Morelli and Klein, Aircraft System Identification, 2nd ed., ch. 7; Fuller, Measurement Error Models, ch. 2.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import rotorid_torch as rotorid
+    >>> time = np.arange(0.0, 20.0, 0.02)
+    >>> regressors = np.stack([np.sin(time), np.cos(2.3 * time)], axis=-1)
+    >>> noise = 0.01 * np.random.default_rng(0).standard_normal(1000)
+    >>> found = rotorid.regress(regressors @ [1.0, -2.0] + noise, regressors, dt=0.02, kind="value")
+    >>> [round(value, 2) for value in found.coefficients.tolist()]
+    [1.0, -2.0]
     """
     responses, matrices, steps = _records(response, regressors, dt)
     band, noise = _band(band), _noise(noise, matrices[0].shape[-1])

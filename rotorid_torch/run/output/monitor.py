@@ -39,7 +39,11 @@ STEPS = {
 
 
 class Monitor:
-    """Progress, scalars, figures, a log and the clock of a run.
+    """Progress, scalars, figures, a log and the clock of a run; a subclass may do something else with any of them.
+
+    `identify`, `close_loop` and `reconstruct` call `step(name)` around each of their steps, `progress(done, total)`
+    inside, `say(text)` for what people read, `log(text)` for the log alone, `scalars(values, iteration)` and
+    `picture(name, png, iteration)` for TensorBoard. Progress is drawn in terminals and in notebooks.
 
     Parameters
     ----------
@@ -127,7 +131,7 @@ class Monitor:
 
     @contextmanager
     def _bar(self, name: str) -> Iterator[None]:
-        if self.console is None or not self.console.is_terminal:
+        if self.console is None or not (self.console.is_terminal or self.console.is_jupyter):
             yield
             return
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn

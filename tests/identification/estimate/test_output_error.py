@@ -186,7 +186,7 @@ def test_bounds_fixed_states_and_parameters_without_effect() -> None:
         assert bool(found.covariance[i].isnan().all())
         assert bool(found.covariance[:, i].isnan().all())
     assert bool(found.covariance[others][:, others].isfinite().all())
-    rows = {line.split()[0]: line for line in found.table().splitlines()}
+    rows = {line.split()[0]: line for line in found.text().splitlines()}
     assert rows["theta[0]"].endswith("on a bound")
     assert rows["idle"].endswith("not identifiable")
     assert rows["theta[1]"].endswith("free")
