@@ -96,9 +96,10 @@ def of_rotors(spec: ModelSpec, fit: FitRecord) -> Iterator[str]:
     silent = [row for row in MOMENTS if values[f"rotors.power.{row}"].status == "frozen"]
     if silent:
         yield (
-            f"{' '.join(silent)} not testable: the thrusts explain little of the angular accelerations, or predict"
-            " rates over 0.1 s worse than holding them does, so the model holds them; commands that a rate controller"
-            " makes faster than they were recorded, or streams that do not belong together in time, look like that"
+            f"{' '.join(silent)} not testable: the thrusts explain little of the angular accelerations, predict rates"
+            " over 0.1 s worse than holding them does, or seem to move another vehicle than the declared, so the model"
+            " holds the rates; commands that a rate controller makes faster than they were recorded, or streams that"
+            " do not belong together in time, look like that"
         )
     wrong = beyond_belief(spec, {p.name: p.value or 0.0 for p in fit.parameters})
     for row in MOMENTS:

@@ -18,6 +18,7 @@ from rotorid_torch.identification.reconstruct.reconstruction import Reconstructi
 from rotorid_torch.identification.rotor_regression import regress_rotors
 from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
 from rotorid_torch.model.nominal import build
+from rotorid_torch.model.rotors import beyond_belief
 from rotorid_torch.report import remarks
 from rotorid_torch.run.output.checkpoint import Steps
 from rotorid_torch.trace.multirotor import Identified
@@ -85,12 +86,14 @@ def estimated(
 def _told(spec: ModelSpec, model: Model, regressions: Step2, dataset: Dataset) -> ModelSpec:
     """A multirotor's structure with those control powers held at zero which explain little of the moments.
 
-    That is of the angular accelerations, or of the rates, which are better held than predicted then.
+    That is of the angular accelerations, or of the rates, which are better held than predicted then; or they are so far
+    from the declared that commands which answer the rates must be the reason.
     """
     r2 = dict(zip(MOMENTS, (regressions.explained[a] for a in ANGULAR_ACCELERATIONS), strict=True))
     with torch.no_grad():
         model.theta.copy_(regressions.theta)
-    little = [row for row in MOMENTS if r2[row] < EXPLAINED]
+    wrong = beyond_belief(spec, model.named_values)
+    little = [row for row in MOMENTS if r2[row] < EXPLAINED or row in wrong]
     ahead = little if len(little) == len(MOMENTS) else unexplained_moments(model, _first(dataset))
     rows = [row for row in MOMENTS if row in {*little, *ahead}]
     held = [name for row in rows for name in (f"rotors.power.{row}", f"rotors.trim.{row}")]
