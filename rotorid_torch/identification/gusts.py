@@ -1,9 +1,10 @@
 """The air of flights by a model's values: intensity and length of gusts per axis, and their history.
 
 Process noise of an extended Kalman filter enters as air velocities (`model.gusts`); beside them the rates of body and
-flapping have a little white noise, for what the model lacks. The noises' sizes and the model's trims are those of the
-largest likelihood of the innovations, all derivatives held; a smoother then gives gusts at every sample by the whole
-flight. What all flights have in common is no gust: it belongs to the trims.
+flapping have a little white noise, for what the model lacks. The noises' sizes, the model's trims, and the rows that
+gusts kept step 2 from telling are those of the largest likelihood of the innovations, all other derivatives held; a
+smoother then gives gusts at every sample by the whole flight. What all flights have in common is no gust: it belongs to
+the trims.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from rotorid_torch.identification.filter_error.smoother import smoothed
 from rotorid_torch.model.gusts import GUSTS, QUICK, QUICK_GUSTS, in_gusts, noisy_states, passing_speed
 from rotorid_torch.model.model import Model
 
-ENOUGH = Options(max_iterations=6, absolute=0.5)
+ENOUGH = Options(max_iterations=4, absolute=0.5)
 """Of one search for the noises' sizes."""
 SEARCHES = 2
 """The spread of gusts where a flight begins follows from the search before."""
@@ -69,6 +70,7 @@ class Air:
     flight's end.
     unknowns : of the filter, and common [3] what all flights have in common, m/s: with both, gusts of other flights.
     variances : [P] of the parameters when gusts are as uncertain as the filter leaves them, NaN for those not told.
+    doubtful : parameters that were found together with the air.
     """
 
     axes: tuple[GustAxis, ...]
@@ -79,21 +81,25 @@ class Air:
     variances: Tensor
     unknowns: Tensor
     common: Tensor
+    doubtful: tuple[str, ...] = ()
 
 
-def find_gusts(model: Model, names: Sequence[str], flights: Records, floor: Tensor) -> Air:
-    """The air of flights, by a model that is believed but for its trims.
+def find_gusts(
+    model: Model, names: Sequence[str], flights: Records, floor: Tensor, doubtful: Sequence[str] = ()
+) -> Air:
+    """The air of flights, by a model that is believed but for its trims and what is doubtful.
 
     Parameters
     ----------
-    names : of its parameters that are estimated. floor : [ny] sensor noise.
+    names : of its parameters that are estimated. floor : [ny] sensor noise. doubtful : those of them that are found
+        together with the air.
 
     Raises
     ------
     Unsupported : the model cannot be compiled.
     """
     floor = torch.maximum(floor, smallest_noise(flights)).square()
-    problem, held = _problem(model, names, flights, floor.sqrt())
+    problem, held = _problem(model, names, doubtful, flights, floor.sqrt())
     system = problem.system
     found, engine, x0 = _noises(problem, held, floor)
     psi = torch.cat([system.theta[:held], found.point.theta])
@@ -105,14 +111,14 @@ def find_gusts(model: Model, names: Sequence[str], flights: Records, floor: Tens
     estimated = system.names[:-3]
     own = dict(zip(estimated, _variances(engine, psi, x0, model, estimated).tolist(), strict=True))
     told = torch.tensor([own[n] for n in names], dtype=torch.float64)
-    return Air(axes, passing_speed(model), flights.dt, gusts, errors, told, psi, common)
+    return Air(axes, passing_speed(model), flights.dt, gusts, errors, told, psi, common, tuple(doubtful))
 
 
 def follow(model: Model, names: Sequence[str], air: Air, flights: Records) -> Tensor:
     """Gusts [F, T, 3] of other flights, by the filter that found the air of the first; arguments as `find_gusts`."""
     floor = torch.ones(flights.outputs.shape[-1], dtype=torch.float64)
     first = len(air.unknowns) - len(floor)
-    problem, held = _problem(model, names, flights, air.unknowns[first:].sqrt())
+    problem, held = _problem(model, names, air.doubtful, flights, air.unknowns[first:].sqrt())
     problem = _with_spread(problem, air.unknowns)
     gusts, _, inside = _smoothed(NativeFilter.of(problem, air.unknowns, held), air.unknowns)
     return torch.where(inside, gusts - air.common, 0.0)
@@ -162,13 +168,15 @@ def widened(found: Estimate, variances: Tensor) -> Estimate:
     )
 
 
-def _problem(model: Model, names: Sequence[str], flights: Records, sd: Tensor) -> tuple[FilterProblem, int]:
+def _problem(
+    model: Model, names: Sequence[str], doubtful: Sequence[str], flights: Records, sd: Tensor
+) -> tuple[FilterProblem, int]:
     """Flights with gusts among their states, which begin at what is known of them; how many parameters are held.
 
     sd : [ny] of the outputs that are states, where flights begin.
     """
-    held = [n for n in names if not n.endswith(".trim")]
-    free = [n for n in names if n.endswith(".trim")]
+    free = [n for n in names if n.endswith(".trim") or n in doubtful]
+    held = [n for n in names if n not in free]
     rates = [f"gusts.rate_{n}" for n in VELOCITIES]
     model = in_gusts(model)
     system = System(model, [*held, *free, *rates])
@@ -233,7 +241,7 @@ def _followed(engine: NativeFilter, psi: Tensor, floor: Tensor, x0: Tensor) -> T
     return next((tried for tried in louder if bool(engine.cost(tried, x0).isfinite().all())), psi)
 
 
-def _axes(found: Minimum[FilterPlace], trims: int, speed: float) -> tuple[GustAxis, ...]:
+def _axes(found: Minimum[FilterPlace], before: int, speed: float) -> tuple[GustAxis, ...]:
     """Intensity sqrt(q/(2 rate)) and length V/rate of each axis, with errors."""
     told = ~(found.at_bound | found.not_identifiable)
     inverse = inverse_triangle(found.linear, told)
@@ -241,13 +249,13 @@ def _axes(found: Minimum[FilterPlace], trims: int, speed: float) -> tuple[GustAx
     covariance[told[:, None] & told] = (inverse @ inverse.mT).flatten()
     made = []
     for k, name in enumerate(VELOCITIES):
-        place = [trims + k, trims + 3 + k]
+        place = [before + k, before + 3 + k]
         rate, density = found.point.theta[place].tolist()
         intensity, length = math.sqrt(density / (2.0 * rate)), speed / rate
         slopes = torch.tensor([-0.5 / rate, 0.5 / density], dtype=torch.float64)
         C = covariance[place][:, place]
         share = float((slopes @ C @ slopes).clamp_min(0.0)) ** 0.5
-        length_se = length / rate * float(C[0, 0]) ** 0.5 if bool(told[trims + k]) else math.inf
+        length_se = length / rate * float(C[0, 0]) ** 0.5 if bool(told[before + k]) else math.inf
         made.append(GustAxis(name, intensity, intensity * share, length, length_se))
     return tuple(made)
 

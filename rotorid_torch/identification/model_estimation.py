@@ -122,7 +122,8 @@ def estimate_model(
     air = None
     if estimate is None:
         try:
-            air = ranks.from_first(find_gusts(model, names, of_all(flights, ranks), sensor_noise(model, dataset)))
+            batch, noise = of_all(flights, ranks), sensor_noise(model, dataset)
+            air = ranks.from_first(find_gusts(model, names, batch, noise, start.doubtful(names)))
             estimate, _ = search.estimate(fed(model), fed_in(flights, air, ranks))
             assert estimate is not None
             estimate = widened(estimate, torch.maximum(air.variances.nan_to_num(0.0), _regressed(start, names)))

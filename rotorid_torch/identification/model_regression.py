@@ -19,7 +19,7 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.effects.base import Effect, Frame, Stage, Values
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
-from rotorid_torch.identification.regress.equation import Equation, fit_equation
+from rotorid_torch.identification.regress.equation import START, Equation, fit_equation
 from rotorid_torch.identification.regress.ftr import Regression
 from rotorid_torch.identification.regress.selection import beyond
 from rotorid_torch.identification.structure import ATTITUDE, have
@@ -65,6 +65,18 @@ class Step2:
     theta: Tensor
     held: tuple[str, ...]
     own_share: Mapping[str, float]  # of each control's in-band motion, what body states do not explain (feedback)
+
+    def doubtful(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Those of the model's parameters `names` whose row holds in no band wider than the smallest.
+
+        Gusts do that to a row which they move as much as the pilot does, above all coning: what they do to the response
+        is in its regressors too (vertical velocity, induced velocity). The lag of a row is left out.
+        """
+        rows = {row for row, found in self.regressions.items() if found.band[1] <= START}
+        lags = {f"{row}.{row}" for row in FLAPPING} | {f"{m}.{r}" for m, r in zip(MOMENTS, RATES, strict=True)}
+        split = {n: n.split(".") for n in names}
+        return tuple(n for n, s in split.items() if s[1] in rows and s[-1] != "trim" and ".".join(s[1:]) not in lags)
+
     errors: Mapping[str, float] = field(default_factory=dict)  # standard errors by full name: of a multirotor
     constants: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # of flights, by response
     without: Mapping[str, Tensor] = field(default_factory=dict)  # a multirotor's theta of all flights but that one

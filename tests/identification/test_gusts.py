@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -15,6 +17,7 @@ from rotorid_torch.identification.method_choice import GUSTY
 from rotorid_torch.identification.model_estimation import Step3, estimate_model, records
 from rotorid_torch.identification.model_regression import regress_model
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
+from rotorid_torch.identification.regress.equation import START
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.gusts import DRIFT, GUSTS, fed, in_gusts
 from rotorid_torch.model.model import Model
@@ -128,3 +131,18 @@ def test_the_same_flights_have_the_same_gusts(case: tuple[Dataset, Tensor]):
     assert torch.allclose(again, found.air.velocities, atol=0.02)
     scored = dict(in_free_runs(model, data, {"f_lat": (data.flights["f_lat"].time, case[1][1])}))["f_lat"]
     assert scored.J_fed < 0.5 * scored.J_gust
+
+
+def test_rows_that_gusts_keep_regression_from_telling_are_doubtful(case: tuple[Dataset, Tensor]):
+    """Lags and trims are never: no regression tells the ones, and the others are found with the air anyway."""
+    data = case[0]
+    step1 = reconstruct(data)
+    model = build(propose(data, step1, ()))
+    found = regress_model(model, data, step1)
+    weak = {row for row, r in found.regressions.items() if r.band[1] <= START}
+    doubtful = found.doubtful(model.parameter_set.free)
+    assert {n.split(".")[1] for n in doubtful} == weak
+    assert not [n for n in doubtful if n.endswith((".trim", "L.p", "M.q", "N.r"))]
+    poor = replace(found, regressions={"L": replace(found.regressions["L"], band=(0.1, START))})
+    assert "forces.L.v" in poor.doubtful(model.parameter_set.free)
+    assert "forces.L.p" not in poor.doubtful(model.parameter_set.free)
