@@ -19,6 +19,7 @@ from rotorid_torch.consistency.examination.band import RESPONSES
 from rotorid_torch.consistency.examination.finding import Finding, finding
 from rotorid_torch.consistency.examination.grade import AxisGrade, Grade, graded, head
 from rotorid_torch.consistency.examination.needs import examinable
+from rotorid_torch.consistency.steps import steps, without_steps
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.families.sensors import SMOOTHED
@@ -99,7 +100,7 @@ def check(dataset: Dataset) -> Check:
     refuse_arguments("check", dataset=dataset)
     findings, sensors, verdicts = records.check(dataset).findings, (), ()
     if examinable(dataset):
-        sensors, sensor_words = sensor_errors(dataset)
+        sensors, sensor_words = sensor_errors(without_steps(dataset, steps(dataset)))
         findings = tuple(sorted((*findings, *sensor_words), key=lambda finding: RANK[finding.severity]))
         verdicts = _verdicts(dataset, findings)
     whole = graded(dataset, findings)

@@ -6,11 +6,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from rotorid_torch.consistency.alignment import without_large_errors
-from rotorid_torch.consistency.examination import controls, kinematics, records, samples
+from rotorid_torch.consistency.examination import breaks, controls, kinematics, records, samples
 from rotorid_torch.consistency.examination.band import band
 from rotorid_torch.consistency.examination.finding import Finding, Severity
 from rotorid_torch.consistency.examination.needs import examinable, needs
 from rotorid_torch.consistency.examination.surroundings import surroundings
+from rotorid_torch.consistency.steps import steps, without_steps
 from rotorid_torch.data.dataset import Dataset
 
 
@@ -36,6 +37,8 @@ EXAMINATIONS: tuple[Examination, ...] = (
     records.gaps,
     samples.repeats,
     samples.rows,
+    breaks.twice,
+    breaks.jumps,
     records.units,
     records.gravity,
     kinematics.kinematics,
@@ -61,8 +64,13 @@ def check(dataset: Dataset, examinations: Sequence[Examination] = EXAMINATIONS) 
     """Examine a data set: needs, clocks, samples, units, kinematics, noise, controls, band, trim and length."""
     whole = examinable(dataset)
     chosen = examinations if whole else [one for one in examinations if one in ALWAYS]
-    right = without_large_errors(dataset) if whole and any(one in RIGHTED for one in chosen) else dataset
-    findings = [finding for examine in chosen for finding in examine(right if examine in RIGHTED else dataset)]
+    smooth = without_steps(dataset, steps(dataset)) if whole else dataset
+    right = without_large_errors(smooth) if whole and any(one in RIGHTED for one in chosen) else smooth
+
+    def seen(examine: Examination) -> Dataset:
+        return right if examine in RIGHTED else smooth if examine is kinematics.kinematics else dataset
+
+    findings = [finding for examine in chosen for finding in examine(seen(examine))]
     rank = {"error": 0, "warning": 1, "note": 2, "good": 3}
     findings.sort(key=lambda finding: rank[finding.severity])
     return Check(dataset.name, all(f.severity != "error" for f in findings), tuple(findings))

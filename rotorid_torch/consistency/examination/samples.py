@@ -19,6 +19,8 @@ HELD = 0.6
 """Share of samples that repeat the one before, from which on a channel is renewed more slowly than it is recorded."""
 CLIPPED = 4
 """Samples in a row at a channel's own largest or least value that make a limit."""
+STEPS = 2.5
+"""Least differences of a record by which one that is stored in steps, and moves slowly, comes to its largest value."""
 ALONE = 15.0
 """A sample this many times farther from its neighbours than half of them are stands alone."""
 LIVE, LOST = 4, 0.01
@@ -143,7 +145,7 @@ def examine(values: np.ndarray, dt: float) -> Samples:
     same = np.diff(x) == 0.0
     edges = (x == x.max()) | (x == x.min())
     usual = _longest(same & ~edges[1:])  # what repeats elsewhere is no limit
-    edge = max(_longest(x == x.max()), _longest(x == x.min()))
+    edge = max(_at_limit(x, x == x.max()), _at_limit(x, x == x.min()))
     edge = edge if edge > 2 * (usual + 1) else 0
     changes = int((~same).sum())
     return Samples(float(same.mean()), _longest(same) * dt, edge, _alone(x), changes / (len(x) * dt))
@@ -152,6 +154,15 @@ def examine(values: np.ndarray, dt: float) -> Samples:
 def _longest(true: np.ndarray) -> int:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], true.astype(np.int8), [0]])))
     return int((edges[1::2] - edges[::2]).max(initial=0))
+
+
+def _at_limit(x: np.ndarray, edge: np.ndarray) -> int:
+    """Longest run at an edge that is entered or left by more than the record's least steps: else it is resolution."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], edge.astype(np.int8), [0]]))).reshape(-1, 2)
+    moved = np.abs(np.diff(x))
+    least = STEPS * float(moved[moved > 0.0].min())
+    cut = [b - a for a, b in ends if max(moved[a - 1] if a else 0.0, moved[b - 1] if b < len(x) else 0.0) > least]
+    return int(max(cut, default=0))
 
 
 def _alone(x: np.ndarray) -> int:

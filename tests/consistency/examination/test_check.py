@@ -1,5 +1,7 @@
 """What `check` says: silent on good data, plain words on each defect, and on the shared sets what is known of them."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -311,3 +313,70 @@ def test_coherence_ends_where_the_noise_begins():
     assert 4.0 < p.band[1] < 10.0
     assert q.band is None
     assert np.nanmax(q.values) < 0.4
+
+
+def placed(seed=0, dt=DT):
+    """A flight as `rolling` has it, with its position."""
+    flight = rolling(seed)
+    u, v, w, phi, theta, psi = (flight[c] for c in ("u", "v", "w", "phi", "theta", "psi"))
+    level = u * np.cos(theta) + np.sin(theta) * (v * np.sin(phi) + w * np.cos(phi))
+    side = v * np.cos(phi) - w * np.sin(phi)
+    up = u * np.sin(theta) - np.cos(theta) * (v * np.sin(phi) + w * np.cos(phi))
+    over = {"north": level * np.cos(psi) - side * np.sin(psi), "east": level * np.sin(psi) + side * np.cos(psi)}
+    return flight | {name: dt * np.cumsum(rate) for name, rate in (over | {"height": up}).items()}
+
+
+@pytest.mark.parametrize(("channel", "size"), [("psi", 0.4), ("u", -1.5), ("north", 4.0), ("theta", 0.08)])
+def test_a_step_is_told_with_its_time_and_not_as_a_bias(channel, size):
+    flights = {f"f{seed}": placed(seed) for seed in range(3)}
+    flights["f1"][channel][1234:] += size
+    found = check(Dataset.from_arrays(flights, identify=list(flights))).findings
+    (step,) = [f for f in found if "which no motion makes" in f.sentence]
+    assert (step.flight, step.channel) == ("f1", channel)
+    told = re.search(rf"{channel} ([-+.0-9]+) \S+ at ([.0-9]+) s", step.sentence)
+    assert told
+    assert float(told[1]) == pytest.approx(size, rel=0.1)
+    assert float(told[2]) == pytest.approx(12.34, abs=0.011)
+    assert not any("bias" in f.sentence for f in found if f is not step and f.severity in ("warning", "error"))
+
+
+def test_flips_spikes_and_turns_are_no_steps():
+    flights = {f"f{seed}": placed(seed) for seed in range(2)}
+    flights["f0"]["psi"] = (flights["f0"]["psi"] + 3.1 + np.pi) % (2 * np.pi) - np.pi
+    flights["f1"]["u"][700:703] += 5.0
+    found = check(Dataset.from_arrays(flights, identify=list(flights))).findings
+    assert not any("no motion makes" in f.sentence for f in found)
+
+
+def test_a_copy_in_another_list_is_an_error_and_a_stretch_is_named():
+    flights = {f"f{seed}": rolling(seed) for seed in range(4)}
+    flights["copy"] = {name: values.copy() for name, values in flights["f0"].items()}
+    late = {name: values.copy() for name, values in flights["f3"].items()}
+    for name, values in late.items():
+        if name != "time":
+            values[800:1600] = flights["f2"][name][300:1100]
+    flights["f3"] = late
+    data = Dataset.from_arrays(flights, identify=["f0", "f1", "f2", "f3"], acid=["copy"])
+    found = [f for f in check(data).findings if "sample by sample" in f.sentence]
+    assert {(f.severity, f.flight) for f in found} == {("error", "copy"), ("warning", "f3")}
+    told = {f.flight: f.sentence for f in found}
+    assert told["copy"].startswith("is a copy of f0")
+    assert told["f3"].startswith("8.0 s from 8.0 s on repeat f2 from 3.0 s on")
+
+
+def test_flights_that_stand_still_before_they_begin_are_no_copies():
+    flights = {f"f{seed}": rolling(seed) for seed in range(3)}
+    for flight in flights.values():
+        for name, values in flight.items():
+            if name != "time":
+                values[:400] = 0.25
+    assert not any("sample by sample" in s for s in sentences(Dataset.from_arrays(flights, identify=list(flights))))
+
+
+@pytest.mark.parametrize("step", [1e-3, 0.05])
+def test_a_resolution_is_no_limit_of_range(step):
+    flights = {f"f{seed}": placed(seed) for seed in range(2)}
+    for flight in flights.values():
+        slow = 0.3 * np.sin(0.9 * flight["time"] + 0.2)
+        flight["height"] = 30.0 + step * np.round(slow / step)
+    assert not any("cut off" in s for s in sentences(Dataset.from_arrays(flights, identify=list(flights))))
