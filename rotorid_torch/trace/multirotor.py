@@ -191,6 +191,7 @@ class _Search:
         self.dataset, self.fit, self.say = dataset, fit, say
         self.chance = torch.Generator().manual_seed(seed)
         self.accepted: list[str] = []
+        self.companions: list[str] = []
         self.groups: dict[str, tuple[str, ...]] = {}
         self.near: dict[str, tuple[str, ...]] = {}
         self.trials: dict[str, Trial] = {}
@@ -313,7 +314,7 @@ class _Search:
     def joined(self, now: Identified, tried: Sequence[str], ranks: Ranks) -> Identified | None:
         """The model with the best of the candidates that stand, and its companion; None where none joins."""
         remaining = [e for e in tried if e not in self.accepted]
-        if not remaining or len(self.accepted) >= SETTINGS.effects:
+        if not remaining or len(self.accepted) - len(self.companions) >= SETTINGS.effects:
             return None
         identified = ranks.carry([now.started(now.spec.with_effects(e)) for e in remaining], self.fit, _told, _again)
         fitted = dict(zip(remaining, identified, strict=True))
@@ -330,6 +331,7 @@ class _Search:
         joining = [e for e in fitted[best].spec.effects if e not in now.spec.effects]
         self.say(f"{' and '.join(joining)} join{'s' if len(joining) == 1 else ''}")
         self.accepted += joining
+        self.companions += joining[1:]
         self.trials |= {e: trials[e] for e in joining[1:]}  # a companion counts by what it gained beside the first
         self.near |= {e: self.not_told_from(fitted, best, standing) if e == best else () for e in joining}
         return fitted[best]
@@ -341,9 +343,14 @@ class _Search:
         distinct = {e: exceeds(self.by_block(fitted[e], chosen, unseen)) for e in others}
         return tuple(e for e, better in distinct.items() if not better)
 
+    def explains_beside(self, final: Identified, effect: str) -> bool:
+        """Whether a candidate explains something beside all that joined: a cause of its own then, and no rival."""
+        self.observe(final, {effect: self.fit(final.started(final.spec.with_effects(effect)))})
+        return decide(self.trials[effect].row)[0] == "accepted"
+
     def in_place_of(self, final: Identified, effect: str, others: Sequence[str]) -> tuple[str, ...]:
         """Those of the others that in an accepted effect's place, beside all that joined later, do as well."""
-        rivals = [e for e in others if e not in self.accepted]
+        rivals = [e for e in others if e not in self.accepted and not self.explains_beside(final, e)]
         swapped = {e: tuple(e if listed == effect else listed for listed in final.spec.effects) for e in rivals}
         specs = {e: msgspec.structs.replace(final.spec, effects=them) for e, them in swapped.items()}
         fitted = {e: self.fit(final.started(spec)) for e, spec in specs.items()}

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from rotorid_torch.core.parameters import Parameter, ParameterSet
 from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR
+from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec, MotorSpec
 from rotorid_torch.trace import multirotor
 from rotorid_torch.trace.multirotor import Identified, believed, trace_rotors
@@ -178,3 +179,18 @@ def test_a_rival_that_later_effects_leave_behind_is_no_group(monkeypatch: pytest
     tracing = traced(monkeypatch, {}, known=(DELAY, LAG, VOLTAGE), by_set=alike)
     assert len(tracing.accepted) == 2
     assert len(tracing.groups) == 1
+
+
+def test_what_explains_something_beside_all_that_joined_is_no_rival(monkeypatch: pytest.MonkeyPatch):
+    """Alone lag and voltage do the same; together they do more: both join, and neither stands for the other."""
+    left = {(LAG,): 0.5, (VOLTAGE,): 0.5, (LAG, VOLTAGE): 0.95}
+    tracing = traced(monkeypatch, {}, known=(LAG, VOLTAGE), by_set=left)
+    assert set(tracing.accepted) == {LAG, VOLTAGE}
+    assert tracing.groups == {}
+
+
+def test_a_controller_that_answers_noise_is_no_turbulence():
+    told = {f.id: f for f in candidates(MULTIROTOR)[1]}
+    assert registered()["environment.turbulence"].untestable(MULTIROTOR)
+    assert registered()["environment.turbulence"].untestable(HELICOPTER) is None
+    assert "environment.turbulence" not in {e for e in candidates(MULTIROTOR)[0]} | set(told)

@@ -12,7 +12,15 @@ from rotorid_torch.core.state import State
 from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Values
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec, arm
-from rotorid_torch.effects.testable import first, no_channel, no_forces, no_rates, no_rotor, no_velocities
+from rotorid_torch.effects.testable import (
+    first,
+    motor_commands,
+    no_channel,
+    no_forces,
+    no_rates,
+    no_rotor,
+    no_velocities,
+)
 
 LOWEST = 0.3
 """Rotor radii: no rotor is nearer to the ground; below it the effect is held."""
@@ -239,8 +247,9 @@ class Turbulence(_Stochastic):
 
     @classmethod
     def untestable(cls, spec: ModelSpec) -> str | None:
-        """Without rates."""
-        return no_rates(spec)
+        """Without rates, or of a multirotor."""
+        answered = "a controller moves a multirotor from the first sample on, with its sensors' noise as with gusts"
+        return first(motor_commands(spec, answered), no_rates(spec))
 
 
 @register
