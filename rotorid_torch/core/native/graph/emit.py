@@ -73,11 +73,67 @@ def _number(value: float) -> str:
     return repr(value) if value >= 0 else f"({value!r})"
 
 
+MANY = 64
+"""Products in one array, from which on a loop over a table takes them: compilers take long over lines."""
+
+
 def straight_line(graph: Graph, results: Mapping[str, int], named: Callable[[int], str | None], kind: str = "T") -> str:
     """Assignments "result = expression;" of {result: node} and of all that they need, in order.
 
     named : name of a node that is there already, None for one that is computed here. kind : type of what varies.
     """
+    before, after, remaining = [], [], dict(results)
+    for array, entries in _arrays(results).items():
+        factors = {k: f for k, node in entries.items() if (f := _factors(graph, node, named)) is not None}
+        if len(factors) >= MANY:
+            slots: dict[int, int] = {}
+            for pair in factors.values():
+                for node in pair:
+                    slots.setdefault(node, len(slots))
+            for k in factors:
+                del remaining[f"{array}[{k}]"]
+            remaining |= {f"{array}_of[{slot}]": node for node, slot in slots.items()}
+            before.append(f"  {kind} {array}_of[{len(slots)}];")
+            after.append(_table(array, {k: (slots[a], slots[b]) for k, (a, b) in factors.items()}))
+    return "\n".join([*before, _lines(graph, remaining, named, kind), *after])
+
+
+def _arrays(results: Mapping[str, int]) -> dict[str, dict[int, int]]:
+    """Entries by the arrays they lie in: node by place."""
+    arrays: dict[str, dict[int, int]] = {}
+    for result, node in results.items():
+        array, bracket, place = result.removesuffix("]").partition("[")
+        if bracket:
+            arrays.setdefault(array, {})[int(place)] = node
+    return arrays
+
+
+def _factors(graph: Graph, node: int, named: Callable[[int], str | None]) -> tuple[int, int] | None:
+    """The two factors of a product that is computed here; None for anything else."""
+    if named(node) is not None:
+        return None
+    if graph.operation(node) == "neg":
+        pair = _factors(graph, graph.arguments(node)[0], named)
+        return None if pair is None else (graph.apply("neg", pair[0]), pair[1])
+    if graph.operation(node) != "mul":
+        return None
+    a, b = graph.arguments(node)
+    return a, b
+
+
+def _table(array: str, factors: Mapping[int, tuple[int, int]]) -> str:
+    """A loop that multiplies factors out."""
+    columns = {"to": list(factors), "left": [a for a, _ in factors.values()], "right": [b for _, b in factors.values()]}
+    tables = "".join(
+        f"  static const unsigned short {array}_{name}[] = {{{', '.join(map(str, numbers))}}};\n"
+        for name, numbers in columns.items()
+    )
+    left, right = (f"{array}_of[{array}_{side}[e]]" for side in ("left", "right"))
+    return f"{tables}  for (int e = 0; e < {len(factors)}; e++) {array}[{array}_to[e]] = {left} * {right};"
+
+
+def _lines(graph: Graph, results: Mapping[str, int], named: Callable[[int], str | None], kind: str) -> str:
+    """Straight-line code alone."""
     text: dict[int, str] = {}
     varies: dict[int, bool] = {}
     pairs: set[int] = set()
