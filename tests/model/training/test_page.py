@@ -1,0 +1,52 @@
+"""What the page on networks says runs as it stands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from rotorid_torch.effects.registry import EFFECTS
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.model.model import Model
+from rotorid_torch.model.nominal import build
+from rotorid_torch.run.own_effects import refuse_faulty
+from tests.known_models import DERIVATIVES, body_spec, flown, linear_vehicle, manoeuvres, with_values
+
+PAGE = (Path(__file__).parents[3] / "docs" / "own-network.md").read_text(encoding="utf-8")
+EFFECT, TRAINING = (part.partition("```")[0] for part in PAGE.split("```python\n")[1:])
+
+
+@dataclass
+class Identified:
+    """What the page asks of a run."""
+
+    spec: ModelSpec
+    model: Model
+
+
+def test_the_page_trains_a_network_on_windows():
+    """A pitch damping of half the true one is made up for by the network."""
+    data = flown(linear_vehicle(), manoeuvres(6.0, 0.02), 0.02, noise=0.01)
+    half = DERIVATIVES | {"M.q": 0.5 * DERIVATIVES["M.q"]}
+    spec = body_spec()
+    start = with_values(build(spec), {f"forces.{name}": value for name, value in half.items()})
+    names: dict[str, Any] = {"data": data, "run": Identified(spec, start)}
+    torch.manual_seed(0)
+    try:
+        exec(compile(EFFECT, "own-network.md", "exec"), names)
+        refuse_faulty(["my.pitch"], spec)
+        exec(compile(TRAINING, "own-network.md", "exec"), names)
+    finally:
+        EFFECTS.pop("my.pitch", None)
+    flights = [data.flights[n] for n in data.identify]
+    costs = [
+        float((m.free_run(flights, [1.0] * len(flights), 2.0).residual.detach() / names["noise"]).square().mean())
+        for m in (start, names["model"])
+    ]
+    assert costs[1] < 0.5 * costs[0]
+    moved = {n for n, v in names["model"].named_values.items() if v != start.named_values.get(n)}
+    assert moved
+    assert all(n.startswith("my.pitch") for n in moved)
