@@ -218,3 +218,49 @@ def _with(data: Dataset, row: Row) -> dict[str, Any]:
 @pytest.mark.parametrize("wrong", ["DATASET", None, {"f1": CHANNELS}, [1], Dataset])
 def test_check(wrong: Any) -> None:
     one_line(lambda: rotorid.check(wrong), "dataset")
+
+
+FLY: list[Row] = [
+    ("a number for out", {"out": 3}, "out"),
+    ("speed in words", {"speed": "fast"}, "speed"),
+    ("NaN for speed", {"speed": math.nan}, "speed"),
+    ("a speed that nothing reaches", {"speed": 900.0}, "speed"),
+    ("None for heading", {"heading": None}, "heading"),
+    ("height below ground", {"height": -1.0}, "height"),
+    ("height infinite", {"height": math.inf}, "height"),
+    ("no seconds", {"seconds": 0.0}, "seconds"),
+    ("a list of seconds", {"seconds": [8.0]}, "seconds"),
+    ("seed in words", {"seed": "one"}, "seed"),
+    ("half a seed", {"seed": 0.5}, "seed"),
+    ("a flight that there is not", {"flights": ["f321_long"]}, "flights"),
+    ("a single name for flights", {"flights": "f321_lon"}, "flights"),
+    ("a number for flights", {"flights": 3}, "flights"),
+    ("no such vehicle", {"vehicle": "no/such/file.toml"}, "file.toml"),
+    ("a dict for a vehicle", {"vehicle": {}}, "vehicle"),
+    ("an effect that there is not", {"effects": [("control.dely", 1.0)]}, "effect"),
+    ("a single name for effects", {"effects": "control.delay"}, "effects"),
+    ("a size in words", {"effects": [("control.delay", "large")]}, "effects"),
+    ("an effect twice", {"effects": ["control.delay", "control.delay"]}, "effect"),
+]
+IMPORT: list[Row] = [
+    ("None for logs", {"paths": None}, "paths"),
+    ("a number for a log", {"paths": [3]}, "paths"),
+    ("no log", {"paths": []}, ""),
+    ("no such log", {"paths": ["no/such/flight.ulg"]}, "flight.ulg"),
+    ("None for out", {"out": None}, "out"),
+    ("rate in words", {"rate": "fast"}, "rate"),
+    ("a rate below zero", {"rate": -1.0}, "rate"),
+    ("a word for split", {"split": "yes"}, "split"),
+]
+
+
+@pytest.mark.parametrize("row", FLY, ids=ids(FLY))
+def test_fly(row: Row) -> None:
+    given: dict[str, Any] = {"out": None, "flights": ["f321_lon"], "seconds": 2.0} | row[1]
+    one_line(lambda: rotorid.fly(**given), row[2])
+
+
+@pytest.mark.parametrize("row", IMPORT, ids=ids(IMPORT))
+def test_import_log(row: Row, tmp_path: Path) -> None:
+    given: dict[str, Any] = {"paths": ["flight.ulg"], "out": tmp_path / "DATASET"} | row[1]
+    one_line(lambda: rotorid.import_log(**given), row[2])

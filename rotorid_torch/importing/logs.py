@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from rotorid_torch import arguments
+from rotorid_torch.arguments import Argument
 from rotorid_torch.core import names
 from rotorid_torch.data.write import declarations, refuse_unless_free, write_dataset
 from rotorid_torch.errors import InputError
@@ -89,7 +91,12 @@ def import_logs(
     ------
     InputError : where a log cannot be read, lacks controls, or has clocks that disagree; nothing is written then.
     """
-    place, files = Path(out), [Path(p) for p in ([paths] if isinstance(paths, str | Path) else paths)]
+    of, several = "import_log", [paths] if isinstance(paths, str | Path) else paths
+    place = arguments.place(Argument(of, "out"), out)
+    listed = arguments.sequence(Argument(of, "paths"), several, "a path, or a list of paths")
+    files = [arguments.place(Argument(of, "paths"), p) for p in listed]
+    rate = None if rate is None else arguments.number(Argument(of, "rate"), rate, "Hz")
+    arguments.flag(Argument(of, "split"), split)
     refuse_unless_free(place, IMPORTED, [*files, *([Path(mapping)] if isinstance(mapping, str | Path) else [])])
     earlier_declarations = declarations(place)
     if not files:

@@ -10,6 +10,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from rotorid_torch import arguments
+from rotorid_torch.arguments import Argument
 from rotorid_torch.core.names import nearest
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.write import declarations, refuse_unless_free, write_dataset
@@ -96,7 +98,7 @@ def fly(
         "multirotor-N": the Nth one drawn at random.
     flights : names of flights (see `manoeuvres`); without them all of them, and those that an effect needs to show.
     seed : of sensor noise and gusts.
-    effects : pairs of id and factor of the typical size (None: one); see `effects`.
+    effects : pairs of id and factor of the typical size (None: one), or ids alone; see `effects`.
     progress : called with samples done and in all.
     seconds : length of each flight (15; 20 of a multirotor).
 
@@ -111,7 +113,16 @@ def fly(
     >>> test.dataset()
     Dataset uh60-0, helicopter: controls lon, lat, col, ped; 1 identify, 0 validate, 0 acid: f321_lon
     """
-    out = None if out is None else Path(out)
+    of, optional = "fly", arguments.optional(_a_number)
+    out = None if out is None else arguments.place(Argument(of, "out"), out)
+    arguments.optional(arguments.place)(Argument(of, "vehicle"), vehicle)
+    seed = int(arguments.number(Argument(of, "seed"), seed, least=0, whole=True))
+    heading = arguments.number(Argument(of, "heading"), heading, "rad")
+    speed, height = optional(Argument(of, "speed"), speed), optional(Argument(of, "height"), height)
+    seconds = optional(Argument(of, "seconds"), seconds)
+    if flights is not None:
+        flights = arguments.sequence(Argument(of, "flights"), flights, 'a list of names of flights: ["f321_lon"]')
+    effects = _pairs(effects)
     if is_multirotor(vehicle):
         craft = _of_size(multirotor(str(vehicle)), speed, height)
         course = Course(20.0 if seconds is None else seconds, heading, seed)
@@ -176,6 +187,22 @@ def _fly_multirotor(
     if out is not None:
         _write(out, declaration, measured, truth, hidden)
     return MultirotorTest(label, declaration, measured, truth, hidden, craft, clean)
+
+
+def _a_number(argument: Argument, value: Any) -> float:
+    return arguments.number(argument, value)
+
+
+def _pairs(effects: Any) -> list[tuple[str, float | None]]:
+    """Ids of effects with factors of their typical sizes; an id alone has none."""
+    argument, expected = Argument("fly", "effects"), 'a list of pairs of id and factor: [("control.delay", 1.0)]'
+    pairs: list[tuple[str, float | None]] = []
+    for one in arguments.sequence(argument, effects, expected):
+        pair = (one, None) if isinstance(one, str) else one
+        if not isinstance(pair, tuple | list) or len(pair) != 2 or not isinstance(pair[0], str):
+            raise argument.wrong(f"holds {arguments.described(one)}", expected)
+        pairs.append((pair[0], None if pair[1] is None else arguments.number(argument, pair[1], "a factor")))
+    return pairs
 
 
 def _trims(aircraft: Aircraft, conditions: set[Condition]) -> tuple[dict[Condition, Trim], dict[float, Augmentation]]:
@@ -253,7 +280,7 @@ def _check_effect(effect: str, size: float, library: Mapping[str, object]) -> No
         kind = "helicopter" if library is EVERY_FORM else "multirotor"
         why = f"it is a {kind}" if effect in elsewhere else f"there is none of that name{nearest(effect, library)}"
         wrong = f"the flight-test aircraft has no effect '{effect}': {why}"
-        raise InputError("usage", "effect", wrong, f"one of: {', '.join(library)}")
+        raise InputError("usage", "effect", wrong, f"one of: {arguments.listed(library)}")
     if not (np.isfinite(size) and 0.0 <= size <= 10.0):
         raise InputError("usage", "size", f"is {size} for {effect}", "a factor of its typical size, 0 to 10")
 

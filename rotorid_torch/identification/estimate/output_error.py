@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor, nn
@@ -15,6 +15,7 @@ from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument, listed
 from rotorid_torch.core.gauss_newton import Minimum
 from rotorid_torch.core.parameters import ParameterTable
+from rotorid_torch.data.use.pictures import of_channels
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.arguments import (
     SOLVERS,
@@ -41,6 +42,9 @@ from rotorid_torch.identification.estimate.segments import Records, records_from
 from rotorid_torch.identification.estimate.system import System
 from rotorid_torch.identification.estimate.uncertainty import Uncertainty
 from rotorid_torch.identification.own_model import OwnModel, unwrapped
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,7 @@ class OutputError(ParameterTable):
     uncertainty : Cramer-Rao, coloured and jackknife apart.
     stages : what each stage did.
     segment_seconds : length of the longest segments that the estimate rests on, infinite where these are whole flights.
+    times : per flight (T,) s of the samples.
     whole : how the model flies whole flights from their first samples: residuals, rms, ratio to those of the segments.
     """
 
@@ -98,10 +103,25 @@ class OutputError(ParameterTable):
     segment_seconds: float
     whole: WholeFlights
 
+    times: list[Tensor] = field(default_factory=list)
+
     @property
     def title(self) -> str:
         """Kind of the estimate, and what is to be said of its end."""
         return f"{type(self).__name__}: {self.message}"
+
+    def plot(self) -> list[Figure]:
+        """Residuals of each flight over time, as matplotlib figures."""
+        return drawn("residual", self.times, self.residuals)
+
+
+def drawn(noun: str, times: Sequence[Tensor], records: Sequence[Tensor]) -> list[Figure]:
+    """Records (T, ny) of each flight over its times (T,), one picture per output."""
+    figures = []
+    for k, (time, record) in enumerate(zip(times, records, strict=True)):
+        columns = {f"{noun} {i}": column for i, column in enumerate(record.mT)}
+        figures.append(of_channels(f"flight {k}", {"time": time, **columns}, list(columns)))
+    return figures
 
 
 def output_error(
@@ -300,6 +320,7 @@ def result_of(system: System, stepped: Stepped[Fit]) -> OutputError:
         uncertainty=errors,
         stages=fitted.stages,
         segment_seconds=_seconds(fitted, records),
+        times=records.times(),
         whole=whole,
     )
 

@@ -54,6 +54,11 @@ class Records:
         lengths, every = (self.lengths - 1) * times + 1, self.spacing() * times
         return Records(self.dt / times, lengths, self.start, *parts, every, self.hold)
 
+    def times(self) -> list[Tensor]:
+        """Times (T,) of the measured samples of each flight, s."""
+        ends = zip(self.start, self.lengths.tolist(), self.spacing().tolist(), strict=True)
+        return [start + self.dt * torch.arange(0, length, every, dtype=torch.float64) for start, length, every in ends]
+
     def measured(self, record: Tensor) -> list[Tensor]:
         """A record over the steps [F, T, ...] at the measured samples of each flight."""
         ends = zip(record, self.lengths.tolist(), self.spacing().tolist(), strict=True)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -29,6 +29,7 @@ from rotorid_torch.identification.estimate.initial_states import smallest_noise
 from rotorid_torch.identification.estimate.output_error import (
     Between,
     ParameterEstimate,
+    drawn,
     estimates,
     fitted_in_steps,
     given,
@@ -53,6 +54,9 @@ from rotorid_torch.identification.filter_error.innovations import (
 from rotorid_torch.identification.filter_error.smoother import smoothed
 from rotorid_torch.identification.filter_error.start import first
 from rotorid_torch.identification.filter_error.uncertainty import uncertainty
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 LITTLE = 1e-3
 """Part of the process noise with which a fit is tried again from where it ended."""
@@ -79,7 +83,7 @@ class FilterError(ParameterTable):
     innovations : per flight (T, ny) measured minus predicted from all samples before, NaN = missing.
     states, state_errors : per flight (T, nx) by all samples of the flight (smoothed), and their standard errors, with
         parameters and initial states believed.
-    log_likelihood : of all innovations.
+    log_likelihood : of all innovations. times : per flight (T,) s of the samples.
     whiteness : of the innovations in units of their own covariance.
     uncertainty : Cramer-Rao, coloured and jackknife apart.
     """
@@ -102,10 +106,16 @@ class FilterError(ParameterTable):
     whiteness: Whiteness
     uncertainty: Uncertainty
 
+    times: list[Tensor] = field(default_factory=list)
+
     @property
     def title(self) -> str:
         """Kind of the estimate, and what is to be said of its end."""
         return f"{type(self).__name__}: {self.message}"
+
+    def plot(self) -> list[Figure]:
+        """Innovations of each flight over time, as matplotlib figures."""
+        return drawn("innovation", self.times, self.innovations)
 
 
 def filter_error(
@@ -370,6 +380,7 @@ def _result(stepped: Stepped[Maximum]) -> FilterError:
         log_likelihood=-float(run.cost.sum()) - 0.5 * likelihood.samples * math.log(2.0 * math.pi),
         whiteness=whiteness(_padded(innovations, math.nan), _padded(spreads, 0.0)),
         uncertainty=told,
+        times=records.times(),
     )
 
 
@@ -464,4 +475,5 @@ def _without_gusts(problem: FilterProblem, stepped: Stepped[Fit]) -> FilterError
         log_likelihood=-float(cost) - 0.5 * sum(count) * math.log(2.0 * math.pi),
         whiteness=whiteness(_padded(records.measured(residual), math.nan), _padded(records.measured(spreads), 0.0)),
         uncertainty=calm.uncertainty,
+        times=calm.times,
     )

@@ -55,6 +55,9 @@ def test_a_heading_that_wraps_tells_what_one_that_does_not_tells(estimator: Any)
     for p, q in zip(reference.parameters, found.parameters, strict=True):
         assert abs(p.value - q.value) < 1e-3 * p.se
         assert q.se == pytest.approx(p.se, rel=1e-3)
+    figure = found.plot()[0]
+    assert len(figure.axes) == 2
+    assert figure.axes[0].lines[0].get_xdata()[-1] == pytest.approx(TIME[-1])
     left = found.residuals[0] if estimator is rotorid.output_error else found.innovations[0]
     assert float(left[:, 1].abs().max()) < 0.1
     assert isinstance(found.model, Heading)
