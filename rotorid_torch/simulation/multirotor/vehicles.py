@@ -21,6 +21,8 @@ FRAMES = ("quad-x", "quad-+", "hexa-x", "hexa-+", "octa-x", "octa-+", "coaxial-x
 """Numbers of rotors, and whether the nose points between two arms (x) or along one (+); coaxial pairs: X8 and Y6."""
 ENDURANCE = 480.0
 """s of hover that a battery lasts."""
+FLAT = 0.88
+"""Inertia about the vertical axis over the sum of the others: 1 for a flat body, 0.5 for a ball."""
 NOISE = {
     **dict.fromkeys(("u", "v", "w"), 0.02),
     **dict.fromkeys(("p", "q", "r"), 0.005),
@@ -98,7 +100,7 @@ def drawn(number: int, rng: np.random.Generator | None = None) -> Build:
         frame=frame,
         radius=float(rng.uniform(0.9, 1.1)),
         arm=float(rng.uniform(1.0, 1.3)),
-        inertia=tuple(float(x) for x in rng.uniform(0.85, 1.15, 3)),  # pyright: ignore[reportArgumentType]
+        inertia=tuple(float(x) for x in rng.uniform((0.85, 0.85, 0.93), (1.15, 1.15, 1.07))),  # pyright: ignore[reportArgumentType]
         thrust=float(rng.uniform(2.0, 3.2)),
         exponent=float(rng.choice([0.5, 0.7, 1.0])),
         idle=float(rng.uniform(0.0, 0.15)),
@@ -122,7 +124,8 @@ def built(name: str, build: Build) -> Multirotor:
     radius = 0.127 * (build.mass / 1.2) ** 0.42 * (4.0 / axes) ** 0.5 * build.radius
     arm = 1.15 * radius / np.sin(np.pi / max(axes, 4)) * build.arm
     places, spins = _frame(axes, arm, form, 0.35 * radius if kind == "coaxial" else 0.0)
-    gyration = build.mass * (0.5 * arm) ** 2 * np.array([1.0, 1.0, 1.75]) * build.inertia
+    across = build.mass * (0.5 * arm) ** 2 * np.array(build.inertia[:2])
+    inertia = np.diag([*across, FLAT * across.sum() * build.inertia[2]])
     propeller = Propeller(
         radius, build.chord * radius, build.blades, build.pitch, build.twist, stiffness=build.stiffness
     )
@@ -130,7 +133,7 @@ def built(name: str, build: Build) -> Multirotor:
     bare = Multirotor(
         name=name,
         mass=build.mass,
-        inertia=_rows(np.diag(gyration)),
+        inertia=_rows(inertia),
         places=places,
         spins=spins,
         lifts=(1.0,) * len(places),

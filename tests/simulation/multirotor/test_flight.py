@@ -198,6 +198,9 @@ def test_drawn_vehicles_are_many_and_the_same_each_time():
     assert masses.max() > 4.0
     assert {b.frame for b in builds} == set(FRAMES)
     assert drawn(7) == builds[7]
+    for number, build in enumerate(builds):  # no body has a principal moment above the sum of the others
+        moments = np.linalg.eigvalsh(built(f"multirotor-{number}", build).inertia_matrix)
+        assert 0.0 < moments[2] < moments[0] + moments[1]
     assert is_multirotor("multirotor-7")
     assert not is_multirotor("multirotor-x")
 
