@@ -2,5 +2,5 @@
 
 `resemblance` (trim and derivatives of the data set, as the drawn aircraft shall have them), `draws` (randomised maximum
 likelihood over the priors), `tracking` (the drawn aircraft follow the measured flights), `data_sets` (the three in
-order).
+order). Multirotors: `multirotor_draws` (vehicles of one frame), `multirotors` (they follow the measured flights).
 """

@@ -118,7 +118,7 @@ def declare(craft: Multirotor, name: str, flights: tuple[str, ...], description:
             "gravity": craft.gravity,
             "air_density": craft.air_density,
             "imu": list(craft.imu),
-            "motors": _motors(craft),
+            "motors": declared_motors(craft),
         },
         "controls": {
             motor: {"unit": "norm", "limits": [0.0, 1.0], "noise": noise[motor], "positive": "faster"}
@@ -130,7 +130,7 @@ def declare(craft: Multirotor, name: str, flights: tuple[str, ...], description:
     }
 
 
-def _motors(craft: Multirotor) -> list[dict[str, Any]]:
+def declared_motors(craft: Multirotor) -> list[dict[str, Any]]:
     """Places, spins, thrust curves: a parabola through what a bench tells, of the command or of the rotor's speed."""
     hover = Hover.of([craft], Blades.of([craft.propeller], np.array([craft.air_density])))
     drive, commands = craft.drive, np.linspace(0.15, 0.95, 33)

@@ -24,8 +24,8 @@ LEAST, MOST = 0.15, 0.95
 """Thrust of a rotor over that in hover, and command, which the mixer does not leave."""
 TORQUE = 0.3
 """Largest yaw moment over what the torques of all rotors add up to in hover: lift, roll and pitch come first."""
-WINDUP = 0.5, 2.0
-"""Largest integrals: of the rate's error, rad, and of the velocity's, m."""
+WINDUP = 0.5, 5.0
+"""What integrals reach at most: that of the rate's error, rad; what that of the velocity's asks for, m/s^2."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class Controller:
             effect = np.stack([np.ones(count), -place[:, 1], place[:, 0], spins * ratio[:, column]])
             allocation[:, :, column] = np.linalg.pinv(effect)
         late = np.array([one.drive.lag + one.drive.delay for one in flown]) + REACTION
-        rate = np.clip(0.42 / late, 5.0, 25.0)
+        rate = np.clip(0.65 / late, 5.0, 25.0)
         gains = np.stack([rate / 24.0, rate / 9.0, rate / 3.2, rate])
         return cls(
             mass=np.array([one.mass for one in clean]),
@@ -142,8 +142,9 @@ class Controller:
         """Specific force that the place asks for, north east down, m/s^2, [3, column]."""
         velocity = targets.velocity + self.gains[0] * np.clip(targets.place - at.place, -3.0, 3.0)
         error = velocity - at.velocity
-        self.velocity_error = np.clip(self.velocity_error + error * dt, -WINDUP[1], WINDUP[1])
-        force = targets.acceleration + self.gains[1] * (error + 0.35 * self.gains[1] * self.velocity_error)
+        integral = 0.35 * self.gains[1] ** 2
+        self.velocity_error = np.clip(self.velocity_error + error * dt, -WINDUP[1] / integral, WINDUP[1] / integral)
+        force = targets.acceleration + self.gains[1] * error + integral * self.velocity_error
         force[2] -= self.gravity
         force[2] = np.minimum(force[2], -0.3 * self.gravity)
         return force

@@ -64,6 +64,11 @@ class Drive:
     inertia: float = 0.0
     delay: float = 0.0
 
+    def command_at(self, speed: float) -> float:
+        """Command that asks for a speed, rad/s, at the battery's reference voltage."""
+        share = (speed / self.full_speed - self.idle) / (1.0 - self.idle)
+        return max(share, 1e-3) ** (1.0 / self.exponent)
+
 
 @dataclass(frozen=True)
 class Battery:
@@ -85,14 +90,15 @@ class Air:
     """What the air does beyond carrying the hovering vehicle; a clean vehicle feels none of it.
 
     Shares of the velocity through the air that a rotor feels, 1 in nature: `axial` along its axis, `lift` in its disc
-    as far as thrust and inflow go, `drag` in its disc as far as in-plane forces and flapping go. `drag_area` of the
-    body by axis, m^2. `ground` : strength of the images of the rotors below the ground, 1 by theory. `wind` : velocity
-    of the air, north east down, m/s; `gusts` : standard deviation of its turbulence, m/s.
+    as far as thrust and inflow go, `drag` as far as forces in the disc go, `flap` as far as moments on the hub go.
+    `drag_area` of the body by axis, m^2. `ground` : strength of the images of the rotors below the ground, 1 by theory.
+    `wind` : velocity of the air, north east down, m/s; `gusts` : standard deviation of its turbulence, m/s.
     """
 
     axial: float = 0.0
     lift: float = 0.0
     drag: float = 0.0
+    flap: float = 0.0
     drag_area: Three = STILL
     ground: float = 0.0
     wind: Three = STILL
@@ -108,7 +114,7 @@ class Multirotor:
     through it; `imu` and `reference` (the declared centre of gravity) in m from the true one. `unsteady` : standard
     deviation of each rotor's thrust as a share of it, by its own wake. `noise`, `resolution` by channel, SI. From
     flight to flight, standard deviations: `tilt` of the attitude's axes against the body's, rad; `offsets` of gyros,
-    rad/s, and accelerometers, m/s^2.
+    rad/s, and accelerometers, m/s^2. `gyro` : noise of a sample of the gyros that the controller reads, rad/s.
     """
 
     name: str
@@ -136,6 +142,7 @@ class Multirotor:
     resolution: Mapping[str, float] = field(default_factory=dict)
     tilt: float = 0.0
     offsets: tuple[float, float] = (0.0, 0.0)
+    gyro: float = 0.002
     sensors: SensorErrors = field(default_factory=SensorErrors)
 
     @property

@@ -29,13 +29,11 @@ from rotorid_torch.simulation.multirotor.rotor import Blades, Flow
 from rotorid_torch.simulation.multirotor.surroundings import ground_share, turbulence
 
 STEP = 0.0025
-"""s: period of the controller and step of the integration."""
-ENTRY = 4.0
-"""s of hover before the record begins: integrals settle, and loads."""
+"""s: period of the controller and step of the integration, at most."""
+ENTRY, WINDY_ENTRY = 4.0, 14.0
+"""s of hover before the record begins, in still air and in wind: integrals settle, and loads."""
 UNSTEADY = 0.03
 """s: how long a rotor's own wake keeps its thrust off its mean."""
-GYRO = 0.002
-"""rad/s: noise of a sample of the gyros that the controller reads."""
 CHUNK = 400
 """Steps for which chance is drawn at a time."""
 
@@ -76,20 +74,27 @@ class Hover:
 
 @dataclass(frozen=True)
 class Fleet:
-    """Vehicles of one frame side by side, a column each, and as their makers think that they are (`clean`)."""
+    """Vehicles of one frame side by side, a column each, and as their makers think that they are (`clean`).
+
+    `step` : of the integration and period of the controllers, s; each `every`th is recorded.
+    """
 
     craft: tuple[Multirotor, ...]
     clean: tuple[Multirotor, ...]
     blades: Blades
     drives: Drives
     hover: Hover
+    step: float
+    every: int
 
     @classmethod
-    def of(cls, craft: Sequence[Multirotor], clean: Sequence[Multirotor]) -> Fleet:
-        """All with equally many rotors."""
+    def of(cls, craft: Sequence[Multirotor], clean: Sequence[Multirotor], dt: float | None = None) -> Fleet:
+        """All with equally many rotors; `dt` : of the record, s, by default that of the first vehicle's rate."""
+        dt = 1.0 / craft[0].rate if dt is None else dt
+        every = int(np.ceil(dt / STEP - 1e-6))
         blades = Blades.of([v.propeller for v in craft], np.array([v.air_density for v in craft]))
         hover = Hover.of(craft, blades)
-        return cls(tuple(craft), tuple(clean), blades, Drives.of(craft, hover.speed[0]), hover)
+        return cls(tuple(craft), tuple(clean), blades, Drives.of(craft, hover.speed[0]), hover, dt / every, every)
 
     def controller(self) -> Controller:
         """Their controllers; what a maker measures on the bench is the hover of the clean vehicle."""
@@ -124,40 +129,47 @@ class Record:
     swing: Array
 
 
-Aim = Callable[[int, Pose], Array]
-"""Packed targets [ROWS, column] of a step, by its number (0 where the record begins) and where the vehicles are."""
+@dataclass(frozen=True)
+class Task:
+    """What is flown: `names` of the flights, a column each (streams of chance go by them), and for how many samples.
+
+    `targets` : packed, [ROWS, column], of a step by its number, 0 where the record begins. `voltage` : measured one,
+    [column], likewise, in place of the battery's.
+    """
+
+    names: Sequence[str]
+    samples: int
+    targets: Callable[[int], Array]
+    voltage: Callable[[int], Array] | None = None
 
 
-def fly_fleet(
-    fleet: Fleet, names: Sequence[str], aim: Aim, seconds: float, seed: int, progress: Progress | None = None
-) -> Record:
+def fly_fleet(fleet: Fleet, task: Task, seed: int, progress: Progress | None = None) -> Record:
     """Fly all columns at once.
 
     Parameters
     ----------
-    names : of the flights, a column each; each name has streams of chance of its own. aim : what is asked for.
-    seconds : of the record. seed : of wakes, gusts, gyros and charge. progress : called with samples done and in all.
+    seed : of wakes, gusts, gyros and charge. progress : called with samples done and in all.
     """
-    every = round(1.0 / (fleet.craft[0].rate * STEP))
-    samples = round(seconds * fleet.craft[0].rate) + 1
-    world = _World(fleet, names, seed, (samples - 1) * every + round(ENTRY / STEP) + 1)
+    windy = any(any(one.air.wind) or one.air.gusts for one in fleet.craft)
+    every, samples, entry = fleet.every, task.samples, round((WINDY_ENTRY if windy else ENTRY) / fleet.step)
+    world = _World(fleet, task, seed, (samples - 1) * every + entry + 1)
     rows: list[dict[str, Array]] = []
-    for step in range(-round(ENTRY / STEP), (samples - 1) * every + 1):
-        row = world.step(aim, step)
+    for step in range(-entry, (samples - 1) * every + 1):
+        row = world.step(step)
         if step >= 0 and step % every == 0:
             rows.append(row)
             if progress is not None and (len(rows) % 25 == 0 or len(rows) == samples):
                 progress(len(rows), samples)
-    time = np.arange(samples, dtype=np.float64) / fleet.craft[0].rate
+    time = np.arange(samples, dtype=np.float64) * (fleet.step * every)
     return Record(time, **{name: np.stack([row[name] for row in rows]) for name in rows[0]})
 
 
 class _World:
     """States of all vehicles, and what moves them."""
 
-    def __init__(self, fleet: Fleet, names: Sequence[str], seed: int, steps: int) -> None:
-        craft, columns = fleet.craft, len(fleet.craft)
-        self.fleet, self.control = fleet, fleet.controller()
+    def __init__(self, fleet: Fleet, task: Task, seed: int, steps: int) -> None:
+        craft, columns, names = fleet.craft, len(fleet.craft), task.names
+        self.fleet, self.task, self.dt, self.control = fleet, task, fleet.step, fleet.controller()
         self.mass = np.array([v.mass for v in craft])
         self.inertia = np.stack([v.inertia_matrix for v in craft], axis=-1)
         self.inverse: Array = np.stack([np.linalg.inv(v.inertia_matrix) for v in craft], axis=-1).astype(np.float64)
@@ -171,10 +183,12 @@ class _World:
         self.air = {
             name: np.array([getattr(v.air, name) for v in craft]) for name in ("axial", "lift", "drag", "ground")
         }
+        flap = np.array([v.air.flap for v in craft])
+        self.flapping = flap / np.where(self.air["drag"] > 0.0, self.air["drag"], 1.0)
         self.drag_area = 0.5 * fleet.blades.density * np.array([v.air.drag_area for v in craft]).T
         self.wind = np.array([v.air.wind for v in craft]).T
-        self.gusts = turbulence(craft, names, steps, STEP, seed)
-        self.unsteady = np.array([v.unsteady for v in craft])
+        self.gusts = turbulence(craft, names, steps, self.dt, seed)
+        self.unsteady, self.noise = (np.array([getattr(v, n) for v in craft]) for n in ("unsteady", "gyro"))
         self.streams = [np.random.default_rng([seed, zlib.crc32(f"{name}/wake".encode())]) for name in names]
         self.chance = np.empty((0, craft[0].count + 3, columns))
         charge = [np.random.default_rng([seed, zlib.crc32(f"{n}/charge".encode())]).uniform(0.0, 0.6) for n in names]
@@ -185,23 +199,23 @@ class _World:
         self.current = fleet.drives.current(fleet.hover.curve * fleet.hover.ratio * self.speeds**2, self.speeds, 10.0)
         self.flutter, self.gyro = np.zeros_like(self.speeds), np.zeros((3, columns))
         self.swing = np.zeros((4, columns))
-        self.late = _Late(np.array([v.drive.delay for v in craft]), self.speeds.shape)
+        self.late = _Late(np.array([v.drive.delay for v in craft]) / self.dt, self.speeds.shape)
         self.begun = 0
 
-    def step(self, aim: Aim, number: int) -> dict[str, Array]:
+    def step(self, number: int) -> dict[str, Array]:
         """One step; what a record has at its beginning."""
         if not self.begun:
-            self._begin(aim, number)
+            self._begin(number)
         earth, pose = to_earth(self.euler), self._pose()
         self._chance()
-        targets = Targets.unpack(aim(number, pose))
+        targets = Targets.unpack(self.task.targets(max(number, 0)))
         drives = self.fleet.drives
-        commands = self.control.commands(targets, pose, self.rates + self.gyro, drives, STEP)
-        voltage = drives.voltage(self.used, self.current)
+        commands = self.control.commands(targets, pose, self.rates + self.gyro, drives, self.dt)
+        voltage = self._voltage(number)
         before = self.speeds
-        self.speeds = drives.turned(before, drives.asked(self.late.after(commands), voltage), STEP)
+        self.speeds = drives.turned(before, drives.asked(self.late.after(commands), voltage), self.dt)
         air = self.wind if self.gusts is None else self.wind + self.gusts[self.begun - 1]
-        force, moment, torque, spared = self._loads(earth, air, (self.speeds - before) / STEP)
+        force, moment, torque, spared = self._loads(earth, air, (self.speeds - before) / self.dt)
         specific, angular, swinging = self._accelerations(earth, air, force, moment)
         row = {
             "place": self.place,
@@ -220,13 +234,19 @@ class _World:
             "swing": self.swing[:2],
         }
         self.current = drives.current(torque, self.speeds, voltage)
-        self.used = self.used + STEP * self.current
+        self.used = self.used + self.dt * self.current
         self._move(earth, pose, specific, angular, swinging)
         return row
 
-    def _begin(self, aim: Aim, number: int) -> None:
+    def _voltage(self, number: int) -> Array:
+        """Of the battery, or as it was measured."""
+        if self.task.voltage is not None:
+            return self.task.voltage(max(number, 0))
+        return self.fleet.drives.voltage(self.used, self.current)
+
+    def _begin(self, number: int) -> None:
         """At rest where the first targets are."""
-        first = Targets.unpack(aim(number, self._pose()))
+        first = Targets.unpack(self.task.targets(max(number, 0)))
         self.place, self.euler = first.place.copy(), np.stack([*np.zeros_like(first.tilt), first.heading])
 
     def _pose(self) -> Pose:
@@ -240,9 +260,9 @@ class _World:
             shape = (CHUNK, self.chance.shape[1])
             self.chance = np.stack([stream.standard_normal(shape) for stream in self.streams], axis=-1)
         self.begun += 1
-        white, fade = self.chance[at], np.exp(-STEP / UNSTEADY)
+        white, fade = self.chance[at], np.exp(-self.dt / UNSTEADY)
         self.flutter = fade * self.flutter + self.unsteady * np.sqrt(1.0 - fade * fade) * white[:-3]
-        self.gyro = 0.75 * self.gyro + 0.25 * GYRO * white[-3:]
+        self.gyro = 0.75 * self.gyro + 0.25 * self.noise * white[-3:]
 
     def _loads(self, earth: Array, air: Array, turning: Array) -> tuple[Array, Array, Array, Array]:
         """Force and moment on the body, body axes, torques of the shafts and what the ground takes of the inflow."""
@@ -260,12 +280,12 @@ class _World:
             spared = np.minimum(spared, 0.9)
         flow = Flow(down, self.air["lift"] * speed, self.air["drag"] * at_rotors[:2], spared)
         blades = self.fleet.blades
-        self.induced = blades.inflow_step(self.speeds, self.induced, flow, self.strength, STEP)
+        self.induced = blades.inflow_step(self.speeds, self.induced, flow, self.strength, self.dt)
         loads = blades.loads(self.speeds, self.induced, flow, self.strength, self.spins)
         thrust = loads.thrust * (1.0 + self.flutter)
         each = np.stack([loads.across[0], loads.across[1], -thrust])
         moment = cross(self.places, each).sum(1)
-        moment[:2] += loads.hub.sum(1)
+        moment[:2] += self.flapping * loads.hub.sum(1)
         inertia = self.fleet.drives.inertia
         moment[2] += (self.spins * (loads.torque + inertia * turning)).sum(0)
         spin = -(self.spins * inertia * self.speeds).sum(0)  # angular momentum of the rotors along z
@@ -307,27 +327,28 @@ class _World:
 
     def _move(self, earth: Array, pose: Pose, specific: Array, angular: Array, swinging: Array) -> None:
         """States a step later."""
-        rates = self.rates + STEP * angular
+        rates = self.rates + self.dt * angular
         p, q, r = 0.5 * (self.rates + rates)
         (cf, ct, _), (sf, st, _) = pose.trig
         yaw = (sf * q + cf * r) / ct
-        self.euler = self.euler + STEP * np.stack([p + st * yaw, cf * q - sf * r, yaw])
-        middle = specific + (0.5 * STEP) * cross(self.rates, specific)
+        self.euler = self.euler + self.dt * np.stack([p + st * yaw, cf * q - sf * r, yaw])
+        middle = specific + (0.5 * self.dt) * cross(self.rates, specific)
         acceleration = turned(earth, middle)
         acceleration[2] += self.gravity
-        velocity = self.velocity + STEP * acceleration
-        self.place = self.place + (0.5 * STEP) * (self.velocity + velocity)
+        velocity = self.velocity + self.dt * acceleration
+        self.place = self.place + (0.5 * self.dt) * (self.velocity + velocity)
         self.velocity, self.rates = velocity, rates
         if swinging.any():
-            speed = self.swing[2:] + STEP * swinging[2:]
-            self.swing = np.concatenate([self.swing[:2] + STEP * speed, speed])
+            speed = self.swing[2:] + self.dt * swinging[2:]
+            self.swing = np.concatenate([self.swing[:2] + self.dt * speed, speed])
 
 
 class _Late:
     """Commands of the last steps, to be read a delay later, between steps in a line."""
 
     def __init__(self, delay: Array, shape: tuple[int, ...]) -> None:
-        self.back, part = np.divmod(delay / STEP, 1.0)
+        """`delay` in steps, [column]; `shape` : of the commands."""
+        self.back, part = np.divmod(delay, 1.0)
         self.part, self.back = part, self.back.astype(int)
         self.kept = np.zeros((int(self.back.max()) + 2, *shape))
         self.columns, self.count = np.arange(len(delay)), 0

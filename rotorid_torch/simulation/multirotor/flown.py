@@ -9,7 +9,7 @@ import numpy as np
 
 from rotorid_torch.simulation.multirotor.channels import Channels, measured_channels, true_channels
 from rotorid_torch.simulation.multirotor.craft import Multirotor
-from rotorid_torch.simulation.multirotor.flight import STEP, Fleet, Progress, fly_fleet
+from rotorid_torch.simulation.multirotor.flight import Fleet, Progress, Task, fly_fleet
 from rotorid_torch.simulation.multirotor.manoeuvres import targets_of
 
 
@@ -32,9 +32,10 @@ def fly_craft(
     names : of flights, see `manoeuvres`. progress : called with samples done and in all.
     """
     fleet = Fleet.of([craft] * len(names), [clean] * len(names))
-    time = STEP * np.arange(round(course.seconds / STEP) + 2, dtype=np.float64)
+    samples = round(course.seconds * craft.rate) + 1
+    time = fleet.step * np.arange(samples * fleet.every + 1, dtype=np.float64)
     rows = np.stack([targets_of(name, clean, time, course.heading) for name in names], axis=-1).swapaxes(0, 1)
-    record = fly_fleet(fleet, names, lambda step, pose: rows[max(step, 0)], course.seconds, course.seed, progress)
+    record = fly_fleet(fleet, Task(names, samples, lambda step: rows[step]), course.seed, progress)
     truth = {name: true_channels(craft, record, k) for k, name in enumerate(names)}
     measured = {name: measured_channels(craft, truth[name], name, course.seed) for name in names}
     return truth, measured

@@ -15,6 +15,8 @@ import numpy as np
 from rotorid_torch.simulation.helicopter.sensor_errors import GYROS
 from rotorid_torch.simulation.helicopter.slung_load import SlungLoad
 from rotorid_torch.simulation.multirotor.craft import Multirotor
+from rotorid_torch.simulation.multirotor.flight import Fleet
+from rotorid_torch.simulation.multirotor.rotor import Flow
 
 LAG, DELAY = 0.05, 0.03
 """s: of motors, of commands."""
@@ -44,6 +46,25 @@ class Hidden:
     change: Callable[[Multirotor, float], Multirotor]
     flights: str = ""
     brings: tuple[str, ...] = ()
+
+
+def felt_per_speed(craft: Multirotor) -> tuple[float, float]:
+    """Deceleration across and along the rotors' axes that one m/s through the air makes in hover, 1/s.
+
+    By blade elements with all shares at 1: what `propulsion.rotor_drag` and `propulsion.axial_inflow` are in numbers.
+    """
+    fleet = Fleet.of([craft], [craft])
+    hover, blades, spins = fleet.hover, fleet.blades, np.array(craft.spins, dtype=np.float64)[:, None]
+    strength, calm = np.array(craft.lifts)[:, None], np.zeros_like(hover.speed)
+    across = Flow(calm, calm, np.stack([calm + 1.0, calm]))
+    drag = -float(blades.loads(hover.speed, hover.induced, across, strength, spins).across[0].sum()) / craft.mass
+    thrusts = []
+    for climb in (-0.5, 0.5):
+        flow, induced = Flow(calm + climb, calm, np.stack([calm, calm])), hover.induced
+        for _ in range(200):
+            induced = blades.inflow_step(hover.speed, induced, flow, strength, 0.01)
+        thrusts.append(float(blades.loads(hover.speed, induced, flow, strength, spins).thrust.sum()))
+    return drag, (thrusts[0] - thrusts[1]) / craft.mass
 
 
 def _drive(**typical: float) -> Callable[[Multirotor, float], Multirotor]:
@@ -81,7 +102,9 @@ def _unequal(craft: Multirotor, size: float) -> Multirotor:
 def _felt(craft: Multirotor) -> Multirotor:
     """A vehicle that feels the air that it flies through, as all of them do."""
     air = craft.air
-    felt = replace(air, axial=max(air.axial, 1.0), lift=max(air.lift, 1.0), drag=max(air.drag, DISC))
+    felt = replace(
+        air, axial=max(air.axial, 1.0), lift=max(air.lift, 1.0), drag=max(air.drag, DISC), flap=max(air.flap, 1.0)
+    )
     return replace(craft, air=felt)
 
 
@@ -179,7 +202,7 @@ HIDDEN: dict[str, Hidden] = {
     "propulsion.motor_lag": Hidden(_drive(lag=LAG)),
     "propulsion.voltage": Hidden(_drive(voltage_power=1.0)),
     "propulsion.rotor_inertia": Hidden(_rotor_inertia),
-    "propulsion.rotor_drag": Hidden(_air(drag=DISC)),
+    "propulsion.rotor_drag": Hidden(_air(drag=DISC, flap=1.0)),
     "propulsion.axial_inflow": Hidden(_air(axial=1.0)),
     "propulsion.unequal": Hidden(_unequal),
     "control.delay": Hidden(_drive(delay=DELAY)),

@@ -8,7 +8,7 @@ import pytest
 from rotorid_torch.data import load
 from rotorid_torch.errors import InputError
 from rotorid_torch.simulation import fly
-from rotorid_torch.simulation.multirotor.flight import Fleet, fly_fleet
+from rotorid_torch.simulation.multirotor.flight import Fleet, Task, fly_fleet
 from rotorid_torch.simulation.multirotor.hidden import HIDDEN
 from rotorid_torch.simulation.multirotor.manoeuvres import FLIGHTS, FORM, GROUPS, LISTS, lists, targets_of
 from rotorid_torch.simulation.multirotor.vehicles import FRAMES, Build, built, drawn, is_multirotor, multirotor
@@ -26,7 +26,7 @@ def flown(craft, flight, seconds=5.0, clean=None):
     time = np.arange(round(seconds * 400) + 2) / 400.0
     rows = targets_of(flight, clean, time, 0.0)[..., None]
     fleet = Fleet.of([craft], [clean])
-    return fleet, fly_fleet(fleet, [flight], lambda step, pose: rows[:, max(step, 0)], seconds, 0)
+    return fleet, fly_fleet(fleet, Task([flight], round(seconds * craft.rate) + 1, lambda step: rows[:, step]), 0)
 
 
 @pytest.fixture(scope="module")
@@ -185,7 +185,8 @@ def test_every_frame_is_balanced_and_flies(frame):
 
 
 def test_a_lower_rotor_of_a_pair_gives_less():
-    fleet = Fleet.of(*[[built("y", Build(frame="coaxial-y"))]] * 2)
+    pair = [built("y", Build(frame="coaxial-y"))]
+    fleet = Fleet.of(pair, pair)
     upper, lower = fleet.hover.curve[:3, 0], fleet.hover.curve[3:, 0]
     assert np.all(lower < 0.9 * upper)
     assert np.all(lower > 0.6 * upper)
