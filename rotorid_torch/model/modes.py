@@ -50,6 +50,15 @@ def state_matrix(model: Model) -> Tensor:
     return _by_state(model, model.rates)
 
 
+def control_matrix(model: Model) -> Tensor:
+    """B [nx, nu] of dx/dt = A (x - x0) + B (u - u0) at the reference."""
+    x, u = reference_point(model)
+    theta = model.theta.detach()
+    jacobian = torch.autograd.functional.jacobian(lambda a: model.rates(theta, x, a), u)
+    assert isinstance(jacobian, Tensor)
+    return jacobian
+
+
 def gust_response(model: Model) -> dict[str, float]:
     """What a gust of 1 m/s along its axis does to each accelerometer of the model, m/s2.
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -42,6 +42,10 @@ class Overlay:
     flight, list : name of the flight and of the list it is in.
     time : (T,) s.
     measured, model : channels by name, each (T,) in its unit; a channel that one side lacks is not drawn.
+    controls : as recorded, by name, each (T,). units : of controls. noise : standard deviation of a sample, by channel.
+    band : standard deviation of the model by the errors of its parameters, by channel, each (T,).
+    without : what the model does where one of its effects does nothing, by effect and channel, each (T,).
+    integrated : whether it is a free run; else the model is evaluated at measured states.
     """
 
     flight: str
@@ -49,6 +53,12 @@ class Overlay:
     time: Tensor
     measured: Mapping[str, Tensor]
     model: Mapping[str, Tensor]
+    controls: Mapping[str, Tensor] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    noise: Mapping[str, float] = field(default_factory=dict)
+    band: Mapping[str, Tensor] = field(default_factory=dict)
+    without: Mapping[str, Mapping[str, Tensor]] = field(default_factory=dict)
+    integrated: bool = True
 
     def common(self, channels: Sequence[str]) -> list[str]:
         """Those of `channels` that both sides have, measured at one sample at least."""

@@ -59,7 +59,7 @@ def spectra(pairs: Sequence[tuple[Overlay, Overlay]]) -> Figure:
     figure, grid = grid_of(rows, 1, WIDTH, height=1.1)
     for axes, name in zip((row[0] for row in grid), rows, strict=True):
         for which, colour, label in ((0, QUIET, "before"), (1, MODEL, "after")):
-            spectra_of = [_spectrum(pair[which], name) for pair in pairs if pair[which].common([name])]
+            spectra_of = [spectrum(pair[which], name) for pair in pairs if pair[which].common([name])]
             length = min(len(power) for _, power in spectra_of)
             mean = np.sqrt(np.mean([power[:length] for _, power in spectra_of], axis=0))
             axes.loglog(spectra_of[0][0][1:length], mean[1:], color=colour, linewidth=1.2, label=label)
@@ -68,7 +68,7 @@ def spectra(pairs: Sequence[tuple[Overlay, Overlay]]) -> Figure:
     return figure
 
 
-def _spectrum(overlay: Overlay, name: str) -> tuple[np.ndarray, np.ndarray]:
+def spectrum(overlay: Overlay, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies in Hz, and power of the error per line."""
     error = (overlay.measured[name] - overlay.model[name]).nan_to_num(0.0).numpy()
     window = np.hanning(len(error) + 1)[:-1]

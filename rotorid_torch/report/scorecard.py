@@ -1,4 +1,4 @@
-"""The scorecard on the console: scores of the lists against their yardsticks, verdict, warnings."""
+"""The scorecard on the console: scores against their yardsticks, warnings, and last the verdict and what to do."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from rich.text import Text
 
 from rotorid_torch.report.records import FitRecord, Report
 from rotorid_torch.report.short_horizon import BRACKETS, NAMES, short_horizon
-from rotorid_torch.report.summary import air_of, headline, list_summaries, place_of
+from rotorid_torch.report.summary import air_of, list_summaries, place_of
+from rotorid_torch.report.words.verdict import consequence, opening, steps, worst_of
 
 
 def scorecard(report: Report) -> RenderableType:
@@ -17,18 +18,21 @@ def scorecard(report: Report) -> RenderableType:
     for title, fit in (("before", report.before), ("after", report.after)):
         if fit is not None:
             heading = f"{report.dataset.name}, {title}" if report.after else report.dataset.name
-            if short_horizon(fit):
-                parts.append(_short(heading, fit))
-            else:
-                parts.append(_scores(heading, fit))
+            parts.append(_short(heading, fit) if short_horizon(fit) else _scores(heading, fit))
             parts += [Text(said) for said in (report.method_of(fit), air_of(fit)) if said]
-    parts.append(Text(headline(report)))
-    if report.verdict:
-        parts.append(Text(report.verdict.sentence))
-    else:
-        parts += [Text(f"{e.id} {place_of(e)}: {e.reason}") for e in report.effects]
     parts += [Text(f"warning: {warning}") for warning in report.warnings]
+    if report.verdict is None:
+        parts += [Text(f"{e.id} {place_of(e)}: {e.reason}") for e in report.effects]
+    parts += [Text(""), Text(opening(report), style="bold")]
+    parts += [Text(sentence) for sentence in (consequence(report), *_worst(report)) if sentence]
+    parts.append(Text(f"Next: {steps(report)[0]}"))
     return Group(*parts)
+
+
+def _worst(report: Report) -> list[str]:
+    """The worst channel of the fit that counts."""
+    worst = worst_of(report.fit) if report.fit else ""
+    return [f"Worst channel: {worst}."] if worst else []
 
 
 def _scores(title: str, fit: FitRecord) -> Table:

@@ -134,15 +134,22 @@ def headline(report: Report) -> str:
     unseen = _unseen(report.fit)
     if not unseen:
         return "No flight was kept back, so nothing is known about flights the model has not seen."
-    best_known = unseen[-1]
-    share, grade = best_known.explained, best_known.grade
+    decides, also = unseen[0], unseen[1:]
+    share, grade = decides.explained, decides.grade
+    more = "".join(f"; on the {a.name} flights {_share(a)}" for a in also)
     if share is None or share < 0.0:
-        return f"On the {best_known.name} flights the model is {WORSE_THAN_TRIM}: do not use it yet."
-    fed = "alone" if best_known.J_fed is None else "and the gusts that a smoother finds in them"
+        return f"On the {decides.name} flights the model is {WORSE_THAN_TRIM}: do not use it yet{more}."
+    fed = "alone" if decides.J_fed is None else "and the gusts that a smoother finds in them"
     return (
-        f"On the {best_known.name} flights, which it has not seen, the model explains {100 * share:.0f} % of the motion"
-        f" over 8 s from the controls {fed} ({grade})."
+        f"On the {decides.name} flights, which it has not seen, the model explains {100 * share:.0f} % of the motion"
+        f" over 8 s from the controls {fed} ({grade}){more}."
     )
+
+
+def _share(summary: ListSummary) -> str:
+    """What is explained of a list, in per cent and as a word."""
+    share = summary.explained
+    return WORSE_THAN_TRIM if share is None or share < 0.0 else f"{100 * share:.0f} % ({summary.grade})"
 
 
 def place_of(effect: EffectRecord) -> str:
@@ -205,10 +212,7 @@ def weakest_channel(fit: FitRecord) -> tuple[str, str, float] | None:
     The error is relative to the channel's motion on the flight that moves it most, so that an axis that a flight leaves
     alone (R² means nothing there) does not come out as the weakest.
     """
-    motion: dict[str, float] = {}
-    for record in fit.flights.values():
-        for name, channel in record.channels.items():
-            motion[name] = max(motion.get(name, 0.0), _motion(channel))
+    motion = motions(fit)
     candidates = [
         (flight, name, (channel.rmse or 0.0) / motion[name])
         for flight, record in fit.flights.items()
@@ -217,6 +221,15 @@ def weakest_channel(fit: FitRecord) -> tuple[str, str, float] | None:
         if name in names.BODY and motion[name] > 0.0
     ]
     return max(candidates, key=lambda c: c[2], default=None)
+
+
+def motions(fit: FitRecord) -> dict[str, float]:
+    """Motion of each channel on the flight that moves it most, as a standard deviation."""
+    motion: dict[str, float] = {}
+    for record in fit.flights.values():
+        for name, channel in record.channels.items():
+            motion[name] = max(motion.get(name, 0.0), _motion(channel))
+    return motion
 
 
 def _motion(channel: ChannelRecord) -> float:

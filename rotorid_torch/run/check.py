@@ -24,7 +24,7 @@ from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.families.sensors import SMOOTHED
 from rotorid_torch.report.check_figures import draw_check
-from rotorid_torch.report.html import render
+from rotorid_torch.report.page.check_page import render_check
 from rotorid_torch.report.records import DatasetRecord, Report, encode_report, package_version
 from rotorid_torch.report.summary import GRADED
 from rotorid_torch.run.output.arguments import refuse_arguments
@@ -242,7 +242,7 @@ def write_check(out: Path, dataset: Dataset, result: Check, seed: int, monitor: 
         head = {"format": 1, "rotorid": package_version(), "sha256": dataset.sha256}
         whole = msgspec.json.encode(head | msgspec.to_builtins(result))
         (folder / "check.json").write_bytes(msgspec.json.format(whole, indent=2))
-        (folder / "report.html").write_text(render(report, pictures), encoding="utf-8")
+        (folder / "report.html").write_text(render_check(result, report, pictures), encoding="utf-8")
         (folder / "report.json").write_bytes(encode_report(report))
 
 

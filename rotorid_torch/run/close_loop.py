@@ -24,6 +24,7 @@ from rotorid_torch.model.model import Model
 from rotorid_torch.model.modes import gust_response
 from rotorid_torch.model.nominal import build
 from rotorid_torch.report.figures import Overlay
+from rotorid_torch.report.page.document import Shown
 from rotorid_torch.report.records import FitRecord, ParameterRecord, Report, VerdictRecord
 from rotorid_torch.report.short_horizon import short_horizon
 from rotorid_torch.report.summary import failing
@@ -36,8 +37,8 @@ from rotorid_torch.run.output.checkpoint import Checkpoint, Steps
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
 from rotorid_torch.run.output.write import write_report
-from rotorid_torch.run.pipeline import identified, refuse, remarks_on
-from rotorid_torch.run.result import Run, write_model
+from rotorid_torch.run.pipeline import identified, pictured, refuse, remarks_on
+from rotorid_torch.run.result import Run, facts_of, write_model
 from rotorid_torch.run.turbulence import in_turbulence, with_gusts, without_clean_bill
 from rotorid_torch.trace.clean_aircraft import clean_draws
 from rotorid_torch.trace.evidence.fits import Fitted, Flights, refit
@@ -63,7 +64,7 @@ class Loop(Run):
     def write(self, folder: Path, monitor: Monitor | None = None) -> None:
         """Write everything but log and TensorBoard records into an open run folder."""
         write_model(self, folder)
-        write_report(folder, self.record, self.overlays, monitor, self.earlier)
+        write_report(folder, self.record, Shown(self.overlays, self.earlier, facts_of(self.model)), monitor)
 
 
 def close_loop(
@@ -107,7 +108,7 @@ def close_loop(
             stack.enter_context(monitor.recording(folder))
         run = _closed(dataset, seed, Steps(monitor, ranks, Checkpoint(), device), hybrid)
         if folder is not None:
-            run.write(folder, monitor)
+            pictured(run, dataset).write(folder, monitor)
     return run
 
 

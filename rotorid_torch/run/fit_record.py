@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import msgspec
 import torch
@@ -36,12 +36,11 @@ from rotorid_torch.report.records import (
 from rotorid_torch.report.summary import SHOWN
 from rotorid_torch.validate import scores
 from rotorid_torch.validate.free_run import Runs, Windows
+from rotorid_torch.validate.neighbours import free_run_bands, without
 from rotorid_torch.validate.predictions import UNITS, predictions
 from rotorid_torch.validate.responses import compared, responses
 from rotorid_torch.validate.windows import Scored, all_windows
 
-PICTURED_S = 20.0
-"""Seconds of a multirotor's flight that pictures show."""
 RESPONSE_UNITS = dict.fromkeys(ANGULAR_ACCELERATIONS, "rad/s2") | dict.fromkeys(SPECIFIC_FORCES, "m/s2")
 
 
@@ -52,6 +51,24 @@ class Judged:
     flights: Mapping[str, FlightRecord]
     scores: ScoresRecord
     overlays: tuple[Overlay, ...]
+
+
+def for_pictures(
+    overlays: Sequence[Overlay], model: Model, dataset: Dataset, step3: Step3, effects: Sequence[str]
+) -> tuple[Overlay, ...]:
+    """Flights that no fit has seen, with the errors of the parameters and with what each of these effects does."""
+    by_step = defaultdict[float, list[str]](list)
+    for overlay in overlays:
+        if overlay.list != "identify":
+            by_step[dataset.facts[overlay.flight].dt].append(overlay.flight)
+    bands, bare = dict[str, dict[str, Tensor]](), defaultdict[str, dict[str, dict[str, Tensor]]](dict)
+    for flights in by_step.values():
+        if dataset.kind != "multirotor":
+            bands |= free_run_bands(model, dataset, flights, step3.names, step3.fit.uncertainty.covariance)
+        for effect in effects:
+            for flight, channels in without(model, dataset, flights, effect).items():
+                bare[flight][effect] = channels
+    return tuple(replace(o, band=bands.get(o.flight, {}), without=bare.get(o.flight, {})) for o in overlays)
 
 
 def fit_record(model: Model, spec: ModelSpec, step3: Step3, judged: Judged) -> FitRecord:
@@ -111,10 +128,11 @@ def judge(model: Model, dataset: Dataset, ranks: Ranks = ALONE) -> Judged:
         if dataset.kind == "multirotor":
             records[name] = _without_free_run(model, dataset, name, records[name], run)
         if name in shown:
-            multirotor = dataset.kind == "multirotor"
-            overlays[name] = (
-                _accelerations(model, dataset, name) if multirotor else _overlay(model, dataset, name, piece, outputs)
+            responses_alone = dataset.kind == "multirotor"
+            overlay = (
+                _accelerations(model, dataset, name) if responses_alone else _overlay(model, dataset, piece, outputs)
             )
+            overlays[name] = overlay
     for others, pictures in ranks.gather((records, overlays)):
         records, overlays = records | others, overlays | pictures
     ordered, J = {name: records[name] for name in dataset.flights}, defaultdict(list)
@@ -173,20 +191,29 @@ def _channels(model: Model, piece: Windows, outputs: Tensor) -> dict[str, Channe
     }
 
 
+def _overlay(model: Model, dataset: Dataset, piece: Windows, outputs: Tensor) -> Overlay:
+    columns = lambda values: dict(zip(model.body.outputs, values.clone().unbind(-1), strict=True))  # noqa: E731
+    name, time = piece.names[0], piece.dt * torch.arange(outputs.shape[1], dtype=torch.float64)
+    record = Overlay(name, dataset.listed(name), time, columns(piece.measured[0]), columns(outputs[0]))
+    return _with_controls(record, dataset, piece.starts[0])
+
+
 def _accelerations(model: Model, dataset: Dataset, name: str) -> Overlay:
     """What the model of a multirotor makes of measured states beside what was measured, less a constant each."""
-    flight = dataset.flights[name]
-    pairs = compared(model, flight)
+    pairs, dt = compared(model, dataset.flights[name]), dataset.flights[name].dt
     measured, modelled = ({c: pair[k] for c, pair in pairs.items()} for k in (0, 1))
     level = {c: m + (measured[c] - m).mean() for c, m in modelled.items()}
-    samples = len(next(iter(measured.values()), flight.time))
-    shown = slice(0, min(samples, round(PICTURED_S / flight.dt)))
-    time = flight.dt * torch.arange(shown.stop, dtype=torch.float64)
-    first, second = ({c: v[shown] for c, v in values.items()} for values in (measured, level))
-    return Overlay(name, dataset.listed(name), time, first, second)
+    samples = len(next(iter(pairs.values()))[0]) if pairs else 0
+    first = (dataset.flights[name].samples - samples) // 2
+    time = dt * torch.arange(first, first + samples, dtype=torch.float64)
+    record = Overlay(name, dataset.listed(name), time, measured, level, integrated=False)
+    return _with_controls(record, dataset, first)
 
 
-def _overlay(model: Model, dataset: Dataset, name: str, piece: Windows, outputs: Tensor) -> Overlay:
-    columns = lambda values: dict(zip(model.body.outputs, values.clone().unbind(-1), strict=True))  # noqa: E731
-    time = piece.dt * torch.arange(outputs.shape[1], dtype=torch.float64)
-    return Overlay(name, dataset.listed(name), time, columns(piece.measured[0]), columns(outputs[0]))
+def _with_controls(overlay: Overlay, dataset: Dataset, first: int) -> Overlay:
+    """The overlay with the controls from sample `first` on, and the noise of its channels."""
+    flight, samples = dataset.flights[overlay.flight], len(overlay.time)
+    controls = {c: flight.bridged([c])[first : first + samples, 0] for c in dataset.controls if flight.has(c)}
+    units = {c: dataset.control_specs[c].unit for c in controls}
+    noise = {c: dataset.noise(c) for c in overlay.measured if overlay.integrated}
+    return replace(overlay, controls=controls, units=units, noise=noise)

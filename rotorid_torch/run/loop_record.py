@@ -9,6 +9,8 @@ from functools import partial
 import msgspec
 
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.effects.examples import example
+from rotorid_torch.effects.registry import registered
 from rotorid_torch.model.model import Model
 from rotorid_torch.report.records import EffectRecord, ParameterRecord, Role, UnknownRecord, VisibleRecord
 from rotorid_torch.run.estimate import at_measured_states
@@ -76,7 +78,13 @@ def _fitted(finding: Finding, run: Run) -> list[ParameterRecord]:
 
 
 def _unit(model: Model, name: str) -> str:
-    return next((p.unit for p in model.parameter_set.parameters if p.name == name), "")
+    """Unit of a parameter of the model, or of the library's effects where the model has none of the name."""
+    declared = {p.name: p.unit for p in model.parameter_set.parameters}
+    effect = next((e for e in registered() if name.startswith(f"{e}.")), None)
+    if name in declared or effect is None:
+        return declared.get(name, "")
+    parameters = registered()[effect].from_spec(example(registered()[effect])).declared
+    return next((p.unit for p in parameters if name == f"{effect}.{p.name}"), "")
 
 
 def with_evidence(run: Run, dataset: Dataset, effects: Sequence[str], seed: int) -> Run:

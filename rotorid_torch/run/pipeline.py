@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
 import torch
@@ -30,7 +31,7 @@ from rotorid_torch.model.model import Model
 from rotorid_torch.report import limits, remarks
 from rotorid_torch.report.records import DatasetRecord, FitRecord, Report, package_version
 from rotorid_torch.run.estimate import estimated
-from rotorid_torch.run.fit_record import fit_record, judge
+from rotorid_torch.run.fit_record import fit_record, for_pictures, judge
 from rotorid_torch.run.loop_record import with_evidence
 from rotorid_torch.run.output.arguments import refuse_arguments
 from rotorid_torch.run.output.checkpoint import Checkpoint, Steps, checkpoint
@@ -40,6 +41,8 @@ from rotorid_torch.run.output.write import write_report
 from rotorid_torch.run.own_effects import refuse_faulty
 from rotorid_torch.run.result import Run, write_reconstruction
 from rotorid_torch.run.turbulence import method_by_quiet_moments, with_gusts
+
+AnyRun = TypeVar("AnyRun", bound=Run)
 
 
 def reconstruct(dataset: Dataset, out: str | Path, *, seed: int = 0, monitor: Monitor | None = None) -> Reconstruction:
@@ -51,7 +54,7 @@ def reconstruct(dataset: Dataset, out: str | Path, *, seed: int = 0, monitor: Mo
             reconstruction = step1.reconstruct(dataset)
         write_reconstruction(reconstruction, folder)
         notes = [*remarks.of_reading(dataset), *reconstruction.notes]
-        write_report(folder, _report("reconstruct", dataset, seed, monitor, None, notes), (), monitor)
+        write_report(folder, _report("reconstruct", dataset, seed, monitor, None, notes), None, monitor)
     return reconstruction
 
 
@@ -112,8 +115,16 @@ def identify(
             stack.enter_context(monitor.recording(folder))
         run = identified(dataset, effects, seed, Steps(monitor, ranks, results, device, method))
         if folder is not None:
-            run.write(folder, monitor)
+            pictured(run, dataset).write(folder, monitor)
     return run
+
+
+def pictured(run: AnyRun, dataset: Dataset) -> AnyRun:
+    """The run with what its pictures show besides: errors of the model, and what each named effect does."""
+    sizes = run.model.parameter_set.sizes
+    named = [e.id for e in run.record.effects if e.verdict in ("accepted", "indistinguishable") and sizes(e.id)]
+    overlays = for_pictures(run.overlays, run.model, with_velocities(dataset), run.estimate, named)
+    return replace(run, overlays=overlays)
 
 
 def _key(dataset: Dataset, effects: Sequence[str], seed: int, method: str) -> dict[str, str]:

@@ -17,8 +17,11 @@ from rotorid_torch.identification.model_estimation import Step3
 from rotorid_torch.identification.model_regression import Step2
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.model.model import Model
+from rotorid_torch.model.modes import control_matrix, state_matrix
 from rotorid_torch.model.save import save as save_model
 from rotorid_torch.report.figures import draw
+from rotorid_torch.report.page.document import Shown
+from rotorid_torch.report.page.facts import ModelFacts
 from rotorid_torch.report.records import EffectRecord, FitRecord, ParameterRecord, Report, VerdictRecord
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor
@@ -132,7 +135,18 @@ class Run(Result):
     def write(self, folder: Path, monitor: Monitor | None = None) -> None:
         """Write everything but log and TensorBoard records into an open run folder."""
         write_model(self, folder)
-        write_report(folder, self.record, self.overlays, monitor)
+        write_report(folder, self.record, Shown(self.overlays, (), facts_of(self.model)), monitor)
+
+
+def facts_of(model: Model) -> ModelFacts:
+    """What parameters mean, and the model linearised."""
+    return ModelFacts(
+        {p.name: p.doc for p in model.parameter_set.parameters if p.doc},
+        model.layout.names,
+        model.body.controls,
+        state_matrix(model).tolist(),
+        control_matrix(model).tolist(),
+    )
 
 
 def write_model(run: Run, folder: Path) -> None:

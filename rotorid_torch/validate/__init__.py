@@ -2,5 +2,6 @@
 
 `free_run` and `windows` (8 s from every whole second), `scores` (J and its yardsticks, pure functions); for multirotors
 `responses` and `predictions` (accelerations and parts of a second at measured states). `gusts` judges free runs in
-moving air, `reconstruction` compares a reconstruction with what is true.
+moving air, `neighbours` are a model drawn from its errors, and without an effect; `reconstruction` compares a
+reconstruction with what is true.
 """

@@ -1,0 +1,123 @@
+"""The page of a run, put together: one file that opens from a disk and asks no network for anything."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.resources import files
+
+from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+from markupsafe import Markup
+
+from rotorid_torch.printable import printable
+from rotorid_torch.report.figures import Overlay
+from rotorid_torch.report.page import pictures, plots, tables
+from rotorid_torch.report.page.facts import ModelFacts
+from rotorid_torch.report.records import FitRecord, Report
+from rotorid_torch.report.short_horizon import BRACKETS, NAMES, short_horizon
+from rotorid_torch.report.summary import air_of, list_summaries, shown_flights
+from rotorid_torch.report.words import sizes, verdict
+from rotorid_torch.report.words.glossary import GLOSSARY
+
+STATIC = files("rotorid_torch.report.page") / "static"
+STEP_NAMES = {"reconstruct": "motion and forces", "ftr": "regression", "ml": "maximum likelihood", "trace": "tracing"}
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a page shows besides the report: flights of the model and of the one before, and the model as tables."""
+
+    overlays: Sequence[Overlay] = ()
+    before: Sequence[Overlay] = ()
+    facts: ModelFacts = field(default_factory=ModelFacts)
+
+
+def render(report: Report, shown: Shown | None = None) -> str:
+    """Return the page of a run that fits a model, or reconstructs."""
+    shown = shown or Shown()
+    named = [e for e in report.effects if e.verdict in ("accepted", "indistinguishable")]
+    named.sort(key=lambda e: e.role != "undeclared")
+    plotted = plots.packed(shown.before, shown.overlays)
+    page = (
+        environment()
+        .get_template("report.html.j2")
+        .render(
+            report=report,
+            opening=verdict.opening(report),
+            consequence=verdict.consequence(report),
+            grades=verdict.grades(report),
+            steps=verdict.steps(report),
+            main=pictures.main_picture(shown.before, shown.overlays),
+            explained=pictures.effect_pictures(shown.overlays, named),
+            ranking=pictures.evidence(report.effects),
+            spectra=pictures.spectra(shown.before, shown.overlays),
+            rows=tables.evidence_rows(report.effects),
+            untested=[e for e in report.effects if e.verdict == "not testable"],
+            fits=[(title, fit, list_summaries(fit), shown_flights(fit)) for title, fit in fits_of(report)],
+            short={title: short_horizon(fit) for title, fit in fits_of(report)},
+            facts=shown.facts,
+            names=NAMES,
+            brackets=BRACKETS,
+            plotted=plotted if plotted["flights"] else None,
+            data=Markup(json.dumps(plotted, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")),
+        )
+    )
+    return printable(page)
+
+
+def fits_of(report: Report) -> list[tuple[str, FitRecord]]:
+    """Fits of a report, the one that counts first."""
+    before = [("before" if report.after else "", report.before)] if report.before else []
+    return [*([("after", report.after)] if report.after else []), *before]
+
+
+@cache
+def environment() -> Environment:
+    """The templates, with what they write numbers and words by."""
+    made = Environment(
+        loader=PackageLoader("rotorid_torch.report.page", "templates"),
+        autoescape=select_autoescape(["html", "j2"]),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    made.filters.update(
+        number=number,
+        percent=percent,
+        air_of=air_of,
+        derivatives=tables.derivatives,
+        modes=lambda fit: list(tables.mode_rows(fit.modes)),
+        meaning=tables.meaning_of,
+        visible=tables.visible,
+        unit=lambda unit: sizes.PLAIN_UNITS.get(unit, unit),
+    )
+    made.globals.update(static=static, term=term, glossary=GLOSSARY, step_names=STEP_NAMES)
+    return made
+
+
+@cache
+def static(name: str) -> Markup:
+    """A file of `static/`, as it is."""
+    return Markup(STATIC.joinpath(name).read_text(encoding="utf-8"))
+
+
+def term(word: str, key: str = "") -> Markup:
+    """A word with its meaning on hover and focus."""
+    return Markup('<abbr tabindex="0" title="{}">{}</abbr>').format(GLOSSARY[key or word], word)
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """Render a number with some significant digits; a dash for none."""
+    return "–" if value is None else f"{value:.{digits}g}"
+
+
+def percent(value: float | None) -> str:
+    """Render a share in percent; a dash for none."""
+    return "–" if value is None else f"{100 * value:.0f} %"
+
+
+def rendered(template: str, **values: object) -> str:
+    """A page of another template."""
+    return printable(environment().get_template(template).render(**values))

@@ -1,0 +1,163 @@
+"""Tables of a page: derivatives as textbooks print them, modes, parameters, evidence for and against each effect."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES, STICKS, VELOCITIES
+from rotorid_torch.report.page.facts import ModelFacts
+from rotorid_torch.report.page.pictures import SIGNS
+from rotorid_torch.report.records import EffectRecord, FitRecord, ModeRecord, ParameterRecord
+from rotorid_torch.report.words.sizes import size, sizes_of
+
+ROWS = (*VELOCITIES, *RATES, *STICKS, *FLAPPING, "vi", "trim")
+ABOUT_ROWS = {"vi": "induced velocity", "trim": "constant: what trim needs"}
+LINEAR, LISTED = "forces.", 3
+STATES = {
+    "wa1": "inflow, fore and aft",
+    "wb1": "inflow, side to side",
+    "vi": "inflow",
+    "rotor.lead_lag.x": "lead-lag, regressing",
+    "rotor.lead_lag.y": "lead-lag, regressing",
+    "rotor.lead_lag.x_rate": "lead-lag, advancing",
+    "rotor.lead_lag.y_rate": "lead-lag, advancing",
+    "rotor.lead_lag.z": "lead-lag, collective",
+    "rotor.lead_lag.z_rate": "lead-lag, collective",
+    "rotor.flap_second_order.a1_rate": "flapping, advancing",
+    "rotor.flap_second_order.b1_rate": "flapping, advancing",
+    "rotor.flap_second_order.a0_rate": "coning",
+}
+"""What a mode is called whose largest share is in a state of this name."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A derivative: its value and error as text, and whether it could as well be zero."""
+
+    value: str
+    error: str
+    vague: bool
+
+
+@dataclass(frozen=True)
+class ModeRow:
+    """A mode as people read it: times in s, frequency in Hz; empty where there is none."""
+
+    name: str
+    eigenvalue: str
+    frequency: str
+    damping: str
+    halves: str
+    doubles: str
+
+
+@dataclass(frozen=True)
+class EvidenceRow:
+    """An effect with what speaks for it and what against it."""
+
+    effect: EffectRecord
+    sign: str
+    size: str
+    speaks_for: str
+    against: str
+
+
+@dataclass(frozen=True)
+class Derivatives:
+    """Rows by what they are derivatives of, columns X Y Z L M N; `units` of each column's first two kinds."""
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, str, tuple[Cell | None, ...]], ...]
+
+
+def derivatives(fit: FitRecord) -> Derivatives | None:
+    """The free derivatives of forces and moments; None for a model that has none."""
+    values = {p.name.removeprefix(LINEAR): p for p in fit.parameters if p.name.startswith(LINEAR)}
+    columns = tuple(c for c in (*FORCES, *MOMENTS) if any(name.startswith(f"{c}.") for name in values))
+    inputs = dict.fromkeys(name.partition(".")[2] for name in values if name.partition(".")[0] in columns)
+    ordered = [*(n for n in ROWS if n in inputs), *(n for n in inputs if n not in ROWS)]
+    rows = tuple(
+        (name, ABOUT_ROWS.get(name, ""), tuple(_cell(values.get(f"{column}.{name}")) for column in columns))
+        for name in ordered
+        if sum(f"{column}.{name}" in values for column in columns) > 1 or name in ROWS
+    )
+    return Derivatives(columns, rows) if columns and rows else None
+
+
+def mode_rows(modes: Sequence[ModeRecord]) -> Iterator[ModeRow]:
+    """Modes, slowest first; where two have one name they are numbered."""
+    labels = [STATES.get(mode.name, mode.name) for mode in modes]
+    number, repeated = Counter[str](), Counter(labels)
+    for mode, label in zip(modes, labels, strict=True):
+        number[label] += 1
+        name = f"{label} {number[label]}" if repeated[label] > 1 else label
+        real, imaginary = mode.eigenvalue
+        if real is None or imaginary is None:
+            yield ModeRow(name, "–", "", "", "", "")
+            continue
+        pair = f" ± {abs(imaginary):.3g} i" if imaginary else ""
+        length, time = math.hypot(real, imaginary), f"{math.log(2) / abs(real):.2g}" if real else ""
+        frequency = f"{length / (2.0 * math.pi):.2g}" if imaginary else ""
+        damping = f"{-real / length:.2f}" if imaginary else ""
+        yield ModeRow(name, f"{real:.3g}{pair}", frequency, damping, *((time, "") if real < 0.0 else ("", time)))
+
+
+def evidence_rows(effects: Sequence[EffectRecord]) -> list[EvidenceRow]:
+    """Effects that were tested, accepted first, then by their evidence over the floor."""
+    tested = [e for e in effects if e.verdict != "not testable"]
+    order = list(SIGNS)
+    ranked = sorted(tested, key=lambda e: (order.index(e.verdict), -_ratio(e)))
+    return [EvidenceRow(e, SIGNS[e.verdict], sizes_of(e), *_for_and_against(e)) for e in ranked]
+
+
+def meaning_of(parameter: ParameterRecord, facts: ModelFacts) -> str:
+    """What a parameter is, in words."""
+    if facts.meanings.get(parameter.name):
+        return facts.meanings[parameter.name]
+    parts = parameter.name.split(".")
+    return f"{parts[-2]} by {parts[-1]}" if len(parts) > 2 and parts[0] in ("forces", "rotor") else ""
+
+
+def _cell(p: ParameterRecord | None) -> Cell | None:
+    if p is None or p.value is None or (p.status == "frozen" and not p.value):
+        return None
+    error = f"± {p.se:.1g}" if p.se else p.status
+    return Cell(f"{p.value:.3g}", error, bool(p.se and p.se > abs(p.value)))
+
+
+def _ratio(effect: EffectRecord) -> float:
+    return (effect.gain or 0.0) / effect.floor if effect.floor else 0.0
+
+
+def _for_and_against(effect: EffectRecord) -> tuple[str, str]:
+    """The numbers on the side that they speak for, and the reason on the verdict's."""
+    speaks_for, against = [], []
+    if effect.gain is not None and effect.floor:
+        ratio = _ratio(effect)
+        where = speaks_for if ratio > 1.0 else against
+        where.append(f"evidence {ratio:.2g} × the floor")
+    if effect.p is not None:
+        (speaks_for if effect.p <= 0.05 else against).append(f"p {effect.p:.2g}")
+    if effect.group and effect.group[0] not in effect.reason:
+        against.append(f"may be told as {', '.join(effect.group[:3])}{' and more' if len(effect.group) > 3 else ''}")
+    (speaks_for if effect.verdict in ("accepted", "suspected") else against).append(_shortened(effect.reason))
+    return "; ".join(speaks_for), "; ".join(against)
+
+
+def _shortened(reason: str) -> str:
+    """A reason with no more than the first names of a long list."""
+    names = re.search(r"(?<=: )[\w.]+(?:, [\w.]+){3,}", reason)
+    if names is None:
+        return reason
+    each = names[0].split(", ")
+    return reason.replace(names[0], f"{', '.join(each[:LISTED])} and {len(each) - LISTED} more")
+
+
+def visible(effect: EffectRecord) -> str:
+    """The smallest size that these flights would show."""
+    smallest = effect.smallest_visible
+    return "–" if smallest is None or smallest.value is None else size(smallest.value, None, smallest.unit)

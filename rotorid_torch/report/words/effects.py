@@ -1,0 +1,219 @@
+"""What each effect means to whoever flies the vehicle: as a sentence, as a noun, and what to do about it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cache
+
+from rotorid_torch.effects.registry import registered
+
+OTHERS = "control other than declared"
+
+
+@dataclass(frozen=True)
+class Words:
+    """An effect in words.
+
+    sentence : says it; `{}` stands for the sizes with units, and goes with the blank before it where none was fitted.
+    noun : the same as a thing, for lists. then : what to do. sizes : words of a parameter by the last part of its name,
+    `{}` stands for its value; others are written with their names.
+    """
+
+    sentence: str
+    noun: str
+    then: str
+    sizes: dict[str, str] = field(default_factory=dict)
+
+
+_EACH = {"common": "{}", **{c: f"{c} {{}}" for c in ("lon", "lat", "col", "ped")}}
+_AXES = {axis: f"{axis} {{}}" for axis in "xyz"}
+_RECORDS = "Correct the records with these values, or let every later run of close-loop do so."
+_DECLARE = "Weigh and measure the vehicle as it flew, and declare that in dataset.toml."
+
+EFFECTS = {
+    "control.delay": Words(
+        "The controls reach the rotor later than recorded: {}.",
+        "a delay in the control path",
+        "Look for the delay between the recorded controls and the actuators: filters, buses, time stamps. Step a"
+        " control on the ground and record the actuator. Where nobody can take it out, use the model with it.",
+        _EACH,
+    ),
+    "control.lag": Words(
+        "The controls follow their commands with a first-order lag that is not in the declared model: {}.",
+        "a lag of the actuators",
+        "Record the actuators' positions beside the commands, and use those as controls.",
+        _EACH,
+    ),
+    "control.rate_limit": Words(
+        "The actuators move no faster than a limit: one over the limit is {}.",
+        "a rate limit of the actuators",
+        "Fly smaller or slower inputs, below the limit, or record the actuators' positions.",
+        _EACH,
+    ),
+    "control.backlash": Words(
+        "There is play between the recorded controls and the rotor: {}.",
+        "play in the control linkage",
+        "Check the linkages for play on the ground, and measure the controls behind them.",
+        {"width": "{}", **_EACH},
+    ),
+    "control.slip": Words(
+        "A control slips in flight: from one moment on it stands elsewhere than recorded, {}.",
+        "a control that slips in flight",
+        "Inspect linkages, servo arms and trims before the next flight.",
+    ),
+    "rotor.inflow": Words("The air through the rotor takes time to follow: {}.", "dynamic inflow", ""),
+    "rotor.flap_second_order": Words("Flapping shows its own oscillation.", "flapping of second order", ""),
+    "rotor.lead_lag": Words("The blades' lead-lag shakes the body after each step.", "lead-lag of the blades", ""),
+    "rotor.wake_distortion": Words(
+        "The wake bends as the disc turns, and makes the response off the axis: {}.",
+        "wake distortion",
+        "Keep it in the model where responses off the axis matter.",
+    ),
+    "rotor.speed": Words("The rotor's speed gives way and the governor brings it back: {}.", "rotor speed", ""),
+    "rotor.stall": Words(
+        "The retreating blade stalls: {}.",
+        "stall of the retreating blade",
+        "Use the model below that blade loading, and do not extrapolate it beyond.",
+        {"loss": "it loses {} of the lift", "limit": "above a blade loading of {}"},
+    ),
+    "forces.drag": Words(
+        "The fuselage has drag that grows with the square of the speed: {}.",
+        "drag of the fuselage",
+        "Fly at several speeds to tell drag from the speed derivatives.",
+        _AXES,
+    ),
+    "forces.quadratic_damping": Words(
+        "Rotation is damped by the square of the rate: {}.",
+        "damping by the square of the rate",
+        "Fly large and small rotations, so that both parts of the damping are told apart.",
+        {"L": "roll {}", "M": "pitch {}", "N": "yaw {}"},
+    ),
+    "forces.translational_lift": Words("Speed brings lift: {}.", "translational lift", ""),
+    "forces.tail_interference": Words(
+        "The main rotor's wake meets the tail: {}.",
+        "the rotor's wake on the tail",
+        "Fly through that speed slowly, with and without sideslip.",
+        {"speed": "at {}"},
+    ),
+    "environment.ground": Words(
+        "The ground is near enough to change the thrust: {}.",
+        "ground effect",
+        "Record the height, and fly the same manoeuvre at half a rotor diameter and well above two.",
+    ),
+    "environment.wind": Words(
+        "A steady wind blew: {}.",
+        "steady wind",
+        "Fly the same manoeuvre on several headings, or record airspeed.",
+        {"north": "{} to the north", "east": "{} to the east"},
+    ),
+    "environment.turbulence": Words(
+        "Gusts shook the vehicle: {}.",
+        "gusts",
+        "Fly in calm air where you can. Judge the model with the gusts fed in, for no model foresees them.",
+        {"intensity": "{} rms", "length": "scale {}"},
+    ),
+    "environment.vibration": Words(
+        "The sensors record vibration at multiples of the rotor speed: {}.",
+        "vibration",
+        "Mount the sensors softly, or filter below the rotor speed before recording at a lower rate.",
+        {"rates": "{} in the rates", "accelerations": "{} in the accelerations"},
+    ),
+    "mass.payload": Words(
+        "The vehicle is not as heavy as declared: {}.",
+        "mass other than declared",
+        _DECLARE,
+        {"extra": "{} beyond it"},
+    ),
+    "mass.cg": Words(
+        "The centre of gravity is not where it is declared: {}.",
+        "centre of gravity elsewhere than declared",
+        _DECLARE,
+        _AXES,
+    ),
+    "mass.inertia": Words("The inertia is not as declared: {}.", "inertia other than declared", _DECLARE),
+    "mass.slung_load": Words(
+        "A load swings on a cable below the vehicle: {}.",
+        "a load on a cable",
+        "Declare load and cable where they belong to the vehicle; else fly once without, for the bare aircraft.",
+        {
+            "ratio": "its mass is {} of the vehicle's",
+            "length": "the cable {} long",
+            "hook": "the hook {} below the centre of gravity",
+            "damping": "damping {}",
+        },
+    ),
+    "sensors.bias": Words("A sensor reads a constant too much: {}.", "a bias of a sensor", _RECORDS),
+    "sensors.scale": Words("A sensor has the wrong scale: {}.", "a wrong scale of a sensor", _RECORDS),
+    "sensors.misalignment": Words(
+        "The IMU is turned against the body axes: {}.",
+        "a turned IMU",
+        _RECORDS,
+        {a: f"{{}} about {a}" for a in "xyz"},
+    ),
+    "sensors.lever_arm": Words(
+        "The IMU is not where it is declared: {}.",
+        "an IMU elsewhere than declared",
+        "Measure where the IMU is, from the centre of gravity, and declare it (vehicle.imu).",
+        {a: f"{{}} along {a}" for a in "xyz"},
+    ),
+    "sensors.delay": Words(
+        "Sensors of one unit are late against the others: {}.",
+        "a delay of a sensor",
+        f"Look at how the unit's data are stamped. {_RECORDS}",
+    ),
+    "sensors.filter": Words(
+        "Sensors of one unit stand behind a filter: {}.",
+        "a filter of a sensor",
+        f"Widen the unit's filter, or record before it. {_RECORDS}",
+    ),
+    "propulsion.motor_lag": Words(
+        "The motors follow their commands late: {}.",
+        "a lag of the motors",
+        "Keep it in the model: a controller that is designed without it oscillates. Rotor speeds in the log tell more.",
+        {"tau": "time constant {}"},
+    ),
+    "propulsion.voltage": Words(
+        "Thrust falls with the battery's voltage: {}.",
+        "battery voltage",
+        "Record the voltage, and divide commands by it in the mixer.",
+        {"exponent": "exponent {}"},
+    ),
+    "propulsion.rotor_inertia": Words(
+        "Rotors that speed up turn the body about the yaw axis: {}.",
+        "angular momentum of the rotors",
+        "Keep it in the model where yaw matters: it is the fast part of the response to a yaw command.",
+    ),
+    "propulsion.rotor_drag": Words(
+        "The rotors have drag in their own plane: {}.",
+        "drag of the rotors",
+        "Keep it in the model for fast flight; a controller may feed it forward.",
+        {"xy": "{} in the plane", "z": "{} along the axes"},
+    ),
+    "propulsion.axial_inflow": Words(
+        "Thrust changes as the vehicle climbs or sinks: {}.",
+        "thrust by axial speed",
+        "Keep it for climbs and descents.",
+    ),
+    "propulsion.unequal": Words(
+        "One rotor gives less than the others: {}.",
+        "a rotor that gives less",
+        "Inspect that propeller, motor and speed controller before the next flight.",
+    ),
+    "neural.forces": Words(
+        "A small network describes what no named effect explains.",
+        "a network",
+        "Do not extrapolate: the network is held to the range of the flights that it has learnt from.",
+    ),
+}
+"""Words of the library's effects by their ids."""
+
+
+@cache
+def words_of(effect: str) -> Words:
+    """Words of an effect; of one that somebody has added, its description."""
+    if effect in EFFECTS:
+        return EFFECTS[effect]
+    described = registered().get(effect)
+    first = (described.__doc__ or "").strip().partition("\n")[0].partition(":")[0].rstrip(".") if described else ""
+    noun = first[:1].lower() + first[1:] if first else effect
+    return Words(f"{first or effect} acts on this vehicle: {{}}.", noun, "")

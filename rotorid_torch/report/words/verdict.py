@@ -1,0 +1,251 @@
+"""The first screen of a report: the discovery in one sentence, before and after, the worst channel, what to do next."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from rotorid_torch.core import names
+from rotorid_torch.report.records import ChannelRecord, EffectRecord, FitRecord, Report
+from rotorid_torch.report.short_horizon import NAMES, ShortHorizon, short_horizon
+from rotorid_torch.report.summary import (
+    GRADED,
+    GRADES,
+    ListSummary,
+    failing,
+    headline,
+    list_summaries,
+    motions,
+    next_steps,
+    weakest_channel,
+)
+from rotorid_torch.report.words.effects import words_of
+from rotorid_torch.report.words.sizes import named, sentence_of, size
+
+STEPS = 5
+"""Steps that a report names, at most."""
+MOVED = 0.3
+"""Share of its largest motion above which a response is judged."""
+ALIKE = 0.02
+"""Relative change of a score below which two models describe flights alike."""
+KINDS_OF_ERROR = ("an offset", "a wrong amplitude", "a wrong shape")
+AXES = {"X": "the forward force", "Y": "the side force", "Z": "the vertical force"}
+AXES |= {"L": "the rolling moment", "M": "the pitching moment", "N": "the yawing moment"}
+
+
+@dataclass(frozen=True)
+class Grade:
+    """How good one fit is.
+
+    title : "before", "after" or nothing. share : explained of the motion of flights not seen, 0 to 1; None where
+    none is scored. word : the same as a word. of : what it is a share of. worst : the worst channel, as a sentence.
+    """
+
+    title: str
+    share: float | None
+    word: str
+    of: str
+    worst: str
+
+
+def opening(report: Report) -> str:
+    """What a run discovered, in one plain sentence with units."""
+    verdict = report.verdict
+    if verdict is None or report.fit is None:
+        return headline(report)
+    accepted = [e for e in report.effects if e.id in verdict.effects and e.verdict == "accepted"]
+    sentences = " ".join(map(sentence_of, accepted))
+    more = f" {report.unknown.sentence}" if report.unknown and verdict.kind in ("undeclared", "group") else ""
+    if verdict.kind == "undeclared":
+        return f"{sentences}{more}"
+    if verdict.kind == "group":
+        members = [words_of(e).noun for e in verdict.effects if e not in {a.id for a in accepted}]
+        either = (
+            f"Something acts on this vehicle that is not declared: {named(members, 'or')}. These flights cannot tell"
+        )
+        return f"{either} which. {sentences}{more}".strip()
+    if verdict.kind == "structure":
+        joined = named([words_of(e.id).noun for e in accepted])
+        bare = "Nothing undeclared was found" in verdict.sentence
+        nothing = "These flights show nothing undeclared" if bare else "Something without a name is missing"
+        return f"{nothing}; ordinary physics joins the model: {joined}."
+    if verdict.kind == "nothing undeclared" and "Nothing undeclared was found" in verdict.sentence:
+        return "These flights show nothing that is not declared."
+    return verdict.sentence
+
+
+def consequence(report: Report) -> str:
+    """What the discovery does for the model, in one sentence; how good the model is where nothing was added."""
+    if report.verdict is None or report.fit is None:
+        return ""
+    poor = failing(report.fit)
+    care = f"Take care: {poor}." if poor else ""
+    return f"{_improvement(report) or ('' if poor else headline(report))} {care}".strip()
+
+
+def _improvement(report: Report) -> str:
+    before, after = report.before, report.after
+    if before is None or after is None:
+        return ""
+    short = short_horizon(after)
+    if short:
+        first, last = (_mean(fit, short_horizon(fit)[-1]) for fit in (before, after))
+        return (
+            f"With that in the model, {_percent(last)} instead of {_percent(first)} of the accelerations of the"
+            f" {short[-1].name} flights are described."
+        )
+    pairs = zip(list_summaries(before), list_summaries(after), strict=True)
+    said = [sentence for b, a in pairs if a.name != "identify" and (sentence := _changed(b, a, (before, after)))]
+    return f"With that in the model, {'; '.join(said)}." if said else ""
+
+
+def grades(report: Report) -> tuple[Grade, ...]:
+    """One for each fit, before and after."""
+    fits = [("before", report.before), ("after", report.after)] if report.after else [("", report.before)]
+    return tuple(_grade(title, fit) for title, fit in fits if fit is not None)
+
+
+def steps(report: Report) -> list[str]:
+    """What to do next, the discovery first; never empty."""
+    first = next(iter(report.warnings), "")
+    data = ["Look at what is wrong with the data first: rotorid check."] if first.startswith(GRADED) else []
+    return list(dict.fromkeys([*data, *_of_discovery(report), *next_steps(report)]))[:STEPS]
+
+
+def worst_of(fit: FitRecord) -> str:
+    """The channel that the model describes worst on flights it has not seen, as a sentence; empty where none is."""
+    short = short_horizon(fit)
+    if short:
+        responses = _moving(fit, short[-1])
+        if not responses:
+            return ""
+        worst = min(responses, key=lambda name: responses[name])
+        share = f"{_percent(max(responses[worst], 0.0))} of it described"
+        return f"{_meaning(worst)} on the {short[-1].name} flights, {share}"
+    weakest = weakest_channel(fit)
+    if weakest is None:
+        return ""
+    flight, name, relative = weakest
+    channel = fit.flights[flight].channels[name]
+    error = f"{size(channel.rmse or 0.0, None, names.unit(name))} rms, {_percent(relative)} of its usual motion"
+    return f"{_meaning(name)} on {flight}, off by {error}: mostly {kind_of(channel)}"
+
+
+def kind_of(channel: ChannelRecord) -> str:
+    """The largest of Theil's parts of an error, in words."""
+    parts = [part or 0.0 for part in channel.theil_parts]
+    return KINDS_OF_ERROR[parts.index(max(parts))]
+
+
+def _grade(title: str, fit: FitRecord) -> Grade:
+    short = short_horizon(fit)
+    if short:
+        share = _mean(fit, short[-1])
+        word = next((w for limit, w in GRADES if share >= limit), "worse than the mean")
+        return Grade(title, share, word, f"of the accelerations of {short[-1].name} flights", worst_of(fit))
+    scored = {s.name: s for s in list_summaries(fit) if s.explained is not None}
+    decides = next((scored[name] for name in ("validate", "acid", "identify") if name in scored), None)
+    if decides is None:
+        return Grade(title, None, "not scored", "no flight is scored", worst_of(fit))
+    seen = (
+        "of the motion of flights it was made from" if decides.name == "identify" else "of the motion of unseen flights"
+    )
+    return Grade(title, decides.explained, decides.grade, seen, worst_of(fit))
+
+
+def _changed(before: ListSummary, after: ListSummary, fits: tuple[FitRecord, FitRecord]) -> str:
+    """How much better one list is described, by its scores; where it is worse, in which channel."""
+    if not before.judged or after.judged is None or not math.isfinite(after.judged):
+        return ""
+    change, scores = after.judged / before.judged - 1.0, f"J {before.judged:.3g} to {after.judged:.3g}"
+    flights = "unseen flights" if after.name == "validate" else f"the {after.name} flights"
+    if abs(change) < ALIKE:
+        return f"{flights} are described as before ({scores})"
+    if change < 0.0:
+        return f"{flights} are described {_percent(-change)} better ({scores})"
+    return f"{flights} are described {_percent(change)} worse ({scores}){_because(after.name, *fits)}"
+
+
+def _because(listed: str, before: FitRecord, after: FitRecord) -> str:
+    """The channel of a list's flights whose error grew most, over its usual motion, and what kind of error it is."""
+    motion = motions(after)
+    grown = [
+        ((now.rmse or 0.0) - (then.rmse or 0.0), flight, name)
+        for flight, record in after.flights.items()
+        if record.list == listed and flight in before.flights
+        for name, now in record.channels.items()
+        if name in names.BODY and motion.get(name) and (then := before.flights[flight].channels.get(name))
+    ]
+    if not grown:
+        return ""
+    _, flight, name = max(grown, key=lambda g: g[0] / motion[g[2]])
+    now, then = (fit.flights[flight].channels[name] for fit in (after, before))
+    errors = [size(channel.rmse or 0.0, None, names.unit(name)) for channel in (now, then)]
+    return f", because on {flight} {_meaning(name)} is off by {errors[0]} instead of {errors[1]}: mostly {kind_of(now)}"
+
+
+def _of_discovery(report: Report) -> Iterator[str]:
+    verdict = report.verdict
+    if verdict is None:
+        return
+    records = {e.id: e for e in report.effects}
+    for name in verdict.effects:
+        record = records.get(name)
+        if record is None:
+            continue
+        if record.verdict == "accepted" and record.role == "undeclared" and words_of(name).then:
+            yield words_of(name).then
+        if record.verdict == "indistinguishable":
+            yield f"To tell {words_of(name).noun} from what takes its place: {_advice(record)}."
+    if report.unknown is not None:
+        yield _look_for(report)
+    if verdict.kind in ("nothing undeclared", "structure") and not verdict.effects:
+        yield "Use the model within the range of motion that its flights covered; export it with rotorid export."
+
+
+def _advice(record: EffectRecord) -> str:
+    """What the reason says after its last semicolon, where that is what would tell."""
+    last = record.reason.rpartition(";")[2].strip()
+    return last or "fly it at another speed, height or mass"
+
+
+def _look_for(report: Report) -> str:
+    unknown = report.unknown
+    assert unknown is not None
+    low, high = unknown.band_hz
+    band = f" between {low:.2g} and {high:.2g} Hz" if low is not None and high is not None else ""
+    follows = f", where {unknown.goes_with} moves" if unknown.goes_with else ""
+    where = AXES.get(unknown.where, unknown.where)
+    return (
+        f"What is missing acts on {where}{band}{follows}: compare flights with and without it, look for what was"
+        " changed on the vehicle, and add a channel that shows it."
+    )
+
+
+def _mean(fit: FitRecord, horizon: ShortHorizon) -> float:
+    """Mean R² of the accelerations that these flights move, none below zero."""
+    values = [max(r2, 0.0) for name, r2 in _moving(fit, horizon).items() if not name.startswith("omega")]
+    return sum(values) / len(values) if values else 0.0
+
+
+def _moving(fit: FitRecord, horizon: ShortHorizon) -> dict[str, float]:
+    """R² of the responses that a list's flights move as all flights do: R² means nothing of an axis left alone."""
+    spread: dict[str, dict[str, float]] = {}
+    for flight in fit.flights.values():
+        for name, r in flight.responses.items():
+            if r.rmse is not None and r.r2 is not None and r.r2 < 1.0:
+                of = spread.setdefault(name, {})
+                of[flight.list] = max(of.get(flight.list, 0.0), r.rmse / math.sqrt(1.0 - r.r2))
+    moved = {n: r2 for n, r2 in horizon.responses.items() if math.isfinite(r2) and n in spread}
+    return {n: r2 for n, r2 in moved.items() if spread[n].get(horizon.name, 0.0) > MOVED * max(spread[n].values())}
+
+
+def _meaning(name: str) -> str:
+    channel = names.channel(name)
+    about = NAMES.get(name) or (channel.about.partition(",")[0] if channel else "")
+    return f"{about} ({name})" if about else name
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.0f} %"

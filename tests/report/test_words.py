@@ -1,0 +1,113 @@
+"""What a report says first: plain sentences with units that follow from its records."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+
+from rotorid_torch.effects.registry import registered
+from rotorid_torch.report import records
+from rotorid_torch.report.words.effects import EFFECTS, words_of
+from rotorid_torch.report.words.sizes import sentence_of, size
+from rotorid_torch.report.words.verdict import consequence, grades, opening, steps, worst_of
+
+
+def an_effect(name: str, verdict: str = "accepted", **sizes: tuple[float, float, str]) -> records.EffectRecord:
+    parameters = tuple(
+        records.ParameterRecord(name=f"{name}.{n}", value=v, se=e, unit=u) for n, (v, e, u) in sizes.items()
+    )
+    whole = {"id": name, "role": "undeclared", "verdict": verdict, "reason": "x; fly faster", "parameters": parameters}
+    return msgspec.convert(whole, records.EffectRecord, from_attributes=True)
+
+
+def closed(report: records.Report, kind: str, *effects: records.EffectRecord, after: bool = True) -> records.Report:
+    fit = report.before
+    assert fit is not None
+    verdict = msgspec.convert(
+        {"kind": kind, "effects": [e.id for e in effects], "sentence": f"{kind}."}, records.VerdictRecord
+    )
+    better = msgspec.structs.replace(fit, scores=records.ScoresRecord(identify=0.07, validate=0.12, acid=0.13))
+    return msgspec.structs.replace(report, after=better if after else None, effects=effects, verdict=verdict)
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "unit", "words"),
+    [
+        (0.0571, 0.0062, "s", "57 ± 6 ms"),
+        (2.31, 0.12, "s", "2.3 ± 0.1 s"),
+        (0.0857, 0.006, "1", "8.6 ± 0.6 %"),
+        (-0.0262, 0.0005, "rad", "-1.50 ± 0.03°"),
+        (744.2, 31.0, "kg", "744 ± 31 kg"),
+        (9.81, None, "m/s2", "9.81 m/s²"),
+    ],
+)
+def test_a_size_in_units_that_people_use(value: float, error: float | None, unit: str, words: str):
+    assert size(value, error, unit) == words
+
+
+def test_a_delay_is_said_in_milliseconds_and_zero_sizes_are_left_out():
+    delay = an_effect("control.delay", common=(0.0571, 0.0062, "s"), lon=(0.001, 0.002, "s"))
+    assert sentence_of(delay) == "The controls reach the rotor later than recorded: 57 ± 6 ms."
+
+
+@pytest.mark.parametrize("effect", sorted({*EFFECTS, *registered()}))
+def test_every_effect_has_a_sentence_with_and_without_sizes(effect: str):
+    bare = sentence_of(an_effect(effect))
+    whole = sentence_of(an_effect(effect, anything=(2.0, 0.1, "m")))
+    assert bare.endswith(".")
+    assert "{}" not in bare + whole
+    assert words_of(effect).noun
+    assert all(text in ("", *[words_of(effect).then]) or "{}" in text for text in words_of(effect).sizes.values())
+
+
+def test_an_effect_of_somebody_else_is_said_by_its_description():
+    assert "acts on this vehicle" in sentence_of(an_effect("mine.unheard_of"))
+
+
+def test_the_first_screen_says_how_much_better_unseen_flights_are_and_where_acid_flights_are_worse(
+    report: records.Report,
+):
+    loop = closed(report, "undeclared", an_effect("control.delay", common=(0.0571, 0.0062, "s")))
+    assert opening(loop) == "The controls reach the rotor later than recorded: 57 ± 6 ms."
+    said = consequence(loop)
+    assert "unseen flights are described 20 % better (J 0.15 to 0.12)" in said
+    assert "the acid flights are described 8 % worse (J 0.12 to 0.13)" in said
+    assert [grade.title for grade in grades(loop)] == ["before", "after"]
+    assert steps(loop)[0].startswith("Look for the delay between the recorded controls and the actuators")
+
+
+def test_members_of_a_group_are_named_as_things_and_what_would_tell_them_apart(report: records.Report):
+    members = [an_effect(name, "indistinguishable") for name in ("control.delay", "control.lag")]
+    loop = closed(report, "group", *members)
+    assert "a delay in the control path or a lag of the actuators. These flights cannot tell which." in opening(loop)
+    assert any("fly faster" in step for step in steps(loop))
+
+
+def test_nothing_undeclared_comes_with_how_good_the_model_is(report: records.Report):
+    sentence = "Nothing undeclared was found (3 effects)."
+    verdict = records.VerdictRecord(kind="nothing undeclared", effects=(), sentence=sentence)
+    loop = msgspec.structs.replace(closed(report, "nothing undeclared", after=False), verdict=verdict)
+    assert opening(loop) == "These flights show nothing that is not declared."
+    assert "On the validate flights" in consequence(loop)
+
+
+def test_an_unknown_says_where_to_look(report: records.Report):
+    unknown = records.UnknownRecord(
+        where="L", band_hz=(0.2, 2.0), goes_with="p", since_s=None, sentence="Something is missing from L."
+    )
+    loop = msgspec.structs.replace(closed(report, "unknown", after=False), unknown=unknown)
+    assert steps(loop)[0].startswith("What is missing acts on the rolling moment between 0.2 and 2 Hz, where p moves")
+
+
+def test_a_model_that_fails_is_said_to_beside_what_it_names(report: records.Report):
+    loop = closed(report, "undeclared", an_effect("control.delay"))
+    assert loop.after is not None
+    poor = msgspec.structs.replace(loop.after, scores=records.ScoresRecord(identify=0.1, validate=1.5, acid=1.2))
+    assert "Take care: on the validate flights the model is worse" in consequence(
+        msgspec.structs.replace(loop, after=poor)
+    )
+
+
+def test_the_worst_channel_comes_with_its_unit_and_the_kind_of_error(fit: records.FitRecord):
+    assert "rad/s rms" in worst_of(fit) or "m/s rms" in worst_of(fit) or "° rms" in worst_of(fit)
+    assert worst_of(fit).endswith("mostly a wrong shape")
