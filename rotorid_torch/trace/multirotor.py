@@ -271,7 +271,7 @@ class _Search:
             row = Row(
                 significant=p[effect] <= SETTINGS.level,
                 estimate=size.estimate,
-                unseen_better=float(better.mean()) > 0.0,
+                unseen_better=self.unseen_gain(null, one) > 0.0,
             )
             details = {
                 "parameter": size.parameter,
@@ -284,6 +284,20 @@ class _Search:
             self.trials[effect] = Trial(one, gains[effect], floors[effect], p[effect], row, details)
             if row.significant:
                 self.say(f"{effect}: gain {gains[effect]:.3g}, p {p[effect]:.3g}: {decide(row)[1].name.lower()}")
+
+    def unseen_gain(self, null: Identified, other: Identified) -> float:
+        """Mean over the responses of log(rms without / rms with) on all flights that no fit has seen, added up first.
+
+        So an axis that a flight leaves alone counts for little.
+        """
+        totals: dict[str, Tensor] = {}
+        for flight in self.unseen(null, other):
+            before, after = self.compared(null)[flight], self.compared(other)[flight]
+            for c in before:
+                errors = torch.stack([(m - f).square().sum() for m, f in (before[c], after[c])])
+                totals[c] = totals.get(c, torch.zeros(2, dtype=torch.float64)) + errors
+        ratios = [0.5 * float((both[0] / both[1].clamp(min=1e-300)).log()) for both in totals.values() if both[0] > 0.0]
+        return sum(ratios) / len(ratios) if ratios else 0.0
 
     def _by_chance(self, null: Identified, other: Identified) -> Tensor:
         before, after, sigma = self.compared(null), self.compared(other), self.sigma(null)
