@@ -57,7 +57,7 @@ def with_typical(effect: type[Effect]) -> Model:
     return with_values(model, {p.name: p.typical for p in model.parameter_set.sizes(effect.id) if p.typical})
 
 
-@pytest.mark.parametrize("name", sorted(set(registered()) - MEMORY - {"sensors.delay"}))
+@pytest.mark.parametrize("name", sorted(set(registered()) - MEMORY - {"sensors.delay", "sensors.filter"}))
 def test_every_effect_is_the_same_in_c(name: str, tmp_path: Path):
     assert differs(with_typical(registered()[name]), tmp_path) < AGREE
 
@@ -145,6 +145,14 @@ def test_a_late_sensor_is_late_and_an_early_one_refused(tmp_path: Path):
     with_values(model, {"sensors.delay.rates": -0.05})
     with pytest.raises(InputError, match=r"p comes 0.05 s before it is recorded"):
         c_source(model, "early", DT)
+
+
+def test_a_filter_of_first_order_filters_and_more_is_refused(tmp_path: Path):
+    model = behind("sensors.filter", {"sensors.filter.rates": 0.05})
+    assert differs(model, tmp_path) < AGREE
+    with_values(model, {"sensors.filter.rates_period": 0.05})
+    with pytest.raises(InputError, match="first order alone"):
+        c_source(model, "second order", DT)
 
 
 def test_controls_that_are_recorded_late_are_refused():
