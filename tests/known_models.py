@@ -186,6 +186,7 @@ def written(dataset: Dataset, place: Path) -> Path:
         {name: {c: v.numpy() for c, v in flight.channels.items()} for name, flight in dataset.flights.items()},
         identify=dataset.identify,
         validate=dataset.validate,
+        acid=dataset.acid,
         controls=dict(dataset.control_specs),
         channels=dict(dataset.channel_specs),
     )
