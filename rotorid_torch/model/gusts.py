@@ -16,8 +16,9 @@ from rotorid_torch.model.model import Model
 
 DRIFT = 5.0
 """m/s: eddies pass a hovering vehicle with at least this speed."""
-LENGTHS = (20.0, 1000.0)
-"""m: gusts of a shorter scale pass within tenths of a second, and what the model lacks would be taken for them."""
+LENGTHS = (20.0, 533.0)
+"""m: gusts of a shorter scale pass within tenths of a second, and what the model lacks would be taken for them; none is
+longer than 1750 ft (MIL-F-8785C, sec. 3.7.2, medium and high altitude)."""
 QUICK = 20.0
 """1/s: rate of what the air does beside gusts of these lengths, and of what the model lacks there."""
 GUSTS = tuple(f"gust_{n}" for n in VELOCITIES)

@@ -95,7 +95,7 @@ def air_of(fit: FitRecord) -> str:
     each = [
         f"{g.axis} {size(g.intensity, g.intensity_se)} m/s, length {size(g.length, g.length_se)} m" for g in fit.gusts
     ]
-    found = f"gusts in the identify flights: {'; '.join(each)}"
+    found = f"gusts in the identify flights: {'; '.join(each)}{_common(fit)}"
     lists = {name: [f for f in fit.flights.values() if f.list == name and f.J_gust is not None] for name in LISTS}
     scored = [
         f"{name} {_text(_rms(f.J_gust for f in flights))} and {_text(_rms(f.J_fed for f in flights))}"
@@ -107,6 +107,18 @@ def air_of(fit: FitRecord) -> str:
     return (
         f"{found}. Free runs know nothing of them: J of what gusts alone would do, and J with the gusts fed in that a"
         f" smoother finds in the same flights, by which the model is judged: {', '.join(scored)}"
+    )
+
+
+def _common(fit: FitRecord) -> str:
+    """How strong a steady wind the identify flights may have in common, where gusts are slower than a flight."""
+    count = sum(flight.list == "identify" for flight in fit.flights.values())
+    if not count or any(g.intensity is None for g in fit.gusts):
+        return ""
+    strongest = max(g.intensity or 0.0 for g in fit.gusts) / count**0.5
+    return (
+        f"; what their {count} flights have in common, {strongest:.2g} m/s or so along an axis, is a steady wind that"
+        " nothing tells from trims: the model flies in calm air as it would in that wind"
     )
 
 

@@ -51,3 +51,10 @@ def test_chain_coverage_holds_the_truth_and_continues_where_it_stopped(tmp_path:
 def test_coverage_of_single_steps_is_in_reach_of_95_percent(tmp_path: Path) -> None:
     result = quick("coverage", tmp_path, "--logdir", str(tmp_path / "steps"))
     assert all(step["pooled"] > 0.8 for step in result.values())
+
+
+@pytest.mark.slow
+def test_turbulence_and_what_no_method_mends(tmp_path: Path) -> None:
+    ratio = quick("identify_in_gusts", tmp_path)["J over calm"]
+    assert 1.0 < ratio["best"] < ratio["gusts"] * 1.5
+    assert ratio["same air"] < 4.0

@@ -27,4 +27,6 @@ def test_both_scores_and_the_air_are_told(in_gusts: FitRecord, fit: FitRecord):
     said = air_of(in_gusts)
     assert "u 1 ± 0.1 m/s, length 60 ± - m" in said
     assert "identify 0.9 and 0.2" in said
+    count = sum(f.list == "identify" for f in fit.flights.values())
+    assert f"their {count} flights have in common, {1.0 / count**0.5:.2g} m/s" in said
     assert air_of(fit) == ""
