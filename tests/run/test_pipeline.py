@@ -227,7 +227,7 @@ def test_bad_input_is_told_and_leaves_nothing(data: Dataset, tmp_path: Path):
         identify(data, effects=["control.dely"], out=out)
     with pytest.raises(InputError, match=r"--effect: control\.delay.*twice"):
         identify(data, effects=["control.delay", "control.delay"], out=out)
-    with pytest.raises(InputError, match="--device: tpu"):
+    with pytest.raises(InputError, match="device: is 'tpu'"):
         identify(data, device="tpu", out=out)
     assert not list(tmp_path.iterdir())
 
