@@ -194,7 +194,10 @@ def parser() -> Parser:
     _add_simulate(commands)
     _add_export(commands)
     _add_command(commands, "effects", effects, "the table of effects that a model can hold")
-    show_parser = _add_command(commands, "show", show, "the scorecard of one run or of several")
+    show_parser = _add_command(commands, "show", show, "look at runs and compare them, in a browser or as text")
+    show_parser.add_argument(
+        "--text", action="store_true", help="print scorecards; where nobody looks on, it does so too"
+    )
     show_parser.add_argument("runs", metavar="RUN", nargs="+", type=Path, help="folder of a run")
     doctor_parser = _add_command(commands, "doctor", doctor, "versions, threads, devices and cache; what is missing")
     doctor_parser.add_argument("--empty-cache", action="store_true", help="remove what is kept between runs")
@@ -428,7 +431,7 @@ def effects(options: Options) -> None:
 
 
 def show(options: Options) -> None:
-    """Print the scorecards of runs."""
+    """Serve runs on loopback where a terminal looks on, else print their scorecards."""
     import msgspec
     from rich.console import Group
 
@@ -436,6 +439,11 @@ def show(options: Options) -> None:
     from rotorid_torch.report.scorecard import scorecard
 
     reports = {str(run): read_report(run) for run in options.runs}
+    if not (options.text or options.json or options.quiet) and sys.stdout.isatty():
+        from rotorid_torch.commands.show import serve
+
+        serve(reports)
+        return
     parts = [part for run, report in reports.items() for part in (scorecard(report), _where(Path(run)))]
     _answer(options, {"runs": msgspec.to_builtins(reports)}, Group(*parts))
 

@@ -1,1 +1,4 @@
-"""What single commands print: `console` (never obeys what a file says), `doctor`, `effects_table`, `import_log`."""
+"""What single commands print or serve.
+
+`console` never obeys what a file says; `doctor`, `effects_table`, `import_log` and `show` are commands.
+"""

@@ -68,13 +68,25 @@ def estimated(
     for line in remarks.regression_table(regressions):
         monitor.log(line)
 
-    def watch(iteration: int, cost: float, theta: Tensor) -> None:
-        monitor.scalars({"ml/cost": cost}, iteration)
+    names = [n for n in model.parameter_set.free if n not in regressions.held]
 
     def third() -> Step3:
-        return estimate_model(
-            model, dataset, reconstruction, regressions, watch, steps.ranks, steps.device, steps.method
-        )
+        last: list[Tensor] = []
+
+        def watch(iteration: int, cost: float, theta: Tensor) -> None:
+            monitor.scalars({"ml/cost": cost}, iteration)
+            values = theta.detach().tolist()
+            step = {"ml/step": float((theta - last[-1]).norm() / theta.norm())} if last else {}
+            parameters = (
+                {f"parameters/{n}": v for n, v in zip(names, values, strict=True)} if len(names) == len(values) else {}
+            )
+            record({"ml/cost": cost, **step, **parameters}, iteration)
+            last[:] = [theta.detach().clone()]
+
+        with monitor.fit("-".join((spec.flapping or "fit", *spec.effects))[:80]) as record:
+            return estimate_model(
+                model, dataset, reconstruction, regressions, watch, steps.ranks, steps.device, steps.method
+            )
 
     estimate = steps.do("ml", f"ml-{spec.flapping}", third)
     with torch.no_grad():

@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from tensorboard.compat.proto.event_pb2 import Event  # pyright: ignore[reportAttributeAccessIssue]
-from tensorboard.compat.proto.summary_pb2 import Summary  # pyright: ignore[reportAttributeAccessIssue]
+from tensorboard.compat.proto.summary_pb2 import Summary, SummaryMetadata  # pyright: ignore[reportAttributeAccessIssue]
+from tensorboard.compat.proto.tensor_pb2 import TensorProto  # pyright: ignore[reportAttributeAccessIssue]
+from tensorboard.compat.proto.types_pb2 import DT_STRING  # pyright: ignore[reportAttributeAccessIssue]
 from tensorboard.summary.writer.record_writer import RecordWriter
 
 
@@ -21,7 +23,7 @@ class Board:
     """
 
     def __init__(self, folder: Path) -> None:
-        folder.mkdir(exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
         self._records = RecordWriter((folder / f"events.out.tfevents.{time.time():.0f}.rotorid").open("wb"))
         self._write(file_version="brain.Event:2")
 
@@ -35,6 +37,12 @@ class Board:
         width, height = (int.from_bytes(png[k : k + 4], "big") for k in (16, 20))  # PNG's header
         image = Summary.Image(width=width, height=height, colorspace=4, encoded_image_string=png)
         self._write(summary=Summary(value=[Summary.Value(tag=name, image=image)]), step=iteration)
+
+    def text(self, name: str, words: str) -> None:
+        """Record words, in Markdown."""
+        plugin = SummaryMetadata(plugin_data=SummaryMetadata.PluginData(plugin_name="text"))
+        tensor = TensorProto(dtype=DT_STRING, string_val=[words.encode()])
+        self._write(summary=Summary(value=[Summary.Value(tag=name, metadata=plugin, tensor=tensor)]), step=0)
 
     def close(self) -> None:
         """Close the file."""

@@ -10,7 +10,7 @@ import resource
 import sys
 import time
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
@@ -57,6 +57,8 @@ class Monitor:
         self._start = time.perf_counter()
         self._log: TextIO | None = None
         self._board: Board | None = None
+        self._boards: Path | None = None
+        self._fits = 0
         self._progress: Progress | None = None
 
     @contextmanager
@@ -68,11 +70,34 @@ class Monitor:
             warnings.showwarning = self._warning
             from rotorid_torch.run.output.board import Board
 
-            self._board = stack.enter_context(closing(Board(folder / "tensorboard")))
+            self._boards, self._fits = folder / "tensorboard", 0
+            self._board = stack.enter_context(closing(Board(self._boards)))
             try:
                 yield
             finally:
-                self._log, self._board = None, None
+                self._log, self._board, self._boards = None, None, None
+
+    @contextmanager
+    def fit(self, name: str) -> Iterator[Callable[[Mapping[str, float], int], None]]:
+        """A fit with a folder of its own in TensorBoard; gives what records numbers of an iteration there, not logged.
+
+        Parameters
+        ----------
+        name : of the fit, for people; fits are numbered in the order in which they begin.
+        """
+        if self._boards is None:
+            yield lambda values, iteration: None
+            return
+        from rotorid_torch.run.output.board import Board
+
+        self._fits += 1
+        with closing(Board(self._boards / f"{self._fits:02d}-{name}")) as board:
+            yield board.scalars
+
+    def text(self, name: str, words: str) -> None:
+        """Record words for TensorBoard, in Markdown."""
+        if self._board:
+            self._board.text(name, words)
 
     @contextmanager
     def step(self, name: str) -> Iterator[None]:
@@ -118,6 +143,11 @@ class Monitor:
         if self._board:
             self._board.scalars(values, iteration)
         self.log(f"{iteration}: " + ", ".join(f"{name} {value:.6g}" for name, value in values.items()))
+
+    def board(self, values: Mapping[str, float]) -> None:
+        """Record numbers of the whole run for TensorBoard, not logged."""
+        if self._board and values:
+            self._board.scalars(values, 0)
 
     def picture(self, name: str, png: bytes, iteration: int = 0) -> None:
         """Record a picture for TensorBoard, as it is."""

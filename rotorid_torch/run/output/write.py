@@ -5,12 +5,15 @@ from __future__ import annotations
 import io
 from pathlib import Path
 
+import msgspec
 from matplotlib.figure import Figure
 
 from rotorid_torch.report.figures import draw
 from rotorid_torch.report.loop_figures import draw_loop
 from rotorid_torch.report.page.document import Shown, render
+from rotorid_torch.report.page.tables import evidence_rows
 from rotorid_torch.report.records import Report, encode_report
+from rotorid_torch.report.words.verdict import consequence, opening
 from rotorid_torch.run.output.monitor import Monitor
 
 DPI = 130
@@ -33,8 +36,30 @@ def write_report(folder: Path, report: Report, shown: Shown | None = None, monit
         (folder / "figures" / f"{name}.png").write_bytes(content)
         if monitor:
             monitor.picture(name, content)
+    if monitor:
+        _tell(report, monitor)
     (folder / "report.html").write_text(render(report, shown), encoding="utf-8")
     (folder / "report.json").write_bytes(encode_report(report))
+
+
+def _tell(report: Report, monitor: Monitor) -> None:
+    """Verdict, ranking, parameters and scores of the report for TensorBoard."""
+    monitor.text("verdict", "\n\n".join(words for words in (opening(report), consequence(report)) if words))
+    ranking = [f"| {r.effect.id} | {r.sign} | {r.speaks_for} | {r.against} |" for r in evidence_rows(report.effects)]
+    if ranking:
+        monitor.text("ranking", "\n".join(["| effect | verdict | for | against |", "|---|---|---|---|", *ranking]))
+    for title, fit in (("before", report.before), ("after", report.after)):
+        if fit is None:
+            continue
+        rows = [f"| {p.name} | {p.value} | {p.se} | {p.unit} | {p.status} |" for p in fit.parameters]
+        head = ["| parameter | value | standard error | unit | status |", "|---|---|---|---|---|"]
+        monitor.text(f"parameters/{title}", "\n".join([*head, *rows]))
+        scores = msgspec.structs.asdict(fit.scores)
+        monitor.board({f"scores/{title}/{name}": J for name, J in scores.items() if J is not None})
+        for flight, record in fit.flights.items():
+            channels = record.channels.items()
+            monitor.board({f"rmse/{title}/{flight}/{c}": r.rmse for c, r in channels if r.rmse is not None})
+            monitor.board({f"theil/{title}/{flight}/{c}": r.theil for c, r in channels if r.theil is not None})
 
 
 def png(figure: Figure) -> bytes:

@@ -38,6 +38,26 @@ def test_folder_holds_scalars_figures_log_and_warnings(tmp_path: Path):
     assert log.splitlines()[-1].endswith("done")
 
 
+def test_each_fit_has_a_folder_of_its_own_and_words_are_recorded(tmp_path: Path):
+    monitor = Monitor()
+    with monitor.recording(tmp_path):
+        for cost in (3.0, 2.0):
+            with monitor.fit("none") as record:
+                record({"ml/cost": cost, "parameters/forces.L.p": -cost}, 0)
+        monitor.text("verdict", "The controls are **late**.")
+        monitor.board({"scores/before/acid": 0.3})
+    folders = sorted(place.name for place in (tmp_path / "tensorboard").iterdir() if place.is_dir())
+    assert folders == ["01-none", "02-none"]
+    each = [EventAccumulator(str(tmp_path / "tensorboard" / name)).Reload() for name in folders]
+    assert [events.Scalars("ml/cost")[0].value for events in each] == [3.0, 2.0]
+    assert each[1].Scalars("parameters/forces.L.p")[0].value == -2.0
+    whole = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
+    assert whole.Tensors("verdict")[0].tensor_proto.string_val == [b"The controls are **late**."]
+    assert whole.SummaryMetadata("verdict").plugin_data.plugin_name == "text"
+    with Monitor().fit("nowhere") as record:
+        record({"ml/cost": 1.0}, 0)
+
+
 def test_without_console_and_folder_nothing_is_told(capfd: pytest.CaptureFixture[str]):
     monitor = Monitor()
     with monitor.step("ml"):
