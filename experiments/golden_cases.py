@@ -89,7 +89,10 @@ ANSWERS = {
     "crazypad-x2": Answer(),
     "trex550-rates": Answer(),
     "trex550-translation": Answer(("sensors.delay",), also=("forces.drag", "sensors.bias", "environment.vibration")),
-    "nanodrone": Answer(("propulsion.rotor_drag", *MOTORS), also=("control.delay",)),
+    "nanodrone": Answer(
+        ("propulsion.rotor_drag", *MOTORS),
+        also=("control.delay", "propulsion.axial_inflow", "propulsion.rotor_inertia"),
+    ),
     "sag": Answer(("propulsion.rotor_drag", *MOTORS), also=("control.delay", "sensors.misalignment")),
     "ground-67g": Answer(("environment.ground", *MOTORS), also=("control.delay", "sensors.scale")),
 }
