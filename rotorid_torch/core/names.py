@@ -115,6 +115,18 @@ def is_motor(name: str) -> bool:
     return name.startswith("motor") and channel(name) is not None
 
 
+def is_rotor_speed(name: str) -> bool:
+    """Whether a name is the speed of one rotor of a multirotor, such as "omega3"."""
+    return name.startswith("omega") and is_motor(f"motor{name.removeprefix('omega')}")
+
+
+def acting(names: Iterable[str]) -> list[str]:
+    """The controls among these names; rotor speeds, which then stand for them, where there is none."""
+    every = list(names)
+    controls = [name for name in every if is_control(name)]
+    return controls or [name for name in every if is_rotor_speed(name)]
+
+
 def is_control(name: str) -> bool:
     """Whether this is a control: `lon lat col ped` or `motorN`."""
     return name in STICKS or is_motor(name)

@@ -28,6 +28,7 @@ from rotorid_torch.data.facts import Facts
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.data.reading import suspicion
+from rotorid_torch.data.reading.commands import speeds_as_commands
 from rotorid_torch.data.reading.dead import Dead, dead_channels, facts_without, flight_without
 from rotorid_torch.data.reading.grid import make_flight
 from rotorid_torch.data.reading.noise import white_noise
@@ -455,6 +456,7 @@ def _assemble(
 ) -> Dataset:
     """Checks that need declaration and flights together, then the Dataset."""
     folder, toml, places, sha256 = origin
+    flights, facts, spoken = speeds_as_commands(flights, facts)
     declaration, flights, facts, left = _of_one_kind(declaration, flights, facts)
     controls, remarks = _controls(declaration, facts, places)
     specs = {
@@ -493,7 +495,7 @@ def _assemble(
         validate=declaration.flights.validate,
         acid=declaration.flights.acid,
         settings=declaration.model,
-        warnings=(*declaration.warnings, *warnings, *left, *remarks),
+        warnings=(*declaration.warnings, *warnings, *spoken, *left, *remarks),
         dead=dead,
     )
 

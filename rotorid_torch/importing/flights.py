@@ -60,7 +60,7 @@ def record_of(log: Log, user_map: Map | None) -> Record:
     plan = built_in_plan(log) if user_map is None or user_map.built_in else Plan(user_map.kind, {})
     mapped = user_map.entries() if user_map else {}
     entries = {**plan.entries, **{n: _in_header_unit(log, n, e) for n, e in mapped.items()}}
-    if not any(names.is_control(name) for name in entries):
+    if not names.acting(entries):
         listed = ", ".join(sorted(topic for topic in log.fields if topic)[:TOLD]) or ", ".join(
             log.fields.get("", ())[:TOLD]
         )
@@ -144,7 +144,7 @@ def flights_of(
 
 def _slow_controls(record: Record) -> list[str]:
     rates = [s.hertz for n, s in record.signals.items() if n in names.RATES]
-    slow = {n: s.hertz for n, s in record.signals.items() if names.is_control(n) and rates}
+    slow = {n: record.signals[n].hertz for n in names.acting(record.signals) if rates}
     slow = {name: hertz for name, hertz in slow.items() if hertz < SLOW * max(rates)}
     if not slow:
         return []
@@ -155,7 +155,8 @@ def _slow_controls(record: Record) -> list[str]:
 
 def _spans(record: Record) -> tuple[list[tuple[float, float]], list[str]]:
     """Times from and to which all controls and body rates are there, one per flight; what was left out."""
-    needed = {n: s for n, s in record.signals.items() if names.is_control(n) or n in names.RATES}
+    acting = names.acting(record.signals)
+    needed = {n: s for n, s in record.signals.items() if n in acting or n in names.RATES}
     stamps = {n: s.time[np.isfinite(s.values)] for n, s in needed.items()}
     if empty := next((n for n, time in stamps.items() if len(time) < 2), None):
         raise InputError(record.file, f"{needed[empty].source} ({empty})", "has no samples", "a recorded channel")

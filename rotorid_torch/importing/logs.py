@@ -180,7 +180,7 @@ def _usual_rate(records: Sequence[Record]) -> float:
     usual = []
     for record in records:
         rates = [s.hertz for n, s in record.signals.items() if n in names.RATES]
-        controls = [s.hertz for n, s in record.signals.items() if names.is_control(n)]
+        controls = [record.signals[n].hertz for n in names.acting(record.signals)]
         usual.append(max(rates or controls))
     return float(f"{min(*usual, FASTEST_HZ):.2g}") if min(usual) < FASTEST_HZ else FASTEST_HZ
 
@@ -188,7 +188,7 @@ def _usual_rate(records: Sequence[Record]) -> float:
 def _vehicle_kind(records: Sequence[Record], user_map: Map | None) -> str:
     if user_map is not None and user_map.kind:
         return user_map.kind
-    motors = any(names.is_motor(name) for record in records for name in record.entries)
+    motors = any(names.is_motor(n) or names.is_rotor_speed(n) for record in records for n in record.entries)
     return records[0].plan.kind or ("multirotor" if motors else "helicopter")
 
 

@@ -39,8 +39,8 @@ def cut(arrays: Mapping[str, np.ndarray], dt: float) -> list[Piece]:
     arrays : controls and, where known, body rates (T,), NaN where missing.
     dt : s between samples.
     """
-    sticks = [name for name in arrays if names.is_control(name)]
-    motors = all(names.is_motor(name) for name in sticks)
+    sticks = names.acting(arrays)
+    motors = all(names.is_motor(name) or names.is_rotor_speed(name) for name in sticks)
     activities = {name: activity(arrays[name], dt) for name in sticks}
     strongest = {name: float(np.quantile(a, 0.95)) for name, a in activities.items()}
     moving = [name for name in sticks if strongest[name] > 0.0]

@@ -97,7 +97,8 @@ def test_outputs_have_the_range_of_their_protocol(name: str, tmp_path: Path):
 )
 def test_outputs_beyond_the_range_of_their_settings_are_refused(parameters, span, told: str, tmp_path: Path):
     time = clock()
-    topics = {"vehicle_angular_velocity": gyro(time), "actuator_outputs": (time, outputs(time, *span, 0.0))}
+    low, high = span
+    topics = {"vehicle_angular_velocity": gyro(time), "actuator_outputs": (time, outputs(time, low, high, 0.0))}
     with pytest.raises(InputError, match=told):
         px4(tmp_path, topics, parameters)
 
@@ -459,7 +460,8 @@ def test_flips_are_data(kind: str, maker: str, tmp_path: Path):
     angles = np.stack([channels[n] for n in ("psi", "theta", "phi")], -1)
     at = np.interp(channels["time"], time - time[0], np.arange(len(time))).round().astype(int)
     known = np.isfinite(angles).all(-1) & (channels["time"] > 0.1) & (channels["time"] < 11.8)
-    away = (Rotation.from_euler("ZYX", angles[known]).inv() * true[at[known]]).magnitude()
+    flown = Rotation.from_quat(true.as_quat()[at[known]])
+    away = (Rotation.from_euler("ZYX", angles[known]).inv() * flown).magnitude()
     assert known.mean() > 0.9
     assert np.quantile(away, 0.99) < 0.05
 
@@ -488,3 +490,18 @@ def test_samples_that_were_written_late_are_sorted_in(every: int, tmp_path: Path
     done, channels = px4(tmp_path, topics | {"actuator_motors": (stamps, motors)})
     assert any("sorted in" in told for told in done.warnings)
     assert np.abs(channels["p"] - motion(channels["time"])["p"])[5:-5].max() < 1e-3
+
+
+def test_rotor_speeds_are_the_controls_where_no_commands_are_logged(tmp_path: Path):
+    time, order = clock(), (1, 2, 3, 4)
+    topics = {"vehicle_angular_velocity": gyro(time), "esc_status": (time, speeds(time, order))}
+    done, _ = px4(tmp_path, topics, {f"PWM_MAIN_FUNC{i + 1}": 100 + m for i, m in enumerate(order)})
+    assert done.kind == "multirotor"
+    assert not any(name.startswith("motor") for name in done.channels)
+    data = rotorid.load(done.folder)
+    assert data.controls == ("motor1", "motor2", "motor3", "motor4")
+    assert any("the rotor speeds are the controls" in sentence for sentence in data.warnings)
+    (flight,) = data.flights.values()
+    largest = max(float(flight.channels[f"omega{i}"].max()) for i in range(1, 5))
+    for i in range(1, 5):
+        np.testing.assert_allclose(flight.channels[f"motor{i}"], flight.channels[f"omega{i}"] / largest, atol=1e-12)
