@@ -130,12 +130,14 @@ def _function(graph: Graph, name: str, results: Sequence[int], constants: Consta
 
 def _element_code(graph: Graph, name: str, elements: Sequence[Element], constants: Constants) -> str:
     """The function that fills in the sizes of a way's elements."""
-    results = {}
+    places = {}
     for k, element in enumerate(elements):
-        results |= {f"e[{k}].size[{i}]": node for i, node in enumerate(element.sizes)}
-        results |= {f"e[{k}].place[{i}]": node for i, node in enumerate(element.places)}
-    body = straight_line(graph, results, constants.name, "double")
-    return f"static void {name}_sizes(const double* c, rid_element* e) {{\n  (void)c; (void)e;\n{body}\n}}\n"
+        places |= {f"e[{k}].size[{i}]": node for i, node in enumerate(element.sizes)}
+        places |= {f"e[{k}].place[{i}]": node for i, node in enumerate(element.places)}
+    body = straight_line(graph, {f"s[{j}]": n for j, n in enumerate(places.values())}, constants.name, "double")
+    handed = "\n".join(f"  {place} = s[{j}];" for j, place in enumerate(places))
+    head = f"  double s[{len(places) + 1}];\n  (void)c; (void)e; (void)s;"
+    return f"static void {name}_sizes(const double* c, rid_element* e) {{\n{head}\n{body}\n{handed}\n}}\n"
 
 
 def _kinds(paths: dict[str, list[Element]]) -> list[str]:
