@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import pytest
 import torch
 from torch import Tensor
@@ -94,6 +96,21 @@ def test_an_initial_state_may_be_told_and_the_body_alone_rests():
     again = model.free_run(flight, 0.5, 1.0, x0=run.states[0].detach())
     torch.testing.assert_close(again.states, run.states)
     assert torch.equal(run.states[0, :n].detach(), body)
+
+
+def test_torch_does_it_where_native_code_does_not():
+    """In single precision, rotor states that rest included."""
+    model = helicopter("first order")
+    single = copy.deepcopy(model).float()
+    flight = flown(model, manoeuvres(3.0, DT), DT).flights["f_lon"]
+    runs = [m.free_run(flight, (0.5, 1.0), 0.5) for m in (model, single)]
+    assert runs[1].outputs.dtype == torch.float32
+    torch.testing.assert_close(runs[1].outputs.double(), runs[0].outputs, rtol=1e-4, atol=1e-4)
+    wanted, got = (
+        torch.autograd.grad(r.outputs.square().mean(), m.theta)[0].double()
+        for r, m in zip(runs, (model, single), strict=True)
+    )
+    assert (got - wanted).norm() < 1e-3 * wanted.norm()
 
 
 def test_adam_on_windows_finds_a_derivative(clean: Dataset):
