@@ -217,15 +217,17 @@ class _World:
         air = self.wind if self.gusts is None else self.wind + self.gusts[self.begun - 1]
         force, moment, torque, spared = self._loads(earth, air, (self.speeds - before) / self.dt)
         specific, angular, swinging = self._accelerations(earth, air, force, moment)
+        # commands and forces stay over the step: what is read in its middle is no half step behind them
+        place, velocity, euler, rates = self._moved(earth, pose, specific, angular, 0.5 * self.dt)
         row = {
-            "place": self.place,
-            "velocity": self.velocity,
-            "euler": self.euler,
-            "rates": self.rates,
+            "place": place,
+            "velocity": velocity,
+            "euler": euler,
+            "rates": rates,
             "specific_force": specific,
             "angular": angular,
             "force": self.mass * specific,
-            "moment": turned(self.inertia, angular) + cross(self.rates, turned(self.inertia, self.rates)),
+            "moment": turned(self.inertia, angular) + cross(rates, turned(self.inertia, rates)),
             "speeds": self.speeds,
             "commands": commands,
             "voltage": voltage,
@@ -235,7 +237,11 @@ class _World:
         }
         self.current = drives.current(torque, self.speeds, voltage)
         self.used = self.used + self.dt * self.current
-        self._move(earth, pose, specific, angular, swinging)
+        moved = self._moved(earth, pose, specific, angular, self.dt)
+        self.place, self.velocity, self.euler, self.rates = moved
+        if swinging.any():
+            speed = self.swing[2:] + self.dt * swinging[2:]
+            self.swing = np.concatenate([self.swing[:2] + self.dt * speed, speed])
         return row
 
     def _voltage(self, number: int) -> Array:
@@ -325,22 +331,17 @@ class _World:
                 yield load, slice(first, first + count)
             first += count
 
-    def _move(self, earth: Array, pose: Pose, specific: Array, angular: Array, swinging: Array) -> None:
-        """States a step later."""
-        rates = self.rates + self.dt * angular
+    def _moved(self, earth: Array, pose: Pose, specific: Array, angular: Array, dt: float) -> tuple[Array, ...]:
+        """Place, velocity, Euler angles and body rates a time of dt later under constant forces."""
+        rates = self.rates + dt * angular
         p, q, r = 0.5 * (self.rates + rates)
         (cf, ct, _), (sf, st, _) = pose.trig
         yaw = (sf * q + cf * r) / ct
-        self.euler = self.euler + self.dt * np.stack([p + st * yaw, cf * q - sf * r, yaw])
-        middle = specific + (0.5 * self.dt) * cross(self.rates, specific)
-        acceleration = turned(earth, middle)
+        euler = self.euler + dt * np.stack([p + st * yaw, cf * q - sf * r, yaw])
+        acceleration = turned(earth, specific + (0.5 * dt) * cross(self.rates, specific))
         acceleration[2] += self.gravity
-        velocity = self.velocity + self.dt * acceleration
-        self.place = self.place + (0.5 * self.dt) * (self.velocity + velocity)
-        self.velocity, self.rates = velocity, rates
-        if swinging.any():
-            speed = self.swing[2:] + self.dt * swinging[2:]
-            self.swing = np.concatenate([self.swing[:2] + self.dt * speed, speed])
+        velocity = self.velocity + dt * acceleration
+        return self.place + (0.5 * dt) * (self.velocity + velocity), velocity, euler, rates
 
 
 class _Late:

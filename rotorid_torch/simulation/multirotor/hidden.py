@@ -88,9 +88,11 @@ def _air(**typical: float) -> Callable[[Multirotor, float], Multirotor]:
 
 
 def _rotor_inertia(craft: Multirotor, size: float) -> Multirotor:
-    """Rotors and bells whose angular momentum the body feels."""
+    """Rotors and bells whose angular momentum the body feels, and which therefore take their time."""
+    if not size:
+        return craft
     inertia = craft.drive.inertia + size * ROTOR * craft.mass * craft.propeller.radius**2 * 4.0 / craft.count
-    return replace(craft, drive=replace(craft.drive, inertia=inertia))
+    return replace(craft, drive=replace(craft.drive, inertia=inertia, lag=max(craft.drive.lag, LAG)))
 
 
 def _unequal(craft: Multirotor, size: float) -> Multirotor:
@@ -201,7 +203,7 @@ FELT = ("propulsion.rotor_drag", "propulsion.axial_inflow", "forces.translationa
 HIDDEN: dict[str, Hidden] = {
     "propulsion.motor_lag": Hidden(_drive(lag=LAG)),
     "propulsion.voltage": Hidden(_drive(voltage_power=1.0)),
-    "propulsion.rotor_inertia": Hidden(_rotor_inertia),
+    "propulsion.rotor_inertia": Hidden(_rotor_inertia, "", ("propulsion.motor_lag",)),
     "propulsion.rotor_drag": Hidden(_air(drag=DISC, flap=1.0)),
     "propulsion.axial_inflow": Hidden(_air(axial=1.0)),
     "propulsion.unequal": Hidden(_unequal),

@@ -109,8 +109,8 @@ def test_spinning_up_rotors_hand_their_momentum_to_the_body():
     momentum = -craft.drive.inertia * (record.speeds[:, :, 0] @ spins)
     inner = craft.inertia_matrix[2, 2] * record.rates[:, 2, 0]
     torque = (fleet.hover.ratio * fleet.hover.curve)[:, 0] * record.speeds[:, :, 0] ** 2 @ spins
-    total = inner[1:] + momentum[:-1]
-    gained = np.cumsum(torque[:-1]) / 400.0
+    total = inner[1:] + 0.5 * (momentum[1:] + momentum[:-1])  # speeds are those at the ends of steps
+    gained = np.cumsum(0.5 * (torque[1:] + torque[:-1])) / 400.0
     assert np.ptp(momentum) > 0.05 * np.ptp(inner)
     np.testing.assert_allclose(total - total[0], gained - gained[0], atol=0.02 * np.ptp(inner))
 
