@@ -32,27 +32,30 @@ PREDICTED = 6
 
 def regressed(
     spec: ModelSpec, dataset: Dataset, reconstruction: Reconstruction, begun: bool = False
-) -> tuple[ModelSpec, Model, Step2]:
-    """Step 2 of one structure; of a multirotor's once more where the first says that a moment is not explained.
+) -> tuple[ModelSpec, Step2]:
+    """Step 2 of one structure, behind the structure.
+
+    Of a multirotor once more, with less of it, where the first says that a moment is not explained.
 
     begun : whether the spec's values are those of a fit without some of its effects.
     """
     model = build(spec)
     if not spec.motors:
-        return spec, model, regress_model(model, dataset, reconstruction)
+        return spec, regress_model(model, dataset, reconstruction)
     regressions = regress_rotors(model, dataset, reconstruction, begun)
     told = _told(spec, model, regressions, dataset)
     if told == spec:
-        return spec, model, regressions
+        return spec, regressions
     model, known = build(told), model.named_values
     model.start_from({n: v for n, v in known.items() if n not in told.values})
-    return told, model, regress_rotors(model, dataset, reconstruction, begun)
+    return told, regress_rotors(model, dataset, reconstruction, begun)
 
 
 def at_measured_states(spec: ModelSpec, dataset: Dataset, reconstruction: Reconstruction) -> Identified:
     """A multirotor's model by step 2 alone, which is least squares of what its effects are judged by."""
     begun = any(name.startswith("rotors.thrust.") for name in spec.values)
-    _, model, regressions = regressed(spec, dataset, reconstruction, begun)
+    spec, regressions = regressed(spec, dataset, reconstruction, begun)
+    model = build(spec)
     with torch.no_grad():
         model.theta.copy_(regressions.theta)
     return Identified(spec, model, regressions.errors, regressions.without)
@@ -63,7 +66,8 @@ def estimated(
 ) -> tuple[ModelSpec, Model, Step2, Step3]:
     """Steps 2 and 3 of one structure."""
     monitor = steps.monitor
-    spec, model, regressions = steps.do("ftr", f"ftr-{spec.flapping}", lambda: regressed(spec, dataset, reconstruction))
+    spec, regressions = steps.do("ftr", f"ftr-{spec.flapping}", lambda: regressed(spec, dataset, reconstruction))
+    model = build(spec)
     monitor.scalars({f"ftr/R2/{row}": float(r.r2) for row, r in regressions.regressions.items()}, 0)
     for line in remarks.regression_table(regressions):
         monitor.log(line)

@@ -48,7 +48,7 @@ def free_run_bands(
     edges = torch.tensor([0.5 - CENTRAL / 2.0, 0.5 + CENTRAL / 2.0], dtype=torch.float64)
     low, high = torch.quantile(torch.stack(outputs), edges, dim=0)
     deviation = 0.5 * (high - low)
-    return {name: dict(zip(model.body.outputs, deviation[k].unbind(-1), strict=True)) for k, name in enumerate(flights)}
+    return _by_flight(model, dataset, flights, deviation)
 
 
 def without(model: Model, dataset: Dataset, flights: Sequence[str], effect: str) -> dict[str, dict[str, Tensor]]:
@@ -67,7 +67,13 @@ def without(model: Model, dataset: Dataset, flights: Sequence[str], effect: str)
             return {name: {c: m + (z - m).mean() for c, (z, m) in of.items()} for name, of in pairs.items()}
         samples = horizon_samples(dataset.facts[flights[0]].dt)
         outputs = free_run(model, windows(model, dataset, [(name, 0) for name in flights], samples))[1]
-    return {name: dict(zip(model.body.outputs, outputs[k].unbind(-1), strict=True)) for k, name in enumerate(flights)}
+    return _by_flight(model, dataset, flights, outputs)
+
+
+def _by_flight(model: Model, dataset: Dataset, flights: Sequence[str], records: Tensor) -> dict[str, dict[str, Tensor]]:
+    """Records [F, T, ny] by flight and channel; of a flight that is shorter than the others as long as the flight."""
+    cut = {name: records[k, : dataset.facts[name].samples] for k, name in enumerate(flights)}
+    return {name: dict(zip(model.body.outputs, one.unbind(-1), strict=True)) for name, one in cut.items()}
 
 
 @contextmanager

@@ -35,7 +35,7 @@ def leaves(kind, key):
         path = f"{key}.{field.encode_name}"
         if field.name in ("rotor", "motors"):
             yield from leaves({"rotor": Rotor, "motors": Motor}[field.name], path)
-        elif field.name not in ("mass_excludes", "direction", "spin"):
+        elif field.name not in ("mass_excludes", "direction", "spin", "frame"):
             yield path
 
 

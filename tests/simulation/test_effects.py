@@ -245,7 +245,7 @@ def test_names_of_data_sets_do_not_tell(tmp_path, clean):
         ([("propulsion.motor_lag", 1.0)], "helicopter"),
         ([("neural.forces", 1.0)], "neural"),
         ([("control.delay", -1.0)], "size"),
-        ([("control.delay", float("nan"))], "size"),
+        ([("control.delay", float("nan"))], "factor"),
         ([("control.delay", 1.0), ("control.delay", 2.0)], "twice"),
     ],
 )

@@ -186,7 +186,7 @@ class Steps:
             with self.monitor.step(step):
                 result = make()
             give_back()
-            self.kept.write(name, result, self.monitor.say)
+            self.kept.write(name, result, self.monitor.tell)
         return result
 
     def reconstruct(self, names: tuple[str, ...], make: Callable[[], Reconstruction]) -> Reconstruction:
@@ -201,10 +201,10 @@ class Steps:
             result = make()
             give_back()
             if self.kept.folder is not None and all(
-                self.kept.write(f"reconstruct-{name}", result.flights[name], self.monitor.say) for name in names
+                self.kept.write(f"reconstruct-{name}", result.flights[name], self.monitor.tell) for name in names
             ):
                 whole = {**vars(result), "flights": {}}  # it says that all flights are there
-                self.kept.write("reconstruct", whole, self.monitor.say)
+                self.kept.write("reconstruct", whole, self.monitor.tell)
         return result
 
     def _known(self, step: str, name: str) -> Any:
