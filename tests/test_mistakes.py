@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 import rotorid_torch as rotorid
-from rotorid_torch.errors import InputError
+from tests.mistakes import one_line
 
 TIME = 0.02 * np.arange(60)
 STEP = np.where(TIME > 0.2, 1.0, 0.0)
@@ -23,16 +22,6 @@ FLIGHT: dict[str, Any] = {
     "outputs": RESPONSE[:, None] + 1e-3 * np.random.default_rng(0).standard_normal((60, 1)),
     "x0": np.zeros(1),
 }
-RAW = (
-    "Traceback",
-    "mat1",
-    "size mismatch",
-    "must match the size",
-    "NoneType",
-    "vmap",
-    "at index",
-)
-"""Words of torch, NumPy and Python that help nobody."""
 
 
 def scalar(value: float) -> nn.Parameter:
@@ -258,19 +247,6 @@ FILTER_ERROR: list[tuple[str, dict[str, Any], str]] = [
     ("an unknown gain", {"gain": "free"}, "gain"),
     ("an unknown engine", {"engine": "cuda"}, "engine"),
 ]
-
-
-def one_line(call: Callable[[], Any], key: str) -> str:
-    """The refusal of a call."""
-    with pytest.raises(InputError) as refused:
-        call()
-    line = str(refused.value)
-    assert len(line.splitlines()) == 1
-    assert len(line) < 400
-    assert key in f"{refused.value.file}: {refused.value.key}", line
-    assert refused.value.expected
-    assert not any(word in line for word in RAW), line
-    return line
 
 
 def ids(table: list[tuple[str, dict[str, Any], str]]) -> list[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,24 +13,12 @@ from torch import nn
 
 import rotorid_torch as rotorid
 from rotorid_torch.data import Dataset
-from rotorid_torch.errors import InputError
 from rotorid_torch.model.model import Model
 from tests.known_models import flown, manoeuvres, rate_vehicle
+from tests.mistakes import one_line
 
 DT = 0.04
-RAW = ("Traceback", "mat1", "size mismatch", "must match the size", "NoneType", "unhashable", "not subscriptable")
 Row = tuple[str, dict[str, Any], str]
-
-
-def one_line(call: Callable[[], Any], key: str) -> None:
-    with pytest.raises(InputError) as refused:
-        call()
-    line = str(refused.value)
-    assert len(line.splitlines()) == 1
-    assert len(line) < 400
-    assert key in f"{refused.value.file}: {refused.value.key}", line
-    assert refused.value.expected
-    assert not any(word in line for word in RAW), line
 
 
 def ids(table: list[Row]) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from rotorid_torch.report.figures import Overlay
 
 
-class Result(ParameterTable):
+class Result(ParameterTable, ABC):
     """What a run says, whether it was made just now or read from its folder."""
 
     model: Model
@@ -42,9 +43,9 @@ class Result(ParameterTable):
     record: Report
 
     @property
+    @abstractmethod
     def step(self) -> float:
         """Sample interval of the flights, s."""
-        raise NotImplementedError
 
     def export(self, *, fmi: str = "2.0", overwrite: bool = False, **places: str | Path) -> dict[str, Path]:
         """Write the model for other tools: fmu=, statespace= (.json or .mat), onnx=, csv= a file, c= a folder.

@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 
 from rotorid_torch.data import Dataset
+from rotorid_torch.data.schema import Vehicle
 from rotorid_torch.errors import InputError
 from rotorid_torch.simulation.drawn.draws import ALIKE, Aircraft, Prior, draw, finish, prior
 from rotorid_torch.simulation.drawn.resemblance import Evidence, Table, look, mirrored, recorded
@@ -111,7 +112,7 @@ def _flown(dataset: Dataset, seed: int, draws: Sequence[int], prior: Prior, evid
             measured = _measured(dataset, record, k, [seed, number])
             yield Drawn(
                 number,
-                _dataset(dataset, measured, number),
+                in_memory(dataset, measured, number, dataset.vehicle),
                 tried[k],
                 float(aircraft.misfit[k]),
                 bool(aircraft.misfit[k] <= ALIKE),
@@ -171,8 +172,8 @@ def _measured(dataset: Dataset, record: Followed, k: int, streams: Sequence[int]
     return out
 
 
-def _dataset(dataset: Dataset, flights: Mapping[str, Mapping[str, Array]], number: int) -> Dataset:
-    """A data set in memory with the declaration of the original."""
+def in_memory(dataset: Dataset, flights: Mapping[str, Mapping[str, Array]], number: int, vehicle: Vehicle) -> Dataset:
+    """Flights of a clean vehicle in the likeness of a data set, declared as the original but for the vehicle."""
     recorded = {channel for channels in flights.values() for channel in channels}
     return Dataset.from_arrays(
         flights,
@@ -181,8 +182,8 @@ def _dataset(dataset: Dataset, flights: Mapping[str, Mapping[str, Array]], numbe
         acid=dataset.acid,
         kind=dataset.kind,
         name=f"{dataset.name}-clean-{number}",
-        description=f"Clean helicopter drawn in the likeness of {dataset.name}. Nothing undeclared.",
-        vehicle=dataset.vehicle,
+        description=f"Clean {dataset.kind} drawn in the likeness of {dataset.name}. Nothing undeclared.",
+        vehicle=vehicle,
         controls=dict(dataset.control_specs),
         channels={name: spec for name, spec in dataset.channel_specs.items() if name in recorded},
         model=msgspec.structs.asdict(dataset.settings),

@@ -19,6 +19,7 @@ from rotorid_torch.core.names import POSITIONS, RATES, VELOCITIES
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.schema import Motor, Vehicle
+from rotorid_torch.simulation.drawn.data_sets import in_memory
 from rotorid_torch.simulation.drawn.multirotor_draws import Hovering, draw, hovering, noise_of
 from rotorid_torch.simulation.helicopter.slung_load import to_earth
 from rotorid_torch.simulation.multirotor.channels import Channels, declared_motors, true_channels
@@ -126,7 +127,13 @@ def _flown(
             for j, (course, at) in enumerate(zip(courses, place, strict=True))
         }
         numbers = {"mass": one.mass, "radius": one.propeller.radius, "full_speed": one.drive.full_speed}
-        yield DrawnMultirotor(number, _dataset(dataset, one, measured, number), misfit, misfit <= ALIKE, numbers)
+        yield DrawnMultirotor(
+            number,
+            in_memory(dataset, measured, number, _declared(dataset.vehicle, one)),
+            misfit,
+            misfit <= ALIKE,
+            numbers,
+        )
 
 
 @dataclass(frozen=True)
@@ -278,24 +285,6 @@ def _measured(
         gaps = values.isnan().numpy()
         out[channel] = np.where(gaps, np.nan, read).astype(np.float32).astype(np.float64)
     return out
-
-
-def _dataset(dataset: Dataset, craft: Multirotor, flights: Mapping[str, Channels], number: int) -> Dataset:
-    """A data set in memory, declared as the original but for thrust curves, which are the drawn vehicle's."""
-    recorded = {channel for channels in flights.values() for channel in channels}
-    return Dataset.from_arrays(
-        flights,
-        identify=dataset.identify,
-        validate=dataset.validate,
-        acid=dataset.acid,
-        kind=dataset.kind,
-        name=f"{dataset.name}-clean-{number}",
-        description=f"Clean multirotor drawn in the likeness of {dataset.name}. Nothing undeclared.",
-        vehicle=_declared(dataset.vehicle, craft),
-        controls=dict(dataset.control_specs),
-        channels={name: spec for name, spec in dataset.channel_specs.items() if name in recorded},
-        model=msgspec.structs.asdict(dataset.settings),
-    )
 
 
 def _declared(vehicle: Vehicle, craft: Multirotor) -> Vehicle:
