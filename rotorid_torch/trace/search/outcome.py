@@ -48,14 +48,16 @@ def how_it_ended(search: Search, final: Fitted, effects: Sequence[str]) -> tuple
     return outcome, unknown
 
 
-def _extreme_curves(beside: Family, draws: Draws) -> list[str]:
+def _extreme_curves(observed: Family, draws: Draws) -> list[str]:
     """Members that are curves and products of signals, by equation, with p at most the level among their kind."""
     curves = [n for n in draws.statistics if n.startswith(UNATTRIBUTED) and n.endswith(Shape.CURVE.value)]
-    p = adjusted_p({n: beside.statistics[n] for n in curves if n in beside.statistics}, draws.statistics, draws.least)
+    p = adjusted_p(
+        {n: observed.statistics[n] for n in curves if n in observed.statistics}, draws.statistics, draws.least
+    )
     return [n for n, one in p.items() if one <= SETTINGS.level]
 
 
-def _share_of_curves(before: Family, beside: Family, extreme: Sequence[str], draws: Draws) -> float:
+def _share_of_curves(before: Family, after: Family, extreme: Sequence[str], draws: Draws) -> float:
     """Share that names explain of the curves beside a null.
 
     With T_k the statistic of the curves of an equation and m_k its mean size over the draws, the share is
@@ -63,7 +65,7 @@ def _share_of_curves(before: Family, beside: Family, extreme: Sequence[str], dra
     either.
     """
     usual = {n: float(draws.statistics[n].abs().mean()) + 1e-300 for n in {*extreme, *_extreme_curves(before, draws)}}
-    first, last = (max(one.statistics.get(n, 0.0) / size for n, size in usual.items()) for one in (before, beside))
+    first, last = (max(one.statistics.get(n, 0.0) / size for n, size in usual.items()) for one in (before, after))
     return 1.0 - last / max(first, 1e-300)
 
 

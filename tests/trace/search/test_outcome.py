@@ -29,7 +29,9 @@ def ended(damped: tuple[Flights, Fitted], effect: str, **sizes: float) -> tuple[
     """How a search ends in which an effect has joined; residuals turned in time stand for clean aircraft."""
     shared, null = damped
     effects = [LAG, DAMPING]
-    search = Search(shared, (), lambda seen, tested: replace(by_chance(seen, tested, 0), clean=True), lambda line: None)
+    search = Search(
+        shared, (), lambda family, effects: replace(by_chance(family, effects, 0), clean=True), lambda line: None
+    )
     search.consider(null, effects)
     start = {**null.values, **{f"{effect}.{name}": size for name, size in sizes.items()}}
     final = refit(null.spec.with_effects(effect), shared, start, near=null)
