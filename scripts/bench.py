@@ -18,7 +18,7 @@ from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 ROOT = Path(__file__).resolve().parents[1]
-PLACES = [str(ROOT), str(ROOT / "scripts"), str(ROOT / "experiments")]
+PLACES = [str(ROOT), str(ROOT / "scripts")]
 sys.path[:0] = PLACES
 os.environ["PYTHONPATH"] = os.pathsep.join(PLACES + os.environ.get("PYTHONPATH", "").split(os.pathsep)).strip(
     os.pathsep

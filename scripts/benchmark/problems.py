@@ -11,11 +11,11 @@ from types import ModuleType
 from typing import Any
 
 import torch
-from benchmark_models import DerivativeModel, LoadedBody, numbers
 
 from benchmark.clock import interleaved, profile
 from benchmark.rows import Figure, NotMeasured
 from benchmark.setting import Measured, Setting
+from benchmark.torch_modules import DerivativeModel, LoadedBody, numbers
 from rotorid_torch.identification.estimate.engine import engine_for
 from rotorid_torch.identification.estimate.likelihood import Likelihood
 from rotorid_torch.identification.estimate.residuals import Noise

@@ -1,6 +1,7 @@
 """Damaged logs, tables, data sets, models and reports: what `tests.fuzzing` demands of every answer.
 
-The examples are always the same few; `--hypothesis-profile many` draws many others, and `experiments/fuzz.py` counts.
+The examples are always the same few; `--hypothesis-profile many` draws many others;
+`experiments/studies/fuzz.py` counts.
 """
 
 from __future__ import annotations

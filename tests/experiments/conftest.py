@@ -1,4 +1,4 @@
-"""Experiments import each other by bare names: their folder is on the path for a test, and forgotten after it."""
+"""Experiments are on the path for a test; what they import and register is forgotten after it."""
 
 import sys
 from collections.abc import Iterator
@@ -6,17 +6,24 @@ from pathlib import Path
 
 import pytest
 
+from rotorid_torch.effects.registry import EFFECTS, registered
 from tests.helpers import ROOT
+
+EXPERIMENTS = ROOT / "experiments"
 
 
 @pytest.fixture(autouse=True)
-def _beside_the_experiments(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.syspath_prepend(str(ROOT / "experiments"))
+def _on_the_path(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.syspath_prepend(str(EXPERIMENTS))
+    monkeypatch.syspath_prepend(str(EXPERIMENTS / "studies"))
+    library = dict(registered())
     yield
+    EFFECTS.clear()
+    EFFECTS.update(library)
     for name in [n for n, m in sys.modules.items() if _is_experiment(m)]:
         del sys.modules[name]
 
 
 def _is_experiment(module: object) -> bool:
     file = getattr(module, "__file__", None)
-    return file is not None and Path(file).parent == ROOT / "experiments"
+    return file is not None and EXPERIMENTS in Path(file).parents

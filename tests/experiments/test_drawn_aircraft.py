@@ -13,7 +13,7 @@ from rotorid_torch.simulation.helicopter.aircraft import CONTROLS, RATES
 
 
 def test_flying_with_the_recorded_angles_is_flying(tmp_path: Path) -> None:
-    causes, drawn = import_module("outside_causes"), import_module("drawn_aircraft")
+    causes, drawn = import_module("hidden.outside_causes"), import_module("hidden.drawn_aircraft")
     aircraft, names = load_aircraft(), ("f321_lat", "dbl_col_p")
     trims, gains = drawn._prepared(aircraft, [Condition(0.0, 27.4, 0.0)] * 2, 1.0)
     usual = fly_batch(aircraft, trims, gains, names, 0.5)
@@ -23,7 +23,7 @@ def test_flying_with_the_recorded_angles_is_flying(tmp_path: Path) -> None:
 
 
 def test_outside_causes_change_only_what_they_say() -> None:
-    causes = import_module("outside_causes")
+    causes = import_module("hidden.outside_causes")
     aircraft = load_aircraft()
     x, trimmed = np.zeros((aircraft.states, 2)), np.full((4, 2), 0.1)
     x[CONTROLS], x[RATES.start] = 0.12, 0.2
@@ -38,7 +38,7 @@ def test_outside_causes_change_only_what_they_say() -> None:
 
 
 def test_drawn_aircraft_are_the_same_again_and_declare_themselves(tmp_path: Path) -> None:
-    drawn = import_module("drawn_aircraft")
+    drawn = import_module("hidden.drawn_aircraft")
     first, second = drawn.draw(0, 7, tmp_path), drawn.draw(1, 7, tmp_path)
     assert first == drawn.draw(0, 7, tmp_path)
     assert first.vehicle["vehicle"]["mass"] != second.vehicle["vehicle"]["mass"]

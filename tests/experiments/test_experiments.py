@@ -36,25 +36,32 @@ def test_paper_case_study_draws_the_papers_figures_and_follows_unseen_flights(tm
 
 
 def test_chain_coverage_holds_the_truth_and_continues_where_it_stopped(tmp_path: Path) -> None:
-    first = quick("coverage_chain", tmp_path, "--out", str(tmp_path / "chain"))["chain"]
+    first = quick("studies/coverage_chain", tmp_path, "--out", str(tmp_path / "chain"))["chain"]
     assert first["runs"] == 1
     assert first["intervals_missing"] == 0
     assert first["pooled"] > 0.8
     with next((tmp_path / "chain").glob("*.jsonl")).open("a", encoding="utf-8") as file:
         file.write('{"run": 1, "fou')  # as a killed run leaves it
-    again = quick("coverage_chain", tmp_path, "--out", str(tmp_path / "chain"))["chain"]
+    again = quick("studies/coverage_chain", tmp_path, "--out", str(tmp_path / "chain"))["chain"]
     assert again["pooled"] == first["pooled"]
     assert again["seconds"] < 0.5 * first["seconds"]
 
 
 @pytest.mark.slow
 def test_coverage_of_single_steps_is_in_reach_of_95_percent(tmp_path: Path) -> None:
-    result = quick("coverage", tmp_path, "--logdir", str(tmp_path / "steps"))
+    result = quick("studies/coverage", tmp_path, "--logdir", str(tmp_path / "steps"))
     assert all(step["pooled"] > 0.8 for step in result.values())
 
 
 @pytest.mark.slow
 def test_turbulence_and_what_no_method_mends(tmp_path: Path) -> None:
-    ratio = quick("identify_in_gusts", tmp_path)["J over calm"]
+    ratio = quick("studies/identify_in_gusts", tmp_path)["J over calm"]
     assert 1.0 < ratio["best"] < ratio["gusts"] * 1.5
     assert ratio["same air"] < 4.0
+
+
+@pytest.mark.slow
+def test_a_simulators_flights_are_followed_better_than_by_holding_trim(tmp_path: Path) -> None:
+    scores = quick("other_simulators", tmp_path)["built-in"]
+    assert scores["J_noise"] < scores["J"] < 0.5 * scores["J_trim"]
+    assert (tmp_path / "runs" / "other_simulators" / "built-in" / "report.html").exists()

@@ -67,7 +67,7 @@ def test_halves_share_no_aircraft_and_no_noise_and_hide_everything_in_each_round
         assert len({c.aircraft for c in clean[:20]}) == 20
         singles = [(c.kind, *c.hidden, c.size) for c in first if c.kind in ("effect", "removed")]
         kinds = [("effect", 1.0), ("effect", 0.5), ("removed", 1.0)]
-        effects = import_module("golden_cases").HIDDEN
+        effects = import_module("golden_study.cases").HIDDEN
         pairs = [(kind, effect, size) for kind, size in kinds for effect in effects]
         assert sorted(singles) == sorted(p for p in pairs if p[0] != "removed" or not p[1].startswith("sensors."))
         assert sum(len(set(c.hidden)) == 2 for c in first) == 14
@@ -110,11 +110,11 @@ def test_cases_of_sets_that_are_not_there_are_left_out(tmp_path: Path) -> None:
     ],
 )
 def test_what_a_verdict_is_worth(hidden: tuple[str, ...], said: dict, worth: str) -> None:
-    assert import_module("golden_table").outcome(line(hidden, **said)) == worth
+    assert import_module("golden_study.table").outcome(line(hidden, **said)) == worth
 
 
 def test_localised_means_the_right_equation_signal_and_onset() -> None:
-    localised = import_module("golden_table").localised
+    localised = import_module("golden_study.table").localised
     found = {"where": "L", "goes_with": "lat", "since_s": 6.3}
     assert localised(line(("outside.slipped_control",), unknown=found))
     assert not localised(line(("outside.slipped_control",), unknown=found | {"since_s": 6.6}))
@@ -128,14 +128,14 @@ def test_localised_means_the_right_equation_signal_and_onset() -> None:
 
 def test_wilson_interval_against_scipy() -> None:
     stats = pytest.importorskip("scipy.stats")
-    tables = import_module("loop_tables")
+    tables = import_module("recorded.tables")
     for hits, runs in ((0, 60), (3, 60), (17, 20), (5, 5)):
         interval = stats.binomtest(hits, runs).proportion_ci(0.95, "wilson")
         assert tables.wilson(hits, runs) == pytest.approx((interval.low, interval.high), abs=2e-5)
 
 
 def test_tables_set_versions_side_by_side() -> None:
-    size = import_module("golden_lines").size
+    size = import_module("golden_study.closed_loop").size
     sizes = {"a": size(0.066, 0.003, 0.06), "b": size(0.066, 0.004, 0.06), "c": size(0.1, 0.1, None)}
     assert [s["holds"] for s in sizes.values()] == [False, True, None]
     lines = [line(kind="clean", case=k) for k in range(3)]
@@ -145,7 +145,7 @@ def test_tables_set_versions_side_by_side() -> None:
     lines += [line(("mass.cg",), named=["control.lag"]), line(("mass.cg",), "removed", named=["control.lag"])]
     lines += [line(("control.lag",), "removed", failed="why")]
     lines += [line(None, "shared", half="shared", dataset="uh60-x1", code="other", git="v2")]
-    text = import_module("golden_table").golden_table(lines)
+    text = import_module("golden_study.table").golden_table(lines)
     head, _, *rows = (row.strip("| ").split(" | ") for row in text.split("\n\n")[0].splitlines())
     assert head == ["what", "tuning, v1 (c0de)", "shared, v2 (other)"]
     rates = {what: cell for what, cell, _ in rows}
@@ -185,7 +185,7 @@ def test_a_study_continues_where_it_stopped(
     results = [json.loads(text) for text in capsys.readouterr().out.splitlines()]
     assert [(t["runs"], t["lines"]) for t in results] == [(2, 2), (1, 3), (0, 3)]
     assert len(set(calls)) == len(calls) == 3
-    monkeypatch.setattr(import_module("golden_lines"), "version", lambda: "another")
+    monkeypatch.setattr(import_module("golden_study.closed_loop"), "version", lambda: "another")
     module.main(dataclasses.replace(args))
     assert json.loads(capsys.readouterr().out)["runs"] == 2
 
@@ -204,7 +204,7 @@ def test_processes_load_the_version_that_is_measured(tmp_path: Path, monkeypatch
 
 
 def test_an_entry_is_out_of_the_library_as_long_as_it_is_asked_for() -> None:
-    without = import_module("golden_lines").without_entries
+    without = import_module("golden_study.closed_loop").without_entries
     entry = registered()["environment.turbulence"]
     with without(("environment.turbulence", "outside.product")):
         assert refusal("environment.turbulence", HELICOPTER) == "taken out of the library"
@@ -214,7 +214,7 @@ def test_an_entry_is_out_of_the_library_as_long_as_it_is_asked_for() -> None:
 
 
 def test_a_cause_is_put_into_the_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    module = import_module("golden_cases")
+    module = import_module("golden_study.cases")
     time = np.arange(0.0, 4.0, 0.01)
     channels = {"time": time, "lat": np.sin(time), "p": np.cos(time)}
     data = Dataset.from_arrays({"f": channels}, identify=["f"], controls={"lat": {"unit": "rad"}})
@@ -231,7 +231,7 @@ def test_a_cause_is_put_into_the_records(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_an_error_is_a_line_of_the_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    module, cases = import_module("golden_lines"), import_module("golden_cases")
+    module, cases = import_module("golden_study.closed_loop"), import_module("golden_study.cases")
     monkeypatch.setenv("ROTORID_CACHE", str(tmp_path))
     case = cases.Case(cases.Half.SHARED, cases.Kind.SHARED, dataset="uh60-hover")
     result = module.run_case(case, tmp_path / "none", tmp_path)
@@ -242,7 +242,7 @@ def test_an_error_is_a_line_of_the_record(tmp_path: Path, monkeypatch: pytest.Mo
 def test_the_quick_case_is_closed_and_recorded(tmp_path: Path) -> None:
     record = tmp_path / "golden.jsonl"
     kinds = ("--half", "tuning", "judging", "--only", "quick", "clean")
-    result = quick("golden", tmp_path, *kinds, "--record", str(record), "--out", str(tmp_path / "study"))
+    result = quick("studies/golden", tmp_path, *kinds, "--record", str(record), "--out", str(tmp_path / "study"))
     assert (result["runs"], result["lines"]) == (1, 1)
     result = json.loads(record.read_text(encoding="utf-8"))
     assert result["verdict"] in ("nothing undeclared", "structure")

@@ -24,7 +24,7 @@ def data() -> Dataset:
 
 
 def made(cause: str):
-    return import_module("hidden_in_records").CAUSES[cause](data())
+    return import_module("hidden.in_records").CAUSES[cause](data())
 
 
 def record(dataset: Dataset, channel: str, flight: str = "f1") -> np.ndarray:

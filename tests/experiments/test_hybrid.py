@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from rotorid_torch.effects.examples import HELICOPTER
-from rotorid_torch.effects.registry import EFFECTS
 from rotorid_torch.run.own_effects import refuse_faulty
 from tests.experiments.test_experiments import quick
 
@@ -18,10 +17,7 @@ pytest.importorskip("torch.utils.tensorboard")
 
 def test_its_network_is_sound() -> None:
     module = import_module("hybrid")
-    try:
-        refuse_faulty([module.NetworkForces.id], HELICOPTER)
-    finally:
-        EFFECTS.pop(module.NetworkForces.id)
+    refuse_faulty([module.NetworkForces.id], HELICOPTER)
 
 
 @pytest.mark.slow

@@ -65,7 +65,9 @@ def test_a_loop_that_fails_leaves_the_given_effects(monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.slow
 def test_crazyflies_motors_lag(tmp_path: Path) -> None:
-    found = quick("measured_effects", tmp_path, "--data", str(shared("flightdata")), "--out", str(tmp_path / "out"))
+    found = quick(
+        "studies/measured_effects", tmp_path, "--data", str(shared("flightdata")), "--out", str(tmp_path / "out")
+    )
     after = found["sets"]["crazyflie-motors"]
     assert min(after["R² of p'"][0], after["R² of q'"][1], after["R² of az"][0]) > 0.9
     assert after["R² of r'"][0] > 0.87

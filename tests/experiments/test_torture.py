@@ -14,7 +14,7 @@ pytest.importorskip("tyro", reason="experiments need the extra 'experiments'")
 
 
 def test_numbers_leave_out_times_and_nothing_else(tmp_path: Path) -> None:
-    trials = import_module("torture_trials")
+    trials = import_module("torture_study.trials")
     for name, seconds, value in (("one", 1.0, 2.0), ("late", 9.0, 2.0), ("other", 1.0, 3.0)):
         (tmp_path / name).mkdir()
         (tmp_path / name / "report.json").write_text(json.dumps({"time_s": seconds, "before": value}))
@@ -28,7 +28,7 @@ def test_numbers_leave_out_times_and_nothing_else(tmp_path: Path) -> None:
 
 
 def test_processes_and_files_that_a_command_leaves_are_seen(tmp_path: Path) -> None:
-    study, trials = import_module("torture"), import_module("torture_trials")
+    study, trials = import_module("torture"), import_module("torture_study.trials")
     place = trials.Place(tmp_path / "place")
     for folder in (place.work, place.tmp, place.cache):
         folder.mkdir(exist_ok=True)
@@ -42,7 +42,7 @@ def test_processes_and_files_that_a_command_leaves_are_seen(tmp_path: Path) -> N
 
 @pytest.mark.parametrize("damage", ["LIBRARY_DAMAGES", "FLOOR_DAMAGES"])
 def test_every_damage_changes_the_file(tmp_path: Path, damage: str) -> None:
-    study, damages = import_module("torture_trials"), getattr(import_module("torture_damages"), damage)
+    study, damages = import_module("torture_study.trials"), getattr(import_module("torture_study.damages"), damage)
     rng = import_module("numpy").random.default_rng(0)
     kept = json.dumps({"gains": {"a": 1.0}, "alike": True, "constants": "?" * 9000}).encode()
     constants = import_module("struct").pack("<3d", 0.125, 0.5, 2.0)
@@ -63,7 +63,7 @@ def test_every_damage_changes_the_file(tmp_path: Path, damage: str) -> None:
 
 
 def test_quick_study_finds_no_fault_and_continues_where_it_stopped(tmp_path: Path) -> None:
-    command = [sys.executable, str(ROOT / "experiments" / "torture.py"), "--quick", "--out", str(tmp_path)]
+    command = [sys.executable, str(ROOT / "experiments" / "studies" / "torture.py"), "--quick", "--out", str(tmp_path)]
     for _ in range(2):
         done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr[-2000:]

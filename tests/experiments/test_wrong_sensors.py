@@ -67,7 +67,7 @@ def test_the_table_counts_what_was_said() -> None:
 
 def test_errors_in_other_peoples_records_are_named(tmp_path: Path) -> None:
     data = shared("flightdata")
-    result = quick("wrong_sensors", tmp_path, "--data", str(data), "--out", str(tmp_path / "study"))
+    result = quick("studies/wrong_sensors", tmp_path, "--data", str(data), "--out", str(tmp_path / "study"))
     assert result["runs"] == 7
     assert "false name" not in result["wrong"]
     assert result["wrong"]["named"] >= 5

@@ -97,7 +97,7 @@ def test_data_in_memory_with_gaps_and_a_dead_channel_are_checked():
 
 @pytest.mark.slow
 def test_ten_minutes_at_200_hz_are_checked_in_their_share_of_a_minute(tmp_path: Path):
-    spec = spec_from_file_location("hour_flight", ROOT / "experiments" / "hour_flight.py")
+    spec = spec_from_file_location("hour_flight", ROOT / "experiments" / "studies" / "hour_flight.py")
     assert spec is not None
     assert spec.loader is not None
     hour_flight = module_from_spec(spec)

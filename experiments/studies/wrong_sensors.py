@@ -25,10 +25,10 @@ from statistics import median
 import numpy as np
 import torch
 import tyro
-from changed_records import Records, changed, smoothed
-from loop_lines import read_lines
-from loop_runs import over_sets, sets_left
-from loop_tables import OUTCOMES, markdown, share, write_between
+from hidden.changed_records import Records, changed, smoothed
+from recorded.lines import read_lines
+from recorded.runs import over_sets, sets_left
+from recorded.tables import OUTCOMES, markdown, share, write_between
 
 import rotorid_torch as rotorid
 from rotorid_torch.data import Dataset
@@ -36,7 +36,7 @@ from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.trace.sensors.clocks import sensor_findings
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 RATES, FORCES, BODY_AXES = ("p", "q", "r"), ("ax", "ay", "az"), ("x", "y", "z")
 UNITS = {"rates": RATES, "accelerations": FORCES, "attitude": ("phi", "theta", "psi"), "velocities": ("u", "v", "w")}
 MEMBERS: dict[str, dict[str, float]] = {

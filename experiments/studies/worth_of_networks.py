@@ -22,8 +22,8 @@ from pathlib import Path
 import msgspec
 import torch
 import tyro
-from drawn_aircraft import draw, fly_drawn, groups_of
-from loop_tables import markdown, number, write_between
+from hidden.drawn_aircraft import draw, fly_drawn, groups_of
+from recorded.tables import markdown, number, write_between
 from rich.console import Console
 from torch.utils.tensorboard import SummaryWriter
 
@@ -43,7 +43,7 @@ from rotorid_torch.trace.evidence.residual import left_over
 from rotorid_torch.trace.loop import trace
 from rotorid_torch.trace.network import learn, memory, regressed
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 OUTSIDE = "outside.product"
 LISTS = ("identify", "validate", "acid")
 

@@ -1,6 +1,6 @@
 """How long does a check of a one-hour flight at 200 Hz take? Manoeuvres of the flight-test aircraft, laid end to end.
 
-experiments/hour_flight.py [--minutes 60] [--hertz 200] [--out FILE.json]: one JSON line with seconds and memory.
+hour_flight.py [--minutes 60] [--hertz 200] [--out FILE.json]: one JSON line with seconds and memory.
 """
 
 from __future__ import annotations

@@ -12,10 +12,10 @@ from functools import cache
 from pathlib import Path
 
 import torch
-from golden_cases import Case, Kind, flights_of
-from loop_lines import failure, version
+from recorded.lines import failure, version
 
 import rotorid_torch as rotorid
+from golden_study.cases import Case, Kind, flights_of
 from rotorid_torch.effects.registry import registered
 
 Z95 = 1.96

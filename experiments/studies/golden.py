@@ -7,7 +7,7 @@ delete a line to repeat it.
 
 Another version of the package is measured by the same cases with
 
-    PYTHONPATH=CHECKOUT python experiments/golden.py --half judging
+    PYTHONPATH=CHECKOUT python experiments/studies/golden.py --half judging
 
 where CHECKOUT is a work tree of the project. The loop as it was before its redesign is commit dd0228f, the git tag
 `loop-of-rules`: `git worktree add CHECKOUT loop-of-rules`. `--table` prints the rates of all versions in the record
@@ -29,15 +29,15 @@ from pathlib import Path
 
 import torch
 import tyro
-from drawn_aircraft import draw
-from golden_cases import ANSWERS, SEEDS, Case, Half, Kind, drawn_cases, shared_cases
-from golden_lines import key, run_case
-from golden_table import golden_table
-from loop_lines import read_lines, version
-from loop_runs import keep, lines_of
+from golden_study.cases import ANSWERS, SEEDS, Case, Half, Kind, drawn_cases, shared_cases
+from golden_study.closed_loop import key, run_case
+from golden_study.table import golden_table
+from hidden.drawn_aircraft import draw
+from recorded.lines import read_lines, version
+from recorded.runs import keep, lines_of
 from torch.utils.tensorboard import SummaryWriter
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 @dataclass
@@ -66,7 +66,7 @@ class Args:
     """Run nothing; print the tables."""
     data: Path = Path(os.environ.get("ROTORID_SHARED", str(ROOT.parent / "shared"))) / "flightdata"
     """Folder of the sets of other people."""
-    record: Path = ROOT / "experiments" / "records" / "golden.jsonl"
+    record: Path = ROOT / "experiments" / "studies" / "records" / "golden.jsonl"
     """One line for each case and version."""
     out: Path = Path("runs/golden")
     """Drawn aircraft, statistics of clean aircraft by version of the package, TensorBoard records."""

@@ -14,8 +14,8 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from outside_causes import CAUSES, fly_with
 
+from hidden.outside_causes import CAUSES, fly_with
 from rotorid_torch.data.write import to_toml, write_dataset
 from rotorid_torch.errors import InputError
 from rotorid_torch.simulation.effects import EFFECTS, HIDDEN

@@ -1,6 +1,6 @@
 """Is anything lost or believed that should not be? Commands killed, caches damaged, disks full, places in the way.
 
-experiments/torture.py [--only kill reconstruct] [--quick] [--out torture]: each trial is a JSON line in trials.jsonl,
+torture.py [--only kill reconstruct] [--quick] [--out torture]: each trial is a JSON line in trials.jsonl,
 with its faults; what has a line of the same code is not tried again. At the end a table, and one JSON line.
 
 The trials, all drawn from the seed:
@@ -34,11 +34,11 @@ from pathlib import Path
 
 import numpy as np
 import tyro
-from loop_lines import append_line, read_lines, version
-from loop_tables import markdown
-from torture_base import Base, filled
-from torture_damages import FLOOR_DAMAGES, LIBRARY_DAMAGES, Damage
-from torture_trials import (
+from recorded.lines import append_line, read_lines, version
+from recorded.tables import markdown
+from torture_study.base import Base, filled
+from torture_study.damages import FLOOR_DAMAGES, LIBRARY_DAMAGES, Damage
+from torture_study.trials import (
     LINGER_S,
     Ended,
     Kill,

@@ -5,8 +5,8 @@ the loop reads has no truth. A case is right where the hidden effect is named, o
 named, and nothing else is named that the vehicle does not have (wind and gusts bring what the rotors feel of the air).
 Lines that the record holds for this version of the package are not run again.
 
-    python experiments/multirotor_effects.py --clean 40 --draws 5 [--effects propulsion.motor_lag ...] [--size 1.0]
-    python experiments/multirotor_effects.py --table
+    python multirotor_effects.py --clean 40 --draws 5 [--effects propulsion.motor_lag ...] [--size 1.0]
+    python multirotor_effects.py --table
 
 A case takes 1 to 4 minutes of a processor; `--quick` flies one clean vehicle in few short flights.
 """
@@ -23,13 +23,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
-from loop_lines import append_line, failure, read_lines, version
+from recorded.lines import append_line, failure, read_lines, version
 
 from rotorid_torch.run.close_loop import close_loop
 from rotorid_torch.simulation import fly
 from rotorid_torch.simulation.multirotor.hidden import HIDDEN
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 @dataclass
@@ -52,7 +52,7 @@ class Args:
     """One clean vehicle in two short flights."""
     table: bool = False
     """Run nothing; print how many cases ended how."""
-    record: Path = ROOT / "experiments" / "records" / "multirotor.jsonl"
+    record: Path = ROOT / "experiments" / "studies" / "records" / "multirotor.jsonl"
     """One line for each case and version."""
 
 

@@ -21,10 +21,10 @@ from pathlib import Path
 import numpy as np
 import torch
 import tyro
-from golden_lines import summary
-from loop_lines import failure, read_lines
-from loop_runs import over_sets, sets_left
-from loop_tables import markdown, write_between
+from golden_study.closed_loop import summary
+from recorded.lines import failure, read_lines
+from recorded.runs import over_sets, sets_left
+from recorded.tables import markdown, write_between
 from scipy.signal import butter, sosfiltfilt
 
 import rotorid_torch as rotorid
@@ -37,7 +37,7 @@ from rotorid_torch.trace.sensors.correction import without_errors_of_flight
 from rotorid_torch.validate.predictions import predictions
 from rotorid_torch.validate.responses import measured_states, responses
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 MOTORS = ("propulsion.motor_lag", "control.delay")
 GIVEN: dict[str, tuple[str, ...]] = {
     "crazyflie-motors": (*MOTORS, "propulsion.rotor_inertia"),

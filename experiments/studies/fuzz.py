@@ -1,7 +1,7 @@
 """Campaign of damaged inputs: logs of seven formats, data sets, models and reports, each damaged by a seed and judged.
 
-    python experiments/fuzz.py --out fuzz.jsonl            2000 logs, 500 data sets, 200 models and reports
-    python experiments/fuzz.py --out fuzz.jsonl --quick    a fiftieth of them
+    python experiments/studies/fuzz.py --out fuzz.jsonl            2000 logs, 500 data sets, 200 models and reports
+    python experiments/studies/fuzz.py --out fuzz.jsonl --quick    a fiftieth of them
 
 The file holds one line per case and is added to, so that a campaign that was stopped goes on; the table counts what it
 holds. What counts as a fault is in `tests/fuzzing.py`; a case is repeated by its kind and seed.
@@ -18,7 +18,7 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from tests.fuzzing import KINDS, LOGS, judged  # noqa: E402 - the checkout is found first

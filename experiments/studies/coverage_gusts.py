@@ -21,7 +21,7 @@ import torch
 import tyro
 from torch.utils.tensorboard import SummaryWriter
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from rotorid_torch.identification.estimate.output_error import ParameterEstimate, output_error
 from rotorid_torch.identification.filter_error.method import FilterError, filter_error
 from tests.identification.filter_error.gust_cases import (

@@ -6,10 +6,10 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from statistics import median
 
-from golden_cases import SIZES, Kind
-from loop_tables import markdown, number, share
-from outside_causes import CAUSES
+from hidden.outside_causes import CAUSES
+from recorded.tables import markdown, number, share
 
+from golden_study.cases import SIZES, Kind
 from rotorid_torch.simulation.effects import EFFECT_CLASSES
 
 Column = tuple[str, str]
@@ -20,7 +20,7 @@ ONSET_S = 0.5
 
 
 def outcome(line: dict) -> str:
-    """What a verdict is worth, all that it names taken together: one of `loop_tables.OUTCOMES`."""
+    """What a verdict is worth, all that it names taken together: one of `recorded.tables.OUTCOMES`."""
     removed = line["kind"] == Kind.REMOVED
     hidden, also = set(() if removed else line["hidden"]), set(line["also"])
     named, group = set(line["named"]), set(line["group"])

@@ -11,9 +11,9 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from torture_trials import Place, copied
 
 from rotorid_torch.data.write import write_dataset
+from torture_study.trials import Place, copied
 
 FLIGHTS = "dbl_lat_p,dbl_lon_p,dbl_ped_p"
 FLOWN_S = 6.0

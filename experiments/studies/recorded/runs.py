@@ -11,9 +11,10 @@ from multiprocessing.connection import wait
 from pathlib import Path
 from threading import Thread
 
-from loop_lines import append_line, read_lines
 from rich.console import Console
 from torch.utils.tensorboard import SummaryWriter
+
+from recorded.lines import append_line, read_lines
 
 
 def lines_of(run: Callable[..., dict], given: Sequence[tuple], processes: int) -> Iterator[dict]:

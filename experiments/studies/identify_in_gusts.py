@@ -28,7 +28,7 @@ import torch
 import tyro
 from torch import Tensor
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import rotorid_torch as rotorid
 from rotorid_torch.core.names import VELOCITIES
 from rotorid_torch.data import Dataset

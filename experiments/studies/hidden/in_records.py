@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from changed_records import Records, changed, smoothed
 
+from hidden.changed_records import Records, changed, smoothed
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.trace.sensors.correction import without_errors

@@ -13,11 +13,11 @@ from enum import StrEnum
 from itertools import combinations
 from pathlib import Path
 
-import hidden_in_records
 import numpy as np
-from drawn_aircraft import draw, fly_drawn, groups_of
-from hidden_truth import true_parameters
-from outside_causes import CAUSES
+from hidden import in_records
+from hidden.drawn_aircraft import draw, fly_drawn, groups_of
+from hidden.outside_causes import CAUSES
+from hidden.true_parameters import true_parameters
 
 import rotorid_torch as rotorid
 from rotorid_torch.simulation.effects import EFFECT_CLASSES, HIDDEN
@@ -147,7 +147,7 @@ class Flown:
 def shared_cases() -> Iterator[Case]:
     """Sets of other people as they are; with causes in their records; with the entry of what they hide removed."""
     late = ("uh60-delay", ANSWERS["uh60-delay"].hidden)
-    causes = [(name, (cause,)) for cause in hidden_in_records.CAUSES for name in CLEAN_SETS]
+    causes = [(name, (cause,)) for cause in in_records.CAUSES for name in CLEAN_SETS]
     removed = [late, *(pair for pair in causes if pair[1][0] in HIDDEN)]
     for name, answer in ANSWERS.items():
         yield Case(Half.SHARED, Kind.SHARED, answer.hidden, float(answer.hidden != ()), dataset=name)
@@ -195,7 +195,7 @@ def flights_of(case: Case, shared: Path, aircraft: Path, folder: Path) -> Flown:
     true = dict(ANSWERS[case.dataset].true)
     if case.kind is Kind.SHARED or case.hidden == ANSWERS[case.dataset].hidden:
         return Flown(dataset, true)
-    altered = hidden_in_records.CAUSES[(case.hidden or ("",))[0]](dataset)
+    altered = in_records.CAUSES[(case.hidden or ("",))[0]](dataset)
     return Flown(altered.dataset, altered.true)
 
 
