@@ -203,30 +203,30 @@ def _repair(tensor: Tensor, shape: str, sizes: Sizes) -> str:
     return ""
 
 
-def arrays(of: str, table: Sequence[Array], given: Any, sizes: Sizes) -> dict[str, Tensor]:
+def arrays(of: str, table: Sequence[Array], mapping: Any, sizes: Sizes) -> dict[str, Tensor]:
     """The arrays of a mapping, as a table declares them; entries of other names are left alone.
 
     Raises
     ------
     InputError : no mapping, an array that is absent (with the nearest name that is there), or one that does not fit.
     """
-    if not isinstance(given, Mapping):
+    if not isinstance(mapping, Mapping):
         keys = listed(array.key for array in table)
-        raise InputError(of, "", f"is {described(given)}", f"a dict with {keys}")
+        raise InputError(of, "", f"is {described(mapping)}", f"a dict with {keys}")
     keys = {array.key for array in table}
-    foreign = [str(key) for key in given if key not in keys]
-    found = {}
+    foreign = [str(key) for key in mapping if key not in keys]
+    taken = {}
     for array in table:
         argument = Argument(of, array.key)
-        if given.get(array.key) is not None:
-            found[array.key] = shaped(argument, given[array.key], array.shape, sizes, array.missing)
+        if mapping.get(array.key) is not None:
+            taken[array.key] = shaped(argument, mapping[array.key], array.shape, sizes, array.missing)
             continue
         near = get_close_matches(array.key.lower(), [key.lower() for key in foreign], n=1)
         if near or not array.optional:
-            what = "is None" if array.key in given else "absent"
+            what = "is None" if array.key in mapping else "absent"
             hint = f"; there is '{next(k for k in foreign if k.lower() == near[0])}'" if near else ""
             raise argument.wrong(f"{what}{hint}", f"an array {sizes.words(array.shape)}")
-    return found
+    return taken
 
 
 def number(

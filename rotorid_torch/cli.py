@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from rotorid_torch.core.names import nearest
 from rotorid_torch.core.storage.atomic import OUTPUT, Unwritable, reason, writing
-from rotorid_torch.errors import InputError, LostRank, Told
+from rotorid_torch.errors import InputError, LostRank, ReportedElsewhere
 from rotorid_torch.printable import printable
 
 if TYPE_CHECKING:
@@ -120,8 +120,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             code = _profiled(options) if options.profile else options.run(options)
             with writing(OUTPUT):
                 sys.stdout.flush()
-    except Told as told:
-        return _code(told.error)
+    except ReportedElsewhere as elsewhere:
+        return _code(elsewhere.error)
     except BrokenPipeError:
         _print_no_more()
         return 1
@@ -311,11 +311,13 @@ def fly(options: Options) -> None:
     """Fly the built-in aircraft and write a data set."""
     from rotorid_torch.simulation import fly as fly_aircraft
 
-    given = {name: getattr(options, name) for name in ("speed", "heading", "height", "vehicle", "flights")}
-    given = {name: value for name, value in given.items() if value is not None}
+    settings = {name: getattr(options, name) for name in ("speed", "heading", "height", "vehicle", "flights")}
+    settings = {name: value for name, value in settings.items() if value is not None}
     monitor = _monitor(options)
     with monitor.step("fly"):
-        fly_aircraft(options.out, seed=options.seed, effects=options.effect or (), progress=monitor.progress, **given)
+        fly_aircraft(
+            options.out, seed=options.seed, effects=options.effect or (), progress=monitor.progress, **settings
+        )
     _answer(options, {"dataset": str(options.out)}, f"data set: {options.out}")
 
 
@@ -338,11 +340,11 @@ def check(options: Options) -> int:
     if options.out:
         refuse_unless_free(options.out, "check")
     dataset = load(options.dataset)
-    found = examine(dataset)
+    grading = examine(dataset)
     if options.out:
-        write_check(options.out, dataset, found, options.seed, _monitor(options))
-    _answer(options, found, check_table(found))
-    return 0 if found.fit else NOT_FIT
+        write_check(options.out, dataset, grading, options.seed, _monitor(options))
+    _answer(options, grading, check_table(grading))
+    return 0 if grading.fit else NOT_FIT
 
 
 def reconstruct(options: Options) -> None:
@@ -367,11 +369,11 @@ def identify(options: Options) -> None:
 
     with ranks_of_torchrun() as ranks:
         refuse_unless_free(options.out, "identify")
-        given = {"effects": tuple(options.effect), "seed": options.seed, "device": options.device}
-        given["method"] = options.method
-        told = _monitor(options) if ranks.first else None
+        settings = {"effects": tuple(options.effect), "seed": options.seed, "device": options.device}
+        settings["method"] = options.method
+        monitor = _monitor(options) if ranks.first else None
         dataset = load(options.dataset)
-        pipeline.identify(dataset, out=options.out, monitor=told, resume=options.resume, ranks=ranks, **given)
+        pipeline.identify(dataset, out=options.out, monitor=monitor, resume=options.resume, ranks=ranks, **settings)
         if ranks.first:
             _answer_report(options, options.out, read_report(options.out))
 
@@ -386,9 +388,9 @@ def close_loop(options: Options) -> None:
 
     with ranks_of_torchrun(PATIENCE_FOR_FITS_S) as ranks:
         refuse_unless_free(options.out, "close-loop")
-        given = {"hybrid": options.hybrid, "seed": options.seed, "device": options.device}
-        told = _monitor(options) if ranks.first else None
-        close(load(options.dataset), out=options.out, monitor=told, ranks=ranks, **given)
+        settings = {"hybrid": options.hybrid, "seed": options.seed, "device": options.device}
+        monitor = _monitor(options) if ranks.first else None
+        close(load(options.dataset), out=options.out, monitor=monitor, ranks=ranks, **settings)
         if ranks.first:
             _answer_report(options, options.out, read_report(options.out))
 
@@ -404,9 +406,9 @@ def simulate(options: Options) -> None:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         saved_model.write_free_run(options.model, load(options.dataset), options.flight, options.out, **how)
-    told = [str(warning.message) for warning in caught if warning.category is UserWarning]
-    lines = [f"free run: {options.out}", *(f"warning: {sentence}" for sentence in told)]
-    _answer(options, {"file": str(options.out), "warnings": told}, "\n".join(lines))
+    sentences = [str(warning.message) for warning in caught if warning.category is UserWarning]
+    lines = [f"free run: {options.out}", *(f"warning: {sentence}" for sentence in sentences)]
+    _answer(options, {"file": str(options.out), "warnings": sentences}, "\n".join(lines))
 
 
 def export(options: Options) -> None:
@@ -454,8 +456,8 @@ def doctor(options: Options) -> None:
     from rotorid_torch.core.storage import cache
 
     removed = cache.empty() if options.empty_cache else None
-    found = findings(removed)
-    _answer(options, found, table(found))
+    state = findings(removed)
+    _answer(options, state, table(state))
 
 
 def _answer(options: Options, as_json: object, for_people: object) -> None:
@@ -529,7 +531,7 @@ def _interrupted_by(*signals: signal.Signals) -> Iterator[None]:
 def _libraries_keep_still() -> Iterator[None]:
     """Keep Python's warnings off stderr, which is for our own line; a run's monitor still writes them to log.txt."""
     with warnings.catch_warnings():
-        warnings.showwarning = lambda *told, **more: None
+        warnings.showwarning = lambda *message, **more: None
         yield
 
 

@@ -35,7 +35,7 @@ class LostRank(RuntimeError):
         super().__init__("a process of this run is lost; an earlier RUN is as it was; identify --resume goes on")
 
 
-class Told(Exception):
+class ReportedElsewhere(Exception):
     """Another process of the run was the first to fail and tells why; this one ends without a word.
 
     Parameters

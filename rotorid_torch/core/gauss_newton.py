@@ -162,7 +162,7 @@ def minimise(
     return Minimum(point, linear, held, blind & free, converged, message, iteration, history)
 
 
-def untold(linear: Linear, theta: Tensor, lower: Tensor, upper: Tensor) -> Tensor:
+def undetermined(linear: Linear, theta: Tensor, lower: Tensor, upper: Tensor) -> Tensor:
     """Mask [n] of the parameters in directions that the data cannot tell at a point, as `minimise` names them."""
     return _subproblem(linear, theta, lower, upper, torch.ones_like(lower, dtype=torch.bool))[1]
 
@@ -178,14 +178,14 @@ def _subproblem(
     gradient = -(A.mT @ b)
     inward = ~(((theta <= lower) & (gradient > 0)) | ((theta >= upper) & (gradient < 0)))
     mask = free & inward & ~zero
-    mask, named = _told(A, norms, upper - lower, mask)
+    mask, named = _determined(A, norms, upper - lower, mask)
     scale = torch.where(zero, torch.ones_like(norms), norms)
     return _Subproblem(
         Linear(A, b, prior_weight), (lower, upper), lower - theta, upper - theta, mask, scale
     ), zero | named
 
 
-def _told(A: Tensor, norms: Tensor, span: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
+def _determined(A: Tensor, norms: Tensor, span: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
     """The mask without a parameter for each direction that the data cannot tell, and all parameters in such directions.
 
     A direction cannot be told where its standard error exceeds the bounds' range, without finite bounds where it is
@@ -196,7 +196,7 @@ def _told(A: Tensor, norms: Tensor, span: Tensor, mask: Tensor) -> tuple[Tensor,
     size = torch.where(torch.isfinite(span), torch.minimum(span, 1e12 / norms), 1e9 / norms)
     while bool(mask.any()):
         place = mask.nonzero()[:, 0]
-        if _surely_told((A * size)[:, mask]):
+        if _surely_determined((A * size)[:, mask]):
             break
         _, values, rows = torch.linalg.svd((A * size)[:, mask], full_matrices=True)
         if len(values) == len(place) and float(values[-1]) >= 1.0:
@@ -207,7 +207,7 @@ def _told(A: Tensor, norms: Tensor, span: Tensor, mask: Tensor) -> tuple[Tensor,
     return mask, named
 
 
-def _surely_told(A: Tensor) -> bool:
+def _surely_determined(A: Tensor) -> bool:
     """Whether no singular value is below 1, by a bound that needs no singular values: a third of their time."""
     if A.shape[0] < A.shape[1]:
         return False

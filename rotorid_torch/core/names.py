@@ -89,7 +89,6 @@ INDUCED_SHARE = "induced.share"
 FORCES, MOMENTS = ("X", "Y", "Z"), ("L", "M", "N")
 """Axes of force (N) and moment (N m) about the centre of gravity, body axes, without gravity."""
 
-CONTROL_UNITS = ("rad", "m", "norm")
 KINDS = ("helicopter", "multirotor")
 
 _FAMILIES = {

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from importlib import import_module
 from typing import Any
@@ -114,14 +114,6 @@ class ParameterSet:
     def sizes(self, effect: str) -> tuple[Parameter, ...]:
         """The parameters of an effect by its id, without nuisance."""
         return tuple(p for p in self.parameters if p.name.startswith(f"{effect}.") and not p.nuisance)
-
-    def with_free(self, names: Iterable[str]) -> ParameterSet:
-        """The same set with exactly these parameters free."""
-        chosen = set(names)
-        unknown = chosen - set(self.names)
-        if unknown:
-            raise KeyError(f"no parameters {sorted(unknown)}; there are {', '.join(self.names)}")
-        return ParameterSet(tuple(replace(p, free=p.name in chosen) for p in self.parameters))
 
     def clamp(self, theta: Tensor) -> Tensor:
         """Theta [..., P] moved onto its bounds where it lies outside."""

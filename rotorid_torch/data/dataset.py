@@ -206,13 +206,13 @@ class Dataset:
         >>> batch["controls"].shape
         torch.Size([4, 309, 4])
         """
-        of, there = "windows", sorted({c for facts in self.facts.values() for c in facts.channels})
+        of, channels = "windows", sorted({c for facts in self.facts.values() for c in facts.channels})
         seconds = arguments.number(Argument(of, "seconds"), seconds, "s", above=0.0)
         every = arguments.number(Argument(of, "every"), every, "s", above=0.0)
         if flights is not None:
             flights = arguments.names(Argument(of, "flights"), flights, list(self.flights), "flight")
         if outputs is not None:
-            outputs = arguments.names(Argument(of, "outputs"), outputs, there, "channel")
+            outputs = arguments.names(Argument(of, "outputs"), outputs, channels, "channel")
         chosen = self.identify if flights is None else flights
         columns = self.scored() if outputs is None else outputs
         return windows_of([self.flights[name] for name in chosen], self.controls, columns, seconds, every)
@@ -516,9 +516,9 @@ def _of_one_kind(
     said = (
         f"{shown} left out: logs of another kind, without body rates or motor commands, beside flights that have both"
     )
-    kept = msgspec.structs.replace(declaration, flights=FlightLists(**listed))
+    reduced = msgspec.structs.replace(declaration, flights=FlightLists(**listed))
     return (
-        kept,
+        reduced,
         OnDemand([name for name in flights if name in whole], lambda name: flights[name]),
         {name: one for name, one in facts.items() if name in whole},
         [said],

@@ -68,8 +68,10 @@ class Flight:
         ------
         InputError : a channel that there is not.
         """
-        there = [name for name in self.channels if name != "time" and self.has(name)]
-        shown = there if channels is None else arguments.names(Argument("plot", "channels"), channels, there, "channel")
+        filled = [name for name in self.channels if name != "time" and self.has(name)]
+        shown = (
+            filled if channels is None else arguments.names(Argument("plot", "channels"), channels, filled, "channel")
+        )
         return of_channels(self.name, self.channels, shown)
 
     def _repr_html_(self) -> str:

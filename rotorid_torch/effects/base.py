@@ -214,8 +214,8 @@ class Effect(nn.Module):
             return super().__call__(frame, x, p)
         if p.vector.dim() > 1 and self.network_weights:
             return _one_by_one(self, frame, x, p)
-        with self.lent(p) as own:
-            return super().__call__(frame, x, own)
+        with self.lent(p) as declared:
+            return super().__call__(frame, x, declared)
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> Effect:
@@ -276,11 +276,11 @@ def _one_by_one(effect: Effect, frame: Frame, x: Tensor, p: Values) -> tuple[Fra
 
 def _tensors(frame: Frame) -> list[Tensor]:
     """All tensors of a frame in the order of `Frame.each`."""
-    found: list[Tensor] = []
+    tensors: list[Tensor] = []
 
     def noted(v: Tensor, n: int) -> Tensor:
-        found.append(v)
+        tensors.append(v)
         return v
 
     frame.each(noted)
-    return found
+    return tensors

@@ -130,8 +130,8 @@ class ModelSpec(msgspec.Struct, frozen=True, kw_only=True):
 
 def arm(spec: ModelSpec) -> float:
     """Distance of a multirotor's rotors from its centre, m."""
-    known = spec.found_places is None
-    declared = sum(math.hypot(*m.position[:2]) for m in spec.motors) / len(spec.motors) if known else 0.0
+    declares = spec.found_places is None
+    declared = sum(math.hypot(*m.position[:2]) for m in spec.motors) / len(spec.motors) if declares else 0.0
     return declared or usual_arm(spec.mass)
 
 

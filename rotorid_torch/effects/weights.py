@@ -50,14 +50,14 @@ def taken(effect: nn.Module, who: str, sd: float | Mapping[str, float]) -> tuple
     """
     refuse_hidden(effect, who)
     effect.double()
-    found: dict[int, tuple[str, Tensor, list[tuple[nn.Module, str]]]] = {}
+    tensors: dict[int, tuple[str, Tensor, list[tuple[nn.Module, str]]]] = {}
     for path, module in effect.named_modules():
-        for own, weight in module._parameters.items():
+        for key, weight in module._parameters.items():
             if weight is not None:
-                name = f"{path}.{own}" if path else own
-                found.setdefault(id(weight), (name, weight, []))[2].append((module, own))
+                name = f"{path}.{key}" if path else key
+                tensors.setdefault(id(weight), (name, weight, []))[2].append((module, key))
     weights, parameters = [], []
-    for name, weight, places in found.values():
+    for name, weight, places in tensors.values():
         _refuse_untrained(weight, name, who)
         one = Weight(name, tuple(places), tuple(weight.shape))
         scale = _scale(name, who, sd)
@@ -67,8 +67,8 @@ def taken(effect: nn.Module, who: str, sd: float | Mapping[str, float]) -> tuple
         ]
         weights.append(one)
     for one in weights:
-        for module, own in one.places:
-            module._parameters[own] = None
+        for module, key in one.places:
+            module._parameters[key] = None
     return weights, parameters
 
 
@@ -117,10 +117,10 @@ def lent(weights: Sequence[Weight], vector: Tensor) -> Iterator[None]:
         for one in weights:
             values = vector[first : first + one.count].view(one.shape)
             first += one.count
-            for module, own in one.places:
-                module._parameters[own] = values  # pyright: ignore[reportArgumentType]
+            for module, key in one.places:
+                module._parameters[key] = values  # pyright: ignore[reportArgumentType]
         yield
     finally:
         for one in weights:
-            for module, own in one.places:
-                module._parameters[own] = None
+            for module, key in one.places:
+                module._parameters[key] = None

@@ -45,39 +45,39 @@ def variables(model: Model, units: Mapping[str, str], step: float, fmi: Fmi) -> 
     control changes within a step.
     """
     x, u = reference_point(model)
-    found = [
+    listed = [
         Variable(n, CONTROL + k, "input", "continuous", units.get(n, _unit(n)), _about(n), float(u[k]))
         for k, n in enumerate(model.body.controls)
     ]
     if fmi is Fmi.THREE:
-        found.insert(0, Variable("time", TIME, "independent", "continuous", "s"))
-        found += [
+        listed.insert(0, Variable("time", TIME, "independent", "continuous", "s"))
+        listed += [
             Variable(
                 f"slope.{n}", SLOPE + k, "input", "continuous", f"{units.get(n, _unit(n))}/s", "within a step", 0.0
             )
             for k, n in enumerate(model.body.controls)
         ]
     outputs = model.body.outputs
-    found += [Variable(n, OUTPUT + k, "output", "continuous", _unit(n), _about(n)) for k, n in enumerate(outputs)]
-    named = {v.name for v in found}
+    listed += [Variable(n, OUTPUT + k, "output", "continuous", _unit(n), _about(n)) for k, n in enumerate(outputs)]
+    named = {v.name for v in listed}
     states = model.layout.states
-    found += [
+    listed += [
         Variable(s.name, STATE + k, "local", "continuous", s.unit, s.doc)
         for k, s in enumerate(states)
         if s.name not in named
     ]
-    found += [
+    listed += [
         Variable(f"start.{s.name}", START + k, "parameter", "tunable", s.unit, "where the flight begins", float(x[k]))
         for k, s in enumerate(states)
     ]
     theta = zip(model.parameter_set.parameters, model.theta.tolist(), strict=True)
-    found += [Variable(p.name, THETA + k, "parameter", "tunable", p.unit, p.doc, v) for k, (p, v) in enumerate(theta)]
-    found.append(Variable("step", STEP, "parameter", "tunable", "s", "longest step of the integration", step))
+    listed += [Variable(p.name, THETA + k, "parameter", "tunable", p.unit, p.doc, v) for k, (p, v) in enumerate(theta)]
+    listed.append(Variable("step", STEP, "parameter", "tunable", "s", "longest step of the integration", step))
     settle = "states of effects begin at rest under body states and controls; false: at start.STATE"
     hold = "states stay where the flight begins; only the way of the controls goes on"
-    found.append(Variable("settle", SETTLE, "parameter", "tunable", "", settle, True))
-    found.append(Variable("hold", HOLD, "parameter", "tunable", "", hold, False))
-    return found
+    listed.append(Variable("settle", SETTLE, "parameter", "tunable", "", settle, True))
+    listed.append(Variable("hold", HOLD, "parameter", "tunable", "", hold, False))
+    return listed
 
 
 def _unit(name: str) -> str:

@@ -100,9 +100,9 @@ def fly_fmu(path: str | Path, facts: Facts, dataset: Dataset, flight: str, span:
         reference = {n: facts.reference[n] for n in facts.body}
         start = fitted_start(outputs_of, reference, facts.outputs, pieces)
         states, outputs = machine.fly(start[0].tolist(), pieces.controls[0], starts)
-    found = {"time": record.time[inside].numpy()}
-    found |= {s.name: states[:, k] for k, s in enumerate(facts.states)}
-    return found | {n: outputs[:, k] for k, n in enumerate(facts.outputs)}
+    result = {"time": record.time[inside].numpy()}
+    result |= {s.name: states[:, k] for k, s in enumerate(facts.states)}
+    return result | {n: outputs[:, k] for k, n in enumerate(facts.outputs)}
 
 
 @contextmanager

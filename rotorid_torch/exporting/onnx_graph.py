@@ -136,7 +136,7 @@ class _Writer:
         if node in self.columns:
             return self.names[node]
         name = f"t{node}.column"
-        if all(name not in made.output for made in self.nodes):
+        if all(name not in node.output for node in self.nodes):
             self._node("Expand", [self.names[node], "shape"], name)
         return name
 

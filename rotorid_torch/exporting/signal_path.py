@@ -106,14 +106,14 @@ def output_path(model: Model, graph: Graph) -> list[Element]:
 
 def times(model: Model, kind: str) -> tuple[Tensor, Tensor]:
     """Sums of the sizes of a kind's elements, "DELAY" or "LAG", s: by control [nu] and by output [ny]."""
-    found = []
+    sums = []
     for library, names in ((CONTROLS, model.body.controls), (OUTPUTS, model.body.outputs)):
         total = torch.zeros(len(names), dtype=torch.float64)
         for k, effect in enumerate(model.chain):
             if effect.id in library and library[effect.id][0] == kind:
                 total = total + library[effect.id][1](model.values(model.theta.detach(), k), names)
-        found.append(total)
-    return found[0], found[1]
+        sums.append(total)
+    return sums[0], sums[1]
 
 
 def _elements(

@@ -97,6 +97,6 @@ def noisy_states(model: Model) -> tuple[str, ...]:
 
 def _with(model: Model, controls: tuple[str, ...], effect: Effect) -> Model:
     reference = {**model.reference, **dict.fromkeys((*GUSTS, *QUICK_GUSTS), 0.0)}
-    made = Model(replace(model.body, controls=controls), [*model.chain, effect], reference)
-    made.start_from(model.named_values)
-    return made
+    model_in_gusts = Model(replace(model.body, controls=controls), [*model.chain, effect], reference)
+    model_in_gusts.start_from(model.named_values)
+    return model_in_gusts

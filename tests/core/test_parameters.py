@@ -53,17 +53,8 @@ def test_a_name_declared_twice_is_told():
 def test_unknown_names_are_told_with_those_that_exist():
     with pytest.raises(KeyError, match=r"no parameter 'L\.q'.*L\.p, delay, X\.u"):
         a_set().index("L.q")
-    with pytest.raises(KeyError, match=r"no parameters \['L\.q'\].*L\.p"):
-        a_set().with_free(["L.p", "L.q"])
     assert "L.q" not in a_set()
     assert "L.p" in a_set()
-
-
-def test_with_free_frees_exactly_these():
-    assert a_set().free == ("L.p", "X.u")
-    assert a_set().with_free(["delay"]).free == ("delay",)
-    assert a_set().with_free(["delay"]).values.tolist() == a_set().values.tolist()
-    assert a_set().with_free([]).free == ()
 
 
 @given(st.lists(st.lists(st.floats(-1e3, 1e3), min_size=3, max_size=3), min_size=1, max_size=4))

@@ -8,7 +8,7 @@ import pytest
 from rotorid_torch.data import load
 from rotorid_torch.errors import InputError
 from rotorid_torch.simulation import fly
-from rotorid_torch.simulation.flight.augmentation import OFF, design
+from rotorid_torch.simulation.flight.augmentation import Augmentation, design
 from rotorid_torch.simulation.flight.manoeuvres import FLIGHTS, LISTS, pilot
 from rotorid_torch.simulation.flight.sensors import MEASURED, NOISE, measured_channels
 from rotorid_torch.simulation.flight.simulation import fly_batch
@@ -142,7 +142,7 @@ def test_unstable_without_augmentation_and_bounded_with_it(hover):
     with_it = fly_batch(hover.aircraft, hover.trim, design(hover.linear), names, 10.0, substeps=1)
     assert np.abs(with_it.states[:, 6:9]).max() < 0.5
     assert np.abs(with_it.states[-1, 3:6]).max() < 0.06
-    without = fly_batch(hover.aircraft, hover.trim, OFF, names, 10.0, substeps=1)
+    without = fly_batch(hover.aircraft, hover.trim, Augmentation(np.zeros((4, 6))), names, 10.0, substeps=1)
     assert np.abs(without.states[:, 6:9]).max() > 0.5
     assert np.abs(without.states[-1, 3:6]).max() > 0.2
 

@@ -18,7 +18,7 @@ import torch.distributed as distributed
 from torch import Tensor
 from torch.distributed.rendezvous import rendezvous
 
-from rotorid_torch.errors import InputError, LostRank, Told
+from rotorid_torch.errors import InputError, LostRank, ReportedElsewhere
 
 Item = TypeVar("Item")
 Made = TypeVar("Made")
@@ -154,7 +154,7 @@ def ranks_of_torchrun(patience: float = PATIENCE_S) -> Iterator[Ranks]:
     """The ranks that torchrun (or its environment variables RANK, WORLD_SIZE, MASTER_ADDR, MASTER_PORT) has started.
 
     One process alone without them; InputError where only some are set. Where the block fails at several ranks, all but
-    the first to fail raise `Told`.
+    the first to fail raise `ReportedElsewhere`.
 
     Parameters
     ----------
@@ -176,14 +176,14 @@ def ranks_of_torchrun(patience: float = PATIENCE_S) -> Iterator[Ranks]:
     try:
         yield Ranks(rank, size)
     except BaseException as error:
-        if not _first_to_tell(store):
-            raise Told(error) from error
+        if not _first_to_report(store):
+            raise ReportedElsewhere(error) from error
         raise
     finally:
         distributed.destroy_process_group()
 
 
-def _first_to_tell(store: Any) -> bool:
+def _first_to_report(store: Any) -> bool:
     try:
         return store.add("rotorid/failed", 1) == 1
     except RuntimeError:  # the store has gone with the rank that held it

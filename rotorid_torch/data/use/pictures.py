@@ -30,8 +30,8 @@ def of_channels(title: str, channels: Mapping[str, Tensor], shown: Sequence[str]
     axes = figure.subplots(rows, columns, sharex=True, squeeze=False).ravel()
     for axis, name in zip(axes, shown, strict=False):
         axis.plot(channels["time"].numpy(), channels[name].numpy(), linewidth=0.8)
-        known = names.channel(name)
-        axis.set_ylabel(f"{name}, {known.unit}" if known is not None and known.unit else name)
+        listed = names.channel(name)
+        axis.set_ylabel(f"{name}, {listed.unit}" if listed is not None and listed.unit else name)
     for axis in axes[len(shown) :]:
         axis.set_axis_off()
     for axis in axes[-columns:]:

@@ -350,7 +350,7 @@ class WakeDistortion(Effect):
         if rotor is not None:
             g, twice = damping_of(rotor), 2.0 * rotor.speed
             scale = g / (g * g + twice * twice)
-            self.own, self.cross, self.spin = g * scale, twice * scale, rotor.spin
+            self.direct, self.cross, self.spin = g * scale, twice * scale, rotor.spin
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> WakeDistortion:
@@ -375,8 +375,8 @@ class WakeDistortion(Effect):
                 ..., None
             ]
         c, s = p["K_R"] * late_q, p["K_R"] * self.spin * late_p
-        a1 = frame.rate("a1") + self.own * c - self.cross * s
-        b1 = frame.rate("b1") + self.cross * c + self.own * s
+        a1 = frame.rate("a1") + self.direct * c - self.cross * s
+        b1 = frame.rate("b1") + self.cross * c + self.direct * s
         disc = vec(q + a1, roll + self.spin * b1)
         return frame.with_rates(a1=a1, b1=b1), (disc - x) / p["tau"].unsqueeze(-1)
 

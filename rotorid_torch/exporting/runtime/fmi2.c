@@ -1,21 +1,13 @@
 /* FMI 2.0 for co-simulation. Source of the interface: Functional Mock-up Interface 2.0.4, Modelica Association. */
 
-#include <string.h>
-
 #include "fmu.c"
-
-#ifdef _WIN32
-#define EXPORT __declspec(dllexport)
-#else
-#define EXPORT __attribute__((visibility("default")))
-#endif
 
 typedef int fmi2Boolean, fmi2Integer, fmi2Status, fmi2Type;
 typedef double fmi2Real;
 typedef const char* fmi2String;
 typedef unsigned fmi2Reference;
 typedef instance* fmi2Component;
-typedef void *fmi2FMUstate, *fmi2Environment;
+typedef void* fmi2Environment;
 typedef struct {
   void* log;
   void* (*allocate)(size_t, size_t);
@@ -99,36 +91,7 @@ EXPORT fmi2Status fmi2SetString(fmi2Component s, const fmi2Reference r[], size_t
   return n ? fmi2Error : fmi2OK;
 }
 
-EXPORT fmi2Status fmi2GetFMUstate(fmi2Component s, fmi2FMUstate* state) {
-  if (!*state) *state = malloc(sizeof *s);
-  if (!*state) return fmi2Error;
-  memcpy(*state, s, sizeof *s);
-  return fmi2OK;
-}
-EXPORT fmi2Status fmi2SetFMUstate(fmi2Component s, fmi2FMUstate state) { memcpy(s, state, sizeof *s); return fmi2OK; }
-EXPORT fmi2Status fmi2FreeFMUstate(fmi2Component s, fmi2FMUstate* state) {
-  (void)s;
-  free(*state);
-  *state = NULL;
-  return fmi2OK;
-}
-EXPORT fmi2Status fmi2SerializedFMUstateSize(fmi2Component s, fmi2FMUstate state, size_t* size) {
-  (void)state;
-  *size = sizeof *s;
-  return fmi2OK;
-}
-EXPORT fmi2Status fmi2SerializeFMUstate(fmi2Component s, fmi2FMUstate state, char bytes[], size_t size) {
-  if (size < sizeof *s) return fmi2Error;
-  memcpy(bytes, state, sizeof *s);
-  return fmi2OK;
-}
-EXPORT fmi2Status fmi2DeSerializeFMUstate(fmi2Component s, const char bytes[], size_t size, fmi2FMUstate* state) {
-  if (size < sizeof *s) return fmi2Error;
-  if (!*state) *state = malloc(sizeof *s);
-  if (!*state) return fmi2Error;
-  memcpy(*state, bytes, sizeof *s);
-  return fmi2OK;
-}
+SAVED_STATES(fmi2, FMUstate, DeSerialize, char)
 EXPORT fmi2Status fmi2GetDirectionalDerivative(fmi2Component s, const fmi2Reference unknown[], size_t n,
                                                const fmi2Reference by[], size_t m, const fmi2Real d[], fmi2Real out[]) {
   (void)s, (void)unknown, (void)n, (void)by, (void)m, (void)d, (void)out;

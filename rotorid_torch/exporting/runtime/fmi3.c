@@ -2,22 +2,15 @@
 
 #include <stdbool.h>
 #include <stdint.h>
-#include <string.h>
 
 #include "fmu.c"
-
-#ifdef _WIN32
-#define EXPORT __declspec(dllexport)
-#else
-#define EXPORT __attribute__((visibility("default")))
-#endif
 
 typedef uint32_t fmi3Reference;
 typedef int fmi3Status;
 typedef const char* fmi3String;
 typedef const uint8_t* fmi3Binary;
 typedef instance* fmi3Instance;
-typedef void *fmi3State, *fmi3Environment;
+typedef void* fmi3Environment;
 enum { fmi3OK, fmi3Warning, fmi3Discard, fmi3Error };
 
 EXPORT const char* fmi3GetVersion(void) { return "3.0"; }
@@ -131,36 +124,7 @@ EXPORT fmi3Status fmi3SetClock(fmi3Instance s, const fmi3Reference r[], size_t n
   return n ? fmi3Error : fmi3OK;
 }
 
-EXPORT fmi3Status fmi3GetFMUState(fmi3Instance s, fmi3State* state) {
-  if (!*state) *state = malloc(sizeof *s);
-  if (!*state) return fmi3Error;
-  memcpy(*state, s, sizeof *s);
-  return fmi3OK;
-}
-EXPORT fmi3Status fmi3SetFMUState(fmi3Instance s, fmi3State state) { memcpy(s, state, sizeof *s); return fmi3OK; }
-EXPORT fmi3Status fmi3FreeFMUState(fmi3Instance s, fmi3State* state) {
-  (void)s;
-  free(*state);
-  *state = NULL;
-  return fmi3OK;
-}
-EXPORT fmi3Status fmi3SerializedFMUStateSize(fmi3Instance s, fmi3State state, size_t* size) {
-  (void)state;
-  *size = sizeof *s;
-  return fmi3OK;
-}
-EXPORT fmi3Status fmi3SerializeFMUState(fmi3Instance s, fmi3State state, uint8_t bytes[], size_t size) {
-  if (size < sizeof *s) return fmi3Error;
-  memcpy(bytes, state, sizeof *s);
-  return fmi3OK;
-}
-EXPORT fmi3Status fmi3DeserializeFMUState(fmi3Instance s, const uint8_t bytes[], size_t size, fmi3State* state) {
-  if (size < sizeof *s) return fmi3Error;
-  if (!*state) *state = malloc(sizeof *s);
-  if (!*state) return fmi3Error;
-  memcpy(*state, bytes, sizeof *s);
-  return fmi3OK;
-}
+SAVED_STATES(fmi3, FMUState, Deserialize, uint8_t)
 
 EXPORT fmi3Status fmi3DoStep(fmi3Instance s, double t, double h, bool no_way_back, bool* event, bool* terminate,
                              bool* early, double* last) {

@@ -1,8 +1,15 @@
 /* What both versions of FMI share: an instance, and its variables by reference. */
 
 #include <stdlib.h>
+#include <string.h>
 
 #include "rid.h"
+
+#ifdef _WIN32
+#define EXPORT __declspec(dllexport)
+#else
+#define EXPORT __attribute__((visibility("default")))
+#endif
 
 enum { CONTROL = 0, OUTPUT = 1000, STATE = 2000, FROM = 3000, SLOPE = 4000, STEP_SIZE = 5000, HOLD, SETTLE, TIME, THETA_AT = 10000 };
 
@@ -77,3 +84,36 @@ static int finite_states(const instance* s) {
     if (!(s->m.x[i] - s->m.x[i] == 0.0)) return 0;
   return 1;
 }
+
+/* Saved states: the same in both versions but for the names, `Saved` and `Restored` of FMUstate and DeSerialize. */
+enum { DONE, FAILED = 3 };
+
+static int copied(void** state, const void* from) {
+  if (!*state) *state = malloc(sizeof(instance));
+  if (!*state) return FAILED;
+  memcpy(*state, from, sizeof(instance));
+  return DONE;
+}
+
+#define SAVED_STATES(fmi, Saved, Restored, byte)                                                       \
+  EXPORT int fmi##Get##Saved(instance* s, void** state) { return copied(state, s); }                   \
+  EXPORT int fmi##Set##Saved(instance* s, void* state) { memcpy(s, state, sizeof *s); return DONE; }   \
+  EXPORT int fmi##Free##Saved(instance* s, void** state) {                                             \
+    (void)s;                                                                                           \
+    free(*state);                                                                                      \
+    *state = NULL;                                                                                     \
+    return DONE;                                                                                       \
+  }                                                                                                    \
+  EXPORT int fmi##Serialized##Saved##Size(instance* s, void* state, size_t* size) {                    \
+    (void)state;                                                                                       \
+    *size = sizeof *s;                                                                                 \
+    return DONE;                                                                                       \
+  }                                                                                                    \
+  EXPORT int fmi##Serialize##Saved(instance* s, void* state, byte bytes[], size_t size) {              \
+    if (size < sizeof *s) return FAILED;                                                               \
+    memcpy(bytes, state, sizeof *s);                                                                   \
+    return DONE;                                                                                       \
+  }                                                                                                    \
+  EXPORT int fmi##Restored##Saved(instance* s, const byte bytes[], size_t size, void** state) {        \
+    return size < sizeof *s ? FAILED : copied(state, bytes);                                           \
+  }

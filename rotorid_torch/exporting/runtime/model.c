@@ -105,28 +105,18 @@ typedef struct {
   rid_element* elements;
 } chain;
 
-static void through(const chain* way, const double* c, double t, double h, double* v) {
+/* A sample along the way: at rest since ever, h the step of its memory; or h later than the last one. */
+static void along(const chain* way, const double* c, double t, double h, int rests, double* v) {
   double in[RID_WIDE];
   int k;
   for (k = 0; k < way->count; k++) {
     if (way->kinds[k] == INSTANT) {
       memcpy(in, v, (size_t)way->n * sizeof *v);
       INSTANTS[way->instants[k]](in, c, v);
+    } else if (rests) {
+      at_rest(&way->elements[k], way->kinds[k], t, h, v, way->n);
     } else {
       onward(&way->elements[k], way->kinds[k], t, h, v, way->n);
-    }
-  }
-}
-
-static void from_rest(const chain* way, const double* c, double t, double step, double* v) {
-  double in[RID_WIDE];
-  int k;
-  for (k = 0; k < way->count; k++) {
-    if (way->kinds[k] == INSTANT) {
-      memcpy(in, v, (size_t)way->n * sizeof *v);
-      INSTANTS[way->instants[k]](in, c, v);
-    } else {
-      at_rest(&way->elements[k], way->kinds[k], t, step, v, way->n);
     }
   }
 }
@@ -231,7 +221,7 @@ static void placed(rid_model* m) {
     settled(m, m->x);
   }
   outputs(m->x, m->v, m->c, m->y);
-  from_rest(&record, m->c, m->t, m->step, m->y);
+  along(&record, m->c, m->t, m->step, 1, m->y);
 }
 
 void rid_begin(rid_model* m, double t) {
@@ -239,20 +229,20 @@ void rid_begin(rid_model* m, double t) {
   rid_prepare(m);
   m->t = t;
   memcpy(m->v, m->u, sizeof m->v);
-  from_rest(&path, m->c, t, m->step, m->v);
+  along(&path, m->c, t, m->step, 1, m->v);
   placed(m);
 }
 
 static void sensed(rid_model* m, double h) {
   const chain record = record_of(m);
   outputs(m->x, m->v, m->c, m->y);
-  through(&record, m->c, m->t, h, m->y);
+  along(&record, m->c, m->t, h, 0, m->y);
 }
 
 void rid_refresh(rid_model* m) {
   const chain path = path_of(m);
   memcpy(m->v, m->u, sizeof m->v);
-  through(&path, m->c, m->t, 0.0, m->v);
+  along(&path, m->c, m->t, 0.0, 0, m->v);
   if (m->hold) placed(m); else sensed(m, 0.0);
 }
 
@@ -295,7 +285,7 @@ void rid_step(rid_model* m, const double* u, double seconds) {
     for (i = 0; i < RID_NU; i++) m->u[i] = k == pieces ? u[i] : from[i] + (u[i] - from[i]) * k / pieces;
     memcpy(m->v, m->u, sizeof m->v);
     m->t = begun + h * k;
-    through(&path, m->c, m->t, h, m->v);
+    along(&path, m->c, m->t, h, 0, m->v);
     if (m->hold) {
       placed(m);
     } else {

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.gauss_newton import FLOOR, Minimum, Options, untold
+from rotorid_torch.core.gauss_newton import FLOOR, Minimum, Options, undetermined
 from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
 
 MEMORY = 20
@@ -56,7 +56,7 @@ def minimise_lbfgs(
     place = variables.place()
     linear = problem.linearise(place)
     theta, lower, upper = place.theta, problem.system.lower, problem.system.upper
-    blind = untold(linear, theta, lower, upper)
+    blind = undetermined(linear, theta, lower, upper)
     message = "converged: the cost no longer falls" if converged else f"stopped after {iteration} iterations"
     return Minimum(place, linear, (theta <= lower) | (theta >= upper), blind, converged, message, iteration, history)
 

@@ -80,19 +80,19 @@ def at_rest(model: Flown, body: Tensor, controls: Tensor, starts_at: Tensor) -> 
 
     Source: implicit function theorem, as one more step of Newton's method with slopes that are held.
     """
-    found, places = equilibrium(model, body.detach(), controls.detach(), starts_at.detach()), resting(model)
+    settled, places = equilibrium(model, body.detach(), controls.detach(), starts_at.detach()), resting(model)
     if not model.own_states:
         return body
     n = body.shape[-1]
-    x = torch.cat([body, torch.where(starts_at.isnan(), found[..., n:], starts_at)], dim=-1)
+    x = torch.cat([body, torch.where(starts_at.isnan(), settled[..., n:], starts_at)], dim=-1)
     if not places:
         return x
     with torch.no_grad():
-        _, slopes = _slopes(model, found, controls, places)
+        _, slopes = _slopes(model, settled, controls, places)
         inverse = least_squares(slopes, torch.eye(len(places)).to(slopes).expand_as(slopes)).nan_to_num(0.0)
     picked = torch.eye(x.shape[-1], dtype=x.dtype, device=x.device)[places]
     still = torch.cat(
-        [body, x[..., n:].index_copy(-1, torch.tensor(places, device=x.device) - n, found[..., places])], -1
+        [body, x[..., n:].index_copy(-1, torch.tensor(places, device=x.device) - n, settled[..., places])], -1
     )
     change = (inverse @ model.rates(model.theta, still, controls)[..., places].unsqueeze(-1)).squeeze(-1)
     return still - change @ picked

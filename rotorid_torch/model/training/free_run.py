@@ -149,13 +149,13 @@ def _begun(pieces: Sequence[tuple[Flight, int]], channels: Sequence[str]) -> Ten
 
 def _completed(model: Trained, start: Tensor, controls: Tensor, pieces: Sequence[tuple[Flight, int]]) -> Tensor:
     """Whole states [W, nx]: those of the effects rest, or start at their channel, where the body alone is told."""
-    own, n = model.own_states, len(model.body.states)
-    if start.shape[-1] not in (n, n + len(own)):
+    states, n = model.own_states, len(model.body.states)
+    if start.shape[-1] not in (n, n + len(states)):
         wrong = f"has {start.shape[-1]} columns"
-        raise InputError("free_run", "x0", wrong, f"{n} (the body's) or {n + len(own)} (all states)")
-    if start.shape[-1] == n + len(own):
+        raise InputError("free_run", "x0", wrong, f"{n} (the body's) or {n + len(states)} (all states)")
+    if start.shape[-1] == n + len(states):
         return start
-    channels = [s.channel or "" for s in own]
+    channels = [s.channel or "" for s in states]
     begun = _begun(pieces, channels).to(start)
     reference = [model.reference.get(c, torch.nan) if c else torch.nan for c in channels]
     begun = torch.where(begun.isnan(), torch.tensor(reference, dtype=torch.float64).to(start), begun)

@@ -21,8 +21,6 @@ class Augmentation:
     gains: Array
 
 
-OFF = Augmentation(np.zeros((4, 6)))
-
 PITCH, ROLL, YAW = 1.2, 1.6, 1.0  # rad/s: attitude frequencies that the feedback aims at
 DAMPING = 0.7
 

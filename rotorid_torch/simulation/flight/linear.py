@@ -36,10 +36,6 @@ class Linear:
         """Eigenvalues of the eight-state model, 1/s."""
         return np.linalg.eigvals(self.a).astype(np.complex128)
 
-    def full_modes(self) -> NDArray[np.complex128]:
-        """Eigenvalues with rotor and inflow (Floquet exponents), 1/s."""
-        return np.linalg.eigvals(self.full_a).astype(np.complex128)
-
 
 def linearise(aircraft: Aircraft, trim: Trim, shift: float = 1e-4) -> Linear:
     """Linear model about a trim by central differences over one blade passage, rotor speed held.

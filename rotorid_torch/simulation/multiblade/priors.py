@@ -100,15 +100,15 @@ def _rotor(vehicle: Vehicle, base: Aircraft, length: float, weight: float) -> di
     chord = usual_rotor.chord * usual_rotor.blades / blades * weight / length
     lock = LOCK_SLOPE * base.air_density * usual_rotor.chord * usual_rotor.radius**4 / usual_rotor.flap_inertia
 
-    def known(declared: float | None, error: float, usual: float, wide: float) -> Number:
+    def declared_or(declared: float | None, error: float, usual: float, wide: float) -> Number:
         return Number(usual, wide) if declared is None else Number(declared, error)
 
     return {
         "radius": Number(rotor.radius, GEOMETRY_ERROR),
-        "chord": known(rotor.chord, GEOMETRY_ERROR, chord, 0.1),
-        "speed": known(rotor.speed, 0.001, usual_rotor.speed / length, 0.03),
-        "hinge_offset": known(rotor.hinge_offset or None, 0.02, usual_rotor.hinge_offset * length, 0.3),
-        "lock": known(rotor.lock_number, LOCK_ERROR, lock, 0.2),
+        "chord": declared_or(rotor.chord, GEOMETRY_ERROR, chord, 0.1),
+        "speed": declared_or(rotor.speed, 0.001, usual_rotor.speed / length, 0.03),
+        "hinge_offset": declared_or(rotor.hinge_offset or None, 0.02, usual_rotor.hinge_offset * length, 0.3),
+        "lock": declared_or(rotor.lock_number, LOCK_ERROR, lock, 0.2),
         "slenderness": Number(
             usual_rotor.flap_inertia / (usual_rotor.first_moment * (usual_rotor.radius - usual_rotor.hinge_offset)),
             0.03,

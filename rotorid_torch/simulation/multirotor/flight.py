@@ -351,18 +351,18 @@ class _Late:
         """`delay` in steps, [column]; `shape` : of the commands."""
         self.back, part = np.divmod(delay, 1.0)
         self.part, self.back = part, self.back.astype(int)
-        self.kept = np.zeros((int(self.back.max()) + 2, *shape))
+        self.memory = np.zeros((int(self.back.max()) + 2, *shape))
         self.columns, self.count = np.arange(len(delay)), 0
 
     def after(self, commands: Array) -> Array:
         """What arrives at the drives now that these commands, [rotor, column], are sent."""
-        size = len(self.kept)
+        size = len(self.memory)
         if self.count == 0:
-            self.kept[:] = commands
-        self.kept[self.count % size] = commands
+            self.memory[:] = commands
+        self.memory[self.count % size] = commands
         at = self.count - self.back
         self.count += 1
         if size == 2 and not self.part.any():
             return commands
-        near, far = (self.kept[(at - k) % size, :, self.columns].T for k in (0, 1))
+        near, far = (self.memory[(at - k) % size, :, self.columns].T for k in (0, 1))
         return near + self.part * (far - near)

@@ -37,13 +37,13 @@ with ranks_of_torchrun() as ranks:
 SILENT = """
 import time
 from rotorid_torch.core.processes.ranks import ranks_of_torchrun
-from rotorid_torch.errors import LostRank, Told
+from rotorid_torch.errors import LostRank, ReportedElsewhere
 try:
     with ranks_of_torchrun(patience=2.0) as ranks:
         if not ranks.first:
             time.sleep(4.0)
         ranks.gather(1)
-except (LostRank, Told) as error:
+except (LostRank, ReportedElsewhere) as error:
     print(type(error).__name__, flush=True)
     if ranks.first:
         time.sleep(4.0)  # the first rank holds what the others look into; torchrun itself does under torchrun
@@ -76,7 +76,7 @@ def test_what_ranks_exchange():
 
 
 def test_a_silent_rank_is_lost_and_told_once():
-    assert both(SILENT) == ("LostRank", "Told")
+    assert both(SILENT) == ("LostRank", "ReportedElsewhere")
 
 
 @given(count=st.integers(1, 150), size=st.integers(1, BLOCKS))

@@ -86,7 +86,7 @@ def test_rotor_modes_are_the_flight_test_aircrafts(hover, multiblade):
     craft, trims = multiblade
     modes = np.linalg.eigvals(linearise(craft, trims).inner[0])
     for mode in (-2.3 + 18.1j, -2.8 + 7.5j, -3.1 + 39.0j, -10.9 + 50.7j, -10.2 + 23.8j):
-        full = min(hover.linear.full_modes(), key=lambda found: abs(found - mode))
+        full = min(np.linalg.eigvals(hover.linear.full_a), key=lambda found: abs(found - mode))
         nearest = min(modes, key=lambda found: abs(found - mode))
         assert abs(nearest - full) < 0.08 * abs(full), (nearest, full)
 
