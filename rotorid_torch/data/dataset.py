@@ -116,38 +116,10 @@ class Dataset:
         >>> rotorid.Dataset.from_arrays({"f1": flight}, identify=["f1"])
         Dataset arrays, helicopter: controls lat; 1 identify, 0 validate, 0 acid: f1
         """
-        flights = arguments.instance(Argument("arrays", "flights"), flights, Mapping, "a dict of channels by flight")
-        lists = {"identify": identify, "validate": validate, "acid": acid}
-        named = 'a list of names of flights: ["..."]'
-        lists = {key: arguments.sequence(Argument("arrays", key), names, named) for key, names in lists.items()}
-        document = {
-            "format": 1,
-            "name": name,
-            "kind": kind,
-            "description": description,
-            "vehicle": _plain(vehicle or {}),
-            "controls": _plain(controls or {}),
-            "channels": _plain(channels or {}),
-            "flights": lists,
-            "model": _plain(model or {}),
-        }
-        declaration = declare(document, "arrays")
-        digest = hashlib.sha256(json.dumps(document, sort_keys=True).encode())
-        flown, facts, warnings = {}, {}, []
-        for flight_name in declaration.flights.all():
-            if flight_name not in flights:
-                there = f"flights of the lists; there are {arguments.listed(map(str, flights))}"
-                raise InputError("arrays", "flights", f"there is no flight '{flight_name}'", there)
-            place = f"arrays: flight {flight_name}"
-            arrays = take_arrays(flights[flight_name], place)
-            for channel, values in arrays.items():
-                digest.update(channel.encode() + values.tobytes())
-            flown[flight_name], remarks = make_flight(flight_name, arrays, place, declaration.units())
-            facts[flight_name] = _facts(flown[flight_name], place)
-            warnings += remarks
-        places: dict[str, str | Path] = {flight: f"arrays: flight {flight}" for flight in flown}
-        origin = Origin(None, "arrays", places, digest.hexdigest())
-        return _assemble(declaration, flown, facts, origin, warnings)
+        document = {"format": 1, "name": name, "kind": kind, "description": description, "vehicle": vehicle}
+        document |= {"controls": controls, "channels": channels}
+        document |= {"flights": {"identify": identify, "validate": validate, "acid": acid}, "model": model}
+        return _from_document(flights, document)
 
     def __repr__(self) -> str:
         lists = ", ".join(f"{len(getattr(self, which))} {which}" for which in ("identify", "validate", "acid"))
@@ -414,6 +386,30 @@ def load(path: str | Path) -> Dataset:
         flights.keep(name, flight)
         warnings += wrong
     return _assemble(declaration, flights, facts, Origin(folder, toml, places, digest.hexdigest()), warnings)
+
+
+def _from_document(flights: Mapping[str, Mapping[str, Any]], document: Mapping[str, Any]) -> Dataset:
+    """A data set from arrays, declared by a document of dataset.toml's form; its tables may be structs, or None."""
+    flights = arguments.instance(Argument("arrays", "flights"), flights, Mapping, "a dict of channels by flight")
+    named = 'a list of names of flights: ["..."]'
+    lists = {key: arguments.sequence(Argument("arrays", key), of, named) for key, of in document["flights"].items()}
+    tables = {key: _plain(document[key] or {}) for key in ("vehicle", "controls", "channels", "model")}
+    document = {**document, **tables, "flights": lists}
+    declaration = declare(document, "arrays")
+    digest = hashlib.sha256(json.dumps(document, sort_keys=True).encode())
+    flown, facts, warnings = {}, {}, []
+    places: dict[str, str | Path] = {name: f"arrays: flight {name}" for name in declaration.flights.all()}
+    for name, place in places.items():
+        if name not in flights:
+            expected = f"flights of the lists; there are {arguments.listed(map(str, flights))}"
+            raise InputError("arrays", "flights", f"there is no flight '{name}'", expected)
+        arrays = take_arrays(flights[name], str(place))
+        for channel, values in arrays.items():
+            digest.update(channel.encode() + values.tobytes())
+        flown[name], remarks = make_flight(name, arrays, place, declaration.units())
+        facts[name] = _facts(flown[name], place)
+        warnings += remarks
+    return _assemble(declaration, flown, facts, Origin(None, "arrays", places, digest.hexdigest()), warnings)
 
 
 def _again(name: str, file: Path, digest: bytes, units: Mapping[str, str]) -> Flight:

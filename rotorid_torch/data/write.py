@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,24 +31,20 @@ def write_dataset(
     folder: str | Path,
     flights: Mapping[str, Mapping[str, Any]],
     *,
-    identify: Sequence[str],
-    validate: Sequence[str] = (),
-    acid: Sequence[str] = (),
-    name: str = "",
-    kind: str = "helicopter",
-    description: str = "",
-    vehicle: Any = None,
-    controls: Any = None,
-    channels: Any = None,
-    model: Any = None,
     truth: Mapping[str, Mapping[str, Any]] | None = None,
     texts: Mapping[str, str] | None = None,
+    **declared: Any,
 ) -> Path:
-    """Write dataset.toml, flights/NAME.npz and, where given, truth/NAME.npz; returns the folder.
+    """Write dataset.toml, flights/NAME.npz and, where it is handed over, truth/NAME.npz; returns the folder.
 
-    The arguments are those of `Dataset.from_arrays`, which validates them before anything is written; `truth` holds
-    arrays by flight and channel. float32 stays float32, all else is written as float64. An earlier data set at this
-    place is replaced whole. `texts`, by path in the folder, are written too, but for those that say what it declares.
+    float32 stays float32, all else is written as float64. An earlier data set at this place is replaced whole.
+
+    Parameters
+    ----------
+    flights, declared : as for `Dataset.from_arrays`, which validates them before anything is written. Without a name
+        the data set has that of the folder.
+    truth : arrays by flight and channel.
+    texts : more files, by path in the folder; those that say what the data set declares anyway are left out.
 
     Raises
     ------
@@ -56,42 +52,33 @@ def write_dataset(
     """
     place = absolute(folder)
     refuse_unless_free(place)
-    name = name or printable(place.name, layout=False)
-    Dataset.from_arrays(
-        flights,
-        identify=identify,
-        validate=validate,
-        acid=acid,
-        name=name,
-        kind=kind,
-        description=description,
-        vehicle=vehicle,
-        controls=controls,
-        channels=channels,
-        model=model,
-    )
-    document = {
-        "format": 1,
-        "name": name,
-        "kind": kind,
-        "description": description,
-        "vehicle": _plain(vehicle),
-        "controls": {control: _plain(spec) for control, spec in (controls or {}).items()},
-        "channels": {channel: _plain(spec) for channel, spec in (channels or {}).items()},
-        "flights": {"identify": list(identify), "validate": list(validate), "acid": list(acid)},
-        "model": _plain(model),
-    }
+    name = declared.pop("name", "") or printable(place.name, layout=False)
+    Dataset.from_arrays(flights, name=name, **declared)
+    document = _document(name, declared)
+    listed = [flight for flights_of_list in document["flights"].values() for flight in flights_of_list]
     with writing(place):
         place.parent.mkdir(parents=True, exist_ok=True)
     with atomic_folder(place, lambda: refuse_unless_free(place)) as partial:
         (partial / "dataset.toml").write_text(to_toml(document), encoding="utf-8")
-        _write_arrays(partial / "flights", {flight: flights[flight] for flight in (*identify, *validate, *acid)})
+        _write_arrays(partial / "flights", {flight: flights[flight] for flight in listed})
         if truth:
             _write_arrays(partial / "truth", truth)
         for file, text in (texts or {}).items():
             if text != to_toml(document):
                 (partial / file).write_text(text, encoding="utf-8")
     return place
+
+
+def _document(name: str, declared: Mapping[str, Any]) -> dict[str, Any]:
+    """The declaration in the order of a dataset.toml, without what is left at its default."""
+    about = {"kind": declared.get("kind", "helicopter"), "description": declared.get("description", "")}
+    sensors = {
+        key: {name: _plain(spec) for name, spec in (declared.get(key) or {}).items()}
+        for key in ("controls", "channels")
+    }
+    lists = {key: list(declared.get(key, ())) for key in ("identify", "validate", "acid")}
+    tables = {"vehicle": _plain(declared.get("vehicle")), **sensors, "flights": lists}
+    return {"format": 1, "name": name, **about, **tables, "model": _plain(declared.get("model"))}
 
 
 def refuse_unless_free(out: str | Path, written: str = "", inputs: Iterable[Path] = ()) -> None:

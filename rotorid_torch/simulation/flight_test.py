@@ -16,24 +16,29 @@ from rotorid_torch.core.names import nearest
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.write import declarations, refuse_unless_free, write_dataset
 from rotorid_torch.errors import InputError
-from rotorid_torch.simulation.effects import EVERY_FORM, FORMS, HIDDEN, differences
+from rotorid_torch.simulation.effects import EVERY_FORM, FORMS, HIDDEN, Hidden, differences
 from rotorid_torch.simulation.flight.augmentation import Augmentation, design
 from rotorid_torch.simulation.flight.linear import linearise
 from rotorid_torch.simulation.flight.manoeuvres import Condition, chosen, conditioned, lists
 from rotorid_torch.simulation.flight.sensors import MEASURED, NOISE, Channels, measured_channels, true_channels
-from rotorid_torch.simulation.flight.simulation import Progress, fly_batch, with_heading, with_height
+from rotorid_torch.simulation.flight.simulation import Programme, Progress, fly_batch, with_heading, with_height
 from rotorid_torch.simulation.flight.trim import Trim, find_trim
 from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES, Aircraft
 from rotorid_torch.simulation.helicopter.rotor import LOCK_SLOPE
 from rotorid_torch.simulation.multirotor import channels, manoeuvres
 from rotorid_torch.simulation.multirotor.craft import Multirotor
-from rotorid_torch.simulation.multirotor.flown import Course, fly_craft
+from rotorid_torch.simulation.multirotor.flown import FlightPlan, fly_craft
 from rotorid_torch.simulation.multirotor.hidden import HIDDEN as MULTIROTOR
+from rotorid_torch.simulation.multirotor.hidden import Hidden as HiddenInMultirotor
 from rotorid_torch.simulation.multirotor.vehicles import is_multirotor, multirotor
 from rotorid_torch.simulation.vehicles.vehicle import load_aircraft
 
 FLOWN = "Built-in flight-test aircraft"
 """What the description of a flown data set begins with."""
+HEIGHT = 27.4
+"""Height of a helicopter's flights, m: more than three rotor radii of the UH-60, out of the ground's reach."""
+SECONDS, MULTIROTOR_SECONDS = 15.0, 20.0
+"""Length of each flight: a manoeuvre and its decay; several figures."""
 
 
 @dataclass(frozen=True)
@@ -49,12 +54,14 @@ class FlownSet:
     truth: dict[str, Channels]
     hidden: tuple[dict[str, Any], ...]
 
+    def tables(self) -> dict[str, Any]:
+        """The declaration as keywords of `Dataset.from_arrays`, without the name."""
+        keys = ("kind", "description", "vehicle", "controls", "channels", "model")
+        return {**self.declaration["flights"], **{k: self.declaration[k] for k in keys if k in self.declaration}}
+
     def dataset(self) -> Dataset:
         """Return the measured flights as a data set in memory."""
-        tables = {
-            key: self.declaration[key] for key in ("kind", "description", "vehicle", "controls", "channels", "model")
-        }
-        return Dataset.from_arrays(self.flights, name=self.name, **self.declaration["flights"], **tables)
+        return Dataset.from_arrays(self.flights, name=self.name, **self.tables())
 
 
 @dataclass(frozen=True)
@@ -113,80 +120,102 @@ def fly(
     >>> test.dataset()
     Dataset uh60-0, helicopter: controls lon, lat, col, ped; 1 identify, 0 validate, 0 acid: f321_lon
     """
-    of, optional = "fly", arguments.optional(_a_number)
-    out = None if out is None else arguments.place(Argument(of, "out"), out)
-    arguments.optional(arguments.place)(Argument(of, "vehicle"), vehicle)
-    seed = int(arguments.number(Argument(of, "seed"), seed, least=0, whole=True))
-    heading = arguments.number(Argument(of, "heading"), heading, "rad")
-    speed, height = optional(Argument(of, "speed"), speed), optional(Argument(of, "height"), height)
-    seconds = optional(Argument(of, "seconds"), seconds)
-    if flights is not None:
-        flights = arguments.sequence(Argument(of, "flights"), flights, 'a list of names of flights: ["f321_lon"]')
-    effects = _pairs(effects)
-    if is_multirotor(vehicle):
-        craft = _of_size(multirotor(str(vehicle)), speed, height)
-        course = Course(20.0 if seconds is None else seconds, heading, seed)
-        return _fly_multirotor(out, craft, course, flights, effects, progress)
+    order = _Order(out, vehicle, speed, heading, height, seconds, flights, effects, seed).checked()
+    return _multirotor_test(order, progress) if is_multirotor(vehicle) else _helicopter_test(order, progress)
+
+
+@dataclass(frozen=True)
+class _Order:
+    """What is asked for, as the arguments of `fly`."""
+
+    out: Path | None
+    vehicle: Path | str | None
+    speed: float | None
+    heading: float
+    height: float | None
+    seconds: float | None
+    flights: Sequence[str] | None
+    effects: Sequence[tuple[str, float | None]]
+    seed: int
+
+    def checked(self) -> _Order:
+        """The same with numbers as numbers and lists as lists; InputError where an argument is neither."""
+        of, optional = "fly", arguments.optional(_a_number)
+        arguments.optional(arguments.place)(Argument(of, "vehicle"), self.vehicle)
+        named = 'a list of names of flights: ["f321_lon"]'
+        flights = self.flights
+        return replace(
+            self,
+            out=arguments.optional(arguments.place)(Argument(of, "out"), self.out),
+            seed=int(arguments.number(Argument(of, "seed"), self.seed, least=0, whole=True)),
+            heading=arguments.number(Argument(of, "heading"), self.heading, "rad"),
+            speed=optional(Argument(of, "speed"), self.speed),
+            height=optional(Argument(of, "height"), self.height),
+            seconds=optional(Argument(of, "seconds"), self.seconds),
+            flights=None if flights is None else arguments.sequence(Argument(of, "flights"), flights, named),
+            effects=_pairs(self.effects),
+        )
+
+    def names(self, hidden: Sequence[dict[str, Any]], library: Mapping[str, Hidden | HiddenInMultirotor]) -> list[str]:
+        """Flights that are asked for; without them all, and the groups that show what is hidden."""
+        if self.flights is not None:
+            return list(self.flights)
+        return ["all", *(library[one["id"]].flights or "all" for one in hidden)]
+
+
+def _helicopter_test(order: _Order, progress: Progress | None) -> FlightTest:
+    """Fly a helicopter and write the data set."""
+    out, vehicle = order.out, None if order.vehicle is None else Path(order.vehicle)
     if out is not None:
-        refuse_unless_free(out, FLOWN, [] if vehicle is None else [Path(vehicle)])
-    speed, height = 0.0 if speed is None else speed, 27.4 if height is None else height
-    seconds = 15.0 if seconds is None else seconds
-    _check_numbers(speed, heading, height, seconds)
-    clean = load_aircraft(None if vehicle is None else Path(vehicle))
-    aircraft, hidden = _altered(clean, effects, EVERY_FORM)
-    wanted = flights if flights is not None else ["all", *(HIDDEN[one["id"]].flights or "all" for one in hidden)]
-    names = chosen(wanted, speed)
-    usual = Condition(heading, height, speed)
-    conditions = {name: conditioned(name, usual)[1] for name in names}
-    for one in conditions.values():
-        _check_numbers(one.speed, one.heading, one.height, seconds)
-    trims, augmentations = _trims(aircraft, {*conditions.values(), usual})
-    each = [trims[one] for one in conditions.values()]
-    gains = [augmentations[one.speed] for one in conditions.values()]
+        refuse_unless_free(out, FLOWN, [] if vehicle is None else [vehicle])
+    seconds = SECONDS if order.seconds is None else order.seconds
+    height = HEIGHT if order.height is None else order.height
+    usual = Condition(order.heading, height, order.speed or 0.0)
+    _check_condition(usual, seconds)
+    clean = load_aircraft(vehicle)
+    aircraft, hidden = _altered(clean, order.effects, EVERY_FORM)
+    names = chosen(order.names(hidden, HIDDEN), usual.speed)
+    conditions = [conditioned(name, usual)[1] for name in names]
+    for one in conditions:
+        _check_condition(one, seconds)
+    trims, augmentations = _trims(aircraft, {*conditions, usual})
+    gains = [augmentations[one.speed] for one in conditions]
     common = gains[0] if all(one is gains[0] for one in gains) else gains
-    record = fly_batch(aircraft, each, common, names, seconds, progress, seed=seed)
-    truth = {name: true_channels(aircraft, record, k) for k, name in enumerate(names)}
-    measured = {name: measured_channels(truth[name], MEASURED, name, seed) for name in names}
-    label = out.name if out is not None else f"{aircraft.name}-{speed:g}"
-    declaration = declare(clean, label, names, MEASURED, speed, height)
-    if out is not None:
-        _write(out, declaration, measured, truth, hidden)
-    return FlightTest(label, declaration, measured, truth, hidden, aircraft, trims[usual], augmentations[speed])
+    programme = Programme(names, seconds, order.seed)
+    history = fly_batch(aircraft, [trims[one] for one in conditions], common, programme, progress)
+    truth = {name: true_channels(aircraft, history, k) for k, name in enumerate(names)}
+    measured = {name: measured_channels(truth[name], MEASURED, name, order.seed) for name in names}
+    label = out.name if out is not None else f"{aircraft.name}-{usual.speed:g}"
+    declaration = declare(clean, label, names, MEASURED, usual.speed, height)
+    flown = aircraft, trims[usual], augmentations[usual.speed]
+    return _written(FlightTest(label, declaration, measured, truth, hidden, *flown), out)
+
+
+def _multirotor_test(order: _Order, progress: Progress | None) -> MultirotorTest:
+    """Fly a multirotor and write the data set."""
+    clean = _of_size(multirotor(str(order.vehicle)), order.speed, order.height)
+    plan = FlightPlan(MULTIROTOR_SECONDS if order.seconds is None else order.seconds, order.heading, order.seed)
+    if order.out is not None:
+        refuse_unless_free(order.out, FLOWN, [])
+    _check_condition(Condition(plan.heading, clean.height, 0.0), plan.seconds)
+    craft, hidden = _altered(clean, order.effects, {name: one.change for name, one in MULTIROTOR.items()})
+    names = manoeuvres.chosen(order.names(hidden, MULTIROTOR))
+    truth, measured = fly_craft(craft, clean, names, plan, progress)
+    label = order.out.name if order.out is not None else clean.name
+    what = f"{FLOWN} ({clean.name}), a multirotor flown by its position controller; hover at {clean.height:.3g} m."
+    declaration = channels.declare(clean, label, names, what)
+    hidden = tuple({**one, "brings": list(MULTIROTOR[one["id"]].brings) if one["size"] else []} for one in hidden)
+    return _written(MultirotorTest(label, declaration, measured, truth, hidden, craft, clean), order.out)
 
 
 def _of_size(craft: Multirotor, speed: float | None, height: float | None) -> Multirotor:
     """A multirotor whose figures are flown at a speed and whose hover is at a height, where they are asked for."""
     speed = craft.speed if speed is None else speed
     height = craft.height if height is None else height
-    _check_numbers(speed, 0.0, height, 1.0)
+    _check_condition(Condition(0.0, height, speed), 1.0)
     if not 0.1 <= speed <= 30.0:
         raise InputError("usage", "speed", f"is {speed}", "a speed of figures of 0.1 to 30 m/s")
     return replace(craft, speed=speed, height=height)
-
-
-def _fly_multirotor(
-    out: Path | None,
-    clean: Multirotor,
-    course: Course,
-    flights: Sequence[str] | None,
-    effects: Sequence[tuple[str, float | None]],
-    progress: Progress | None,
-) -> MultirotorTest:
-    """Fly a multirotor and write the data set."""
-    if out is not None:
-        refuse_unless_free(out, FLOWN, [])
-    _check_numbers(0.0, course.heading, clean.height, course.seconds)
-    craft, hidden = _altered(clean, effects, {name: one.change for name, one in MULTIROTOR.items()})
-    wanted = flights if flights is not None else ["all", *(MULTIROTOR[one["id"]].flights or "all" for one in hidden)]
-    names = manoeuvres.chosen(wanted)
-    truth, measured = fly_craft(craft, clean, names, course, progress)
-    label = out.name if out is not None else clean.name
-    what = f"{FLOWN} ({clean.name}), a multirotor flown by its position controller; hover at {clean.height:.3g} m."
-    declaration = channels.declare(clean, label, names, what)
-    hidden = tuple({**one, "brings": list(MULTIROTOR[one["id"]].brings) if one["size"] else []} for one in hidden)
-    if out is not None:
-        _write(out, declaration, measured, truth, hidden)
-    return MultirotorTest(label, declaration, measured, truth, hidden, craft, clean)
 
 
 def _a_number(argument: Argument, value: Any) -> float:
@@ -226,23 +255,21 @@ def _trims(aircraft: Aircraft, conditions: set[Condition]) -> tuple[dict[Conditi
     return trims, gains
 
 
-def _write(
-    out: Path,
-    declaration: dict[str, Any],
-    measured: Mapping[str, Any],
-    truth: Mapping[str, Any],
-    hidden: Sequence[dict[str, Any]],
-) -> None:
-    """The flown set as a data set with its truth and effects; an earlier data set there is replaced."""
-    keys = ("name", "kind", "description", "vehicle", "controls", "channels", "model")
-    tables: dict[str, Any] = {key: declaration.get(key) for key in keys}
-    declared = json.dumps({"effects": list(hidden)}, indent=1) + "\n"
-    texts = {"truth/effects.json": declared, **declarations(out)}
-    write_dataset(out, measured, **declaration["flights"], **tables, truth=truth, texts=texts)
+Test = TypeVar("Test", bound=FlownSet)
 
 
-def _check_numbers(speed: float, heading: float, height: float, seconds: float) -> None:
+def _written(test: Test, out: Path | None) -> Test:
+    """The flown set, written as a data set with its truth and effects; an earlier data set there is replaced."""
+    if out is not None:
+        declared = json.dumps({"effects": list(test.hidden)}, indent=1) + "\n"
+        texts = {"truth/effects.json": declared, **declarations(out)}
+        write_dataset(out, test.flights, truth=test.truth, texts=texts, name=test.name, **test.tables())
+    return test
+
+
+def _check_condition(condition: Condition, seconds: float) -> None:
     """Refuse a flight that nobody can fly."""
+    speed, heading, height = condition.speed, condition.heading, condition.height
     if not (np.isfinite(speed) and 0.0 <= speed <= 150.0):
         raise InputError("usage", "speed", f"is {speed}", "a speed of 0 to 150 m/s")
     if not np.isfinite(heading):

@@ -23,7 +23,6 @@ PUBLIC = {
     "regress",
     "simulate",
     "unscented_filter",
-    "write_dataset",
 }
 """What users call, with an option a keyword."""
 
@@ -42,9 +41,6 @@ LONG = {
     "run.close_loop:_with_network",
     "run.saved_model:write_free_run",
     "run.turbulence:with_gusts",
-    "simulation.flight.simulation:fly_batch",
-    "simulation.helicopter.rotor:air_loads",
-    "simulation.helicopter.rotor:blade_rates",
     "trace.clean_aircraft:clean_draws",
     "trace.evidence.fits:refit",
     "trace.loop:trace",

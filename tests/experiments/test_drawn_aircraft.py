@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rotorid_torch.simulation.flight.manoeuvres import Condition
-from rotorid_torch.simulation.flight.simulation import fly_batch
+from rotorid_torch.simulation.flight.simulation import Programme, fly_batch
 from rotorid_torch.simulation.flight_test import load_aircraft
 from rotorid_torch.simulation.helicopter.aircraft import CONTROLS, RATES
 
@@ -16,7 +16,7 @@ def test_flying_with_the_recorded_angles_is_flying(tmp_path: Path) -> None:
     causes, drawn = import_module("hidden.outside_causes"), import_module("hidden.drawn_aircraft")
     aircraft, names = load_aircraft(), ("f321_lat", "dbl_col_p")
     trims, gains = drawn._prepared(aircraft, [Condition(0.0, 27.4, 0.0)] * 2, 1.0)
-    usual = fly_batch(aircraft, trims, gains, names, 0.5)
+    usual = fly_batch(aircraft, trims, gains, Programme(names, 0.5))
     own = causes.fly_with(aircraft, trims, gains, names, 0.5, lambda time, x, trimmed: x[CONTROLS])
     np.testing.assert_allclose(own.states, usual.states, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(own.specific_force, usual.specific_force, rtol=1e-12, atol=1e-12)

@@ -15,7 +15,7 @@ from rotorid_torch.simulation.flight.augmentation import design
 from rotorid_torch.simulation.flight.linear import linearise
 from rotorid_torch.simulation.flight.motion import rates
 from rotorid_torch.simulation.flight.sensors import MEASURED, NOISE, true_channels
-from rotorid_torch.simulation.flight.simulation import fly_batch
+from rotorid_torch.simulation.flight.simulation import Programme, fly_batch
 from rotorid_torch.simulation.flight.trim import find_trim, passage
 from rotorid_torch.simulation.flight_test import FlightTest
 from rotorid_torch.simulation.vehicles.vehicle import load_aircraft
@@ -138,7 +138,7 @@ def test_centre_of_gravity_tilts_the_aircraft_and_velocity_stays_at_the_declared
     vehicle = moved.declaration["vehicle"]
     np.testing.assert_allclose(vehicle["imu"], AIRCRAFT.imu)
     anchored = dataclasses.replace(moved.aircraft, reference=(0.0, 0.0, 0.0))
-    record = fly_batch(moved.aircraft, moved.trim, moved.augmentation, ["dbl_lat_p"], 0.1, substeps=1)
+    record = fly_batch(moved.aircraft, moved.trim, moved.augmentation, Programme(["dbl_lat_p"], 0.1, substeps=1))
     record = dataclasses.replace(record, states=record.states + 0.3)
     at_cg, at_reference = (true_channels(one, record, 0) for one in (anchored, moved.aircraft))
     for name, extra in zip("uvw", np.cross([at_cg["p"][0], at_cg["q"][0], at_cg["r"][0]], -arm), strict=True):
@@ -194,7 +194,9 @@ def test_wind_is_another_trim_on_another_heading():
 def test_turbulence_is_there_before_the_record_begins(hover):
     """Gusts of about 1 m/s move the aircraft from the first sample on."""
     aircraft = altered("environment.turbulence")
-    record = fly_batch(aircraft, hover.trim, design(hover.linear), ["dbl_lat_p", "f321_lat"], 0.05, substeps=1, seed=1)
+    record = fly_batch(
+        aircraft, hover.trim, design(hover.linear), Programme(["dbl_lat_p", "f321_lat"], 0.05, 1, substeps=1)
+    )
     gust = np.stack([record.hidden[f"effect_wind_{c}"][0] for c in "uvw"])
     assert 0.3 < np.abs(gust).max() < 4.0
     assert np.abs(gust[:, 0] - gust[:, 1]).max() > 0.1

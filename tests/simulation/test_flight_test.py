@@ -11,7 +11,7 @@ from rotorid_torch.simulation import fly
 from rotorid_torch.simulation.flight.augmentation import Augmentation, design
 from rotorid_torch.simulation.flight.manoeuvres import FLIGHTS, LISTS, pilot
 from rotorid_torch.simulation.flight.sensors import MEASURED, NOISE, measured_channels
-from rotorid_torch.simulation.flight.simulation import fly_batch
+from rotorid_torch.simulation.flight.simulation import Programme, fly_batch
 from rotorid_torch.simulation.flight.trim import find_trim
 from tests.helpers import small_folder
 
@@ -139,18 +139,18 @@ def test_lists_and_sticks_are_those_of_the_paper():
 def test_unstable_without_augmentation_and_bounded_with_it(hover):
     """Ten seconds of a longitudinal doublet and a lateral 3-2-1-1."""
     names = ["dbl_lon_p", "f321_lat"]
-    with_it = fly_batch(hover.aircraft, hover.trim, design(hover.linear), names, 10.0, substeps=1)
+    with_it = fly_batch(hover.aircraft, hover.trim, design(hover.linear), Programme(names, 10.0, substeps=1))
     assert np.abs(with_it.states[:, 6:9]).max() < 0.5
     assert np.abs(with_it.states[-1, 3:6]).max() < 0.06
-    without = fly_batch(hover.aircraft, hover.trim, Augmentation(np.zeros((4, 6))), names, 10.0, substeps=1)
+    without = fly_batch(hover.aircraft, hover.trim, Augmentation(np.zeros((4, 6))), Programme(names, 10.0, substeps=1))
     assert np.abs(without.states[:, 6:9]).max() > 0.5
     assert np.abs(without.states[-1, 3:6]).max() > 0.2
 
 
 def test_halving_the_step_changes_nothing_that_sensors_see(hover):
     """Two seconds: a hundredth of the noise."""
-    coarse = fly_batch(hover.aircraft, hover.trim, design(hover.linear), ["dbl_lat_p"], 2.0)
-    fine = fly_batch(hover.aircraft, hover.trim, design(hover.linear), ["dbl_lat_p"], 2.0, substeps=4)
+    coarse = fly_batch(hover.aircraft, hover.trim, design(hover.linear), Programme(["dbl_lat_p"], 2.0))
+    fine = fly_batch(hover.aircraft, hover.trim, design(hover.linear), Programme(["dbl_lat_p"], 2.0, substeps=4))
     assert np.abs(coarse.states - fine.states)[:, :3].max() < 0.01 * NOISE["u"]
     assert np.abs(coarse.states - fine.states)[:, 3:9].max() < 0.01 * NOISE["p"]
     assert np.abs(coarse.specific_force - fine.specific_force).max() < 0.01 * NOISE["ax"]
@@ -159,7 +159,7 @@ def test_halving_the_step_changes_nothing_that_sensors_see(hover):
 def test_governor_holds_the_rotor_speed_through_a_collective_doublet(hover):
     """A free rotor droops by some per cent (UH-60: 1 to 3 % on an inch of collective) and comes back."""
     free = dataclasses.replace(hover.aircraft, governor=dataclasses.replace(hover.aircraft.governor, held=False))
-    record = fly_batch(free, find_trim(free, 0.0), design(hover.linear), ["dbl_col_p"], 4.0, substeps=1)
+    record = fly_batch(free, find_trim(free, 0.0), design(hover.linear), Programme(["dbl_col_p"], 4.0, substeps=1))
     droop = np.abs(record.states[:, 21, 0] / 27.0 - 1.0)
     assert 0.003 < droop.max() < 0.06
     assert droop[:154].max() < 1e-4

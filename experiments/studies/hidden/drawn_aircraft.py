@@ -23,7 +23,7 @@ from rotorid_torch.simulation.flight.augmentation import Augmentation, design
 from rotorid_torch.simulation.flight.linear import linearise
 from rotorid_torch.simulation.flight.manoeuvres import Condition, chosen, conditioned, groups
 from rotorid_torch.simulation.flight.sensors import MEASURED, Channels, measured_channels, true_channels
-from rotorid_torch.simulation.flight.simulation import Record, fly_batch, with_heading, with_height
+from rotorid_torch.simulation.flight.simulation import FlightHistory, Programme, fly_batch, with_heading, with_height
 from rotorid_torch.simulation.flight.trim import Trim, find_trim
 from rotorid_torch.simulation.flight_test import declare
 from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES, Aircraft
@@ -165,7 +165,7 @@ def fly_drawn(
     if outside:
         record = fly_with(aircraft, trims, gains, names, seconds, outside[0].at_blades(drawn.number, aircraft, size))
     else:
-        record = fly_batch(aircraft, trims, gains, names, seconds, seed=seed)
+        record = fly_batch(aircraft, trims, gains, Programme(names, seconds, seed))
     measured, right = {}, {}
     for k, name in enumerate(names):
         measured[name], right[name] = _sensed(aircraft, record, k, name, seed, drawn.noise)
@@ -195,7 +195,7 @@ def _prepared(
 
 
 def _sensed(
-    aircraft: Aircraft, record: Record, flight: int, name: str, seed: int, factor: float
+    aircraft: Aircraft, record: FlightHistory, flight: int, name: str, seed: int, factor: float
 ) -> tuple[Channels, Channels]:
     """A flight as its sensors read it, and as faultless ones would; noise by a factor of the usual."""
     truth = true_channels(aircraft, record, flight)

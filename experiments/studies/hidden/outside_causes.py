@@ -16,7 +16,7 @@ from rotorid_torch.simulation.flight.augmentation import FEEDBACK, Augmentation
 from rotorid_torch.simulation.flight.manoeuvres import SAMPLE_RATE, pilot
 from rotorid_torch.simulation.flight.motion import Motion, rates
 from rotorid_torch.simulation.flight.runge_kutta import runge_kutta
-from rotorid_torch.simulation.flight.simulation import Record
+from rotorid_torch.simulation.flight.simulation import FlightHistory
 from rotorid_torch.simulation.flight.trim import STEP_ANGLE, Trim
 from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES, CONTROLS, RATES, Aircraft
 from rotorid_torch.simulation.helicopter.section import Array
@@ -94,7 +94,7 @@ def fly_with(
     flights: Sequence[str],
     seconds: float,
     angles: Angles,
-) -> Record:
+) -> FlightHistory:
     """Fly manoeuvres from trim, the blades at angles of their own.
 
     Time runs in steps of the sample, or parts of it; a stick's jump belongs to the step that begins there.
@@ -128,4 +128,4 @@ def fly_with(
                 kept[name].append(getattr(motion, name))
         x = runge_kutta(lambda s, u: respond(s, u)[0], x, first, (hands[0], hands[1], hands[2]), step)
     time, loads = np.arange(samples, dtype=np.float64) * dt, [np.stack(kept[name]) for name in LOADS]
-    return Record(time, np.stack(states), loads[0], loads[1], loads[2], loads[3])
+    return FlightHistory(time, np.stack(states), loads[0], loads[1], loads[2], loads[3])

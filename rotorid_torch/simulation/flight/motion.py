@@ -97,11 +97,11 @@ def rates(aircraft: Aircraft, x: Array, command: Array, outside: Outside = STILL
     at_hub = rotor.to_shaft @ local[0]
     blades = x[aircraft.blade_rows].reshape(4, rotor.blades, flights)
     motion = blade_motion(rotor, blades, rotor.to_shaft @ omega, x[AZIMUTH], speed)
-    air = air_loads(rotor, motion, at_hub, _felt_inflow(aircraft, x), angles, speed, density)
+    air = air_loads(rotor, motion, at_hub, _felt_inflow(aircraft, x), angles, density)
     over_tip = at_hub / (speed * rotor.radius)
     dx[INFLOW], sweep = _inflow(aircraft, x, air.loading, over_tip, motion, dx)
     force, moment, dx[TAIL_INFLOW] = _airframe_loads(aircraft, x, local, sweep, angles[3])
-    root = root_loads(rotor, motion, air, rotor.to_shaft @ centripetal, speed)
+    root = root_loads(rotor, motion, air, rotor.to_shaft @ centripetal)
     pull = _pull(aircraft, x, air_motion)
     balance = _solve(aircraft, x, root, force, moment, pull)
     _kinematics(aircraft, x, balance, dx)
@@ -112,7 +112,7 @@ def rates(aircraft: Aircraft, x: Array, command: Array, outside: Outside = STILL
     linear = rotor.to_shaft @ (balance.specific_force - aircraft.levers[:3] @ balance.angular)
     angular = rotor.to_shaft @ balance.angular
     angular[2] += balance.speed_rate
-    turning = blade_rates(rotor, motion, air, root, linear, angular, speed)
+    turning = blade_rates(rotor, motion, air, root, linear, angular)
     dx[aircraft.blade_rows] = turning.reshape(-1, flights)
     return dx, balance
 
@@ -161,7 +161,7 @@ def _inflow(
     if not wake.distortion:
         return inflow_rates(inflow, loading, swept, speed, wake)
     curvature, shaft = x[aircraft.curvature_rows], aircraft.rotor.to_shaft @ x[RATES]
-    tilt = tilting(motion, shaft, speed)
+    tilt = tilting(motion, shaft)
     dx[aircraft.curvature_rows] = curvature_rates(curvature, tilt, inflow[0], swept[:2], swept[2], speed)
     return inflow_rates(inflow, loading, swept, speed, wake, curvature)
 

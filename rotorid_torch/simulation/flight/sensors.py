@@ -6,7 +6,7 @@ import zlib
 
 import numpy as np
 
-from rotorid_torch.simulation.flight.simulation import Record
+from rotorid_torch.simulation.flight.simulation import FlightHistory
 from rotorid_torch.simulation.helicopter.aircraft import AZIMUTH, BLADES, CONTROL_NAMES, CONTROLS, SPEED, Aircraft
 from rotorid_torch.simulation.helicopter.section import Array
 from rotorid_torch.simulation.helicopter.sensor_errors import readings
@@ -36,7 +36,7 @@ MIRRORED = (
 )
 
 
-def true_channels(aircraft: Aircraft, record: Record, flight: int) -> Channels:
+def true_channels(aircraft: Aircraft, record: FlightHistory, flight: int) -> Channels:
     """All channels of one flight without noise, with the loads X Y Z (N) and L M N (N m); time in s from zero.
 
     Velocity and place are those of the declared centre of gravity; the loads are about the true one. What the sensors
@@ -93,7 +93,7 @@ def flapping(aircraft: Aircraft, x: Array) -> tuple[Array, Array, Array]:
     return mean, (turned * sine - swing * cosine).mean(1), -(turned * cosine + swing * sine).mean(1)
 
 
-def _at_imu(aircraft: Aircraft, record: Record, flight: int) -> Array:
+def _at_imu(aircraft: Aircraft, record: FlightHistory, flight: int) -> Array:
     """Specific force at the IMU, m/s^2, [T, 3]."""
     arm, omega = np.asarray(aircraft.imu), record.states[:, 3:6, flight]
     force, angular = record.specific_force[:, :, flight], record.angular[:, :, flight]

@@ -23,7 +23,7 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
-class Record:
+class FlightHistory:
     """What happened, without noise: `time` [T], `states` [T, states, flight], and `Motion`'s parts [T, 3, flight].
 
     `hidden`: what only an altered aircraft has, [T, flight] each, by the name of its truth channel (`hidden_signals`).
@@ -38,69 +38,97 @@ class Record:
     hidden: dict[str, Array] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class Programme:
+    """What is flown in one batch.
+
+    Parameters
+    ----------
+    flights : names of manoeuvres. seconds : length of each. seed : of the gusts.
+    substeps : integration steps per sample; by default so many that the rotor turns at most 5.1 degrees in each.
+    """
+
+    flights: Sequence[str]
+    seconds: float
+    seed: int = 0
+    substeps: int | None = None
+
+    @property
+    def samples(self) -> int:
+        """Samples of each flight."""
+        return round(self.seconds * SAMPLE_RATE) + 1
+
+
 def fly_batch(
     aircraft: Aircraft,
     trim: Trim | Sequence[Trim],
     augmentation: Augmentation | Sequence[Augmentation],
-    flights: Sequence[str],
-    seconds: float,
+    programme: Programme,
     progress: Progress | None = None,
-    *,
-    substeps: int | None = None,
-    seed: int = 0,
-) -> Record:
+) -> FlightHistory:
     """Fly manoeuvres from trim, all in one batch.
 
     Parameters
     ----------
     trim, augmentation : of all flights, or one for each.
-    flights : names of manoeuvres.
-    seconds : length of each flight.
     progress : called about a hundred times.
-    substeps : integration steps per sample; by default so many that the rotor turns at most 5.1 degrees in each.
-    seed : of the gusts.
     """
-    samples = round(seconds * SAMPLE_RATE) + 1
-    dt = 1.0 / SAMPLE_RATE
-    substeps = substeps or int(np.ceil(aircraft.rotor.speed * dt / STEP_ANGLE - 1e-6))
+    substeps = programme.substeps or int(np.ceil(aircraft.rotor.speed / SAMPLE_RATE / STEP_ANGLE - 1e-6))
+    dt = 1.0 / SAMPLE_RATE / substeps
     lead = round(ENTRY * SAMPLE_RATE) if aircraft.turbulence else 0
+    flights, entry = programme.flights, lead * substeps
     trims = [trim] * len(flights) if isinstance(trim, Trim) else list(trim)
-    times = _stage_times(samples + lead, substeps, dt) - lead * dt
+    steps = (programme.samples - 1) * substeps + entry
+    times = _stage_times(steps + substeps, dt) - lead * (1.0 / SAMPLE_RATE)
     stick = pilot(flights, times.ravel(), aircraft.limits).reshape(4, *times.shape, len(flights))
     x = np.stack([one.state for one in trims], axis=1)
     controls = np.stack([one.controls for one in trims], axis=1)
     feedback = _feedback(augmentation, x[FEEDBACK].copy())
-    surroundings = _Surroundings(aircraft, flights, trims, times, dt / substeps, seed)
-    history: dict[str, list[Array]] = {name: [] for name in ("x", "specific_force", "angular", "force", "moment")}
-    hidden: list[dict[str, Array]] = []
+    surroundings = _Surroundings(aircraft, flights, trims, times, dt, programme.seed)
+    samples = _Samples(programme.samples, progress)
 
     def respond(state: Array, hand: Array) -> tuple[Array, Motion]:
         return rates(aircraft, state, controls + hand[:4] + feedback(state), surroundings.unpack(hand))
 
-    def slope(state: Array, hand: Array) -> Array:
-        return respond(state, hand)[0]
-
-    for step in range((samples + lead - 1) * substeps + 1):
+    for step in range(steps + 1):
         surroundings.begin(x[CONTROLS])
         start = surroundings.pack(stick[:, step, 0], step, 0)
         first, motion = respond(x, start)
-        sample, between = divmod(step - lead * substeps, substeps)
-        if sample >= 0 and not between:
-            history["x"].append(x)
-            for name in ("specific_force", "angular", "force", "moment"):
-                history[name].append(getattr(motion, name))
-            hidden.append(hidden_signals(aircraft, x, first, surroundings.unpack(start)))
-            if progress is not None and (sample % 23 == 0 or sample == samples - 1):
-                progress(sample + 1, samples)
-        if sample < samples - 1:
+        if step >= entry and (step - entry) % substeps == 0:
+            samples.take(x, motion, hidden_signals(aircraft, x, first, surroundings.unpack(start)))
+        if step < steps:
             surroundings.rate(first[CONTROLS])
             middle, end = (surroundings.pack(stick[:, step, stage], step, stage) for stage in (1, 2))
-            x = runge_kutta(slope, x, first, (start, middle, end), dt / substeps)
-    stacked = {name: np.stack(rows) for name, rows in history.items()}
-    traces = {name: np.stack([row[name] for row in hidden]) for name in hidden[0]}
-    return Record(np.arange(samples, dtype=np.float64) * dt, stacked.pop("x"), **stacked, hidden=traces)
+            x = runge_kutta(lambda state, hand: respond(state, hand)[0], x, first, (start, middle, end), dt)
+    return samples.history()
 
 
+class _Samples:
+    """What happens, sample by sample."""
+
+    def __init__(self, count: int, progress: Progress | None) -> None:
+        self.count, self.progress = count, progress
+        self.states, self.motions, self.hidden = list[Array](), list[Motion](), list[dict[str, Array]]()
+
+    def take(self, state: Array, motion: Motion, hidden: dict[str, Array]) -> None:
+        self.states.append(state)
+        self.motions.append(motion)
+        self.hidden.append(hidden)
+        done = len(self.states)
+        if self.progress is not None and ((done - 1) % PROGRESS == 0 or done == self.count):
+            self.progress(done, self.count)
+
+    def history(self) -> FlightHistory:
+        time = np.arange(self.count, dtype=np.float64) * (1.0 / SAMPLE_RATE)
+        parts = (np.stack([getattr(one, n) for one in self.motions]) for n in MOTION)
+        hidden = {name: np.stack([row[name] for row in self.hidden]) for name in self.hidden[0]}
+        return FlightHistory(time, np.stack(self.states), *parts, hidden=hidden)
+
+
+MOTION = ("specific_force", "angular", "force", "moment")
+"""Parts of `Motion` in a history."""
+PROGRESS = 23
+"""Samples from one word of progress to the next."""
 ENTRY = 4.0  # s in turbulence before the record begins; it grows from nothing over the first half of them
 
 
@@ -161,10 +189,9 @@ class _Surroundings:
         return Outside(gust, (remaining[:4], remaining[4:]) if self.history is not None else None)
 
 
-def _stage_times(samples: int, substeps: int, dt: float) -> Array:
+def _stage_times(steps: int, dt: float) -> Array:
     """Start, middle and end of every step, [steps, 3], drawn in a little so that a stick's jump belongs to one side."""
-    starts = np.arange(samples * substeps) * (dt / substeps)
-    return starts[:, None] + np.array([1e-6, 0.5, 1.0 - 1e-6]) * (dt / substeps)
+    return np.arange(steps)[:, None] * dt + np.array([1e-6, 0.5, 1.0 - 1e-6]) * dt
 
 
 def with_heading(trim: Trim, heading: float) -> Trim:

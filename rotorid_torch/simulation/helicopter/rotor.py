@@ -92,6 +92,7 @@ class Rotor:
 class BladeMotion:
     """Geometry and velocities of all blades at one instant, blade frame, [component, blade, flight]."""
 
+    speed: Array  # [flight] of the rotor, rad/s
     cosine: Array  # cos and sin of the azimuth
     sine: Array
     d: Array
@@ -166,18 +167,21 @@ def blade_motion(rotor: Rotor, blades: Array, rates: Array, azimuth: Array, spee
     spin[2] += speed
     along = (dot(spin, d), dot(spin, n), spin[0] * t[0] + spin[1] * t[1])
     normal_rate, lagging_rate = flap_rate + along[2], lag_rate * cb - along[1]
-    return BladeMotion(cosine, sine, d, n, t, flap, lag, flap_rate, lag_rate, spin, along, normal_rate, lagging_rate)
+    return BladeMotion(
+        speed, cosine, sine, d, n, t, flap, lag, flap_rate, lag_rate, spin, along, normal_rate, lagging_rate
+    )
 
 
-def tilting(motion: BladeMotion, rates: Array, speed: Array) -> Array:
+def tilting(motion: BladeMotion, rates: Array) -> Array:
     """How fast the tip-path plane's edge goes down at (aft, right) in space, rad/s, [2, flight].
 
     Parameters
     ----------
-    rates : [3, flight] angular velocity of the body, shaft frame; `speed` [flight] of the rotor, rad/s.
+    rates : [3, flight] angular velocity of the body, shaft frame.
 
     Source: Johnson, Helicopter Theory, section 8.2 (rates of multi-blade coordinates).
     """
+    speed = motion.speed
     tilt_aft = -2.0 * (motion.flap_rate * motion.cosine).mean(0) + 2.0 * speed * (motion.flap * motion.sine).mean(0)
     tilt_right = -2.0 * (motion.flap_rate * motion.sine).mean(0) - 2.0 * speed * (motion.flap * motion.cosine).mean(0)
     return np.stack([rates[1] + tilt_aft, tilt_right - rates[0]])
@@ -195,7 +199,7 @@ class AirLoads:
 
 
 def air_loads(
-    rotor: Rotor, motion: BladeMotion, velocity: Array, inflow: Array, controls: Array, speed: Array, density: float
+    rotor: Rotor, motion: BladeMotion, velocity: Array, inflow: Array, controls: Array, density: float
 ) -> AirLoads:
     """Blade elements: velocities, angle of attack, lift and drag, integrated over each blade.
 
@@ -204,12 +208,12 @@ def air_loads(
     velocity : [3, flight] of the hub through the air, shaft frame.
     inflow : [3, flight] lambda0, lambda_c, lambda_s.
     controls : [3, flight] lon, lat, col, rad.
-    speed : [flight] rad/s.
     density : kg/m^3.
 
     Source: Leishman, Principles of Helicopter Aerodynamics, chapter 3 (blade element analysis).
     """
-    offset, tip_speed = rotor.hinge_offset, speed * rotor.radius
+    offset, speed = rotor.hinge_offset, motion.speed
+    tip_speed = speed * rotor.radius
     s = rotor.stations[0][:, None, None]
     hinge = turn(velocity, motion.cosine, motion.sine)
     hinge[1] += offset * motion.spin[2]
@@ -259,7 +263,7 @@ class RootLoads:
     heavy: float
 
 
-def root_loads(rotor: Rotor, motion: BladeMotion, air: AirLoads, centripetal: Array, speed: Array) -> RootLoads:
+def root_loads(rotor: Rotor, motion: BladeMotion, air: AirLoads, centripetal: Array) -> RootLoads:
     """Root force of each blade for a hub that does not accelerate beyond what its velocities bring.
 
     Parameters
@@ -267,7 +271,7 @@ def root_loads(rotor: Rotor, motion: BladeMotion, air: AirLoads, centripetal: Ar
     centripetal : [3, flight] omega x (omega x hub), shaft frame, m/s^2.
     """
     mass, first, inertia = rotor.blade_mass, rotor.first_moment, rotor.flap_inertia
-    a = _hinge_acceleration(rotor, motion, centripetal, speed)
+    a = _hinge_acceleration(rotor, motion, centripetal)
     spring_n, spring_t = _hinge_moments(rotor, motion)
     q_n, q_t = air.normal_moment + spring_n, air.lagging_moment + spring_t
     light, heavy = mass - first * first / inertia, first * first / inertia
@@ -286,13 +290,13 @@ def root_loads(rotor: Rotor, motion: BladeMotion, air: AirLoads, centripetal: Ar
     return RootLoads(body[:, 0], body[:, 1], body[:, 2], body[:, 3], a, light, heavy)
 
 
-def _hinge_acceleration(rotor: Rotor, motion: BladeMotion, centripetal: Array, speed: Array) -> Array:
+def _hinge_acceleration(rotor: Rotor, motion: BladeMotion, centripetal: Array) -> Array:
     """Acceleration of the hinges by velocities alone, blade frame, [3, blade, flight] m/s^2."""
     wr, wt, wz = motion.spin
     a = turn(centripetal, motion.cosine, motion.sine)
     a[0] -= rotor.hinge_offset * (wt * wt + wz * wz)
     a[1] += rotor.hinge_offset * (wr * wt)
-    a[2] += rotor.hinge_offset * (wr * (wz + speed))
+    a[2] += rotor.hinge_offset * (wr * (wz + motion.speed))
     return a
 
 
@@ -303,7 +307,7 @@ def _hinge_moments(rotor: Rotor, motion: BladeMotion) -> tuple[Array, Array]:
 
 
 def blade_rates(
-    rotor: Rotor, motion: BladeMotion, air: AirLoads, root: RootLoads, linear: Array, angular: Array, speed: Array
+    rotor: Rotor, motion: BladeMotion, air: AirLoads, root: RootLoads, linear: Array, angular: Array
 ) -> Array:
     """Rates of flap, flap rate, lag, lag rate, once the accelerations of the hub are known.
 
@@ -311,7 +315,6 @@ def blade_rates(
     ----------
     linear : [3, flight] specific force of the hub beyond the centripetal part, shaft frame, m/s^2.
     angular : [3, flight] angular acceleration of body plus rotor speed, shaft frame, rad/s^2.
-    speed : [flight] rad/s.
 
     Returns
     -------
@@ -325,8 +328,8 @@ def blade_rates(
     acceleration = root.acceleration + turn(linear, motion.cosine, motion.sine)
     acceleration[1] += offset * alpha[2]
     acceleration[2] -= offset * alpha[1]
-    alpha[0] += speed * motion.spin[1]
-    alpha[1] -= speed * motion.spin[0]
+    alpha[0] += motion.speed * motion.spin[1]
+    alpha[1] -= motion.speed * motion.spin[0]
     b_n = (air.normal_moment + spring_n - first * dot(motion.n, acceleration)) / inertia
     b_t = (air.lagging_moment + spring_t - first * dot(motion.t, acceleration)) / inertia
     flap_rate, lag_rate = motion.flap_rate, motion.lag_rate

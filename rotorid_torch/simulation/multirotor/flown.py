@@ -14,7 +14,7 @@ from rotorid_torch.simulation.multirotor.manoeuvres import targets_of
 
 
 @dataclass(frozen=True)
-class Course:
+class FlightPlan:
     """How flights are flown: seconds of each, heading, rad, and seed of everything random."""
 
     seconds: float
@@ -23,7 +23,7 @@ class Course:
 
 
 def fly_craft(
-    craft: Multirotor, clean: Multirotor, names: Sequence[str], course: Course, progress: Progress | None = None
+    craft: Multirotor, clean: Multirotor, names: Sequence[str], plan: FlightPlan, progress: Progress | None = None
 ) -> tuple[dict[str, Channels], dict[str, Channels]]:
     """True and measured channels by flight of a vehicle, whose controller knows the clean one.
 
@@ -32,10 +32,10 @@ def fly_craft(
     names : of flights, see `manoeuvres`. progress : called with samples done and in all.
     """
     fleet = Fleet.of([craft] * len(names), [clean] * len(names))
-    samples = round(course.seconds * craft.rate) + 1
+    samples = round(plan.seconds * craft.rate) + 1
     time = fleet.step * np.arange(samples * fleet.every + 1, dtype=np.float64)
-    rows = np.stack([targets_of(name, clean, time, course.heading) for name in names], axis=-1).swapaxes(0, 1)
-    record = fly_fleet(fleet, Task(names, samples, lambda step: rows[step]), course.seed, progress)
+    rows = np.stack([targets_of(name, clean, time, plan.heading) for name in names], axis=-1).swapaxes(0, 1)
+    record = fly_fleet(fleet, Task(names, samples, lambda step: rows[step]), plan.seed, progress)
     truth = {name: true_channels(craft, record, k) for k, name in enumerate(names)}
-    measured = {name: measured_channels(craft, truth[name], name, course.seed) for name in names}
+    measured = {name: measured_channels(craft, truth[name], name, plan.seed) for name in names}
     return truth, measured

@@ -8,7 +8,7 @@ from rotorid_torch.simulation.flight.augmentation import design
 from rotorid_torch.simulation.flight.linear import derivatives, linearise
 from rotorid_torch.simulation.flight.motion import rates
 from rotorid_torch.simulation.flight.sensors import MEASURED
-from rotorid_torch.simulation.flight.simulation import fly_batch
+from rotorid_torch.simulation.flight.simulation import Programme, fly_batch
 from rotorid_torch.simulation.flight.trim import Trim, find_trim
 from rotorid_torch.simulation.helicopter.aircraft import INFLOW, SPEED
 from rotorid_torch.simulation.helicopter.inflow import ground_factor
@@ -62,7 +62,9 @@ def test_governor_lets_the_speed_droop_and_nothing_measures_it(hover):
     droop = []
     for size in (0.5, 1.0):
         aircraft = altered("rotor.speed", size)
-        record = fly_batch(aircraft, find_trim(aircraft, 0.0), design(hover.linear), ["dbl_col_p"], 1.5, substeps=1)
+        record = fly_batch(
+            aircraft, find_trim(aircraft, 0.0), design(hover.linear), Programme(["dbl_col_p"], 1.5, substeps=1)
+        )
         droop.append(np.abs(record.states[:, SPEED, 0] / 27.0 - 1.0).max())
     assert 0.002 < droop[0] < 0.8 * droop[1] < 0.05
     assert "omega" not in MEASURED
