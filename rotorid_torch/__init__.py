@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from rotorid_torch.effects.registry import register as register
     from rotorid_torch.errors import InputError as InputError
     from rotorid_torch.errors import OutsideRange as OutsideRange
+    from rotorid_torch.errors import WrappedAngle as WrappedAngle
     from rotorid_torch.identification.estimate.output_error import output_error as output_error
     from rotorid_torch.identification.filter_error.method import filter_error as filter_error
     from rotorid_torch.identification.reconstruct.reconstruction import reconstruct as reconstruct
@@ -74,6 +75,7 @@ _PUBLIC = {
     "register": "effects.registry",
     "InputError": "errors",
     "OutsideRange": "errors",
+    "WrappedAngle": "errors",
     "Monitor": "run.output.monitor",
     "regress": "identification.regress.ftr",
     "output_error": "identification.estimate.output_error",

@@ -24,6 +24,10 @@ class InputError(ValueError):
         super().__init__(printable(" ".join(f"{place}: {wrong}; expected {expected}".split()), layout=False))
 
 
+class WrappedAngle(UserWarning):
+    """An output jumps by whole turns and is not declared an angle."""
+
+
 class OutsideRange(UserWarning):
     """A free run leaves the range of the flights that its model was identified from."""
 

@@ -129,6 +129,14 @@ def test_flights_are_drawn(data: Dataset):
     assert set(data.plot(["q"])) == set(data.flights)
     with pytest.raises(InputError, match="did you mean 'q'"):
         data["f_lon"].plot(["qq"])
+    x = np.random.default_rng(0).standard_normal((2, 200, 1)).cumsum(axis=1)
+    spectrum = rotorid.regress(x[..., 0], x, 0.1, kind="value", noise="none").plot()
+    assert spectrum.axes[0].get_xlabel() == "frequency, Hz"
+    one = [[1.0]]
+    filtered = rotorid.unscented_filter(lambda x, u: -x, lambda x, u: x, [0.0], one, one, one, x, x, 0.1)
+    assert [[axis.get_ylabel() for axis in figure.axes] for figure in filtered.plot()] == [
+        ["state 0", "innovation 0"]
+    ] * 2
     for thing in (data, data["f_lon"]):
         assert thing._repr_html_().startswith("<p>")
 

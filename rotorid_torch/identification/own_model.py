@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,6 +12,10 @@ import torch
 from torch import Tensor, nn
 
 from rotorid_torch.effects.signal_operations import shifted
+from rotorid_torch.errors import WrappedAngle
+
+SMALL = 0.5
+"""Usual change of an angle from one sample to the next, rad, below which a jump of a turn is one."""
 
 
 def wrapped(angle: Tensor) -> Tensor:
@@ -25,6 +30,19 @@ def unwrapped(record: Tensor) -> Tensor:
         present = ~row.isnan()
         row[present] = torch.from_numpy(np.unwrap(row[present].cpu().numpy())).to(row)
     return rows.reshape(record.shape)
+
+
+def warn_of_turns(outputs: Tensor, angles: Sequence[int]) -> None:
+    """Warn (`WrappedAngle`) of outputs [..., T, ny] that jump by whole turns and are not among the angles."""
+    for place in set(range(outputs.shape[-1])) - set(angles):
+        rows = outputs[..., place].reshape(-1, outputs.shape[-2])
+        changes = torch.cat([row[~row.isnan()].diff().abs() for row in rows])
+        jumps = int(((changes - 2.0 * math.pi).abs() < SMALL).sum())
+        if jumps and float(changes.median()) < SMALL:
+            said = (
+                f"output {place} jumps by a whole turn ({jumps} times): angles=[{place}] compares it within half a turn"
+            )
+            warnings.warn(said, WrappedAngle, stacklevel=4)
 
 
 def near(outputs: Tensor, measured: Tensor, angles: Sequence[int]) -> Tensor:

@@ -8,11 +8,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.image import imread
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from matplotlib.transforms import blended_transform_factory
@@ -64,6 +66,15 @@ class Overlay:
         """Those of `channels` that both sides have, measured at one sample at least."""
         both = [name for name in channels if name in self.measured and name in self.model]
         return [name for name in both if not bool(self.measured[name].isnan().all())]
+
+
+def shown(picture: Path) -> Figure:
+    """A picture of a file as a figure of its size."""
+    pixels = imread(picture)
+    figure = Figure(figsize=(pixels.shape[1] / 100, pixels.shape[0] / 100), dpi=100)
+    FigureCanvasAgg(figure)
+    figure.figimage(pixels)
+    return figure
 
 
 def draw(overlays: Sequence[Overlay], fit: FitRecord | None) -> dict[str, Figure]:

@@ -71,4 +71,4 @@ def _short(title: str, fit: FitRecord) -> Table:
 
 
 def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3f}"
+    return "-" if value is None else f"{value:z.3f}"

@@ -91,7 +91,7 @@ def _named(responses: dict[str, float]) -> dict[str, float]:
 
 
 def _text(r2: float) -> str:
-    return f"{round(r2, 2) + 0.0:.2f}"  # no minus before a zero
+    return f"{r2:z.2f}"
 
 
 def _pooled(flights: list[FlightRecord], about: bool) -> dict[str, float]:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,11 +25,15 @@ from rotorid_torch.errors import InputError, OutsideRange
 from rotorid_torch.exporting.fmu_run import Span, fly_fmu, read_facts
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.save import load as load_model
+from rotorid_torch.report.figures import shown
 from rotorid_torch.report.records import FitRecord, Report, read_report
 from rotorid_torch.run.output.arguments import of_data
 from rotorid_torch.run.output.folder import free_run_file, is_table, refuse_unless_free_run
 from rotorid_torch.run.result import Result
 from rotorid_torch.validate.free_run import free_run, windows
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 OUTSIDE = 0.1
 """Share of the identified range by which a free run may leave it before it is told."""
@@ -65,6 +69,10 @@ class SavedRun(Result):
         with np.load(files[0]) as arrays:
             time = arrays["time"]
         return float((time[-1] - time[0]) / (len(time) - 1))
+
+    def plot(self) -> dict[str, Figure]:
+        """The pictures in the run's folder as matplotlib figures, by name."""
+        return {path.stem: shown(path) for path in sorted((self.path / "figures").glob("*.png"))}
 
     @property
     def fit(self) -> FitRecord:  # pyright: ignore[reportIncompatibleVariableOverride]

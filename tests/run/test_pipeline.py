@@ -21,7 +21,7 @@ from rotorid_torch.model.save import load as load_model
 from rotorid_torch.model.save import save as save_model
 from rotorid_torch.report import records
 from rotorid_torch.report.scorecard import scorecard
-from rotorid_torch.run import pipeline
+from rotorid_torch.run import pipeline, saved_model
 from rotorid_torch.run.output.folder import refuse_unless_free
 from rotorid_torch.run.pipeline import identify
 from rotorid_torch.run.result import Run
@@ -198,6 +198,9 @@ def test_python_shows_what_the_report_holds(run: tuple[Run, Path], tmp_path: Pat
     assert made.plot()
     out = made.report(tmp_path / "copy")
     assert (out / "report.json").is_file()
+    drawn = saved_model.open_run(out).plot()
+    assert sorted(drawn) == sorted(path.stem for path in (out / "figures").iterdir())
+    assert all(figure.images for figure in drawn.values())
     assert load_model(out / "model.pt")[1] == made.spec
 
 

@@ -65,18 +65,23 @@ def _likewise(flights: Sequence[str]) -> str:
 
 
 def gaps(dataset: Dataset) -> Iterator[Finding]:
-    """Missing samples."""
+    """Missing samples: channels that lack few, many or too many are one finding each."""
+    alike: dict[tuple[Severity, bool, str], dict[str, dict[str, float]]] = {}
     for name, flight in dataset.flights.items():
         for channel, values in flight.channels.items():
             share = float(values.isnan().double().mean())
             if share > 0.0:
                 use = "bridged by a straight line" if channel in dataset.controls else "skipped"
-                grave: Severity = "warning" if share > 0.05 else "note"
-                sentence = f"{share:.2%} of the samples are missing; they are {use}."
-                if share > FEW:
-                    sentence = f"{share:.1%} of the samples are missing; they are {use}."
-                    sentence += " Leave the flight out if the manoeuvre itself is lost."
-                yield finding(grave, channel, sentence, flight=name)
+                kind: Severity = "warning" if share > 0.05 else "note"
+                alike.setdefault((kind, share > FEW, use), {}).setdefault(name, {})[channel] = share
+    for (kind, many, use), flights in alike.items():
+        shares = {name: max(channels.values()) for name, channels in flights.items()}
+        most = max(shares, key=lambda name: shares[name])
+        where = f" in {len(flights)} of {len(dataset.flights)} flights, most in {most}" if len(flights) > 1 else ""
+        channels = " ".join(dict.fromkeys(channel for flight in flights.values() for channel in flight))
+        sentence = f"up to {100.0 * shares[most]:.2g} % of the samples are missing{where}; they are {use}."
+        advice = ["Leave a flight out if the manoeuvre itself is lost."] if many else []
+        yield finding(kind, channels, sentence, *advice, flight="" if where else most)
 
 
 def units(dataset: Dataset) -> Iterator[Finding]:

@@ -1,4 +1,4 @@
-"""Channels over time as a matplotlib figure, of no display and no global state."""
+"""Records as matplotlib figures, of no display and no global state."""
 
 from __future__ import annotations
 
@@ -20,21 +20,26 @@ SIZE = (3.2, 1.7)
 
 def of_channels(title: str, channels: Mapping[str, Tensor], shown: Sequence[str]) -> Figure:
     """One picture per channel, over the time in s; `shown` names them in order."""
+    labels = {name: f"{name}, {unit}" if (unit := names.unit(name)) else name for name in shown}
+    return over(title, ("time, s", channels["time"]), {labels[name]: channels[name] for name in shown})
+
+
+def over(title: str, along: tuple[str, Tensor], columns: Mapping[str, Tensor]) -> Figure:
+    """One picture per column (T,), named with its unit, over a label and its values (T,)."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    columns = min(COLUMNS, max(len(shown), 1))
-    rows = -(-max(len(shown), 1) // columns)
-    figure = Figure(figsize=(SIZE[0] * columns, SIZE[1] * rows + 0.4), layout="constrained")
+    beside = min(COLUMNS, max(len(columns), 1))
+    rows = -(-max(len(columns), 1) // beside)
+    figure = Figure(figsize=(SIZE[0] * beside, SIZE[1] * rows + 0.4), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(rows, columns, sharex=True, squeeze=False).ravel()
-    for axis, name in zip(axes, shown, strict=False):
-        axis.plot(channels["time"].numpy(), channels[name].numpy(), linewidth=0.8)
-        listed = names.channel(name)
-        axis.set_ylabel(f"{name}, {listed.unit}" if listed is not None and listed.unit else name)
-    for axis in axes[len(shown) :]:
+    axes = figure.subplots(rows, beside, sharex=True, squeeze=False).ravel()
+    for axis, (name, values) in zip(axes, columns.items(), strict=False):
+        axis.plot(along[1].numpy(), values.numpy(), linewidth=0.8)
+        axis.set_ylabel(name)
+    for axis in axes[len(columns) :]:
         axis.set_axis_off()
-    for axis in axes[-columns:]:
-        axis.set_xlabel("time, s")
+    for axis in axes[-beside:]:
+        axis.set_xlabel(along[0])
     figure.suptitle(title)
     return figure

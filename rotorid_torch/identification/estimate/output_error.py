@@ -15,7 +15,7 @@ from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument, listed
 from rotorid_torch.core.gauss_newton import Minimum
 from rotorid_torch.core.parameters import ParameterTable
-from rotorid_torch.data.use.pictures import of_channels
+from rotorid_torch.data.use.pictures import over
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.arguments import (
     SOLVERS,
@@ -34,6 +34,7 @@ from rotorid_torch.identification.arguments import (
     state_names,
 )
 from rotorid_torch.identification.estimate.own_models.feedback import acting_back
+from rotorid_torch.identification.estimate.own_models.starts import with_starts_held
 from rotorid_torch.identification.estimate.own_models.steps import Stepped, in_steps
 from rotorid_torch.identification.estimate.own_models.whole_flights import WholeFlights, whole_flights
 from rotorid_torch.identification.estimate.progressive_fit import FINE, Fit, Monitor, Settings, fit
@@ -41,7 +42,7 @@ from rotorid_torch.identification.estimate.residuals import Colour, colour
 from rotorid_torch.identification.estimate.segments import Records, records_from
 from rotorid_torch.identification.estimate.system import System
 from rotorid_torch.identification.estimate.uncertainty import Uncertainty
-from rotorid_torch.identification.own_model import OwnModel, unwrapped
+from rotorid_torch.identification.own_model import OwnModel, unwrapped, warn_of_turns
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -77,7 +78,8 @@ class OutputError(ParameterTable):
     noise : [ny, ny] covariance of the residuals.
     initial_states : [F, nx] at each flight's first sample.
     converged, message : whether the optimum was reached, and a sentence that also names parameters in doubt, and says
-        where residuals are coloured as gusts colour them.
+        where residuals are coloured as gusts colour them,
+        and which parameters `x0="fixed"` would move by more than a standard error.
     history : cost after each accepted step of the last stage.
     residuals : per flight (T, ny) measured minus model, NaN = missing.
     model_error_ratio : [ny] residual over sensor noise (declared, or the white part of the residual).
@@ -117,11 +119,10 @@ class OutputError(ParameterTable):
 
 def drawn(noun: str, times: Sequence[Tensor], records: Sequence[Tensor]) -> list[Figure]:
     """Records (T, ny) of each flight over its times (T,), one picture per output."""
-    figures = []
-    for k, (time, record) in enumerate(zip(times, records, strict=True)):
-        columns = {f"{noun} {i}": column for i, column in enumerate(record.mT)}
-        figures.append(of_channels(f"flight {k}", {"time": time, **columns}, list(columns)))
-    return figures
+    return [
+        over(f"flight {k}", ("time, s", time), {f"{noun} {i}": column for i, column in enumerate(record.mT)})
+        for k, (time, record) in enumerate(zip(times, records, strict=True))
+    ]
 
 
 def output_error(
@@ -204,7 +205,10 @@ def output_error(
     starts = initial_states_of(x0, state_names(model, records.states.shape[-1])[0])
     settings = settings_of(records, starts, noise, noise_floor, segment_lengths, solver, optimiser, max_iterations)
     refuse_too_few(records.outputs, len(system.theta), 0 if x0 == "fixed" else records.states.shape[-1])
-    return result_of(system, fitted_in_steps(system, records, settings, monitor))
+    stepped = fitted_in_steps(system, records, settings, monitor)
+    result = result_of(system, stepped)
+    moved = with_starts_held(system, stepped, settings, [p.se for p in result.parameters])
+    return replace(result, message=f"{result.message}; {moved}") if moved else result
 
 
 def fitted_in_steps(system: System, records: Records, settings: Settings, monitor: Monitor | None) -> Stepped[Fit]:
@@ -277,6 +281,7 @@ def given(
     refuse_unmeasured(records.outputs)
     nu, ny = records.controls.shape[-1], records.outputs.shape[-1]
     angles, delays = angles_of("arguments", between.angles, ny), delays_of(between.delays, nu)
+    warn_of_turns(records.outputs, angles)
     around = (lambda copied: OwnModel(copied, nu, angles, delays)) if angles or delays else None
     system = System(model, free, bounds, around)
     own = system.model.model if isinstance(system.model, OwnModel) else system.model

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument, Sizes
+from rotorid_torch.data.use.pictures import over
 from rotorid_torch.identification.own_model import near
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Dynamics = Callable[[Tensor, Tensor], Tensor]
 """f(x[..., nx], u[..., nu]) -> dx/dt [..., nx], or h(x, u) -> y [..., ny]"""
@@ -65,6 +69,22 @@ class Filtered:
     log_likelihood: Tensor
     smoothed_means: Tensor | None
     smoothed_covariances: Tensor | None
+
+    def plot(self) -> list[Figure]:
+        """States and innovations of each member of a batch by sample, as matplotlib figures."""
+        means = self.means if self.smoothed_means is None else self.smoothed_means
+        names = [f"state {i}" for i in range(means.shape[-1])]
+        names += [f"innovation {i}" for i in range(self.innovations.shape[-1])]
+        records = torch.cat([means, self.innovations], dim=-1)
+        members = records.reshape(-1, *records.shape[-2:])
+        return [
+            over(
+                f"flight {k}",
+                ("sample", torch.arange(len(member))),
+                dict(zip(names, member.unbind(-1), strict=True)),
+            )
+            for k, member in enumerate(members)
+        ]
 
     def __repr__(self) -> str:
         *batch, samples, states = self.means.shape

@@ -29,6 +29,7 @@ from rotorid_torch.core.native.build import threads
 from rotorid_torch.core.native.filtering import Weights
 from rotorid_torch.core.native.graph.tracing import Unsupported
 from rotorid_torch.identification.arguments import angles_of
+from rotorid_torch.identification.own_model import warn_of_turns
 from rotorid_torch.identification.reconstruct import sigma_points
 from rotorid_torch.identification.reconstruct.filter_problem import Dynamics, Filtered, problem_of, with_angles
 from rotorid_torch.identification.reconstruct.iterated import iterated, learns_constants
@@ -112,7 +113,9 @@ def unscented_filter(
     """
     given = {"x0": x0, "P0": P0, "Q": Q, "R": R, "controls": controls, "outputs": outputs}
     problem, smooth = problem_of(f, h, given, dt), arguments.flag(Argument("unscented_filter", "smooth"), smooth)
-    near = with_angles(problem, angles_of("unscented_filter", angles, problem.outputs.shape[-1]))
+    turning = angles_of("unscented_filter", angles, problem.outputs.shape[-1])
+    warn_of_turns(problem.outputs, turning)
+    near = with_angles(problem, turning)
     noise = ProcessNoise.constant(problem.Q)
 
     def single_pass(cov: Tensor, smooth: bool = True) -> Filtered:

@@ -5,17 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument, Numbers, Sizes
+from rotorid_torch.data.use.pictures import over
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.regress.feedback import acting_back
 from rotorid_torch.identification.regress.noisy_least_squares import Solution, noisy_least_squares, smooth_variance
 from rotorid_torch.identification.regress.rows import KINDS, NOISES, Rows, flight_rows, total_noise
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SHOWN = 6
 """R2 of a batch that a regression shows of itself, at most."""
@@ -70,6 +74,12 @@ class Regression:
         names = self.names or tuple(str(k) for k in range(self.coefficients.shape[-1]))
         columns = (self.coefficients[batch].tolist(), self.standard_errors[batch].tolist())
         return "\n".join(_row(*row) for row in zip(names, *columns, strict=True))
+
+    def plot(self) -> Figure:
+        """Size of the residual's spectrum by frequency, of the first of a batch, as a matplotlib figure."""
+        residual = self.residual[(0,) * (self.residual.dim() - 1)].abs()
+        order = self.frequencies.argsort()
+        return over("residual spectrum", ("frequency, Hz", self.frequencies[order]), {"residual": residual[order]})
 
     def __repr__(self) -> str:
         low, high = self.band

@@ -85,6 +85,7 @@ def environment() -> Environment:
     )
     made.filters.update(
         number=number,
+        share=share,
         percent=percent,
         air_of=air_of,
         derivatives=tables.derivatives,
@@ -111,6 +112,11 @@ def term(word: str, key: str = "") -> Markup:
 def number(value: float | None, digits: int = 4) -> str:
     """Render a number with some significant digits; a dash for none."""
     return "–" if value is None else f"{value:.{digits}g}"
+
+
+def share(value: float | None) -> str:
+    """Render an R², which is rounding where it is below a thousandth; a dash for none."""
+    return "–" if value is None else f"{value:z.3f}"
 
 
 def percent(value: float | None) -> str:

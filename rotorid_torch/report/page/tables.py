@@ -12,7 +12,7 @@ from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES, STICKS, V
 from rotorid_torch.report.page.facts import ModelFacts
 from rotorid_torch.report.page.pictures import SIGNS
 from rotorid_torch.report.records import EffectRecord, FitRecord, ModeRecord, ParameterRecord
-from rotorid_torch.report.words.sizes import size, sizes_of
+from rotorid_torch.report.words.sizes import roughly, size, sizes_of
 
 ROWS = (*VELOCITIES, *RATES, *STICKS, *FLAPPING, "vi", "trim")
 ABOUT_ROWS = {"vi": "induced velocity", "trim": "constant: what trim needs"}
@@ -111,7 +111,7 @@ def evidence_rows(effects: Sequence[EffectRecord]) -> list[EvidenceRow]:
     tested = [e for e in effects if e.verdict != "not testable"]
     order = list(SIGNS)
     ranked = sorted(tested, key=lambda e: (order.index(e.verdict), -_ratio(e)))
-    return [EvidenceRow(e, SIGNS[e.verdict], sizes_of(e), *_for_and_against(e)) for e in ranked]
+    return [EvidenceRow(e, SIGNS[e.verdict], sizes_of(e) or roughly(e), *_for_and_against(e)) for e in ranked]
 
 
 def meaning_of(parameter: ParameterRecord, facts: ModelFacts) -> str:

@@ -37,6 +37,12 @@ def sizes_of(effect: EffectRecord) -> str:
     return ", ".join(_size(effect.id, p) for p in fitted if p in surest)
 
 
+def roughly(effect: EffectRecord) -> str:
+    """The surest size of an effect of which none is sure, marked so; empty where none was fitted."""
+    fitted = [p for p in effect.parameters if p.value and p.se]
+    return f"{_size(effect.id, max(fitted, key=_sureness))}, not sure" if fitted else ""
+
+
 def sentence_of(effect: EffectRecord) -> str:
     """What an effect means to whoever flies the vehicle, with its sizes."""
     sizes, sentence = sizes_of(effect), words_of(effect.id).sentence

@@ -128,7 +128,19 @@ def test_still_saturated_and_missing_controls():
     told = check(dataset).findings
     assert any(f.channel == "lon" and "hardly moves" in f.sentence for f in told)
     assert any(f.channel == "lat" and "on a limit" in f.sentence for f in told)
-    assert any((f.channel, f.flight) == ("p", "f") and "10.0% of the samples" in f.sentence for f in told)
+    assert any((f.channel, f.flight) == ("p", "f") and "10 % of the samples" in f.sentence for f in told)
+
+
+def test_samples_that_are_missing_alike_are_one_finding():
+    flights = {name: small_flight() for name in ("f", "g")}
+    for channel in ("p", "q", "phi"):
+        flights["f"][channel][100:108] = np.nan
+    flights["g"]["q"][50:54] = np.nan
+    flights["g"]["lat"][50:54] = np.nan
+    told = check(Dataset.from_arrays(flights, identify=["f", "g"])).findings
+    missing = [f for f in told if "missing" in f.sentence]
+    assert [(f.channel, f.flight) for f in missing] == [("p phi q", ""), ("lat", "g")]
+    assert "2 % of the samples are missing in 2 of 2 flights, most in f; they are skipped." in missing[0].sentence
 
 
 def test_motor_commands_beyond_their_scale_are_not_fit():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -58,6 +59,8 @@ def test_a_heading_that_wraps_tells_what_one_that_does_not_tells(estimator: Any)
     figure = found.plot()[0]
     assert len(figure.axes) == 2
     assert figure.axes[0].lines[0].get_xdata()[-1] == pytest.approx(TIME[-1])
+    with pytest.warns(rotorid.WrappedAngle, match="output 1"):
+        estimator(Heading(), [half_turns(flight)])
     left = found.residuals[0] if estimator is rotorid.output_error else found.innovations[0]
     assert float(left[:, 1].abs().max()) < 0.1
     assert isinstance(found.model, Heading)
@@ -78,7 +81,8 @@ def test_the_unscented_filter_takes_innovations_within_half_a_turn() -> None:
     outputs = half_turns(flight)["outputs"]
     outputs[100:110, 1] = np.nan
     wrapped = rotorid.unscented_filter(f, h, **prior, **noise, outputs=outputs, angles=[1])
-    lost = rotorid.unscented_filter(f, h, **prior, **noise, outputs=outputs)
+    with pytest.warns(rotorid.WrappedAngle, match=r"output 1 jumps by a whole turn .* angles=\[1\]"):
+        lost = rotorid.unscented_filter(f, h, **prior, **noise, outputs=outputs)
     assert whole.smoothed_means is not None
     assert wrapped.smoothed_means is not None
     assert lost.smoothed_means is not None
@@ -143,3 +147,15 @@ def late_by(flight: dict[str, Any], samples: int) -> dict[str, Any]:
     """The flight with its controls recorded so many samples too early."""
     u = np.asarray(flight["controls"])
     return flight | {"controls": np.concatenate([u[samples:], np.repeat(u[-1:], samples, axis=0)])}
+
+
+def test_free_initial_states_say_what_held_ones_would_give() -> None:
+    """A start that the record contradicts takes parameters along where it is believed; one that agrees does not."""
+    flight = turning()
+    agreed = rotorid.output_error(Heading(), [flight])
+    assert "x0" not in agreed.message
+    wrong = flight | {"x0": np.array([0.5, 2.5])}
+    free, held = (rotorid.output_error(Heading(), [wrong], x0=x0) for x0 in ("free", "fixed"))
+    (N,) = re.findall(r'\(x0="fixed"\) would give N ([-\d.e]+)', free.message)
+    assert float(N) == pytest.approx(held["N"].value, rel=0.02)
+    assert abs(held["N"].value - free["N"].value) > held["N"].se
