@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import msgspec
 import torch
@@ -39,9 +39,10 @@ def regressed(
 
     begun : whether the spec's values are those of a fit without some of its effects.
     """
-    model = build(spec)
     if not spec.motors:
-        return spec, regress_model(model, dataset, reconstruction)
+        return spec, regress_model(build(spec), dataset, reconstruction)
+    spec = _open(spec)
+    model = build(spec)
     regressions = regress_rotors(model, dataset, reconstruction, begun)
     told = _told(spec, model, regressions, dataset)
     if told == spec:
@@ -99,6 +100,18 @@ def estimated(
     return spec, model, regressions, estimate
 
 
+def _held(rows: Iterable[str]) -> list[str]:
+    """Parameters of moments that are not explained."""
+    return [f"rotors.{kind}.{row}" for row in rows for kind in ("power", "trim")]
+
+
+def _open(spec: ModelSpec) -> ModelSpec:
+    """The structure with every moment free: what a poorer model does not explain this one may."""
+    free = {n: value for n, value in spec.free.items() if n not in _held(MOMENTS)}
+    values = {n: value for n, value in spec.values.items() if n not in _held(MOMENTS) or value != 0.0}
+    return msgspec.structs.replace(spec, free=free, values=values)
+
+
 def _told(spec: ModelSpec, model: Model, regressions: Step2, dataset: Dataset) -> ModelSpec:
     """A multirotor's structure with those control powers held at zero which explain little of the moments.
 
@@ -112,7 +125,7 @@ def _told(spec: ModelSpec, model: Model, regressions: Step2, dataset: Dataset) -
     little = [row for row in MOMENTS if r2[row] < EXPLAINED or row in wrong]
     ahead = little if len(little) == len(MOMENTS) else unexplained_moments(model, _first(dataset))
     rows = [row for row in MOMENTS if row in {*little, *ahead}]
-    held = [name for row in rows for name in (f"rotors.power.{row}", f"rotors.trim.{row}")]
+    held = _held(rows)
     return msgspec.structs.replace(
         spec, free={**spec.free, **dict.fromkeys(held, False)}, values={**spec.values, **dict.fromkeys(held, 0.0)}
     )
