@@ -96,7 +96,8 @@ class WindowsRecord(Record, frozen=True, kw_only=True):
 class ResponseRecord(Record, frozen=True, kw_only=True):
     """What a model gives at measured states against what was measured: nothing is integrated.
 
-    constant : mean of measured minus model over the flight; r2_without_constant : R2 with it taken out.
+    constant : mean of measured minus model over the flight; r2_without_constant : R2 with it taken out. moved : whether
+    the flight moves it clearly; described : whether anything of the model does.
     """
 
     rmse: Size
@@ -104,6 +105,8 @@ class ResponseRecord(Record, frozen=True, kw_only=True):
     unit: str
     constant: Number = None
     r2_without_constant: AtMostOne = None
+    moved: bool = True
+    described: bool = True
 
 
 class PredictionRecord(Record, frozen=True, kw_only=True):

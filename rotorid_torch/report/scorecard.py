@@ -7,7 +7,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rotorid_torch.report.records import FitRecord, Report
-from rotorid_torch.report.short_horizon import BRACKETS, NAMES, short_horizon
+from rotorid_torch.report.short_horizon import BRACKETS, NAMES, cell, short_horizon
 from rotorid_torch.report.summary import air_of, list_summaries, place_of
 from rotorid_torch.report.words.verdict import consequence, opening, steps, worst_of
 
@@ -61,8 +61,7 @@ def _short(title: str, fit: FitRecord) -> Table:
     for one in lists:
         table.add_column(f"{one.name} ({one.flights})", justify="right")
     for name in dict.fromkeys(name for one in lists for name in one.responses):
-        values = ((one.responses.get(name), one.measured.get(name)) for one in lists)
-        table.add_row(f"R² of {NAMES.get(name, name)}", *(f"{_number(r2)} ({_number(raw)})" for r2, raw in values))
+        table.add_row(f"R² of {NAMES.get(name, name)}", *(cell(one, name) for one in lists))
     for p in lists[0].predictions:
         same = ({(q.quantity, q.seconds): q for q in one.predictions}.get((p.quantity, p.seconds)) for one in lists)
         cells = ("-" if q is None else f"{q.error:.3g} ({q.held:.3g})" for q in same)

@@ -17,7 +17,8 @@ from rotorid_torch.report.records import (
     ParameterRecord,
     Report,
 )
-from rotorid_torch.report.short_horizon import NAMES, ShortHorizon, explained, short_horizon
+from rotorid_torch.report.short_horizon import NAMES, explained, short_horizon, worse_than_holding
+from rotorid_torch.validate.lists import ShortHorizon
 
 # Shares of the motion explained, from which on a model is called so.
 GOOD, USABLE = 0.90, 0.70
@@ -190,12 +191,10 @@ def failing(fit: FitRecord) -> str:
 
 
 def _failing_ahead(flights: ShortHorizon) -> str:
-    """The same for a multirotor: predictions over the longest time, then the mean R² of the accelerations."""
+    """The same for a multirotor: what it predicts worse than holding, else the mean R²."""
     if flights.worse:
-        said = f"{_listed(flights.worse)} worse than holding what was measured"
-        return f"on the {flights.name} flights the model predicts {said}"
-    accelerations = {name: r2 for name, r2 in flights.responses.items() if not name.startswith("omega")}
-    shares = [r2 for r2 in accelerations.values() if math.isfinite(r2)]
+        return f"on the {flights.name} flights the model predicts {worse_than_holding(flights)}"
+    shares = [*flights.accelerations.values()]
     mean = sum(shares) / len(shares) if shares else 1.0
     if mean >= MOSTLY:
         return ""
@@ -287,7 +286,7 @@ def _steps_of_scores(fit: FitRecord) -> Iterator[str]:
 def _steps_of_responses(fit: FitRecord, traced: bool) -> Iterator[str]:
     """For a multirotor, of which free runs tell nothing; traced : whether effects were looked for already."""
     last = short_horizon(fit)[-1]
-    weak = [NAMES.get(name, name) for name, r2 in last.responses.items() if r2 < MOSTLY]
+    weak = [NAMES.get(name, name) for name, r2 in last.counted.items() if r2 < MOSTLY]
     if weak:
         look = (
             "no effect of the library explains the rest; rotorid check tells what these channels can show"

@@ -38,7 +38,7 @@ from rotorid_torch.validate import scores
 from rotorid_torch.validate.free_run import Runs, Windows
 from rotorid_torch.validate.neighbours import free_run_bands, without
 from rotorid_torch.validate.predictions import UNITS, predictions
-from rotorid_torch.validate.responses import compared, responses
+from rotorid_torch.validate.responses import compared, least_motion, responses
 from rotorid_torch.validate.windows import Scored, all_windows
 
 RESPONSE_UNITS = dict.fromkeys(ANGULAR_ACCELERATIONS, "rad/s2") | dict.fromkeys(SPECIFIC_FORCES, "m/s2")
@@ -123,10 +123,11 @@ def judge(model: Model, dataset: Dataset, ranks: Ranks = ALONE) -> Judged:
     records, overlays = dict[str, FlightRecord](), dict[str, Overlay]()
     shown = {name for flights in (dataset.identify, dataset.validate, dataset.acid) for name in flights[:SHOWN]}
     run = Runs.of(model)
+    least = least_motion(dataset) if dataset.kind == "multirotor" else {}
     for name, piece, outputs in all_windows(model, dataset, ranks.mine(tuple(dataset.flights)), run):
         records[name] = _flight(model, dataset, name, piece, outputs)
         if dataset.kind == "multirotor":
-            records[name] = _without_free_run(model, dataset, name, records[name], run)
+            records[name] = _without_free_run(run, dataset, name, records[name], least)
         if name in shown:
             responses_alone = dataset.kind == "multirotor"
             overlay = (
@@ -156,7 +157,9 @@ def _flight(model: Model, dataset: Dataset, name: str, piece: Windows, outputs: 
     )
 
 
-def _without_free_run(model: Model, dataset: Dataset, name: str, record: FlightRecord, run: Runs) -> FlightRecord:
+def _without_free_run(
+    run: Runs, dataset: Dataset, name: str, record: FlightRecord, least: Mapping[str, float]
+) -> FlightRecord:
     """The record with what tells of a multirotor's model, whose free runs drift: responses and short predictions.
 
     Velocities that were made from positions before and after judge nothing, and no position while that is known.
@@ -164,11 +167,11 @@ def _without_free_run(model: Model, dataset: Dataset, name: str, record: FlightR
     flight = dataset.flights[name]
     explained = {
         name: ResponseRecord(**vars(response), unit=RESPONSE_UNITS.get(name, "rad/s"))
-        for name, response in responses(model, flight).items()
+        for name, response in responses(run.model, flight, least=least).items()
     }
     ahead = tuple(
         PredictionRecord(quantity=p.quantity, seconds=p.seconds, unit=UNITS[p.quantity], error=p.error, held=p.held)
-        for p in predictions(model, flight, run)
+        for p in predictions(run.model, flight, run)
         if not dataset.derived
         or not (p.quantity == "velocity" or (p.quantity == "position" and p.seconds < 2.0 * HALF))
     )

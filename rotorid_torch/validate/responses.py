@@ -6,37 +6,103 @@ model can be judged by: nothing is integrated, so that no error grows.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.names import RATES
+from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
+from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.signal_operations import averaged
+from rotorid_torch.identification.measured_states import SMOOTHED_S
 from rotorid_torch.model.accelerations import Accelerations
 from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
 
-SMOOTHED_S = 0.03
-"""Length of the centred mean that measurement and model both pass before the rates are differentiated."""
+CLEAR = 2.0
+"""Standard deviation of a response over its noise from which on a flight moves it: a perfect model explains 3/4."""
+USUAL = 0.25
+"""The same over that of all identify flights."""
+BARELY = 0.05
+"""Standard deviation of the modelled over that of the measured response, below which the model does not describe it."""
 
 
 @dataclass(frozen=True)
 class Response:
     """One response of a flight: rms of measured minus model in its unit, and R2 = 1 - sum(error^2)/sum(deviation^2).
 
-    constant : mean of measured minus model. r2_without_constant : R2 with that taken out of the error.
+    constant : mean of measured minus model. r2_without_constant : R2 with that taken out of the error. moved : whether
+    the flight moves it; R2 means nothing of what it leaves alone. described : whether anything of the model moves it.
     """
 
     rmse: float
     r2: float
     constant: float
     r2_without_constant: float
+    moved: bool
+    described: bool
 
 
-def responses(model: Model, flight: Flight, smoothed: float = SMOOTHED_S) -> dict[str, Response]:
-    """R2 of each response of a flight that is measured: rates differentiated, accelerometers, rotor speeds."""
-    return {name: _judged(*pair) for name, pair in compared(model, flight, smoothed).items()}
+def responses(
+    model: Model, flight: Flight, smoothed: float = SMOOTHED_S, least: Mapping[str, float] | None = None
+) -> dict[str, Response]:
+    """R2 of each response of a flight that is measured: rates differentiated, accelerometers, rotor speeds.
+
+    least : standard deviation by response from which on a flight moves it (`least_motion`); none: all are moved.
+    """
+    pairs = compared(model, flight, smoothed)
+    return {name: _judged(*pair, (least or {}).get(name, 0.0)) for name, pair in pairs.items()}
+
+
+def least_motion(dataset: Dataset, smoothed: float = SMOOTHED_S) -> dict[str, float]:
+    """Standard deviation from which on a flight of a data set moves a response, by response.
+
+    That is `CLEAR` times the noise of the channel behind the same mean and derivative, white noise at the identify
+    flights' median interval, and `USUAL` of the identify flights' rms about their means.
+    """
+    spans, moved = sorted(dataset.facts[name].dt for name in dataset.identify), dict[str, list[Tensor]]()
+    dt = spans[len(spans) // 2]
+    for flight in (dataset.flights[name] for name in dataset.identify):
+        speeds = [c for c in flight.channels if c.startswith("omega")]
+        for name in (*ANGULAR_ACCELERATIONS, *SPECIFIC_FORCES, *speeds):
+            if flight.has(_channel(name)):
+                values = _measured(name, flight, smoothed)
+                moved.setdefault(name, []).append(values - values.mean())
+    half = _half(smoothed, dt)
+    noise = {name: dataset.noise(_channel(name)) * _passed(name, half, dt) for name in moved}
+    usual = {name: float(torch.cat(parts).square().mean().sqrt()) for name, parts in moved.items()}
+    return {name: max(CLEAR * noise[name], USUAL * usual[name]) for name in moved}
+
+
+def _passed(name: str, half: int, dt: float) -> float:
+    """Standard deviation of white noise of one behind a mean of 2 half + 1 samples, and a central difference."""
+    if name not in ANGULAR_ACCELERATIONS:
+        return (2 * half + 1) ** -0.5
+    return 1.0 / ((2 * half + 1) * dt) if half else 1.0 / (math.sqrt(2.0) * dt)
+
+
+def _channel(name: str) -> str:
+    return RATES[ANGULAR_ACCELERATIONS.index(name)] if name in ANGULAR_ACCELERATIONS else name
+
+
+def _half(smoothed: float, dt: float) -> int:
+    return round(smoothed / dt / 2.0)
+
+
+def _inner(record: Tensor, half: int) -> Tensor:
+    """A record [T] without the ends that a mean and a derivative do not reach."""
+    return record[half + 1 : len(record) - half - 1]
+
+
+def _measured(name: str, flight: Flight, smoothed: float) -> Tensor:
+    """A response of a flight as measured [T']."""
+    half = _half(smoothed, flight.dt)
+    measured = averaged(flight.bridged([_channel(name)])[:, 0], half)
+    if name in ANGULAR_ACCELERATIONS:
+        measured = torch.gradient(measured, spacing=flight.dt)[0]
+    return _inner(measured, half)
 
 
 def compared(model: Model, flight: Flight, smoothed: float = SMOOTHED_S) -> dict[str, tuple[Tensor, Tensor]]:
@@ -49,25 +115,24 @@ def compared(model: Model, flight: Flight, smoothed: float = SMOOTHED_S) -> dict
     with torch.no_grad():
         taped = model.tape(flight.bridged(model.body.controls), flight.dt)
         modelled = Accelerations(model)(model.theta, x, taped, flight.dt)
-    half = round(smoothed / flight.dt / 2.0)
-    pairs = {}
-    for name, values in modelled.items():
-        channel = RATES[ANGULAR_ACCELERATIONS.index(name)] if name in ANGULAR_ACCELERATIONS else name
-        if not flight.has(channel):
-            continue
-        measured = averaged(flight.bridged([channel])[:, 0], half)
-        if channel != name:
-            measured = torch.gradient(measured, spacing=flight.dt)[0]
-        inner = slice(half + 1, len(measured) - half - 1)
-        pairs[name] = measured[inner], averaged(values, half)[inner]
-    return pairs
+    half = _half(smoothed, flight.dt)
+    return {
+        name: (_measured(name, flight, smoothed), _inner(averaged(values, half), half))
+        for name, values in modelled.items()
+        if flight.has(_channel(name))
+    }
 
 
-def _judged(measured: Tensor, model: Tensor) -> Response:
+def _judged(measured: Tensor, model: Tensor, least: float) -> Response:
     error = measured - model
-    spread = (measured - measured.mean()).square().sum()
+    deviation = measured - measured.mean()
+    spread = deviation.square().sum()
     explained = [float(1.0 - e.square().sum() / spread) for e in (error, error - error.mean())]
-    return Response(float(error.square().mean().sqrt()), explained[0], float(error.mean()), explained[1])
+    moved = float(deviation.square().mean().sqrt()) >= least
+    described = bool(model.std() > BARELY * deviation.std())
+    return Response(
+        float(error.square().mean().sqrt()), explained[0], float(error.mean()), explained[1], moved, described
+    )
 
 
 def measured_states(model: Model, flight: Flight) -> Tensor:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -16,6 +17,7 @@ from rotorid_torch.identification.reconstruct.reconstruction import Reconstructi
 from rotorid_torch.identification.rotor_regression import nonlinear, regress_rotors
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build
+from rotorid_torch.run.estimate import regressed
 
 DT, MASS, G = 0.005, 0.5, 9.80665
 INERTIA = np.array([3e-3, 4e-3, 6e-3])
@@ -99,6 +101,19 @@ def test_instant_motors_have_no_damping_to_hide_behind():
     run = rotorid.identify(dataset())
     assert {name.partition(".")[0] for name in run.model.parameter_set.names} == {"rotors"}
     assert all((p.value or 0.0) >= 0.0 for p in run.parameters if p.name.startswith("rotors.power"))
+
+
+def test_a_moment_that_a_poorer_model_does_not_explain_is_free_again_in_a_richer_one():
+    poor, _ = regressed(propose(dataset(), seen()), dataset(), seen())
+    silent = ["rotors.power.L", "rotors.trim.L"]
+    held = msgspec.structs.replace(
+        poor, free=dict.fromkeys(silent, False), values=dict.fromkeys(silent, 0.0), effects=EFFECTS
+    )
+    rich, regressions = regressed(held, dataset(), seen())
+    model = build(rich)
+    assert set(silent) <= set(model.parameter_set.free)
+    power = float(regressions.theta[model.parameter_set.index("rotors.power.L")])
+    assert power == pytest.approx(1.25, rel=0.1)
 
 
 def test_what_is_missing_for_a_moment_is_missing_for_a_moment():

@@ -45,6 +45,28 @@ def test_an_axis_that_a_flight_leaves_alone_counts_for_little(flown: records.Rep
     assert not acid.worse
 
 
+def test_a_flight_does_not_count_for_what_it_leaves_alone_nor_a_model_for_what_it_does_not_describe(
+    flown: records.Report,
+):
+    assert flown.before is not None
+    acid = flown.before.flights["sweep"]
+    still = msgspec.structs.replace(response(1.0, -1.0), moved=False)
+    silent = msgspec.structs.replace(response(1.0, 0.0), described=False)
+    first = {"pdot": response(1.0, 0.9), "rdot": still, "ax": silent}
+    flights = {
+        "first": msgspec.structs.replace(acid, responses=first),
+        "second": msgspec.structs.replace(acid, responses={"pdot": still, "rdot": still}),
+    }
+    fit = msgspec.structs.replace(flown.before, flights=flights)
+    (horizon,) = short_horizon(fit)
+    assert (horizon.still, horizon.silent) == (("rdot",), ("ax",))
+    assert horizon.counted == pytest.approx({"pdot": 0.9})
+    assert "Not counted: these flights leave yaw acceleration alone; nothing in the model moves ax." in explained(
+        horizon
+    )
+    assert failing(msgspec.structs.replace(fit, flights={"first": flights["first"]})) == ""
+
+
 def test_a_constant_of_each_flight_is_taken_out_and_both_scores_are_told(flown: records.Report):
     """Two flights of one deviation, one with nothing but a constant as its error."""
     assert flown.before is not None
@@ -65,6 +87,9 @@ def test_a_model_that_predicts_worse_than_holding_is_said_to_first(flown: record
     worse = msgspec.structs.replace(fit, flights=flights)
     said = explained(short_horizon(worse)[-1])
     assert said.startswith("On the acid flights, which it has not seen, the model predicts rates worse than holding")
+    later = {n: msgspec.structs.replace(f, predictions=(ahead(0.3, 0.1), ahead(2.5))) for n, f in flights.items()}
+    said = explained(short_horizon(msgspec.structs.replace(fit, flights=later))[-1])
+    assert "the model predicts rates after 0.5 s worse than holding what was measured" in said
     assert failing(worse) == "on the acid flights the model predicts rates worse than holding what was measured"
 
 

@@ -16,7 +16,7 @@ from rotorid_torch.effects.examples import BODY, MOTORS, MULTIROTOR
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.validate.predictions import predictions, unexplained_moments
-from rotorid_torch.validate.responses import averaged, responses
+from rotorid_torch.validate.responses import averaged, least_motion, responses
 from tests.known_models import with_values
 
 DT, SAMPLES = 0.01, 300
@@ -84,3 +84,24 @@ def test_centred_mean_keeps_lines_and_takes_fewer_samples_at_the_ends():
     assert averaged(line, 2)[0] == pytest.approx(1.0)
     wave = torch.sin(torch.arange(400, dtype=torch.float64) * 2 * math.pi / 5)
     assert float(averaged(wave, 2)[2:-2].abs().max()) < 1e-12
+
+
+def test_a_flight_moves_a_response_that_stands_out_of_noise_and_of_what_is_usual():
+    """Yaw is noise alone on the first flight; pitch moves a tenth of the usual on the second."""
+    time = DT * torch.arange(1000, dtype=torch.float64)
+    noise = torch.Generator().manual_seed(1)
+
+    def rate(size: float) -> torch.Tensor:
+        return size * torch.sin(6.0 * time) + 0.01 * torch.randn(len(time), generator=noise, dtype=torch.float64)
+
+    def arrays(pitch: float, yaw: float) -> dict[str, torch.Tensor]:
+        commands = {m: 0.6 + 0.1 * torch.sin(time + k) for k, m in enumerate(MOTORS)}
+        return {"time": time, "p": rate(1.0), "q": rate(pitch), "r": rate(yaw), **commands}
+
+    flights = {"first": arrays(1.0, 0.0), "second": arrays(0.1, 0.0)}
+    numbers = {n: {c: v.numpy() for c, v in one.items()} for n, one in flights.items()}
+    data = Dataset.from_arrays(numbers, identify=["first"], validate=["second"], kind="multirotor")
+    least = least_motion(data)
+    model = build(msgspec.structs.replace(MULTIROTOR, inputs=()))
+    moved = {n: {c for c, r in responses(model, data.flights[n], least=least).items() if r.moved} for n in numbers}
+    assert moved == {"first": {"pdot", "qdot"}, "second": {"pdot"}}

@@ -16,7 +16,7 @@ from rotorid_torch.report.figures import Overlay
 from rotorid_torch.report.page import pictures, plots, tables
 from rotorid_torch.report.page.facts import ModelFacts
 from rotorid_torch.report.records import FitRecord, Report
-from rotorid_torch.report.short_horizon import BRACKETS, NAMES, short_horizon
+from rotorid_torch.report.short_horizon import BRACKETS, NAMES, cell, short_horizon
 from rotorid_torch.report.summary import air_of, list_summaries, shown_flights
 from rotorid_torch.report.words import sizes, verdict
 from rotorid_torch.report.words.glossary import GLOSSARY
@@ -60,6 +60,7 @@ def render(report: Report, shown: Shown | None = None) -> str:
             facts=shown.facts,
             names=NAMES,
             brackets=BRACKETS,
+            cell=cell,
             plotted=plotted if plotted["flights"] else None,
             data=Markup(json.dumps(plotted, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")),
         )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from rotorid_torch.core import names
 from rotorid_torch.report.records import ChannelRecord, EffectRecord, FitRecord, Report
-from rotorid_torch.report.short_horizon import NAMES, ShortHorizon, short_horizon
+from rotorid_torch.report.short_horizon import NAMES, short_horizon
 from rotorid_torch.report.summary import (
     GRADED,
     GRADES,
@@ -22,11 +22,10 @@ from rotorid_torch.report.summary import (
 )
 from rotorid_torch.report.words.effects import words_of
 from rotorid_torch.report.words.sizes import named, sentence_of, size
+from rotorid_torch.validate.lists import described
 
 STEPS = 5
 """Steps that a report names, at most."""
-MOVED = 0.3
-"""Share of its largest motion above which a response is judged."""
 ALIKE = 0.02
 """Relative change of a score below which two models describe flights alike."""
 KINDS_OF_ERROR = ("an offset", "a wrong amplitude", "a wrong shape")
@@ -90,7 +89,7 @@ def _improvement(report: Report) -> str:
         return ""
     short = short_horizon(after)
     if short:
-        first, last = (_mean(fit, short_horizon(fit)[-1]) for fit in (before, after))
+        first, last = (described(short_horizon(fit)[-1], short[-1]) for fit in (before, after))
         return (
             f"With that in the model, {_percent(last)} instead of {_percent(first)} of the accelerations of the"
             f" {short[-1].name} flights are described."
@@ -103,7 +102,7 @@ def _improvement(report: Report) -> str:
 def grades(report: Report) -> tuple[Grade, ...]:
     """One for each fit, before and after."""
     fits = [("before", report.before), ("after", report.after)] if report.after else [("", report.before)]
-    return tuple(_grade(title, fit) for title, fit in fits if fit is not None)
+    return tuple(_grade(title, fit, report.fit or fit) for title, fit in fits if fit is not None)
 
 
 def steps(report: Report) -> list[str]:
@@ -117,7 +116,7 @@ def worst_of(fit: FitRecord) -> str:
     """The channel that the model describes worst on flights it has not seen, as a sentence; empty where none is."""
     short = short_horizon(fit)
     if short:
-        responses = _moving(fit, short[-1])
+        responses = short[-1].counted
         if not responses:
             return ""
         worst = min(responses, key=lambda name: responses[name])
@@ -138,10 +137,10 @@ def kind_of(channel: ChannelRecord) -> str:
     return KINDS_OF_ERROR[parts.index(max(parts))]
 
 
-def _grade(title: str, fit: FitRecord) -> Grade:
+def _grade(title: str, fit: FitRecord, last: FitRecord) -> Grade:
     short = short_horizon(fit)
     if short:
-        share = _mean(fit, short[-1])
+        share = described(short[-1], short_horizon(last)[-1])
         word = next((w for limit, w in GRADES if share >= limit), "worse than the mean")
         return Grade(title, share, word, f"of the accelerations of {short[-1].name} flights", worst_of(fit))
     scored = {s.name: s for s in list_summaries(fit) if s.explained is not None}
@@ -221,24 +220,6 @@ def _look_for(report: Report) -> str:
         f"What is missing acts on {where}{band}{follows}: compare flights with and without it, look for what was"
         " changed on the vehicle, and add a channel that shows it."
     )
-
-
-def _mean(fit: FitRecord, horizon: ShortHorizon) -> float:
-    """Mean R² of the accelerations that these flights move, none below zero."""
-    values = [max(r2, 0.0) for name, r2 in _moving(fit, horizon).items() if not name.startswith("omega")]
-    return sum(values) / len(values) if values else 0.0
-
-
-def _moving(fit: FitRecord, horizon: ShortHorizon) -> dict[str, float]:
-    """R² of the responses that a list's flights move as all flights do: R² means nothing of an axis left alone."""
-    spread: dict[str, dict[str, float]] = {}
-    for flight in fit.flights.values():
-        for name, r in flight.responses.items():
-            if r.rmse is not None and r.r2 is not None and r.r2 < 1.0:
-                of = spread.setdefault(name, {})
-                of[flight.list] = max(of.get(flight.list, 0.0), r.rmse / math.sqrt(1.0 - r.r2))
-    moved = {n: r2 for n, r2 in horizon.responses.items() if math.isfinite(r2) and n in spread}
-    return {n: r2 for n, r2 in moved.items() if spread[n].get(horizon.name, 0.0) > MOVED * max(spread[n].values())}
 
 
 def _meaning(name: str) -> str:
