@@ -124,14 +124,10 @@ class ShortHorizon:
             for row, response in flight.responses.items():
                 each.setdefault(row, []).append(response)
         moved = {row: [r for r in of if r.moved] for row, of in each.items()}
-        return cls(
-            name,
-            len(flights),
-            *({row: _pooled(moved[row] or of, about) for row, of in each.items()} for about in (False, True)),
-            tuple(_means(flights)),
-            tuple(row for row, of in moved.items() if not of),
-            tuple(row for row, of in each.items() if not any(r.described for r in of)),
-        )
+        measured, without = ({row: _pooled(moved[row] or of, on) for row, of in each.items()} for on in (False, True))
+        still = tuple(row for row, of in moved.items() if not of)
+        silent = tuple(row for row, of in each.items() if not any(r.described for r in of))
+        return cls(name, len(flights), measured, without, tuple(_means(flights)), still, silent)
 
     @property
     def counted(self) -> dict[str, float]:
