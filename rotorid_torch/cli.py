@@ -402,10 +402,11 @@ def simulate(options: Options) -> None:
     from rotorid_torch.run.output.folder import refuse_unless_free_run
 
     refuse_unless_free_run(options.out, overwrite=options.overwrite)
-    how = {"start": options.start, "seconds": options.seconds, "overwrite": options.overwrite}
+    piece = saved_model.Piece(options.start, options.seconds)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        saved_model.write_free_run(options.model, load(options.dataset), options.flight, options.out, **how)
+        data = load(options.dataset)
+        saved_model.write_free_run(options.model, data, options.flight, options.out, piece, overwrite=options.overwrite)
     sentences = [str(warning.message) for warning in caught if warning.category is UserWarning]
     lines = [f"free run: {options.out}", *(f"warning: {sentence}" for sentence in sentences)]
     _answer(options, {"file": str(options.out), "warnings": sentences}, "\n".join(lines))

@@ -133,10 +133,10 @@ def refuse_unfit(model: nn.Module, start: Tensor, x: Tensor, u: Tensor, ny: int)
     count = sum((x.shape[-1], u.shape[-1], ny, 2))
     rows = torch.arange(max(len(x), count)) % len(x)
     t, x, u = start[rows], x[rows], u[rows]
-    given = f" (x0 has {x.shape[-1]} numbers, controls have {u.shape[-1]} columns, outputs have {ny})"
-    arguments.evaluated(Argument("model", "forward"), model.forward, (t, x, u), x.shape, RATES_FORM + given)
+    sizes = f" (x0 has {x.shape[-1]} numbers, controls have {u.shape[-1]} columns, outputs have {ny})"
+    arguments.evaluated(Argument("model", "forward"), model.forward, (t, x, u), x.shape, RATES_FORM + sizes)
     output: Any = model.output
-    arguments.evaluated(Argument("model", "output"), output, (x, u), (*x.shape[:-1], ny), OUTPUT_FORM + given)
+    arguments.evaluated(Argument("model", "output"), output, (x, u), (*x.shape[:-1], ny), OUTPUT_FORM + sizes)
 
 
 def noise_of(noise: Any, ny: int) -> tuple[str, Tensor | None]:
@@ -216,8 +216,8 @@ def delays_of(delays: Any, nu: int) -> dict[int, float]:
     if delays is None:
         return {}
     arguments.instance(argument, delays, Mapping, expected)
-    found = {_place(argument, place, nu, expected): delay for place, delay in delays.items()}
-    return {place: arguments.number(argument, delay, "a delay, s", least=0.0) for place, delay in found.items()}
+    by_place = {_place(argument, place, nu, expected): delay for place, delay in delays.items()}
+    return {place: arguments.number(argument, delay, "a delay, s", least=0.0) for place, delay in by_place.items()}
 
 
 def _place(argument: Argument, place: Any, count: int, expected: str) -> int:
@@ -249,8 +249,8 @@ def initial_states_of(x0: Any, names: Sequence[str]) -> InitialStates:
     held = torch.zeros(len(names), dtype=torch.bool)
     low, high = torch.full((len(names),), -math.inf, dtype=torch.float64), torch.full((len(names),), math.inf)
     for key, wish in x0.items():
-        known = [*names, *range(len(names))]
-        if isinstance(key, bool) or key not in known:
+        accepted = [*names, *range(len(names))]
+        if isinstance(key, bool) or key not in accepted:
             raise argument.wrong(f"there is no state {key!r}", f"one of {arguments.listed(names)}, or its place")
         place = key if isinstance(key, int) else names.index(key)
         if isinstance(wish, str):

@@ -29,9 +29,9 @@ def velocities_colour(outputs: Sequence[str], problem: Likelihood, place: Place)
         return 0.0
 
     def pairs(part: Part) -> Tensor:
-        own = part.residual.detach().masked_fill(~part.valid, math.nan)[..., which]
-        both = torch.cat([own[:, 1:], own[:, :-1]], dim=-1)
-        missing = (own[:, 1:].isnan() | own[:, :-1].isnan()).repeat(1, 1, 2)
+        residual = part.residual.detach().masked_fill(~part.valid, math.nan)[..., which]
+        both = torch.cat([residual[:, 1:], residual[:, :-1]], dim=-1)
+        missing = (residual[:, 1:].isnan() | residual[:, :-1].isnan()).repeat(1, 1, 2)
         return both.masked_fill(missing, math.nan)
 
     sums, n = problem.moments(place, pairs).products, len(which)
@@ -51,6 +51,6 @@ def sentence(asked: str, chosen: str, colour: float, why_not: str) -> str:
         return f"{by}, as asked for"
     if why_not:
         return f"{by}: {why_not}"
-    told = f"successive residuals of the velocities by output error correlate by up to {colour:.2f}"
+    colours = f"successive residuals of the velocities by output error correlate by up to {colour:.2f}"
     air = "the air moves" if chosen == "filter-error" else "the air is calm"
-    return f"{by}: {air}, for {told} ({GUSTY:g} or less in calm air)"
+    return f"{by}: {air}, for {colours} ({GUSTY:g} or less in calm air)"

@@ -38,7 +38,7 @@ RATE = 50.0
 """Hz: records are averaged down to no less than this; body, flapping and inflow are slower than a fifth of it."""
 ENOUGH = Options(tolerance=1e-5, absolute=0.05)
 """The search ends where a step could change the log-likelihood by no more than this: less than a standard error."""
-TOLD = 4.5
+CLEARLY_BETTER = 4.5
 """Fall of minus log-likelihood by which a size must be better than none: three standard errors of one number."""
 LENGTHS = (2.0, 5.0)
 """s: segments of the two stages; an unstable vehicle's slow modes show in the second, its fast ones set the first."""
@@ -166,31 +166,31 @@ class _Search:
         flights, settings = moved((flights, self.settings), self.device)
         with working_on(self.device):
             system, ends = System(model, self.names), gusty if decides else None
-            found = fit(system, flights, None, settings, self.monitor, self.ranks, ends=ends)
+            fitted = fit(system, flights, None, settings, self.monitor, self.ranks, ends=ends)
             if colour > GUSTY:
                 return None, colour
-            found = self._moved_off_nothing(system, flights, settings, found.estimate())
-        return moved(found, "cpu"), colour
+            estimate = self._moved_off_nothing(system, flights, settings, fitted.estimate())
+        return moved(estimate, "cpu"), colour
 
-    def _moved_off_nothing(self, system: System, flights: Records, settings: Settings, found: Estimate) -> Estimate:
+    def _moved_off_nothing(self, system: System, flights: Records, settings: Settings, estimate: Estimate) -> Estimate:
         """The estimate, or that from sizes of effects of which a little does nothing, where it is better."""
         acting = {self.names.index(n): size for n, size in _idle(self.model).items() if n in self.names}
         if not acting:
-            return found
-        place = found.theta.clone()
+            return estimate
+        place = estimate.theta.clone()
         place[list(acting)] = place.new_tensor(list(acting.values()))
         other = fit(system, flights, place, settings, self.monitor, self.ranks).estimate()
-        return other if other.minimum.point.cost < found.minimum.point.cost - TOLD else found
+        return other if other.minimum.point.cost < estimate.minimum.point.cost - CLEARLY_BETTER else estimate
 
 
 def _regressed(start: Step2, names: Sequence[str]) -> Tensor:
     """Variances [P] by step 2's regressions, which say how strongly gusts act; zero for what none of them tells."""
-    found = {
+    variances = {
         f"{row}.{name}": float(se) ** 2
         for row, regression in start.regressions.items()
         for name, se in zip(regression.names, regression.standard_errors, strict=True)
     }
-    return torch.tensor([found.get(n.partition(".")[2], 0.0) for n in names], dtype=torch.float64).nan_to_num(0.0)
+    return torch.tensor([variances.get(n.partition(".")[2], 0.0) for n in names], dtype=torch.float64).nan_to_num(0.0)
 
 
 def initial_spread(model: Model, dataset: Dataset) -> Tensor:

@@ -84,8 +84,8 @@ class OwnModel(nn.Module):
         if self.late:
             delay = torch.zeros(self.count, dtype=path.dtype).index_put((torch.tensor(self.late),), self.delay)
             path = shifted(path, delay, dt)
-        own: Any = getattr(self.model, "tape", None)
-        path = path if own is None else own(path, dt)
+        of_model: Any = getattr(self.model, "tape", None)
+        path = path if of_model is None else of_model(path, dt)
         return torch.cat([path, controls[..., self.count :]], dim=-1)
 
     def delays(self) -> dict[str, tuple[int, float, float]]:

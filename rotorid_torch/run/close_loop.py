@@ -41,10 +41,10 @@ from rotorid_torch.run.pipeline import identified, pictured, refuse, remarks_on
 from rotorid_torch.run.result import Run, facts_of, write_model
 from rotorid_torch.run.turbulence import in_turbulence, with_gusts, without_clean_bill
 from rotorid_torch.trace.clean_aircraft import clean_draws
-from rotorid_torch.trace.evidence.fits import Fitted, Flights, refit
+from rotorid_torch.trace.evidence.fits import Flights, refit
 from rotorid_torch.trace.loop import Tracing, trace
 from rotorid_torch.trace.multirotor import trace_rotors
-from rotorid_torch.trace.network import learn
+from rotorid_torch.trace.network import Learnt, learn
 from rotorid_torch.trace.search.decide import Row, decide
 from rotorid_torch.trace.search.forward_selection import of_effects
 from rotorid_torch.trace.search.words import reason
@@ -133,9 +133,9 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
     with monitor.step("trace"):
         tracing = (_rotors_traced if base.spec.motors else _traced)(base, flights, seed, steps)
     tracing = _in_gusts(tracing, shaken)
-    again = partial(_again, dataset=dataset, steps=steps)
-    wrong = partial(again, first, seen=at_one_rate(dataset), sensors={})
-    rerun = partial(again, base, seen=right, sensors=sensors.values)
+    again = partial(_again, recorded=dataset, steps=steps)
+    wrong = partial(again, _Basis(first, at_one_rate(dataset), {}))
+    rerun = partial(again, _Basis(base, right, sensors.values))
     before, after, tracing = _before_and_after(first, tracing, bool(sensors.effects), wrong, rerun)
     stays = after is not None and set(tracing.structure) <= set(after.spec.effects)
     traced = tracing.findings if stays else _dropped(tracing)
@@ -143,8 +143,11 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
     if hybrid:
         spec = tracing.final.spec if stays else tracing.final.spec.without(tracing.structure)
         held = base.regressions.held
-        refitted = partial(refit, spec, flights, tracing.final.values, held)
-        richer, learnt = _with_network(spec, refitted, held, after or before, rerun, seed, monitor)
+
+        def learning() -> Learnt:
+            return learn(refit(spec, flights, tracing.final.values, held), held, seed, monitor.say)
+
+        richer, learnt = _with_network(spec, learning, after or before, rerun, monitor)
         findings.append(learnt)
         after = richer or after
     if after is not None:
@@ -158,9 +161,9 @@ def _shaken(dataset: Dataset, base: Run) -> list[Finding]:
 
     Coloured residuals alone name no gusts: a load that sways colours them too.
     """
-    found = stochastic_findings(dataset, base.spec, gust_response(base.model))
+    findings = stochastic_findings(dataset, base.spec, gust_response(base.model))
     air, why = base.estimate.air, base.estimate.why
-    return [in_turbulence(f, air, why) if f.id == TURBULENCE and f.verdict == "accepted" else f for f in found]
+    return [in_turbulence(f, air, why) if f.id == TURBULENCE and f.verdict == "accepted" else f for f in findings]
 
 
 def _rough(shaken: Sequence[Finding]) -> bool:
@@ -222,22 +225,19 @@ def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
 
 def _rotors_traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
     """By accelerations at measured states, to which each candidate is fitted."""
-    told = [f"rotors.{kind}.{row}" for kind in ("power", "trim") for row in MOMENTS]
-    free, values = ({n: v for n, v in known.items() if n not in told} for known in (base.spec.free, base.spec.values))
-
+    held = [f"rotors.{kind}.{row}" for kind in ("power", "trim") for row in MOMENTS]
+    free, values = ({n: v for n, v in part.items() if n not in held} for part in (base.spec.free, base.spec.values))
     fit = partial(at_measured_states, dataset=flights.dataset, reconstruction=flights.reconstruction)
     # what step 2 could not tell without an effect may be told with it
-    untold = msgspec.structs.replace(base.spec, free=free, values=values)
-    return trace_rotors(untold, flights.dataset, fit, steps.monitor.say, seed, steps.ranks)
+    released = msgspec.structs.replace(base.spec, free=free, values=values)
+    return trace_rotors(released, flights.dataset, fit, steps.monitor.say, seed, steps.ranks)
 
 
 def _with_network(
     spec: ModelSpec,
-    refitted: Callable[[], Fitted],
-    held: Sequence[str],
+    learning: Callable[[], Learnt],
     best: Run,
     rerun: Callable[..., Run],
-    seed: int,
     monitor: Monitor,
 ) -> tuple[Run | None, Finding]:
     """The run with a network beside what was traced, and what is told of it; None where it does not stay."""
@@ -245,15 +245,15 @@ def _with_network(
     if why is not None:
         return None, Finding(NeuralForces.id, "learnt", "not testable", why)
     with monitor.step("trace"):
-        learnt = learn(refitted(), held, seed, monitor.say)
-    found = learnt.finding()
-    if found.verdict != "accepted":
-        return None, found
+        learnt = learning()
+    finding = learnt.finding()
+    if finding.verdict != "accepted":
+        return None, finding
     run = rerun(learnt.fitted.spec, learnt.fitted.values)
     if best_of([best, run]) is run:
-        return run, found
+        return run, finding
     said = "segments of flights that no fit has seen are better described by it, their free runs are not"
-    return None, replace(found, verdict="rejected", reason=said)
+    return None, replace(finding, verdict="rejected", reason=said)
 
 
 def _suspected(tracing: Tracing, runs: Tensor) -> Tracing:
@@ -282,38 +282,42 @@ def _replaced(findings: Sequence[Finding], others: Sequence[Finding]) -> list[Fi
     return [*(f for f in findings if f.id not in ids), *others]
 
 
-def _again(
-    base: Run,
-    spec: ModelSpec,
-    values: Mapping[str, float],
-    dataset: Dataset,
-    seen: Dataset,
-    steps: Steps,
-    sensors: Mapping[str, float],
-) -> Run:
+@dataclass(frozen=True, eq=False)
+class _Basis:
+    """What the steps run on again: a run, and its flights free of the errors of `sensors` that kinematics showed."""
+
+    run: Run
+    dataset: Dataset
+    sensors: Mapping[str, float]
+
+
+def _again(basis: _Basis, spec: ModelSpec, values: Mapping[str, float], recorded: Dataset, steps: Steps) -> Run:
     """The steps again for a traced model, from its traced parameters; sensor errors act on the output that is judged.
 
-    dataset : judged, as recorded. seen : what the steps run on, free of the errors `sensors` that kinematics found.
+    recorded : the flights that are judged.
     """
+    base, dataset = basis.run, basis.dataset
     traced = {n: v for n, v in values.items() if any(n.startswith(f"{e}.") for e in spec.effects)}
-    spec, model, regressions, found = estimated(
+    spec, model, regressions, estimate = estimated(
         msgspec.structs.replace(spec, values=traced),
-        seen,
+        dataset,
         base.reconstruction,
         replace(steps, method=base.estimate.method),
     )
-    found = replace(found, why=base.estimate.why)
+    estimate = replace(estimate, why=base.estimate.why)
     clean = model
-    if sensors:
-        spec, model = _with_sensors(spec, model, sensors)
+    if basis.sensors:
+        spec, model = _with_sensors(spec, model, basis.sensors)
     with steps.monitor.step("validate"):
-        judged = judge(model, dataset, steps.ranks)
-        flights = with_gusts(judged.flights, model, found, dataset, seen, base.reconstruction, steps.ranks, clean)
+        judged = judge(model, recorded, steps.ranks)
+        flights = with_gusts(
+            judged.flights, model, estimate, recorded, dataset, base.reconstruction, steps.ranks, clean
+        )
         judged = replace(judged, flights=flights)
-    fit = fit_record(model, spec, found, judged)
-    told = remarks_on(seen, spec, fit, base.reconstruction, regressions, found)
-    record = msgspec.structs.replace(base.record, warnings=tuple(told))
-    return Run(model, spec, fit, record, base.reconstruction, regressions, found, judged.overlays)
+    fit = fit_record(model, spec, estimate, judged)
+    notes = remarks_on(dataset, spec, fit, base.reconstruction, regressions, estimate)
+    record = msgspec.structs.replace(base.record, warnings=tuple(notes))
+    return Run(model, spec, fit, record, base.reconstruction, regressions, estimate, judged.overlays)
 
 
 def _with_spread(fit: FitRecord, spread: Mapping[str, float], traced: Mapping[str, float]) -> FitRecord:
@@ -337,8 +341,8 @@ def _with_sensors(spec: ModelSpec, model: Model, sensors: Mapping[str, float]) -
     """The model with the sensors' errors on its outputs; those of channels that are no outputs are none of its own."""
     effects = dict.fromkeys(".".join(n.split(".")[:2]) for n in sensors)
     richer = msgspec.structs.replace(spec, effects=(*spec.effects, *effects))
-    known = {n: v for n, v in sensors.items() if n in build(richer).parameter_set}
-    richer = msgspec.structs.replace(richer, values={**spec.values, **known})
+    sensed = {n: v for n, v in sensors.items() if n in build(richer).parameter_set}
+    richer = msgspec.structs.replace(richer, values={**spec.values, **sensed})
     sensing = build(richer)
     sensing.start_from(model.named_values)
     return richer, sensing
@@ -349,7 +353,7 @@ def _loop(before: Run, after: Run | None, findings: Sequence[Finding], monitor: 
     missing, poor = tracing.unknown, failing(run.fit)
     if missing is not None and not missing.judged and (not poor or short_horizon(run.fit)):
         missing = None  # any model of other people's aircraft lacks something
-    told = without_clean_bill(statement([as_fitted(f, run) for f in findings], missing, poor), poor)
+    verdict = without_clean_bill(statement([as_fitted(f, run) for f in findings], missing, poor), poor)
     record = Report(
         command="close-loop",
         dataset=run.record.dataset,
@@ -358,7 +362,7 @@ def _loop(before: Run, after: Run | None, findings: Sequence[Finding], monitor: 
         peak_memory_mb=peak_memory_mb(),
         before=before.fit,
         after=None if after is None else after.fit,
-        verdict=VerdictRecord(kind=told.kind, effects=told.effects, sentence=told.sentence),
+        verdict=VerdictRecord(kind=verdict.kind, effects=verdict.effects, sentence=verdict.sentence),
         effects=tuple(effect_record(f, run.model, run) for f in findings),
         unknown=None if missing is None else unknown_record(missing),
         warnings=(*run.record.warnings, *tracing.notes),

@@ -44,12 +44,12 @@ def regressed(
     spec = _open(spec)
     model = build(spec)
     regressions = regress_rotors(model, dataset, reconstruction, begun)
-    told = _told(spec, model, regressions, dataset)
-    if told == spec:
+    reduced = _reduced(spec, model, regressions, dataset)
+    if reduced == spec:
         return spec, regressions
-    model, known = build(told), model.named_values
-    model.start_from({n: v for n, v in known.items() if n not in told.values})
-    return told, regress_rotors(model, dataset, reconstruction, begun)
+    values, model = model.named_values, build(reduced)
+    model.start_from({n: v for n, v in values.items() if n not in reduced.values})
+    return reduced, regress_rotors(model, dataset, reconstruction, begun)
 
 
 def at_measured_states(spec: ModelSpec, dataset: Dataset, reconstruction: Reconstruction) -> Identified:
@@ -112,7 +112,7 @@ def _open(spec: ModelSpec) -> ModelSpec:
     return msgspec.structs.replace(spec, free=free, values=values)
 
 
-def _told(spec: ModelSpec, model: Model, regressions: Step2, dataset: Dataset) -> ModelSpec:
+def _reduced(spec: ModelSpec, model: Model, regressions: Step2, dataset: Dataset) -> ModelSpec:
     """A multirotor's structure with those control powers held at zero which explain little of the moments.
 
     That is of the angular accelerations, or of the rates, which are better held than predicted then; or they are so far

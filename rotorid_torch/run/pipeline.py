@@ -167,16 +167,16 @@ def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps
 
 
 def _best_structure(
-    spec: ModelSpec, seen: Dataset, reconstruction: Reconstruction, steps: Steps, where_untold: str
+    spec: ModelSpec, dataset: Dataset, reconstruction: Reconstruction, steps: Steps, where_untold: str
 ) -> tuple[ModelSpec, Model, Step2, Step3]:
     """Steps 2 and 3 of a structure, or of its rival where the data prefer that; both by the method of the first."""
-    method, why = method_by_quiet_moments(steps.method, where_untold, seen, spec)
-    first, other = estimated(spec, seen, reconstruction, replace(steps, method=method)), rival(spec)
+    method, why = method_by_quiet_moments(steps.method, where_untold, dataset, spec)
+    first, other = estimated(spec, dataset, reconstruction, replace(steps, method=method)), rival(spec)
     first = *first[:3], replace(first[3], why=why or first[3].why)
     if other is None:
         return first
-    found = estimated(other, seen, reconstruction, replace(steps, method=first[3].method))
-    best = min(first, found, key=lambda t: t[3].criterion)
+    second = estimated(other, dataset, reconstruction, replace(steps, method=first[3].method))
+    best = min(first, second, key=lambda t: t[3].criterion)
     return *best[:3], replace(best[3], why=first[3].why)
 
 

@@ -157,16 +157,16 @@ def write_model(run: Run, folder: Path) -> None:
     save_model(run.model, run.spec, folder / "model.pt")
 
 
-def write_gusts(found: Step3, folder: Path) -> None:
+def write_gusts(estimate: Step3, folder: Path) -> None:
     """Smoothed gusts of every identify flight with standard errors, m/s, NAME.npz each; nothing where none were."""
-    if found.air is None:
+    if estimate.air is None:
         return
     (folder / "gusts").mkdir(exist_ok=True)
-    for name, velocity, error in zip(found.flights, found.air.velocities, found.air.errors, strict=True):
+    for name, velocity, error in zip(estimate.flights, estimate.air.velocities, estimate.air.errors, strict=True):
         inside = error.any(dim=1)
         columns = {f"gust_{n}": velocity[inside, k].numpy() for k, n in enumerate(VELOCITIES)}
         columns |= {f"gust_{n}_se": error[inside, k].numpy() for k, n in enumerate(VELOCITIES)}
-        time = found.air.dt * np.arange(int(inside.sum()))
+        time = estimate.air.dt * np.arange(int(inside.sum()))
         np.savez(folder / "gusts" / f"{name}.npz", time=time, **columns)  # pyright: ignore[reportArgumentType]
 
 

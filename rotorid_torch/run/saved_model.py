@@ -158,7 +158,15 @@ def simulate(
     if data is None:
         controls: dict[str, Any] = {c: {} for c in source.controls}
         data = Dataset.from_arrays({flight.name: flight.channels}, identify=[flight.name], controls=controls)
-    return _free_run(source, data, flight.name, start, seconds)
+    return _free_run(source, data, flight.name, Piece(start, seconds))
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Where a free run begins, s, and how long it is, s; to the flight's end by default."""
+
+    start: float = 0.0
+    seconds: float | None = None
 
 
 @dataclass(frozen=True)
@@ -198,9 +206,9 @@ def _of_model(model: Model, ranges: Mapping[str, tuple[float, float]]) -> _Sourc
 def _fly(model: Model, dataset: Dataset, flight: str, span: Span) -> dict[str, np.ndarray]:
     pieces = windows(model, dataset, [(flight, span.first)], span.samples)
     states, outputs = free_run(model, pieces)
-    found = {"time": dataset.flights[flight].time[span.first : span.first + span.samples].numpy()}
-    found |= dict(zip(model.layout.names, states[0].numpy().T, strict=True))
-    return found | dict(zip(model.body.outputs, outputs[0].numpy().T, strict=True))
+    arrays = {"time": dataset.flights[flight].time[span.first : span.first + span.samples].numpy()}
+    arrays |= dict(zip(model.layout.names, states[0].numpy().T, strict=True))
+    return arrays | dict(zip(model.body.outputs, outputs[0].numpy().T, strict=True))
 
 
 def write_free_run(
@@ -208,8 +216,7 @@ def write_free_run(
     dataset: Dataset,
     flight: str,
     out: str | Path,
-    start: float = 0.0,
-    seconds: float | None = None,
+    piece: Piece = Piece(),
     *,
     overwrite: bool = False,
 ) -> dict[str, np.ndarray]:
@@ -217,8 +224,7 @@ def write_free_run(
 
     Parameters
     ----------
-    model : a RUN, a model.pt or an FMU. start : s, where the run begins. seconds : its length; to the flight's end by
-        default.
+    model : a RUN, a model.pt or an FMU.
     overwrite : replace a file at `out` that is no earlier free run; files of the model and the data set never.
 
     Raises
@@ -228,18 +234,18 @@ def write_free_run(
     """
     how = {"overwrite": overwrite, "inputs": (_file(Path(model)), *dataset.files())}
     refuse_unless_free_run(out, **how)
-    found = _free_run(_source(model), dataset, flight, start, seconds)
+    arrays = _free_run(_source(model), dataset, flight, piece)
     with free_run_file(out, **how) as partial, partial.open("wb") as handle:
         if is_table(out):
-            np.savetxt(handle, np.column_stack(list(found.values())), "%.10g", ",", header=",".join(found), comments="")
+            np.savetxt(
+                handle, np.column_stack(list(arrays.values())), "%.10g", ",", header=",".join(arrays), comments=""
+            )
         else:
-            np.savez(handle, **found)  # pyright: ignore[reportArgumentType]
-    return found
+            np.savez(handle, **arrays)  # pyright: ignore[reportArgumentType]
+    return arrays
 
 
-def _free_run(
-    source: _Source, dataset: Dataset, flight: str, start: float, seconds: float | None
-) -> dict[str, np.ndarray]:
+def _free_run(source: _Source, dataset: Dataset, flight: str, piece: Piece) -> dict[str, np.ndarray]:
     if flight not in dataset.flights:
         raise InputError(
             dataset.path or dataset.name,
@@ -249,17 +255,18 @@ def _free_run(
         )
     dataset = with_velocities(dataset)
     record, file = dataset.flights[flight], dataset.file(flight)
-    span = _span(record.dt, record.samples, start, seconds, file)
+    span = _span(record.dt, record.samples, piece, file)
     missing = [c for c in source.controls if not record.has(c)]
     if missing:
         raise InputError(file, missing[0], "control is missing", "the controls of the model")
-    found = source.fly(dataset, flight, span)
+    arrays = source.fly(dataset, flight, span)
     inputs = record.bridged(source.controls)[span.first : span.first + span.samples]
-    _warn_outside(found | dict(zip(source.controls, inputs.numpy().T, strict=True)), source.ranges)
-    return found
+    _warn_outside(arrays | dict(zip(source.controls, inputs.numpy().T, strict=True)), source.ranges)
+    return arrays
 
 
-def _span(dt: float, samples: int, start: float, seconds: float | None, file: str | Path) -> Span:
+def _span(dt: float, samples: int, piece: Piece, file: str | Path) -> Span:
+    start, seconds = piece.start, piece.seconds
     last = (samples - 2) * dt
     if not -0.5 * dt <= start < last + 0.5 * dt:
         raise InputError(file, "start", f"{start} s lies outside the flight", f"0 to {last:.2f} s")

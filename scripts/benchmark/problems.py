@@ -22,7 +22,7 @@ from rotorid_torch.identification.estimate.residuals import Noise
 from rotorid_torch.identification.estimate.segments import Records, cut
 from rotorid_torch.identification.estimate.system import System
 from rotorid_torch.identification.reconstruct.sigma_points import ProcessNoise, SigmaPoints
-from rotorid_torch.identification.reconstruct.unscented_filter import Engine, filter_and_smooth
+from rotorid_torch.identification.reconstruct.unscented_filter import Engine, SampledSystem, filter_and_smooth
 
 Program = Callable[[], dict[str, Any]]
 """Solves a problem and returns what the anchors return, as numpy arrays."""
@@ -91,8 +91,8 @@ def filtering(problems: Any, data: dict[str, Any], threads: int = 1, engine: Eng
 
     def program() -> dict[str, Any]:
         with torch.no_grad():
-            given = (model, model.output, prior, noise, R, controls, y, problems.DT)
-            got = on_threads(threads, lambda: filter_and_smooth(*given, smooth=False, points=points, engine=engine))
+            system = SampledSystem(model, model.output, prior, noise, R, controls, y, problems.DT)
+            got = on_threads(threads, lambda: filter_and_smooth(system, smooth=False, points=points, engine=engine))
         return {"x": got.means.numpy(), "P": got.covariances.numpy(), "ll": got.log_likelihood.numpy()}
 
     return program

@@ -49,7 +49,7 @@ class Locals:
         bias = _back(self.flight, own_bias, step.expand(len(self.flight), -1))
         return _back(self.segment, state, torch.cat([bias[flight], step.expand(len(flight), -1)], dim=1)), bias
 
-    def own(self) -> tuple[Tensor, Tensor]:
+    def alone(self) -> tuple[Tensor, Tensor]:
         """Decrease of the cost by each segment's initial states alone [S], and by each flight's biases [F]."""
         return 0.5 * self.segment[:, :, -1].square().sum(dim=1), 0.5 * self.flight[:, :, -1].square().sum(dim=1)
 
@@ -329,7 +329,7 @@ class Likelihood:
         blocks = self.ranks.sum(blocks)
         place.blocks = [self._triangle(block) for block in blocks]
         prior = torch.cat([part if part.dim() == 2 else part[:, None] for part in self.prior_rows(place)], dim=1)
-        segment, flight = place.locals.own()
+        segment, flight = place.locals.alone()
         local_bias = self._sum([(self.segments.flight, segment), (torch.arange(len(flight)), flight)])
         mapped_arrays.let_go()
         return Linear(*self._triangle(self.engine.joined(blocks, prior)), float(local_bias))

@@ -200,7 +200,7 @@ def output_error(
     >>> print(f"{found['a'].value:.1f} {found['b'].value:.1f}")
     -2.0 3.0
     """
-    system, records = given(model, flights, free, bounds, Between(controls, delays, angles))
+    system, records = prepared(model, flights, free, bounds, Between(controls, delays, angles))
     refuse_search(max_iterations, monitor)
     starts = initial_states_of(x0, state_names(model, records.states.shape[-1])[0])
     settings = settings_of(records, starts, noise, noise_floor, segment_lengths, solver, optimiser, max_iterations)
@@ -217,8 +217,8 @@ def fitted_in_steps(system: System, records: Records, settings: Settings, monito
     def solve(records: Records, theta: Tensor) -> Fit:
         return fit(system, records, theta, settings, monitor)
 
-    def end(found: Fit) -> tuple[Tensor, Tensor]:
-        point, problem = found.minimum.point, found.likelihood
+    def end(fitted: Fit) -> tuple[Tensor, Tensor]:
+        point, problem = fitted.minimum.point, fitted.likelihood
         return point.theta, problem.states_at(point, torch.full_like(problem.records.states, math.nan))
 
     return in_steps(system, records, solve, end)
@@ -267,7 +267,7 @@ class Between:
     angles: Sequence[int] = ()
 
 
-def given(
+def prepared(
     model: nn.Module, flights: Any, free: Sequence[str] | None, bounds: Any, between: Between
 ) -> tuple[System, Records]:
     """What is estimated and from what, a model that fits the flights.
@@ -284,8 +284,8 @@ def given(
     warn_of_turns(records.outputs, angles)
     around = (lambda copied: OwnModel(copied, nu, angles, delays)) if angles or delays else None
     system = System(model, free, bounds, around)
-    own = system.model.model if isinstance(system.model, OwnModel) else system.model
-    refuse_unfit(own, records.start, records.states[:, 0].nan_to_num(0.0), records.controls[:, 0], ny)
+    module_alone = system.model.model if isinstance(system.model, OwnModel) else system.model
+    refuse_unfit(module_alone, records.start, records.states[:, 0].nan_to_num(0.0), records.controls[:, 0], ny)
     if angles:
         outputs = records.outputs.clone()
         for i in angles:
@@ -297,7 +297,7 @@ def given(
 
 def result_of(system: System, stepped: Stepped[Fit]) -> OutputError:
     """A fit as the caller gets it; steps that are too long leave no standard errors."""
-    fitted, records = stepped.found, stepped.records
+    fitted, records = stepped.fit, stepped.records
     minimum, place = fitted.minimum, fitted.minimum.point
     held = minimum.at_bound | minimum.not_identifiable | (not stepped.mended)
     errors = fitted.uncertainty.without(held)

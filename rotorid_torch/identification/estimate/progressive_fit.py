@@ -103,13 +103,13 @@ class Fit:
     minimum: Minimum[Place]
     stages: tuple[str, ...]
     floor: Tensor | None
-    known: Uncertainty | None = None
+    computed: Uncertainty | None = None
 
     @cached_property
     def uncertainty(self) -> Uncertainty:
         """Covariance of the parameters; all ranks ask for it together."""
-        if self.known is not None:
-            return self.known
+        if self.computed is not None:
+            return self.computed
         problem, minimum = self.likelihood, self.minimum
         return uncertainty(problem, minimum.point, minimum.linear, _told(minimum), _loss(problem, minimum))
 

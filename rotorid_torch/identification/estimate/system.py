@@ -252,9 +252,9 @@ def _passes(function: Callable[..., Tensor], theta: Tensor, seeds: Tensor, *poin
 
 
 def _entries(model: nn.Module, free: Sequence[str] | None, bounds: Any) -> list[Entry]:
-    own = model.model if isinstance(model, OwnModel) else model
-    declared = getattr(own, "parameter_set", None)
-    named_values = _of_set(declared) if declared is not None else _of_tensors(own)
+    inner = model.model if isinstance(model, OwnModel) else model
+    declared = getattr(inner, "parameter_set", None)
+    named_values = _of_set(declared) if declared is not None else _of_tensors(inner)
     delays: list[Entry] = []
     if isinstance(model, OwnModel):
         named_values = {k: [replace(e, tensor=f"model.{e.tensor}") for e in v] for k, v in named_values.items()}
@@ -262,8 +262,8 @@ def _entries(model: nn.Module, free: Sequence[str] | None, bounds: Any) -> list[
         named_values |= {e.name: [e] for e in delays}
     single = {e.name: [e] for group in named_values.values() for e in group}
     argument = Argument("arguments", "free")
-    known = [*named_values, *single]
-    chosen = [*(named_values if free is None else arguments.names(argument, free, known, "parameter"))]
+    names = [*named_values, *single]
+    chosen = [*(named_values if free is None else arguments.names(argument, free, names, "parameter"))]
     chosen += [e.name for e in delays if e.name not in chosen]
     entries = [entry for name in chosen for entry in (named_values.get(name) or single[name])]
     twice = sorted({e.name for e in entries if sum(o.name == e.name for o in entries) > 1})

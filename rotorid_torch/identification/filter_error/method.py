@@ -32,7 +32,7 @@ from rotorid_torch.identification.estimate.output_error import (
     drawn,
     estimates,
     fitted_in_steps,
-    given,
+    prepared,
     result_of,
     sentence,
     settings_of,
@@ -198,7 +198,7 @@ def filter_error(
     >>> print(f"{found.process_noise[0].value:.1f} {found.process_noise[0].unit}")
     0.2 /sqrt(s)
     """
-    system, records = given(model, flights, free, bounds, Between(delays=delays, angles=angles))
+    system, records = prepared(model, flights, free, bounds, Between(delays=delays, angles=angles))
     arguments.word(Argument("arguments", "x0"), x0, ("free", "fixed"))
     arguments.word(Argument("arguments", "engine"), engine or "native", ("native", "reference"))
     arguments.word(Argument("arguments", "gain"), gain, ("exact", "held"))
@@ -345,7 +345,7 @@ def _floor(noise_floor: Sequence[float] | Tensor | None, records: Records) -> Te
 
 
 def _result(stepped: Stepped[Maximum]) -> FilterError:
-    engine, likelihood, minimum = stepped.found
+    engine, likelihood, minimum = stepped.fit
     problem, place = likelihood.problem, minimum.point
     system, records, psi, count = problem.system, problem.records, place.theta, len(problem.system.theta)
     local = place.x0.numel() if likelihood.free else 0
@@ -439,7 +439,7 @@ def sizes(form: CovarianceForm, numbers: Tensor, covariance: Tensor, loss: float
 
 def _without_gusts(problem: FilterProblem, stepped: Stepped[Fit]) -> FilterError:
     """Output error in the words of the filter error method."""
-    fitted, records = stepped.found, stepped.records
+    fitted, records = stepped.fit, stepped.records
     place, calm = fitted.minimum.point, result_of(problem.system, stepped)
     states = fitted.likelihood.states_at(place, torch.full_like(records.states, math.nan))
     present = ~records.outputs.isnan()

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -94,26 +94,26 @@ class Filtered:
         return f"Filtered{smoothed}: {lead}{samples} samples, {states} states, log-likelihood {likelihood}"
 
 
-def problem_of(f: Dynamics, h: Dynamics, given: Mapping[str, Any], dt: Any) -> Problem:
-    """What the caller hands in, as a problem; `given` has x0, P0, Q, R, controls, outputs.
+def checked(problem: Problem) -> Problem:
+    """What the caller hands in, arrays of any kind, as a problem in float64.
 
     Raises
     ------
     InputError : shapes that do not fit, functions that do not broadcast or leave torch, NaN or infinity, no covariance.
     """
     sizes, of = Sizes(), "unscented_filter"
-    x0 = arguments.shaped(Argument(of, "x0"), given["x0"], "... nx", sizes)
-    P0 = arguments.covariance(Argument(of, "P0"), given["P0"], "... nx nx", sizes)
-    Q = arguments.covariance(Argument(of, "Q"), given["Q"], "nx nx", sizes)
-    outputs = arguments.shaped(Argument(of, "outputs"), given["outputs"], "... T ny", sizes, missing=True)
-    controls = arguments.shaped(Argument(of, "controls"), given["controls"], "... T nu", sizes)
-    R = arguments.covariance(Argument(of, "R"), given["R"], "ny ny", sizes, definite=True)
+    x0 = arguments.shaped(Argument(of, "x0"), problem.x0, "... nx", sizes)
+    P0 = arguments.covariance(Argument(of, "P0"), problem.P0, "... nx nx", sizes)
+    Q = arguments.covariance(Argument(of, "Q"), problem.Q, "nx nx", sizes)
+    outputs = arguments.shaped(Argument(of, "outputs"), problem.outputs, "... T ny", sizes, missing=True)
+    controls = arguments.shaped(Argument(of, "controls"), problem.controls, "... T nu", sizes)
+    R = arguments.covariance(Argument(of, "R"), problem.R, "ny ny", sizes, definite=True)
     if not outputs.numel() or bool(outputs.isnan().all()):
         raise Argument(of, "outputs").wrong("hold no value", "measured outputs, NaN where one is missing")
     if not x0.shape[-1]:
         raise Argument(of, "x0").wrong("is empty", "(..., nx) with at least one state")
-    interval = arguments.number(Argument(of, "dt"), dt, "the sample interval, s", above=0.0)
-    problem = Problem(f, h, x0, P0, Q, R, controls, outputs, interval)
+    interval = arguments.number(Argument(of, "dt"), problem.dt, "the sample interval, s", above=0.0)
+    problem = Problem(problem.f, problem.h, x0, P0, Q, R, controls, outputs, interval)
     leading = [x0.shape[:-1], P0.shape[:-2], controls.shape[:-2], outputs.shape[:-2]]
     try:
         batch = torch.broadcast_shapes(*leading)
@@ -123,8 +123,8 @@ def problem_of(f: Dynamics, h: Dynamics, given: Mapping[str, Any], dt: Any) -> P
         raise Argument(of, "x0").wrong(wrong, "shapes that broadcast") from error
     x, u = x0.expand(*batch, -1), controls[..., 0, :].expand(*batch, -1)
     for key, function, n, form in (
-        ("f", f, x.shape[-1], "f(x, u) -> dx/dt"),
-        ("h", h, outputs.shape[-1], "h(x, u) -> y"),
+        ("f", problem.f, x.shape[-1], "f(x, u) -> dx/dt"),
+        ("h", problem.h, outputs.shape[-1], "h(x, u) -> y"),
     ):
         # sigma points are one more dimension; their number here is nobody's size by chance
         points = (a.unsqueeze(-2).expand(*batch, x.shape[-1] + n + 1, a.shape[-1]) for a in (x, u))

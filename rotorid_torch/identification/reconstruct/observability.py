@@ -40,7 +40,7 @@ def observable(dataset: Dataset) -> tuple[tuple[str, ...], tuple[str, ...]]:
         groups = left
         left = tuple(g for g in groups if set(NEEDS.get(g, ())) <= set(groups))
         if left == groups:
-            visible = seen(*_at_reference(dataset, groups))
+            visible = visible_in(*_at_reference(dataset, groups))
             left = tuple(g for g in groups if visible.issuperset(g))
     motion, _ = _at_reference(dataset, groups)
     return motion.states, motion.outputs
@@ -53,7 +53,7 @@ def left_out(dataset: Dataset, states: Collection[str]) -> tuple[str, ...]:
     return tuple(name for name in every if name not in states and (name in usual or _recorded(dataset, name)))
 
 
-def seen(motion: Motion, at: Tensor) -> frozenset[str]:
+def visible_in(motion: Motion, at: Tensor) -> frozenset[str]:
     """States that the outputs and their derivatives tell near a state [nx], forces and moments being steady.
 
     C, CA, CA^2, ... of the linear motion, stacked: a state is told if no direction that these leave open has part in

@@ -37,7 +37,7 @@ from rotorid_torch.identification.reconstruct.sensor_biases import (
     vibration_lines,
 )
 from rotorid_torch.identification.reconstruct.sigma_points import ProcessNoise
-from rotorid_torch.identification.reconstruct.unscented_filter import filter_and_smooth
+from rotorid_torch.identification.reconstruct.unscented_filter import SampledSystem, filter_and_smooth
 
 LAGS = 20
 """Lags over which the innovations' autocorrelation is judged."""
@@ -152,7 +152,7 @@ def reconstruct(
     noise = find_force_noise(dataset, biases, hertz)
     sensors = SensorDisturbances(biases, lines, kinematic_disagreement(dataset, searched, biases))
     states = (*states, *(f"{c} {part}" for c in lines for part in ("cos", "sin")))
-    made = OnDemand[ReconstructedFlight](dataset.flights, costly=True)
+    flights = OnDemand[ReconstructedFlight](dataset.flights, costly=True)
 
     def reconstructed(names: Sequence[str], local: LocalNoise) -> list[ReconstructedFlight]:
         tau, trim = torch.as_tensor(noise.tau), torch.as_tensor(local.trim)[:, None, :]
@@ -169,8 +169,8 @@ def reconstruct(
                 yield reconstructed(names, local.pick([many.index(name) for name in names]))
 
     for flight in ranks.exchange(in_groups(ranks.mine(tuple(dataset.flights)))):
-        made.keep(flight.name, flight)
-    return Reconstruction(made, _units(dataset), noise, hertz, _notes(dataset, states, noise, biases, lines))
+        flights.keep(flight.name, flight)
+    return Reconstruction(flights, _units(dataset), noise, hertz, _notes(dataset, states, noise, biases, lines))
 
 
 class SensorDisturbances(NamedTuple):
@@ -230,7 +230,7 @@ def _filter(
     arguments = (mean, cov), process, torch.diag(sensor.square()), inputs, outputs
     motion, arguments = moved((motion, arguments), device)
     with working_on(device):
-        return moved(filter_and_smooth(motion.rates, motion.measure, *arguments, 1.0), "cpu")
+        return moved(filter_and_smooth(SampledSystem(motion.rates, motion.measure, *arguments, 1.0)), "cpu")
 
 
 def _prior(

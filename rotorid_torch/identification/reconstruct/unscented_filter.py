@@ -31,7 +31,7 @@ from rotorid_torch.core.native.graph.tracing import Unsupported
 from rotorid_torch.identification.arguments import angles_of
 from rotorid_torch.identification.own_model import warn_of_turns
 from rotorid_torch.identification.reconstruct import sigma_points
-from rotorid_torch.identification.reconstruct.filter_problem import Dynamics, Filtered, problem_of, with_angles
+from rotorid_torch.identification.reconstruct.filter_problem import Dynamics, Filtered, Problem, checked, with_angles
 from rotorid_torch.identification.reconstruct.iterated import iterated, learns_constants
 from rotorid_torch.identification.reconstruct.sigma_points import ProcessNoise, SigmaPoints, divide, root
 
@@ -111,16 +111,16 @@ def unscented_filter(
     >>> print(f"{float(found.smoothed_means[-1, 1]):.2f}")
     0.05
     """
-    given = {"x0": x0, "P0": P0, "Q": Q, "R": R, "controls": controls, "outputs": outputs}
-    problem, smooth = problem_of(f, h, given, dt), arguments.flag(Argument("unscented_filter", "smooth"), smooth)
+    smooth = arguments.flag(Argument("unscented_filter", "smooth"), smooth)
+    problem = checked(Problem(f, h, x0, P0, Q, R, controls, outputs, dt))
     turning = angles_of("unscented_filter", angles, problem.outputs.shape[-1])
     warn_of_turns(problem.outputs, turning)
     near = with_angles(problem, turning)
     noise = ProcessNoise.constant(problem.Q)
 
     def single_pass(cov: Tensor, smooth: bool = True) -> Filtered:
-        prior, records = (near.x0, cov), (near.R, near.controls, near.outputs)
-        return filter_and_smooth(near.f, near.h, prior, noise, *records, near.dt, smooth)
+        system = SampledSystem(near.f, near.h, (near.x0, cov), noise, near.R, near.controls, near.outputs, near.dt)
+        return filter_and_smooth(system, smooth)
 
     with torch.no_grad():
         if not learns_constants(problem):
@@ -129,18 +129,40 @@ def unscented_filter(
     return got if smooth else replace(got, smoothed_means=None, smoothed_covariances=None)
 
 
+@dataclass(frozen=True, eq=False)
+class SampledSystem:
+    """A system and its records: f and h as in `unscented_filter`, process noise that may change with time.
+
+    prior : mean [..., nx] and covariance [..., nx, nx] of the first state. R : [ny, ny]. controls : [..., T, nu].
+    outputs : [..., T, ny], NaN = missing. dt : s.
+    """
+
+    f: Dynamics
+    h: Dynamics
+    prior: tuple[Tensor, Tensor]
+    noise: ProcessNoise
+    R: Tensor
+    controls: Tensor
+    outputs: Tensor
+    dt: float
+
+    def expanded(self) -> SampledSystem:
+        """Prior, controls and outputs with all leading dimensions of the batch."""
+        parts = ((self.prior[0], 1), (self.prior[1], 2), (self.controls, 2), (self.outputs, 2))
+        batch = np.broadcast_shapes(*(a.shape[:-k] for a, k in parts))
+        mean, cov, controls, outputs = (a.expand(*batch, *a.shape[-k:]) for a, k in parts)
+        return replace(self, prior=(mean, cov), controls=controls, outputs=outputs)
+
+    @property
+    def plain(self) -> bool:
+        """Numbers in float64 on the CPU, and nobody asks for derivatives."""
+        tensors = (*self.prior, self.noise.values, self.R, self.controls, self.outputs)
+        plain = all(a.dtype == torch.float64 and a.device.type == "cpu" for a in tensors)
+        return plain and not (torch.is_grad_enabled() and any(a.requires_grad for a in tensors))
+
+
 def filter_and_smooth(
-    f: Dynamics,
-    h: Dynamics,
-    prior: tuple[Tensor, Tensor],
-    noise: ProcessNoise,
-    R: Tensor,
-    controls: Tensor,
-    outputs: Tensor,
-    dt: float,
-    smooth: bool = True,
-    points: SigmaPoints | None = None,
-    engine: Engine | None = None,
+    system: SampledSystem, smooth: bool = True, points: SigmaPoints | None = None, engine: Engine | None = None
 ) -> Filtered:
     """`unscented_filter` without its checks, with process noise that may change with time, and any sigma points.
 
@@ -151,48 +173,24 @@ def filter_and_smooth(
     InputError : sigma points with which a covariance could become indefinite.
     Unsupported : engine "native", and these functions cannot become native code, or not here.
     """
-    batch = np.broadcast_shapes(prior[0].shape[:-1], prior[1].shape[:-2], controls.shape[:-2], outputs.shape[:-2])
-    mean, cov, controls, outputs = (
-        a.expand(*batch, *a.shape[-k:]) for a, k in ((prior[0], 1), (prior[1], 2), (controls, 2), (outputs, 2))
-    )
-    arguments = _Given(f, h, mean, cov, noise, R, controls, outputs, dt)
-    weights = (points or SigmaPoints()).weights(mean.shape[-1])
-    long = outputs.shape[-2] >= WORTH_COMPILING
-    if engine == "native" or (engine is None and long and _plain(mean, cov, noise.values, R, controls, outputs)):
+    system = system.expanded()
+    weights = (points or SigmaPoints()).weights(system.prior[0].shape[-1])
+    long = system.outputs.shape[-2] >= WORTH_COMPILING
+    if engine == "native" or (engine is None and long and system.plain):
         try:
-            return _filter_natively(arguments, weights, smooth)
+            return _filter_natively(system, weights, smooth)
         except Unsupported as reason:
             if engine == "native":
                 raise
             say_once(f"the filter runs in torch, 30 to 200 times slower than compiled: {reason}")
-    return _filter_in_torch(arguments, weights, smooth)
+    return _filter_in_torch(system, weights, smooth)
 
 
-@dataclass(frozen=True, eq=False)
-class _Given:
-    """The filter's arguments, all with the batch's leading dimensions but noise and R."""
-
-    f: Dynamics
-    h: Dynamics
-    mean: Tensor
-    cov: Tensor
-    noise: ProcessNoise
-    R: Tensor
-    controls: Tensor
-    outputs: Tensor
-    dt: float
-
-
-def _plain(*tensors: Tensor) -> bool:
-    """Numbers in float64 on the CPU, and nobody asks for derivatives."""
-    plain = all(a.dtype == torch.float64 and a.device.type == "cpu" for a in tensors)
-    return plain and not (torch.is_grad_enabled() and any(a.requires_grad for a in tensors))
-
-
-def _filter_natively(arguments: _Given, weights: Weights, smooth: bool) -> Filtered:
+def _filter_natively(system: SampledSystem, weights: Weights, smooth: bool) -> Filtered:
     """All leading dimensions as one list of flights."""
-    batch, ny = arguments.mean.shape[:-1], arguments.outputs.shape[-1]
-    flights, values = math.prod(batch), arguments.noise.values
+    (mean, cov), ny = system.prior, system.outputs.shape[-1]
+    batch, values = mean.shape[:-1], system.noise.values
+    flights = math.prod(batch)
     if values.dim() == 2:
         values = values.unsqueeze(0)
     else:
@@ -202,18 +200,18 @@ def _filter_natively(arguments: _Given, weights: Weights, smooth: bool) -> Filte
         return a.reshape(flights, *a.shape[-trailing:])
 
     with torch.no_grad():
-        mean, controls = listed(arguments.mean, 1), listed(arguments.controls, 2)
-        compiled = _compiled(arguments.f, arguments.h, mean, controls[:, 0], ny)
+        mean, controls = listed(mean, 1), listed(system.controls, 2)
+        compiled = _compiled(system.f, system.h, mean, controls[:, 0], ny)
         problem = filtering.Problem(
             mean=mean,
-            covariance=listed(arguments.cov, 2),
-            R=arguments.R,
+            covariance=listed(cov, 2),
+            R=system.R,
             controls=controls,
-            outputs=listed(arguments.outputs, 2),
-            rows=arguments.noise.rows,
-            columns=arguments.noise.columns,
+            outputs=listed(system.outputs, 2),
+            rows=system.noise.rows,
+            columns=system.noise.columns,
             values=values,
-            dt=arguments.dt,
+            dt=system.dt,
         )
         got = compiled.run(problem, weights, smooth, threads=threads())
     shaped = {name: a if a is None else a.reshape((*batch, *a.shape[1:])) for name, a in vars(got).items()}
@@ -264,18 +262,18 @@ def _around(at: Tensor) -> Tensor:
     return torch.stack([at + share * (1.0 + at.abs()) * turn for share in AWAY], dim=-2)
 
 
-def _filter_in_torch(problem: _Given, weights: Weights, smooth: bool) -> Filtered:
-    mean, cov = problem.mean, problem.cov
-    tape = _Tape(mean, problem.outputs.shape[-2], problem.outputs.shape[-1], smooth)
+def _filter_in_torch(system: SampledSystem, weights: Weights, smooth: bool) -> Filtered:
+    mean, cov = system.prior
+    tape = _Tape(mean, system.outputs.shape[-2], system.outputs.shape[-1], smooth)
     points = 2 * mean.shape[-1] + 1
-    u = problem.controls.movedim(-2, 0).unsqueeze(-2).expand(-1, *mean.shape[:-1], points, -1)
-    y = problem.outputs.movedim(-2, 0)
+    u = system.controls.movedim(-2, 0).unsqueeze(-2).expand(-1, *mean.shape[:-1], points, -1)
+    y = system.outputs.movedim(-2, 0)
     missing = y.isnan()
     gaps = missing.flatten(1).any(dim=1).tolist()
-    sensors = _Sensors(problem.h, problem.R, root(problem.R))
+    sensors = _Sensors(system.h, system.R, root(system.R))
     for k in range(len(y)):
         if k:
-            mean, cov = _predict(tape, problem, weights, k - 1, (mean, cov), u)
+            mean, cov = _predict(tape, system, weights, k - 1, (mean, cov), u)
         sample = _Sample(u[k], y[k], missing[k] if gaps[k] else None)
         mean, cov = _update(tape, sensors, weights, k, (mean, cov), sample)
     if smooth:
@@ -329,13 +327,13 @@ class _Tape:
 
 
 def _predict(
-    tape: _Tape, problem: _Given, weights: Weights, k: int, state: tuple[Tensor, Tensor], u: Tensor
+    tape: _Tape, system: SampledSystem, weights: Weights, k: int, state: tuple[Tensor, Tensor], u: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Process transform from sample k to k + 1; the smoother's gain and the covariance it cannot remove."""
-    (mean, cov), Q = state, problem.noise.at(k)
+    (mean, cov), Q = state, system.noise.at(k)
     offsets, root_weight = sigma_points.offsets(root(cov), weights), sigma_points.root_weights(mean, weights)
     points = step(
-        lambda t, x, u: problem.f(x, u), torch.zeros(()), mean.unsqueeze(-2) + offsets, u[k], u[k + 1], problem.dt
+        lambda t, x, u: system.f(x, u), torch.zeros(()), mean.unsqueeze(-2) + offsets, u[k], u[k + 1], system.dt
     )
     ahead = sigma_points.mean_of(points, weights)
     spread = root_weight * (points - ahead.unsqueeze(-2))

@@ -22,7 +22,7 @@ LATER = 1.2
 """How many times larger it is where the regressor comes later than where it comes first."""
 
 
-class Found(Protocol):
+class Regressed(Protocol):
     """What of a regression is asked for: its residual spectrum (..., M), its frequencies (M,)."""
 
     @property
@@ -53,12 +53,12 @@ class Follower(NamedTuple):
     seconds: float
 
 
-def acting_back(flights: Sequence[Spectra], found: Found) -> Iterator[str]:
+def acting_back(flights: Sequence[Spectra], regression: Regressed) -> Iterator[str]:
     """A sentence on the regressors that follow the residual of the regression; nothing for a batch."""
-    if found.residual.dim() > 1:
+    if regression.residual.dim() > 1:
         return
     spectra = torch.cat([torch.complex(*flight.regressors.chunk(2, dim=-2)) for flight in flights])
-    for one in followers(found.residual, spectra, found.frequencies):
+    for one in followers(regression.residual, spectra, regression.frequencies):
         yield (
             f"regressor {one.place} follows the residual (correlation {one.correlation:.2f} after {one.seconds:.2g} s):"
             " what is not explained acts back on it, through feedback or in moving air; its coefficient may be biased"

@@ -160,15 +160,19 @@ def regress(
         flight_rows(y, x, step, band, kind, noise=noise, trend=trend, oversample=oversample, notes=notes)
         for y, x, step in zip(responses, matrices, steps, strict=True)
     ]
-    found = solve(rows, band, notes=notes)
-    told = found.standard_errors.isfinite()
-    coefficients = torch.where(told, found.coefficients, 0.0)
-    return replace(found, coefficients=coefficients, notes=(*found.notes, *_untold(told), *acting_back(rows, found)))
+    regression = solve(rows, band, notes=notes)
+    identifiable = regression.standard_errors.isfinite()
+    coefficients = torch.where(identifiable, regression.coefficients, 0.0)
+    return replace(
+        regression,
+        coefficients=coefficients,
+        notes=(*regression.notes, *_unidentifiable(identifiable), *acting_back(rows, regression)),
+    )
 
 
-def _untold(told: Tensor) -> list[str]:
+def _unidentifiable(identifiable: Tensor) -> list[str]:
     """What to say of coefficients that the data do not tell."""
-    columns = sorted({int(i) for i in (~told).nonzero()[:, -1]})
+    columns = sorted({int(i) for i in (~identifiable).nonzero()[:, -1]})
     if not columns:
         return []
     return [f"regressors {columns}: do not move in the band, or are combinations of each other; not identifiable"]

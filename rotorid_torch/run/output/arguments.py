@@ -38,12 +38,12 @@ CHECKS = {
 """By the name of the argument."""
 
 
-def refuse_arguments(of: str, **given: Any) -> None:
+def refuse_arguments(of: str, **values: Any) -> None:
     """Check arguments of a function by their names.
 
     Raises
     ------
     InputError : the first one that does not fit.
     """
-    for key, value in given.items():
+    for key, value in values.items():
         CHECKS[key](Argument(of, key), value)

@@ -175,40 +175,40 @@ class Steps:
 
     monitor: Monitor
     ranks: Ranks
-    kept: Checkpoint
+    results: Checkpoint
     device: str = "cpu"
     method: str = "auto"
 
     def do(self, step: str, name: str, make: Callable[[], Result]) -> Result:
         """The result kept under `name`, or made now, timed as `step`, and kept."""
-        result = self._known(step, name)
+        result = self._stored(step, name)
         if result is None:
             with self.monitor.step(step):
                 result = make()
             give_back()
-            self.kept.write(name, result, self.monitor.tell)
+            self.results.write(name, result, self.monitor.tell)
         return result
 
     def reconstruct(self, names: tuple[str, ...], make: Callable[[], Reconstruction]) -> Reconstruction:
         """The same for step 1 on these flights, which lie in files of their own."""
-        stored = self._known("reconstruct", "reconstruct")
+        stored = self._stored("reconstruct", "reconstruct")
         if stored is not None:
             flights = OnDemand[ReconstructedFlight](names, costly=True)
             for name in names:
-                flights.keep(name, self.ranks.from_first(self.kept.read(f"reconstruct-{name}")))
+                flights.keep(name, self.ranks.from_first(self.results.read(f"reconstruct-{name}")))
             return Reconstruction(**{**stored, "flights": flights})
         with self.monitor.step("reconstruct"):
             result = make()
             give_back()
-            if self.kept.folder is not None and all(
-                self.kept.write(f"reconstruct-{name}", result.flights[name], self.monitor.tell) for name in names
+            if self.results.folder is not None and all(
+                self.results.write(f"reconstruct-{name}", result.flights[name], self.monitor.tell) for name in names
             ):
                 whole = {**vars(result), "flights": {}}  # it says that all flights are there
-                self.kept.write("reconstruct", whole, self.monitor.tell)
+                self.results.write("reconstruct", whole, self.monitor.tell)
         return result
 
-    def _known(self, step: str, name: str) -> Any:
-        result = self.ranks.from_first(self.kept.read(name))
+    def _stored(self, step: str, name: str) -> Any:
+        result = self.ranks.from_first(self.results.read(name))
         if result is not None:
             self.monitor.say(f"{step}: taken from the interrupted run")
         return result

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -13,9 +15,9 @@ from rotorid_torch.core.native import filtering
 from rotorid_torch.core.native.graph.tracing import Unsupported
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.reconstruct import unscented_filter as filter_module
-from rotorid_torch.identification.reconstruct.filter_problem import Filtered
+from rotorid_torch.identification.reconstruct.filter_problem import Dynamics, Filtered
 from rotorid_torch.identification.reconstruct.sigma_points import ProcessNoise, SigmaPoints
-from rotorid_torch.identification.reconstruct.unscented_filter import filter_and_smooth
+from rotorid_torch.identification.reconstruct.unscented_filter import SampledSystem, filter_and_smooth
 
 NX, NU, NY, SAMPLES, DT = 5, 2, 3, 60, 0.05
 
@@ -41,7 +43,7 @@ def covariance(seed: int, n: int, size: float) -> Tensor:
     return size**2 * root @ root.mT
 
 
-def problem(flights: int, known: bool = False) -> dict[str, object]:
+def problem(flights: int, known: bool = False) -> SampledSystem:
     """Gaps, a prior and process noise that differ from flight to flight; the last state known exactly on demand."""
     outputs = draw(4, flights, SAMPLES, NY)
     outputs[draw(5, flights, SAMPLES, NY) < -1.0] = torch.nan
@@ -52,22 +54,17 @@ def problem(flights: int, known: bool = False) -> dict[str, object]:
         P0[:, -1], P0[..., -1] = 0.0, 0.0
     rows, columns = torch.tensor([0, 0, 1, 2, 3]), torch.tensor([0, 1, 1, 2, 3])
     values = torch.tensor([1.0, 0.3, 1.0, 0.5, 2.0]).double() * (1.0 + draw(6, flights, SAMPLES - 1, 1).square())
-    return {
-        "f": rates,
-        "h": sensors,
-        "prior": (draw(7, flights, NX), P0),
-        "noise": ProcessNoise(NX, rows, columns, 1e-3 * values),
-        "R": covariance(8, NY, 0.2),
-        "controls": draw(9, flights, SAMPLES, NU),
-        "outputs": outputs,
-        "dt": DT,
-    }
+    prior, noise = (draw(7, flights, NX), P0), ProcessNoise(NX, rows, columns, 1e-3 * values)
+    return SampledSystem(
+        rates, sensors, prior, noise, covariance(8, NY, 0.2), draw(9, flights, SAMPLES, NU), outputs, DT
+    )
 
 
-def both(given: dict[str, object], **settings: object) -> tuple[Filtered, Filtered]:
-    engines = ("native", "reference")
-    native, reference = (filter_and_smooth(**given, **settings, engine=e) for e in engines)  # pyright: ignore[reportArgumentType]
-    return native, reference
+def both(system: SampledSystem, **settings: Any) -> tuple[Filtered, Filtered]:
+    return (
+        filter_and_smooth(system, **settings, engine="native"),
+        filter_and_smooth(system, **settings, engine="reference"),
+    )
 
 
 def assert_same(a: Filtered, b: Filtered, tolerance: float = 1e-9) -> None:
@@ -104,53 +101,48 @@ def test_native_and_torch_agree_for_any_sigma_points(points: SigmaPoints) -> Non
 
 
 def test_without_smoothing_and_with_constant_noise() -> None:
-    given = problem(3)
-    given["noise"] = ProcessNoise.constant(covariance(12, NX, 0.05))
-    native, reference = both(given, smooth=False)
+    system = replace(problem(3), noise=ProcessNoise.constant(covariance(12, NX, 0.05)))
+    native, reference = both(system, smooth=False)
     assert native.smoothed_means is None
     assert (native.means - reference.means).abs().max() < 1e-9
     assert (native.log_likelihood / reference.log_likelihood - 1.0).abs().max() < 1e-9
 
 
 def test_threads_and_company_do_not_change_a_bit() -> None:
-    given = problem(11)
+    system = problem(11)
     threads = torch.get_num_threads()
     try:
         torch.set_num_threads(1)
-        one = filter_and_smooth(**given, engine="native")  # pyright: ignore[reportArgumentType]
+        one = filter_and_smooth(system, engine="native")
         torch.set_num_threads(2)
-        two = filter_and_smooth(**given, engine="native")  # pyright: ignore[reportArgumentType]
+        two = filter_and_smooth(system, engine="native")
     finally:
         torch.set_num_threads(threads)
     for name, value in vars(one).items():
         assert torch.equal(value.nan_to_num(), getattr(two, name).nan_to_num()), name
-    native, _ = both(first_flight(given))
+    native, _ = both(first_flight(system))
     assert (native.means[0] - one.means[0]).abs().max() < 1e-9
 
 
-def first_flight(given: dict[str, object]) -> dict[str, object]:
-    noise = given["noise"]
-    assert isinstance(noise, ProcessNoise)
-    return {
-        **given,
-        "prior": tuple(a[:1] for a in given["prior"]),  # pyright: ignore[reportGeneralTypeIssues]
-        "noise": ProcessNoise(NX, noise.rows, noise.columns, noise.values[:1]),
-        "controls": given["controls"][:1],  # pyright: ignore[reportIndexIssue]
-        "outputs": given["outputs"][:1],  # pyright: ignore[reportIndexIssue]
-    }
+def first_flight(system: SampledSystem) -> SampledSystem:
+    mean, cov = system.prior
+    noise = replace(system.noise, values=system.noise.values[:1])
+    return replace(
+        system, prior=(mean[:1], cov[:1]), noise=noise, controls=system.controls[:1], outputs=system.outputs[:1]
+    )
 
 
 def test_leading_dimensions_are_kept() -> None:
-    given = problem(6)
-    shaped = {
-        **given,
-        "prior": tuple(a.unflatten(0, (2, 3)) for a in given["prior"]),  # pyright: ignore[reportGeneralTypeIssues]
-        "noise": ProcessNoise(
-            NX, given["noise"].rows, given["noise"].columns, given["noise"].values.unflatten(0, (2, 3))
-        ),  # pyright: ignore[reportAttributeAccessIssue]
-        **{name: given[name].unflatten(0, (2, 3)) for name in ("controls", "outputs")},  # pyright: ignore[reportAttributeAccessIssue]
-    }
-    flat, deep = (filter_and_smooth(**g, engine="native") for g in (given, shaped))  # pyright: ignore[reportArgumentType]
+    system = problem(6)
+    (mean, cov), shape = system.prior, (2, 3)
+    shaped = replace(
+        system,
+        prior=(mean.unflatten(0, shape), cov.unflatten(0, shape)),
+        noise=replace(system.noise, values=system.noise.values.unflatten(0, shape)),
+        controls=system.controls.unflatten(0, shape),
+        outputs=system.outputs.unflatten(0, shape),
+    )
+    flat, deep = (filter_and_smooth(each, engine="native") for each in (system, shaped))
     assert deep.means.shape == (2, 3, SAMPLES, NX)
     assert torch.equal(deep.means.flatten(0, 1), flat.means)
     assert deep.log_likelihood.shape == (2, 3)
@@ -177,28 +169,29 @@ def test_models_that_differ_in_numbers_only_are_built_once() -> None:
         (lambda x, u: rates(x, u) + 0.0 * x.sort(dim=-1).values, "sort"),
     ],
 )
-def test_what_cannot_be_compiled_is_done_in_torch_and_said_once(f: object, reason: str, caplog: object) -> None:
+def test_what_cannot_be_compiled_is_done_in_torch_and_said_once(
+    f: Dynamics, reason: str, caplog: pytest.LogCaptureFixture
+) -> None:
     fallback.say_once.cache_clear()
-    given = {**problem(3), "f": f}
+    system = replace(problem(3), f=f)
     with pytest.raises(Unsupported, match=reason):
-        filter_and_smooth(**given, engine="native")  # pyright: ignore[reportArgumentType]
+        filter_and_smooth(system, engine="native")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(filter_module, "WORTH_COMPILING", 0)
-        got = [filter_and_smooth(**given) for _ in range(2)]  # pyright: ignore[reportArgumentType]
-    wanted = filter_and_smooth(**given, engine="reference")  # pyright: ignore[reportArgumentType]
+        got = [filter_and_smooth(system) for _ in range(2)]
+    wanted = filter_and_smooth(system, engine="reference")
     assert torch.equal(got[1].means, wanted.means)
-    assert isinstance(caplog, pytest.LogCaptureFixture)
-    told = [r.getMessage() for r in caplog.records if r.levelno == logging.WARNING]
-    assert len(told) == 1
-    assert reason in told[0]
+    messages = [r.getMessage() for r in caplog.records if r.levelno == logging.WARNING]
+    assert len(messages) == 1
+    assert reason in messages[0]
 
 
 def test_derivatives_come_from_torch() -> None:
-    given = problem(1)
-    mean, cov = given["prior"]  # pyright: ignore[reportGeneralTypeIssues]
+    system = problem(1)
+    mean, cov = system.prior
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(filter_module, "WORTH_COMPILING", 0)
-        got = filter_and_smooth(**{**given, "prior": (mean.requires_grad_(), cov)}, smooth=False)  # pyright: ignore[reportArgumentType]
+        got = filter_and_smooth(replace(system, prior=(mean.requires_grad_(), cov)), smooth=False)
     assert got.means.requires_grad
 
 
@@ -208,14 +201,14 @@ def test_derivatives_come_from_torch() -> None:
 )
 def test_sigma_points_that_could_make_a_covariance_indefinite_are_refused(points: SigmaPoints, word: str) -> None:
     with pytest.raises(InputError, match=word):
-        filter_and_smooth(**problem(1), points=points)  # pyright: ignore[reportArgumentType]
+        filter_and_smooth(problem(1), points=points)
 
 
 def test_covariances_stay_symmetric_positive_definite_for_a_million_steps() -> None:
     """An oscillator almost without process noise, and a constant that is learnt ever better."""
     samples = 1_000_000
     outputs = draw(20, samples, 1) + 3.0
-    got = filter_and_smooth(
+    system = SampledSystem(
         lambda x, u: torch.stack([x[..., 1], -4.0 * x[..., 0] - 0.01 * x[..., 1], 0.0 * x[..., 2]], dim=-1),
         lambda x, u: x[..., :1] + x[..., 2:],
         (torch.zeros(3).double(), torch.diag(torch.tensor([1.0, 4.0, 1e6]).double())),
@@ -224,8 +217,8 @@ def test_covariances_stay_symmetric_positive_definite_for_a_million_steps() -> N
         torch.zeros(samples, 0).double(),
         outputs,
         0.01,
-        smooth=False,
     )
+    got = filter_and_smooth(system, smooth=False)
     cov = got.covariances
     assert torch.equal(cov, cov.mT)
     thin = cov[::29]

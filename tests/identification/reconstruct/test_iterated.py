@@ -11,7 +11,7 @@ from rotorid_torch.core.integrate import step
 from rotorid_torch.identification.reconstruct.filter_problem import Filtered, Problem
 from rotorid_torch.identification.reconstruct.iterated import iterated, learns_constants
 from rotorid_torch.identification.reconstruct.sigma_points import ProcessNoise
-from rotorid_torch.identification.reconstruct.unscented_filter import filter_and_smooth, unscented_filter
+from rotorid_torch.identification.reconstruct.unscented_filter import SampledSystem, filter_and_smooth, unscented_filter
 from tests.identification.reconstruct import test_unscented_filter as plain
 
 TRUTH = plain.SHORT_PERIOD
@@ -140,7 +140,8 @@ def test_a_pass_of_a_linear_problem_is_the_exact_kalman_filter_and_smoother(gaps
     arrays = (plain.X0, plain.P0, plain.Q, plain.R, controls, outputs)
     x0, P0, Q, R, u, y = (torch.tensor(a) for a in arrays)
     given = Problem(f, h, x0, P0, Q, R, u, y, plain.DT)
-    got = iterated(given, lambda cov: filter_and_smooth(f, h, (x0, cov), ProcessNoise.constant(Q), R, u, y, plain.DT))
+    noise = ProcessNoise.constant(Q)
+    got = iterated(given, lambda cov: filter_and_smooth(SampledSystem(f, h, (x0, cov), noise, R, u, y, plain.DT)))
     for name, exact in plain.exact_kalman(controls, outputs).items():
         assert plain.relative(getattr(got, name), exact) < 1e-9, name
     assert not learns_constants(given)

@@ -12,7 +12,7 @@ from rotorid_torch.data import Dataset
 from rotorid_torch.data.schema import Vehicle
 from rotorid_torch.data.velocities import with_velocities
 from rotorid_torch.identification.reconstruct.motion import GaussMarkovForces, Motion
-from rotorid_torch.identification.reconstruct.observability import left_out, observable, seen
+from rotorid_torch.identification.reconstruct.observability import left_out, observable, visible_in
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 
 TIME = 0.02 * np.arange(200)
@@ -56,7 +56,7 @@ def test_states_that_the_channels_tell_stay_and_the_others_are_named(
 def test_what_the_rank_leaves_open_no_record_tells_apart():
     """Without attitude or accelerometers a tilt and a steady force are one: integrated by SciPy, the outputs agree."""
     model = motion(EVERYTHING, (*VELOCITIES, *RATES))
-    told = seen(model, torch.zeros(len(EVERYTHING), dtype=torch.float64))
+    told = visible_in(model, torch.zeros(len(EVERYTHING), dtype=torch.float64))
     assert {"theta", "X", "phi", "Y", "north"}.isdisjoint(told)
     assert {*VELOCITIES, *RATES, *MOMENTS, "Z"} <= told
     u = model.inputs(torch.ones(1).double())[0, 0]
@@ -73,13 +73,13 @@ def test_what_the_rank_leaves_open_no_record_tells_apart():
 
 def test_an_accelerometer_beside_velocities_tells_attitude():
     level = torch.zeros(len(EVERYTHING), dtype=torch.float64)
-    told = seen(motion(EVERYTHING, (*VELOCITIES, *RATES, *SPECIFIC_FORCES)), level)
+    told = visible_in(motion(EVERYTHING, (*VELOCITIES, *RATES, *SPECIFIC_FORCES)), level)
     assert told == {*VELOCITIES, *RATES, "phi", "theta", *FORCES, *MOMENTS}  # in hover nothing tells heading or place
     ahead = level.clone()
     ahead[0] = 30.0
     along = motion(EVERYTHING, (*VELOCITIES, *RATES, *SPECIFIC_FORCES, *POSITIONS))
-    assert "psi" in seen(along, ahead)
-    assert "psi" not in seen(along, level)
+    assert "psi" in visible_in(along, ahead)
+    assert "psi" not in visible_in(along, level)
 
 
 def test_position_and_attitude_tell_the_velocities_that_were_made_of_them():
@@ -111,5 +111,5 @@ def test_what_has_a_channel_of_its_own_is_told_at_any_speed(speed: float):
     at = torch.zeros(len(EVERYTHING), dtype=torch.float64)
     at[0], at[7] = speed, 0.3
     direct = (*VELOCITIES, *RATES, *ATTITUDES, *POSITIONS)
-    assert seen(motion(EVERYTHING, direct), at) == set(EVERYTHING)
-    assert seen(motion(EVERYTHING, (*RATES, *ATTITUDES, *POSITIONS)), at) == set(EVERYTHING)
+    assert visible_in(motion(EVERYTHING, direct), at) == set(EVERYTHING)
+    assert visible_in(motion(EVERYTHING, (*RATES, *ATTITUDES, *POSITIONS)), at) == set(EVERYTHING)

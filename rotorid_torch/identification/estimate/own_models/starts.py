@@ -16,7 +16,7 @@ LISTED = 4
 
 def with_starts_held(system: System, stepped: Stepped[Fit], settings: Settings, errors: Sequence[float]) -> str:
     """Which parameters initial states that are believed would move by more than a standard error (`errors`)."""
-    records, fitted = stepped.records, stepped.found
+    records, fitted = stepped.records, stepped.fit
     partly = settings.x0_held is not None or settings.x0_bounds is not None or settings.optimiser != "gauss-newton"
     if settings.x0 != "free" or partly or bool(records.states[:, 0].isnan().any()):
         return ""

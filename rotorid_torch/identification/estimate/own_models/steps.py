@@ -36,7 +36,7 @@ class Stepped(Generic[T]):
     mended : whether the steps are short enough for what was found.
     """
 
-    found: T
+    fit: T
     records: Records
     remark: str
     mended: bool
@@ -56,26 +56,26 @@ def in_steps(
     Source: Hairer and Wanner, Solving Ordinary Differential Equations II, sec. IV.2 (regions of stability).
     """
     theta, states, interval = system.theta, records.states, records.dt
-    taken, found = 1, None
+    taken, fit = 1, None
     for _ in range(ROUNDS + 1):
         pole = fastest(system, theta, records, states)
         times = min(shorter(pole, records.dt), MOST // taken)
-        if found is not None and times == 1:
+        if fit is not None and times == 1:
             break
         records, taken = records.refined(times), taken * times
-        if found is None and shorter(pole, records.dt) > 1:
+        if fit is None and shorter(pole, records.dt) > 1:
             said, wish = _unfollowed(pole, interval, taken)
             raise InputError("model", "forward", f"{said}, where it starts", wish)
         try:
-            found = solve(records, theta)
+            fit = solve(records, theta)
         except InfiniteCost:
             wrong = f"diverges where it starts; its fastest pole there is {_named(pole)}"
             raise InputError("model", "forward", wrong, "a start from which runs stay finite") from None
-        theta, states = end(found)
-    assert found is not None
+        theta, states = end(fit)
+    assert fit is not None
     pole = fastest(system, theta, records, states)
     mended = shorter(pole, records.dt) == 1
-    return Stepped(found, records, _remark(pole, interval, taken, mended), mended)
+    return Stepped(fit, records, _remark(pole, interval, taken, mended), mended)
 
 
 def fastest(system: System, theta: Tensor, records: Records, states: Tensor) -> complex:

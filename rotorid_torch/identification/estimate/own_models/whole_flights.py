@@ -56,6 +56,6 @@ def whole_flights(records: Records, fitted: Fit) -> WholeFlights:
 
 def _rms(residuals: list[Tensor], present: list[Tensor]) -> Tensor:
     """Root mean square [ny] where something was measured; infinite where a run has none that is finite there."""
-    flat, there = torch.cat(residuals), torch.cat(present)
-    squares = torch.where(there, flat.nan_to_num(math.inf).square(), 0.0)
-    return (squares.sum(dim=0) / there.sum(dim=0)).sqrt()
+    flat, measured = torch.cat(residuals), torch.cat(present)
+    squares = torch.where(measured, flat.nan_to_num(math.inf).square(), 0.0)
+    return (squares.sum(dim=0) / measured.sum(dim=0)).sqrt()
