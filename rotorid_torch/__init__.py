@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from rotorid_torch.identification.reconstruct.reconstruction import reconstruct as reconstruct
     from rotorid_torch.identification.reconstruct.unscented_filter import unscented_filter as unscented_filter
     from rotorid_torch.identification.regress.ftr import regress as regress
-    from rotorid_torch.importing.logs import import_logs as import_logs
+    from rotorid_torch.importing.logs import import_log as import_log
     from rotorid_torch.model.model import Model as Model
     from rotorid_torch.run.check import check as check
     from rotorid_torch.run.close_loop import Loop as Loop
@@ -60,7 +60,6 @@ if TYPE_CHECKING:
     from rotorid_torch.simulation.flight_test import fly as fly
 
     __version__: str
-    import_log = import_logs
 
 _PUBLIC = {
     "Dataset": "data.dataset",
@@ -82,8 +81,7 @@ _PUBLIC = {
     "filter_error": "identification.filter_error.method",
     "reconstruct": "identification.reconstruct.reconstruction",
     "unscented_filter": "identification.reconstruct.unscented_filter",
-    "import_log": "importing.logs:import_logs",
-    "import_logs": "importing.logs",
+    "import_log": "importing.logs",
     "Model": "model.model",
     "check": "run.check",
     "Loop": "run.close_loop",

@@ -326,7 +326,7 @@ def import_logs(options: Options) -> None:
     from rotorid_torch.commands.import_log import import_record, import_table
     from rotorid_torch.importing import logs
 
-    done = logs.import_logs(options.logs, options.out, options.map, options.rate, options.split)
+    done = logs.import_log(options.logs, options.out, options.map, options.rate, options.split)
     _answer(options, import_record(done), import_table(done))
 
 

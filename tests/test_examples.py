@@ -16,7 +16,7 @@ THINGS = {name: getattr(rotorid, name) for name in FUNCTIONS} | {
     "from_arrays": rotorid.Dataset.from_arrays,
     "windows": rotorid.Dataset.windows,
 }
-OF_LOGS = {"import_log", "import_logs", "reconstruct", "register", "export"}
+OF_LOGS = {"import_log", "reconstruct", "register", "export"}
 """Without an example: they take files of a user's own, or are told in docs/."""
 
 

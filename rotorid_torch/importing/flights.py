@@ -19,7 +19,6 @@ from rotorid_torch.importing.formats import built_in_plan
 from rotorid_torch.importing.resample import on_grid
 from rotorid_torch.importing.signals.derive import (
     ANGLES,
-    QUATERNION,
     angles_on_grid,
     before_resampling,
     body_velocity,
@@ -27,7 +26,7 @@ from rotorid_torch.importing.signals.derive import (
 )
 from rotorid_torch.importing.signals.fields import Signal, possible, signals
 from rotorid_torch.importing.signals.mapping import Entry, Map, unknown_names
-from rotorid_torch.importing.signals.plan import Plan, moving
+from rotorid_torch.importing.signals.plan import QUATERNION, Plan, moving
 from rotorid_torch.importing.signals.resets import repaired
 from rotorid_torch.importing.signals.streams import TOLD, Log, header_name
 from rotorid_torch.importing.signals.units import find_unit
@@ -128,7 +127,7 @@ def flights_of(
     for number, (start, stop) in enumerate(spans, 1):
         name = _free(_plain(record.file.stem) + (f"_{number}" if len(spans) > 1 else ""), taken | {*flights})
         arrays, sentence = _gridded(record, start, stop, hertz)
-        notes += [sentence] if sentence and number == 1 else []
+        notes += [sentence] if sentence and sentence not in notes else []
         pieces = manoeuvres.cut(arrays, 1.0 / hertz) if split else []
         if split and not pieces:
             notes.append(f"{name}: no control moves for {manoeuvres.SHORTEST_S:g} s: not cut")
@@ -207,6 +206,9 @@ def _gridded(record: Record, start: float, stop: float, hertz: float) -> tuple[A
     arrays = {name: on_grid(s.time[part], s.values[part], grid) for name, (s, part) in parts.items()}
     arrays, sentence = body_velocity(angles_on_grid(arrays))
     measured = {name: values for name, values in arrays.items() if np.isfinite(values).any()}
+    if absent := [name for name in arrays if name not in measured]:
+        none = f"{', '.join(absent)} left out of the flight at {start:.6g} s: no samples in it"
+        sentence = "; ".join(filter(None, (sentence, none)))
     return {"time": np.arange(count) / hertz, **measured}, sentence
 
 

@@ -18,8 +18,10 @@ from rotorid_torch.importing import manoeuvres
 from rotorid_torch.importing.flights import Record, flights_of, record_of
 from rotorid_torch.importing.formats import built_in_fields, read_log
 from rotorid_torch.importing.signals import units
-from rotorid_torch.importing.signals.derive import ANGLES, QUATERNION
+from rotorid_torch.importing.signals.boots import boots
+from rotorid_torch.importing.signals.derive import ANGLES
 from rotorid_torch.importing.signals.mapping import Map, read_map
+from rotorid_torch.importing.signals.plan import QUATERNION
 from rotorid_torch.importing.signals.streams import Log, choose
 from rotorid_torch.printable import printable
 
@@ -69,7 +71,7 @@ class Imported:
     warnings: tuple[str, ...]
 
 
-def import_logs(
+def import_log(
     paths: Sequence[str | Path] | str | Path,
     out: str | Path,
     mapping: str | Path | Mapping[str, Any] | None = None,
@@ -91,21 +93,10 @@ def import_logs(
     ------
     InputError : where a log cannot be read, lacks controls, or has clocks that disagree; nothing is written then.
     """
-    of, several = "import_log", [paths] if isinstance(paths, str | Path) else paths
-    place = arguments.place(Argument(of, "out"), out)
-    listed = arguments.sequence(Argument(of, "paths"), several, "a path, or a list of paths")
-    files = [arguments.place(Argument(of, "paths"), p) for p in listed]
-    rate = None if rate is None else arguments.number(Argument(of, "rate"), rate, "Hz")
-    arguments.flag(Argument(of, "split"), split)
-    refuse_unless_free(place, IMPORTED, [*files, *([Path(mapping)] if isinstance(mapping, str | Path) else [])])
-    earlier_declarations = declarations(place)
-    if not files:
-        raise InputError("import", "", "has no log", "at least one file")
-    if rate is not None and not RATES_HZ[0] <= rate <= RATES_HZ[1]:
-        raise InputError("--rate", str(rate), "is out of range", f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz")
-    user_map = read_map(mapping) if mapping is not None else None
-    records = _records(files, user_map)
-    grid_hz = rate or _usual_rate(records)
+    asked = _asked(paths, out, mapping, rate, split)
+    earlier = declarations(asked.out)
+    records = _records(asked.files, asked.map)
+    grid_hz = asked.rate or _usual_rate(records)
     flights, kinds, notes = dict[str, dict[str, np.ndarray]](), dict[str, str](), list[str]()
     channels = dict[str, Taken]()
     for record in records:
@@ -115,35 +106,61 @@ def import_logs(
         notes += [f"{record.file.name}: {sentence}" for sentence in (*record.warnings, *more)]
         flights |= {name: arrays for name, (arrays, _) in cut.items()}
         kinds |= {name: kind for name, (_, kind) in cut.items()}
-    seconds = {name: float(arrays["time"][-1]) for name, arrays in flights.items()}
-    lists = manoeuvres.share_out([(name, kinds[name], seconds[name]) for name in flights])
-    kind, controls = _vehicle_kind(records, user_map), _controls(records, flights)
+    durations = {name: (float(arrays["time"][-1]), kinds[name]) for name, arrays in flights.items()}
+    lists = manoeuvres.share_out([(name, kind, seconds) for name, (seconds, kind) in durations.items()])
+    kind, controls = _vehicle_kind(records, asked.map), _controls(records, flights)
+    sources = printable(", ".join(file.name for file in asked.files), layout=False)
     write_dataset(
-        place,
+        asked.out,
         flights,
         identify=lists["identify"],
         validate=lists["validate"],
         acid=lists["acid"],
         kind=kind,
-        description=f"{IMPORTED} {printable(', '.join(f.name for f in files), layout=False)} at {grid_hz:g} Hz.",
-        vehicle=(user_map.vehicle if user_map else None) or dict(records[0].plan.vehicle) or None,
+        description=f"{IMPORTED} {sources} at {grid_hz:g} Hz.",
+        vehicle=(asked.map.vehicle if asked.map else None) or dict(records[0].plan.vehicle) or None,
         controls=controls,
-        texts=earlier_declarations,
+        texts=earlier,
     )
-    if replaced := [file for file in earlier_declarations if (place / file).exists()]:
-        notes.append(
-            f"{place.name}: the data set that was here is replaced; what it declared is kept: {', '.join(replaced)}"
-        )
-    durations = {name: (seconds[name], kinds[name]) for name in flights}
+    if replaced := [file for file in earlier if (asked.out / file).exists()]:
+        there = f"{asked.out.name}: the data set that was here is replaced"
+        notes.append(f"{there}; what it declared is kept: {', '.join(replaced)}")
     measured = {name: table["unit"] for name, table in controls.items()}
-    return Imported(place, kind, grid_hz, durations, lists, channels, measured, tuple(notes))
+    return Imported(asked.out, kind, grid_hz, durations, lists, channels, measured, tuple(dict.fromkeys(notes)))
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What an import was asked for, checked."""
+
+    files: Sequence[Path]
+    out: Path
+    map: Map | None
+    rate: float | None
+
+
+def _asked(paths: Any, out: Any, mapping: Any, rate: Any, split: Any) -> _Asked:
+    """The arguments of an import. Raises InputError with the one at fault."""
+    of, several = "import_log", [paths] if isinstance(paths, str | Path) else paths
+    place = arguments.place(Argument(of, "out"), out)
+    listed = arguments.sequence(Argument(of, "paths"), several, "a path, or a list of paths")
+    files = [arguments.place(Argument(of, "paths"), p) for p in listed]
+    rate = None if rate is None else arguments.number(Argument(of, "rate"), rate, "Hz")
+    arguments.flag(Argument(of, "split"), split)
+    refuse_unless_free(place, IMPORTED, [*files, *([Path(mapping)] if isinstance(mapping, str | Path) else [])])
+    if not files:
+        raise InputError("import", "", "has no log", "at least one file")
+    if rate is not None and not RATES_HZ[0] <= rate <= RATES_HZ[1]:
+        raise InputError("--rate", str(rate), "is out of range", f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz")
+    return _Asked(files, place, read_map(mapping) if mapping is not None else None, rate)
 
 
 def _records(files: Sequence[Path], user_map: Map | None) -> list[Record]:
-    """Every log read and turned into signals; one record of all where they are streams of one flight."""
+    """Every boot of every log as signals; logs are one where they are streams of one flight."""
     if user_map is not None and user_map.together:
-        return [record_of(_joined([_read(file, user_map, together=True) for file in files]), user_map)]
-    return [record_of(_read(file, user_map, together=False), user_map) for file in files]
+        logs = [_joined([_read(file, user_map, together=True) for file in files])]
+        return [record_of(boot, user_map) for log in logs for boot in boots(log)]
+    return [record_of(boot, user_map) for file in files for boot in boots(_read(file, user_map, together=False))]
 
 
 def _read(file: Path, user_map: Map | None, together: bool) -> Log:

@@ -236,7 +236,7 @@ def test_what_import_makes_channels_of_has_ranges_too(tmp_path, name, unit, valu
     columns[name] = columns[name].copy()
     columns[name][[100, 300]] = value
     given = {c: {"field": c} for c in columns if c != "time" and not (quaternion and c in ("phi", "theta", "psi"))}
-    done = rotorid.import_logs(csv(tmp_path / "f.csv", columns), tmp_path / "set", mapping={"channels": given})
+    done = rotorid.import_log(csv(tmp_path / "f.csv", columns), tmp_path / "set", mapping={"channels": given})
     assert [w for w in done.warnings if f"{name} reaches" in w and "2 samples outside" in w]
     channels = rotorid.load(done.folder).flights["f"].channels
     worst = max(
@@ -245,7 +245,7 @@ def test_what_import_makes_channels_of_has_ranges_too(tmp_path, name, unit, valu
     assert worst < 20.0
     columns[name][:50] = value
     with pytest.raises(InputError, match=rf"\({name}\): reaches .* of 600 samples outside"):
-        rotorid.import_logs(csv(tmp_path / "f.csv", columns), tmp_path / "set2", mapping={"channels": given})
+        rotorid.import_log(csv(tmp_path / "f.csv", columns), tmp_path / "set2", mapping={"channels": given})
     assert not (tmp_path / "set2").exists()
 
 
@@ -254,6 +254,6 @@ def test_a_motor_of_1e8_in_a_log_is_missing(tmp_path):
     columns = table() | {f"motor{k}": 0.5 + 0.1 * np.sin(k * time) for k in (1, 2, 3, 4)}
     columns = {name: values for name, values in columns.items() if name not in CONTROLS}
     columns["motor2"][[50, 51]] = 1.3e8
-    done = rotorid.import_logs(csv(tmp_path / "f.csv", columns), tmp_path / "set")
+    done = rotorid.import_log(csv(tmp_path / "f.csv", columns), tmp_path / "set")
     assert [w for w in done.warnings if "motor2 reaches 1.3e+08 norm: 2 samples outside -1.5 to 1.5 norm" in w]
     assert float(rotorid.load(done.folder).flights["f"].channels["motor2"].nan_to_num(0.0).max()) < 1.0

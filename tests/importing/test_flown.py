@@ -47,7 +47,7 @@ def outputs(time: np.ndarray, low: float, high: float, rest: float, order: tuple
 
 def imported(file: Path, where: Path) -> tuple[Imported, Columns]:
     """The import and the channels of its first flight."""
-    done = rotorid.import_logs(file, where / "set")
+    done = rotorid.import_log(file, where / "set")
     flight = rotorid.load(done.folder).flights[next(iter(done.flights))]
     return done, {name: values.numpy() for name, values in flight.channels.items()}
 
@@ -137,7 +137,7 @@ def test_pulses_of_ardupilot_have_the_range_of_its_settings(name: str, tmp_path:
     assert np.abs(channels["motor2"] - asked[1]).max() < (6e-3 if high < 300 else 1e-3)
     bad = write_dataflash(tmp_path / "bad.bin", copter(time, 1.0 + 1998.0 * asked), wired({i: i for i in range(1, 5)}))
     with pytest.raises(InputError, match=r"RCOU\.C1 \(motor1\): runs from 1 to 1\d\d\d"):
-        rotorid.import_logs(bad, tmp_path / "bad")
+        rotorid.import_log(bad, tmp_path / "bad")
 
 
 def test_a_map_in_the_wrong_range_is_refused_and_not_clipped(tmp_path: Path):
@@ -146,7 +146,7 @@ def test_a_map_in_the_wrong_range_is_refused_and_not_clipped(tmp_path: Path):
     np.savetxt(tmp_path / "t.csv", table, "%.6f", ",", header="time,p,raw", comments="")
     given = {"kind": "multirotor", "channels": {"p": "p", "motor1": {"field": "raw", "unit": "us"}}}
     with pytest.raises(InputError, match=r"runs from .*beyond what stands for commands 0 to 1"):
-        rotorid.import_logs(tmp_path / "t.csv", tmp_path / "set", given)
+        rotorid.import_log(tmp_path / "t.csv", tmp_path / "set", given)
 
 
 def speeds(time: np.ndarray, order: tuple[int, ...], functions: bool = True) -> Columns:
@@ -364,7 +364,7 @@ def test_a_column_numbers_instances_only_where_the_format_says_so(tmp_path: Path
     numbered = {"A": (np.arange(len(time)) % 2).astype("<u1"), "Volt": count["Volt"]}
     topics["BAT"] = (time, numbered)
     marked = write_dataflash(tmp_path / "two.bin", topics, functions, units={"BAT": "s#v"})
-    done = rotorid.import_logs(marked, tmp_path / "two")
+    done = rotorid.import_log(marked, tmp_path / "two")
     assert done.channels["voltage"].hertz == pytest.approx(50.0, rel=0.01)
 
 
@@ -398,7 +398,7 @@ def test_helicopters_of_px4(parameters: dict, tmp_path: Path):
     time = clock()
     asked = floats({f"control[{i}]": commands(time)[i] - 0.5 for i in range(4)})
     topics = {"vehicle_angular_velocity": gyro(time), "actuator_controls_0": (time, asked)}
-    done = rotorid.import_logs(write_ulog(tmp_path / "log.ulg", topics, parameters), tmp_path / "set")
+    done = rotorid.import_log(write_ulog(tmp_path / "log.ulg", topics, parameters), tmp_path / "set")
     assert (done.kind, sorted(done.units)) == ("helicopter", ["col", "lat", "lon", "ped"])
 
 
@@ -473,7 +473,7 @@ def test_a_roll_that_is_unwrapped_in_a_table_is_data(tmp_path: Path):
     np.savetxt(
         tmp_path / "t.csv", np.stack([*columns.values()], -1), "%.8f", ",", header=",".join(columns), comments=""
     )
-    done = rotorid.import_logs(tmp_path / "t.csv", tmp_path / "set")
+    done = rotorid.import_log(tmp_path / "t.csv", tmp_path / "set")
     channels = rotorid.load(done.folder).flights["t"].channels
     assert np.abs(channels["phi"].numpy() - phi).max() < 1e-6
 

@@ -38,7 +38,7 @@ def is_told_or_imported(content: bytes, kind: str) -> None:
         file, out = Path(folder) / f"log.{kind}", Path(folder) / "set"
         file.write_bytes(content)
         try:
-            rotorid.import_logs(file, out)
+            rotorid.import_log(file, out)
         except InputError:
             assert not out.exists()
         else:
@@ -69,5 +69,5 @@ def test_undamaged_they_are_imported():
         is_told_or_imported(whole(kind), kind)
         with tempfile.TemporaryDirectory() as folder:
             (Path(folder) / f"log.{kind}").write_bytes(whole(kind))
-            done = rotorid.import_logs(Path(folder) / f"log.{kind}", Path(folder) / "set")
+            done = rotorid.import_log(Path(folder) / f"log.{kind}", Path(folder) / "set")
             assert "motor1" in done.channels

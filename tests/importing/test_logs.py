@@ -49,7 +49,7 @@ def close(dataset: rotorid.Dataset, names: str, tolerance: float, start: float =
 
 
 def test_a_px4_log_comes_back_as_the_flight_it_was(tmp_path: Path):
-    done = rotorid.import_logs(write_ulog(tmp_path / "a b.ulg", px4_topics(), QUAD), tmp_path / "set")
+    done = rotorid.import_log(write_ulog(tmp_path / "a b.ulg", px4_topics(), QUAD), tmp_path / "set")
     dataset = rotorid.load(done.folder)
     assert (dataset.kind, dataset.controls) == ("multirotor", ("motor1", "motor2", "motor3", "motor4"))
     assert dataset.identify == ("a_b",)
@@ -79,7 +79,7 @@ def test_older_topics_instances_and_pulses(tmp_path: Path):
     gyro_time, gyro = topics.pop("vehicle_angular_velocity")
     topics["sensor_combined"] = (gyro_time, {n.replace("xyz", "gyro_rad"): v for n, v in gyro.items()})
     topics |= {"actuator_outputs": (time, rest), "actuator_outputs[1]": (time, pulses)}
-    done = rotorid.import_logs(write_ulog(tmp_path / "a.ulg", topics, QUAD), tmp_path / "set")
+    done = rotorid.import_log(write_ulog(tmp_path / "a.ulg", topics, QUAD), tmp_path / "set")
     assert any("instances 0, 1: 1 is used" in told for told in done.warnings)
     close(rotorid.load(done.folder), "p q r motor1 motor2 motor3 motor4", 3e-3)
 
@@ -109,11 +109,11 @@ FUNCTIONS = {"SERVO1_FUNCTION": 33, "SERVO2_FUNCTION": 34, "SERVO3_FUNCTION": 36
 
 def test_an_ardupilot_log_comes_back_as_the_flight_it_was(tmp_path: Path):
     file = write_dataflash(tmp_path / "00000012.BIN", copter(), FUNCTIONS, "ArduCopter V4.5.7")
-    done = rotorid.import_logs(file, tmp_path / "set")
+    done = rotorid.import_log(file, tmp_path / "set")
     assert done.rate == 200.0
     close(rotorid.load(done.folder), "p q r phi theta psi motor1 motor2 motor3 motor4", 6e-3)
     bare = write_dataflash(tmp_path / "bare.BIN", copter(), {}, "ArduCopter V4.5.7")
-    assert any("no SERVOn_FUNCTION" in told for told in rotorid.import_logs(bare, tmp_path / "bare").warnings)
+    assert any("no SERVOn_FUNCTION" in told for told in rotorid.import_log(bare, tmp_path / "bare").warnings)
 
 
 def test_a_fixed_wing_is_told_in_one_line(tmp_path: Path, capsys):
@@ -123,17 +123,17 @@ def test_a_fixed_wing_is_told_in_one_line(tmp_path: Path, capsys):
     assert told.count("\n") == 1
     assert "fixed wing" in told
     with pytest.raises(InputError, match="fixed wing"):
-        rotorid.import_logs(write_ulog(tmp_path / "p.ulg", px4_topics(3.0), {"MAV_TYPE": 1}), tmp_path / "set")
+        rotorid.import_log(write_ulog(tmp_path / "p.ulg", px4_topics(3.0), {"MAV_TYPE": 1}), tmp_path / "set")
     assert not (tmp_path / "set").exists()
 
 
 def test_the_real_log_of_a_fixed_wing_is_told_and_a_map_reads_it_nonetheless(tmp_path: Path):
     file = shared("flightdata", "logs", "ardupilot-plane.BIN")
     with pytest.raises(InputError, match=r"fixed wing \(ArduPlane V3\.8\.2-dev"):
-        rotorid.import_logs(file, tmp_path / "set")
+        rotorid.import_log(file, tmp_path / "set")
     channels = {"lat": {"field": "RCOU.C1", "unit": "us"}, "p": "IMU.GyrX", "phi": {"field": "ATT.Roll", "unit": "deg"}}
     with pytest.raises(InputError, match=r"lasts \d\.?\d* s"):
-        rotorid.import_logs(file, tmp_path / "set", {"kind": "helicopter", "channels": channels})
+        rotorid.import_log(file, tmp_path / "set", {"kind": "helicopter", "channels": channels})
 
 
 def test_a_helicopter_of_ardupilot_has_its_sticks(tmp_path: Path):
@@ -141,7 +141,7 @@ def test_a_helicopter_of_ardupilot_has_its_sticks(tmp_path: Path):
     time, columns = topics.pop("RCOU")
     outputs = dict(zip(("ROut", "POut", "YOut", "AOut"), columns.values(), strict=True))
     topics["RATE"] = (time, {n: (v / 1000.0 - 1.5).astype("<f4") for n, v in outputs.items()})
-    done = rotorid.import_logs(write_dataflash(tmp_path / "h.bin", topics, {"FRAME_CLASS": 6}), tmp_path / "set")
+    done = rotorid.import_log(write_dataflash(tmp_path / "h.bin", topics, {"FRAME_CLASS": 6}), tmp_path / "set")
     dataset = rotorid.load(done.folder)
     assert (dataset.kind, dataset.controls) == ("helicopter", ("lon", "lat", "col", "ped"))
     assert dataset.control_specs["lat"].unit == "norm"
@@ -167,7 +167,7 @@ def written(kind: str, folder: Path) -> Path:
 
 @pytest.mark.parametrize("kind", ["csv", "txt", "npz", "mat", "parquet"])
 def test_tables_named_as_channels_need_no_map(tmp_path: Path, kind: str):
-    done = rotorid.import_logs(written(kind, tmp_path), tmp_path / "set")
+    done = rotorid.import_log(written(kind, tmp_path), tmp_path / "set")
     dataset = rotorid.load(done.folder)
     assert (done.rate, dataset.kind, dataset.controls) == (100.0, "helicopter", ("lon", "lat", "col", "ped"))
     close(dataset, "p q r phi theta psi", 1e-6)
@@ -199,7 +199,7 @@ def mapped(folder: Path) -> tuple[Path, Path]:
 
 def test_a_map_gives_units_signs_scales_and_offsets(tmp_path: Path):
     file, toml = mapped(tmp_path)
-    done = rotorid.import_logs(file, tmp_path / "set", toml)
+    done = rotorid.import_log(file, tmp_path / "set", toml)
     dataset = rotorid.load(done.folder)
     with np.load(done.folder / "flights" / "odd.npz") as written:  # a data set leaves constant channels out
         last = {name: float(written[name][-2]) for name in written.files}
@@ -243,13 +243,13 @@ def test_an_unknown_topic_and_instance_in_a_map_of_a_flight_log(tmp_path: Path):
         "actuator_motors.thrust_of_all": r"there are timestamp, control\[0\]",
     }.items():
         with pytest.raises(InputError, match=told):
-            rotorid.import_logs(file, tmp_path / "set", {"channels": {"motor1": field}})
+            rotorid.import_log(file, tmp_path / "set", {"channels": {"motor1": field}})
 
 
 def test_a_map_beside_the_built_in_one(tmp_path: Path):
     file = write_ulog(tmp_path / "a.ulg", px4_topics(3.0), QUAD)
     mapping = {"built_in": True, "channels": {"voltage": {"field": "battery_status.voltage_v", "unit": "mV"}}}
-    with np.load(rotorid.import_logs(file, tmp_path / "set", mapping).folder / "flights" / "a.npz") as written:
+    with np.load(rotorid.import_log(file, tmp_path / "set", mapping).folder / "flights" / "a.npz") as written:
         channels = {name: written[name] for name in written.files}
     assert float(np.nanmean(channels["voltage"])) == pytest.approx(0.016)
     assert "motor4" in channels
@@ -260,7 +260,7 @@ def test_streams_of_one_flight_in_several_files(tmp_path: Path):
     imu = csv(tmp_path / "imu.csv", {name: fast[name] for name in ("time", "p", "q", "r")})
     sticks = csv(tmp_path / "sticks.csv", {"t": slow["time"], "x": slow["lat"]})
     mapping = {"together": True, "channels": {n: f"imu.{n}" for n in "pqr"} | {"lat": "sticks.x"}}
-    dataset = rotorid.load(rotorid.import_logs([imu, sticks], tmp_path / "set", mapping).folder)
+    dataset = rotorid.load(rotorid.import_log([imu, sticks], tmp_path / "set", mapping).folder)
     assert dataset.identify == ("imu",)
     close(dataset, "p q r", 2e-3)
 
@@ -271,7 +271,7 @@ def test_several_logs_are_flights_in_lists(tmp_path: Path):
         for name, seconds in (("a", 9.0), ("b", 8.0), ("c", 7.0))
         if not (tmp_path / name).mkdir()
     ]
-    done = rotorid.import_logs(files, tmp_path / "set")
+    done = rotorid.import_log(files, tmp_path / "set")
     assert done.lists == {"identify": ["log"], "validate": ["log_2"], "acid": ["log_3"]}
     assert rotorid.load(done.folder).acid == ("log_3",)
 
@@ -279,19 +279,19 @@ def test_several_logs_are_flights_in_lists(tmp_path: Path):
 def test_a_long_pause_makes_two_flights(tmp_path: Path):
     columns = table(20.0)
     columns["time"] = columns["time"] + 1e6 * (columns["time"] >= 12.0)
-    done = rotorid.import_logs(csv(tmp_path / "two.csv", columns), tmp_path / "set")
+    done = rotorid.import_log(csv(tmp_path / "two.csv", columns), tmp_path / "set")
     assert {name: round(seconds) for name, (seconds, _) in done.flights.items()} == {"two_1": 12, "two_2": 8}
 
 
 def test_what_was_declared_by_hand_survives_another_import(tmp_path: Path):
     log, place = csv(tmp_path / "one.csv", table()), tmp_path / "set"
-    rotorid.import_logs(log, place)
-    assert not rotorid.import_logs(log, place).warnings
+    rotorid.import_log(log, place)
+    assert not rotorid.import_log(log, place).warnings
     edited = (place / "dataset.toml").read_text(encoding="utf-8") + "\n# mine\n"
     (place / "dataset.toml").write_text(edited, encoding="utf-8")
-    (told,) = rotorid.import_logs(log, place).warnings
+    (told,) = rotorid.import_log(log, place).warnings
     assert told.endswith("what it declared is kept: dataset.before1.toml")
-    rotorid.import_logs(log, place)  # and another
+    rotorid.import_log(log, place)  # and another
     assert (place / "dataset.before1.toml").read_text(encoding="utf-8") == edited
     assert not (place / "dataset.before2.toml").exists()
 
@@ -300,19 +300,19 @@ def test_a_data_set_that_was_not_imported_stays(tmp_path: Path):
     place = small_folder(tmp_path / "mine")
     before = (place / "dataset.toml").read_text(encoding="utf-8")
     with pytest.raises(InputError, match="is not a data set whose description begins with 'Imported from'"):
-        rotorid.import_logs(csv(tmp_path / "one.csv", table()), place)
+        rotorid.import_log(csv(tmp_path / "one.csv", table()), place)
     assert (place / "dataset.toml").read_text(encoding="utf-8") == before
 
 
 def test_a_log_inside_the_data_set_that_is_replaced_stays(tmp_path: Path):
     place = tmp_path / "set"
-    flight = rotorid.import_logs(csv(tmp_path / "one.csv", table()), place).folder / "flights" / "one.npz"
+    flight = rotorid.import_log(csv(tmp_path / "one.csv", table()), place).folder / "flights" / "one.npz"
     before = flight.read_bytes()
     with pytest.raises(InputError, match=r"holds .*one\.npz, which is read"):
-        rotorid.import_logs(flight, place)
+        rotorid.import_log(flight, place)
     (tmp_path / "link.npz").symlink_to(flight)
     with pytest.raises(InputError, match=r"holds .*link\.npz, which is read"):
-        rotorid.import_logs(tmp_path / "link.npz", place)
+        rotorid.import_log(tmp_path / "link.npz", place)
     assert flight.read_bytes() == before
 
 
@@ -325,7 +325,7 @@ def test_a_flight_among_many_goes_through_its_own_samples_only(tmp_path: Path, m
         return on_grid(time, values, grid)
 
     monkeypatch.setattr(flights, "on_grid", counted)
-    done = rotorid.import_logs(csv(tmp_path / "ten.csv", columns), tmp_path / "set")
+    done = rotorid.import_log(csv(tmp_path / "ten.csv", columns), tmp_path / "set")
     assert len(done.flights) == 10
     assert max(seen) == 400
 
@@ -337,7 +337,7 @@ def test_split_finds_the_manoeuvres_and_shares_them_out(tmp_path: Path):
     for number, stick in enumerate(order):
         begin = 5.0 + 9.5 * number
         columns[stick] += 0.1 * ((time > begin) & (time < begin + 1)) - 0.1 * ((time > begin + 1) & (time < begin + 2))
-    done = rotorid.import_logs(csv(tmp_path / "f.csv", columns), tmp_path / "set", split=True)
+    done = rotorid.import_log(csv(tmp_path / "f.csv", columns), tmp_path / "set", split=True)
     assert [kind for _, kind in done.flights.values()] == order
     assert [done.flights[name][1] for name in done.lists["identify"][:4]] == order[:4]
     assert {key: len(names) for key, names in done.lists.items()} == {"identify": 9, "validate": 3, "acid": 4}
@@ -350,7 +350,7 @@ def test_split_finds_the_manoeuvres_and_shares_them_out(tmp_path: Path):
 def test_nothing_moves_and_nothing_is_cut(tmp_path: Path):
     columns = table()
     columns |= {name: np.zeros(1000) for name in STICKS}
-    done = rotorid.import_logs(csv(tmp_path / "f.csv", columns), tmp_path / "set", split=True)
+    done = rotorid.import_log(csv(tmp_path / "f.csv", columns), tmp_path / "set", split=True)
     assert list(done.flights) == ["f"]
     assert "not cut" in done.warnings[0]
 
@@ -360,7 +360,7 @@ def test_spikes_are_taken_out_and_named(tmp_path: Path):
     spiked["p"][[100, 500]] = 1e5, -3e38
     spiked["q"][200:210] = np.nan
     spiked["r"][300] = np.inf
-    done = rotorid.import_logs(csv(tmp_path / "f.csv", spiked), tmp_path / "set")
+    done = rotorid.import_log(csv(tmp_path / "f.csv", spiked), tmp_path / "set")
     assert any(
         "p reaches -3e+38 rad/s: 2 samples outside -100 to 100 rad/s taken as missing" in told for told in done.warnings
     )
@@ -373,14 +373,14 @@ def test_degrees_without_a_map_are_refused(tmp_path: Path):
     columns = table()
     columns["phi"] = 57.3 * columns["phi"]
     with pytest.raises(InputError, match=r"phi.*another unit"):
-        rotorid.import_logs(csv(tmp_path / "f.csv", columns), tmp_path / "set")
+        rotorid.import_log(csv(tmp_path / "f.csv", columns), tmp_path / "set")
     columns["phi [deg]"] = columns.pop("phi")
-    close(rotorid.load(rotorid.import_logs(csv(tmp_path / "f.csv", columns), tmp_path / "set").folder), "phi", 2e-3)
+    close(rotorid.load(rotorid.import_log(csv(tmp_path / "f.csv", columns), tmp_path / "set").folder), "phi", 2e-3)
 
 
 CLOCKS = {
     "stands still": lambda t: 0.0 * t + 3.0,
-    "runs back from": lambda t: np.where(t < 5.0, t + 100.0, t),
+    "runs back from": lambda t: np.where(np.arange(len(t)) // 5 % 2, t + 100.0, t),
     "repeats its stamps": lambda t: np.floor(t),
     "samples 10 s apart": lambda t: 1e3 * t,
     "has no stamp": lambda t: np.nan * t,
@@ -401,7 +401,7 @@ def test_clocks_that_cannot_be_used(tmp_path: Path, told: str, capsys):
 def test_a_few_bad_stamps_are_left_out(tmp_path: Path):
     columns = table()
     columns["time"][[0, 400, 700]] = 1.7e9, 0.0, 1e12
-    done = rotorid.import_logs(csv(tmp_path / "f.csv", columns), tmp_path / "set")
+    done = rotorid.import_log(csv(tmp_path / "f.csv", columns), tmp_path / "set")
     assert any("3 samples with a stamp out of order" in told for told in done.warnings)
     close(rotorid.load(done.folder), "p q r", 1e-3, start=0.01)
 
@@ -411,10 +411,10 @@ def test_two_time_bases(tmp_path: Path):
     time, columns = topics["actuator_motors"]
     other = {**topics, "actuator_motors": (time + 1e3, columns)}
     with pytest.raises(InputError, match=r"p runs from 100 to .* motor1 from .* on one clock"):
-        rotorid.import_logs(write_ulog(tmp_path / "a.ulg", other, QUAD), tmp_path / "set")
+        rotorid.import_log(write_ulog(tmp_path / "a.ulg", other, QUAD), tmp_path / "set")
     time, columns = topics["battery_status"]
     topics["battery_status"] = (0.0 * time, columns)
-    done = rotorid.import_logs(write_ulog(tmp_path / "a.ulg", topics, QUAD), tmp_path / "set")
+    done = rotorid.import_log(write_ulog(tmp_path / "a.ulg", topics, QUAD), tmp_path / "set")
     assert any("voltage is left out: the clock of battery_status stands still" in told for told in done.warnings)
 
 
@@ -428,11 +428,11 @@ def test_empty_messages_are_no_channels(tmp_path: Path):
     }
     file = tmp_path / "a.ulg"
     topics["airspeed"] = (np.array([100.0]), {"true_airspeed_m_s": np.array([np.nan], "<f4")})
-    done = rotorid.import_logs(write_ulog(file, topics, QUAD), tmp_path / "set")
+    done = rotorid.import_log(write_ulog(file, topics, QUAD), tmp_path / "set")
     assert "airspeed" not in done.channels
     topics["actuator_motors"] = (np.array([100.0]), {f"control[{i}]": np.zeros(1, "<f4") for i in range(4)})
     with pytest.raises(InputError, match="actuator_motors"):
-        rotorid.import_logs(write_ulog(file, topics, QUAD), tmp_path / "set")
+        rotorid.import_log(write_ulog(file, topics, QUAD), tmp_path / "set")
 
 
 def test_missing_readers_name_their_extra(tmp_path: Path, monkeypatch, capsys):
@@ -450,19 +450,19 @@ def test_hostile_arrays(tmp_path: Path):
     file = tmp_path / "x.npz"
     np.savez(file, time=np.array([{}], dtype=object), allow_pickle=True)
     with pytest.raises(InputError, match="pickled"):
-        rotorid.import_logs(file, tmp_path / "set")
+        rotorid.import_log(file, tmp_path / "set")
     np.savez(file, time=np.arange(9.0))
     content = file.read_bytes()
     at = content.index(b"(9,)")
     forged = content[:at] + b"(9999999999,)".ljust(4) + content[at + 4 + 9 :]
     file.write_bytes(forged)
     with pytest.raises(InputError):
-        rotorid.import_logs(file, tmp_path / "set")
+        rotorid.import_log(file, tmp_path / "set")
     for name in ("x.npz", "x.mat", "x.parquet", "x.csv"):
         for content in (b"", b"\x00" * 700, bytes(range(256)) * 40, b"PK\x03\x04" + b"\xff" * 90):
             (tmp_path / name).write_bytes(content)
             with pytest.raises(InputError):
-                rotorid.import_logs(tmp_path / name, tmp_path / "set")
+                rotorid.import_log(tmp_path / name, tmp_path / "set")
     assert not (tmp_path / "set").exists()
 
 
@@ -474,10 +474,10 @@ def test_matlab_structs_are_topics_and_hdf5_is_told(tmp_path: Path):
     inputs = {"t": columns["time"][::2], "stick": columns["lat"][::2]}
     scipy.io.savemat(file, {"log": {"imu": imu, "in": inputs, "note": "of May"}, "mass": 3.0}, do_compression=True)
     fields = {n: f"log.imu.gyro[{i}]" for i, n in enumerate("pqr")} | {"lat": "log.in.stick"}
-    close(rotorid.load(rotorid.import_logs(file, tmp_path / "set", {"channels": fields}).folder), "p q r", 1e-6)
+    close(rotorid.load(rotorid.import_log(file, tmp_path / "set", {"channels": fields}).folder), "p q r", 1e-6)
     file.write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM" + bytes(600))
     with pytest.raises(InputError, match=r"7\.3 \(HDF5\).*-v7"):
-        rotorid.import_logs(file, tmp_path / "set")
+        rotorid.import_log(file, tmp_path / "set")
 
 
 def test_csv_of_many_kinds(tmp_path: Path):
@@ -487,12 +487,12 @@ def test_csv_of_many_kinds(tmp_path: Path):
     header, *rows = plain.splitlines()
     german = [header.replace(",", ";"), *(row.replace(",", ";").replace(".", ",") for row in rows)]
     rows[7] = ",".join([*rows[7].split(",")[:-1], ""])
-    units = ",".join(["s", *["rad"] * (len(columns) - 1)])
+    units = ",".join(["s", *["furlong"] * (len(columns) - 1)])
     for text in (plain.replace("\n", "\r\n"), "\ufeff" + plain, "# " + plain, "\n".join(german)):
         file.write_text(text, newline="", encoding="utf-8")
-        close(rotorid.load(rotorid.import_logs(file, tmp_path / "set").folder), "p q r", 1e-6)
+        close(rotorid.load(rotorid.import_log(file, tmp_path / "set").folder), "p q r", 1e-6)
     file.write_text("\n".join(["", header, units, *rows, rows[-1][:20]]))
-    done = rotorid.import_logs(file, tmp_path / "set")
+    done = rotorid.import_log(file, tmp_path / "set")
     assert any("line 3 holds no numbers" in told for told in done.warnings)
     assert any("the last, is cut" in told for told in done.warnings)
     close(rotorid.load(done.folder), "p q r psi", 1e-4)
@@ -517,7 +517,7 @@ def test_csv_of_many_kinds(tmp_path: Path):
 def test_bad_csv_is_told_with_its_line(tmp_path: Path, text: str, told: str):
     (tmp_path / "f.csv").write_text(text)
     with pytest.raises(InputError) as error:
-        rotorid.import_logs(tmp_path / "f.csv", tmp_path / "set")
+        rotorid.import_log(tmp_path / "f.csv", tmp_path / "set")
     assert told in str(error.value)
 
 
@@ -526,7 +526,7 @@ def test_names_of_files_lead_nowhere(tmp_path: Path, ending: str):
     name = f"..évil {chr(7)}; rm.{ending}"
     files = {"csv": lambda f: csv(f, table()), "ulg": lambda f: write_ulog(f, px4_topics(3.0), QUAD)}
     files["bin"] = lambda f: write_dataflash(f, copter(3.0), FUNCTIONS)
-    done = rotorid.import_logs(files[ending](tmp_path / name), tmp_path / "set")
+    done = rotorid.import_log(files[ending](tmp_path / name), tmp_path / "set")
     assert list(done.flights) == ["vil_rm"]
     assert [file.name for file in (done.folder / "flights").iterdir()] == ["vil_rm.npz"]
 
@@ -566,7 +566,7 @@ LOGS = {
 
 @pytest.mark.parametrize("name", LOGS)
 def test_real_logs_become_data_sets(name: str, tmp_path: Path):
-    done = rotorid.import_logs(shared("flightdata", "logs", name), tmp_path / "set", rate=100.0)
+    done = rotorid.import_log(shared("flightdata", "logs", name), tmp_path / "set", rate=100.0)
     dataset = rotorid.load(done.folder)
     (flight,) = dataset.flights.values()
     seconds, told = LOGS[name]
@@ -609,20 +609,20 @@ def test_an_output_that_lost_its_label_is_missed(tmp_path: Path, old: bytes):
     file = write_sdlog2(tmp_path / "a.px4log", older_topics())
     file.write_bytes(file.read_bytes().replace(old, b"Name"))
     with pytest.raises(InputError, match=rf"OUT0\.{old.decode()}: is missing"):
-        rotorid.import_logs(file, tmp_path / "set")
+        rotorid.import_log(file, tmp_path / "set")
 
 
 def test_a_motor_output_that_lost_its_label_is_missed(tmp_path: Path):
     file = write_dataflash(tmp_path / "a.bin", copter(3.0), FUNCTIONS)
     file.write_bytes(file.read_bytes().replace(b"C1,C2,C3", b"C1,CX,C3"))
     with pytest.raises(InputError, match=r"RCOU\.C2: is missing"):
-        rotorid.import_logs(file, tmp_path / "set")
+        rotorid.import_log(file, tmp_path / "set")
 
 
 def test_a_message_with_the_name_of_another_one_is_passed_over(tmp_path: Path):
     file = write_dataflash(tmp_path / "a.bin", copter(3.0), FUNCTIONS)
     file.write_bytes(file.read_bytes().replace(b"ATT\x00", b"IMU\x00"))
-    done = rotorid.import_logs(file, tmp_path / "set")
+    done = rotorid.import_log(file, tmp_path / "set")
     assert any("unknown form were passed over (IMU)" in told for told in done.warnings)
     assert done.channels["p"].source == "IMU.GyrX"
     assert "phi" not in done.channels
@@ -634,7 +634,7 @@ def test_pulses_that_no_servo_takes_are_no_commands(tmp_path: Path):
     columns["C2"][40:42] = 0, 2200  # none, and a little too long
     columns["C1"][40] = 65535
     topics["RCOU"] = (time, columns)
-    done = rotorid.import_logs(write_dataflash(tmp_path / "a.bin", topics, FUNCTIONS), tmp_path / "set")
+    done = rotorid.import_log(write_dataflash(tmp_path / "a.bin", topics, FUNCTIONS), tmp_path / "set")
     assert any(told.startswith("a.bin: motor1 reaches 64.5") for told in done.warnings)
     channels = rotorid.load(done.folder).flights["a"].channels
     assert float(channels["motor2"].nan_to_num().min()) >= 0.0
@@ -644,7 +644,7 @@ def test_pulses_that_no_servo_takes_are_no_commands(tmp_path: Path):
 def test_infinite_samples_are_told(tmp_path: Path):
     columns = table()
     columns["lat"][300] = np.inf
-    done = rotorid.import_logs(csv(tmp_path / "f.csv", columns), tmp_path / "set")
+    done = rotorid.import_log(csv(tmp_path / "f.csv", columns), tmp_path / "set")
     assert any("lat reaches inf" in told for told in done.warnings)
 
 
@@ -662,4 +662,4 @@ def test_outputs_that_a_damaged_format_makes_text(tmp_path: Path):
     file = write_sdlog2(tmp_path / "a.px4log", older_topics())
     file.write_bytes(file.read_bytes().replace(b"ffffffff".ljust(16, b"\0"), b"fnffffff".ljust(16, b"\0")))
     with pytest.raises(InputError, match=r"OUT0\.Out1: is missing"):
-        rotorid.import_logs(file, tmp_path / "set")
+        rotorid.import_log(file, tmp_path / "set")

@@ -131,7 +131,7 @@ def _helicopter(log: Log) -> str:
     if match := re.search(r"Frame: HELI\w*", log.about):
         return f"a helicopter, by '{match[0]}'"
     parameter = next((name for name in log.parameters if re.match(r"H_[A-Z]", name)), "")
-    return f"a helicopter, by its setting {parameter}" if parameter and not frame else ""
+    return f"a helicopter, by its setting {parameter}" if parameter else ""
 
 
 class _Flown:
@@ -267,7 +267,7 @@ def _speeds(log: Log, outputs: dict[int, int]) -> tuple[Chosen, list[str]]:
     sources = sources or {i - 1: (f"ESC{i}", 0) for i in range(1, 9) if log.instances(f"ESC{i}")}
     turning = {i: place for i, place in sources.items() if moving(log.streams[place].columns.get("RPM", np.zeros(1)))}
     if not turning:
-        return Chosen(), []
+        return Chosen(missing="omega1 omega2 ... (no ESC that turns)"), []
     motors = {output: motor for motor, output in outputs.items()} or {i + 1: i + 1 for i in turning}
     shift = 0
     if not any(i + 1 in motors for i in turning):

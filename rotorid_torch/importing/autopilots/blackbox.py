@@ -20,6 +20,8 @@ from rotorid_torch.importing.signals.streams import Log
 SYSTEM = "blackbox"
 GYROS, FORCES, MOTORS, TURNS = "gyroADC", "accSmooth", "motor", "eRPM"
 OLDER = {GYROS: "gyroData"}
+OF_A_BLACKBOX = ("motor[0]", "servo[0]", "mixer[0]", "setpoint[0]", "rcCommand[0]")
+"""Fields of which a blackbox has one beside its gyros."""
 ACC_1G, POLES = 2048.0, 14.0
 """What the header says unless it says otherwise: counts of an accelerometer at 1 g, magnets of a motor."""
 STICK = 1000.0
@@ -31,7 +33,9 @@ _NAME = re.compile(r"\s*([A-Za-z]\w*(?:\[\d\])?)\s*(?:\(([^)]*)\))?\s*")
 
 def is_blackbox(names: Sequence[str]) -> bool:
     """Whether a table's names are a blackbox's."""
-    return "loopIteration" in names and any(_bare(name) == "time" for name in names)
+    bare = {_bare(name) for name in names}
+    gyros = any(f"{gyro}[0]" in bare for gyro in (GYROS, *OLDER.values()))
+    return "time" in bare and ("loopIteration" in bare or (gyros and not bare.isdisjoint(OF_A_BLACKBOX)))
 
 
 def clock(names: Sequence[str]) -> Clock:

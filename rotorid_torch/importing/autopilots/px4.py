@@ -249,10 +249,15 @@ def _from_outputs(log: Log, topic: str, prefix: str, wired: Mapping[int, int], n
         return sum(map(moving, [outputs[i] for i in places if i < len(outputs)] or outputs[: number or 8]))
 
     counts = {instance: stirred(instance) for instance in log.instances(topic)}
-    chosen = max(counts, key=lambda instance: counts[instance])
+    later = prefix not in ("", WIRED[0])  # drivers publish in this order, PWM_MAIN first
+    chosen = max(counts, key=lambda instance: (counts[instance], instance if later else -instance))
     reason = ""
     if len(counts) > 1:
-        why = "most outputs move there" if counts[chosen] else "no output moves in any"
+        why = (
+            f"most outputs{f' of {prefix}' if prefix else ''} move there"
+            if counts[chosen]
+            else "no output moves in any"
+        )
         reason = f"{topic} has instances {', '.join(map(str, counts))}: {chosen} is used ({why})"
     outputs = _outputs(log, topic, chosen, form, number)
     count = number or sum(map(moving, outputs[:8])) or 4
@@ -287,7 +292,7 @@ def _outputs(log: Log, topic: str, instance: int, form: str, number: int) -> lis
 def _speeds(log: Log, prefix: str, number: int) -> tuple[Chosen, list[str]]:
     """Rotor speeds by motor: a speed controller belongs to the motor of its function, or of its output."""
     if not log.instances(ESC):
-        return Chosen(), []
+        return Chosen(missing=f"omega1 omega2 ... (no {ESC})"), []
     instance = log.instances(ESC)[0]
     stream = log.streams[ESC, instance]
     turning = [i for i in range(MOST) if moving(stream.columns.get(f"esc[{i}].esc_rpm", np.zeros(1)))]

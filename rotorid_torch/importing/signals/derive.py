@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from rotorid_torch.importing.signals.fields import Signal
+from rotorid_torch.importing.signals.plan import QUATERNION
 
 Signals = dict[str, Signal]
-QUATERNION = ("q0", "q1", "q2", "q3")
 ANGLES = ("phi", "theta", "psi")
 VELOCITY = ("vn", "ve", "vd")
 OVER, STEEP = 2.4, 1.2

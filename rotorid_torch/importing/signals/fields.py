@@ -114,7 +114,7 @@ def increasing(time: np.ndarray) -> np.ndarray:
     if finite.all() and len(steps) and (steps > 0).all() and steps.max() < ASTRAY_S:
         return np.arange(len(time))
     places = np.flatnonzero(finite)
-    places = places[~_astray(time[places])]
+    places = places[~astray(time[places])]
     stamps = time[places]
     if len(stamps) < 2 or stamps.min() == stamps.max():
         raise BadClock(f"stands still at {time[finite][0]:.6g} s", "a clock that runs")
@@ -133,7 +133,7 @@ def increasing(time: np.ndarray) -> np.ndarray:
     return places[order][new]
 
 
-def _astray(time: np.ndarray) -> np.ndarray:
+def astray(time: np.ndarray) -> np.ndarray:
     """Single stamps, or pairs, far from the median of the five around them."""
     if len(time) < 5:
         return np.zeros(len(time), bool)

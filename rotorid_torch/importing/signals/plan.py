@@ -10,6 +10,8 @@ import numpy as np
 from rotorid_torch.importing.signals.mapping import Entry
 from rotorid_torch.importing.signals.streams import Log, is_numbers, joined
 
+QUATERNION = ("q0", "q1", "q2", "q3")
+"""From body to north-east-down axes, scalar first; becomes phi, theta, psi."""
 FASTER = 1.8
 """A later alternative is taken where it is recorded that much faster."""
 
@@ -51,11 +53,15 @@ def triple(
 
 @dataclass(frozen=True)
 class Chosen:
-    """Entries of one group, how often it is recorded (Hz), and why it was taken; empty where there was no choice."""
+    """Entries of one group, how often it is recorded (Hz), and why it was taken; empty where there was no choice.
+
+    Where there are no entries, `missing` says which channels have no data, and in which topics they were looked for.
+    """
 
     entries: Mapping[str, Entry] = field(default_factory=dict)
     hertz: float = 0.0
     reason: str = ""
+    missing: str = ""
 
     def reasons(self) -> dict[str, str]:
         """The reason by channel; channels of which there is none are left out."""
@@ -99,7 +105,10 @@ def first_or_faster(log: Log, alternatives: Sequence[Group], instance: Instances
             left.append(f"{best.reason} left: {best.hertz:.3g} Hz against {hertz:.3g} Hz")
             best, chosen_why = Chosen(named(group, number), hertz, name), why
     if not best.entries:
-        return Chosen(reason="; ".join(left))
+        words = (c if c not in QUATERNION else "phi theta psi" for group in alternatives for c in group.entries)
+        channels = " ".join(dict.fromkeys(" ".join(words).split()))
+        topics = ", ".join(dict.fromkeys(group.topic for group in alternatives))
+        return Chosen(missing=f"{channels} ({'; '.join(left) or f'no {topics}'})")
     return Chosen(best.entries, best.hertz, "; ".join([*([chosen_why] if chosen_why else []), *left]))
 
 
@@ -144,5 +153,8 @@ def merged(
     """Plan of all choices, later ones first where two have a channel; reasons of what was left are notes too."""
     entries = {name: entry for one in chosen for name, entry in one.entries.items()}
     reasons = {name: reason for one in chosen for name, reason in one.reasons().items()}
-    sentences = [f"{', '.join(one.entries) or 'a source'}: {one.reason}" for one in chosen if one.reason]
-    return Plan(kind, entries, (*notes, *sentences), vehicle or {}, reasons)
+    sentences = [f"{', '.join(one.entries)}: {one.reason}" for one in chosen if one.reason and one.entries]
+    absent = [one.missing for one in chosen if one.missing]
+    missing = ", ".join(m for m in absent if entries.keys().isdisjoint(m.partition(" (")[0].split()))
+    none = [f"no data: {missing}"] if missing else []
+    return Plan(kind, entries, (*notes, *sentences, *none), vehicle or {}, reasons)

@@ -12,8 +12,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from rotorid_torch.importing.signals.derive import QUATERNION, euler
+from rotorid_torch.importing.signals.derive import euler
 from rotorid_torch.importing.signals.fields import Signal
+from rotorid_torch.importing.signals.plan import QUATERNION
 from rotorid_torch.importing.signals.streams import Log, Stream, is_numbers
 
 Signals = dict[str, Signal]

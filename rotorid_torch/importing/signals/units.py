@@ -62,9 +62,16 @@ UNITS: dict[str, Unit] = {
 """`us` of a control is a servo pulse; of a clock it is a microsecond, see `clock_unit`."""
 
 
+SPELLINGS = (
+    *(("degrees", "deg"), ("degree", "deg"), ("radians", "rad"), ("radian", "rad"), ("°", "deg"), ("/sec", "/s")),
+    *(("**2", "²"), ("^2", "²"), ("/s2", "/s²"), ("/s/s", "/s²"), ("µs", "us")),
+)
+"""What people write, and the same as the table has it."""
+
+
 def find_unit(name: str) -> Unit | None:
     """Unit of this name, also written with ^2 or a plain 2; None where the table has none."""
-    for typed, meant in (("**2", "²"), ("^2", "²"), ("/s2", "/s²"), ("/s/s", "/s²"), ("µs", "us")):
+    for typed, meant in SPELLINGS:
         name = name.replace(typed, meant)
     return UNITS.get(name.strip())
 

@@ -62,8 +62,11 @@ def find_header(lines: Sequence[str], columns: Sequence[str] = ()) -> Header | N
     names = split(head, mark)
     after = filled[1] if len(filled) > 1 else len(lines)
     start = _first_row(lines, filled)
-    if start is None or (not columns and _plain(names, lines, filled, start)):
-        return Header(mark, names, after if not columns else filled[0], [])
+    if start is None or (not columns and _plain(names, start)):
+        if columns:
+            return Header(mark, names, filled[0], [])
+        full, understood = _with_units(names, split(_bare(lines[after]), mark) if after < len(lines) else [])
+        return Header(mark, full or names, filled[2] if understood and len(filled) > 2 else after, [])
     at, mark, count = start
     rows = [split(_bare(lines[index]), mark) for index in filled[:at]]
     if columns:
@@ -73,8 +76,8 @@ def find_header(lines: Sequence[str], columns: Sequence[str] = ()) -> Header | N
         return Header(mark, rows[-1], filled[at], [])
     if not above or len(rows[-1]) != count:
         return Header(mark, [str(number) for number in range(1, count + 1)], filled[at], rows)
-    names_line = above[0] if len(above) == 2 and _are_units(above[1]) else above[-1]
-    return Header(mark, names_line, filled[at], rows)
+    full, _ = _with_units(above[0], above[1]) if len(above) == 2 else ([], False)
+    return Header(mark, full or above[-1], filled[at], rows)
 
 
 def _bare(line: str) -> str:
@@ -86,9 +89,7 @@ def _mark(line: str) -> str | None:
     return mark if mark in line else None
 
 
-def _plain(
-    names: Sequence[str], lines: Sequence[str], filled: Sequence[int], start: tuple[int, str | None, int]
-) -> bool:
+def _plain(names: Sequence[str], start: tuple[int, str | None, int]) -> bool:
     """Whether the first line is the header: names, as many as the rows have fields, more than a key and its value."""
     words = not any(is_number(name) for name in names)
     return words and len(names) == start[2] and (len(names) > 2 or start[0] == 1)
@@ -115,7 +116,16 @@ def _numbers(line: str, mark: str | None) -> int:
     return len(fields) if whole else 0
 
 
-def _are_units(fields: Sequence[str]) -> bool:
-    stripped = [field.strip("[]() ") for field in fields]
+def _with_units(names: Sequence[str], row: Sequence[str]) -> tuple[list[str], bool]:
+    """Names with the units of the row after them in brackets, and whether all of these are known.
+
+    A row is of units where at least half of its fields are, else there is none; a unit in the name itself comes first.
+    """
+    stripped = [field.strip("[]() ") for field in row]
+    known = [field if units.find_unit(field) or units.clock_unit(field) else "" for field in stripped]
     present = [field for field in stripped if field and field != "-"]
-    return bool(present) and all(units.find_unit(field) or units.clock_unit(field) for field in present)
+    if len(row) != len(names) or not present or 2 * len([*filter(None, known)]) < len(present):
+        return [], False
+    bare = [name if "[" in name or "(" in name else "" for name in names]
+    full = [b or (f"{name} [{unit}]" if unit else name) for b, name, unit in zip(bare, names, known, strict=True)]
+    return full, len([*filter(None, known)]) == len(present)

@@ -22,7 +22,7 @@ def written(file: Path, before: str, header: str, columns: list[np.ndarray], mar
 
 
 def channels(file: Path, where: Path, given: object = None) -> dict[str, np.ndarray]:
-    done = rotorid.import_logs(file, where / "set", given)
+    done = rotorid.import_log(file, where / "set", given)
     (flight,) = rotorid.load(done.folder).flights.values()
     return {name: values.numpy() for name, values in flight.channels.items()}
 
@@ -88,7 +88,7 @@ def test_a_map_may_skip_rows(tmp_path: Path):
     given = {"skip_rows": 2, "columns": NAMES.split(","), "channels": {n: n for n in ("lat", "p", "q", "phi")}}
     assert near(channels(file, tmp_path, given))
     with pytest.raises(InputError, match="time: is missing"):
-        rotorid.import_logs(file, tmp_path / "bare")
+        rotorid.import_log(file, tmp_path / "bare")
 
 
 def box(header: str, low: float, high: float, time: str = "time", unit: str = "") -> tuple[str, str, list[np.ndarray]]:

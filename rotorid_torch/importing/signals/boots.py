@@ -1,0 +1,58 @@
+"""Several boots in one log: clocks that begin again make one log each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from rotorid_torch.importing.signals.fields import ASTRAY_S, OUT_OF_ORDER, astray
+from rotorid_torch.importing.signals.streams import Log, Stream
+
+LEAST = 50
+"""Samples of a stream that has a say in how many boots there are."""
+MOST = 20
+"""Boots of a log; a clock that begins again more often is none."""
+
+
+def boots(log: Log) -> list[Log]:
+    """One log for each boot, in the file's order; the log itself where no clock begins again.
+
+    Streams that do not begin again as often as most do are left out, for nothing says to which boot they belong.
+    """
+    begun = {place: _beginnings(stream.time) for place, stream in log.streams.items()}
+    counts = [len(starts) for place, starts in begun.items() if len(log.streams[place].time) >= LEAST]
+    count = max(counts, key=counts.count, default=1)
+    if count == 1:
+        return [log]
+    whole = {place: starts for place, starts in begun.items() if len(starts) == count}
+    left = [topic for topic, instance in begun if (topic, instance) not in whole and topic]
+    note = f"the clock begins again: {count} boots, each a flight of its own"
+    note += f" ({', '.join(dict.fromkeys(left))} left out: not in every boot)" if left else ""
+    return [
+        replace(log, streams=_part(log, whole, i), warnings=(*log.warnings, *([note] if i == 0 else [])))
+        for i in range(count)
+    ]
+
+
+def _part(log: Log, begun: Mapping[tuple[str, int], list[int]], number: int) -> dict[tuple[str, int], Stream]:
+    parts = {}
+    for place, starts in begun.items():
+        stream = log.streams[place]
+        part = slice(starts[number], (*starts, len(stream.time))[number + 1])
+        parts[place] = Stream(stream.time[part], {name: values[part] for name, values in stream.columns.items()})
+    return parts
+
+
+def _beginnings(time: np.ndarray) -> list[int]:
+    """First sample of each boot of a clock (T,) in s.
+
+    A clock begins again where it runs back by over `ASTRAY_S` and on from there, for long enough to be a record.
+    """
+    finite = np.flatnonzero(np.isfinite(time))
+    usual = finite[~astray(time[finite])]
+    back = usual[1:][np.diff(time[usual]) < -ASTRAY_S]
+    starts = [0, *back.tolist()]
+    lengths = np.diff([*starts, len(time)])
+    return starts if len(starts) <= MOST and lengths.min() >= OUT_OF_ORDER * lengths.max() else [0]
