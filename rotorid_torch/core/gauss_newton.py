@@ -1,6 +1,6 @@
 """Bounded Gauss-Newton: Levenberg-Marquardt damping scaled by the columns, projected active set, least squares by QR.
 
-Knows nothing of flight. The problem is told by two functions: `evaluate(theta, base, share)` gives the point there
+Knows nothing of flight. The problem is stated by two functions: `evaluate(theta, base, share)` gives the point there
 (one simulation; `base` is the point the step started from, `share` the part of their own step that eliminated unknowns
 are to make), `linearise(point)` the linear model of its residual (one Jacobian), asked for only after acceptance.
 """
@@ -24,6 +24,8 @@ ROUNDING = 1e-20
 STIFFEST = 1e4
 """Damping at which the parameters hardly move. A step that needs more waits for what is eliminated to settle; the next
 one begins with no more than this, for then they must be able to move again."""
+TRIALS = 12
+"""Damped steps that one iteration tries."""
 NAMED_SHARE = 0.1
 """Share of a direction that cannot be told above which a parameter in it is named."""
 
@@ -46,10 +48,36 @@ P = TypeVar("P", bound=Point)
 Evaluate = Callable[[Tensor, P | None, float], P]
 
 
+@dataclass(frozen=True)
+class Region:
+    """Where parameters may be: bounds [n], infinite where there are none, and a mask [n], False for what is held.
+
+    Where both bounds are finite their distance is also the range beyond which a direction's standard error makes it not
+    identifiable (residuals are whitened).
+    """
+
+    lower: Tensor
+    upper: Tensor
+    free: Tensor | None = None
+
+    @property
+    def mask(self) -> Tensor:
+        """What is free; all where nothing is said."""
+        return torch.ones_like(self.lower, dtype=torch.bool) if self.free is None else self.free
+
+    def part(self, which: slice, free: Tensor | None = None) -> Region:
+        """The region of some of the parameters."""
+        return Region(self.lower[which], self.upper[which], free)
+
+    def on_bound(self, theta: Tensor) -> Tensor:
+        """Mask [n] of the parameters on or beyond a bound."""
+        return (theta <= self.lower) | (theta >= self.upper)
+
+
 class Linear(NamedTuple):
     """Near a point the cost is 1/2 |b - A step|^2 plus a constant, A [m, n], b [m].
 
-    `own` is the decrease that comes with any step, of unknowns that were eliminated from A.
+    `prior_cost` is the decrease that comes with any step, of unknowns that were eliminated from A.
     """
 
     A: Tensor
@@ -69,7 +97,6 @@ class Options:
     tolerance: float = 1e-8  # predicted decrease of the cost, over the cost's size
     absolute: float = 0.0  # the same without that; for a log-likelihood 1e-4 is a hundredth of a standard error
     damping: float = 1e-3
-    max_trials: int = 12  # of one iteration
 
 
 @dataclass(frozen=True)
@@ -96,7 +123,7 @@ class InfiniteCost(ValueError):
 @dataclass(frozen=True)
 class _Subproblem:
     linear: Linear
-    bounds: tuple[Tensor, Tensor]  # of theta
+    region: Region
     lower: Tensor  # of the step
     upper: Tensor
     free: Tensor
@@ -107,10 +134,7 @@ def minimise(
     evaluate: Evaluate[P],
     linearise: Callable[[P], Linear],
     start: Tensor | P,
-    lower: Tensor,
-    upper: Tensor,
-    *,
-    free: Tensor | None = None,
+    region: Region,
     options: Options | None = None,
     monitor: Callable[[int, float, Tensor], None] | None = None,
 ) -> Minimum[P]:
@@ -121,9 +145,6 @@ def minimise(
     evaluate : the point at theta [n]; must not fail, a cost of infinity or NaN rejects the step.
     linearise : linear model of the residual at an accepted point.
     start : parameters [n], or a point already evaluated.
-    lower, upper : [n] bounds, infinite where there are none. Where both are finite their distance is also the range
-        beyond which a direction's standard error makes it not identifiable (residuals are whitened).
-    free : [n] mask, False holds a parameter.
     monitor : called after each accepted step with iteration, cost, theta.
 
     Raises
@@ -134,14 +155,13 @@ def minimise(
     held directions: Jategaonkar, Flight Vehicle System Identification, sec. 4.
     """
     options = options or Options()
-    point = evaluate(torch.clamp(start, lower, upper), None, 1.0) if isinstance(start, Tensor) else start
-    free = torch.ones_like(lower, dtype=torch.bool) if free is None else free
+    point = evaluate(torch.clamp(start, region.lower, region.upper), None, 1.0) if isinstance(start, Tensor) else start
     damping, history, message, converged, iteration = options.damping, [point.cost], "", False, 0
     while True:
         linear = linearise(point)
         if not math.isfinite(point.cost):
             raise InfiniteCost
-        problem, blind = _subproblem(linear, point.theta, lower, upper, free)
+        problem, blind = _subproblem(linear, point.theta, region)
         whole = linear.decrease(_bounded_step(problem, 0.0)) + linear.prior_cost
         if whole <= options.tolerance * abs(point.cost) + options.absolute + ROUNDING * abs(history[0]):
             converged, message = True, "converged: the predicted decrease is below the tolerance"
@@ -158,31 +178,28 @@ def minimise(
         history.append(point.cost)
         if monitor is not None:
             monitor(iteration, point.cost, point.theta)
-    held = free & ((point.theta <= lower) | (point.theta >= upper))
-    return Minimum(point, linear, held, blind & free, converged, message, iteration, history)
+    masks = region.mask & region.on_bound(point.theta), region.mask & blind
+    return Minimum(point, linear, *masks, converged, message, iteration, history)
 
 
-def undetermined(linear: Linear, theta: Tensor, lower: Tensor, upper: Tensor) -> Tensor:
+def undetermined(linear: Linear, theta: Tensor, region: Region) -> Tensor:
     """Mask [n] of the parameters in directions that the data cannot tell at a point, as `minimise` names them."""
-    return _subproblem(linear, theta, lower, upper, torch.ones_like(lower, dtype=torch.bool))[1]
+    return _subproblem(linear, theta, region)[1]
 
 
-def _subproblem(
-    linear: Linear, theta: Tensor, lower: Tensor, upper: Tensor, free: Tensor
-) -> tuple[_Subproblem, Tensor]:
+def _subproblem(linear: Linear, theta: Tensor, region: Region) -> tuple[_Subproblem, Tensor]:
     """The bounded linear problem at a point, directions that the data cannot tell held; and the mask of those named."""
-    A, b, prior_weight = linear
+    (A, b, prior_weight), lower, upper = linear, region.lower, region.upper
     norms = torch.linalg.vector_norm(A, dim=0)
     A, norms = (torch.where(norms.isfinite(), part, 0.0) for part in (A, norms))  # what has exploded tells nothing
     zero = norms <= FLOOR
     gradient = -(A.mT @ b)
     inward = ~(((theta <= lower) & (gradient > 0)) | ((theta >= upper) & (gradient < 0)))
-    mask = free & inward & ~zero
+    mask = region.mask & inward & ~zero
     mask, named = _determined(A, norms, upper - lower, mask)
     scale = torch.where(zero, torch.ones_like(norms), norms)
-    return _Subproblem(
-        Linear(A, b, prior_weight), (lower, upper), lower - theta, upper - theta, mask, scale
-    ), zero | named
+    linear = Linear(A, b, prior_weight)
+    return _Subproblem(linear, region, lower - theta, upper - theta, mask, scale), zero | named
 
 
 def _determined(A: Tensor, norms: Tensor, span: Tensor, mask: Tensor) -> tuple[Tensor, Tensor]:
@@ -242,7 +259,7 @@ def _bounded_step(problem: _Subproblem, damping: float) -> Tensor:
 def _moved(theta: Tensor, step: Tensor, problem: _Subproblem) -> Tensor:
     """Theta after the step, exactly on a bound where the step ends there."""
     on_bound = (step <= problem.lower) | (step >= problem.upper)
-    bound = torch.where(step <= problem.lower, problem.bounds[0], problem.bounds[1])
+    bound = torch.where(step <= problem.lower, problem.region.lower, problem.region.upper)
     return torch.where(on_bound, bound, theta + step)
 
 
@@ -250,7 +267,7 @@ def _descend(
     evaluate: Evaluate[P], point: P, problem: _Subproblem, damping: float, options: Options
 ) -> tuple[P | None, float]:
     """The first damped step that lowers the cost, and the damping to go on with."""
-    for attempt in range(options.max_trials):
+    for attempt in range(TRIALS):
         step = _bounded_step(problem, damping)
         share = 0.5 ** max(attempt - 2, 0)
         trial = evaluate(_moved(point.theta, step, problem), point, share)

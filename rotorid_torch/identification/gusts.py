@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from rotorid_torch.core.gauss_newton import Linear, Minimum, Options, minimise
+from rotorid_torch.core.gauss_newton import Linear, Minimum, Options, Region, minimise
 from rotorid_torch.core.names import VELOCITIES
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.identification.estimate.initial_states import smallest_noise
@@ -227,9 +227,8 @@ def _noises(problem: FilterProblem, held: int, floor: Tensor) -> tuple[Minimum[F
         engine = replace(engine, problem=_with_spread(problem, psi))
         psi = _followed(engine, psi, floor, x0) if found is None else psi
         likelihood = InnovationLikelihood(Noises(engine, psi[:held]), x0, free=False)
-        found = minimise(
-            likelihood.evaluate, likelihood.linearise, psi[held:], lower[held:], upper[held:], options=ENOUGH
-        )
+        noises = Region(lower[held:], upper[held:])
+        found = minimise(likelihood.evaluate, likelihood.linearise, psi[held:], noises, ENOUGH)
         psi = torch.cat([psi[:held], found.point.theta])
     assert found is not None
     return found, engine, x0

@@ -14,7 +14,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.gauss_newton import Linear, Options, minimise
+from rotorid_torch.core.gauss_newton import Linear, Options, Region, minimise
 from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
 from rotorid_torch.identification.rotor_equations import RotorEquations, Seen
@@ -113,7 +113,7 @@ class MeasuredStates:
             def linearise(place: _Place, sigma: Mapping[str, float] = sigma) -> Linear:
                 return self._linear(whole(place.theta), names, sigma, prior)
 
-            best = minimise(evaluate, linearise, best, lower, upper, options=options).point.theta
+            best = minimise(evaluate, linearise, best, Region(lower, upper), options).point.theta
         theta = whole(best)
         errors, without = self._errors(theta, names, prior[1]), self._without(theta, names, prior)
         return MeasuredFit(theta, errors, self._constants(theta), without, self._explained(theta))

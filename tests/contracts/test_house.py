@@ -27,11 +27,9 @@ PUBLIC = {
 """What users call, with an option a keyword."""
 
 LONG = {
-    "core.gauss_newton:minimise",
     "identification.estimate.output_error:settings_of",
     "identification.estimate.progressive_fit:fit",
     "identification.estimate.sensitivity:corrected",
-    "identification.filter_error.held_gain:alternated",
     "identification.model_estimation:estimate_model",
     "identification.model_regression:_follow",
     "identification.reconstruct.gauss_markov:largest_constant",

@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 from torch import Tensor
 from torch.func import jacrev
 
-from rotorid_torch.core.gauss_newton import Linear, Minimum, Options, minimise
+from rotorid_torch.core.gauss_newton import Linear, Minimum, Options, Region, minimise
 
 
 @dataclass
@@ -23,7 +23,7 @@ class Where:
 
 
 def solve(
-    residual: Callable[[Tensor], Tensor], start: Tensor, lower: Tensor, upper: Tensor, **more: object
+    residual: Callable[[Tensor], Tensor], start: Tensor, lower: Tensor, upper: Tensor, free: Tensor | None = None
 ) -> Minimum[Where]:
     def evaluate(theta: Tensor, base: Where | None, share: float) -> Where:
         return Where(theta, 0.5 * float(residual(theta).square().sum()))
@@ -31,7 +31,7 @@ def solve(
     def linearise(point: Where) -> Linear:
         return Linear(jacrev(residual)(point.theta), -residual(point.theta))
 
-    return minimise(evaluate, linearise, start, lower, upper, options=Options(tolerance=1e-12), **more)
+    return minimise(evaluate, linearise, start, Region(lower, upper, free), Options(tolerance=1e-12))
 
 
 TIMES = torch.linspace(0.0, 3.0, 60, dtype=torch.float64)
@@ -143,9 +143,8 @@ def test_a_failed_trial_costs_no_jacobian_and_the_monitor_sees_accepted_steps() 
         evaluate,
         linearise,
         tensor(3.0),
-        -wide,
-        wide,
-        options=Options(damping=1e-6),
+        Region(-wide, wide),
+        Options(damping=1e-6),
         monitor=lambda i, c, th: seen.append(c),
     )
     assert abs(float(found.point.theta)) < 1e-3
@@ -171,6 +170,6 @@ def test_parameters_move_again_once_what_is_eliminated_has_settled() -> None:
         return Linear(torch.eye(1, dtype=torch.float64), 2.0 - point.theta, 1.0 if point.left else 0.0)
 
     wide = tensor(math.inf)
-    found = minimise(evaluate, linearise, tensor(1.0), -wide, wide, options=Options(max_iterations=25))
+    found = minimise(evaluate, linearise, tensor(1.0), Region(-wide, wide), Options(max_iterations=25))
     assert found.converged
     assert float(found.point.theta) == pytest.approx(2.0, abs=1e-3)

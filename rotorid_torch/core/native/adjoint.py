@@ -15,7 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.native.build import library, threads
+from rotorid_torch.core.native.build import address, library, threads
 from rotorid_torch.core.native.dynamics import Dynamics, evaluation, sizes
 from rotorid_torch.core.native.graph.derivatives import pullback
 from rotorid_torch.core.native.graph.emit import SHARED, Constants, straight_line
@@ -82,7 +82,7 @@ class Adjoint:
             count,
             samples,
             ctypes.c_double(dt),
-            *(ctypes.c_void_p(a.data_ptr()) for a in (controls, states, theta, by_states, by_outputs, *pulled)),
+            *(address(a) for a in (controls, states, theta, by_states, by_outputs, *pulled)),
             threads(),
         )
         return pulled

@@ -17,6 +17,9 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import torch
+from torch import Tensor
+
 from rotorid_torch.core.fallback import Unsupported, say_once
 from rotorid_torch.core.processes.children import child
 from rotorid_torch.core.storage import cache
@@ -164,6 +167,16 @@ def _run(command: list[str], folder: Path) -> tuple[int, str]:
     with child(command, stdout=quiet, stderr=pipe, errors="replace", env=around) as running:
         said = running.communicate(timeout=LIMIT_S)[1]
     return running.returncode, said
+
+
+def ready(values: Tensor, dtype: torch.dtype = torch.float64) -> Tensor:
+    """Values as a library takes them: of this type, in one piece."""
+    return values.detach().to(dtype).contiguous()
+
+
+def address(values: Tensor | None) -> ctypes.c_void_p:
+    """Where values lie, null for none."""
+    return ctypes.c_void_p(None if values is None else values.data_ptr())
 
 
 def _first_error(output: str) -> str:

@@ -12,7 +12,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.native.build import lanes, library
+from rotorid_torch.core.native.build import address, lanes, library, ready
 from rotorid_torch.core.native.graph.derivatives import Columns, Tangent, derivatives
 from rotorid_torch.core.native.graph.emit import SHARED, Constants, straight_line
 from rotorid_torch.core.native.graph.symbols import Graph
@@ -51,7 +51,6 @@ class Dynamics:
     path : parameters that the controls depend on (their derivatives come with the controls).
     biased : outputs with a constant of their own as further unknowns.
     initial : whether initial states are unknowns.
-    classic : Runge's rule instead of the 3/8 rule.
     hold : controls stay as they are within a step; else they are linear.
     """
 
@@ -65,7 +64,6 @@ class Dynamics:
     path: tuple[int, ...] = ()
     biased: tuple[int, ...] = ()
     initial: bool = True
-    classic: bool = False
     hold: bool = False
 
     @classmethod
@@ -128,11 +126,7 @@ class Dynamics:
 
     @property
     def _head(self) -> str:
-        return (
-            ("#define CLASSIC\n" if self.classic else "")
-            + ("#define HOLD\n" if self.hold else "")
-            + '#include "lanes.h"\n'
-        )
+        return ("#define HOLD\n" if self.hold else "") + '#include "lanes.h"\n'
 
     def simulate(
         self, theta: Tensor, x0: Tensor, controls: Tensor, dt: float, limit: float = math.inf, threads: int = 1
@@ -142,7 +136,7 @@ class Dynamics:
         limit : states and rates beyond it are held there; infinite for none.
         """
         source, numbers = self.simulation
-        x0, controls, theta = _ready(x0), _ready(controls), _ready(torch.cat([theta, numbers]))
+        x0, controls, theta = ready(x0), ready(controls), ready(torch.cat([theta, numbers]))
         count, samples = controls.shape[:2]
         states, outputs = (torch.empty(count, samples, n, dtype=torch.float64) for n in (self.nx, self.ny))
         library(source).simulate(
@@ -150,7 +144,7 @@ class Dynamics:
             samples,
             ctypes.c_double(dt),
             ctypes.c_double(limit),
-            *(_address(a) for a in (controls, x0, theta, states, outputs)),
+            *(address(a) for a in (controls, x0, theta, states, outputs)),
             threads,
         )
         return states, outputs
@@ -160,7 +154,7 @@ class Dynamics:
 
         Columns: initial states where they are unknowns (else the second is NaN), biases, parameters, residual.
         """
-        order = self.order()
+        order = self.columns.order()
         count, n = len(problem.x0), len(order)
         H = torch.zeros(count, n, n, dtype=torch.float64)
         passage = torch.full((count, self.nx, self.nx), math.nan, dtype=torch.float64)
@@ -169,7 +163,7 @@ class Dynamics:
 
     def whitened_rows(self, problem: LinearProblem, threads: int = 1) -> Tensor:
         """The whitened rows themselves [S, T ny, n], zero beyond a segment's end; columns as in `normal_equations`."""
-        order = self.order()
+        order = self.columns.order()
         rows = torch.zeros(len(problem.x0), problem.samples * self.ny, len(order), dtype=torch.float64)
         self._call("whitened_rows", problem, order, (rows,), threads)
         return rows
@@ -182,38 +176,33 @@ class Dynamics:
         """
         reduced, top = H.clone(), torch.zeros(len(H), first, H.shape[-1], dtype=torch.float64)
         library(self.sensitivity[0]).triangles(
-            len(H), H.shape[-1], first, ctypes.c_double(weak), _address(reduced), _address(top)
+            len(H), H.shape[-1], first, ctypes.c_double(weak), address(reduced), address(top)
         )
         return top, reduced[:, first:, first:]
-
-    def order(self) -> Tensor:
-        """Columns of a row in the order of results: initial states, biases, parameters, residual."""
-        columns = self.columns
-        first_x0 = columns.loop + columns.path
-        starts = range(first_x0, first_x0 + columns.starts)
-        return torch.tensor([*starts, *columns.biases, *columns.parameters, columns.residual], dtype=torch.int32)
 
     def _call(
         self, name: str, problem: LinearProblem, order: Tensor, results: tuple[Tensor, ...], threads: int
     ) -> None:
         source, numbers = self.sensitivity
-        theta = _ready(torch.cat([problem.theta, numbers]))
-        arrays = (problem.length, problem.controls, self.padded(problem.path), problem.residual, problem.x0, theta)
+        theta = ready(torch.cat([problem.theta, numbers]))
+        arrays = (
+            problem.length,
+            problem.controls,
+            self.columns.padded(problem.path),
+            problem.residual,
+            problem.x0,
+            theta,
+        )
         whitening = (problem.weight, problem.pattern, problem.table)
         getattr(library(source), name)(
             len(problem.x0),
             problem.samples,
             ctypes.c_double(problem.dt),
-            *(_address(a) for a in (*arrays, *whitening)),
+            *(address(a) for a in (*arrays, *whitening)),
             len(order),
-            *(_address(a) for a in (order, *results)),
+            *(address(a) for a in (order, *results)),
             threads,
         )
-
-    def padded(self, path: Tensor) -> Tensor | None:
-        """Derivatives of the controls [S, T, nu, n] filled up to whole vectors."""
-        missing = self.columns.path - len(self.path)
-        return torch.nn.functional.pad(path, (0, missing)).contiguous() if self.path else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,11 +229,3 @@ class LinearProblem:
     def samples(self) -> int:
         """Samples of the longest segment."""
         return self.controls.shape[1]
-
-
-def _ready(values: Tensor) -> Tensor:
-    return values.detach().to(torch.float64).contiguous()
-
-
-def _address(values: Tensor | None) -> ctypes.c_void_p:
-    return ctypes.c_void_p(None if values is None else values.data_ptr())

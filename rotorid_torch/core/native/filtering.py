@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.native.build import library
+from rotorid_torch.core.native.build import library, ready
 from rotorid_torch.core.native.dynamics import evaluation, sizes
 from rotorid_torch.core.native.graph.emit import Constants
 from rotorid_torch.core.native.graph.symbols import Graph
@@ -32,7 +32,7 @@ class Weights:
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class FlightsToFilter:
     """Flights F of T samples each, and what is known beforehand.
 
     mean, covariance : [F, nx], [F, nx, nx] of the first sample's state. R : [ny, ny]. controls : [F, T, nu].
@@ -52,7 +52,7 @@ class Problem:
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class FilteredFlights:
     """[F, T, ...] as in `identification.reconstruct.unscented_filter.Filtered`; None where not asked for."""
 
     means: Tensor
@@ -107,8 +107,8 @@ class CompiledFilter:
         return cls(text, constants.numbers())
 
     def run(
-        self, problem: Problem, weights: Weights, smooth: bool = True, spreads: bool = True, threads: int = 1
-    ) -> Answer:
+        self, problem: FlightsToFilter, weights: Weights, smooth: bool = True, spreads: bool = True, threads: int = 1
+    ) -> FilteredFlights:
         """Filter, and smooth, all flights; the answer does not depend on the number of threads.
 
         spreads : write down the innovations' covariances.
@@ -118,9 +118,9 @@ class CompiledFilter:
         Unsupported : it cannot be compiled here. MemoryError : the smoother's memory does not suffice.
         """
         ready_arrays = {
-            name: _ready(getattr(problem, name)) for name in ("controls", "outputs", "mean", "covariance", "R")
+            name: ready(getattr(problem, name)) for name in ("controls", "outputs", "mean", "covariance", "R")
         }
-        noise, places = _ready(problem.values), [_ready(p, torch.int64) for p in (problem.rows, problem.columns)]
+        noise, places = ready(problem.values), [ready(p, torch.int64) for p in (problem.rows, problem.columns)]
         (flights, samples, ny), nx = problem.outputs.shape, problem.mean.shape[-1]
 
         def empty(*shape: int, wanted: bool = True) -> Tensor | None:
@@ -155,7 +155,7 @@ class CompiledFilter:
         if library(self.source).unscented(ctypes.byref(settings), ctypes.byref(task), threads):
             raise MemoryError(f"smoothing {samples} samples of {nx} states")
         answer["innovation_covariances"], answer["log_likelihood"] = answer.pop("spreads"), answer.pop("likelihood")
-        return Answer(**answer)  # pyright: ignore[reportArgumentType]
+        return FilteredFlights(**answer)  # pyright: ignore[reportArgumentType]
 
 
 def _check_one_point(name: str, function: Function, x: Tensor, u: Tensor, n: int) -> None:
@@ -170,7 +170,3 @@ def _check_one_point(name: str, function: Function, x: Tensor, u: Tensor, n: int
             raise Unsupported(f"for one state, its {name} have shape {tuple(alone.shape[1:])}, not ({n},)")
         if not torch.allclose(alone, among_all, rtol=1e-9, atol=1e-12, equal_nan=True):
             raise Unsupported(f"its {name} differ from flight to flight; what does must come in with the controls")
-
-
-def _ready(array: Tensor, dtype: torch.dtype = torch.float64) -> Tensor:
-    return array.detach().to(dtype).contiguous()

@@ -10,7 +10,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.native.build import lanes, library
+from rotorid_torch.core.native.build import address, lanes, library
 from rotorid_torch.core.native.dynamics import sizes, traced
 from rotorid_torch.core.native.graph.derivatives import Columns, Derivatives, Tangent, derivatives
 from rotorid_torch.core.native.graph.emit import SHARED, Constants
@@ -21,7 +21,7 @@ Parts = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor, Tensor, Tensor]
 
 
 @dataclass(frozen=True, eq=False)
-class Flights:
+class FlightsToFollow:
     """Flights F of T samples at most: all float64 and contiguous.
 
     controls [F, T, nu]; path [F, T, nu, n] derivatives of the controls by the control path's parameters; outputs
@@ -39,8 +39,8 @@ class Flights:
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
-    """What the filter has found, of each flight.
+class FollowedFlights:
+    """What the filter makes of each flight.
 
     cost [F]; lost [F, 2] sample and state where it diverged, -1 where it did not; if asked for,
     innovations [F, T, ny], spreads [F, T, ny, ny], states [F, T, nx], covariances [F, T, nx, nx]; gains
@@ -153,48 +153,48 @@ class Innovations:
         """Whether rates or outputs depend on an input, "x" or "u"."""
         return any((name, place) in row for rows in self.by for row in rows)
 
-    def filter(self, psi: Tensor, flights: Flights, threads: int = 1, histories: bool = False) -> Answer:
+    def filter(
+        self, psi: Tensor, flights: FlightsToFollow, threads: int = 1, histories: bool = False
+    ) -> FollowedFlights:
         """The flights filtered; histories : with all that the answer can hold."""
         return self._called(psi, flights, threads, histories)
 
-    def normal_equations(self, psi: Tensor, flights: Flights, threads: int = 1) -> tuple[Answer, Tensor]:
+    def normal_equations(
+        self, psi: Tensor, flights: FlightsToFollow, threads: int = 1
+    ) -> tuple[FollowedFlights, Tensor]:
         """The same, and of each flight the products of the rows' columns [F, m, m]: x0, psi, b."""
-        n = len(self._order())
+        n = len(self.columns.order())
         H = torch.zeros(len(flights.length), n, n, dtype=torch.float64)
         answer = self._called(psi, flights, threads, H=H)
         return answer, H + H.triu(1).mT
 
-    def rows(self, psi: Tensor, flights: Flights, threads: int = 1) -> Tensor:
+    def rows(self, psi: Tensor, flights: FlightsToFollow, threads: int = 1) -> Tensor:
         """The rows themselves [F, T, ny + ny (ny + 1) / 2, m], zero beyond a flight's end."""
-        shape = flights.outputs.shape[:2], self.ny + self.ny * (self.ny + 1) // 2, len(self._order())
+        shape = flights.outputs.shape[:2], self.ny + self.ny * (self.ny + 1) // 2, len(self.columns.order())
         rows = torch.zeros(*shape[0], *shape[1:], dtype=torch.float64)
         self._called(psi, flights, threads, rows=rows)
         return rows
 
-    def _order(self) -> Tensor:
-        columns = self.columns
-        starts = range(columns.loop + columns.path, columns.loop + columns.path + columns.starts)
-        return torch.tensor([*starts, *columns.parameters, columns.residual], dtype=torch.int32)
-
     def _called(
         self,
         psi: Tensor,
-        flights: Flights,
+        flights: FlightsToFollow,
         threads: int,
         histories: bool = False,
         H: Tensor | None = None,
         rows: Tensor | None = None,
-    ) -> Answer:
+    ) -> FollowedFlights:
         source, numbers = self.code
-        (count, samples, ny), nx, order = flights.outputs.shape, self.nx, self._order()
+        (count, samples, ny), nx, order = flights.outputs.shape, self.nx, self.columns.order()
 
         def empty(*shape: int) -> Tensor | None:
             return torch.full((count, samples, *shape), torch.nan, dtype=torch.float64) if histories else None
 
         cost, lost = torch.zeros(count, dtype=torch.float64), torch.full((count, 2), -1, dtype=torch.int32)
-        answer = Answer(cost, lost, empty(ny), empty(ny, ny), empty(nx), empty(nx, nx), empty(nx, ny), empty(ny, ny))
-        missing = self.columns.path - len(self.path)
-        path = torch.nn.functional.pad(flights.path, (0, missing)).contiguous() if self.path else None
+        answer = FollowedFlights(
+            cost, lost, empty(ny), empty(ny, ny), empty(nx), empty(nx, nx), empty(nx, ny), empty(ny, ny)
+        )
+        path = self.columns.padded(flights.path)
         theta = torch.cat([psi, numbers]).contiguous()
         library(source).innovations(
             count,
@@ -238,8 +238,3 @@ def _covariance_rates(graph: Graph, rates: Sequence[int], Q: Sequence[int]) -> l
             value = value + Term(graph, slope) * P(i, k)
         terms.append(value.node)
     return terms
-
-
-def address(values: Tensor | None) -> ctypes.c_void_p:
-    """Where values lie, null for none."""
-    return ctypes.c_void_p(None if values is None else values.data_ptr())

@@ -9,9 +9,9 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.native.build import library
+from rotorid_torch.core.native.build import address, library
 from rotorid_torch.core.native.dynamics import Dynamics
-from rotorid_torch.core.native.innovations import Flights, address
+from rotorid_torch.core.native.innovations import FlightsToFollow
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,32 +40,40 @@ class Observer:
         text, numbers = self.dynamics.sensitivity
         return text.replace('#include "sensitivity.h"', '#include "observer.h"'), numbers
 
-    def cost(self, theta: Tensor, x0: Tensor, flights: Flights, gains: Gains, threads: int = 1) -> Tensor:
+    def cost(self, theta: Tensor, x0: Tensor, flights: FlightsToFollow, gains: Gains, threads: int = 1) -> Tensor:
         """Half of the sum of squared whitened innovations [F] from initial states x0 [F, nx]; P0 is not looked at."""
         return self._called(theta, x0, flights, gains, threads)
 
-    def normal_equations(self, theta: Tensor, x0: Tensor, flights: Flights, gains: Gains, threads: int = 1) -> Tensor:
+    def normal_equations(
+        self, theta: Tensor, x0: Tensor, flights: FlightsToFollow, gains: Gains, threads: int = 1
+    ) -> Tensor:
         """Products of the rows' columns of each flight [F, m, m]: initial states, parameters, innovation."""
-        n = len(self.dynamics.order())
+        n = len(self.dynamics.columns.order())
         H = torch.zeros(len(x0), n, n, dtype=torch.float64)
         self._called(theta, x0, flights, gains, threads, (H, None))
         return H + H.triu(1).mT
 
-    def rows(self, theta: Tensor, x0: Tensor, flights: Flights, gains: Gains, threads: int = 1) -> Tensor:
+    def rows(self, theta: Tensor, x0: Tensor, flights: FlightsToFollow, gains: Gains, threads: int = 1) -> Tensor:
         """The rows themselves [F, T, ny, m], zero beyond a flight's end."""
-        rows = torch.zeros(*flights.outputs.shape, len(self.dynamics.order()), dtype=torch.float64)
+        rows = torch.zeros(*flights.outputs.shape, len(self.dynamics.columns.order()), dtype=torch.float64)
         self._called(theta, x0, flights, gains, threads, (None, rows))
         return rows
 
     def _called(
-        self, theta: Tensor, x0: Tensor, flights: Flights, gains: Gains, threads: int, filled: Filled = (None, None)
+        self,
+        theta: Tensor,
+        x0: Tensor,
+        flights: FlightsToFollow,
+        gains: Gains,
+        threads: int,
+        filled: Filled = (None, None),
     ) -> Tensor:
         """Cost [F]; what is to be filled besides are normal equations, or rows."""
         source, numbers = self.code
         count, samples, _ = flights.outputs.shape
-        order, cost = self.dynamics.order(), torch.zeros(count, dtype=torch.float64)
+        order, cost = self.dynamics.columns.order(), torch.zeros(count, dtype=torch.float64)
         theta, x0 = torch.cat([theta, numbers]).contiguous(), x0.contiguous()
-        path = self.dynamics.padded(flights.path)
+        path = self.dynamics.columns.padded(flights.path)
         gain, white = gains.gain.contiguous(), gains.white.contiguous()
         library(source).followed(
             count,

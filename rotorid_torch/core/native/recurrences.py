@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.native.build import library, threads
+from rotorid_torch.core.native.build import address, library, threads
 from rotorid_torch.core.native.dynamics import evaluation, sizes
 from rotorid_torch.core.native.graph.emit import Constants
 from rotorid_torch.core.native.graph.symbols import Graph
@@ -73,11 +73,11 @@ class CompiledRecursion:
         )
         results = tuple(first.new_empty(*lead, samples, columns) for _ in range(2 + len(arrays)))
         slopes = (ctypes.c_void_p * (1 + len(arrays)))(*(slope.data_ptr() for slope in results[1:]))
-        series, address = batch * columns, ctypes.c_void_p
+        series = batch * columns
         code.follow(
             *(ctypes.c_int64(number) for number in (series, columns, samples)),
             ctypes.byref(pointers),
-            *(address(array.data_ptr()) for array in (first, self.numbers, results[0])),
+            *(address(array) for array in (first, self.numbers, results[0])),
             ctypes.byref(slopes),
             threads() if series >= SERIES else 1,
         )

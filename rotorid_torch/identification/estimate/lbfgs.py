@@ -7,7 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.gauss_newton import FLOOR, Minimum, Options, undetermined
+from rotorid_torch.core.gauss_newton import FLOOR, Minimum, Options, Region, undetermined
 from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
 
 MEMORY = 20
@@ -55,10 +55,10 @@ def minimise_lbfgs(
             monitor(iteration, history[-1], variables.values()[0].detach())
     place = variables.place()
     linear = problem.linearise(place)
-    theta, lower, upper = place.theta, problem.system.lower, problem.system.upper
-    blind = undetermined(linear, theta, lower, upper)
+    region = Region(problem.system.lower, problem.system.upper)
+    on_bound, blind = region.on_bound(place.theta), undetermined(linear, place.theta, region)
     message = "converged: the cost no longer falls" if converged else f"stopped after {iteration} iterations"
-    return Minimum(place, linear, (theta <= lower) | (theta >= upper), blind, converged, message, iteration, history)
+    return Minimum(place, linear, on_bound, blind, converged, message, iteration, history)
 
 
 class _Variables:

@@ -10,7 +10,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.gauss_newton import Minimum, Options, minimise
+from rotorid_torch.core.gauss_newton import Minimum, Options, Region, minimise
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.identification.estimate.engine import Engine, Part, engine_for
 from rotorid_torch.identification.estimate.initial_states import filled, fitted_states, roughness, smallest_noise
@@ -425,5 +425,5 @@ def _growth(problem: Likelihood, place: Place, samples: int) -> float:
 
 def gauss_newton(problem: Likelihood, start: Place, options: Options, monitor: Monitor | None = None) -> Minimum[Place]:
     """The likelihood's minimum by bounded Gauss-Newton."""
-    lower, upper = problem.system.lower, problem.system.upper
-    return minimise(problem.evaluate, problem.linearise, start, lower, upper, options=options, monitor=monitor)
+    region = Region(problem.system.lower, problem.system.upper)
+    return minimise(problem.evaluate, problem.linearise, start, region, options, monitor)

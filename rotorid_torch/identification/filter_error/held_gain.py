@@ -19,10 +19,10 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.gauss_newton import Options, minimise
+from rotorid_torch.core.gauss_newton import Options, Region, minimise
 from rotorid_torch.core.native.build import threads
 from rotorid_torch.core.native.dynamics import Dynamics
-from rotorid_torch.core.native.innovations import Flights
+from rotorid_torch.core.native.innovations import FlightsToFollow
 from rotorid_torch.core.native.observer import Gains, Observer
 from rotorid_torch.identification.estimate.sensitivity import control_slopes
 from rotorid_torch.identification.filter_error.extended_kalman import Filtered, FilterProblem
@@ -96,7 +96,7 @@ class Following:
         observer, flights = self._flown(psi, x0)
         return observer.rows(psi, x0, flights, self.gains, threads())
 
-    def _flown(self, theta: Tensor, x0: Tensor) -> tuple[Observer, Flights]:
+    def _flown(self, theta: Tensor, x0: Tensor) -> tuple[Observer, FlightsToFollow]:
         _, flights = self.filter.flown(theta, x0)
         which, _ = control_slopes(self.problem.system, theta, self.problem.records, self.problem.segments)
         key = tuple(which.tolist())
@@ -144,6 +144,15 @@ class HeldEngine:
 
 
 @dataclass(frozen=True, eq=False)
+class Unknowns:
+    """Parameters and noises psi, initial states x0 [F, nx], and whether those are unknown too."""
+
+    psi: Tensor
+    x0: Tensor
+    free: bool = True
+
+
+@dataclass(frozen=True, eq=False)
 class Held:
     """Where the alternation ended.
 
@@ -162,11 +171,8 @@ class Held:
 
 def alternated(
     filter: NativeFilter,
-    psi: Tensor,
-    x0: Tensor,
-    lower: Tensor,
-    upper: Tensor,
-    free: bool = True,
+    start: Unknowns,
+    region: Region,
     rounds: int = ROUNDS,
     monitor: Callable[[int, float, Tensor], None] | None = None,
 ) -> Held:
@@ -175,28 +181,22 @@ def alternated(
     Parameters
     ----------
     filter : of which the parameters from `filter.compiled.held` on belong to the noises.
-    psi, x0 : to start from; the filter must not diverge there. lower, upper : bounds of psi.
-    free : whether initial states are to be estimated. monitor : called after each round with round, cost, theta.
+    start : the filter must not diverge there. region : of psi.
+    monitor : called after each round with round, cost, theta.
     """
-    count, held = len(filter.problem.system.theta), filter.compiled.held
+    psi, x0, count, held = start.psi, start.x0, len(filter.problem.system.theta), filter.compiled.held
+    noises_region = region.part(slice(held, None))
+    theta_region = region.part(slice(count), torch.arange(count) < held)
     following = Following.of(filter, psi[:count], x0, filter.gains(psi, x0))
     history, settled = [float(filter.cost(psi, x0).sum())], False
     masks = [torch.zeros_like(psi, dtype=torch.bool) for _ in range(2)]
     for k in range(rounds):
         noises = InnovationLikelihood(Noises(filter, psi[:held]), x0, free=False)
-        noise_fit = minimise(noises.evaluate, noises.linearise, psi[held:], lower[held:], upper[held:], options=NOISES)
+        noise_fit = minimise(noises.evaluate, noises.linearise, psi[held:], noises_region, NOISES)
         psi = torch.cat([psi[:held], noise_fit.point.theta])
         following = replace(following, gains=filter.gains(psi, x0))
-        likelihood = InnovationLikelihood(following, x0, free)
-        fit = minimise(
-            likelihood.evaluate,
-            likelihood.linearise,
-            psi[:count],
-            lower[:count],
-            upper[:count],
-            free=torch.arange(count) < held,
-            options=PARAMETERS,
-        )
+        likelihood = InnovationLikelihood(following, x0, start.free)
+        fit = minimise(likelihood.evaluate, likelihood.linearise, psi[:count], theta_region, PARAMETERS)
         masks = [
             torch.cat([one[:held], other])
             for one, other in ((fit.at_bound, noise_fit.at_bound), (fit.not_identifiable, noise_fit.not_identifiable))

@@ -18,7 +18,7 @@ from rotorid_torch.core.fallback import say_once
 from rotorid_torch.core.gauss_newton import Linear
 from rotorid_torch.core.native.build import threads
 from rotorid_torch.core.native.graph.tracing import Unsupported
-from rotorid_torch.core.native.innovations import Flights, Innovations
+from rotorid_torch.core.native.innovations import FlightsToFollow, Innovations
 from rotorid_torch.core.native.observer import Gains
 from rotorid_torch.identification.estimate.sensitivity import control_slopes, controls_at
 from rotorid_torch.identification.filter_error.extended_kalman import Filtered, FilterProblem, filtered, rows
@@ -159,7 +159,7 @@ class NativeFilter:
         compiled, flights = self.flown(psi, x0)
         return compiled.rows(psi, flights, threads())
 
-    def flown(self, psi: Tensor, x0: Tensor) -> tuple[Innovations, Flights]:
+    def flown(self, psi: Tensor, x0: Tensor) -> tuple[Innovations, FlightsToFollow]:
         """The code for what the controls depend on, and the flights with these controls."""
         problem, segments = self.problem, self.problem.segments
         theta = psi[: len(problem.system.theta)]
@@ -174,7 +174,9 @@ class NativeFilter:
             self.variants[key] = replace(self.compiled, path=key)
         length = segments.inside.sum(dim=1).to(torch.int32)
         start = x0.contiguous(), problem.P0.expand(len(x0), -1, -1).contiguous()
-        flights = Flights(segments.dt, length, controls.contiguous(), slopes, segments.outputs.contiguous(), *start)
+        flights = FlightsToFollow(
+            segments.dt, length, controls.contiguous(), slopes, segments.outputs.contiguous(), *start
+        )
         return self.variants[key], flights
 
 

@@ -13,7 +13,7 @@ from torch.nn.utils.rnn import pad_sequence
 
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument
-from rotorid_torch.core.gauss_newton import Minimum, minimise
+from rotorid_torch.core.gauss_newton import Minimum, Region, minimise
 from rotorid_torch.core.native.graph.tracing import Unsupported
 from rotorid_torch.core.parameters import ParameterTable
 from rotorid_torch.errors import InputError
@@ -43,7 +43,7 @@ from rotorid_torch.identification.estimate.residuals import Whiteness, whiteness
 from rotorid_torch.identification.estimate.segments import Records
 from rotorid_torch.identification.estimate.uncertainty import Uncertainty
 from rotorid_torch.identification.filter_error.extended_kalman import CovarianceForm, Filtered, FilterProblem, form
-from rotorid_torch.identification.filter_error.held_gain import HeldEngine, alternated
+from rotorid_torch.identification.filter_error.held_gain import HeldEngine, Unknowns, alternated
 from rotorid_torch.identification.filter_error.innovations import (
     FilterEngine,
     FilterPlace,
@@ -274,13 +274,13 @@ class _Search:
             raise InputError("arguments", "gain", f"the model cannot be compiled: {error}", '"exact"') from error
 
     @property
-    def _bounds(self) -> tuple[Tensor, Tensor]:
+    def _region(self) -> Region:
         system, problem = self.problem.system, self.problem
         nothing = torch.zeros(len(problem.process.names), dtype=torch.float64)
         noises = [problem.process.lower(nothing), problem.noise.lower(self.floor.square())]
         lower = torch.cat([system.lower, *noises])
         more = torch.full((len(lower) - len(system.upper),), math.inf, dtype=torch.float64)
-        return lower, torch.cat([system.upper, more])
+        return Region(lower, torch.cat([system.upper, more]))
 
     def _watch(self, iteration: int, cost: float, psi: Tensor) -> None:
         if self.monitor is not None:
@@ -291,7 +291,7 @@ class _Search:
         likelihood = InnovationLikelihood(engine, x0, self.free)
         options = replace(FINE, max_iterations=self.iterations)
         descend = lambda start: minimise(  # noqa: E731
-            likelihood.evaluate, likelihood.linearise, start, *self._bounds, options=options, monitor=self._watch
+            likelihood.evaluate, likelihood.linearise, start, self._region, options, self._watch
         )
         best = descend(psi)
         calmer = likelihood.at(_with_less(self.problem, best.point.theta), best.point.x0)
@@ -303,7 +303,7 @@ class _Search:
     def _alternating(self, engine: HeldEngine, psi: Tensor, x0: Tensor) -> Maximum:
         """Noises and parameters in turn, gains held while parameters move."""
         rounds = max(1, self.iterations)
-        held = alternated(engine.filtering, psi, x0, *self._bounds, self.free, rounds, self._watch)
+        held = alternated(engine.filtering, Unknowns(psi, x0, self.free), self._region, rounds, self._watch)
         likelihood = InnovationLikelihood(engine, held.x0, self.free)
         place = likelihood.evaluate(held.psi)
         said = "converged: the likelihood stands still" if held.converged else f"stopped after {rounds} rounds"

@@ -202,7 +202,7 @@ def _filter_natively(system: SampledSystem, weights: Weights, smooth: bool) -> F
     with torch.no_grad():
         mean, controls = listed(mean, 1), listed(system.controls, 2)
         compiled = _compiled(system.f, system.h, mean, controls[:, 0], ny)
-        problem = filtering.Problem(
+        problem = filtering.FlightsToFilter(
             mean=mean,
             covariance=listed(cov, 2),
             R=system.R,

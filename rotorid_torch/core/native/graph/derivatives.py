@@ -9,6 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import torch
+from torch import Tensor
+
 from rotorid_torch.core.native.graph.emit import SHARED, Constants, straight_line
 from rotorid_torch.core.native.graph.symbols import Graph
 
@@ -76,6 +79,16 @@ class Columns:
         free += range(last, last + biases + 1)
         total = -(-max(last, free[biases] + 1) // width) * width
         return cls(tuple(parameters), loop, behind, starts, tuple(free[:biases]), free[biases], total, width)
+
+    def order(self) -> Tensor:
+        """Columns of a row in the order of results: initial states, biases, parameters, residual."""
+        starts = range(self.loop + self.path, self.loop + self.path + self.starts)
+        return torch.tensor([*starts, *self.biases, *self.parameters, self.residual], dtype=torch.int32)
+
+    def padded(self, path: Tensor) -> Tensor | None:
+        """Derivatives of the controls [S, T, nu, n] by the control path's n parameters, filled up to whole vectors."""
+        missing = self.path - path.shape[-1]
+        return torch.nn.functional.pad(path, (0, missing)).contiguous() if self.path else None
 
 
 class Tangent:

@@ -82,19 +82,11 @@ extern "C" void pull(int count, int n, double dt, const double* u, const double*
   prepare(th, c.data());
   const int groups = (count + W - 1) / W;
   std::vector<double> sums((size_t)groups * COUNT);
-  std::vector<std::thread> pool;
-  auto work = [&](int t) {
-    for (int g = t; g < groups; g += threads) {
-      const size_t b = (size_t)g * W;
-      const int used = count - (int)b < W ? count - (int)b : W;
-      auto a = std::make_unique<Adjoint>();
-      group(used, n, dt, u + b * n * NU, states + b * n * NX, c.data(), gx + b * n * NX, gy + b * n * NY, gx0 + b * NX,
-            gu + b * n * NU, *a);
-      for (int p = 0; p < COUNT; p++) for (int l = 0; l < used; l++) sums[(size_t)g * COUNT + p] += a->total[p][l];
-    }
-  };
-  for (int t = 1; t < threads && t < groups; t++) pool.emplace_back(work, t);
-  work(0);
-  for (auto& t : pool) t.join();
+  each_group(count, threads, [&](int64_t b, int used) {
+    auto a = std::make_unique<Adjoint>();
+    group(used, n, dt, u + b * n * NU, states + b * n * NX, c.data(), gx + b * n * NX, gy + b * n * NY, gx0 + b * NX,
+          gu + b * n * NU, *a);
+    for (int p = 0; p < COUNT; p++) for (int l = 0; l < used; l++) sums[(size_t)(b / W) * COUNT + p] += a->total[p][l];
+  });
   for (int p = 0; p < COUNT; p++) { gth[p] = 0.0; for (int g = 0; g < groups; g++) gth[p] += sums[(size_t)g * COUNT + p]; }
 }

@@ -12,7 +12,7 @@ struct Rows {
 static inline vd at(const double* p, size_t i) { vd v; memcpy(&v, p + i, sizeof v); return v; }
 static inline void put(double* p, size_t i, vd v) { memcpy(p + i, &v, sizeof v); }
 
-static void group(const Rows& r, size_t n, std::vector<vd>& kept) {
+static void group(const Rows& r, size_t n, vd* kept) {
   const double dt = r.dt;
   const size_t N = r.count;
   const vd h0 = at(r.integral, n), h1 = 1.0 - h0, tau = at(r.tau, n), trim = at(r.trim, n), spread = at(r.spread, n);
@@ -67,13 +67,8 @@ static void group(const Rows& r, size_t n, std::vector<vd>& kept) {
 }
 
 extern "C" void gauss_markov(const Rows* rows, int threads) {
-  const int groups = (int)(rows->count / W);
-  std::vector<std::thread> pool;
-  auto work = [&](int first) {
-    std::vector<vd> kept(4 * rows->samples);
-    for (int g = first; g < groups; g += threads) group(*rows, (size_t)g * W, kept);
-  };
-  for (int t = 1; t < threads && t < groups; t++) pool.emplace_back(work, t);
-  work(0);
-  for (auto& t : pool) t.join();
+  each_group(rows->count / W * W, threads, [&](int64_t first, int) {
+    const std::unique_ptr<vd[]> kept(new vd[4 * rows->samples]);
+    group(*rows, (size_t)first, kept.get());
+  });
 }

@@ -172,7 +172,7 @@ static void correct_tangents(int b, Sensitivity& s, const Update& v, Row* rows) 
 // One flight; calls sink(rows, count) with rows in order of time where derivatives are wanted. False where it diverged.
 template <bool DERIVATIVES, class Sink>
 static bool filter(const Flights& p, const Record& to, int which, int length, Sensitivity& s, Row* rows, Sink sink) {
-  double out[NY], next[NX], u[NU + 1], S[M][M], cost = 0.0;
+  double out[NY], S[M][M], cost = 0.0;
   Update v;
   memcpy(s.x, p.x0 + (size_t)which * N, N * sizeof(double));
   for (int i = 0; i < STARTS; i++) s.S[i][FIRST_X0 + i] = 1.0;
@@ -220,13 +220,7 @@ static bool filter(const Flights& p, const Record& to, int which, int length, Se
       if (gathered == BUNDLE || last) { sink(rows, gathered); gathered = 0; }
     }
     if (last) break;
-    auto slope = [&](const double* z, int g, double* k) {
-      between(u0, u1, g, u);
-      rates_linear(z, u, p.c, k, s.A[g], s.K[g]);
-    };
-    runge_kutta(s.x, p.dt, slope, next);
-    memcpy(s.x, next, sizeof s.x);
-    if (DERIVATIVES) for (int b = 0; b < MOVING; b++) tangent_step(b, s, p.c, p.dt);
+    onward<DERIVATIVES>(u0, u1, p.c, p.dt, s);
   }
   to.cost[which] = cost;
   return true;
@@ -241,19 +235,16 @@ extern "C" void innovations(int count, int n, double dt, const int* length, cons
   prepare(th, c.data());
   const Flights p{n, dt, u, path, y, x0, P0, c.data()};
   const Record to{cost, lost, innovations, spreads, states, covariances, gains, white};
-  each(count, threads, [&](int f) {
-    struct Room { Sensitivity s; alignas(64) Row bundle[BUNDLE] = {}; alignas(64) double upper[WIDTH][WIDTH] = {}; };
+  const Order by_column{columns, order};
+  each(count, threads, [&](int64_t f) {
+    struct Room { Sensitivity s; alignas(64) Row bundle[BUNDLE] = {}; alignas(64) Row upper[WIDTH] = {}; };
     auto room = std::make_unique<Room>();
     if (!H && !rows) { filter<false>(p, to, f, length[f], room->s, room->bundle, [](const Row*, int) {}); return; }
     double* row = rows ? rows + (size_t)f * n * SAMPLE_ROWS * columns : nullptr;
     filter<true>(p, to, f, length[f], room->s, room->bundle, [&](const Row* made, int k) {
       if (H) multiply_out(made, k, room->upper);
-      for (int r = 0; row && r < k; r++, row += columns) for (int j = 0; j < columns; j++) row[j] = made[r][order[j]];
+      if (row) row = by_column.rows(made, k, row);
     });
-    double* h = H ? H + (size_t)f * columns * columns : nullptr;
-    for (int a = 0; h && a < columns; a++) for (int b = a; b < columns; b++) {
-      const int q = order[a] < order[b] ? order[a] : order[b], r = order[a] < order[b] ? order[b] : order[a];
-      h[(size_t)a * columns + b] = room->upper[q][r];
-    }
+    if (H) by_column.symmetric(room->upper, H + (size_t)f * columns * columns);
   });
 }

@@ -5,7 +5,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
-#include <functional>
 #include <memory>
 #include <thread>
 #include <utility>
@@ -22,6 +21,20 @@ typedef double vd __attribute__((vector_size(8 * W)));
 typedef long long vl __attribute__((vector_size(8 * W)));
 
 static inline vd lanes(double x) { return vd{} + x; }
+
+// work(i) for each i below count: thread t takes t, t + threads, ...
+template <class Work> static void each(int64_t count, int threads, const Work& work) {
+  std::vector<std::thread> pool;
+  auto share = [&](int64_t t) { for (int64_t i = t; i < count; i += threads) work(i); };
+  for (int64_t t = 1; t < threads && t < count; t++) pool.emplace_back(share, t);
+  share(0);
+  for (auto& t : pool) t.join();
+}
+
+// The same in groups of W lanes: work(first, used).
+template <class Work> static void each_group(int64_t count, int threads, const Work& work) {
+  each((count + W - 1) / W, threads, [&](int64_t g) { work(g * W, (int)(count - g * W < W ? count - g * W : W)); });
+}
 
 // Sine and cosine together, for |x| < 1e5, error below 2 ulp: argument reduced by pi/2 in three parts (Cody and
 // Waite 1980), kernels of fdlibm (Sun Microsystems 1993).

@@ -15,7 +15,7 @@ struct Following {
 // One flight; calls sink(rows, count) with whitened rows in order of time where derivatives are wanted. Its cost.
 template <bool DERIVATIVES, class Sink>
 static double follow(const Problem& p, const Following& by, int which, int length, Sensitivity& s, Sink sink) {
-  double out[NY], e[NY], white[NY], next[NX], u[NU + 1], cost = 0.0;
+  double out[NY], e[NY], white[NY], cost = 0.0;
   memcpy(s.x, p.x0 + (size_t)which * NX, sizeof s.x);
   for (int i = 0; i < STARTS; i++) s.S[i][FIRST_X0 + i] = 1.0;
   int gathered = 0;
@@ -54,13 +54,7 @@ static double follow(const Problem& p, const Following& by, int which, int lengt
       if (gathered == ROWS || last) { sink(s.rows, gathered); gathered = 0; }
     }
     if (last) break;
-    auto slope = [&](const double* z, int g, double* k) {
-      between(u0, u1, g, u);
-      rates_linear(z, u, p.c, k, s.A[g], s.K[g]);
-    };
-    runge_kutta(s.x, p.dt, slope, next);
-    memcpy(s.x, next, sizeof s.x);
-    if (DERIVATIVES) for (int b = 0; b < MOVING; b++) tangent_step(b, s, p.c, p.dt);
+    onward<DERIVATIVES>(u0, u1, p.c, p.dt, s);
   }
   return cost;
 }
@@ -74,19 +68,16 @@ extern "C" void followed(int count, int n, double dt, const int* length, const d
   prepare(th, c.data());
   const Problem p{n, dt, u, path, nullptr, x0, c.data(), nullptr, nullptr, nullptr};
   const Following by{y, gain, white};
-  each(count, threads, [&](int f) {
-    struct Room { Sensitivity s; alignas(64) double upper[WIDTH][WIDTH] = {}; };
+  const Order by_column{columns, order};
+  each(count, threads, [&](int64_t f) {
+    struct Room { Sensitivity s; alignas(64) Row upper[WIDTH] = {}; };
     auto room = std::make_unique<Room>();
     if (!H && !rows) { cost[f] = follow<false>(p, by, f, length[f], room->s, [](const Row*, int) {}); return; }
     double* row = rows ? rows + (size_t)f * n * NY * columns : nullptr;
     cost[f] = follow<true>(p, by, f, length[f], room->s, [&](const Row* made, int k) {
       if (H) multiply_out(made, k, room->upper);
-      for (int r = 0; row && r < k; r++, row += columns) for (int j = 0; j < columns; j++) row[j] = made[r][order[j]];
+      if (row) row = by_column.rows(made, k, row);
     });
-    double* h = H ? H + (size_t)f * columns * columns : nullptr;
-    for (int a = 0; h && a < columns; a++) for (int b = a; b < columns; b++) {
-      const int q = order[a] < order[b] ? order[a] : order[b], r = order[a] < order[b] ? order[b] : order[a];
-      h[(size_t)a * columns + b] = room->upper[q][r];
-    }
+    if (H) by_column.symmetric(room->upper, H + (size_t)f * columns * columns);
   });
 }

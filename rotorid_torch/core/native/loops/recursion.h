@@ -36,15 +36,7 @@ extern "C" void follow(int64_t series, int64_t columns, int64_t samples, const I
                        const double* th, double* y, double* const* slopes, int threads) {
   std::vector<double> c(NC);
   prepare(th, c.data());
-  const int64_t groups = (series + W - 1) / W;
-  std::vector<std::thread> pool;
-  auto work = [&](int64_t t) {
-    for (int64_t g = t; g < groups; g += threads) {
-      const int64_t left = series - g * W;
-      follow_group(g * W, left < W ? (int)left : W, columns, samples, u, start, c.data(), y, slopes);
-    }
-  };
-  for (int64_t t = 1; t < threads && t < groups; t++) pool.emplace_back(work, t);
-  work(0);
-  for (auto& t : pool) t.join();
+  each_group(series, threads, [&](int64_t first, int used) {
+    follow_group(first, used, columns, samples, u, start, c.data(), y, slopes);
+  });
 }

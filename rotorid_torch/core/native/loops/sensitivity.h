@@ -116,13 +116,32 @@ static void load_path(const Problem& p, size_t sample, bool last, Sensitivity& s
     ((double*)s.path[g][j])[q] = a[j * PATH + q] + SHARE(g) * (z[j * PATH + q] - a[j * PATH + q]);
 }
 
-static void each(int count, int threads, const std::function<void(int)>& work) {
-  std::vector<std::thread> pool;
-  auto run = [&](int t) { for (int i = t; i < count; i += threads) work(i); };
-  for (int t = 1; t < threads && t < count; t++) pool.emplace_back(run, t);
-  run(0);
-  for (auto& t : pool) t.join();
+// On to the next sample: state, and where derivatives are wanted its tangents.
+template <bool DERIVATIVES>
+static void onward(const double* u0, const double* u1, const double* c, double dt, Sensitivity& s) {
+  double next[NX], u[NU + 1];
+  auto slope = [&](const double* z, int g, double* k) {
+    between(u0, u1, g, u);
+    rates_linear(z, u, c, k, s.A[g], s.K[g]);
+  };
+  runge_kutta(s.x, dt, slope, next);
+  memcpy(s.x, next, sizeof s.x);
+  if (DERIVATIVES) for (int b = 0; b < MOVING; b++) tangent_step(b, s, c, dt);
 }
+
+// Columns of the results in their order: of rows, and of the upper part of a symmetric matrix [columns, columns].
+struct Order {
+  int columns;
+  const int* of;
+  double* rows(const Row* from, int count, double* to) const {
+    for (int r = 0; r < count; r++, to += columns) for (int j = 0; j < columns; j++) to[j] = from[r][of[j]];
+    return to;
+  }
+  void symmetric(const Row* upper, double* to) const {
+    for (int a = 0; a < columns; a++) for (int b = a; b < columns; b++)
+      to[(size_t)a * columns + b] = of[a] < of[b] ? upper[of[a]][of[b]] : upper[of[b]][of[a]];
+  }
+};
 
 #ifndef TANGENTS_ALONE  // loops with tangents of their own need nothing of what follows
 // Rows of one sample, whitened; what is missing is zero.
@@ -149,7 +168,7 @@ static void whiten(const Problem& p, size_t sample, Sensitivity& s, Row* rows) {
 // One segment: calls sink(rows, count) with whitened rows in order of time; ends with the tangents of its last sample.
 template <class Sink>
 static void segment(const Problem& p, int which, int length, Sensitivity& s, Sink sink) {
-  double out[NY], next[NX], u[NU + 1];
+  double out[NY];
   memcpy(s.x, p.x0 + (size_t)which * NX, sizeof s.x);
   for (int i = 0; i < STARTS; i++) s.S[i][FIRST_X0 + i] = 1.0;
   int gathered = 0;
@@ -164,13 +183,7 @@ static void segment(const Problem& p, int which, int length, Sensitivity& s, Sin
     gathered += NY;
     if (gathered == ROWS || last) { sink(s.rows, gathered); gathered = 0; }
     if (last) return;
-    auto slope = [&](const double* z, int g, double* k) {
-      between(u0, u1, g, u);
-      rates_linear(z, u, p.c, k, s.A[g], s.K[g]);
-    };
-    runge_kutta(s.x, p.dt, slope, next);
-    memcpy(s.x, next, sizeof s.x);
-    for (int b = 0; b < MOVING; b++) tangent_step(b, s, p.c, p.dt);
+    onward<true>(u0, u1, p.c, p.dt, s);
   }
 }
 
@@ -211,15 +224,11 @@ extern "C" void normal_equations(int count, int n, double dt, const int* length,
   std::vector<double> c(NC);
   prepare(th, c.data());
   const Problem p{n, dt, u, path, residual, x0, c.data(), weight, pattern, table};
-  each(count, threads, [&](int i) {
-    struct Room { Sensitivity s; alignas(64) double upper[WIDTH][WIDTH] = {}; };
+  each(count, threads, [&](int64_t i) {
+    struct Room { Sensitivity s; alignas(64) Row upper[WIDTH] = {}; };
     auto room = std::make_unique<Room>();
     segment(p, i, length[i], room->s, [&](const Row* rows, int k) { multiply_out(rows, k, room->upper); });
-    double* h = H + (size_t)i * columns * columns;
-    for (int a = 0; a < columns; a++) for (int b = a; b < columns; b++) {
-      const int q = order[a] < order[b] ? order[a] : order[b], r = order[a] < order[b] ? order[b] : order[a];
-      h[(size_t)a * columns + b] = room->upper[q][r];
-    }
+    Order{columns, order}.symmetric(room->upper, H + (size_t)i * columns * columns);
     for (int a = 0; a < STARTS; a++) for (int b = 0; b < STARTS; b++)
       passage[((size_t)i * NX + a) * NX + b] = room->s.S[a][FIRST_X0 + b];
   });
@@ -233,12 +242,10 @@ extern "C" void whitened_rows(int count, int n, double dt, const int* length, co
   std::vector<double> c(NC);
   prepare(th, c.data());
   const Problem p{n, dt, u, path, residual, x0, c.data(), weight, pattern, table};
-  each(count, threads, [&](int i) {
+  each(count, threads, [&](int64_t i) {
     auto s = std::make_unique<Sensitivity>();
     double* to = rows + (size_t)i * n * NY * columns;
-    segment(p, i, length[i], *s, [&](const Row* made, int k) {
-      for (int r = 0; r < k; r++, to += columns) for (int j = 0; j < columns; j++) to[j] = made[r][order[j]];
-    });
+    segment(p, i, length[i], *s, [&](const Row* made, int k) { to = Order{columns, order}.rows(made, k, to); });
   });
 }
 #endif

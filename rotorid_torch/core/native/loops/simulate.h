@@ -47,16 +47,7 @@ extern "C" void simulate(int count, int n, double dt, double limit, const double
                          double* states, double* y, int threads) {
   std::vector<double> c(NC);
   prepare(th, c.data());
-  const int groups = (count + W - 1) / W;
-  std::vector<std::thread> pool;
-  auto work = [&](int t) {
-    for (int g = t; g < groups; g += threads) {
-      const size_t b = (size_t)g * W;
-      const int used = count - (int)b < W ? count - (int)b : W;
-      group(used, n, dt, limit, u + b * n * NU, x0 + b * NX, c.data(), states + b * n * NX, y ? y + b * n * NY : nullptr);
-    }
-  };
-  for (int t = 1; t < threads && t < groups; t++) pool.emplace_back(work, t);
-  work(0);
-  for (auto& t : pool) t.join();
+  each_group(count, threads, [&](int64_t b, int used) {
+    group(used, n, dt, limit, u + b * n * NU, x0 + b * NX, c.data(), states + b * n * NX, y ? y + b * n * NY : nullptr);
+  });
 }

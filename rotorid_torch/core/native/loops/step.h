@@ -1,18 +1,5 @@
-// One Runge-Kutta step of the model, controls linear within it, or with HOLD as they were at its start. The 3/8 rule is torchdiffeq's "rk4" (Kutta 1901);
-// CLASSIC asks for Runge's rule with its two stages in the middle.
+// One Runge-Kutta step of the model, controls linear within it, or with HOLD as they were at its start. The 3/8 rule is torchdiffeq's "rk4" (Kutta 1901).
 #pragma once
-#ifdef CLASSIC
-static const double NODE[4] = {0.0, 0.5, 0.5, 1.0};
-template <int g, class T> static inline T stage(const T& x, const T& a, const T& b, const T& c, double dt) {
-  if constexpr (g == 1) return x + (0.5 * dt) * a;
-  if constexpr (g == 2) return x + (0.5 * dt) * b;
-  if constexpr (g == 3) return x + dt * c;
-  return x;
-}
-template <class T> static inline T advanced(const T& x, const T& a, const T& b, const T& c, const T& d, double dt) {
-  return x + (a + 2.0 * (b + c) + d) * (dt / 6.0);
-}
-#else
 static const double NODE[4] = {0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0};
 template <int g, class T> static inline T stage(const T& x, const T& a, const T& b, const T& c, double dt) {
   if constexpr (g == 1) return x + (dt / 3.0) * a;
@@ -23,7 +10,6 @@ template <int g, class T> static inline T stage(const T& x, const T& a, const T&
 template <class T> static inline T advanced(const T& x, const T& a, const T& b, const T& c, const T& d, double dt) {
   return x + (a + 3.0 * (b + c) + d) * (dt / 8.0);
 }
-#endif
 
 #ifdef HOLD  // controls stay as they are within a step
 #define SHARE(g) 0.0
