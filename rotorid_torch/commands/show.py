@@ -12,6 +12,7 @@ from pathlib import Path
 
 from rotorid_torch.report.page.document import rendered
 from rotorid_torch.report.records import Report
+from rotorid_torch.report.short_horizon import short_horizon
 from rotorid_torch.report.words.verdict import Grade, grades, opening
 
 LOOPBACK = "127.0.0.1"
@@ -34,7 +35,8 @@ def comparison(reports: Mapping[str, Report], board: str = "") -> str:
     """The page that compares runs; run k is linked as /k/. board : address of TensorBoard."""
     rows = []
     for k, (name, report) in enumerate(reports.items()):
-        graded, scores = grades(report), report.fit.scores if report.fit else None
+        flown = report.fit is not None and not short_horizon(report.fit)  # free runs of others mean nothing
+        graded, scores = grades(report), report.fit.scores if report.fit and flown else None
         J = (scores.validate, scores.acid) if scores else (None, None)
         last = graded[-1] if graded else None
         rows.append(Row(Path(name).name, f"/{k}/", report, opening(report), last, *J))

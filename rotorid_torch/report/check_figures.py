@@ -159,19 +159,18 @@ def kinematics(dataset: Dataset) -> Figure | None:
     compared = [a for pair in pairs if (a := agreement(pair, dataset.flights.values())) is not None and a.r2 > 0.3]
     if not compared:
         return None
-    figure, grid = grid_of([f"d{a.pair.left_name}/dt" for a in compared], 1, 1.4 * WIDTH, height=0.9)
+    figure, grid = grid_of([f"d{a.pair.left_name}/dt" for a in compared], 1, 1.4 * WIDTH, height=1.05)
     for (axes,), a in zip(grid, compared, strict=True):
         name = _liveliest(dataset, a)
         time, left, before, after = sensor_pairs.compared(a, dataset.flights[name])
         chosen = _thinned(left)
         axes.plot(time[chosen], (left - before)[chosen], color=MEASURED, linewidth=0.9)
         axes.plot(time[chosen], (left - after)[chosen], color=MODEL, linewidth=0.9)
-        axes.set_ylabel(f"d{a.pair.left_name}/dt\n{a.pair.unit}", fontsize=8)
+        axes.set_ylabel(a.pair.unit, fontsize=8)
         less = f"{_rms(left - before):.2g} to {_rms(left - after):.2g} of {_rms(left):.2g} rms"
-        heading = f"{name}: lag {a.lag_s:+.3f} s, scale {a.scale:.3f}; {less}"
-        axes.text(0.99, 0.95, heading, transform=axes.transAxes, ha="right", va="top", fontsize=7)
-    title = "rate of the channel less what the others say. Red: as recorded; blue: lag, scale, bias out"
-    grid[0][0].set_title(title, loc="left", fontsize=8)
+        heading = f"d{a.pair.left_name}/dt, {name}: lag {a.lag_s:+.3f} s, scale {a.scale:.3f}; {less}"
+        axes.set_title(heading, loc="left", fontsize=8, y=1.0, pad=3)
+    figure.subplots_adjust(hspace=0.45)
     grid[-1][0].set_xlabel("time, s")
     return figure
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import re
 import shutil
@@ -9,11 +10,19 @@ import subprocess
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
+from rotorid_torch.commands.show import comparison
+from rotorid_torch.data import Dataset
 from rotorid_torch.report import records
 from rotorid_torch.report.figures import Overlay
+from rotorid_torch.report.page.check_page import render_check
 from rotorid_torch.report.page.document import Shown, render
+from rotorid_torch.run.check import check
+from rotorid_torch.run.output.write import png
+from tests.helpers import small_flight
 
 BROWSER = next(
     (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), ""
@@ -30,6 +39,9 @@ MEASURE = """<script>addEventListener("load", () => setTimeout(() => {
 FRAME = """<body style="margin:0"><pre id="told"></pre>
 <iframe src="page.html" style="border:0;width:{}px;height:{}px"></iframe>
 <script>addEventListener("message", e => document.getElementById("told").textContent = e.data);</script>"""
+
+
+ACCESS = (Path(__file__).parent / "access.js").read_text(encoding="utf-8")
 
 
 def browse(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -56,7 +68,42 @@ def place(tmp_path_factory: pytest.TempPathFactory, report: records.Report, over
     page = render(loop, Shown(overlays, overlays))
     (folder / "page.html").write_text(page.replace("</body>", f"{MEASURE}</body>"), encoding="utf-8")
     (folder / "plain.html").write_text(page, encoding="utf-8")
+    for name, text in {"report": page, "check": _check(), "compare": comparison({"a": loop, "b": report})}.items():
+        looked_at = text.replace("</body>", f"<script>{ACCESS}</script></body>")
+        (folder / f"{name}-access.html").write_text(looked_at, encoding="utf-8")
     return folder
+
+
+def _check() -> str:
+    """The page of a check that has something to mend."""
+    flight = small_flight()
+    flight["p"][100:140] = np.nan
+    dataset = Dataset.from_arrays({"f": flight}, identify=["f"])
+    about = records.DatasetRecord(name="small", sha256="0" * 64)
+    report = records.Report(
+        command="check", dataset=about, seed=0, time_s=records.TimeRecord(), peak_memory_mb=1.0, before=None
+    )
+    return render_check(check(dataset), report, {"sampling": png(Figure(figsize=(1, 1)))})
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("page", ["report", "check", "compare"])
+def test_pages_are_legible_and_reached_by_keyboard_and_reader(place: Path, page: str, scheme: str):
+    """WCAG 2.1 AA: contrast of every text, names, focus that is seen, order of headings, heads, alternatives."""
+    chosen = f"--blink-settings=preferredColorScheme={int(scheme == 'light')}"
+    done = browse(chosen, "--window-size=1440,900", "--dump-dom", (place / f"{page}-access.html").as_uri())
+    written = re.search(r'<pre id="told">(.*?)</pre>', done.stdout, re.S)
+    assert written is not None
+    told = json.loads(html.unescape(written[1]))
+    assert told == {
+        "faint": [],
+        "nameless": [],
+        "dead": [],
+        "bare": [],
+        "skips": 0,
+        "lang": "en",
+        "dark": scheme == "dark",
+    }
 
 
 @pytest.mark.parametrize(("width", "height"), [(1440, 900), (390, 844)])

@@ -131,7 +131,7 @@ def test_a_page_of_close_loop_shows_before_and_after(report: records.Report, fit
     )
     page = render(msgspec.structs.replace(report, after=fit, effects=(effect,), verdict=verdict))
     assert "<h1>The controls reach the rotor later than recorded.</h1>" in page
-    assert page.index("<h3>before</h3>") < page.index("<h3>after</h3>") < page.index("What to do next")
+    assert page.index("<h2>before</h2>") < page.index("<h2>after</h2>") < page.index("What to do next")
     assert "✔ accepted" in page
 
 

@@ -83,14 +83,26 @@ def graded(dataset: Dataset, findings: Sequence[Finding]) -> Graded:
             if f.severity == "warning" and not spread & {*f.channel.split()} and f.channel not in HARMLESS
         )
     )
-    reasons = tuple(
-        dict.fromkeys(f"{one.axis} {one.grade}: {why}" for one in axes for why in one.because if one.grade != "ready")
-    )
+    reasons = tuple(_reasons(axes))
     counted = [one.grade for one in axes]
     if counted and all(grade == "not usable" for grade in counted):
         return Graded("not usable", reasons, axes)
     limited = others or any(grade != "ready" for grade in counted)
     return Graded("limited" if limited else "ready", (*reasons, *others), axes)
+
+
+def _reasons(axes: Sequence[AxisGrade]) -> Iterator[str]:
+    """What stands against axes; those of which the same is said of another response share a sentence."""
+    alike: dict[tuple[str, str], list[tuple[str, str]]] = {}
+    for one in axes:
+        for why in one.because if one.grade != "ready" else ():
+            response, _, said = why.partition(" ")
+            response, said = (response, said) if response in STILL else ("", why)
+            alike.setdefault((one.grade, said), []).append((one.axis, response))
+    for (grade, said), members in alike.items():
+        responses = _listed([response for _, response in members if response])
+        words = said.replace("nowhere follows", "nowhere follow") if len(members) > 1 else said
+        yield f"{_listed([axis for axis, _ in members])} {grade}: {f'{responses} {words}'.strip()}"
 
 
 def _axes(dataset: Dataset, findings: Sequence[Finding]) -> Iterator[AxisGrade]:

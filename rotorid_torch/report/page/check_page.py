@@ -22,7 +22,8 @@ CAPTIONS = {
     "coherence": "In the grey band a response belongs to the controls; fit and judge there.",
     "controls": "What was flown: each control should move by itself in some flight.",
     "correlation": "Controls that go together, or with the motion, are told apart only where they do not.",
-    "kinematics": "Sensors against each other. Red that blue repairs is a clock, a scale or a bias.",
+    "kinematics": "Rate of each channel less what the others say: recorded (red), without lag, scale and bias (blue)."
+    " Red that blue repairs is a clock, a scale or a bias.",
 }
 FIRST = ("kinematics", "coherence", "controls")
 """Pictures for the first screen: where a sensor errs the first, else the second."""

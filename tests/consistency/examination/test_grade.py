@@ -75,7 +75,7 @@ def test_rates_that_nowhere_follow_are_not_usable():
     noise = {c: 0.05 * rng.standard_normal(round(SECONDS / DT)) for c in ("p", "q", "r")}
     found = grade({c: v for c, v in flown(**noise).items() if c != "az"} | {"w": 0.3 * noise["p"][::-1].copy()})
     assert found.grade == "not usable"
-    assert found.sentence.startswith("not usable, because roll not usable: p nowhere follows")
+    assert found.because[0] == "roll, pitch, yaw not usable: p, q, r nowhere follow the controls"
 
 
 def test_a_bench_is_not_usable():
