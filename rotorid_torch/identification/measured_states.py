@@ -1,7 +1,8 @@
 """Least squares of a multirotor's accelerations at measured states, all parameters at once.
 
-Nothing is integrated, so that no error grows. In every flight each response has a small constant of its own: the
-attitude's tilt, the accelerometers' bias, battery and mass differ from flight to flight, and are no size of any effect.
+Nothing is integrated, so that no error grows. In every flight each response has a small constant and trend of its own:
+the attitude's tilt, the accelerometers' bias, battery, mass and the motors' warmth differ from flight to flight or
+drift, and are no size of any effect.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
 SMOOTHED_S = 0.03
 """Length of the centred mean that measurement and model both pass before rates are differentiated."""
 SPREAD = 0.03
-"""Standard deviation of a flight's constant over the size of the response: gravity, or the usual rotor speed."""
+"""Standard deviation of a flight's constant, and of the rms of its trend, over gravity or the usual rotor speed."""
 BLOCK_S = 2.0
 """Residuals of one such block may resemble each other; those of two do not."""
 SEARCHES = (Options(max_iterations=2), Options(max_iterations=2), Options(max_iterations=10, absolute=0.01))
@@ -34,14 +35,15 @@ SEARCHES = (Options(max_iterations=2), Options(max_iterations=2), Options(max_it
 class MeasuredFit:
     """What least squares at measured states come to.
 
-    theta : [P]. errors : standard errors by full name, for residuals that resemble their neighbours. constants : of
-    each flight, in order, measured less modelled on average, by response. without : theta [P] of all flights but one,
-    for each, by one step from theta. explained : R2 of each response on all flights, constants taken out.
+    theta : [P]. errors : standard errors by full name, for residuals that resemble their neighbours. lines : of each
+    flight, in order, measured less modelled by response: level, and slope per s about the flight's middle. without :
+    theta [P] of all flights but one, for each, by one step from theta. explained : R2 of each response on all flights,
+    constants taken out.
     """
 
     theta: Tensor
     errors: Mapping[str, float]
-    constants: tuple[Mapping[str, float], ...]
+    lines: tuple[Mapping[str, tuple[float, float]], ...]
     without: tuple[Tensor, ...]
     explained: Mapping[str, float]
 
@@ -85,7 +87,7 @@ class MeasuredStates:
         """
         if not names:
             without = (theta,) * len(self.measured)
-            return MeasuredFit(theta, {}, self._constants(theta), without, self._explained(theta))
+            return MeasuredFit(theta, {}, self._lines(theta), without, self._explained(theta))
         parameter_set = self.equations.model.parameter_set
         places = [parameter_set.index(name) for name in names]
         lower, upper = (
@@ -116,7 +118,7 @@ class MeasuredStates:
             best = minimise(evaluate, linearise, best, Region(lower, upper), options).point.theta
         theta = whole(best)
         errors, without = self._errors(theta, names, prior[1]), self._without(theta, names, prior)
-        return MeasuredFit(theta, errors, self._constants(theta), without, self._explained(theta))
+        return MeasuredFit(theta, errors, self._lines(theta), without, self._explained(theta))
 
     def misfit(self, theta: Tensor, names: Sequence[str]) -> Callable[[Tensor], float]:
         """What is left, at thetas near one, with these parameters after a step of least squares from there.
@@ -151,16 +153,23 @@ class MeasuredStates:
         return {row: SPREAD * (gravity if row in SPECIFIC_FORCES else float(size)) for row, size in sizes.items()}
 
     def _weighed(self, values: Tensor, row: str, sigma: float) -> Tensor:
-        """Values [..., T] of a flight in units of what is left: about their mean, and their mean [..., T + 1].
+        """Values [..., T] of a flight in units of what is left: about a straight line, and its level and slope.
 
-        The latter counts as the constant of a flight is known: squares add up to what they are if this is taken out.
+        The latter [..., 2], behind T others, count as constant and trend of a flight are expected: squares add up to
+        what they are if these are taken out.
         """
-        mean = values.mean(dim=-1, keepdim=True)
-        known = math.sqrt(self._spreads[row] ** 2 + sigma**2 / values.shape[-1])
-        return torch.cat([(values - mean) / sigma, mean / known], dim=-1)
+        shapes = _shapes(values)
+        parts = values @ shapes.mT / values.shape[-1]
+        spread = math.sqrt(self._spreads[row] ** 2 + sigma**2 / values.shape[-1])
+        return torch.cat([(values - parts @ shapes) / sigma, parts / spread], dim=-1)
 
-    def _constants(self, theta: Tensor) -> tuple[Mapping[str, float], ...]:
-        return tuple({row: float(r.mean()) for row, r in one.items()} for one in self._left(theta))
+    def _lines(self, theta: Tensor) -> tuple[Mapping[str, tuple[float, float]], ...]:
+        lines = []
+        for one, flight in zip(self._left(theta), self.equations.flights, strict=True):
+            seconds = flight.step * max(len(r) for r in one.values())
+            parts = {row: (_shapes(r) @ r / len(r)).tolist() for row, r in one.items()}
+            lines.append({row: (level, slope * 12.0**0.5 / seconds) for row, (level, slope) in parts.items()})
+        return tuple(lines)
 
     def _explained(self, theta: Tensor) -> dict[str, float]:
         """R2 of each response, the constants of flights taken out."""
@@ -177,7 +186,7 @@ class MeasuredStates:
     def _columns(
         self, theta: Tensor, names: Sequence[str], sigma: Mapping[str, float]
     ) -> list[dict[str, tuple[Tensor, Tensor]]]:
-        """Of each flight and response, columns [T' + 1, n] and residual [T' + 1], weighed."""
+        """Of each flight and response, columns [T' + 2, n] and residual [T' + 2], weighed."""
         base, columns = self.equations.columns(theta, names)
         every = []
         for k in range(len(self.measured)):
@@ -254,6 +263,12 @@ def _response(row: str, outputs: Sequence[str], flight: Seen) -> Tensor:
         return flight.means(flight.outputs[:, [outputs.index(row)]])[:, 0]
     rate = flight.outputs[:, outputs.index(RATES[ANGULAR_ACCELERATIONS.index(row)])]
     return flight.means(torch.gradient(rate, spacing=flight.dt)[0][:, None])[:, 0]
+
+
+def _shapes(values: Tensor) -> Tensor:
+    """One, and a straight line about zero of rms 1 [2, T], along values [..., T]."""
+    line = torch.linspace(-1.0, 1.0, values.shape[-1], dtype=values.dtype)
+    return torch.stack([torch.ones_like(line), line / line.square().mean().sqrt().clamp(min=1e-300)])
 
 
 def centred(values: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from rotorid_torch.core.fallback import Unsupported
 from rotorid_torch.core.gauss_newton import Options
-from rotorid_torch.core.names import RATES
+from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
 from rotorid_torch.core.processes.device import moved, working_on
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.core.storage import mapped_arrays
@@ -115,7 +115,7 @@ def estimate_model(
     why_not = lacks(model)
     if method == "filter-error" and why_not:
         raise InputError("--method", method, why_not, "output-error")
-    flights = records(model, dataset, reconstruction, ranks)
+    flights = _own_lines_taken_off(records(model, dataset, reconstruction, ranks), model, dataset, start, ranks)
     search = _Search(model, names, settings, device, ranks, monitor)
     decides = method == "auto" and not why_not
     estimate, colour = (None, math.nan) if method == "filter-error" else search.estimate(model, flights, decides)
@@ -226,6 +226,17 @@ def records(model: Model, dataset: Dataset, reconstruction: Reconstruction, rank
     mapped_arrays.let_go()
     assert batch is not None
     return replace(batch, dt=ranks.from_first(batch.dt))  # the first flight's, which is the first rank's
+
+
+def _own_lines_taken_off(flights: Records, model: Model, dataset: Dataset, start: Step2, ranks: Ranks) -> Records:
+    """Records whose specific forces are less what step 2 lets a multirotor's flight have of its own."""
+    for k, name in enumerate(ranks.mine(dataset.identify)):
+        samples = int(flights.lengths[k])
+        time = flights.dt * (torch.arange(samples, dtype=torch.float64) - 0.5 * (samples - 1))
+        for row, (level, slope) in start.lines.get(name, {}).items():
+            if row in SPECIFIC_FORCES and row in model.body.outputs:
+                flights.outputs[k, :samples, model.body.outputs.index(row)] -= level + slope * time
+    return flights
 
 
 def lengths(model: Model) -> tuple[float, ...]:

@@ -78,7 +78,9 @@ class Step2:
         return tuple(n for n, s in split.items() if s[1] in rows and s[-1] != "trim" and ".".join(s[1:]) not in lags)
 
     errors: Mapping[str, float] = field(default_factory=dict)  # standard errors by full name: of a multirotor
-    constants: Mapping[str, Mapping[str, float]] = field(default_factory=dict)  # of flights, by response
+    lines: Mapping[str, Mapping[str, tuple[float, float]]] = field(
+        default_factory=dict
+    )  # `MeasuredFit.lines` by flight
     without: Mapping[str, Tensor] = field(default_factory=dict)  # a multirotor's theta of all flights but that one
     explained: Mapping[str, float] = field(default_factory=dict)  # R2 by response: of a multirotor
 

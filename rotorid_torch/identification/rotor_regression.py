@@ -48,9 +48,9 @@ def regress_rotors(model: Model, dataset: Dataset, reconstruction: Reconstructio
     if not begun:
         theta, regressions = RotorEquations(model, flights).fitted(theta, linear)
     fit = MeasuredStates.of(model, flights).fitted(model.parameter_set.clamp(theta), model.parameter_set.free)
-    constants = dict(zip(dataset.identify, fit.constants, strict=True))
+    lines = dict(zip(dataset.identify, fit.lines, strict=True))
     without = dict(zip(dataset.identify, fit.without, strict=False))  # none of one flight alone
-    return Step2(regressions, fit.theta, (), {}, fit.errors, constants, without, fit.explained)
+    return Step2(regressions, fit.theta, (), {}, fit.errors, lines, without, fit.explained)
 
 
 def nonlinear(model: Model) -> tuple[str, ...]:

@@ -32,8 +32,12 @@ HOVER = float(np.sqrt((MASS * G / 4 - 0.2) / 1.5))
 EFFECTS = ("propulsion.motor_lag", "control.delay", "propulsion.rotor_inertia")
 
 
-def flown(seed: int, samples: int = 1600) -> dict[str, np.ndarray]:
-    """Rates and specific force under random commands and a rate controller; rotors lag and their commands are late."""
+def flown(seed: int, samples: int = 1600, voltage: np.ndarray | None = None) -> dict[str, np.ndarray]:
+    """Rates and specific force under random commands and a rate controller; rotors lag and their commands are late.
+
+    voltage : of the battery [samples], over the usual one; commands count times it.
+    """
+    share = np.ones(samples) if voltage is None else voltage
     rng = np.random.default_rng(seed)
     mix = np.stack([np.ones(4), -np.sign(PLACES[:, 1]), np.sign(PLACES[:, 0]), SPINS], axis=1)
     pushed = np.asarray(lfilter([0.1], [1, -0.9], rng.standard_normal((samples, 4)), axis=0))
@@ -46,7 +50,7 @@ def flown(seed: int, samples: int = 1600) -> dict[str, np.ndarray]:
         seen.append([*measured, -thrust.sum() / MASS])
         commands.append(HOVER + mix @ (pushed[k] - np.array([0.0, *(measured * [0.01, 0.01, 0.05])])))
         rates = rates + DT * (ARMS @ thrust) / INERTIA
-        reached = a * reached + (1 - a) * commands[max(0, k - behind)]
+        reached = a * reached + (1 - a) * commands[max(0, k - behind)] * share[max(0, k - behind)]
     noisy = np.array(seen) + rng.standard_normal((samples, 4)) * np.array([0.01, 0.01, 0.01, 0.02])
     channels = dict(zip(("p", "q", "r", "az"), noisy.T, strict=True))
     motors = {f"motor{i + 1}": c for i, c in enumerate(np.array(commands).T)}
@@ -114,6 +118,24 @@ def test_a_moment_that_a_poorer_model_does_not_explain_is_free_again_in_a_richer
     assert set(silent) <= set(model.parameter_set.free)
     power = float(regressions.theta[model.parameter_set.index("rotors.power.L")])
     assert power == pytest.approx(1.25, rel=0.1)
+
+
+def test_motors_that_warm_are_not_taken_for_a_battery():
+    """Thrust is lost along every flight beside what the falling voltage takes: a trend of the flight's own."""
+    time, flights = np.linspace(-0.5, 0.5, 1600), {}
+    for k, name in enumerate(("one", "two", "three")):
+        share = 1.0 - 0.01 * k - 0.03 * time + 0.01 * np.sin((20.0 + k) * time)
+        flights[name] = flown(k, voltage=share) | {"voltage": 4.0 * share}
+        flights[name]["az"] = flights[name]["az"] + 0.4 * time
+    data = recorded(flights)
+    seen_by_now = reconstruct(data)
+    model = build(propose(data, seen_by_now, (*EFFECTS, "propulsion.voltage")))
+    found = regress_rotors(model, data, seen_by_now)
+    exponent = float(found.theta[model.parameter_set.index("propulsion.voltage.exponent")])
+    assert exponent == pytest.approx(1.0, abs=0.25)
+    level, slope = found.lines["one"]["az"]
+    assert slope * 1600 * DT == pytest.approx(0.4, abs=0.15)
+    assert abs(level) < 0.3
 
 
 def test_what_is_missing_for_a_moment_is_missing_for_a_moment():
