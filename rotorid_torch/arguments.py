@@ -424,8 +424,8 @@ def _failure(error: Exception, form: str) -> tuple[str, str]:
     """What to say of a function that has failed, and what was expected."""
     text = (str(error).splitlines() or [""])[0]
     for pattern, words in _TRANSLATED:
-        if found := re.search(pattern, text):
-            return f"fails: {words.format(*found.groups())}", f"{form} for batches: write x[..., 0], not x[0]"
+        if matched := re.search(pattern, text):
+            return f"fails: {words.format(*matched.groups())}", f"{form} for batches: write x[..., 0], not x[0]"
     if "numpy" in text.lower():
         return "uses NumPy, which knows no derivatives", f"torch functions: torch.sin for np.sin; {form}"
     return f"fails: {type(error).__name__}: {text[:160]}", form

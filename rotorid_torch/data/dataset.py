@@ -2,82 +2,44 @@
 
 from __future__ import annotations
 
-import hashlib
 import html
-import json
 import math
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
-import msgspec
 import numpy as np
 
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument
 from rotorid_torch.core import names
-from rotorid_torch.core.storage.atomic import restore
-from rotorid_torch.core.storage.paths import nearest_path
-from rotorid_torch.data import plausible
-from rotorid_torch.data.declare import Declaration, declare, read_declaration
 from rotorid_torch.data.facts import Facts
 from rotorid_torch.data.flight import Flight
-from rotorid_torch.data.on_demand import OnDemand
-from rotorid_torch.data.reading import suspicion
-from rotorid_torch.data.reading.commands import speeds_as_commands
-from rotorid_torch.data.reading.dead import Dead, dead_channels, facts_without, flight_without
-from rotorid_torch.data.reading.grid import make_flight
+from rotorid_torch.data.reading.contents import SHOWN, Contents
 from rotorid_torch.data.reading.noise import white_noise
 from rotorid_torch.data.reading.quiet import quiet_samples
-from rotorid_torch.data.reading.read import FOLDERS, find_flight, parse_flight, read_flight, take_arrays
-from rotorid_torch.data.schema import ChannelSpec, ControlSpec, FlightLists, ModelSettings, Vehicle
+from rotorid_torch.data.reading.read import FOLDERS, find_flight
+from rotorid_torch.data.reading.sources import from_document, from_folder
+from rotorid_torch.data.schema import Vehicle
 from rotorid_torch.data.use.tables import frame
 from rotorid_torch.data.use.windows import Windows, windows_of
 from rotorid_torch.errors import InputError
-from rotorid_torch.printable import printable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 NOISE_FLOOR = 1e-3
 """Least noise of a channel that declares none, as a share of its rms deviation: a filtered channel is not exact."""
-SHOWN = 30
-"""Flights that a data set shows of itself by name, at most."""
 ENOUGH = 100
 """Identify flights that a noise or a spectrum is estimated from, at most; more make it no more certain."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Dataset:
-    """Flights of one vehicle about one reference point. Made by `load` or `Dataset.from_arrays`, both validating.
-
-    `flights` of a folder are read when they are asked for, those used last stay in memory; `facts` of all are known.
-    `derived` are channels that were made from others, which no score knows. `dead` are those that never change, which
-    flights and facts are without.
-    """
-
-    name: str
-    kind: str
-    path: Path | None
-    sha256: str
-    description: str
-    vehicle: Vehicle
-    controls: tuple[str, ...]
-    control_specs: Mapping[str, ControlSpec]
-    channel_specs: Mapping[str, ChannelSpec]
-    flights: Mapping[str, Flight]
-    facts: Mapping[str, Facts]
-    identify: tuple[str, ...]
-    validate: tuple[str, ...]
-    acid: tuple[str, ...]
-    settings: ModelSettings
-    warnings: tuple[str, ...]
-    derived: frozenset[str] = frozenset()
-    dead: tuple[Dead, ...] = ()
+class Dataset(Contents):
+    """Flights of one vehicle about one reference point. Made by `load` or `Dataset.from_arrays`, both validating."""
 
     @classmethod
     def from_arrays(
@@ -119,7 +81,7 @@ class Dataset:
         document = {"format": 1, "name": name, "kind": kind, "description": description, "vehicle": vehicle}
         document |= {"controls": controls, "channels": channels}
         document |= {"flights": {"identify": identify, "validate": validate, "acid": acid}, "model": model}
-        return _from_document(flights, document)
+        return cls(**vars(from_document(flights, document)))
 
     def __repr__(self) -> str:
         lists = ", ".join(f"{len(getattr(self, which))} {which}" for which in ("identify", "validate", "acid"))
@@ -362,201 +324,4 @@ def load(path: str | Path) -> Dataset:
     >>> data["f321_lon"].has("p", "q", "r")
     True
     """
-    folder = arguments.place(Argument("load", "path"), path)
-    if folder.name == "dataset.toml":
-        folder = folder.parent
-    restore(folder)
-    if not os.path.isdir(folder):
-        wrong = "is not a folder" if os.path.exists(folder) else f"there is no such folder{nearest_path(folder)}"
-        raise InputError(folder, "", wrong, "a data set's folder")
-    toml = folder / "dataset.toml"
-    declaration, content = read_declaration(toml)
-    digest = hashlib.sha256(content)
-    digests: dict[str, bytes] = {}
-    units = declaration.units()
-    flights = OnDemand(declaration.flights.all(), lambda name: _again(name, places[name], digests[name], units))
-    places, facts, warnings = {}, {}, []
-    for name in declaration.flights.all():
-        file = find_flight(folder, name)
-        data = read_flight(file)
-        digest.update(data)
-        digests[name] = hashlib.sha256(data).digest()
-        flight, wrong = make_flight(name, parse_flight(file, data), file, units)
-        facts[name], places[name] = _facts(flight, file), file
-        flights.keep(name, flight)
-        warnings += wrong
-    return _assemble(declaration, flights, facts, Origin(folder, toml, places, digest.hexdigest()), warnings)
-
-
-def _from_document(flights: Mapping[str, Mapping[str, Any]], document: Mapping[str, Any]) -> Dataset:
-    """A data set from arrays, declared by a document of dataset.toml's form; its tables may be structs, or None."""
-    flights = arguments.instance(Argument("arrays", "flights"), flights, Mapping, "a dict of channels by flight")
-    named = 'a list of names of flights: ["..."]'
-    lists = {key: arguments.sequence(Argument("arrays", key), of, named) for key, of in document["flights"].items()}
-    tables = {key: _plain(document[key] or {}) for key in ("vehicle", "controls", "channels", "model")}
-    document = {**document, **tables, "flights": lists}
-    declaration = declare(document, "arrays")
-    digest = hashlib.sha256(json.dumps(document, sort_keys=True).encode())
-    flown, facts, warnings = {}, {}, []
-    places: dict[str, str | Path] = {name: f"arrays: flight {name}" for name in declaration.flights.all()}
-    for name, place in places.items():
-        if name not in flights:
-            expected = f"flights of the lists; there are {arguments.listed(map(str, flights))}"
-            raise InputError("arrays", "flights", f"there is no flight '{name}'", expected)
-        arrays = take_arrays(flights[name], str(place))
-        for channel, values in arrays.items():
-            digest.update(channel.encode() + values.tobytes())
-        flown[name], remarks = make_flight(name, arrays, place, declaration.units())
-        facts[name] = _facts(flown[name], place)
-        warnings += remarks
-    return _assemble(declaration, flown, facts, Origin(None, "arrays", places, digest.hexdigest()), warnings)
-
-
-def _again(name: str, file: Path, digest: bytes, units: Mapping[str, str]) -> Flight:
-    """Read a flight once more; InputError where its file is no longer what it was."""
-    data = read_flight(file)
-    if hashlib.sha256(data).digest() != digest:
-        raise InputError(file, "", "has changed since the data set was loaded", "a file that stays until the run ends")
-    return make_flight(name, parse_flight(file, data), file, units)[0]
-
-
-def _facts(flight: Flight, file: str | Path) -> Facts:
-    """What later steps want to know without the samples, where these make sense."""
-    suspicion.refuse_degrees_of_attitude(flight, file)
-    return Facts.of(flight)
-
-
-def _plain(table: Any) -> Any:
-    return (
-        msgspec.to_builtins(dict(table) if isinstance(table, Mapping) else table, str_keys=True)
-        if isinstance(table, msgspec.Struct | Mapping | list | tuple)
-        else table
-    )
-
-
-class Origin(NamedTuple):
-    """Where a data set comes from: its folder, its declaration, each flight's file, and the hash of all of it."""
-
-    folder: Path | None
-    toml: str | Path
-    places: Mapping[str, str | Path]
-    sha256: str
-
-
-def _assemble(
-    declaration: Declaration,
-    flights: Mapping[str, Flight],
-    facts: Mapping[str, Facts],
-    origin: Origin,
-    warnings: list[str],
-) -> Dataset:
-    """Checks that need declaration and flights together, then the Dataset."""
-    folder, toml, places, sha256 = origin
-    flights, facts, spoken = speeds_as_commands(flights, facts)
-    declaration, flights, facts, left = _of_one_kind(declaration, flights, facts)
-    controls, remarks = _controls(declaration, facts, places)
-    specs = {
-        name: declaration.controls.get(name) or ControlSpec(unit="norm" if names.is_motor(name) else "rad")
-        for name in controls
-    }
-    motors = declaration.vehicle.motors
-    commands = [name for name in controls if names.is_motor(name)]
-    if motors and commands and len(motors) != len(commands):
-        raise InputError(
-            toml, "vehicle.motors", f"declares {len(motors)} motors", f"{len(commands)}, one per motor command"
-        )
-    plausible.check_thrust(declaration.vehicle, _largest_inputs(commands, facts), toml)
-    present = {channel for flight_facts in facts.values() for channel in flight_facts.channels}
-    for channel in declaration.channels:
-        if names.channel(channel) is None and channel not in present:
-            hint = names.nearest(channel, names.CHANNELS)
-            raise InputError(
-                toml, f"channels.{channel}", f"no flight has this channel{hint}", "a channel of the data set"
-            )
-    dead = dead_channels(facts, declaration.flights.identify)
-    flights, facts = (_living(flights, dead), facts_without(facts, dead)) if dead else (flights, facts)
-    return Dataset(
-        name=declaration.name or (printable(folder.resolve().name, layout=False) if folder else "arrays"),
-        kind=declaration.kind,
-        path=folder,
-        sha256=sha256,
-        description=declaration.description,
-        vehicle=declaration.vehicle,
-        controls=controls,
-        control_specs=MappingProxyType(specs),
-        channel_specs=MappingProxyType(dict(declaration.channels)),
-        flights=MappingProxyType(flights),
-        facts=MappingProxyType(facts),
-        identify=declaration.flights.identify,
-        validate=declaration.flights.validate,
-        acid=declaration.flights.acid,
-        settings=declaration.model,
-        warnings=(*declaration.warnings, *warnings, *spoken, *left, *remarks),
-        dead=dead,
-    )
-
-
-def _of_one_kind(
-    declaration: Declaration, flights: Mapping[str, Flight], facts: Mapping[str, Facts]
-) -> tuple[Declaration, Mapping[str, Flight], Mapping[str, Facts], list[str]]:
-    """A multirotor's flights that tell of commands and rates, where others are logs of another kind; and a remark."""
-    commands = {c for one in facts.values() for c in one.channels if names.is_motor(c)}
-    whole = {name for name, one in facts.items() if one.has(*names.RATES, *commands)}
-    listed = {
-        w: tuple(n for n in getattr(declaration.flights, w) if n in whole) for w in ("identify", "validate", "acid")
-    }
-    if declaration.kind != "multirotor" or len(whole) == len(facts) or not listed["identify"]:
-        return declaration, flights, facts, []
-    left = [name for name in facts if name not in whole]
-    shown = ", ".join(left[:SHOWN]) + (f" and {len(left) - SHOWN} more" if len(left) > SHOWN else "")
-    said = (
-        f"{shown} left out: logs of another kind, without body rates or motor commands, beside flights that have both"
-    )
-    reduced = msgspec.structs.replace(declaration, flights=FlightLists(**listed))
-    return (
-        reduced,
-        OnDemand([name for name in flights if name in whole], lambda name: flights[name]),
-        {name: one for name, one in facts.items() if name in whole},
-        [said],
-    )
-
-
-def _living(flights: Mapping[str, Flight], dead: Sequence[Dead]) -> Mapping[str, Flight]:
-    """The flights without their dead channels, each when it is asked for."""
-    return OnDemand(flights, lambda name: flight_without(flights[name], dead))
-
-
-def _largest_inputs(commands: Sequence[str], facts: Mapping[str, Facts]) -> list[float]:
-    """What the declared thrusts are of: 1 of a motor command, or the largest rotor speeds where all are recorded."""
-    speeds = [f"omega{command.removeprefix('motor')}" for command in commands]
-    if not all(flight_facts.has(*speeds) for flight_facts in facts.values()):
-        return [1.0] * len(commands)
-    spreads = ([flight_facts.spreads[speed] for flight_facts in facts.values()] for speed in speeds)
-    return [max(max(abs(s.low), abs(s.high)) for s in every) for every in spreads]
-
-
-def _controls(
-    declaration: Declaration, facts: Mapping[str, Facts], places: Mapping[str, str | Path]
-) -> tuple[tuple[str, ...], list[str]]:
-    """Controls: the declared ones and those of the vehicle's kind that are recorded; every flight must have them."""
-    recorded = {
-        channel for flight_facts in facts.values() for channel in flight_facts.channels if names.is_control(channel)
-    }
-    motors = declaration.kind == "multirotor"
-    of_kind = {name for name in recorded if names.is_motor(name) == motors}
-    chosen = names.ordered_controls(set(declaration.controls) | of_kind or recorded)
-    if not chosen:
-        file = places[declaration.flights.identify[0]]
-        raise InputError(file, "controls", "there is no control", "at least one of lon, lat, col, ped, motor1, ...")
-    for name, flight_facts in facts.items():
-        for control in chosen:
-            if not flight_facts.has(control):
-                what = "is all NaN" if control in flight_facts.channels else "is missing"
-                raise InputError(places[name], control, what, "every control of the data set in every flight")
-    undeclared = [name for name in chosen if name not in declaration.controls]
-    remarks = [
-        f"control {name} has no [controls.{name}]: taken as {'norm' if names.is_motor(name) else 'rad'}"
-        for name in undeclared
-    ]
-    unused = sorted(recorded - set(chosen))
-    return chosen, remarks + [f"channel {name} is recorded, not declared as a control and not used" for name in unused]
+    return Dataset(**vars(from_folder(path)))

@@ -45,7 +45,7 @@ MATHEMATICS = """
 
 
 @dataclass(frozen=True)
-class Source:
+class ModelSource:
     """Header and source of a model; `name` begins every public name in them."""
 
     name: str
@@ -66,7 +66,7 @@ def identifier(title: str) -> str:
     return f"model_{name}" if name[0].isdigit() or keyword.iskeyword(name) else name
 
 
-def c_source(model: Model, title: str, step: float) -> Source:
+def c_source(model: Model, title: str, step: float) -> ModelSource:
     """The model as C; `step` is the longest step of its integration, s.
 
     Raises
@@ -114,7 +114,7 @@ def c_source(model: Model, title: str, step: float) -> Source:
     kind_names = "enum { DELAY, LAG, RATE_LIMIT, PLAY, INSTANT };"
     source = "\n".join([heading, kind_names, *tables[:-1], prepare, *code, tables[-1], *kinds, body])
     header = (RUNTIME / "model.h").read_text().replace("@title@", _comment(title)).replace("@sizes@", sizes)
-    return Source(name, _renamed(header, name), _renamed(source, name))
+    return ModelSource(name, _renamed(header, name), _renamed(source, name))
 
 
 def _functions(dynamics: Dynamics) -> list[tuple[str, Sequence[int]]]:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from rotorid_torch.core.storage.atomic import scratch_folder
-from rotorid_torch.exporting.c_source import RUNTIME, Source, c_source
+from rotorid_torch.exporting.c_source import RUNTIME, ModelSource, c_source
 from rotorid_torch.exporting.compiler import library, suffix
 from rotorid_torch.exporting.description import Fmi, description, variables
 from rotorid_torch.exporting.subject import Subject
@@ -47,7 +47,7 @@ def write_fmu(subject: Subject, path: Path, fmi: Fmi = Fmi.TWO) -> None:
             archive.writestr(zipfile.ZipInfo(name, FIXED), content, zipfile.ZIP_DEFLATED)
 
 
-def _sources(source: Source, fmi: Fmi, guid: str) -> dict[str, str]:
+def _sources(source: ModelSource, fmi: Fmi, guid: str) -> dict[str, str]:
     """The C files by name: the model, and the interface about it."""
     interface = {}
     for name in ("fmu.c", f"fmi{fmi.value[0]}.c"):

@@ -38,7 +38,7 @@ class StateFacts(msgspec.Struct, frozen=True):
     channel: str | None = None
 
 
-class Facts(msgspec.Struct, frozen=True):
+class FmuFacts(msgspec.Struct, frozen=True):
     """What an exported FMU says of its model, see `fmu`."""
 
     format: int
@@ -52,7 +52,7 @@ class Facts(msgspec.Struct, frozen=True):
     ranges: dict[str, tuple[float, float]]
 
 
-def read_facts(path: str | Path) -> Facts:
+def read_facts(path: str | Path) -> FmuFacts:
     """What an FMU says of itself.
 
     Raises
@@ -62,7 +62,7 @@ def read_facts(path: str | Path) -> Facts:
     read_file(path, EXPECTED, LARGEST)
     try:
         with zipfile.ZipFile(path) as archive:
-            return msgspec.json.decode(archive.read(FACTS), type=Facts)
+            return msgspec.json.decode(archive.read(FACTS), type=FmuFacts)
     except (zipfile.BadZipFile, KeyError, msgspec.MsgspecError, json.JSONDecodeError, OSError):
         raise InputError(path, "", f"holds no {FACTS}", EXPECTED) from None
 
@@ -75,7 +75,7 @@ class Span:
     samples: int
 
 
-def fly_fmu(path: str | Path, facts: Facts, dataset: Dataset, flight: str, span: Span) -> dict[str, np.ndarray]:
+def fly_fmu(path: str | Path, facts: FmuFacts, dataset: Dataset, flight: str, span: Span) -> dict[str, np.ndarray]:
     """Free run by name: "time" (T,) s, states and outputs (T,), SI; as `run.saved_model.simulate` gives of a model.
 
     Raises
@@ -106,7 +106,7 @@ def fly_fmu(path: str | Path, facts: Facts, dataset: Dataset, flight: str, span:
 
 
 @contextmanager
-def _opened(path: str | Path, facts: Facts, dt: float) -> Iterator[_Machine]:
+def _opened(path: str | Path, facts: FmuFacts, dt: float) -> Iterator[_Machine]:
     """An instance of the FMU that holds its states."""
     try:
         import fmpy
@@ -137,7 +137,7 @@ def _opened(path: str | Path, facts: Facts, dt: float) -> Iterator[_Machine]:
 class _Machine:
     """An FMU of either version: it waits with its states held, and flies from where it waits as often as asked."""
 
-    def __init__(self, slave: Any, facts: Facts, dt: float, three: bool) -> None:
+    def __init__(self, slave: Any, facts: FmuFacts, dt: float, three: bool) -> None:
         self.slave, self.facts, self.dt, self.three = slave, facts, dt, three
         self.inputs = [CONTROL + k for k in range(len(facts.controls))]
         self.slopes = [SLOPE + k for k in range(len(facts.controls))]

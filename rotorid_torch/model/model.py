@@ -18,7 +18,7 @@ from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
 from rotorid_torch.errors import InputError
 from rotorid_torch.model.training.free_run import FreeRun, free_run
-from rotorid_torch.model.training.named_parameters import NamedParameters, Piece
+from rotorid_torch.model.training.named_parameters import NamedParameters, NamedPart
 from rotorid_torch.model.training.trajectories import Trajectories
 
 ATTITUDE = ATTITUDES[:2]
@@ -98,15 +98,15 @@ class Model(nn.Module):
             self._named = NamedParameters(self.theta, list(self._pieces()))
         yield from ((f"{prefix}.{name}" if prefix else name, leaf) for name, leaf in self._named)
 
-    def _pieces(self) -> Iterator[Piece]:
+    def _pieces(self) -> Iterator[NamedPart]:
         first = 0
         for e in self.chain:
             weights = e.network_weights
             for p in e.declared[: len(e.declared) - sum(w.count for w in weights)]:
-                yield Piece(f"{e.id}.{p.name}", first, (), 1)
+                yield NamedPart(f"{e.id}.{p.name}", first, (), 1)
                 first += 1
             for w in weights:
-                yield Piece(f"{e.id}.{w.name}", first, w.shape, w.count)
+                yield NamedPart(f"{e.id}.{w.name}", first, w.shape, w.count)
                 first += w.count
 
     def zero_grad(self, set_to_none: bool = True) -> None:

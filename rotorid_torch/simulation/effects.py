@@ -16,7 +16,7 @@ import numpy as np
 from rotorid_torch.simulation.helicopter.aircraft import Aircraft
 from rotorid_torch.simulation.helicopter.atmosphere import Turbulence
 from rotorid_torch.simulation.helicopter.control_path import ControlPath
-from rotorid_torch.simulation.helicopter.sensor_errors import GYROS, Line
+from rotorid_torch.simulation.helicopter.sensor_errors import GYROS, VibrationLine
 from rotorid_torch.simulation.helicopter.slung_load import SlungLoad
 
 EffectClass = Literal["identifiable", "absorbed"]
@@ -137,9 +137,9 @@ def _vibration(aircraft: Aircraft, size: float) -> Aircraft:
     """Lines at 1/rev (track and balance) and at N/rev."""
     if not size:
         return aircraft
-    once = Line(1, _three(size * np.array([0.12, 0.18, 0.15])), _three(size * np.array([0.006, 0.004, 0.003])))
+    once = VibrationLine(1, _three(size * np.array([0.12, 0.18, 0.15])), _three(size * np.array([0.006, 0.004, 0.003])))
     passing = _three(size * np.array([0.35, 0.45, 0.7])), _three(size * np.array([0.010, 0.007, 0.006]))
-    return _sensors(aircraft, vibration=(once, Line(aircraft.rotor.blades, *passing)))
+    return _sensors(aircraft, vibration=(once, VibrationLine(aircraft.rotor.blades, *passing)))
 
 
 def all_mass(aircraft: Aircraft) -> float:

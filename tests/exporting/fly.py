@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.integrate import simulate
-from rotorid_torch.exporting.c_source import Source
+from rotorid_torch.exporting.c_source import ModelSource
 from rotorid_torch.exporting.compiler import c_compiler
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.training.equilibrium import equilibrium
@@ -42,7 +42,7 @@ int main(int count, char** words) {
 """
 
 
-def fly_c(source: Source, folder: Path, start: Sequence[float], controls: Tensor, dt: float) -> np.ndarray:
+def fly_c(source: ModelSource, folder: Path, start: Sequence[float], controls: Tensor, dt: float) -> np.ndarray:
     """States and outputs [T, nx + ny] of the compiled program under controls [T, nu]; warnings are errors."""
     source.write(folder)
     text = PROGRAM.replace("UPPER", source.name.upper()).replace("NAME", source.name)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from rotorid_torch.simulation.flight.linear import Linear, linearise
+from rotorid_torch.simulation.flight.linear import LinearAircraft, linearise
 from rotorid_torch.simulation.flight.trim import Trim, find_trim
 from rotorid_torch.simulation.helicopter.aircraft import Aircraft
 from rotorid_torch.simulation.vehicles.vehicle import load_aircraft
@@ -16,7 +16,7 @@ class Hover:
 
     aircraft: Aircraft
     trim: Trim
-    linear: Linear
+    linear: LinearAircraft
 
 
 @pytest.fixture(scope="session")

@@ -19,7 +19,7 @@ WHOLE = "an npz as numpy.savez writes it"
 
 
 @dataclass(frozen=True)
-class Header:
+class ArrayHeader:
     """What an array of an npz says of itself: shape, order, type of its numbers, and the bytes that it takes."""
 
     member: zipfile.ZipInfo
@@ -59,7 +59,7 @@ class Npz:
 
     def __init__(self, file: Path, archive: zipfile.ZipFile, members: list[zipfile.ZipInfo]) -> None:
         self._file, self._archive = file, archive
-        self.headers: dict[str, Header] = {}
+        self.headers: dict[str, ArrayHeader] = {}
         for member in members:
             name = member.filename.removesuffix(".npy")
             if name in self.headers:
@@ -81,7 +81,7 @@ class Npz:
         return np.frombuffer(data, header.dtype).reshape(header.shape, order="F" if header.fortran else "C")
 
 
-def _header(file: Path, name: str, member: zipfile.ZipInfo, stream: IO[bytes]) -> Header:
+def _header(file: Path, name: str, member: zipfile.ZipInfo, stream: IO[bytes]) -> ArrayHeader:
     try:
         read = npy.read_array_header_1_0 if npy.read_magic(stream) == (1, 0) else npy.read_array_header_2_0
         shape, fortran, dtype = read(stream)
@@ -92,7 +92,7 @@ def _header(file: Path, name: str, member: zipfile.ZipInfo, stream: IO[bytes]) -
         raise InputError(file, name, "is a pickled object", "float32 or float64; nothing is unpickled")
     if any(length < 0 for length in shape):
         raise InputError(file, name, f"has the shape {shape}", "an array of numbers")
-    return Header(member, shape, fortran, dtype)
+    return ArrayHeader(member, shape, fortran, dtype)
 
 
 def refuse_beyond(file: Path, bytes_of: Mapping[str, int], budget: int) -> None:

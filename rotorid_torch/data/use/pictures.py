@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLUMNS = 3
-"""Pictures beside each other."""
+"""Pictures across each other."""
 SIZE = (3.2, 1.7)
 """Of one picture, inches."""
 
@@ -29,17 +29,17 @@ def over(title: str, along: tuple[str, Tensor], columns: Mapping[str, Tensor]) -
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    beside = min(COLUMNS, max(len(columns), 1))
-    rows = -(-max(len(columns), 1) // beside)
-    figure = Figure(figsize=(SIZE[0] * beside, SIZE[1] * rows + 0.4), layout="constrained")
+    across = min(COLUMNS, max(len(columns), 1))
+    rows = -(-max(len(columns), 1) // across)
+    figure = Figure(figsize=(SIZE[0] * across, SIZE[1] * rows + 0.4), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(rows, beside, sharex=True, squeeze=False).ravel()
+    axes = figure.subplots(rows, across, sharex=True, squeeze=False).ravel()
     for axis, (name, values) in zip(axes, columns.items(), strict=False):
         axis.plot(along[1].numpy(), values.numpy(), linewidth=0.8)
         axis.set_ylabel(name)
     for axis in axes[len(columns) :]:
         axis.set_axis_off()
-    for axis in axes[-beside:]:
+    for axis in axes[-across:]:
         axis.set_xlabel(along[0])
     figure.suptitle(title)
     return figure

@@ -13,7 +13,7 @@ from torch.utils.data import Dataset
 from rotorid_torch.errors import InputError
 
 
-class Record(Protocol):
+class Recording(Protocol):
     """What is asked of a flight."""
 
     @property
@@ -75,7 +75,7 @@ class Windows(Dataset[dict[str, Tensor]]):
 
 
 def windows_of(
-    flights: Iterable[Record], controls: Sequence[str], outputs: Sequence[str], seconds: float, every: float
+    flights: Iterable[Recording], controls: Sequence[str], outputs: Sequence[str], seconds: float, every: float
 ) -> Windows:
     """Windows of `seconds`, one beginning every `every` seconds; controls bridged, outputs NaN where missing.
 

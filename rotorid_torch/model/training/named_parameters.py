@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 
 @dataclass(frozen=True)
-class Piece:
+class NamedPart:
     """Some successive numbers of the vector as one tensor."""
 
     name: str
@@ -31,7 +31,7 @@ class NamedParameters:
     """
 
     vector: nn.Parameter
-    pieces: Sequence[Piece]
+    pieces: Sequence[NamedPart]
     leaves: list[nn.Parameter] = field(init=False)
 
     def __post_init__(self) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.schema import Vehicle
 from rotorid_torch.errors import InputError
-from rotorid_torch.simulation.drawn.draws import ALIKE, Aircraft, Prior, draw, finish, prior
+from rotorid_torch.simulation.drawn.draws import ALIKE, DrawnAircraft, Prior, draw, finish, prior
 from rotorid_torch.simulation.drawn.resemblance import Evidence, Table, look, mirrored, recorded
 from rotorid_torch.simulation.drawn.resemblance import reference as trim_of
 from rotorid_torch.simulation.drawn.tracking import Followed, follow, tapes
@@ -121,7 +121,7 @@ def _flown(dataset: Dataset, seed: int, draws: Sequence[int], prior: Prior, evid
             )
 
 
-def _rotor(aircraft: Aircraft, k: int) -> str:
+def _rotor(aircraft: DrawnAircraft, k: int) -> str:
     """Which rotor a drawn aircraft has."""
     if aircraft.kind.uniform[k]:
         return "quasi-steady flapping, uniform inflow"
@@ -132,7 +132,7 @@ def _rotor(aircraft: Aircraft, k: int) -> str:
 
 def _aircraft(
     dataset: Dataset, seed: int, draws: Sequence[int], prior: Prior, evidence: Evidence
-) -> tuple[Aircraft, list[int]]:
+) -> tuple[DrawnAircraft, list[int]]:
     """An aircraft for every number, drawn again where it does not resemble the data; and how many were drawn."""
     # Every number goes through the kinds of rotor in an order of its own until one of them suits.
     orders = [np.random.default_rng([seed, number]).permutation(len(KINDS)) for number in draws]

@@ -112,7 +112,7 @@ def level_velocity(trim: Mapping[str, float]) -> Array:
 
 
 @dataclass(frozen=True)
-class Aircraft:
+class DrawnAircraft:
     """Drawn aircraft: standard normal deviates [aircraft, number], rotors, trims, and how far they are from the data.
 
     `table` [aircraft, 7, 10]: derivatives as `Evidence.tabulate` gives them; `misfit` [aircraft]: rms over tolerances.
@@ -127,7 +127,7 @@ class Aircraft:
     gearing: Array
 
 
-def draw(prior: Prior, evidence: Evidence, kind: Kind, streams: list[np.random.Generator]) -> Aircraft:
+def draw(prior: Prior, evidence: Evidence, kind: Kind, streams: list[np.random.Generator]) -> DrawnAircraft:
     """One aircraft per rotor and random stream, corrected towards the evidence."""
     size = len(prior.numbers)
     start = np.stack([stream.standard_normal(size) for stream in streams])
@@ -151,7 +151,7 @@ def draw(prior: Prior, evidence: Evidence, kind: Kind, streams: list[np.random.G
     return finish(prior, evidence, closest, kind)
 
 
-def finish(prior: Prior, evidence: Evidence, normal: Array, kind: Kind) -> Aircraft:
+def finish(prior: Prior, evidence: Evidence, normal: Array, kind: Kind) -> DrawnAircraft:
     """Trim and derivatives of given aircraft."""
     craft = prior.craft(normal, kind)
     trims, gearing = find_trims(craft, prior.velocity), prior.gearing(normal)
@@ -160,7 +160,7 @@ def finish(prior: Prior, evidence: Evidence, normal: Array, kind: Kind) -> Aircr
     asked = np.isfinite(_tolerances(evidence))
     misfit = np.sqrt((left[:, asked] ** 2).mean(1)) if asked.any() else np.zeros(len(normal))
     steady = np.linalg.eigvals(linearise(craft, trims).inner).real.max(1) < SETTLING
-    return Aircraft(normal, kind, craft, trims, table, np.where(trims.converged & steady, misfit, np.inf), gearing)
+    return DrawnAircraft(normal, kind, craft, trims, table, np.where(trims.converged & steady, misfit, np.inf), gearing)
 
 
 def _tolerances(evidence: Evidence) -> Array:

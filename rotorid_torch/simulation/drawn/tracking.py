@@ -11,7 +11,7 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.linalg import solve_continuous_are
 from scipy.ndimage import gaussian_filter1d
 
-from rotorid_torch.simulation.drawn.draws import Aircraft, Prior, level_velocity
+from rotorid_torch.simulation.drawn.draws import DrawnAircraft, Prior, level_velocity
 from rotorid_torch.simulation.drawn.resemblance import Recorded
 from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES
 from rotorid_torch.simulation.helicopter.section import Array
@@ -174,7 +174,7 @@ class Followed:
         return np.where(np.isfinite(worst), worst, np.inf)
 
 
-def gains(aircraft: Aircraft, prior: Prior, tape: Tapes) -> Array:
+def gains(aircraft: DrawnAircraft, prior: Prior, tape: Tapes) -> Array:
     """Feedback of `FED` to lon lat col ped, rad, [aircraft, 4, 9].
 
     The controller of the recorded flights, and around it as little as keeps the aircraft near them: linear-quadratic,
@@ -208,7 +208,7 @@ def body_system(derivatives: Array, x: Array, gravity: float) -> tuple[Array, Ar
     return a, b
 
 
-def _starts(aircraft: Aircraft, tape: Tapes, prior: Prior) -> tuple[Array, Array]:
+def _starts(aircraft: DrawnAircraft, tape: Tapes, prior: Prior) -> tuple[Array, Array]:
     """States [31, aircraft, flight] and controls [4, aircraft, flight] of the trims that the flights start from.
 
     NaN where an aircraft finds none at a flight's velocity.
@@ -226,7 +226,7 @@ def _starts(aircraft: Aircraft, tape: Tapes, prior: Prior) -> tuple[Array, Array
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def follow(aircraft: Aircraft, tape: Tapes, prior: Prior) -> Followed:
+def follow(aircraft: DrawnAircraft, tape: Tapes, prior: Prior) -> Followed:
     """Fly every aircraft through every flight.
 
     Its blade angles are trim + gearing x recorded + gains x (own motion - measured motion), all from trim: its own, at

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorid_torch.simulation.flight.linear import Linear
+from rotorid_torch.simulation.flight.linear import LinearAircraft
 from rotorid_torch.simulation.helicopter.aircraft import EULER, RATES
 from rotorid_torch.simulation.helicopter.section import Array
 
@@ -25,7 +25,7 @@ PITCH, ROLL, YAW = 1.2, 1.6, 1.0  # rad/s: attitude frequencies that the feedbac
 DAMPING = 0.7
 
 
-def design(linear: Linear) -> Augmentation:
+def design(linear: LinearAircraft) -> Augmentation:
     """Gains that give each axis the wanted attitude frequency and damping, from the aircraft's own derivatives.
 
     Source: McRuer, Ashkenas, Graham, Aircraft Dynamics and Automatic Control, chapter 8 (attitude and rate to control).

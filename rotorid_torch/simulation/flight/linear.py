@@ -20,7 +20,7 @@ BODY_STATES = ("u", "v", "w", "p", "q", "r", "phi", "theta")
 
 
 @dataclass(frozen=True)
-class Linear:
+class LinearAircraft:
     """dx/dt = a x + b u about trim.
 
     `a` [8, 8] and `b` [8, 4] are of the `BODY_STATES`, `full_a` and `full_b` with rotor and inflow. Controls are lon,
@@ -37,7 +37,7 @@ class Linear:
         return np.linalg.eigvals(self.a).astype(np.complex128)
 
 
-def linearise(aircraft: Aircraft, trim: Trim, shift: float = 1e-4) -> Linear:
+def linearise(aircraft: Aircraft, trim: Trim, shift: float = 1e-4) -> LinearAircraft:
     """Linear model about a trim by central differences over one blade passage, rotor speed held.
 
     Source: Johnson, Helicopter Theory, section 8.6 (Floquet theory); Padfield, Helicopter Flight Dynamics, section 2.3
@@ -57,10 +57,10 @@ def linearise(aircraft: Aircraft, trim: Trim, shift: float = 1e-4) -> Linear:
     across = np.linalg.solve(full_a[rotor, rotor], np.hstack([full_a[rotor, body], full_b[rotor]]))
     a = full_a[body, body] - full_a[body, rotor] @ across[:, : len(BODY_STATES)]
     b = full_b[body] - full_a[body, rotor] @ across[:, len(BODY_STATES) :]
-    return Linear(a, b, full_a, full_b)
+    return LinearAircraft(a, b, full_a, full_b)
 
 
-def derivatives(linear: Linear, trim: Trim) -> Array:
+def derivatives(linear: LinearAircraft, trim: Trim) -> Array:
     """Table of derivatives: rows X Y Z (m/s^2) L M N (rad/s^2) per u v w p q r (SI) and lon lat col ped (rad), 6 x 10.
 
     The terms of the turning axes are taken out of the rates, gravity is left aside; the rest belongs to the forces.

@@ -22,7 +22,7 @@ ACCELEROMETERS, GYROS = ("ax", "ay", "az"), ("p", "q", "r")
 
 
 @dataclass(frozen=True)
-class Line:
+class VibrationLine:
     """A vibration at `harmonic` times the rotor speed: amplitudes at accelerometers, m/s^2, and gyros, rad/s."""
 
     harmonic: int
@@ -48,7 +48,7 @@ class SensorErrors:
     low_pass: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     lever_arm: Three = (0.0, 0.0, 0.0)
     rotation: Three = (0.0, 0.0, 0.0)
-    vibration: tuple[Line, ...] = ()
+    vibration: tuple[VibrationLine, ...] = ()
 
 
 def readings(errors: SensorErrors, truth: Mapping[str, Array], azimuth: Array) -> dict[str, Array]:
