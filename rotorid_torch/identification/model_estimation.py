@@ -8,7 +8,7 @@ noise alone predicts a sample ahead, and what is best there need not be of use o
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -23,7 +23,7 @@ from rotorid_torch.core.storage import mapped_arrays
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
-from rotorid_torch.identification.estimate.progressive_fit import Estimate, Settings, fit
+from rotorid_torch.identification.estimate.progressive_fit import Estimate, Monitor, Settings, Start, fit
 from rotorid_torch.identification.estimate.segments import Records, records_from
 from rotorid_torch.identification.estimate.system import System
 from rotorid_torch.identification.gusts import Air, fed_in, find_gusts, of_all, widened
@@ -76,34 +76,63 @@ class Step3:
         return 2.0 * (cost + len(self.names)) if math.isfinite(cost) else math.inf
 
 
+@dataclass(frozen=True)
+class Means:
+    """What step 3 works with.
+
+    monitor : called after each accepted step with iteration, cost, theta. ranks : among which the flights are spread.
+    device : on another than the processor, torch does the work. method : "output-error", "filter-error", or "auto":
+    the latter where output error's residuals show moving air.
+    """
+
+    monitor: Monitor | None = None
+    ranks: Ranks = ALONE
+    device: str = "cpu"
+    method: str = "auto"
+
+
 def estimate_model(
-    model: Model,
-    dataset: Dataset,
-    reconstruction: Reconstruction,
-    start: Step2,
-    monitor: Callable[[int, float, Tensor], None] | None = None,
-    ranks: Ranks = ALONE,
-    device: str = "cpu",
-    method: str = "auto",
+    model: Model, dataset: Dataset, reconstruction: Reconstruction, start: Step2, means: Means = Means()
 ) -> Step3:
     """Maximum likelihood from step 2's values, which only start it; the model's theta is set to the estimate.
 
-    The identify flights are spread over the ranks; each comes to the same estimate. On another device than the
-    processor, torch does the work.
-
-    Parameters
-    ----------
-    method : "output-error", "filter-error", or "auto": the latter where output error's residuals show moving air.
+    The identify flights are spread over the ranks; each comes to the same estimate.
 
     Raises
     ------
     InputError : "filter-error" where gusts have nothing to act through, or the model cannot be compiled.
     """
+    method, ranks, why_not = means.method, means.ranks, lacks(model)
+    if method == "filter-error" and why_not:
+        raise InputError("--method", method, why_not, "output-error")
     names = tuple(n for n in model.parameter_set.free if n not in start.held)
     with torch.no_grad():
         model.theta.copy_(start.theta)
+    flights = _own_lines_taken_off(records(model, dataset, reconstruction, ranks), model, dataset, start, ranks)
+    search = _Search(model, names, _settings(model, dataset, names, means.device), means)
+    decides = method == "auto" and not why_not
+    estimate, colour = (None, math.nan) if method == "filter-error" else search.estimate(model, flights, decides)
+    air = None
+    if estimate is None:
+        try:
+            estimate, air = search.in_moving_air(flights, sensor_noise(model, dataset), start)
+        except Unsupported as error:
+            if method == "filter-error":
+                raise InputError("--method", method, f"the model cannot be compiled: {error}", "output-error") from None
+            why_not = f"no filter can be compiled for this model: {error}"
+            estimate, _ = search.estimate(model, flights)
+    assert estimate is not None
+    with torch.no_grad():
+        model.theta[[model.parameter_set.index(n) for n in names]] = estimate.theta
+    chosen = "output-error" if air is None else "filter-error"
+    whose = tuple(name for part in ranks.gather(ranks.mine(dataset.identify)) for name in part)
+    return Step3(estimate, names, chosen, sentence(method, chosen, colour, why_not), air, whose if air else ())
+
+
+def _settings(model: Model, dataset: Dataset, names: Sequence[str], device: str) -> Settings:
+    """How the named parameters of a model are searched."""
     places = [model.parameter_set.index(n) for n in names]
-    settings = Settings(
+    return Settings(
         floor=sensor_noise(model, dataset),
         lengths=lengths(model),
         prior_mean=model.parameter_set.values[places],
@@ -112,32 +141,6 @@ def estimate_model(
         options=ENOUGH,
         engine=None if device == "cpu" else "reference",
     )
-    why_not = lacks(model)
-    if method == "filter-error" and why_not:
-        raise InputError("--method", method, why_not, "output-error")
-    flights = _own_lines_taken_off(records(model, dataset, reconstruction, ranks), model, dataset, start, ranks)
-    search = _Search(model, names, settings, device, ranks, monitor)
-    decides = method == "auto" and not why_not
-    estimate, colour = (None, math.nan) if method == "filter-error" else search.estimate(model, flights, decides)
-    air = None
-    if estimate is None:
-        try:
-            batch, noise = of_all(flights, ranks), sensor_noise(model, dataset)
-            air = ranks.from_first(find_gusts(model, names, batch, noise, start.doubtful(names)))
-            estimate, _ = search.estimate(fed(model), fed_in(flights, air, ranks))
-            assert estimate is not None
-            estimate = widened(estimate, torch.maximum(air.variances.nan_to_num(0.0), _regressed(start, names)))
-        except Unsupported as error:
-            if method == "filter-error":
-                raise InputError("--method", method, f"the model cannot be compiled: {error}", "output-error") from None
-            why_not = f"no filter can be compiled for this model: {error}"
-            estimate, _ = search.estimate(model, flights)
-    assert estimate is not None
-    with torch.no_grad():
-        model.theta[places] = estimate.theta
-    chosen = "output-error" if air is None else "filter-error"
-    whose = tuple(name for part in ranks.gather(ranks.mine(dataset.identify)) for name in part)
-    return Step3(estimate, names, chosen, sentence(method, chosen, colour, why_not), air, whose if air else ())
 
 
 @dataclass(frozen=True)
@@ -147,9 +150,16 @@ class _Search:
     model: Model
     names: tuple[str, ...]
     settings: Settings
-    device: str
-    ranks: Ranks
-    monitor: Callable[[int, float, Tensor], None] | None
+    means: Means
+
+    def in_moving_air(self, flights: Records, noise: Tensor, start: Step2) -> tuple[Estimate, Air]:
+        """The estimate with gusts fed in, which a filter finds by step 2's derivatives, and these; noise : [ny]."""
+        model, names, ranks = self.model, self.names, self.means.ranks
+        batch = of_all(flights, ranks)
+        air = ranks.from_first(find_gusts(model, names, batch, noise, start.doubtful(names)))
+        estimate, _ = self.estimate(fed(model), fed_in(flights, air, ranks))
+        assert estimate is not None
+        return widened(estimate, torch.maximum(air.variances.nan_to_num(0.0), _regressed(start, names))), air
 
     def estimate(self, model: Model, flights: Records, decides: bool = False) -> tuple[Estimate | None, float]:
         """By a model with these parameters; and the colour of the first stage's residuals of velocities.
@@ -163,10 +173,11 @@ class _Search:
             colour = velocities_colour(model.body.outputs, problem, place)
             return colour > GUSTY
 
-        flights, settings = moved((flights, self.settings), self.device)
-        with working_on(self.device):
-            system, ends = System(model, self.names), gusty if decides else None
-            fitted = fit(system, flights, None, settings, self.monitor, self.ranks, ends=ends)
+        flights, settings = moved((flights, self.settings), self.means.device)
+        with working_on(self.means.device):
+            system = System(model, self.names)
+            asked = replace(settings, ends=gusty if decides else None)
+            fitted = fit(system, flights, Start(), asked, self.means.monitor, self.means.ranks)
             if colour > GUSTY:
                 return None, colour
             estimate = self._moved_off_nothing(system, flights, settings, fitted.estimate())
@@ -179,7 +190,7 @@ class _Search:
             return estimate
         place = estimate.theta.clone()
         place[list(acting)] = place.new_tensor(list(acting.values()))
-        other = fit(system, flights, place, settings, self.monitor, self.ranks).estimate()
+        other = fit(system, flights, Start(place), settings, self.means.monitor, self.means.ranks).estimate()
         return other if other.minimum.point.cost < estimate.minimum.point.cost - CLEARLY_BETTER else estimate
 
 

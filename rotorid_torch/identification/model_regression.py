@@ -98,7 +98,7 @@ def regress_model(model: Model, dataset: Dataset, reconstruction: Reconstruction
         _store(model, theta, effect, row, regressions[row].selected, regressions[row].coefficients)
         state_name = _own_state(model, row)
         if state_name in equation.names and _undamped(model, theta, f"{effect}.{row}.{state_name}", row):
-            held += _follow(model, theta, effect, row, state_name, equation, flights)
+            held += _follow(model, theta, effect, state_name, equation, flights)
         if row == MOMENTS[0]:
             shares = _own_shares(equation, model)
     return Step2(regressions, model.parameter_set.clamp(theta), tuple(held), shares)
@@ -171,15 +171,10 @@ def _undamped(model: Model, theta: Tensor, name: str, row: str) -> bool:
 
 
 def _follow(
-    model: Model,
-    theta: Tensor,
-    effect: str,
-    row: str,
-    state_name: str,
-    equation: Equation,
-    flights: Mapping[str, Measured],
+    model: Model, theta: Tensor, effect: str, state_name: str, equation: Equation, flights: Mapping[str, Measured]
 ) -> list[str]:
     """Let a state follow the other signals at `FOLLOWING`: gains by regression of the state itself; names to hold."""
+    row = equation.name
     kin = RATES if row in MOMENTS else (*FLAPPING, *CYCLIC)
     others = [c for c in equation.names if c not in kin]
 

@@ -15,6 +15,7 @@ from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.core.names import ATTITUDES, FLAPPING, FORCES, MOMENTS, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
+from rotorid_torch.data.schema import Vehicle
 from rotorid_torch.effects.registry import predicted_by, refusal
 from rotorid_torch.effects.spec import FlappingKind, ModelSpec, MotorSpec, RotorSpec, usual_arm
 from rotorid_torch.identification.mixer import Mixer, find_mixer
@@ -60,7 +61,6 @@ def propose(dataset: Dataset, reconstruction: Reconstruction | None, effects: Se
     drivers = (*(VELOCITIES if moving else ()), *RATES, *dataset.controls)
     lag = _flapping_lag(dataset, drivers) if moving and have(dataset, FLAPPING) else None
     flapping: FlappingKind = "none" if lag is None else "algebraic" if lag == 0 else "first order"
-    vehicle = dataset.vehicle
     places, explained = motors(dataset, find=reconstruction is not None)
     spec = ModelSpec(
         states=tuple(states),
@@ -79,13 +79,7 @@ def propose(dataset: Dataset, reconstruction: Reconstruction | None, effects: Se
         flapping_doubtful=lag is not None and 0 < lag <= DOUBTFUL,
         inflow=inflow,
         cyclic_inflow=inflow and lag is not None and lag > DOUBTFUL,
-        gravity=vehicle.gravity,
-        air_density=vehicle.air_density,
-        mass=vehicle.mass,
-        inertia=None if vehicle.inertia is None else tuple(tuple(map(float, row)) for row in vehicle.inertia),
-        hub=None if vehicle.hub is None else _triple(vehicle.hub),
-        imu=(0.0, 0.0, 0.0) if vehicle.imu is None else _triple(vehicle.imu),
-        mass_excludes=vehicle.mass_excludes,
+        **_declared(dataset.vehicle),
         rotor=rotor,
         inputs=measured_inputs(dataset),
         motors=places,
@@ -94,6 +88,19 @@ def propose(dataset: Dataset, reconstruction: Reconstruction | None, effects: Se
         effects=tuple(effects),
     )
     return _with_patterns(spec, drivers if dataset.kind == "helicopter" else ())
+
+
+def _declared(vehicle: Vehicle) -> dict[str, Any]:
+    """What the structure takes over from the declaration of the vehicle."""
+    return {
+        "gravity": vehicle.gravity,
+        "air_density": vehicle.air_density,
+        "mass": vehicle.mass,
+        "inertia": None if vehicle.inertia is None else tuple(tuple(map(float, row)) for row in vehicle.inertia),
+        "hub": None if vehicle.hub is None else _triple(vehicle.hub),
+        "imu": (0.0, 0.0, 0.0) if vehicle.imu is None else _triple(vehicle.imu),
+        "mass_excludes": vehicle.mass_excludes,
+    }
 
 
 def rival(spec: ModelSpec) -> ModelSpec | None:

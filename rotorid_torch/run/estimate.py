@@ -12,7 +12,7 @@ from rotorid_torch.core.names import MOMENTS
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.identification.model_estimation import Step3, estimate_model
+from rotorid_torch.identification.model_estimation import Means, Step3, estimate_model
 from rotorid_torch.identification.model_regression import Step2, regress_model
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.identification.rotor_regression import regress_rotors
@@ -89,9 +89,8 @@ def estimated(
             last[:] = [theta.detach().clone()]
 
         with monitor.fit("-".join((spec.flapping or "fit", *spec.effects))[:80]) as record:
-            return estimate_model(
-                model, dataset, reconstruction, regressions, watch, steps.ranks, steps.device, steps.method
-            )
+            means = Means(watch, steps.ranks, steps.device, steps.method)
+            return estimate_model(model, dataset, reconstruction, regressions, means)
 
     estimate = steps.do("ml", f"ml-{spec.flapping}", third)
     with torch.no_grad():

@@ -106,16 +106,16 @@ def identify(
     refuse(dataset, effects, device, method)
     ranks.refuse_more_than(len(dataset.identify))
     torch.manual_seed(seed)
+    steps = Steps(monitor, ranks, Checkpoint(), device, method)
+    if out is None or not ranks.first:
+        return identified(dataset, effects, seed, steps)
     with ExitStack() as stack:
-        folder, results = None, Checkpoint()
-        if out is not None and ranks.first:
-            key = _key(dataset, effects, seed, method)
-            results = stack.enter_context(checkpoint(out, key, resume=resume, keep=resume or ranks.size > 1))
-            folder = stack.enter_context(run_folder(out, "identify"))
-            stack.enter_context(monitor.recording(folder))
-        run = identified(dataset, effects, seed, Steps(monitor, ranks, results, device, method))
-        if folder is not None:
-            pictured(run, dataset).write(folder, monitor)
+        key = _key(dataset, effects, seed, method)
+        results = stack.enter_context(checkpoint(out, key, resume=resume, keep=resume or ranks.size > 1))
+        folder = stack.enter_context(run_folder(out, "identify"))
+        stack.enter_context(monitor.recording(folder))
+        run = identified(dataset, effects, seed, replace(steps, results=results))
+        pictured(run, dataset).write(folder, monitor)
     return run
 
 

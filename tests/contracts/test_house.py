@@ -27,13 +27,6 @@ PUBLIC = {
 """What users call, with an option a keyword."""
 
 LONG = {
-    "identification.estimate.output_error:settings_of",
-    "identification.estimate.progressive_fit:fit",
-    "identification.estimate.sensitivity:corrected",
-    "identification.model_estimation:estimate_model",
-    "identification.model_regression:_follow",
-    "identification.reconstruct.gauss_markov:largest_constant",
-    "identification.regress.rows:flight_rows",
     "run.turbulence:with_gusts",
     "trace.clean_aircraft:clean_draws",
     "trace.evidence.fits:refit",

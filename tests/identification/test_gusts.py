@@ -14,7 +14,7 @@ from rotorid_torch.data import Dataset
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.gusts import follow
 from rotorid_torch.identification.method_choice import GUSTY
-from rotorid_torch.identification.model_estimation import Step3, estimate_model, records
+from rotorid_torch.identification.model_estimation import Means, Step3, estimate_model, records
 from rotorid_torch.identification.model_regression import regress_model
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.regress.equation import START
@@ -54,7 +54,7 @@ def turbulent(seed: int = 1) -> tuple[Dataset, Tensor]:
 def estimated(data: Dataset, method: str) -> tuple[Step3, Model]:
     step1 = reconstruct(data)
     model = build(propose(data, step1, ()))
-    return estimate_model(model, data, step1, regress_model(model, data, step1), method=method), model
+    return estimate_model(model, data, step1, regress_model(model, data, step1), Means(method=method)), model
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +125,7 @@ def test_the_same_flights_have_the_same_gusts(case: tuple[Dataset, Tensor]):
     data = case[0]
     step1 = reconstruct(data)
     model = build(propose(data, step1, ()))
-    found = estimate_model(model, data, step1, regress_model(model, data, step1), method="filter-error")
+    found = estimate_model(model, data, step1, regress_model(model, data, step1), Means(method="filter-error"))
     assert found.air is not None
     again = follow(model, found.names, found.air, records(model, data, step1))
     assert torch.allclose(again, found.air.velocities, atol=0.02)

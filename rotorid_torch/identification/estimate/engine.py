@@ -24,6 +24,7 @@ from rotorid_torch.core.native.graph.tracing import Unsupported
 from rotorid_torch.identification.estimate.residuals import Whitener
 from rotorid_torch.identification.estimate.segments import Records, Segments
 from rotorid_torch.identification.estimate.sensitivity import (
+    Near,
     Run,
     control_slopes,
     controls_at,
@@ -127,7 +128,7 @@ class TorchEngine:
         """See `Engine`; by Newton's method from the near trajectory where that converges."""
         run = None
         if self.solver == "rk4":
-            run = corrected(self.system, theta, records, segments, x0, near, steps)
+            run = corrected(self.system, theta, records, segments, x0, Near(near, steps))
         return simulated(self.system, theta, records, segments, x0, self.solver) if run is None else run
 
     def differentiable(self, theta: Tensor, records: Records, segments: Segments, x0: Tensor) -> Run:

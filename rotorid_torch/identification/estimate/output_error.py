@@ -37,7 +37,7 @@ from rotorid_torch.identification.estimate.own_models.feedback import acting_bac
 from rotorid_torch.identification.estimate.own_models.starts import with_starts_held
 from rotorid_torch.identification.estimate.own_models.steps import Stepped, in_steps
 from rotorid_torch.identification.estimate.own_models.whole_flights import WholeFlights, whole_flights
-from rotorid_torch.identification.estimate.progressive_fit import FINE, Fit, Monitor, Settings, fit
+from rotorid_torch.identification.estimate.progressive_fit import FINE, Fit, Monitor, Settings, Start, fit
 from rotorid_torch.identification.estimate.residuals import Colour, colour
 from rotorid_torch.identification.estimate.segments import Records, records_from
 from rotorid_torch.identification.estimate.system import System
@@ -203,7 +203,8 @@ def output_error(
     system, records = prepared(model, flights, free, bounds, Between(controls, delays, angles))
     refuse_search(max_iterations, monitor)
     starts = initial_states_of(x0, state_names(model, records.states.shape[-1])[0])
-    settings = settings_of(records, starts, noise, noise_floor, segment_lengths, solver, optimiser, max_iterations)
+    search = Search(noise, noise_floor, segment_lengths, solver, optimiser, max_iterations)
+    settings = settings_of(records, starts, search)
     refuse_too_few(records.outputs, len(system.theta), 0 if x0 == "fixed" else records.states.shape[-1])
     stepped = fitted_in_steps(system, records, settings, monitor)
     result = result_of(system, stepped)
@@ -215,7 +216,7 @@ def fitted_in_steps(system: System, records: Records, settings: Settings, monito
     """The fit in steps that are short enough for the model."""
 
     def solve(records: Records, theta: Tensor) -> Fit:
-        return fit(system, records, theta, settings, monitor)
+        return fit(system, records, Start(theta), settings, monitor)
 
     def end(fitted: Fit) -> tuple[Tensor, Tensor]:
         point, problem = fitted.minimum.point, fitted.likelihood
@@ -224,37 +225,40 @@ def fitted_in_steps(system: System, records: Records, settings: Settings, monito
     return in_steps(system, records, solve, end)
 
 
-def settings_of(
-    records: Records,
-    x0: InitialStates,
-    noise: str | Tensor,
-    noise_floor: Sequence[float] | Tensor | None,
-    segment_lengths: Sequence[float] | None,
-    solver: str,
-    optimiser: str,
-    max_iterations: int,
-) -> Settings:
+@dataclass(frozen=True)
+class Search:
+    """How the search is to go: arguments of `output_error`, not checked."""
+
+    noise: str | Tensor
+    noise_floor: Sequence[float] | Tensor | None = None
+    segment_lengths: Sequence[float] | None = None
+    solver: str = "rk4"
+    optimiser: str = "gauss-newton"
+    max_iterations: int = 50
+
+
+def settings_of(records: Records, x0: InitialStates, search: Search) -> Settings:
     """Settings of a fit from the arguments of `output_error`, checked."""
     ny = records.outputs.shape[-1]
-    arguments.word(Argument("arguments", "optimiser"), optimiser, ("gauss-newton", "lbfgs"))
-    arguments.word(Argument("arguments", "solver"), solver, SOLVERS)
-    kind, matrix = noise_of(noise, ny)
+    arguments.word(Argument("arguments", "optimiser"), search.optimiser, ("gauss-newton", "lbfgs"))
+    arguments.word(Argument("arguments", "solver"), search.solver, SOLVERS)
+    kind, matrix = noise_of(search.noise, ny)
     first = records.states[:, 0].isnan()
     if bool((first if x0.whole == "fixed" else first & (x0.held if x0.held is not None else False)).any()):
         raise InputError("flights", "x0", "absent", 'the initial state of every flight where x0 is "fixed"')
-    if optimiser == "lbfgs" and x0.bounds is not None:
+    if search.optimiser == "lbfgs" and x0.bounds is not None:
         raise Argument("arguments", "x0").wrong("has bounds", 'none with optimiser "lbfgs", which does not hold them')
     return Settings(
         noise=kind,
         matrix=matrix,
-        floor=floor_of(noise_floor, ny),
-        lengths=lengths_of(segment_lengths, records.dt),
+        floor=floor_of(search.noise_floor, ny),
+        lengths=lengths_of(search.segment_lengths, records.dt),
         x0=x0.whole,
         x0_held=x0.held,
         x0_bounds=x0.bounds,
-        solver=solver,
-        optimiser=optimiser,
-        options=replace(FINE, max_iterations=max_iterations),
+        solver=search.solver,
+        optimiser=search.optimiser,
+        options=replace(FINE, max_iterations=search.max_iterations),
     )
 
 

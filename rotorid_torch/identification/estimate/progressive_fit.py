@@ -39,6 +39,8 @@ SHORTEST = 8
 """Samples of the shortest segment."""
 
 Monitor = Callable[[int, float, Tensor], None]
+Stage = tuple[Likelihood, Minimum[Place]]
+"""The likelihood on segments of one length, and its minimum."""
 
 NEARER = (1.0, 0.7, 0.4, 0.2, 0.0)
 """Shares of the way from the prior mean to a start that are tried in turn."""
@@ -63,6 +65,19 @@ class Settings:
     optimiser: str = "gauss-newton"  # or "lbfgs"
     engine: str | None = None  # "native" or "reference"; None: native where that is possible
     options: Options = FINE
+    ends: Callable[[Likelihood, Place], bool] | None = None  # asked after the first stage: whether it is the last
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a fit begins.
+
+    theta : [P], the system's own values by default. states : [F, T, nx] from which initial states start, NaN where
+    nothing is known; those of the records by default, and where runs from these diverge.
+    """
+
+    theta: Tensor | None = None
+    states: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -96,7 +111,7 @@ class Estimate:
 class Fit:
     """The end of a fit: likelihood of its last segments, minimum, and the stages' account.
 
-    known : the covariance, where it was found elsewhere.
+    computed : the covariance, where another process has computed it.
     """
 
     likelihood: Likelihood
@@ -111,7 +126,7 @@ class Fit:
         if self.computed is not None:
             return self.computed
         problem, minimum = self.likelihood, self.minimum
-        return uncertainty(problem, minimum.point, minimum.linear, _told(minimum), _loss(problem, minimum))
+        return uncertainty(problem, minimum.point, minimum.linear, _estimated(minimum), _loss(problem, minimum))
 
     @property
     def theta(self) -> Tensor:
@@ -168,12 +183,10 @@ def _changes(part: Part, spacing: Tensor) -> Tensor:
 def fit(
     system: System,
     records: Records,
-    theta: Tensor | None = None,
+    start: Start = Start(),
     settings: Settings | None = None,
     monitor: Monitor | None = None,
     ranks: Ranks = ALONE,
-    states: Tensor | None = None,
-    ends: Callable[[Likelihood, Place], bool] | None = None,
 ) -> Fit:
     """Maximum-likelihood estimate of a system's free parameters from records, stage by stage.
 
@@ -182,37 +195,25 @@ def fit(
 
     Parameters
     ----------
-    theta : [P] start, the system's own values by default.
     monitor : called after each accepted step of every stage with iteration (counted through), cost, theta.
     ranks : among which the flights are spread; `records` are this rank's, the rest is the same at each.
-    states : [F, T, nx] from which initial states start, NaN where nothing is known; those of the records by default,
-        and where runs from these diverge.
-    ends : asked after the first stage, which then is the last where the answer is yes.
     """
     settings = settings or Settings()
     stages = _Stages(system, records, settings, monitor, ranks)
-    theta = system.theta if theta is None else theta
+    theta, states = system.theta if start.theta is None else start.theta, start.states
     best, samples, rough = None, stages.first(theta), False
     if states is None or not math.isfinite(stages.open(theta, states, samples)[1].cost):
         states, theta = records.states, stages.flyable(theta, samples)
     while samples is not None:
         rough = bool(stages.later(samples))
-        problem, start = stages.open(theta, states, samples)
-        if best is not None and not math.isfinite(start.cost):
-            stages.account.append(f"segments of {samples * records.dt:.3g} s: diverge, not tried")
+        stage = stages.stage(theta, states, samples, rough, best)
+        if stage is None:
             rough = True  # as the stage before it was
             break
-        minimum = stages.solve(
-            problem, start, _options(settings.options, rough, tentative=best is not None and settings.lengths is None)
-        )
-        stages.tell(samples, minimum)
-        if best is not None and not _as_good(best[1], minimum, chosen=settings.lengths is not None):
-            stages.account[-1] += ", not kept"
-            rough = True  # as the stage before it was
-            break
-        if best is None and ends is not None and ends(problem, minimum.point):
+        problem, minimum = stage
+        if best is None and settings.ends is not None and settings.ends(problem, minimum.point):
             return Fit(problem, minimum, tuple(stages.account), settings.floor)
-        best = problem, minimum
+        best = stage
         theta, states = minimum.point.theta, problem.states_at(minimum.point, states)
         samples = stages.next(samples, problem, minimum.point)
     assert best is not None
@@ -220,13 +221,13 @@ def fit(
     return Fit(problem, minimum, tuple(stages.account), settings.floor)
 
 
-def _told(minimum: Minimum[Place]) -> Tensor:
+def _estimated(minimum: Minimum[Place]) -> Tensor:
     """Mask [P] of the parameters that were estimated."""
     return ~(minimum.at_bound | minimum.not_identifiable)
 
 
 def _errors(fit: Fit | Estimate) -> Tensor:
-    return torch.where(_told(fit.minimum), fit.uncertainty.standard_errors, torch.inf)
+    return torch.where(_estimated(fit.minimum), fit.uncertainty.standard_errors, torch.inf)
 
 
 def _options(last: Options, rough: bool, tentative: bool) -> Options:
@@ -275,6 +276,21 @@ class _Stages:
     def whole(self) -> int:
         """Samples of the longest flight of all ranks."""
         return int(self.ranks.largest(int(self.records.lengths.max())))
+
+    def stage(self, theta: Tensor, states: Tensor, samples: int, rough: bool, earlier: Stage | None) -> Stage | None:
+        """A stage solved; none where it diverges or fits worse than the earlier one, as the account says."""
+        problem, start = self.open(theta, states, samples)
+        chosen = self.settings.lengths is not None
+        if earlier is not None and not math.isfinite(start.cost):
+            self.account.append(f"segments of {samples * self.records.dt:.3g} s: diverge, not tried")
+            return None
+        options = _options(self.settings.options, rough, tentative=earlier is not None and not chosen)
+        minimum = self.solve(problem, start, options)
+        self.tell(samples, minimum)
+        if earlier is not None and not _as_good(earlier[1], minimum, chosen):
+            self.account[-1] += ", not kept"
+            return None
+        return problem, minimum
 
     def first(self, theta: Tensor) -> int:
         """Samples per segment of the first stage."""

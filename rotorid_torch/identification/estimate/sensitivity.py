@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -72,36 +73,36 @@ def traced(system: System, theta: Tensor, records: Records, segments: Segments, 
     return Run(theta, controls, states, system.output(theta, states, controls))
 
 
+class Near(NamedTuple):
+    """A trajectory [S, T, nx] near the wanted one; its steps' derivatives [T - 1, S, nx, nx], where at hand."""
+
+    states: Tensor
+    transitions: Tensor | None = None
+
+
 @torch.no_grad()
 def corrected(
-    system: System,
-    theta: Tensor,
-    records: Records,
-    segments: Segments,
-    x0: Tensor,
-    near: Tensor,
-    transitions: Tensor | None = None,
+    system: System, theta: Tensor, records: Records, segments: Segments, x0: Tensor, near: Near
 ) -> Run | None:
-    """The segments' trajectories from a near one [S, T, nx] by Newton's method over all samples at once.
+    """The segments' trajectories from a near one by Newton's method over all samples at once.
 
-    `transitions` [T - 1, S, nx, nx] are the steps' derivatives along the near one, where they are known; else they are
-    taken along each new one. The result is that of `simulated` with "rk4" to rounding; None where the corrections do
-    not shrink fast enough.
+    Derivatives of steps that are not at hand are taken along each new trajectory. The result is that of `simulated`
+    with "rk4" to rounding; None where the corrections do not shrink fast enough.
 
     Source: Bellen and Zennaro (1989), J. Comput. Appl. Math. 25 (parallel solution of difference equations).
     """
     controls = controls_at(system, theta, records, segments)
-    ends, x = step_ends(controls.transpose(0, 1), records.hold), near.transpose(0, 1).clone()
+    ends, x = step_ends(controls.transpose(0, 1), records.hold), near.states.transpose(0, 1).clone()
     x[0] = x0
     inside = segments.inside.mT[1:, :, None]
     size = torch.where(segments.inside.mT[..., None], x.abs(), 0.0).amax(dim=(0, 1)).clamp_min(1e-12)
     times = sample_times(segments)[:-1]
-    before, slowest = torch.inf, 2.0 if transitions is None else 0.5
+    before, slowest = torch.inf, 2.0 if near.transitions is None else 0.5
     for _ in range(SWEEPS):
         after = step(lambda t, x, u: system.rates(theta, t, x, u), times, x[:-1], *ends, segments.dt)
-        along = (
-            step_transitions(system, theta, times, x[:-1], ends, segments.dt) if transitions is None else transitions
-        )
+        along = near.transitions
+        if along is None:
+            along = step_transitions(system, theta, times, x[:-1], ends, segments.dt)
         change = _carried(along, torch.where(inside, after - x[1:], 0.0))
         x[1:] += change
         largest = float((change.abs() / size).max())

@@ -29,6 +29,7 @@ from rotorid_torch.identification.estimate.initial_states import smallest_noise
 from rotorid_torch.identification.estimate.output_error import (
     Between,
     ParameterEstimate,
+    Search,
     drawn,
     estimates,
     fitted_in_steps,
@@ -217,8 +218,8 @@ def filter_error(
     if x0 == "fixed" and bool(records.states[:, 0].isnan().any()):
         raise InputError("flights", "x0", "absent", 'the initial state of every flight where x0 is "fixed"')
     if problem.process.matrix is not None and not bool(problem.process.matrix.any()):
-        search = "rk4", "gauss-newton", max_iterations
-        settings = settings_of(records, InitialStates(x0), noise, noise_floor, None, *search)
+        calm = Search(noise, noise_floor, max_iterations=max_iterations)
+        settings = settings_of(records, InitialStates(x0), calm)
         return _without_gusts(problem, fitted_in_steps(system, records, settings, monitor))
     search = _Search(problem, floor, x0 == "free", max_iterations, gain, engine, monitor)
 

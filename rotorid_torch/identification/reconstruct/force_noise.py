@@ -167,12 +167,10 @@ def _search(
     block = min(max(1, round(gm.SEARCH_STEP_S / rows.dt)), max(1, len(rows.value) // 50))
     mine = gm.Rows(rows.value[:, fitted], rows.integral[fitted], rows.noise[fitted], rows.dt).averaged(block)
     group = (axis[fitted] >= 3).astype(int)
-    power, taus = gm.find_power(
-        mine, gm.block_means(activity, block)[:, flight_of[fitted]], axis[fitted], group, spread[fitted]
-    )
-    power = gm.largest_constant(
-        mine, gm.block_means(activity, block)[:, flight_of[fitted]], power, taus, axis[fitted], group, spread[fitted]
-    )
+    driven = gm.block_means(activity, block)[:, flight_of[fitted]]
+    sources = gm.Sources(driven, axis[fitted], group, spread[fitted])
+    power, taus = gm.find_power(mine, sources)
+    power = gm.largest_constant(mine, sources, power, taus)
     fitted_axes = np.unique(axis[fitted])
     theta[fitted_axes] = power[fitted_axes]
     tau[:3], tau[3:] = taus[0], taus[-1]

@@ -203,27 +203,41 @@ def _adjoint(
     return realised, expected
 
 
-def find_power(rows: Rows, activity: Array, axis: Array, group: Array, spread: Array) -> tuple[Array, Array]:
-    """Powers theta [axes, J] and time constants [groups] that make the records of all rows most likely.
+@dataclass(frozen=True)
+class Sources:
+    """What drives the forces of all rows, and which rows have parameters in common.
 
-    Parameters
-    ----------
     activity : [T, N, J] what each source of process noise does, the first one constant.
     axis, group : [N] index of the axis of a row, which shares theta, and of its group, which shares tau.
     spread : [N] standard deviation of f about its trim.
+    """
+
+    activity: Array
+    axis: Array
+    group: Array
+    spread: Array
+
+    def power(self, theta: Array) -> Array:
+        """Power of the process noise [T, N] for powers theta [axes, J] of the sources."""
+        return np.einsum("tnj,nj->tn", self.activity, theta[self.axis])
+
+
+def find_power(rows: Rows, sources: Sources) -> tuple[Array, Array]:
+    """Powers theta [axes, J] and time constants [groups] that make the records of all rows most likely.
 
     Multiplicative steps theta_j *= sum a_j realised / sum a_j expected: each raises the likelihood of all axes at once
     and keeps theta positive.
     Source: Fevotte, Bertin and Durrieu, Neural Computation 21 (2009), for variances that are sums of positive parts.
     """
-    axes, sources = int(axis.max()) + 1, activity.shape[-1]
+    activity, axis, spread = sources.activity, sources.axis, sources.spread
+    axes, count = int(axis.max()) + 1, activity.shape[-1]
     start = np.array([np.mean(spread[axis == i] ** 2) if (axis == i).any() else 1.0 for i in range(axes)])
-    theta = np.repeat(start[:, None], sources, axis=1) * 2.0 / sources + 1e-300
-    taus, trim = np.ones(int(group.max()) + 1), np.zeros(len(axis))
+    theta = np.repeat(start[:, None], count, axis=1) * 2.0 / count + 1e-300
+    taus, trim = np.ones(int(sources.group.max()) + 1), np.zeros(len(axis))
     for sweep in range(SWEEPS):
         if sweep == SWEEPS // 2:
-            taus = _find_tau(rows, _power(activity, theta, axis), group, trim, spread)
-        got = smooth_rows(rows, _power(activity, theta, axis), taus[group], trim, spread)
+            taus = _find_tau(rows, sources.power(theta), sources.group, trim, spread)
+        got = smooth_rows(rows, sources.power(theta), taus[sources.group], trim, spread)
         trim = got.trim
         for i in range(axes):
             mine = axis == i
@@ -235,21 +249,20 @@ def find_power(rows: Rows, activity: Array, axis: Array, group: Array, spread: A
     return theta, taus
 
 
-def largest_constant(
-    rows: Rows, activity: Array, theta: Array, taus: Array, axis: Array, group: Array, spread: Array
-) -> Array:
+def largest_constant(rows: Rows, sources: Sources, theta: Array, taus: Array) -> Array:
     """Theta with the constant part as large as the data allow: 2 units of log-likelihood below the most likely.
 
     What forces do while the controls rest is often below the sensors' noise; "nothing" is then the most likely power,
     but not the only one, and errors computed from it would be far too small.
     """
+    axis, tau, spread = sources.axis, taus[sources.group], sources.spread
     trial = theta.sum(axis=1, keepdims=True) * CONSTANTS
     added = np.concatenate([np.zeros((len(theta), 1)), trial], axis=1)[axis]
-    power = _power(activity, theta, axis)
-    trim = smooth_rows(rows, power, taus[group], np.zeros(len(axis)), spread).trim
+    power = sources.power(theta)
+    trim = smooth_rows(rows, power, tau, np.zeros(len(axis)), spread).trim
     together = max(1, SIDE_BY_SIDE // len(axis))
     parts = [added[:, j : j + together] for j in range(0, added.shape[1], together)]
-    score = np.concatenate([_likelihoods(rows, power, part, taus[group], trim, spread) for part in parts])
+    score = np.concatenate([_likelihoods(rows, power, part, tau, trim, spread) for part in parts])
     raised = theta.copy()
     for i in np.unique(axis):
         total = score[:, axis == i].sum(axis=1)
@@ -265,10 +278,6 @@ def _likelihoods(rows: Rows, power: Array, added: Array, tau: Array, trim: Array
     more = np.concatenate([power + added[:, j] for j in range(count)], axis=1)
     got = smooth_rows(many, more, np.tile(tau, count), np.tile(trim, count), np.tile(spread, count))
     return got.log_likelihood.reshape(count, n)
-
-
-def _power(activity: Array, theta: Array, axis: Array) -> Array:
-    return np.einsum("tnj,nj->tn", activity, theta[axis])
 
 
 def _find_tau(rows: Rows, power: Array, group: Array, trim: Array, spread: Array) -> Array:

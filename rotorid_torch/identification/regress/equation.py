@@ -12,7 +12,7 @@ from torch import Tensor
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.regress.ftr import Regression, solve
 from rotorid_torch.identification.regress.noisy_least_squares import noisy_least_squares
-from rotorid_torch.identification.regress.rows import Rows, flight_rows, total_noise
+from rotorid_torch.identification.regress.rows import Rows, Transform, flight_rows, total_noise
 
 HIGHEST = 8.0
 """Hz: default cap of a band chosen from the data."""
@@ -85,18 +85,9 @@ def equation_rows(equation: Equation, band: tuple[float, float], notes: list[str
         counts = f"{len(equation.response)} responses, {len(equation.regressors)} regressors"
         raise InputError("arrays", equation.name, counts, "as many of each as flights, and of dt where it is a list")
     noise = "estimated" if equation.regressor_noise is None else equation.regressor_noise
+    transform = Transform(band, equation.kind, noise, equation.response_noise, equation.trend)
     return [
-        flight_rows(
-            response,
-            regressors,
-            dt,
-            band,
-            equation.kind,
-            noise=noise,
-            response_noise=equation.response_noise,
-            trend=equation.trend,
-            notes=notes,
-        )
+        flight_rows(response, regressors, dt, transform, [] if notes is None else notes)
         for response, regressors, dt in zip(equation.response, equation.regressors, equation.steps(), strict=True)
     ]
 

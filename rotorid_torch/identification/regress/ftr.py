@@ -16,7 +16,7 @@ from rotorid_torch.data.use.pictures import over
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.regress.feedback import acting_back
 from rotorid_torch.identification.regress.noisy_least_squares import Solution, noisy_least_squares, smooth_variance
-from rotorid_torch.identification.regress.rows import KINDS, NOISES, Rows, flight_rows, total_noise
+from rotorid_torch.identification.regress.rows import KINDS, NOISES, Rows, Transform, flight_rows, total_noise
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -156,10 +156,8 @@ def regress(
     arguments.flag(Argument("regress", "trend"), trend)
     oversample = int(arguments.number(Argument("regress", "oversample"), oversample, least=1, whole=True))
     notes: list[str] = []
-    rows = [
-        flight_rows(y, x, step, band, kind, noise=noise, trend=trend, oversample=oversample, notes=notes)
-        for y, x, step in zip(responses, matrices, steps, strict=True)
-    ]
+    transform = Transform(band, kind, noise, trend=trend, oversample=oversample)
+    rows = [flight_rows(y, x, dt, transform, notes) for y, x, dt in zip(responses, matrices, steps, strict=True)]
     regression = solve(rows, band, notes=notes)
     identifiable = regression.standard_errors.isfinite()
     coefficients = torch.where(identifiable, regression.coefficients, 0.0)
@@ -197,17 +195,12 @@ def solve(
         raise InputError("arrays", "band", wrong, "a wider band, longer flights or fewer regressors")
     plain = solution = noisy_least_squares(z, y, noise)
     prior_power = torch.zeros_like(solution.coefficients)
-    mean, sd = (prior_power, torch.full_like(prior_power, torch.inf)) if prior is None else prior
-    for _ in range(PRIOR_PASSES if prior is not None else 0):
-        weight = _variance(z, y, solution, information).unsqueeze(-1) / sd.square()
-        solution = noisy_least_squares(z, y, noise, (mean, weight))
-        prior_power = torch.where(weight > 0.0, weight.square() * sd.square(), 0.0)
+    if prior is not None:
+        solution, prior_power = _with_prior(z, y, noise, prior, solution, information)
     covariance = solution.inverse @ _scatter(flights, solution, prior_power) @ solution.inverse.mT
     covariance = covariance + torch.diag_embed(torch.where(solution.unknown, torch.inf, 0.0))
     residual = _residual(z, y, solution)
-    expected = (noise * solution.coefficients.square()).sum(-1)
-    for flight in flights:
-        expected = expected + (flight.response_noise * (1.0 - flight.leverage)).sum(-1)
+    expected = _expected_power(flights, noise, solution)
     error, signal = residual.square().sum(-1), y.square().sum(-1)
     freedom = (information - z.shape[-1]) / information
     if bool(solution.noise_filled.any()):
@@ -231,6 +224,26 @@ def solve(
         selected=names,
         notes=tuple(dict.fromkeys(notes)),
     )
+
+
+def _with_prior(
+    z: Tensor, y: Tensor, noise: Tensor, prior: tuple[Tensor, Tensor], plain: Solution, information: float
+) -> tuple[Solution, Tensor]:
+    """The solution with a prior (mean, sd), whose weight follows the residual, and the prior's power (..., n) in it."""
+    (mean, sd), solution = prior, plain
+    weight = torch.zeros_like(solution.coefficients)
+    for _ in range(PRIOR_PASSES):
+        weight = _variance(z, y, solution, information).unsqueeze(-1) / sd.square()
+        solution = noisy_least_squares(z, y, noise, (mean, weight))
+    return solution, torch.where(weight > 0.0, weight.square() * sd.square(), 0.0)
+
+
+def _expected_power(flights: Sequence[Rows], noise: Tensor, solution: Solution) -> Tensor:
+    """Power (...) of the residual that noise alone would leave."""
+    expected = (noise * solution.coefficients.square()).sum(-1)
+    for flight in flights:
+        expected = expected + (flight.response_noise * (1.0 - flight.leverage)).sum(-1)
+    return expected
 
 
 def _residual(z: Tensor, y: Tensor, solution: Solution) -> Tensor:

@@ -55,24 +55,24 @@ class Rows:
     oversample: int
 
 
-def flight_rows(
-    response: Tensor,
-    regressors: Tensor,
-    dt: float,
-    band: tuple[float, float],
-    kind: str = "derivative",
-    *,
-    noise: str | Tensor | Sequence[float] = "estimated",
-    response_noise: float | None = None,
-    trend: bool = True,
-    oversample: int = 1,
-    notes: list[str] | None = None,
-) -> Rows:
-    """Transform one flight and project its nuisance columns out; arguments as in `regress`.
+@dataclass(frozen=True)
+class Transform:
+    """How records become rows, as in `regress`.
 
-    response_noise is the standard deviation of a sample of the response (None: estimated); notes collects sentences.
+    response_noise : standard deviation of a sample of the response; None: estimated.
     """
-    notes = [] if notes is None else notes
+
+    band: tuple[float, float]
+    kind: str = "derivative"
+    noise: str | Tensor | Sequence[float] = "estimated"
+    response_noise: float | None = None
+    trend: bool = True
+    oversample: int = 1
+
+
+def flight_rows(response: Tensor, regressors: Tensor, dt: float, transform: Transform, notes: list[str]) -> Rows:
+    """Transform one flight and project its nuisance columns out; notes collects sentences."""
+    band, derivative, oversample = transform.band, transform.kind == "derivative", transform.oversample
     if band[1] >= 0.5 / dt:
         wrong = f"{band[1]:g} Hz with samples {dt:g} s apart"
         raise InputError("arrays", "band", wrong, f"less than {0.5 / dt:.4g} Hz")
@@ -80,21 +80,24 @@ def flight_rows(
     duration = (y.shape[-1] - 1) * dt
     first, count = _harmonics(duration, band, oversample)
     frequencies = torch.arange(first, first + count, dtype=torch.float64, device=y.device) / (duration * oversample)
-    floor, own_floor = noise_floor(x), noise_floor(y)
-    spectrum = finite_transform(y, dt, first, count, oversample, kinks(y, own_floor))
+    floor, response_floor = noise_floor(x), noise_floor(y)
+    spectrum = finite_transform(y, dt, first, count, oversample, kinks(y, response_floor))
     rates = torch.ones_like(frequencies)
-    if kind == "derivative":
+    if derivative:
         spectrum = derivative_transform(y, spectrum, frequencies, duration)
         rates = (2.0 * torch.pi * frequencies).square()
-    basis = nuisance_basis(frequencies, duration, ends=kind == "derivative", trend=trend)
+    basis = nuisance_basis(frequencies, duration, ends=derivative, trend=transform.trend)
     project = torch.eye(2 * count, dtype=torch.float64, device=y.device) - basis @ basis.T
     scale = (duration * oversample) ** -0.5
     z = project @ as_rows(finite_transform(x, dt, first, count, oversample, kinks(x, floor))).mT * scale
     still = torch.linalg.vector_norm(z, dim=-2) <= ROUNDING * x.abs().amax(-1) * duration**0.5
     z = torch.where(still.unsqueeze(-2), 0.0, z)
-    response_sd = own_floor if response_noise is None else y.new_full(y.shape[:-1], response_noise)
+    declared = transform.response_noise
+    response_sd = response_floor if declared is None else y.new_full(y.shape[:-1], declared)
     information = 2.0 * count / oversample - basis.shape[-1]
-    power, scatter = _noise_power(floor, x.shape[-1], noise, dt * information / 2.0, z.square().sum(-2), notes)
+    power, scatter = _noise_power(
+        floor, x.shape[-1], transform.noise, dt * information / 2.0, z.square().sum(-2), notes
+    )
     return Rows(
         response=(project @ as_rows(spectrum).unsqueeze(-1)).squeeze(-1) * scale,
         regressors=z,

@@ -158,7 +158,8 @@ def refit(
     )
     records = flights.records(model, flights.dataset.identify)
     states = None if near is None else _followed(near, model, records.states)
-    fitted = progressive_fit.fit(System(model, names), records, settings=settings, states=states)
+    begin = progressive_fit.Start(states=states)
+    fitted = progressive_fit.fit(System(model, names), records, begin, settings)
     with torch.no_grad():
         model.theta[places] = fitted.theta
     return Fitted(spec, model, names, fitted, flights)

@@ -13,7 +13,7 @@ from rotorid_torch.errors import InputError
 from rotorid_torch.identification.estimate.output_error import Settings, fit, output_error
 from rotorid_torch.identification.estimate.progressive_fit import _Stages
 from rotorid_torch.identification.estimate.segments import cut, records_from
-from rotorid_torch.identification.estimate.sensitivity import corrected, sensitivities, simulated, traced
+from rotorid_torch.identification.estimate.sensitivity import Near, corrected, sensitivities, simulated, traced
 from rotorid_torch.identification.estimate.system import System
 from tests.identification.estimate.output_error_cases import (
     RATE_LOOP,
@@ -129,7 +129,7 @@ def test_corrected_trajectories_are_the_simulated_ones() -> None:
     truth = simulated(system, theta, records, segments, start).states
     inside = segments.inside
     for near, along in ((run.states, transitions), (x0[:, None].expand_as(run.states), None)):
-        found = corrected(system, theta, records, segments, start, near, along)
+        found = corrected(system, theta, records, segments, start, Near(near, along))
         assert found is not None
         torch.testing.assert_close(found.states[inside], truth[inside], rtol=1e-9, atol=1e-10)
 

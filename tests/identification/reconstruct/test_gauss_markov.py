@@ -73,13 +73,14 @@ def test_power_and_time_constant_of_simulated_records_are_found(integral: bool, 
     value = simulated(rng, np.einsum("tnj,nj->tn", activity, theta), tau, integral, noise, trim)
     axis = (np.arange(count) >= 8).astype(int)
     spread = np.full(count, 0.5)
-    found, taus = gm.find_power(rows(value, integral, noise), activity, axis, np.zeros(count, int), spread)
+    sources = gm.Sources(activity, axis, np.zeros(count, int), spread)
+    found, taus = gm.find_power(rows(value, integral, noise), sources)
     assert found[:, 1] == pytest.approx([1.0, 0.5], rel=0.25)
     assert found[:, 0] == pytest.approx([0.05, 0.2], rel=0.4)
     assert 0.3 < taus[0] < 1.2
     got = gm.smooth_rows(
         rows(value, integral, noise),
-        np.einsum("tnj,nj->tn", activity, found[axis]),
+        sources.power(found),
         taus[axis * 0],
         np.zeros(count),
         spread,

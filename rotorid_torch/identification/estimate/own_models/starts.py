@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from rotorid_torch.core.gauss_newton import InfiniteCost
 from rotorid_torch.identification.estimate.own_models.steps import Stepped
-from rotorid_torch.identification.estimate.progressive_fit import ROUGH, Fit, Settings, fit
+from rotorid_torch.identification.estimate.progressive_fit import ROUGH, Fit, Settings, Start, fit
 from rotorid_torch.identification.estimate.system import System
 
 LISTED = 4
@@ -23,7 +23,7 @@ def with_starts_held(system: System, stepped: Stepped[Fit], settings: Settings, 
     lengths = (fitted.likelihood.longest * records.dt,)
     believing = replace(settings, x0="fixed", lengths=lengths, options=ROUGH)
     try:
-        theta = fit(system, records, fitted.theta, believing).theta.tolist()
+        theta = fit(system, records, Start(fitted.theta), believing).theta.tolist()
     except InfiniteCost:
         return ""
     rows = zip(system.entries, fitted.theta.tolist(), theta, errors, strict=True)
