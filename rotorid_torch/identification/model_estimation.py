@@ -28,7 +28,7 @@ from rotorid_torch.identification.estimate.segments import Records, records_from
 from rotorid_torch.identification.estimate.system import System
 from rotorid_torch.identification.gusts import Air, fed_in, find_gusts, of_all, widened
 from rotorid_torch.identification.method_choice import GUSTY, sentence, velocities_colour
-from rotorid_torch.identification.model_regression import Step2, measured
+from rotorid_torch.identification.model_regression import ModelRegression, measured
 from rotorid_torch.identification.reconstruct.reconstruction import ReconstructedFlight, Reconstruction
 from rotorid_torch.identification.regress.fourier import noise_floor, smoothed
 from rotorid_torch.model.gusts import fed, lacks
@@ -49,7 +49,7 @@ FOLDED = 4
 
 
 @dataclass(frozen=True)
-class Step3:
+class ModelEstimate:
     """The estimate, and which parameters of the model it is of (in the order of its theta).
 
     method : "output-error" or "filter-error". why : how it was chosen, in a sentence. air : what was found of it.
@@ -63,7 +63,7 @@ class Step3:
     air: Air | None = None
     flights: tuple[str, ...] = ()
 
-    def theta_of(self, model: Model, start: Step2) -> Tensor:
+    def theta_of(self, model: Model, start: ModelRegression) -> Tensor:
         """The model's whole parameter vector: the estimate, and step 2's values of what was held."""
         theta = start.theta.clone()
         theta[[model.parameter_set.index(name) for name in self.names]] = self.fit.theta
@@ -92,8 +92,8 @@ class Means:
 
 
 def estimate_model(
-    model: Model, dataset: Dataset, reconstruction: Reconstruction, start: Step2, means: Means = Means()
-) -> Step3:
+    model: Model, dataset: Dataset, reconstruction: Reconstruction, start: ModelRegression, means: Means = Means()
+) -> ModelEstimate:
     """Maximum likelihood from step 2's values, which only start it; the model's theta is set to the estimate.
 
     The identify flights are spread over the ranks; each comes to the same estimate.
@@ -126,7 +126,7 @@ def estimate_model(
         model.theta[[model.parameter_set.index(n) for n in names]] = estimate.theta
     chosen = "output-error" if air is None else "filter-error"
     whose = tuple(name for part in ranks.gather(ranks.mine(dataset.identify)) for name in part)
-    return Step3(estimate, names, chosen, sentence(method, chosen, colour, why_not), air, whose if air else ())
+    return ModelEstimate(estimate, names, chosen, sentence(method, chosen, colour, why_not), air, whose if air else ())
 
 
 def _settings(model: Model, dataset: Dataset, names: Sequence[str], device: str) -> Settings:
@@ -152,7 +152,7 @@ class _Search:
     settings: Settings
     means: Means
 
-    def in_moving_air(self, flights: Records, noise: Tensor, start: Step2) -> tuple[Estimate, Air]:
+    def in_moving_air(self, flights: Records, noise: Tensor, start: ModelRegression) -> tuple[Estimate, Air]:
         """The estimate with gusts fed in, which a filter finds by step 2's derivatives, and these; noise : [ny]."""
         model, names, ranks = self.model, self.names, self.means.ranks
         batch = of_all(flights, ranks)
@@ -194,7 +194,7 @@ class _Search:
         return other if other.minimum.point.cost < estimate.minimum.point.cost - CLEARLY_BETTER else estimate
 
 
-def _regressed(start: Step2, names: Sequence[str]) -> Tensor:
+def _regressed(start: ModelRegression, names: Sequence[str]) -> Tensor:
     """Variances [P] by step 2's regressions, which say how strongly gusts act; zero for what none of them tells."""
     variances = {
         f"{row}.{name}": float(se) ** 2
@@ -239,7 +239,9 @@ def records(model: Model, dataset: Dataset, reconstruction: Reconstruction, rank
     return replace(batch, dt=ranks.from_first(batch.dt))  # the first flight's, which is the first rank's
 
 
-def _own_lines_taken_off(flights: Records, model: Model, dataset: Dataset, start: Step2, ranks: Ranks) -> Records:
+def _own_lines_taken_off(
+    flights: Records, model: Model, dataset: Dataset, start: ModelRegression, ranks: Ranks
+) -> Records:
     """Records whose specific forces are less what step 2 lets a multirotor's flight have of its own."""
     for k, name in enumerate(ranks.mine(dataset.identify)):
         samples = int(flights.lengths[k])
@@ -275,19 +277,21 @@ def _every(model: Model, dt: float) -> int:
 
 def _record(model: Model, dataset: Dataset, reconstruction: Reconstruction, name: str) -> Records:
     """One flight alone."""
-    flight, step1 = dataset.flights[name], reconstruction.flights[name]
+    flight, reconstructed = dataset.flights[name], reconstruction.flights[name]
     every = _every(model, flight.dt)
     unknown = torch.full_like(flight.time, math.nan)
     untold = {s.name: unknown for s in model.layout.states if s.channel is not None and not flight.has(s.channel)}
     signals = {**measured(model, dataset, reconstruction, name).signals, **untold}
-    states = [step1.channels.get(s.channel or s.name, signals.get(s.name, unknown)) for s in model.layout.states]
+    states = [
+        reconstructed.channels.get(s.channel or s.name, signals.get(s.name, unknown)) for s in model.layout.states
+    ]
     return records_from(
         [
             {
                 "time": averaged(flight.time, every),
                 "controls": averaged(_controls(dataset, name, model.body.controls), every),
                 "outputs": _compared(
-                    model, averaged(flight.stack(model.body.outputs) - _biases(model, step1), every), every
+                    model, averaged(flight.stack(model.body.outputs) - _biases(model, reconstructed), every), every
                 ),
                 "states": averaged(torch.stack(states, dim=-1), every),
             }
@@ -331,9 +335,9 @@ def _empty(one: Records, flights: int, samples: int) -> Records:
     return Records(one.dt, one.lengths.repeat(flights), one.start.repeat(flights), controls, outputs, states)
 
 
-def _biases(model: Model, step1: ReconstructedFlight) -> Tensor:
+def _biases(model: Model, reconstructed: ReconstructedFlight) -> Tensor:
     """Constants per flight that step 1 found on the sensors, [ny]; nuisance, so no score knows them."""
-    return torch.tensor([step1.biases.get(c, 0.0) for c in model.body.outputs], dtype=torch.float64)
+    return torch.tensor([reconstructed.biases.get(c, 0.0) for c in model.body.outputs], dtype=torch.float64)
 
 
 def averaged(record: Tensor, every: int) -> Tensor:

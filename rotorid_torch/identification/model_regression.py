@@ -53,7 +53,7 @@ class Measured:
 
 
 @dataclass(frozen=True)
-class Step2:
+class ModelRegression:
     """Regressions by row, the parameter vector that starts step 3, and the parameters that step 3 is to hold.
 
     Where a regression finds a body rate that its controls drive without lag, and so no damping, the rate follows its
@@ -85,7 +85,7 @@ class Step2:
     explained: Mapping[str, float] = field(default_factory=dict)  # R2 by response: of a multirotor
 
 
-def regress_model(model: Model, dataset: Dataset, reconstruction: Reconstruction) -> Step2:
+def regress_model(model: Model, dataset: Dataset, reconstruction: Reconstruction) -> ModelRegression:
     """All linear parameters of the model from the identify flights, in closed form; the others keep their prior."""
     theta = model.theta.detach().clone()
     flights = _measured(model, dataset, reconstruction)
@@ -101,7 +101,7 @@ def regress_model(model: Model, dataset: Dataset, reconstruction: Reconstruction
             held += _follow(model, theta, effect, state_name, equation, flights)
         if row == MOMENTS[0]:
             shares = _own_shares(equation, model)
-    return Step2(regressions, model.parameter_set.clamp(theta), tuple(held), shares)
+    return ModelRegression(regressions, model.parameter_set.clamp(theta), tuple(held), shares)
 
 
 def _measured(model: Model, dataset: Dataset, reconstruction: Reconstruction) -> Mapping[str, Measured]:
@@ -203,7 +203,7 @@ def measured(model: Model, dataset: Dataset, reconstruction: Reconstruction, nam
 
     Flapping that this flight does not measure stands still where physics asks for it, and is no signal.
     """
-    flight, step1 = dataset.flights[name], reconstruction.flights[name]
+    flight, reconstructed = dataset.flights[name], reconstruction.flights[name]
     names = tuple(dict.fromkeys((*(s for s in model.layout.names), *FLAPPING, *model.body.controls)))
     present = [n for n in names if flight.has(n)]
     signals = dict(zip(present, flight.bridged(present).unbind(-1), strict=True))
@@ -215,7 +215,7 @@ def measured(model: Model, dataset: Dataset, reconstruction: Reconstruction, nam
     rates = {n: torch.gradient(signals[n], spacing=flight.dt)[0] for n in FLAPPING if n in present}
     unseen = [n for n in FLAPPING if n in model.layout.names and n not in present]
     signals |= {n: torch.full_like(flight.time, model.reference.get(n, 0.0)) for n in unseen}
-    specific = step1.specific.nan_to_num(0.0)
+    specific = reconstructed.specific.nan_to_num(0.0)
     theta = model.theta.detach()
     frame = Frame(signals, force=specific[:, :3], moment=torch.zeros_like(specific[:, 3:]), rates=rates)
     for k, effect in enumerate(model.chain):

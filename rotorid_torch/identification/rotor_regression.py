@@ -14,7 +14,7 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.base import Role, Stage
 from rotorid_torch.identification.measured_states import MeasuredStates
 from rotorid_torch.identification.model_estimation import records
-from rotorid_torch.identification.model_regression import Step2
+from rotorid_torch.identification.model_regression import ModelRegression
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.identification.regress.ftr import Regression
 from rotorid_torch.identification.rotor_equations import RotorEquations, seen_flights, with_values
@@ -28,7 +28,9 @@ SEARCHED = 1000
 """Samples of each flight, from its middle, that the search for parameters with memory looks at."""
 
 
-def regress_rotors(model: Model, dataset: Dataset, reconstruction: Reconstruction, begun: bool = False) -> Step2:
+def regress_rotors(
+    model: Model, dataset: Dataset, reconstruction: Reconstruction, begun: bool = False
+) -> ModelRegression:
     """Start of step 3 for a multirotor, from the identify flights.
 
     Parameters that the equations are not linear in start where the model has them, where that is not nothing. begun :
@@ -50,7 +52,7 @@ def regress_rotors(model: Model, dataset: Dataset, reconstruction: Reconstructio
     fit = MeasuredStates.of(model, flights).fitted(model.parameter_set.clamp(theta), model.parameter_set.free)
     lines = dict(zip(dataset.identify, fit.lines, strict=True))
     without = dict(zip(dataset.identify, fit.without, strict=False))  # none of one flight alone
-    return Step2(regressions, fit.theta, (), {}, fit.errors, lines, without, fit.explained)
+    return ModelRegression(regressions, fit.theta, (), {}, fit.errors, lines, without, fit.explained)
 
 
 def nonlinear(model: Model) -> tuple[str, ...]:

@@ -11,8 +11,8 @@ from rotorid_torch.consistency.examination.records import condensed
 from rotorid_torch.consistency.excitation import moves
 from rotorid_torch.consistency.late_controls import late_controls
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.identification.model_estimation import Step3
-from rotorid_torch.identification.model_regression import Step2
+from rotorid_torch.identification.model_estimation import ModelEstimate
+from rotorid_torch.identification.model_regression import ModelRegression
 from rotorid_torch.report.records import FitRecord
 from rotorid_torch.report.short_horizon import short_horizon
 from rotorid_torch.report.summary import GRADED, WORSE_THAN_TRIM, at_an_edge, at_once, list_summaries
@@ -32,12 +32,12 @@ MEANINGS = {
 """What a remark of the regressions means to somebody who identifies a vehicle, by its beginning."""
 
 
-def regression_table(step2: Step2) -> list[str]:
+def regression_table(regressions: ModelRegression) -> list[str]:
     """One line per equation of step 2: band, R2, condition number, worst variance inflation and reliability."""
     return [
         f"{row}: band {r.band[0]:.2f} to {r.band[1]:.2f} Hz, R2 {float(r.r2):.4f}, condition {float(r.condition):.0f},"
         f" variance inflation up to {float(r.vif.max()):.0f}, reliability from {float(r.reliability.min()):.2f}"
-        for row, r in step2.regressions.items()
+        for row, r in regressions.regressions.items()
     ]
 
 
@@ -90,10 +90,10 @@ def of_controls(dataset: Dataset, own_share: Mapping[str, float]) -> Iterator[st
         )
 
 
-def of_regressions(step2: Step2) -> Iterator[str]:
+def of_regressions(regressions: ModelRegression) -> Iterator[str]:
     """What step 2 remarked: every kind of remark once, with the equations that it is about."""
     rows: dict[str, list[str]] = {}
-    for row, regression in step2.regressions.items():
+    for row, regression in regressions.regressions.items():
         for note in regression.notes:
             rows.setdefault(note.removeprefix(f"{row}: "), []).append(row)
     for note, where in rows.items():
@@ -102,11 +102,11 @@ def of_regressions(step2: Step2) -> Iterator[str]:
         yield f"step 2, equation{'s' if len(where) > 1 else ''} of {' '.join(where)}: {sentence}"
 
 
-def of_estimate(step3: Step3, fit: FitRecord) -> Iterator[str]:
+def of_estimate(estimate: ModelEstimate, fit: FitRecord) -> Iterator[str]:
     """What leaves the estimate of step 3 in doubt."""
-    if not step3.fit.minimum.converged:
+    if not estimate.fit.minimum.converged:
         yield (
-            f"step 3 did not converge ({step3.fit.minimum.message}): take the standard errors with care;"
+            f"step 3 did not converge ({estimate.fit.minimum.message}): take the standard errors with care;"
             " longer flights, or test inputs on every control, would help"
         )
     for summary in () if short_horizon(fit) else list_summaries(fit):

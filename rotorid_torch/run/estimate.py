@@ -12,8 +12,8 @@ from rotorid_torch.core.names import MOMENTS
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.identification.model_estimation import Means, Step3, estimate_model
-from rotorid_torch.identification.model_regression import Step2, regress_model
+from rotorid_torch.identification.model_estimation import Means, ModelEstimate, estimate_model
+from rotorid_torch.identification.model_regression import ModelRegression, regress_model
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.identification.rotor_regression import regress_rotors
 from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
@@ -32,7 +32,7 @@ PREDICTED = 6
 
 def regressed(
     spec: ModelSpec, dataset: Dataset, reconstruction: Reconstruction, begun: bool = False
-) -> tuple[ModelSpec, Step2]:
+) -> tuple[ModelSpec, ModelRegression]:
     """Step 2 of one structure, behind the structure.
 
     Of a multirotor once more, with less of it, where the first says that a moment is not explained.
@@ -64,7 +64,7 @@ def at_measured_states(spec: ModelSpec, dataset: Dataset, reconstruction: Recons
 
 def estimated(
     spec: ModelSpec, dataset: Dataset, reconstruction: Reconstruction, steps: Steps
-) -> tuple[ModelSpec, Model, Step2, Step3]:
+) -> tuple[ModelSpec, Model, ModelRegression, ModelEstimate]:
     """Steps 2 and 3 of one structure."""
     monitor = steps.monitor
     spec, regressions = steps.do("ftr", f"ftr-{spec.flapping}", lambda: regressed(spec, dataset, reconstruction))
@@ -75,7 +75,7 @@ def estimated(
 
     names = [n for n in model.parameter_set.free if n not in regressions.held]
 
-    def third() -> Step3:
+    def third() -> ModelEstimate:
         last: list[Tensor] = []
 
         def watch(iteration: int, cost: float, theta: Tensor) -> None:
@@ -111,7 +111,7 @@ def _open(spec: ModelSpec) -> ModelSpec:
     return msgspec.structs.replace(spec, free=free, values=values)
 
 
-def _reduced(spec: ModelSpec, model: Model, regressions: Step2, dataset: Dataset) -> ModelSpec:
+def _reduced(spec: ModelSpec, model: Model, regressions: ModelRegression, dataset: Dataset) -> ModelSpec:
     """A multirotor's structure with those control powers held at zero which explain little of the moments.
 
     That is of the angular accelerations, or of the rates, which are better held than predicted then; or they are so far

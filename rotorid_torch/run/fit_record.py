@@ -15,7 +15,7 @@ from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.velocities import HALF
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.identification.model_estimation import Step3
+from rotorid_torch.identification.model_estimation import ModelEstimate
 from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
 from rotorid_torch.model.modes import modes
 from rotorid_torch.report.figures import Overlay
@@ -54,7 +54,7 @@ class Judged:
 
 
 def for_pictures(
-    overlays: Sequence[Overlay], model: Model, dataset: Dataset, step3: Step3, effects: Sequence[str]
+    overlays: Sequence[Overlay], model: Model, dataset: Dataset, estimate: ModelEstimate, effects: Sequence[str]
 ) -> tuple[Overlay, ...]:
     """Flights that no fit has seen, with the errors of the parameters and with what each of these effects does."""
     by_step = defaultdict[float, list[str]](list)
@@ -64,21 +64,21 @@ def for_pictures(
     bands, bare = dict[str, dict[str, Tensor]](), defaultdict[str, dict[str, dict[str, Tensor]]](dict)
     for flights in by_step.values():
         if dataset.kind != "multirotor":
-            bands |= free_run_bands(model, dataset, flights, step3.names, step3.fit.uncertainty.covariance)
+            bands |= free_run_bands(model, dataset, flights, estimate.names, estimate.fit.uncertainty.covariance)
         for effect in effects:
             for flight, channels in without(model, dataset, flights, effect).items():
                 bare[flight][effect] = channels
     return tuple(replace(o, band=bands.get(o.flight, {}), without=bare.get(o.flight, {})) for o in overlays)
 
 
-def fit_record(model: Model, spec: ModelSpec, step3: Step3, judged: Judged) -> FitRecord:
+def fit_record(model: Model, spec: ModelSpec, estimate: ModelEstimate, judged: Judged) -> FitRecord:
     """FIT of a model that step 3 estimated and `judge` ran."""
-    axes = () if step3.air is None else step3.air.axes
+    axes = () if estimate.air is None else estimate.air.axes
     return FitRecord(
-        method="filter-error" if step3.method == "filter-error" else "output-error",
-        method_reason=step3.why,
+        method="filter-error" if estimate.method == "filter-error" else "output-error",
+        method_reason=estimate.why,
         gusts=tuple(GustRecord(**vars(axis)) for axis in axes),
-        parameters=parameter_records(model, step3),
+        parameters=parameter_records(model, estimate),
         modes=tuple(
             ModeRecord(eigenvalue=(m.eigenvalue.real, m.eigenvalue.imag), name=m.name) for m in modes(model, spec.sizes)
         ),
@@ -87,13 +87,13 @@ def fit_record(model: Model, spec: ModelSpec, step3: Step3, judged: Judged) -> F
     )
 
 
-def parameter_records(model: Model, step3: Step3) -> tuple[ParameterRecord, ...]:
+def parameter_records(model: Model, estimate: ModelEstimate) -> tuple[ParameterRecord, ...]:
     """Every parameter of the model; those that step 3 left alone are frozen.
 
     One that the data do not tell, or that a bound holds, has no standard error.
     """
-    minimum, se = step3.fit.minimum, step3.fit.uncertainty.standard_errors
-    place = {name: i for i, name in enumerate(step3.names)}
+    minimum, se = estimate.fit.minimum, estimate.fit.uncertainty.standard_errors
+    place = {name: i for i, name in enumerate(estimate.names)}
     records = []
     for k, declared in enumerate(model.parameter_set.parameters):
         i = place.get(declared.name)

@@ -22,10 +22,10 @@ from rotorid_torch.effects.registry import of_others, registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.method_choice import METHODS
-from rotorid_torch.identification.model_estimation import Step3
-from rotorid_torch.identification.model_regression import Step2
-from rotorid_torch.identification.reconstruct import reconstruction as step1
+from rotorid_torch.identification.model_estimation import ModelEstimate
+from rotorid_torch.identification.model_regression import ModelRegression
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
+from rotorid_torch.identification.reconstruct.reconstruction import reconstruct as motion_and_forces
 from rotorid_torch.identification.structure import propose, rival
 from rotorid_torch.model.model import Model
 from rotorid_torch.report import limits, remarks
@@ -51,7 +51,7 @@ def reconstruct(dataset: Dataset, out: str | Path, *, seed: int = 0, monitor: Mo
     dataset, monitor = with_velocities(dataset), monitor or Monitor()
     with run_folder(out, "reconstruct") as folder, monitor.recording(folder):
         with monitor.step("reconstruct"):
-            reconstruction = step1.reconstruct(dataset)
+            reconstruction = motion_and_forces(dataset)
         write_reconstruction(reconstruction, folder)
         notes = [*remarks.of_reading(dataset), *reconstruction.notes]
         write_report(folder, _report("reconstruct", dataset, seed, monitor, None, notes), None, monitor)
@@ -147,7 +147,7 @@ def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps
     dataset = with_velocities(dataset)
     uniform, monitor = at_one_rate(dataset), steps.monitor
     reconstruction = steps.reconstruct(
-        tuple(uniform.flights), lambda: step1.reconstruct(uniform, None, steps.ranks, steps.device)
+        tuple(uniform.flights), lambda: motion_and_forces(uniform, None, steps.ranks, steps.device)
     )
     first = steps.do("structure", "structure", lambda: propose(uniform, reconstruction, effects))
     spec, model, regressions, estimate = _best_structure(first, uniform, reconstruction, steps, where_untold)
@@ -168,7 +168,7 @@ def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps
 
 def _best_structure(
     spec: ModelSpec, dataset: Dataset, reconstruction: Reconstruction, steps: Steps, where_untold: str
-) -> tuple[ModelSpec, Model, Step2, Step3]:
+) -> tuple[ModelSpec, Model, ModelRegression, ModelEstimate]:
     """Steps 2 and 3 of a structure, or of its rival where the data prefer that; both by the method of the first."""
     method, why = method_by_quiet_moments(steps.method, where_untold, dataset, spec)
     first, other = estimated(spec, dataset, reconstruction, replace(steps, method=method)), rival(spec)
@@ -185,8 +185,8 @@ def remarks_on(
     spec: ModelSpec,
     fit: FitRecord,
     reconstruction: Reconstruction,
-    regressions: Step2,
-    estimate: Step3,
+    regressions: ModelRegression,
+    estimate: ModelEstimate,
 ) -> list[str]:
     """What people should know of the flights that the steps saw, of the steps, and of the fit they came to."""
     return [

@@ -14,8 +14,8 @@ from rotorid_torch.core.parameters import ParameterTable
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.exporting.subject import Subject
 from rotorid_torch.exporting.targets import export
-from rotorid_torch.identification.model_estimation import Step3
-from rotorid_torch.identification.model_regression import Step2
+from rotorid_torch.identification.model_estimation import ModelEstimate
+from rotorid_torch.identification.model_regression import ModelRegression
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.modes import control_matrix, state_matrix
@@ -113,8 +113,8 @@ class Run(Result):
     fit: FitRecord
     record: Report
     reconstruction: Reconstruction
-    regressions: Step2
-    estimate: Step3
+    regressions: ModelRegression
+    estimate: ModelEstimate
     overlays: tuple[Overlay, ...] = field(repr=False)
 
     @property
@@ -157,7 +157,7 @@ def write_model(run: Run, folder: Path) -> None:
     save_model(run.model, run.spec, folder / "model.pt")
 
 
-def write_gusts(estimate: Step3, folder: Path) -> None:
+def write_gusts(estimate: ModelEstimate, folder: Path) -> None:
     """Smoothed gusts of every identify flight with standard errors, m/s, NAME.npz each; nothing where none were."""
     if estimate.air is None:
         return

@@ -13,7 +13,7 @@ from rotorid_torch.core.processes.ranks import Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.gusts import Air, follow, of_all
-from rotorid_torch.identification.model_estimation import Step3, records
+from rotorid_torch.identification.model_estimation import ModelEstimate, records
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.model.model import Model
 from rotorid_torch.report.records import FlightRecord
@@ -84,7 +84,7 @@ def _size(air: Air) -> tuple[tuple[float, float], tuple[float, float] | None]:
 def with_gusts(
     flights: Mapping[str, FlightRecord],
     model: Model,
-    found: Step3,
+    found: ModelEstimate,
     dataset: Dataset,
     seen: Dataset,
     reconstruction: Reconstruction,

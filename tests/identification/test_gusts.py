@@ -14,7 +14,7 @@ from rotorid_torch.data import Dataset
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.gusts import follow
 from rotorid_torch.identification.method_choice import GUSTY
-from rotorid_torch.identification.model_estimation import Means, Step3, estimate_model, records
+from rotorid_torch.identification.model_estimation import Means, ModelEstimate, estimate_model, records
 from rotorid_torch.identification.model_regression import regress_model
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.regress.equation import START
@@ -51,7 +51,7 @@ def turbulent(seed: int = 1) -> tuple[Dataset, Tensor]:
     return data, torch.tensor(gusts)
 
 
-def estimated(data: Dataset, method: str) -> tuple[Step3, Model]:
+def estimated(data: Dataset, method: str) -> tuple[ModelEstimate, Model]:
     step1 = reconstruct(data)
     model = build(propose(data, step1, ()))
     return estimate_model(model, data, step1, regress_model(model, data, step1), Means(method=method)), model

@@ -16,7 +16,7 @@ from rotorid_torch.effects.base import Frame, Values
 from rotorid_torch.effects.registry import EFFECTS
 from rotorid_torch.identification.estimate.segments import Records
 from rotorid_torch.identification.model_estimation import (
-    Step3,
+    ModelEstimate,
     _controls,
     _idle,
     averaged,
@@ -24,7 +24,7 @@ from rotorid_torch.identification.model_estimation import (
     initial_spread,
     records,
 )
-from rotorid_torch.identification.model_regression import Step2, measured, regress_model
+from rotorid_torch.identification.model_regression import ModelRegression, measured, regress_model
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.model import Model
@@ -41,14 +41,14 @@ def own_effects(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(EFFECTS, own.id, own)
 
 
-def estimated(data: Dataset, *effects: str) -> tuple[Step3, Model, Step2]:
-    step1 = reconstruct(data)
-    model = build(propose(data, step1, effects))
-    start = regress_model(model, data, step1)
-    return estimate_model(model, data, step1, start), model, start
+def estimated(data: Dataset, *effects: str) -> tuple[ModelEstimate, Model, ModelRegression]:
+    reconstruction = reconstruct(data)
+    model = build(propose(data, reconstruction, effects))
+    start = regress_model(model, data, reconstruction)
+    return estimate_model(model, data, reconstruction, start), model, start
 
 
-def deviations(found: Step3, model: Model, truth: dict[str, float]) -> dict[str, float]:
+def deviations(found: ModelEstimate, model: Model, truth: dict[str, float]) -> dict[str, float]:
     """Estimates minus truth, in standard errors; trims left out."""
     se = dict(zip(found.names, found.fit.uncertainty.standard_errors.tolist(), strict=True))
     theta = model.theta.detach()
@@ -146,13 +146,13 @@ def test_an_own_effect_with_a_state_comes_back():
 def test_states_of_effects_follow_the_record_to_start_from():
     model = with_values(rate_vehicle(effects=("own.lag",)), {"own.lag.tau": 0.4})
     data = flown(model, manoeuvres(8.0, DT), DT)
-    step1 = reconstruct(data)
-    late = measured(model, data, step1, "f_lat").signals["own.lag.late"]
+    reconstruction = reconstruct(data)
+    late = measured(model, data, reconstruction, "f_lat").signals["own.lag.late"]
     stick, wanted = data.flights["f_lat"].channels["lat"], [0.0]
     for a, b in zip(stick[:-1].tolist(), stick[1:].tolist(), strict=True):
         wanted.append(wanted[-1] + DT / 0.4 * (0.5 * (a + b) - wanted[-1]))
     torch.testing.assert_close(late, torch.tensor(wanted).double(), atol=3e-3, rtol=0)
-    known = records(model, data, step1).states[..., -1]
+    known = records(model, data, reconstruction).states[..., -1]
     assert bool(known.isfinite().all())
 
 
@@ -184,11 +184,11 @@ def test_an_effect_that_integrates_starts_at_zero(monkeypatch: pytest.MonkeyPatc
 
 
 def test_parameters_that_step_2_holds_stay(rates: Dataset):
-    step1 = reconstruct(rates)
-    model = build(propose(rates, step1))
-    start = regress_model(model, rates, step1)
+    reconstruction = reconstruct(rates)
+    model = build(propose(rates, reconstruction))
+    start = regress_model(model, rates, reconstruction)
     held = ("forces.L.q", "forces.N.p")
-    found = estimate_model(model, rates, step1, replace(start, held=held))
+    found = estimate_model(model, rates, reconstruction, replace(start, held=held))
     assert not set(held) & set(found.names)
     places = [model.parameter_set.index(n) for n in held]
     assert torch.equal(model.theta.detach()[places], start.theta[places])
@@ -230,18 +230,18 @@ def test_a_rotor_speed_of_which_nothing_is_declared_acts_as_recorded():
 def test_records_are_at_fifty_hertz_at_least():
     for dt, wanted in ((0.01, 0.02), (1 / 154, 3 / 154), (0.04, 0.04)):
         data = flown(rate_vehicle(), manoeuvres(3.0, dt), dt)
-        step1 = reconstruct(data)
-        found = records(build(propose(data, step1)), data, step1)
+        reconstruction = reconstruct(data)
+        found = records(build(propose(data, reconstruction)), data, reconstruction)
         assert found.dt == pytest.approx(wanted)
         assert found.states.shape[-1] == 3
 
 
 def test_flights_that_leave_the_memory_change_nothing(rates: Dataset, monkeypatch: pytest.MonkeyPatch):
-    def regressed() -> tuple[Step2, Records]:
-        step1 = reconstruct(rates)
-        spec = propose(rates, step1)
+    def regressed() -> tuple[ModelRegression, Records]:
+        reconstruction = reconstruct(rates)
+        spec = propose(rates, reconstruction)
         model = build(spec)
-        return regress_model(model, rates, step1), records(model, rates, step1)
+        return regress_model(model, rates, reconstruction), records(model, rates, reconstruction)
 
     whole, batch = regressed()
     monkeypatch.setattr("rotorid_torch.data.on_demand.BUDGET", 1)
@@ -255,9 +255,9 @@ def test_flights_that_leave_the_memory_change_nothing(rates: Dataset, monkeypatc
 def test_flights_of_different_lengths_share_a_batch():
     moves = manoeuvres(6.0, DT) | {"short": manoeuvres(3.0, DT)["f_lat"]}
     data = flown(rate_vehicle(), moves, DT, noise=0.01)
-    step1 = reconstruct(data)
-    model = build(propose(data, step1))
-    batch = records(model, data, step1)
+    reconstruction = reconstruct(data)
+    model = build(propose(data, reconstruction))
+    batch = records(model, data, reconstruction)
     i = data.identify.index("short")
     short = int(batch.lengths[i])
     assert short < batch.samples == int(batch.lengths.max())

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rotorid_torch.data import Dataset
-from rotorid_torch.identification.model_regression import Step2, chained, integral, measured, regress_model
+from rotorid_torch.identification.model_regression import ModelRegression, chained, integral, measured, regress_model
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction, reconstruct
 from rotorid_torch.identification.structure import lagged, propose
 from rotorid_torch.model.model import Model
@@ -20,13 +20,13 @@ DT = 0.02
 INERTIA = ((5000.0, 0.0, -800.0), (0.0, 12000.0, 0.0), (-800.0, 0.0, 10000.0))
 
 
-def regressed(data: Dataset) -> tuple[Step2, Model, Reconstruction]:
-    step1 = reconstruct(data)
-    model = build(propose(data, step1))
-    return regress_model(model, data, step1), model, step1
+def regressed(data: Dataset) -> tuple[ModelRegression, Model, Reconstruction]:
+    reconstruction = reconstruct(data)
+    model = build(propose(data, reconstruction))
+    return regress_model(model, data, reconstruction), model, reconstruction
 
 
-def misses(found: Step2, model: Model, sizes: dict[str, float] | None = None) -> dict[str, float]:
+def misses(found: ModelRegression, model: Model, sizes: dict[str, float] | None = None) -> dict[str, float]:
     """Errors of the derivatives, each times its regressor's rms, over the row's rms."""
     wanted = {f"forces.{n}": v for n, v in DERIVATIVES.items()}
     made = {}
@@ -169,8 +169,8 @@ def test_signals_are_bridged_over_gaps(clean: Dataset):
         controls=dict(clean.control_specs),
         vehicle=clean.vehicle,
     )
-    step1 = reconstruct(data)
-    signals = measured(build(propose(data, step1)), data, step1, "f_lon").signals
+    reconstruction = reconstruct(data)
+    signals = measured(build(propose(data, reconstruction)), data, reconstruction, "f_lon").signals
     assert bool(signals["q"].isfinite().all())
 
 

@@ -198,9 +198,9 @@ def near_the_ground(seed: int, samples: int = 1500) -> dict[str, np.ndarray]:
 
 def test_ground_effect_comes_back_with_the_radius_and_the_height_of_the_rotors():
     data = recorded({name: near_the_ground(k) for k, name in enumerate(("one", "two", "three"))})
-    step1 = reconstruct(data)
-    model = build(propose(data, step1, ("environment.ground",)))
-    found = regress_rotors(model, data, step1)
+    reconstruction = reconstruct(data)
+    model = build(propose(data, reconstruction, ("environment.ground",)))
+    found = regress_rotors(model, data, reconstruction)
     value = dict(zip(model.parameter_set.names, found.theta.tolist(), strict=True))
     assert value["environment.ground.radius"] == pytest.approx(RADIUS, rel=0.1)
     assert value["environment.ground.offset"] == pytest.approx(ABOVE, abs=0.02)

@@ -191,7 +191,7 @@ def test_the_library_s_own_pass(name: str):
 @pytest.mark.parametrize("command", ["identify", "close_loop"])
 def test_a_signal_that_this_vehicle_lacks_is_told_before_any_work(command: str, monkeypatch: pytest.MonkeyPatch):
     """Flapping is measured on the example vehicle, and not here."""
-    monkeypatch.setattr("rotorid_torch.run.pipeline.step1.reconstruct", lambda *_: pytest.fail("step 1 was begun"))
+    monkeypatch.setattr("rotorid_torch.run.pipeline.motion_and_forces", lambda *_: pytest.fail("step 1 was begun"))
     name = install(an_effect(reading("a1")))
     dataset = Dataset.from_arrays({"f": small_flight()}, identify=["f"])
     begin = partial(pipeline.identify, effects=[name]) if command == "identify" else close_loop.close_loop

@@ -15,7 +15,7 @@ def no_work(*given, **named):
 
 @pytest.fixture(autouse=True)
 def _step_1_must_not_begin(monkeypatch):
-    monkeypatch.setattr("rotorid_torch.run.pipeline.step1.reconstruct", no_work)
+    monkeypatch.setattr("rotorid_torch.run.pipeline.motion_and_forces", no_work)
 
 
 def test_a_flight_too_short_to_identify_from_is_named(tmp_path):

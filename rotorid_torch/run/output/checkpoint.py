@@ -35,8 +35,8 @@ from rotorid_torch.identification.estimate.progressive_fit import Estimate
 from rotorid_torch.identification.estimate.residuals import Moments
 from rotorid_torch.identification.estimate.uncertainty import Uncertainty
 from rotorid_torch.identification.gusts import Air, GustAxis
-from rotorid_torch.identification.model_estimation import Step3
-from rotorid_torch.identification.model_regression import Step2
+from rotorid_torch.identification.model_estimation import ModelEstimate
+from rotorid_torch.identification.model_regression import ModelRegression
 from rotorid_torch.identification.reconstruct.force_noise import ForceNoise
 from rotorid_torch.identification.reconstruct.reconstruction import ReconstructedFlight, Reconstruction
 from rotorid_torch.identification.regress.ftr import Regression
@@ -49,8 +49,8 @@ KINDS = {
     kind.__name__: kind
     for kind in (
         *(ForceNoise, ReconstructedFlight),
-        *(Regression, Step2),
-        *(Moments, Place, Minimum, Uncertainty, Estimate, GustAxis, Air, Step3),
+        *(Regression, ModelRegression),
+        *(Moments, Place, Minimum, Uncertainty, Estimate, GustAxis, Air, ModelEstimate),
     )
 }
 """Results that a file may hold, by the name that stands for them in it."""
