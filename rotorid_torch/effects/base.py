@@ -20,6 +20,7 @@ from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.core.rigid import vec
 from rotorid_torch.core.state import State
 from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.effects.testable import Need, first
 from rotorid_torch.effects.weights import Weight, lent, taken
 
 
@@ -155,7 +156,8 @@ class Effect(nn.Module):
     Modules of torch that are attributes are trained with the rest: their weights are parameters behind those declared,
     with `weight_sd` for prior_sd, one number or one for each beginning of a name ("net.0").
     `proportional` : whether twice the size does about twice as much. `separated_by` are the flights that tell it from
-    derivatives which absorb it. `swings` : whether it has a motion of its own that no channel tells.
+    derivatives which absorb it. `swings` : whether it has a motion of its own that no channel tells. `needs` : what the
+    data must have, each a function of the spec that says what is lacking, or None (see `testable`).
     """
 
     id: str = ""
@@ -169,6 +171,7 @@ class Effect(nn.Module):
     swings: bool = False
     separated_by: str = "larger or longer inputs on every control"
     weight_sd: float | Mapping[str, float] = 1.0
+    needs: tuple[Need, ...] = ()
 
     def __init__(self, declared: tuple[Parameter, ...] = (), states: tuple[State, ...] = ()) -> None:
         super().__init__()
@@ -224,8 +227,8 @@ class Effect(nn.Module):
 
     @classmethod
     def untestable(cls, spec: ModelSpec) -> str | None:
-        """Why this data set cannot test the effect, in plain words; None where it can."""
-        return None
+        """Why this data set cannot test the effect, in plain words; None where it can. By default: the first need."""
+        return first(*(reason(spec) for reason in cls.needs))
 
     @classmethod
     def within(cls, spec: ModelSpec) -> str:

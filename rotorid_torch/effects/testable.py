@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from rotorid_torch.core.names import RATES, VELOCITIES, is_motor
 from rotorid_torch.effects.spec import ModelSpec
+
+Need = Callable[[ModelSpec], str | None]
+"""Why a spec lacks what an effect needs; None where it does not."""
 
 
 def first(*reasons: str | None) -> str | None:
@@ -59,11 +64,11 @@ def multirotor(spec: ModelSpec) -> str | None:
     return "the vehicle is a multirotor" if any(map(is_motor, spec.controls)) else None
 
 
-def motor_commands(spec: ModelSpec, why: str) -> str | None:
-    """The controls are motor commands, of which the effect makes no sense for a reason."""
-    return why if any(map(is_motor, spec.controls)) else None
+def not_for_motors(why: str) -> Need:
+    """The controls are motor commands, of which an effect makes no sense for a reason."""
+    return lambda spec: why if any(map(is_motor, spec.controls)) else None
 
 
-def no_channel(spec: ModelSpec, name: str) -> str | None:
+def no_channel(name: str) -> Need:
     """A channel is missing from the flights."""
-    return None if name in spec.reference else f"the channel {name} is missing"
+    return lambda spec: None if name in spec.reference else f"the channel {name} is missing"

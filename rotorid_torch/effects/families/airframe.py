@@ -13,7 +13,7 @@ from rotorid_torch.core.rigid import vec
 from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Values
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.effects.testable import first, motor_commands, multirotor, no_forces, no_rates, no_velocities
+from rotorid_torch.effects.testable import first, multirotor, no_forces, no_rates, no_velocities, not_for_motors
 
 DRAG_AREA = 0.01
 """Drag area of a fuselage over the rotor's disc; usual for helicopters."""
@@ -40,6 +40,7 @@ class Drag(Effect):
     """
 
     id, stage, role, showing = "forces.drag", Stage.FORCES, Role.UNDECLARED, Showing.OTHER_FLIGHTS
+    needs = (no_velocities, no_forces)
     separated_by = "flights trimmed at other speeds"
     reference: Tensor
 
@@ -60,11 +61,6 @@ class Drag(Effect):
             base = 0.5 * spec.air_density * DRAG_AREA * math.pi * spec.rotor.radius**2 / spec.mass
         return cls(base, reference_of(spec, VELOCITIES))
 
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Without velocities."""
-        return first(no_velocities(spec), no_forces(spec))
-
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds the drag beyond that of the reference."""
 
@@ -83,6 +79,7 @@ class QuadraticDamping(Effect):
     """
 
     id, stage, role = "forces.quadratic_damping", Stage.FORCES, Role.UNDECLARED
+    needs = (no_rates, not_for_motors("commands answer the rates: a term by rates takes up what is left of a lag"))
 
     def __init__(self) -> None:
         super().__init__(
@@ -91,12 +88,6 @@ class QuadraticDamping(Effect):
                 for row, rate, size in zip("LMN", RATES, (2.0, 1.0, 1.0), strict=True)
             )
         )
-
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Without rates, or of motor commands: those answer the rates."""
-        answered = "commands answer the rates: a term by rates takes up what is left of a lag"
-        return first(no_rates(spec), motor_commands(spec, answered))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds the damping."""
@@ -114,6 +105,7 @@ class TranslationalLift(Effect):
     """
 
     id, stage, role = "forces.translational_lift", Stage.FORCES, Role.STRUCTURE
+    needs = (multirotor, no_velocities, no_forces)
     separated_by = "flights trimmed at other speeds"
     showing = Showing.OTHER_FLIGHTS
 
@@ -136,11 +128,6 @@ class TranslationalLift(Effect):
     def within(cls, spec: ModelSpec) -> str:
         """The nominal model's inflow, where it has one: momentum theory knows the speed."""
         return "inflow" if spec.inflow else ""
-
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Where velocities are missing, or of a multirotor."""
-        return first(multirotor(spec), no_velocities(spec), no_forces(spec))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds thrust and torque by the change of the induced velocity."""

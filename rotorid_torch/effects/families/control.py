@@ -19,7 +19,7 @@ from rotorid_torch.effects.base import Effect, Role, Stage, Values
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.signal_operations import lagged, rate_limited, shifted, with_play_behind_noise
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.effects.testable import motor_commands
+from rotorid_torch.effects.testable import not_for_motors
 
 LONGEST = 0.25
 """s: no control path is slower."""
@@ -97,6 +97,7 @@ class ControlLag(Effect):
     """
 
     id, stage, role = "control.lag", Stage.CONTROL, Role.UNDECLARED
+    needs = (not_for_motors("motor commands lag by propulsion.motor_lag"),)
 
     def __init__(self, controls: tuple[str, ...] = (), alone: bool = False) -> None:
         common = Parameter("common", 0.0, "s", (0.0, 2 * LONGEST), doc="time constant of every control", typical=0.06)
@@ -106,11 +107,6 @@ class ControlLag(Effect):
     def from_spec(cls, spec: ModelSpec) -> ControlLag:
         """With the controls of the vehicle."""
         return cls(spec.controls, cls.id in spec.each_control)
-
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Of motor commands, which have a lag of their own."""
-        return motor_commands(spec, "motor commands lag by propulsion.motor_lag")
 
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Controls [..., T, nu], each behind its lag."""
@@ -127,6 +123,7 @@ class RateLimit(Effect):
     """
 
     id, stage, role = "control.rate_limit", Stage.CONTROL, Role.UNDECLARED
+    needs = (not_for_motors("motor commands pass no actuator with a limit"),)
     proportional = False
 
     def __init__(self, sizes: Mapping[str, float] = NONE, unit: str = "rad", alone: bool = False) -> None:
@@ -143,11 +140,6 @@ class RateLimit(Effect):
         """With the controls of the vehicle; scaled by their excursions."""
         unit = spec.control_units.get(spec.controls[0], "rad")
         return cls(excursions(spec), unit, cls.id in spec.each_control)
-
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Of motor commands."""
-        return motor_commands(spec, "motor commands pass no actuator with a limit")
 
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Controls [..., T, nu], each followed no faster than its limit."""
@@ -166,6 +158,7 @@ class Backlash(Effect):
     """
 
     id, stage, role = "control.backlash", Stage.CONTROL, Role.UNDECLARED
+    needs = (not_for_motors("motor commands pass no linkage"),)
     proportional = False
 
     def __init__(self, sizes: Mapping[str, float] = NONE, unit: str = "rad", alone: bool = False) -> None:
@@ -187,11 +180,6 @@ class Backlash(Effect):
         """With the controls of the vehicle; scaled by their excursions."""
         unit = spec.control_units.get(spec.controls[0], "rad")
         return cls(excursions(spec), unit, cls.id in spec.each_control)
-
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Of motor commands."""
-        return motor_commands(spec, "motor commands pass no linkage")
 
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Controls [..., T, nu], each through its play."""

@@ -14,12 +14,12 @@ from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec, arm
 from rotorid_torch.effects.testable import (
     first,
-    motor_commands,
     no_channel,
     no_forces,
     no_rates,
     no_rotor,
     no_velocities,
+    not_for_motors,
 )
 
 LOWEST = 0.3
@@ -83,7 +83,7 @@ class Ground(Effect):
     def untestable(cls, spec: ModelSpec) -> str | None:
         """Without height, rotor or velocities."""
         rotor = None if spec.motors else no_rotor(spec)
-        return first(no_channel(spec, "height"), rotor, no_velocities(spec), no_forces(spec))
+        return first(no_channel("height")(spec), rotor, no_velocities(spec), no_forces(spec))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Tells what is left of the induced velocity, or adds the thrust gained; the rate of climb."""
@@ -173,6 +173,7 @@ class Wind(Effect):
     """
 
     id, stage, role = "environment.wind", Stage.ENVIRONMENT, Role.UNDECLARED
+    needs = (no_channel("psi"), no_velocities)
     separated_by = "flights on several headings"
     showing = Showing.OTHER_FLIGHTS
 
@@ -191,11 +192,6 @@ class Wind(Effect):
         """About the reference's attitude and heading."""
         at = spec.reference
         return cls((at.get("phi", 0.0), at.get("theta", 0.0), at["psi"]))
-
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Without heading or velocities."""
-        return first(no_channel(spec, "psi"), no_velocities(spec))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Velocities through the air; the rate of the heading."""
@@ -236,6 +232,12 @@ class Turbulence(_Stochastic):
     """
 
     id = "environment.turbulence"
+    needs = (
+        not_for_motors(
+            "a controller moves a multirotor from the first sample on, with its sensors' noise as with gusts"
+        ),
+        no_rates,
+    )
 
     def __init__(self) -> None:
         super().__init__(
@@ -244,12 +246,6 @@ class Turbulence(_Stochastic):
                 Parameter("length", 50.0, "m", (1.0, 1000.0), free=False, doc="scale of the gusts", typical=50.0),
             )
         )
-
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Without rates, or of a multirotor."""
-        answered = "a controller moves a multirotor from the first sample on, with its sensors' noise as with gusts"
-        return first(motor_commands(spec, answered), no_rates(spec))
 
 
 @register
@@ -263,6 +259,7 @@ class Vibration(_Stochastic):
     """
 
     id = "environment.vibration"
+    needs = (no_rotor, no_rates)
 
     def __init__(self, channels: tuple[str, ...], speed: float, blades: int) -> None:
         groups = (("rates", RATES, "rad/s", 1.0, 0.01), ("accelerations", SPECIFIC_FORCES, "m/s2", 20.0, 0.5))
@@ -280,8 +277,3 @@ class Vibration(_Stochastic):
         """Lines of the declared rotor, rad/s."""
         assert spec.rotor is not None
         return cls(spec.outputs, spec.rotor.speed, spec.rotor.blades)
-
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Without a declared rotor speed."""
-        return first(no_rotor(spec), no_rates(spec))

@@ -73,6 +73,7 @@ class DynamicInflow(Effect):
     """
 
     id, stage, role = "rotor.inflow", Stage.FORCES, Role.STRUCTURE
+    needs = (no_forces, multirotor)
 
     def __init__(self, thrust: float, flapping: tuple[float, float] | None) -> None:
         times = (0.02, 0.6)
@@ -105,11 +106,6 @@ class DynamicInflow(Effect):
     def within(cls, spec: ModelSpec) -> str:
         """The nominal model's inflow, where it has one."""
         return "inflow" if spec.inflow else ""
-
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Where there is no thrust, or of a multirotor."""
-        return first(no_forces(spec), multirotor(spec))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds what the inflow takes; the rates of the states."""
@@ -148,6 +144,7 @@ class FlapSecondOrder(Effect):
     """
 
     id, stage, role = "rotor.flap_second_order", Stage.ROTOR, Role.STRUCTURE
+    needs = (_no_flapping, no_rotor)
     ordinary = True
 
     def __init__(self, rotor: RotorSpec) -> None:
@@ -177,11 +174,6 @@ class FlapSecondOrder(Effect):
         """From the declared rotor's speed and Lock number."""
         assert spec.rotor is not None
         return cls(spec.rotor)
-
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Without flapping states or a declared rotor."""
-        return first(_no_flapping(spec), no_rotor(spec))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Replaces the rates of flapping; the flapping accelerations."""
@@ -393,6 +385,7 @@ class Stall(Effect):
     """
 
     id, stage, role = "rotor.stall", Stage.FORCES, Role.UNDECLARED
+    needs = (no_rotor, no_mass, no_forces, no_velocities, no_rates)
     separated_by = "flights trimmed at other speeds"
     WIDTH = 0.005
 
@@ -415,11 +408,6 @@ class Stall(Effect):
         assert spec.rotor is not None
         assert spec.mass is not None
         return cls(spec.rotor, spec.air_density, spec.mass)
-
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Without declared rotor and mass: no blade loading."""
-        return first(no_rotor(spec), no_mass(spec), no_forces(spec), no_velocities(spec), no_rates(spec))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Takes the lost lift away."""

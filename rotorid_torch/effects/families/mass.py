@@ -14,7 +14,7 @@ from rotorid_torch.core.state import State
 from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Values
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.effects.testable import excluded, first, no_forces, no_inertia, no_mass, no_velocities
+from rotorid_torch.effects.testable import excluded, no_forces, no_inertia, no_mass, no_velocities
 
 PRODUCTS = {"Ixx": ((0, 0),), "Iyy": ((1, 1),), "Izz": ((2, 2),), "Ixz": ((0, 2), (2, 0))}
 
@@ -55,6 +55,7 @@ class Payload(Effect):
     """
 
     id, stage, role, showing = "mass.payload", Stage.MASS, Role.UNDECLARED, Showing.ABSORBED
+    needs = (no_mass, excluded, no_forces)
     separated_by = "flights before and after a known load is moved"
     trim: Tensor
 
@@ -69,11 +70,6 @@ class Payload(Effect):
         """From the declared mass."""
         assert spec.mass is not None
         return cls(spec.mass, trim_force(spec))
-
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Without declared mass or forces, or where something flies along outside it."""
-        return first(no_mass(spec), excluded(spec), no_forces(spec))
 
     @classmethod
     def absorbed_by(cls, spec: ModelSpec) -> str:
@@ -98,6 +94,7 @@ class CentreOfGravity(Effect):
     """
 
     id, stage, role, showing = "mass.cg", Stage.MASS, Role.UNDECLARED, Showing.ABSORBED
+    needs = (no_inertia, excluded, no_forces)
     separated_by = "flights before and after a known load is moved"
     inverse: Tensor
     trim: Tensor
@@ -118,11 +115,6 @@ class CentreOfGravity(Effect):
         """From the declared mass and inertia."""
         assert spec.mass is not None
         return cls(spec.mass, inertia_of(spec), trim_force(spec))
-
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Without declared mass and inertia or forces, or where something flies along outside them."""
-        return first(no_inertia(spec), excluded(spec), no_forces(spec))
 
     @classmethod
     def absorbed_by(cls, spec: ModelSpec) -> str:
@@ -147,6 +139,7 @@ class Inertia(Effect):
     """
 
     id, stage, role, showing = "mass.inertia", Stage.MASS, Role.UNDECLARED, Showing.ABSORBED
+    needs = (no_inertia, excluded)
     separated_by = "flights before and after a known load is moved"
     inertia: Tensor
     entries: Tensor
@@ -166,11 +159,6 @@ class Inertia(Effect):
     def from_spec(cls, spec: ModelSpec) -> Inertia:
         """From the declared inertia."""
         return cls(inertia_of(spec))
-
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Without declared inertia, or where something flies along outside it."""
-        return first(no_inertia(spec), excluded(spec))
 
     @classmethod
     def absorbed_by(cls, spec: ModelSpec) -> str:
@@ -202,6 +190,7 @@ class SlungLoad(Effect):
     """
 
     id, stage, role = "mass.slung_load", Stage.MASS, Role.UNDECLARED
+    needs = (no_velocities, no_forces)
     swings = True
     hang: Tensor
     inverse: Tensor | None
@@ -237,11 +226,6 @@ class SlungLoad(Effect):
         if spec.mass is not None and spec.inertia is not None:
             inverse = spec.mass * torch.linalg.inv(inertia_of(spec))
         return cls(spec.gravity, trim_force(spec), inverse)
-
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Without velocities and attitude."""
-        return first(no_velocities(spec), no_forces(spec))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds the tension at the hook; the pendulum's rates."""

@@ -33,6 +33,7 @@ class MotorLag(Effect):
     """
 
     id, stage, role = "propulsion.motor_lag", Stage.CONTROL, Role.UNDECLARED
+    needs = (no_motors,)
     companion = "propulsion.rotor_inertia"  # a rotor that takes time to turn up hands angular momentum to the body
 
     def __init__(self, motors: tuple[str, ...]) -> None:
@@ -43,11 +44,6 @@ class MotorLag(Effect):
     def from_spec(cls, spec: ModelSpec) -> MotorLag:
         """For the motor commands among the controls."""
         return cls(motors_of(spec))
-
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Without motors."""
-        return no_motors(spec)
 
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Controls [..., T, nu], motor commands behind the lag."""
@@ -152,6 +148,7 @@ class RotorDrag(Effect):
     """
 
     id, stage, role = "propulsion.rotor_drag", Stage.FORCES, Role.UNDECLARED
+    needs = (no_motors, no_velocities, no_forces)
 
     def __init__(self, driven: tuple[str, ...], total: float) -> None:
         super().__init__(
@@ -166,11 +163,6 @@ class RotorDrag(Effect):
     def from_spec(cls, spec: ModelSpec) -> RotorDrag:
         """About the reference's commands or speeds."""
         return cls(spec.driven, _total(spec))
-
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Without motors, velocities or forces."""
-        return first(no_motors(spec), no_velocities(spec), no_forces(spec))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds the drag."""
@@ -191,6 +183,7 @@ class AxialInflow(Effect):
     """
 
     id, stage, role = "propulsion.axial_inflow", Stage.FORCES, Role.UNDECLARED
+    needs = (no_motors, no_velocities, no_forces)
 
     def __init__(self, driven: tuple[str, ...], total: float) -> None:
         super().__init__((Parameter("z", 0.0, "1/s", (0.0, 5.0), doc="thrust lost by climbing", typical=0.3),))
@@ -200,11 +193,6 @@ class AxialInflow(Effect):
     def from_spec(cls, spec: ModelSpec) -> AxialInflow:
         """About the reference's commands or speeds."""
         return cls(spec.driven, _total(spec))
-
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Without motors, velocities or forces."""
-        return first(no_motors(spec), no_velocities(spec), no_forces(spec))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Takes from the thrust."""
