@@ -47,7 +47,7 @@ def hover_input(spec: ModelSpec) -> float:
 
 def beyond_belief(spec: ModelSpec, values: Mapping[str, float]) -> tuple[str, ...]:
     """Moments whose control power among these values is so far from the declared that no inertia is the reason."""
-    if not _declared(spec):
+    if not powers_declared(spec):
         return ()
     rows = [row for row in MOMENTS if row != "N" or all(m.torque_ratio is not None for m in spec.motors)]
     return tuple(row for row in rows if not BELIEVED[0] < values[f"rotors.power.{row}"] < BELIEVED[1])
@@ -74,7 +74,7 @@ class Rotors(Effect):
         self.driven, self.mass = spec.driven, spec.mass or 1.0
         self.forces = tuple(row for row in FORCES[:2] if row in spec.patterns)
         inertia = torch.eye(3, dtype=torch.float64)
-        if _declared(spec):
+        if powers_declared(spec):
             inertia = torch.tensor(spec.inertia, dtype=torch.float64)
         arm = sum(math.hypot(*m.position[:2]) for m in spec.motors) / len(spec.motors)
         ratios = [TORQUE_ARM * arm if m.torque_ratio is None else m.torque_ratio for m in spec.motors]
@@ -116,7 +116,7 @@ def _curve(spec: ModelSpec) -> tuple[Parameter, ...]:
 
 def _powers(spec: ModelSpec) -> tuple[Parameter, ...]:
     """Control power of each axis: 1 where mass and inertia are declared and right, else one over the inertia."""
-    declared = _declared(spec)
+    declared = powers_declared(spec)
     unit, most = ("1", MOST) if declared else ("rad/m2" if spec.mass is None else "rad/(kg m2)", math.inf)
     sd = 1.0 if declared else math.inf
     return tuple(
@@ -125,7 +125,8 @@ def _powers(spec: ModelSpec) -> tuple[Parameter, ...]:
     )
 
 
-def _declared(spec: ModelSpec) -> bool:
+def powers_declared(spec: ModelSpec) -> bool:
+    """Whether places, mass and inertia say what the control powers are."""
     return spec.mass is not None and spec.inertia is not None and spec.found_places is None
 
 

@@ -9,7 +9,7 @@ from rotorid_torch.core.names import ATTITUDES, FLAPPING, MOMENTS, SPECIFIC_FORC
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.spec import ModelSpec, MotorSpec
 from rotorid_torch.identification.structure import have, sticks_alone
-from rotorid_torch.model.rotors import beyond_belief
+from rotorid_torch.model.rotors import beyond_belief, powers_declared
 from rotorid_torch.report.records import FitRecord
 
 AXES = dict(zip(MOMENTS, ("x", "y", "z"), strict=True))
@@ -89,8 +89,8 @@ def _of_helicopter(dataset: Dataset, spec: ModelSpec) -> Iterator[str]:
 
 
 def of_rotors(spec: ModelSpec, fit: FitRecord) -> Iterator[str]:
-    """Control powers of a multirotor against its declared places, mass and inertia."""
-    if not spec.motors or spec.mass is None or spec.inertia is None:
+    """Moments of a multirotor that nothing tells; control powers against its declared places, mass and inertia."""
+    if not spec.motors:
         return
     values = {p.name: p for p in fit.parameters}
     silent = [row for row in MOMENTS if values[f"rotors.power.{row}"].status == "frozen"]
@@ -101,6 +101,9 @@ def of_rotors(spec: ModelSpec, fit: FitRecord) -> Iterator[str]:
             " holds the rates; commands that a rate controller makes faster than they were recorded, or streams that"
             " do not belong together in time, look like that"
         )
+    if not powers_declared(spec):
+        return
+    assert spec.inertia is not None
     wrong = beyond_belief(spec, {p.name: p.value or 0.0 for p in fit.parameters})
     for row in MOMENTS:
         power = values[f"rotors.power.{row}"].value

@@ -44,7 +44,7 @@ IDS = (
     *("mass.payload", "mass.cg", "mass.inertia", "mass.slung_load"),
     *("sensors.bias", "sensors.scale", "sensors.misalignment", "sensors.lever_arm", "sensors.delay", "sensors.filter"),
     *("propulsion.motor_lag", "propulsion.voltage", "propulsion.rotor_inertia", "propulsion.rotor_drag"),
-    *("propulsion.axial_inflow", "propulsion.unequal"),
+    *("propulsion.axial_inflow", "propulsion.flapping", "propulsion.unequal"),
     "neural.forces",
 )
 """Every id that users are promised."""

@@ -417,6 +417,18 @@ def test_rotor_drag_grows_with_speed_and_inflow_takes_thrust():
     assert moving["w"] - still["w"] == pytest.approx(0.3)
 
 
+def test_rotors_lift_more_and_raise_the_nose_as_they_move_sideways():
+    model = made("forces.translational_lift", MULTIROTOR, h=0.02)
+    still, moving = (rates(model, u=u, v=v) for u, v in ((0.0, 0.0), (3.0, -4.0)))
+    assert moving["w"] - still["w"] == pytest.approx(-0.02 * 25.0)
+    assert [moving[n] - still[n] for n in ("u", "v", "p", "q")] == [0.0] * 4
+    model = made("propulsion.flapping", MULTIROTOR, k=1.5)
+    still, moving = (rates(model, u=u, v=v) for u, v in ((0.0, 0.0), (2.0, 1.0)))
+    assert moving["q"] - still["q"] == pytest.approx(3.0)
+    assert moving["p"] - still["p"] == pytest.approx(-1.5)
+    assert moving["w"] == still["w"]
+
+
 def test_a_rotor_that_gives_less_lifts_and_turns_less():
     spec = msgspec.structs.replace(MULTIROTOR, inputs=(), effects=("propulsion.unequal",))
     model, hover = build(spec), dict.fromkeys(MOTORS, 0.6)

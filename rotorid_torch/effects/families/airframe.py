@@ -13,7 +13,7 @@ from rotorid_torch.core.rigid import vec
 from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Values
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.effects.testable import first, multirotor, no_forces, no_rates, no_velocities, not_for_motors
+from rotorid_torch.effects.testable import first, no_forces, no_rates, no_velocities, not_for_motors
 
 DRAG_AREA = 0.01
 """Drag area of a fuselage over the rotor's disc; usual for helicopters."""
@@ -105,7 +105,7 @@ class TranslationalLift(Effect):
     """
 
     id, stage, role = "forces.translational_lift", Stage.FORCES, Role.STRUCTURE
-    needs = (multirotor, no_velocities, no_forces)
+    needs = (no_velocities, no_forces)
     separated_by = "flights trimmed at other speeds"
     showing = Showing.OTHER_FLIGHTS
 
@@ -120,9 +120,10 @@ class TranslationalLift(Effect):
         self.square = speed * speed
 
     @classmethod
-    def from_spec(cls, spec: ModelSpec) -> TranslationalLift:
+    def from_spec(cls, spec: ModelSpec) -> Effect:
         """About the reference's speed in the disc."""
-        return cls(math.hypot(spec.reference.get("u", 0.0), spec.reference.get("v", 0.0)))
+        speed = math.hypot(spec.reference.get("u", 0.0), spec.reference.get("v", 0.0))
+        return _LiftOfRotors(speed) if spec.motors else cls(speed)
 
     @classmethod
     def within(cls, spec: ModelSpec) -> str:
@@ -140,6 +141,31 @@ class TranslationalLift(Effect):
         fallen = induced(self.square) - induced(u * u + v * v)
         zero = torch.zeros_like(p["Z"] * fallen)
         return frame.add(vec(zero, zero, -p["Z"] * fallen), vec(zero, zero, p["N"] * fallen)), x
+
+
+class _LiftOfRotors(Effect):
+    """Translational lift of a multirotor: its rotors thrust more at the same speed the faster they move sideways.
+
+    Z -= h (V^2 - V0^2), V the speed across the rotors' axes, V0 that at the reference.
+
+    Source: Svacha, Mohta and Kumar, Improving quadrotor trajectory tracking by compensating for aerodynamic effects
+    (ICUAS 2017).
+    """
+
+    id, stage, role = TranslationalLift.id, TranslationalLift.stage, TranslationalLift.role
+    separated_by, showing = TranslationalLift.separated_by, TranslationalLift.showing
+
+    def __init__(self, speed: float) -> None:
+        super().__init__(
+            (Parameter("h", 0.0, "1/m", (0.0, 1.0), doc="thrust by the square of the speed sideways", typical=0.02),)
+        )
+        self.square = speed * speed
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Adds thrust."""
+        gained = p["h"] * (frame.stack(VELOCITIES[:2]).square().sum(-1) - self.square)
+        zero = torch.zeros_like(gained)
+        return frame.add(force=vec(zero, zero, -gained)), x
 
 
 @register

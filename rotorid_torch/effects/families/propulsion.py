@@ -1,4 +1,4 @@
-"""Effects of a multirotor's drives: motors' lag, battery voltage, rotors' inertia, drag, inflow, unlike rotors."""
+"""Effects of a multirotor's drives: motors' lag, voltage, rotors' inertia, drag, inflow, flapping, unlike rotors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.signal_operations import lagged
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.effects.testable import first, no_forces, no_motors, no_velocities
+from rotorid_torch.effects.testable import first, no_forces, no_motors, no_rates, no_velocities
 
 LARGE_SPEED = 1e3
 """rad/s: speeds of small rotors are thousands, where commands are one."""
@@ -199,6 +199,37 @@ class AxialInflow(Effect):
         lost = p["z"] * frame.stack(self.driven).sum(-1) / self.total * frame.signals["w"]
         zero = torch.zeros_like(lost)
         return frame.add(force=vec(zero, zero, -lost)), x
+
+
+@register
+class Flapping(Effect):
+    """Blades that flap back turn the body: moments by the speed across the rotors' axes, alike about both axes.
+
+    M += k s u, L -= k s v with s the sum of the commands or speeds over that at the reference: an advancing blade rises
+    and the disc tilts back, and the rotors' drag acts above or below the centre of gravity.
+
+    Source: Hoffmann, Huang, Waslander and Tomlin, AIAA 2007-6461, sec. III (blade flapping); Mahony, Kumar and Corke,
+    IEEE Robotics and Automation Magazine 19 (2012), eq. 8.
+    """
+
+    id, stage, role = "propulsion.flapping", Stage.FORCES, Role.UNDECLARED
+    needs = (no_motors, no_velocities, no_rates)
+
+    def __init__(self, driven: tuple[str, ...], total: float) -> None:
+        doc = "pitch by speed ahead, roll by speed to the left"
+        super().__init__((Parameter("k", 0.0, "rad/(s m)", (-100.0, 100.0), doc=doc, typical=1.0),))
+        self.driven, self.total = driven, total
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> Flapping:
+        """About the reference's commands or speeds."""
+        return cls(spec.driven, _total(spec))
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Adds the moments."""
+        turning = p["k"] * frame.stack(self.driven).sum(-1) / self.total
+        u, v = frame.signals["u"], frame.signals["v"]
+        return frame.add(moment=vec(-turning * v, turning * u, torch.zeros_like(turning * u))), x
 
 
 @register

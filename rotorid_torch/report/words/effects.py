@@ -194,6 +194,11 @@ EFFECTS = {
         "thrust by axial speed",
         "Keep it for climbs and descents.",
     ),
+    "propulsion.flapping": Words(
+        "The rotors turn the body as it moves sideways, for their blades flap back: {}.",
+        "moments of flapping blades",
+        "Keep it in the model for fast flight.",
+    ),
     "propulsion.unequal": Words(
         "One rotor gives less than the others: {}.",
         "a rotor that gives less",
