@@ -87,8 +87,8 @@ def test_moments_that_commands_do_not_explain_are_not_testable():
     (said,) = limits.of_rotors(MULTIROTOR, powers(L=None, M=None, N=None))  # pyright: ignore[reportArgumentType]
     assert said.startswith("L M N not testable")
     unknown = msgspec.structs.replace(MULTIROTOR, found_places={"L": 0.9, "M": 0.9})
-    assert list(limits.of_rotors(unknown, powers(L=5e4, M=5e4, N=None)))[0].startswith("N not testable")  # pyright: ignore[reportArgumentType]
-    assert len(list(limits.of_rotors(unknown, powers(L=5e4, M=5e4, N=None)))) == 1  # pyright: ignore[reportArgumentType]
+    (said,) = limits.of_rotors(unknown, powers(L=5e4, M=5e4, N=None))  # pyright: ignore[reportArgumentType]
+    assert said.startswith("N not testable")
 
 
 @pytest.mark.parametrize(
