@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -172,15 +172,6 @@ def moves(dataset: Dataset, controls: Sequence[str]) -> dict[str, Moves]:
 def _share_at(values: np.ndarray, limits: tuple[float, float]) -> float:
     margin = 0.002 * (limits[1] - limits[0])
     return float(np.mean((values <= limits[0] + margin) | (values >= limits[1] - margin)))
-
-
-def independent_share(flights: Iterable[Flight], control: str, regressors: Sequence[str]) -> float:
-    """Share of a control's variance in the band that real multiples of the regressors leave, pooled over flights; 0…1.
-
-    Source: Tischler and Remple, Aircraft and Rotorcraft System Identification, 2nd ed., ch. 9 (correlated inputs).
-    """
-    lines = [_in_band(flight, [control, *regressors])[1] for flight in flights]
-    return _share_left(np.concatenate([part for values in lines for part in (np.real(values), np.imag(values))]), 0)
 
 
 def _share_left(lines: np.ndarray, column: int) -> float:

@@ -21,7 +21,7 @@ from rotorid_torch.effects.base import Effect, Frame, Stage, Values
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.identification.regress.equation import START, Equation, fit_equation
 from rotorid_torch.identification.regress.ftr import Regression
-from rotorid_torch.identification.regress.selection import beyond
+from rotorid_torch.identification.regress.independence import beyond
 from rotorid_torch.identification.structure import ATTITUDE, have
 from rotorid_torch.model.derivatives import LinearForces
 from rotorid_torch.model.flapping import AlgebraicFlapping, Flapping

@@ -73,11 +73,6 @@ def list_score(flight_scores: Tensor) -> Tensor:
     return torch.nanmean(flight_scores.square(), dim=-1).sqrt()
 
 
-def noise_removed(J: Tensor, J_noise: Tensor) -> Tensor:
-    """Part of J that the sensor noise does not explain: sqrt(J² - J_noise²), zero where the noise is the larger."""
-    return (J.square() - J_noise.square()).clamp(min=0.0).sqrt()
-
-
 def deviation(signal: Tensor, measured: Tensor, dt: float) -> Tensor:
     """Subtract the mean of the first half second of `measured` from `signal`; both [..., T, n]."""
     quiet = measured[..., : horizon_samples(dt, QUIET_S), :]

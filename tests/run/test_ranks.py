@@ -142,7 +142,7 @@ def test_every_step_taken_up_gives_the_same(
         assert f"{step}: taken from the interrupted run" in log
     assert read_report(out).before == straight.before
     assert read_report(out).warnings == straight.warnings
-    assert run.reconstruction.flights["f_lat"].whiteness().keys() == {"p", "q", "r"}
+    assert run.reconstruction.flights["f_lat"].innovations.keys() == {"p", "q", "r"}
 
 
 def stopped(*told: object) -> None:

@@ -65,11 +65,6 @@ def test_list_score_is_the_rms_of_its_flights():
     assert scores.list_score(torch.tensor([3.0, 4.0, math.nan])).item() == pytest.approx(math.sqrt(12.5))
 
 
-def test_noise_removed_never_goes_below_zero():
-    J, J_noise = torch.tensor([0.5, 0.1]), torch.tensor([0.3, 0.2])
-    assert torch.allclose(scores.noise_removed(J, J_noise), torch.tensor([0.4, 0.0]))
-
-
 def test_r2_by_hand_and_with_a_gap():
     measured, model = column(1.0, 2.0, 3.0, 4.0), column(1.0, 2.0, 3.0, 6.0)
     assert scores.r2(model - measured, measured).item() == pytest.approx(1 - 4 / 5)

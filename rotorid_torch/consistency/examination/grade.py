@@ -16,7 +16,6 @@ from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
 
 Grade = Literal["ready", "limited", "not usable"]
-ORDER: tuple[Grade, ...] = ("ready", "limited", "not usable")
 AXES = {
     "roll": ("lat", ("p",)),
     "pitch": ("lon", ("q",)),

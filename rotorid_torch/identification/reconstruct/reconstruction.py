@@ -39,8 +39,6 @@ from rotorid_torch.identification.reconstruct.sensor_biases import (
 from rotorid_torch.identification.reconstruct.sigma_points import ProcessNoise
 from rotorid_torch.identification.reconstruct.unscented_filter import SampledSystem, filter_and_smooth
 
-LAGS = 20
-"""Lags over which the innovations' autocorrelation is judged."""
 UNSEEN_SD = dict.fromkeys((*RATES, *ATTITUDES), 0.3)
 """Standard deviation of a first state that no channel sees then, rad and rad/s; 10 m and m/s for the others."""
 WANDER_S = 1.0
@@ -95,10 +93,6 @@ class ReconstructedFlight:
     def moments(self) -> Tensor:
         """L M N (T, 3)."""
         return self.loads[:, 3:]
-
-    def whiteness(self) -> dict[str, tuple[float, float]]:
-        """Per channel the innovations' rms (1 if noise is as declared) and rms autocorrelation over 20 lags (0)."""
-        return {name: _whiteness(values) for name, values in self.innovations.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -379,13 +373,3 @@ def _notes(
         searched = f"{SEARCHED} of the {len(dataset.identify)} identify flights, spread over the list"
         notes.append(f"how strongly and fast the forces change was found from {searched}; it holds for all")
     return tuple(notes)
-
-
-def _whiteness(values: Tensor) -> tuple[float, float]:
-    filled = torch.where(values.isnan(), 0.0, values)
-    power = float(filled.square().sum())
-    if power == 0.0:
-        return float("nan"), float("nan")
-    lags = [float((filled[lag:] * filled[:-lag]).sum()) / power for lag in range(1, min(LAGS, len(filled) - 1) + 1)]
-    count = int((~values.isnan()).sum())
-    return (power / count) ** 0.5, float(np.sqrt(np.mean(np.square(lags)))) if lags else float("nan")

@@ -45,7 +45,7 @@ class Regression:
     condition : (...) condition number on unit columns. vif : (..., n) variance inflation factors.
     residual_ratio : (...) residual over what the noise alone would leave (1: nothing but noise; inf: no noise known).
     information : independent real data, two per 1/T of band, less nuisance columns. band : Hz.
-    names, selected : of the candidates, and of those held. reasons : for each one left out, why.
+    names, selected : of the candidates, and of those held.
     notes : what the user must know.
     """
 
@@ -65,7 +65,6 @@ class Regression:
     band: tuple[float, float]
     names: tuple[str, ...] = ()
     selected: tuple[str, ...] = ()
-    reasons: dict[str, str] | None = None
     notes: tuple[str, ...] = ()
 
     def table(self) -> str:
