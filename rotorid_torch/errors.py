@@ -1,7 +1,9 @@
-"""Bad input, told in one line (file, key, what is wrong, what was expected), and what ends a run of several ranks."""
+"""Bad input, in one line (file, key, what is wrong, what was expected), lost ranks, and what native code cannot."""
 
 from __future__ import annotations
 
+import functools
+import logging
 from pathlib import Path
 
 from rotorid_torch.printable import printable
@@ -50,3 +52,13 @@ class ReportedElsewhere(Exception):
     def __init__(self, error: BaseException) -> None:
         self.error = error
         super().__init__(str(error))
+
+
+class Unsupported(Exception):
+    """A model that cannot become native code, or not on this machine; the text says why, and torch does the work."""
+
+
+@functools.cache
+def say_once(text: str) -> None:
+    """One line on the error stream, the first time in a process; nothing later."""
+    logging.getLogger("rotorid_torch").warning(text)

@@ -12,9 +12,9 @@ import msgspec
 import torch
 from rich.table import Table
 
-from rotorid_torch.core.fallback import Unsupported
 from rotorid_torch.core.native.build import NO_COMPILER, compiler
 from rotorid_torch.core.storage.cache import Usage, usage
+from rotorid_torch.errors import Unsupported
 from rotorid_torch.report.records import package_version
 
 NEEDED = ("torch", "torchdiffeq", "numpy", "matplotlib", "tensorboard", "msgspec", "rich", "jinja2")

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from rotorid_torch.consistency.sensor_pairs import pieces
+from rotorid_torch.core.statistics import without_line
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 
@@ -74,12 +75,10 @@ def _lines(flight: Flight, channels: Sequence[str]) -> tuple[np.ndarray, np.ndar
     values = flight.bridged(channels).nan_to_num(0.0).numpy()
     transforms, places = [], []
     for first, last in pieces(flight.samples, flight.dt, 0):
-        part = values[first:last]
-        ramp = np.stack([np.ones(len(part)), np.linspace(-1.0, 1.0, len(part))], axis=1)
-        left = part - ramp @ np.linalg.lstsq(ramp, part, rcond=None)[0]
+        part = without_line(values[first:last])
         hertz = np.fft.rfftfreq(len(part), flight.dt)
         keep = (hertz >= max(RANGE_HZ[0], 1.5 / (len(part) * flight.dt))) & (hertz < min(RANGE_HZ[1], 0.45 / flight.dt))
-        transforms.append(np.fft.rfft(left * np.hanning(len(part))[:, None], axis=0)[keep])
+        transforms.append(np.fft.rfft(part * np.hanning(len(part))[:, None], axis=0)[keep])
         places.append(hertz[keep])
     return np.concatenate(places), np.concatenate(transforms)
 

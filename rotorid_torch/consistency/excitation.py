@@ -9,6 +9,7 @@ import numpy as np
 
 from rotorid_torch.consistency.vibration import spectrum
 from rotorid_torch.core import names
+from rotorid_torch.core.statistics import without_line
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.reading.noise import white_noise
@@ -183,9 +184,7 @@ def _share_left(lines: np.ndarray, column: int) -> float:
 
 def _in_band(flight: Flight, channels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies (lines,) in Hz and Fourier lines (lines, n) in the band of Hann-windowed channels without trend."""
-    values = flight.bridged(channels).nan_to_num(0.0).numpy()
-    ramp = np.stack([np.ones(flight.samples), np.linspace(-1, 1, flight.samples)], axis=1)
-    values = values - ramp @ np.linalg.lstsq(ramp, values, rcond=None)[0]
+    values = without_line(flight.bridged(channels).nan_to_num(0.0).numpy())
     hertz = np.fft.rfftfreq(flight.samples, flight.dt)
     chosen = (hertz >= max(BAND_HZ[0], 2.0 / (flight.samples * flight.dt))) & (hertz <= BAND_HZ[1])
     return hertz[chosen], np.fft.rfft(values * np.hanning(flight.samples)[:, None], axis=0)[chosen]

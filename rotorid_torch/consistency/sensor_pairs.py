@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rotorid_torch.core.statistics import jackknife_variance
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 
@@ -130,14 +131,8 @@ def compared(a: Agreement, flight: Flight) -> tuple[Array, Array, Array, Array]:
 
 
 def jackknife_error(without_one: Sequence[float]) -> float:
-    """Standard error of an estimate from its values with each of the pieces left out; 0 where there is one piece.
-
-    Source: Efron and Tibshirani, An Introduction to the Bootstrap, eq. 11.5.
-    """
-    values = np.asarray(without_one, dtype=float)
-    if len(values) < 2:
-        return 0.0
-    return float(np.sqrt((len(values) - 1) / len(values) * ((values - values.mean()) ** 2).sum()))
+    """Standard error of an estimate from its values with each of the pieces left out; 0 where there is one piece."""
+    return float(np.sqrt(jackknife_variance(np.asarray(without_one, dtype=float)))) if len(without_one) > 1 else 0.0
 
 
 def _scale(moments: Array) -> float:

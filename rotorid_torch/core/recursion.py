@@ -12,8 +12,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.fallback import Unsupported, say_once
 from rotorid_torch.core.native.recurrences import CompiledRecursion, Step
+from rotorid_torch.errors import Unsupported, say_once
 
 
 def followed(step: Step, start: Tensor, *inputs: Tensor) -> Tensor:

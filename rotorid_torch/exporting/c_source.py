@@ -9,12 +9,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rotorid_torch.core.fallback import Unsupported
 from rotorid_torch.core.native.dynamics import Dynamics
 from rotorid_torch.core.native.graph.emit import Constants, straight_line
 from rotorid_torch.core.native.graph.symbols import Graph
 from rotorid_torch.core.storage.atomic import writing
-from rotorid_torch.errors import InputError
+from rotorid_torch.errors import InputError, Unsupported
 from rotorid_torch.exporting.signal_path import Element, control_path, output_path
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.modes import reference_point

@@ -9,11 +9,10 @@ from typing import Any
 
 import torch
 
-from rotorid_torch.core.fallback import Unsupported
 from rotorid_torch.core.native.dynamics import Dynamics
 from rotorid_torch.core.native.graph.emit import SHARED
 from rotorid_torch.core.native.graph.symbols import Graph
-from rotorid_torch.errors import InputError
+from rotorid_torch.errors import InputError, Unsupported
 from rotorid_torch.exporting.subject import Subject
 from rotorid_torch.model.modes import reference_point
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.fallback import Unsupported
 from rotorid_torch.core.names import is_motor
 from rotorid_torch.core.native.graph.emit import SHARED
 from rotorid_torch.core.native.graph.symbols import Graph
@@ -20,7 +19,7 @@ from rotorid_torch.core.native.graph.tracing import scalarise
 from rotorid_torch.effects.base import Effect, Stage, Values
 from rotorid_torch.effects.families.control import per_control
 from rotorid_torch.effects.families.sensors import PERIOD, SMOOTHED, per_channel
-from rotorid_torch.errors import InputError
+from rotorid_torch.errors import InputError, Unsupported
 from rotorid_torch.model.model import Model
 
 DT = 0.01

@@ -14,14 +14,13 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.fallback import Unsupported
 from rotorid_torch.core.gauss_newton import Options
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
 from rotorid_torch.core.processes.device import moved, working_on
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.core.storage import mapped_arrays
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.errors import InputError
+from rotorid_torch.errors import InputError, Unsupported
 from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
 from rotorid_torch.identification.estimate.progressive_fit import Estimate, Monitor, Settings, Start, fit
 from rotorid_torch.identification.estimate.segments import Records, records_from

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.fallback import say_once
 from rotorid_torch.core.integrate import simulate
 from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.core.native.build import threads
@@ -17,6 +16,7 @@ from rotorid_torch.core.native.dynamics import Dynamics
 from rotorid_torch.core.native.graph.tracing import Unsupported
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
+from rotorid_torch.errors import say_once
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.training.equilibrium import PROBE, equilibrium
 

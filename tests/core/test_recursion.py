@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from rotorid_torch.core import fallback
+from rotorid_torch import errors
 from rotorid_torch.core.native.build import NO_COMPILER, library
 from rotorid_torch.core.native.recurrences import SERIES, CompiledRecursion, Step
 from rotorid_torch.core.recursion import followed, linear, reference
@@ -66,7 +66,7 @@ def engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> s
     if request.param == "torch":
 
         def refused(self: CompiledRecursion, start: Tensor, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
-            raise fallback.Unsupported(NO_COMPILER)
+            raise errors.Unsupported(NO_COMPILER)
 
         monkeypatch.setattr(CompiledRecursion, "run", refused)
         monkeypatch.setattr("rotorid_torch.core.recursion.say_once", lambda text: None)
@@ -142,11 +142,11 @@ def test_without_a_compiler_torch_does_it_and_says_so_once(
     native = followed(saturated, start, *inputs)
     monkeypatch.setenv("CXX", "no-such-compiler")
     library.cache_clear()
-    fallback.say_once.cache_clear()
+    errors.say_once.cache_clear()
     with caplog.at_level(logging.WARNING):
         found = [followed(saturated, start, *inputs) for _ in range(2)]
     library.cache_clear()
-    fallback.say_once.cache_clear()
+    errors.say_once.cache_clear()
     assert [r.getMessage() for r in caplog.records] == [
         f"records are followed in torch, sample by sample: {NO_COMPILER}"
     ]

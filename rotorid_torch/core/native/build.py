@@ -20,11 +20,10 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.fallback import Unsupported, say_once
 from rotorid_torch.core.processes.children import child
 from rotorid_torch.core.storage import cache
 from rotorid_torch.core.storage.atomic import scratch_folder
-from rotorid_torch.errors import InputError
+from rotorid_torch.errors import InputError, Unsupported, say_once
 
 LOOPS = Path(__file__).parent / "loops"
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-std=c++17", "-fPIC", "-shared", "-pthread", "-Wno-psabi")

@@ -12,9 +12,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from rotorid_torch.core.fallback import say_once
 from rotorid_torch.core.storage.atomic import reason, sweep
 from rotorid_torch.core.storage.sealed import Damaged, read_sealed, write_sealed
+from rotorid_torch.errors import say_once
 
 MOST = 256 * 2**20
 """Bytes of all files, at most; those that were used last stay."""

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rotorid_torch.core.statistics import without_line
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.errors import InputError
 
@@ -42,9 +43,7 @@ def unwrapped_roll(time: np.ndarray, phi: np.ndarray, rate_time: np.ndarray, rat
     fine = rate_time[measured]
     steps = 0.5 * (rate[measured][1:] + rate[measured][:-1]) * np.diff(fine)
     integral = np.interp(t, fine, np.concatenate([[0.0], np.cumsum(steps)]))
-    trend = np.stack([np.ones_like(t), t - t[0]], axis=1)
-    both = np.stack([angle, integral], axis=1)
-    left = both - trend @ np.linalg.lstsq(trend, both, rcond=None)[0]
+    left = without_line(np.stack([angle, integral], axis=1), t)
     power, turned = (left**2).sum(axis=0), float((left[:, 0] * left[:, 1]).sum())
     if power.min() <= 0.0:
         return False
@@ -55,10 +54,7 @@ def attitude_over_rate(flight: Flight, angle: str, rate: str) -> tuple[float, fl
     """Slope of an Euler angle on the integral of its body rate, both without trend, and their correlation."""
     values = flight.bridged([angle, rate]).numpy()
     integral = np.cumsum(values[:, 1]) * flight.dt
-    time = flight.time.numpy()
-    trend = np.stack([np.ones_like(time), time], axis=1)
-    both = np.stack([values[:, 0], integral], axis=1)
-    left = both - trend @ np.linalg.lstsq(trend, both, rcond=None)[0]
+    left = without_line(np.stack([values[:, 0], integral], axis=1))
     power, turned = (left**2).sum(axis=0), (left[:, 0] * left[:, 1]).sum()
     if power.min() <= 0.0:
         return 0.0, 0.0

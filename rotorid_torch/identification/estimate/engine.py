@@ -16,11 +16,11 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.fallback import say_once
 from rotorid_torch.core.native.adjoint import Adjoint, trajectories
 from rotorid_torch.core.native.build import threads
 from rotorid_torch.core.native.dynamics import Dynamics, LinearProblem
 from rotorid_torch.core.native.graph.tracing import Unsupported
+from rotorid_torch.errors import say_once
 from rotorid_torch.identification.estimate.residuals import Whitener
 from rotorid_torch.identification.estimate.segments import Records, Segments
 from rotorid_torch.identification.estimate.sensitivity import (

@@ -12,6 +12,7 @@ from torch import Tensor
 from rotorid_torch.core.gauss_newton import Linear
 from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
+from rotorid_torch.core.statistics import jackknife_variance
 from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
 
 SMOOTHING = 20
@@ -279,5 +280,5 @@ def jackknife(
         norms = torch.linalg.vector_norm(A, dim=0).clamp_min(1e-12)
         steps[left_out] = least_squares(A / norms, b.unsqueeze(-1))[:, 0] / norms
     moved = ranks.sum(steps)
-    variances[identifiable] = (count - 1) / count * (moved - moved.mean(0)).square().sum(0)
+    variances[identifiable] = jackknife_variance(moved)
     return variances

@@ -14,12 +14,12 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.fallback import say_once
 from rotorid_torch.core.gauss_newton import Linear
 from rotorid_torch.core.native.build import threads
 from rotorid_torch.core.native.graph.tracing import Unsupported
 from rotorid_torch.core.native.innovations import FlightsToFollow, Innovations
 from rotorid_torch.core.native.observer import Gains
+from rotorid_torch.errors import say_once
 from rotorid_torch.identification.estimate.sensitivity import control_slopes, controls_at
 from rotorid_torch.identification.filter_error.extended_kalman import Filtered, FilterProblem, filtered, rows
 

@@ -16,8 +16,8 @@ from typing import Literal
 
 import numpy as np
 
-from rotorid_torch.core.fallback import Unsupported, say_once
 from rotorid_torch.core.native.build import lanes, library, threads
+from rotorid_torch.errors import Unsupported, say_once
 
 Array = np.ndarray
 Engine = Literal["native", "reference"]

@@ -22,12 +22,12 @@ from torch import Tensor
 
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument
-from rotorid_torch.core.fallback import say_once
 from rotorid_torch.core.integrate import step
 from rotorid_torch.core.native import filtering
 from rotorid_torch.core.native.build import threads
 from rotorid_torch.core.native.filtering import Weights
 from rotorid_torch.core.native.graph.tracing import Unsupported
+from rotorid_torch.errors import say_once
 from rotorid_torch.identification.arguments import angles_of
 from rotorid_torch.identification.own_model import warn_of_turns
 from rotorid_torch.identification.reconstruct import sigma_points

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.fallback import Unsupported, say_once
 from rotorid_torch.core.integrate import simulate
 from rotorid_torch.core.native.adjoint import Adjoint, trajectories
 from rotorid_torch.core.native.dynamics import Dynamics
+from rotorid_torch.errors import Unsupported, say_once
 
 Motion = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
 """(theta [P], x [..., nx], u [..., nu]) -> rates [..., nx], outputs [..., ny]."""

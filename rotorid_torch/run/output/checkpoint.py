@@ -20,7 +20,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.fallback import say_once
 from rotorid_torch.core.gauss_newton import Linear, Minimum
 from rotorid_torch.core.processes.ranks import Ranks
 from rotorid_torch.core.storage.atomic import Unwritable, locked, reason, remove, writing
@@ -29,7 +28,7 @@ from rotorid_torch.core.storage.paths import absolute, refuse_foreign
 from rotorid_torch.core.storage.sealed import Damaged, read_sealed, write_sealed
 from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.errors import InputError
+from rotorid_torch.errors import InputError, say_once
 from rotorid_torch.identification.estimate.likelihood import Place
 from rotorid_torch.identification.estimate.progressive_fit import Estimate
 from rotorid_torch.identification.estimate.residuals import Moments

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from rotorid_torch.core.least_squares import bounded_least_squares
 from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.core.statistics import jackknife_variance
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.base import Showing
 from rotorid_torch.effects.registry import registered
@@ -107,8 +108,7 @@ def _explained(
     else:  # each flight by the others
         remaining = [_left(parameters, left_out, trims.take(torch.tensor([f]))) for f, left_out in enumerate(without)]
     left, differ = (sum(float(part) for part in parts) for parts in zip(*remaining, strict=True))
-    jackknife = torch.stack([_sizes(parameters, left_out) for left_out in without])
-    scatter = ((count - 1) / count * (jackknife - jackknife.mean(0)).square().sum(0)).sqrt()
+    scatter = jackknife_variance(torch.stack([_sizes(parameters, left_out) for left_out in without])).sqrt()
     share, names = 1.0 - left / max(differ, 1e-300), [p.name for p in parameters]
     model.start_from(dict(zip(names, _sizes(parameters, trims).tolist(), strict=True)))
     if share >= SETTINGS.trims:

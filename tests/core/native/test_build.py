@@ -14,9 +14,9 @@ from pathlib import Path
 
 import pytest
 
-from rotorid_torch.core.fallback import Unsupported
 from rotorid_torch.core.native import build
 from rotorid_torch.core.native.build import library
+from rotorid_torch.errors import Unsupported
 from tests.processes import goes_on, wait_until
 
 NUMBER = itertools.count(7)

@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from rotorid_torch.core import fallback
+from rotorid_torch import errors
 from rotorid_torch.core.native import filtering
 from rotorid_torch.core.native.graph.tracing import Unsupported
 from rotorid_torch.errors import InputError
@@ -172,7 +172,7 @@ def test_models_that_differ_in_numbers_only_are_built_once() -> None:
 def test_what_cannot_be_compiled_is_done_in_torch_and_said_once(
     f: Dynamics, reason: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    fallback.say_once.cache_clear()
+    errors.say_once.cache_clear()
     system = replace(problem(3), f=f)
     with pytest.raises(Unsupported, match=reason):
         filter_and_smooth(system, engine="native")

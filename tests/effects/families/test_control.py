@@ -9,12 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from rotorid_torch.core.fallback import Unsupported
 from rotorid_torch.core.native.recurrences import CompiledRecursion
 from rotorid_torch.effects.base import Effect, Stage, Values
 from rotorid_torch.effects.examples import example
 from rotorid_torch.effects.families.control import LONGEST, ControlDelay, ControlLag
 from rotorid_torch.effects.registry import registered
+from rotorid_torch.errors import Unsupported
 from tests.known_models import body_spec
 
 DT = 0.02

@@ -13,10 +13,10 @@ from torch._decomp import decomposition_table
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves, tree_map
 
-from rotorid_torch.core.fallback import Unsupported
 from rotorid_torch.core.native.graph.operations import COMPARISONS, COMPOSITE, LOGICAL, OPERATIONS
 from rotorid_torch.core.native.graph.small_systems import LARGEST, Rows, determinant, inverse
 from rotorid_torch.core.native.graph.symbols import Graph, Term
+from rotorid_torch.errors import Unsupported
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,9 @@ from collections.abc import Callable, Mapping
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.fallback import Unsupported as Unsupported
 from rotorid_torch.core.native.graph.rules import Scalars, Symbols
 from rotorid_torch.core.native.graph.symbols import Graph
+from rotorid_torch.errors import Unsupported as Unsupported
 
 AGREE = 1e-8
 """Of the largest result: what tracing may change at another point, by rounding."""
