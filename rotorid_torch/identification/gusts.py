@@ -47,6 +47,10 @@ FIRST, QUICK_FIRST, WHITE_FIRST = 0.4, 0.1, 1e-4
 """Spectral densities to start from: of gusts and their quick part, (m/s)2/s, of rates and flapping, per s."""
 
 
+Histories = dict[str, tuple[Tensor, Tensor]]
+"""Time (T,), s, and gusts (T, 3), m/s, by flight."""
+
+
 @dataclass(frozen=True)
 class GustAxis:
     """Gusts along one body axis: rms, m/s, and scale length, m, with standard errors that believe the model.
@@ -82,6 +86,35 @@ class Air:
     unknowns: Tensor
     common: Tensor
     doubtful: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Weather:
+    """What flights in the same air share.
+
+    intensity, length : rms of gusts, m/s, and their scale lengths, m, of u v w. speed : with which they pass, m/s.
+    densities : spectral densities of the process noise by state. noise : variances of the outputs' noise by channel.
+    """
+
+    intensity: tuple[float, float, float]
+    length: tuple[float, float, float]
+    speed: float
+    densities: dict[str, float]
+    noise: dict[str, float]
+
+    @classmethod
+    def of(cls, air: Air, model: Model) -> Weather:
+        """Of the air that was estimated with a model."""
+        (u, v, w), layout, outputs = air.axes, in_gusts(model).layout, model.body.outputs
+        states = [layout.names[i] for i in layout.places(noisy_states(model))]
+        density, noise = air.unknowns[-len(states) - len(outputs) :].split([len(states), len(outputs)])
+        return cls(
+            (u.intensity, v.intensity, w.intensity),
+            (u.length, v.length, w.length),
+            air.speed,
+            dict(zip(states, density.tolist(), strict=True)),
+            dict(zip(outputs, noise.tolist(), strict=True)),
+        )
 
 
 def find_gusts(
@@ -122,6 +155,32 @@ def follow(model: Model, names: Sequence[str], air: Air, flights: Records) -> Te
     problem = _with_spread(problem, air.unknowns)
     gusts, _, inside = _smoothed(NativeFilter.of(problem, air.unknowns, held), air.unknowns)
     return torch.where(inside, gusts - air.common, 0.0)
+
+
+def in_weather(model: Model, weather: Weather, flights: Records, floor: Tensor) -> Tensor:
+    """Smoothed gusts [F, T, 3] of flights in weather that is known, by a model that is believed.
+
+    floor : [ny] sensor noise.
+    """
+    floor = torch.maximum(floor, smallest_noise(flights)).square()
+    problem, held = _problem(model, model.parameter_set.free, (), flights, floor.sqrt())
+    process, lengths = problem.process, torch.tensor(weather.length, dtype=torch.float64)
+    densities = [weather.densities.get(process.names[i], WHITE_FIRST) for i in process.which]
+    noise = torch.tensor([weather.noise.get(n, 0.0) for n in model.body.outputs], dtype=torch.float64)
+    noise = torch.maximum(noise, floor)
+    density = torch.tensor(densities, dtype=torch.float64)
+    psi = torch.cat([problem.system.theta[:-3], weather.speed / lengths, density, noise])
+    engine = NativeFilter.of(_with_spread(problem, psi), psi, held)
+    gusts, _, inside = _smoothed(engine, _followed(engine, psi, noise, problem.records.states[:, 0]))
+    return torch.where(inside, gusts - gusts.sum(dim=(0, 1)) / inside.sum(), 0.0)
+
+
+def histories(names: Sequence[str], flights: Records, gusts: Tensor) -> Histories:
+    """Gusts [F, T, 3] by name of the flight."""
+    return {
+        name: (start + flights.dt * torch.arange(count, dtype=torch.float64), one[:count])
+        for name, start, count, one in zip(names, flights.start, flights.lengths.tolist(), gusts, strict=True)
+    }
 
 
 def _smoothed(engine: NativeFilter, psi: Tensor) -> tuple[Tensor, Tensor, Tensor]:

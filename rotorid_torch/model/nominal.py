@@ -16,6 +16,7 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError
 from rotorid_torch.model.derivatives import LinearForces, TailInflow, Tailplane, TailRotor, ThrustTilt
 from rotorid_torch.model.flapping import AlgebraicFlapping, Flapping, reference_vector
+from rotorid_torch.model.gusts import GUSTS, FedGusts
 from rotorid_torch.model.inflow import CYCLIC, INDUCED, CyclicInflow, Inflow
 from rotorid_torch.model.linear_equations import LinearBlock
 from rotorid_torch.model.model import Body, Model
@@ -51,7 +52,8 @@ def build(spec: ModelSpec) -> Model:
     """
     body = Body(spec.states, (*spec.controls, *spec.inputs), spec.outputs, spec.gravity, spec.inertia, spec.imu)
     nominal = _multirotor(spec) if spec.motors else [*_rotor(spec), _forces(spec), *_physics(spec)]
-    effects = [*nominal, *(make(name, spec) for name in spec.effects)]
+    air = [FedGusts()] if set(GUSTS) <= set(spec.inputs) else []
+    effects = [*nominal, *air, *(make(name, spec) for name in spec.effects)]
     for effect in effects:
         effect.declared = tuple(_as_specified(p, f"{effect.id}.{p.name}", spec) for p in effect.declared)
     model = Model(body, effects, spec.reference)

@@ -20,6 +20,7 @@ from rotorid_torch.data.velocities import with_velocities
 from rotorid_torch.effects.families.neural import NeuralForces
 from rotorid_torch.effects.registry import of_others
 from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.identification.gusts import Weather
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.modes import gust_response
 from rotorid_torch.model.nominal import build
@@ -39,10 +40,11 @@ from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
 from rotorid_torch.run.output.write import write_report
 from rotorid_torch.run.pipeline import identified, pictured, refuse, remarks_on
 from rotorid_torch.run.result import Run, facts_of, write_model
-from rotorid_torch.run.turbulence import in_turbulence, with_gusts, without_clean_bill
+from rotorid_torch.run.turbulence import in_turbulence, smoothed, with_gusts, without_clean_bill
+from rotorid_torch.trace.air import in_moving_air, in_still_air
 from rotorid_torch.trace.clean_aircraft import clean_draws
 from rotorid_torch.trace.evidence.fits import Flights, refit
-from rotorid_torch.trace.loop import Tracing, trace
+from rotorid_torch.trace.loop import Bare, Tracing, trace
 from rotorid_torch.trace.multirotor import trace_rotors
 from rotorid_torch.trace.network import Learnt, learn
 from rotorid_torch.trace.search.decide import Row, decide
@@ -209,11 +211,14 @@ def _before_and_after(
 
 
 def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
-    """By trajectories over segments, p by clean aircraft."""
+    """By trajectories over segments, p by clean aircraft; where the air moves, its gusts fed into all of them."""
     say, tell, ranks = steps.monitor.say, steps.monitor.tell, steps.ranks
-    return trace(
-        base.spec,
-        base.model.named_values,
+    spec, values, air = base.spec, base.model.named_values, base.estimate.air
+    if air is not None:
+        spec, flights = in_moving_air(spec, values, flights, Weather.of(air, base.model))
+    traced = trace(
+        spec,
+        values,
         base.regressions.held,
         flights,
         lambda null, effects, observed: clean_draws(flights.dataset, null, effects, observed, seed, tell, ranks),
@@ -221,6 +226,8 @@ def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
         seed,
         ranks,
     )
+    null, final = (Bare(in_still_air(one.spec), one.values) for one in (traced.null, traced.final))
+    return replace(traced, null=null, final=final)
 
 
 def _rotors_traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
@@ -310,10 +317,8 @@ def _again(basis: _Basis, spec: ModelSpec, values: Mapping[str, float], recorded
         spec, model = _with_sensors(spec, model, basis.sensors)
     with steps.monitor.step("validate"):
         judged = judge(model, recorded, steps.ranks)
-        flights = with_gusts(
-            judged.flights, model, estimate, recorded, dataset, base.reconstruction, steps.ranks, clean
-        )
-        judged = replace(judged, flights=flights)
+        gusts = smoothed(clean, estimate, dataset, base.reconstruction, steps.ranks)
+        judged = replace(judged, flights=with_gusts(judged.flights, model, recorded, gusts))
     fit = fit_record(model, spec, estimate, judged)
     notes = remarks_on(dataset, spec, fit, base.reconstruction, regressions, estimate)
     record = msgspec.structs.replace(base.record, warnings=tuple(notes))

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.report.records import FlightRecord
+from rotorid_torch.report.summary import list_summaries
 from rotorid_torch.run.result import Run
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import exceeds
@@ -27,8 +28,8 @@ def best_of(runs: Sequence[Run]) -> Run:
     """The run that describes best the flights which no fit has seen, or without any the fitted; of equals the last."""
 
     def score(run: Run) -> float:
-        J = run.scores["validate"]
-        J = run.scores["identify"] if J is None else J
+        judged = {one.name: one.judged for one in list_summaries(run.fit)}
+        J = next((judged[n] for n in DECIDING if judged.get(n) is not None), None)
         return math.inf if J is None or math.isnan(J) else J
 
     return min(reversed(runs), key=score)
@@ -37,7 +38,8 @@ def best_of(runs: Sequence[Run]) -> Run:
 def free_run_gain(without: Run, after: Run) -> Tensor:
     """log(J without / J with) of each flight that decides [F]; of two that fly away, or have no score, zero."""
     flown = [_deciding(run) for run in (without, after)]
-    J = [[FLOWN_AWAY if f.J is None or math.isnan(f.J) else f.J for f in flights] for flights in flown]
+    scores = [[f.J if f.J_fed is None else f.J_fed for f in flights] for flights in flown]
+    J = [[FLOWN_AWAY if one is None or math.isnan(one) else one for one in flights] for flights in scores]
     before, now = torch.tensor(J, dtype=torch.float64).clamp(max=FLOWN_AWAY).log()
     return before - now
 

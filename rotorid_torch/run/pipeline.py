@@ -40,7 +40,7 @@ from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
 from rotorid_torch.run.output.write import write_report
 from rotorid_torch.run.own_effects import refuse_faulty
 from rotorid_torch.run.result import Run, write_reconstruction
-from rotorid_torch.run.turbulence import method_by_quiet_moments, with_gusts
+from rotorid_torch.run.turbulence import method_by_quiet_moments, smoothed, with_gusts
 
 AnyRun = TypeVar("AnyRun", bound=Run)
 
@@ -153,8 +153,8 @@ def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps
     spec, model, regressions, estimate = _best_structure(first, uniform, reconstruction, steps, where_untold)
     with monitor.step("validate"):
         judged = judge(model, dataset, steps.ranks)
-        flights = with_gusts(judged.flights, model, estimate, dataset, uniform, reconstruction, steps.ranks)
-        judged = replace(judged, flights=flights)
+        gusts = smoothed(model, estimate, uniform, reconstruction, steps.ranks)
+        judged = replace(judged, flights=with_gusts(judged.flights, model, dataset, gusts))
     fit = fit_record(model, spec, estimate, judged)
     notes = remarks_on(uniform, spec, fit, reconstruction, regressions, estimate)
     report = _report("identify", uniform, seed, monitor, fit, notes)

@@ -6,13 +6,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import msgspec
-import torch
 
 from rotorid_torch.core.names import VELOCITIES
 from rotorid_torch.core.processes.ranks import Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.identification.gusts import Air, follow, of_all
+from rotorid_torch.identification.gusts import Air, Histories, follow, histories, of_all
 from rotorid_torch.identification.model_estimation import ModelEstimate, records
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.model.model import Model
@@ -81,34 +80,33 @@ def _size(air: Air) -> tuple[tuple[float, float], tuple[float, float] | None]:
     return both, (length, length / sum(weights) ** 0.5)
 
 
-def with_gusts(
-    flights: Mapping[str, FlightRecord],
-    model: Model,
-    found: ModelEstimate,
-    dataset: Dataset,
-    seen: Dataset,
-    reconstruction: Reconstruction,
-    ranks: Ranks,
-    clean: Model | None = None,
-) -> dict[str, FlightRecord]:
-    """Records of flights with what gusts do to their free runs, where the filter error method found any.
+def smoothed(
+    follower: Model, step3: ModelEstimate, seen: Dataset, reconstruction: Reconstruction, ranks: Ranks
+) -> Histories:
+    """Gusts of all flights by the filter that came to the air; none where output error was the method.
 
-    dataset : judged. seen : as the steps saw it. clean : the model that follows these, where the judged one has errors
-    of sensors on its outputs that they are free of.
+    follower : model of the flights as the steps saw them.
     """
-    if found.air is None:
-        return dict(flights)
+    if step3.air is None:
+        return {}
     whole = replace(seen, identify=tuple(seen.flights))
     names = [n for part in ranks.gather(ranks.mine(whole.identify)) for n in part]
-    follower = clean or model
     batch = of_all(records(follower, whole, reconstruction, ranks), ranks)
-    gusts = follow(follower, found.names, found.air, batch)
-    histories = {
-        name: (start + batch.dt * torch.arange(count, dtype=torch.float64), velocity[:count])
-        for name, start, count, velocity in zip(names, batch.start, batch.lengths.tolist(), gusts, strict=True)
+    return histories(names, batch, follow(follower, step3.names, step3.air, batch))
+
+
+def with_gusts(
+    flights: Mapping[str, FlightRecord], model: Model, dataset: Dataset, gusts: Histories
+) -> dict[str, FlightRecord]:
+    """Records of flights with what gusts do to their free runs, where there are gusts.
+
+    dataset : judged.
+    """
+    scored = dict(in_gusts(model, dataset, gusts))
+    return {
+        n: msgspec.structs.replace(f, J_gust=scored[n].J_gust, J_fed=scored[n].J_fed) if n in scored else f
+        for n, f in flights.items()
     }
-    scored = dict(in_gusts(model, dataset, histories))
-    return {n: msgspec.structs.replace(f, J_gust=scored[n].J_gust, J_fed=scored[n].J_fed) for n, f in flights.items()}
 
 
 def without_clean_bill(told: Statement, failing: str) -> Statement:

@@ -38,8 +38,11 @@ from rotorid_torch.effects.base import Frame, Values
 from rotorid_torch.effects.families.environment import Wind
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.identification.gusts import Weather
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
+from rotorid_torch.model.gusts import GUSTS
+from rotorid_torch.trace.air import in_moving_air
 from rotorid_torch.trace.evidence.critical_values import Draws, Null, clear
 from rotorid_torch.trace.evidence.family import Family, family
 from rotorid_torch.trace.evidence.fits import Flights, refit
@@ -67,8 +70,11 @@ def statistics_on(clean: Dataset, null: Null, effects: Sequence[str]) -> dict[st
     reconstruction = reconstruct(flown)
     spec = propose(flown, reconstruction, ())
     spec = msgspec.structs.replace(spec, **{name: getattr(null.spec, name) for name in SAME})
+    flights = Flights(flown, reconstruction)
+    if null.weather is not None:
+        spec, flights = in_moving_air(spec, null.values, flights, null.weather)
     # an aircraft in the data's likeness lies near the data's values: from its own regression few fits find their end
-    candidates = family(refit(spec, Flights(flown, reconstruction), null.values, null.held), effects)
+    candidates = family(refit(spec, flights, null.values, null.held), effects)
     return {"statistics": candidates.statistics, "sizes": candidates.sizes()}
 
 
@@ -128,6 +134,8 @@ def clean_draws(
         return f"{len(flown)} of {len(drawn)} drawn aircraft could be flown"
     alike = sum(bool(draw["alike"]) for draw in flown)
     note = f"critical values come from {len(flown)} clean aircraft drawn in the likeness of this one"
+    if null.weather is not None:
+        note = f"{note}, in gusts of the intensity and length that this one met"
     if alike < len(flown):
         note = f"{note}, of which {alike} resemble it and the others are as near as the drawn aircraft come"
     return Draws(_table(flown, "statistics"), note, clean=True, least=observed.least, sizes=_table(flown, "sizes"))
@@ -173,10 +181,16 @@ def _fingerprint(dataset: Dataset, null: Null, seed: int) -> str:
         "reference": {c: round(0.5 * spec.reference.get(c, 0.0)) for c in ("u", "v", "w")},
         "structure": {name: msgspec.to_builtins(getattr(spec, name)) for name in SAME},
         "held": sorted(null.held),
+        "weather": _coarse(null.weather),
         "wind": {n: round(v) for n, v in null.values.items() if n.startswith(f"{WIND}.")},
         "code": _code(),
     }
     return hashlib.sha256(json.dumps(facts_of_draws, sort_keys=True).encode()).hexdigest()[:24]
+
+
+def _coarse(weather: Weather | None) -> list[int]:
+    """Intensities and lengths in coarse steps; nothing of still air."""
+    return [round(2.0 * math.log2(one)) for one in (*weather.intensity, *weather.length)] if weather else []
 
 
 def _speed(dataset: Dataset, name: str) -> list[int]:
@@ -235,6 +249,7 @@ def _fly(
             "spec": request.null.spec.plain(),
             "values": dict(request.null.values),
             "held": list(request.null.held),
+            "weather": msgspec.to_builtins(request.null.weather),
             "effects": list(request.effects),
             "seed": request.seed,
             "folder": str(results),
@@ -298,7 +313,9 @@ def _through_air(flight: Flight, null: Null) -> dict[str, Tensor]:
 def _written(dataset: Dataset, null: Null, place: Path) -> None:
     """The flights that drawn aircraft resemble, in still air: it is the motion through the air that they repeat."""
     flights = {
-        name: {c: v.numpy() for c, v in {"time": f.time, **f.channels, **_through_air(f, null)}.items()}
+        name: {
+            c: v.numpy() for c, v in {"time": f.time, **f.channels, **_through_air(f, null)}.items() if c not in GUSTS
+        }
         for name, f in dataset.flights.items()
     }
     write_dataset(
@@ -320,10 +337,14 @@ def _written(dataset: Dataset, null: Null, place: Path) -> None:
 def _work(request: Mapping[str, object]) -> None:
     """Draws of one process: one file for each, whole or absent."""
     from rotorid_torch.simulation.drawn.data_sets import Untrimmable, clean_flights
+    from rotorid_torch.simulation.helicopter.atmosphere import Air
 
     dataset, folder = load(str(request["dataset"])), Path(str(request["folder"]))
     values, held = msgspec.convert(request["values"], dict[str, float]), msgspec.convert(request["held"], list[str])
-    null = Null(ModelSpec.from_plain(request["spec"]), values, held)
+    weather = msgspec.convert(request["weather"], Weather | None)
+    null, air = Null(ModelSpec.from_plain(request["spec"]), values, held, weather), None
+    if weather is not None:
+        air = Air(weather.intensity, weather.length, weather.speed)
     effects = msgspec.convert(request["effects"], list[str])
     numbers = msgspec.convert(request["numbers"], list[int])
 
@@ -333,7 +354,7 @@ def _work(request: Mapping[str, object]) -> None:
 
     away = {"statistics": {}, "alike": False, "effects": effects}
     with suppress(Untrimmable):  # none flies
-        for drawn in clean_flights(dataset, msgspec.convert(request["seed"], int), tuple(numbers)):
+        for drawn in clean_flights(dataset, msgspec.convert(request["seed"], int), tuple(numbers), air=air):
             while numbers and numbers[0] < drawn.number:  # aircraft that flew away are not flown again next time
                 write(numbers.pop(0), away)
             numbers.remove(drawn.number)

@@ -134,7 +134,7 @@ def _draws(
     if search.first is not None:  # where none could be drawn there are none beside what joined either
         return by_chance(observed, effects, seed, search.first[2].note)
     null = observed.null
-    bare = Null(null.spec.without(placed), null.values, search.held)
+    bare = Null(null.spec.without(placed), null.values, search.held, null.flights.weather)
     drawn = draw(bare, effects, observed)
     if isinstance(drawn, str):
         return by_chance(observed, effects, seed, f"{TURNED}: {drawn}")

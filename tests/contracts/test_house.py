@@ -27,7 +27,6 @@ PUBLIC = {
 """What users call, with an option a keyword."""
 
 LONG = {
-    "run.turbulence:with_gusts",
     "trace.clean_aircraft:clean_draws",
     "trace.evidence.fits:refit",
     "trace.loop:trace",

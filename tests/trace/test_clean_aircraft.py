@@ -290,14 +290,14 @@ def worked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, statistics: Statisti
     """What one process tells of three draws, of which the last does not fly."""
     drawn = [SimpleNamespace(number=n, dataset=None, alike=True, misfit=1.0, rotor="") for n in range(2)]
     monkeypatch.setattr(
-        "rotorid_torch.simulation.drawn.data_sets.clean_flights", lambda dataset, seed, numbers: iter(drawn)
+        "rotorid_torch.simulation.drawn.data_sets.clean_flights", lambda dataset, seed, numbers, air: iter(drawn)
     )
     monkeypatch.setattr(clean_aircraft, "statistics_on", statistics)
     data = written(flown(linear_vehicle(), manoeuvres(4.0, 0.02), 0.02, noise=0.01), tmp_path / "data")
     place = tmp_path / "draws"
     place.mkdir()
     plain = {"dataset": str(data), "spec": body_spec().plain(), "values": {}, "held": [], "effects": ["control.delay"]}
-    clean_aircraft._work({**plain, "seed": 0, "numbers": [0, 1, 2], "folder": str(place)})
+    clean_aircraft._work({**plain, "weather": None, "seed": 0, "numbers": [0, 1, 2], "folder": str(place)})
     return {file.stem: json.loads(file.read_text()) for file in place.glob("*.json")}
 
 

@@ -20,15 +20,18 @@ from rotorid_torch.errors import InputError
 from rotorid_torch.simulation.drawn.draws import ALIKE, DrawnAircraft, Prior, draw, finish, prior
 from rotorid_torch.simulation.drawn.resemblance import Evidence, Table, look, mirrored, recorded
 from rotorid_torch.simulation.drawn.resemblance import reference as trim_of
-from rotorid_torch.simulation.drawn.tracking import Followed, follow, tapes
+from rotorid_torch.simulation.drawn.tracking import Followed, Tapes, follow, tapes
 from rotorid_torch.simulation.flight.sensors import MIRRORED, Channels
 from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES
+from rotorid_torch.simulation.helicopter.atmosphere import Air, gusts_of
 from rotorid_torch.simulation.helicopter.section import Array
 from rotorid_torch.simulation.multiblade.priors import KINDS, pick_kind
 
 TRIES = 6  # aircraft drawn for one number, at most
 TOGETHER = 1_300_000  # samples of all flights that fly side by side
 AWAY = 1.0  # rms of the difference from the measured motion over its own, from which on an aircraft has flown away
+
+AWAY_IN_GUSTS = 2.0  # the same, where gusts of either move them apart, each by up to the motion's own
 
 
 class Untrimmable(InputError):
@@ -73,7 +76,9 @@ def undrawable(dataset: Dataset) -> str | None:
     return f"flights lack {', '.join(missing)}" if missing else None
 
 
-def clean_flights(dataset: Dataset, seed: int, draws: Sequence[int], resembles: Table | None = None) -> Iterator[Drawn]:
+def clean_flights(
+    dataset: Dataset, seed: int, draws: Sequence[int], resembles: Table | None = None, air: Air | None = None
+) -> Iterator[Drawn]:
     """Clean aircraft of the data set's kind, flown through its manoeuvres, one data set in memory per draw number.
 
     Every number has random streams of its own: neither the other numbers nor their order change what it gives. One
@@ -84,6 +89,7 @@ def clean_flights(dataset: Dataset, seed: int, draws: Sequence[int], resembles: 
     Parameters
     ----------
     resembles : derivatives to compare with instead of `resemblance.look`'s; see there.
+    air : gusts that they fly in, each draw and flight in its own; still air without.
 
     Raises
     ------
@@ -93,10 +99,12 @@ def clean_flights(dataset: Dataset, seed: int, draws: Sequence[int], resembles: 
     if why is not None:
         raise InputError(dataset.path or "arrays", "vehicle", why, "a helicopter with mass, inertia and rotor radius")
     evidence = look(dataset, resembles)
-    return _flown(dataset, seed, tuple(draws), prior(dataset, evidence), evidence)
+    return _flown(dataset, seed, tuple(draws), prior(dataset, evidence), evidence, air)
 
 
-def _flown(dataset: Dataset, seed: int, draws: Sequence[int], prior: Prior, evidence: Evidence) -> Iterator[Drawn]:
+def _flown(
+    dataset: Dataset, seed: int, draws: Sequence[int], prior: Prior, evidence: Evidence, air: Air | None
+) -> Iterator[Drawn]:
     """The draws in batches."""
     flights = [recorded(dataset, name) for name in dataset.flights]
     tape = tapes(flights, trim_of(dataset))
@@ -104,10 +112,10 @@ def _flown(dataset: Dataset, seed: int, draws: Sequence[int], prior: Prior, evid
     for first in range(0, len(draws), size):
         some = draws[first : first + size]
         aircraft, tried = _aircraft(dataset, seed, some, prior, evidence)
-        record = follow(aircraft, tape, prior)
+        record = follow(aircraft, tape, prior, _gusts(dataset, tape, [[seed, number] for number in some], air))
         away = record.away(tape)
         for k, number in enumerate(some):
-            if away[k] > AWAY:
+            if away[k] > (AWAY if air is None else AWAY_IN_GUSTS):
                 continue
             measured = _measured(dataset, record, k, [seed, number])
             yield Drawn(
@@ -119,6 +127,15 @@ def _flown(dataset: Dataset, seed: int, draws: Sequence[int], prior: Prior, evid
                 _rotor(aircraft, k),
                 {name: float(value[k]) for name, value in prior.values(aircraft.normal).items()},
             )
+
+
+def _gusts(dataset: Dataset, tape: Tapes, streams: Sequence[Sequence[int]], air: Air | None) -> Array | None:
+    """Gusts of every aircraft and flight [T, 3, aircraft, flight]."""
+    if air is None:
+        return None
+    steps, names = len(tape.controls) - 1, list(dataset.flights)
+    each = [[gusts_of(air, dt, steps, n, s) for n, dt in zip(names, tape.dt, strict=True)] for s in streams]
+    return np.moveaxis(np.array(each), (3, 2), (0, 1))
 
 
 def _rotor(aircraft: DrawnAircraft, k: int) -> str:

@@ -226,13 +226,15 @@ def _starts(aircraft: DrawnAircraft, tape: Tapes, prior: Prior) -> tuple[Array, 
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def follow(aircraft: DrawnAircraft, tape: Tapes, prior: Prior) -> Followed:
+def follow(aircraft: DrawnAircraft, tape: Tapes, prior: Prior, gusts: Array | None = None) -> Followed:
     """Fly every aircraft through every flight.
 
     Its blade angles are trim + gearing x recorded + gains x (own motion - measured motion), all from trim: its own, at
     the velocity that the flight starts with. What its record shows of them is in the units of the data set, about its
     trim: rigging is not its business.
     One that flies away ends in numbers that are not finite.
+
+    gusts : velocity of the air [T, 3, aircraft, flight], body axes, m/s; still without.
     """
     craft, trims = aircraft.craft, aircraft.trims
     feed = gains(aircraft, prior, tape)
@@ -250,20 +252,21 @@ def follow(aircraft: DrawnAircraft, tape: Tapes, prior: Prior) -> Followed:
     def commanded(state: Array, hand: Array) -> Array:
         return hand + (feed @ (state[fed] - neutral).swapaxes(0, 1)).swapaxes(0, 1)
 
-    def slope(state: Array, hand: Array) -> Array:
-        return respond(craft, trims.setting, state, commanded(state, hand))[0]
+    def slope(state: Array, t: int, share: float) -> Array:
+        hand, gust = (part[t] + share * (part[t + 1] - part[t]) for part in (hands, air))
+        return respond(craft, trims.setting, state, commanded(state, hand), gust)[0]
 
+    air = np.zeros((len(hands), 1, 1, 1)) if gusts is None else gusts
     last = len(hands) - 1
     record = np.full((last + 1, _ROWS, *x.shape[1:]), np.nan, dtype=np.float32)
     for t in range(last + 1):
         u = commanded(x, hands[t])
-        first, response = respond(craft, trims.setting, x, u)
+        first, response = respond(craft, trims.setting, x, u, air[t])
         rows = record[t]
         rows[:12], rows[12:15], rows[15:18], rows[18:21] = x[:12], response.specific_force, response.angular, x[FLAP]
         rows[21], rows[22], rows[23:] = x[SPEED], response.shaft if craft.held else x[TORQUE], u
         step = np.where(t < tape.samples - 1, tape.dt, 0.0) / substeps
         for k in range(substeps if t < last else 0):
-            first = slope(x, hands[t] + k / substeps * (hands[t + 1] - hands[t])) if k else first
-            middle = hands[t] + (k + 0.5) / substeps * (hands[t + 1] - hands[t])
-            x = x + step * slope(x + 0.5 * step * first, middle)
+            first = slope(x, t, k / substeps) if k else first
+            x = x + step * slope(x + 0.5 * step * first, t, (k + 0.5) / substeps)
     return Followed(record, trims.controls, aircraft.gearing, level, craft.imu[..., 0], tape.samples)

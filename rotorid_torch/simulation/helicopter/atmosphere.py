@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -33,6 +34,14 @@ def scale_lengths(height: float) -> tuple[float, float, float]:
     return along * FOOT, along * FOOT, feet * FOOT
 
 
+class Air(NamedTuple):
+    """Gusts of u v w: standard deviations, m/s, scale lengths, m, and the speed with which they pass, m/s."""
+
+    intensity: tuple[float, float, float]
+    length: tuple[float, float, float]
+    speed: float
+
+
 class Passage(NamedTuple):
     """How a flight passes through the air: height above ground, m, and speed, m/s."""
 
@@ -44,17 +53,24 @@ def gusts(turbulence: Turbulence, passage: Passage, dt: float, steps: int, fligh
     """Gust velocity of one flight in body axes at steps 0 to `steps`, m/s, [3, steps + 1]; stationary from the start.
 
     Every flight has a stream of its own, which neither other flights nor another length change.
+    """
+    sigma = turbulence.sigma
+    air = Air((sigma, sigma, sigma), scale_lengths(passage.height), max(passage.speed, DRIFT))
+    return gusts_of(air, dt, steps, flight, [seed])
+
+
+def gusts_of(air: Air, dt: float, steps: int, flight: str, seeds: Sequence[int]) -> Array:
+    """The same of air by its numbers.
 
     Source: MIL-F-8785C, section 3.7 (Dryden form); shaping filters by spectral factorisation.
     """
     out = np.empty((3, steps + 1))
-    passing = max(passage.speed, DRIFT)
-    for k, length in enumerate(scale_lengths(passage.height)):
-        lag = length / passing
+    for k, (intensity, length) in enumerate(zip(air.intensity, air.length, strict=True)):
+        lag = length / air.speed
         run_up = int(SETTLING * lag / dt)
-        stream = np.random.default_rng([seed, zlib.crc32(f"{flight}/gust/{k}".encode())])
+        stream = np.random.default_rng([*seeds, zlib.crc32(f"{flight}/gust/{k}".encode())])
         white = stream.standard_normal(run_up + steps + 1) / np.sqrt(dt)
-        out[k] = turbulence.sigma * _shaped(white, lag, dt, first_order=k == 0)[run_up:]
+        out[k] = intensity * _shaped(white, lag, dt, first_order=k == 0)[run_up:]
     return out
 
 

@@ -202,15 +202,18 @@ def _loading(craft: Craft, blades: Blades, force: Array, moment: Array, speed: A
     return loads / (craft.density * np.pi * craft.radius**3 * tip_speed * tip_speed)
 
 
-def respond(craft: Craft, setting: Setting, x: Array, u: Array) -> tuple[Array, Response]:
+def respond(craft: Craft, setting: Setting, x: Array, u: Array, gust: Array | float = 0.0) -> tuple[Array, Response]:
     """Rates of all states, and what the accelerometers feel.
 
     Parameters
     ----------
     x : [31, aircraft, flight].
     u : [4, aircraft, flight] lon, lat, col, ped at the blades, rad.
+    gust : [3, aircraft, flight] velocity of the air, body axes, m/s.
     """
-    omega, speed = x[RATES], x[SPEED]
+    omega, speed, ground = x[RATES], x[SPEED], x
+    x = x.copy()
+    x[BODY] -= gust
     at_hub = to_shaft(craft.tilt, x[BODY] - cross(craft.hub, omega))
     loads, loading = rotor_loads(craft, setting, x, u, at_hub)
     dx = np.zeros_like(x)
@@ -226,7 +229,7 @@ def respond(craft: Craft, setting: Setting, x: Array, u: Array) -> tuple[Array, 
     if not craft.held:
         loads[6] += x[TORQUE]
     z = (setting.inverse @ loads.swapaxes(0, 1)).swapaxes(0, 1)
-    _kinematics(craft, x, z, dx)
+    _kinematics(craft, ground, z, dx)
     slack = (setting.relax @ loads[7:10].swapaxes(0, 1)).swapaxes(0, 1)
     dx[FLAP] = x[FLAP_RATE] + slack
     dx[FLAP_RATE], dx[LAG], dx[LAG_RATE] = z[7:10], x[LAG_RATE], z[10:13]

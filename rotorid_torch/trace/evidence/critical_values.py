@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.identification.gusts import Weather
 from rotorid_torch.trace.terms.candidate import UNATTRIBUTED
 from rotorid_torch.trace.terms.settings import SETTINGS
 
@@ -24,11 +25,15 @@ NO_LEAST: Mapping[str, float] = MappingProxyType({})
 
 @dataclass(frozen=True)
 class Null:
-    """A fitted model without what may be missing: its structure, its parameters' values, and those that are held."""
+    """A fitted model without what may be missing: its structure, its parameters' values, and those that are held.
+
+    weather : that it was fitted in, where its inputs are gusts.
+    """
 
     spec: ModelSpec
     values: Mapping[str, float]
     held: Sequence[str] = ()
+    weather: Weather | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
 from rotorid_torch.identification.estimate.residuals import Noise
 from rotorid_torch.identification.estimate.segments import Records, cut
 from rotorid_torch.identification.estimate.system import System
+from rotorid_torch.identification.gusts import Weather
 from rotorid_torch.identification.model_estimation import initial_spread, records, sensor_noise
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.model.model import Model
@@ -41,10 +42,14 @@ SETTLING = 3
 
 @dataclass(frozen=True)
 class Flights:
-    """What all fits of a data set share."""
+    """What all fits of a data set share.
+
+    weather : of flights whose gusts are among their channels.
+    """
 
     dataset: Dataset
     reconstruction: Reconstruction
+    weather: Weather | None = None
 
     def records(self, model: Model, listed: Sequence[str]) -> Records:
         """These flights as the fits see them."""

@@ -23,6 +23,7 @@ from rotorid_torch.effects.signal_operations import smoothed
 from rotorid_torch.identification.model_regression import Measured, measured
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.model.flapping import Flapping
+from rotorid_torch.model.gusts import GUSTS
 from rotorid_torch.model.model import Model
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import turned
@@ -115,7 +116,8 @@ def left_over(
         flight_data = measured(model, dataset, reconstruction, name)
         dt = dataset.facts[name].dt
         every, width = max(1, round(1.0 / (dt * RATE))), max(1, round(SMOOTH_S / dt))
-        names = tuple(n for n in (*model.body.states, *model.body.controls) if n in flight_data.signals)
+        moving = (n for n in (*model.body.states, *model.body.controls) if n not in GUSTS)
+        names = tuple(n for n in moving if n in flight_data.signals)
         signals = torch.stack([flight_data.signals[n] - model.reference.get(n, 0.0) for n in names], dim=-1)
         residual = _residual(model, flight_data, flapping, dt)
         moved = [

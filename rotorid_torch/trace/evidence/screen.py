@@ -26,6 +26,7 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
 from rotorid_torch.identification.estimate.residuals import Whitener
 from rotorid_torch.identification.estimate.segments import Records, Segments
+from rotorid_torch.model.gusts import GUSTS
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.evidence.fits import Fitted
@@ -419,10 +420,10 @@ def _tapes(model: Model, records: Records, chosen: Sequence[Signature]) -> _Tape
     """Once for all segments: rate limits and plays go through a record sample by sample."""
     paths, tapes = [e.id for e in model.chain if e.stage is Stage.CONTROL], {}
     none = model.tape(records.controls, records.dt)
-    moved = none
+    moved, acts = none, torch.tensor([float(n not in GUSTS) for n in model.body.controls], dtype=torch.float64)
     for one in (s for s in chosen if s.order):
         moved = torch.gradient(smoothed(moved, max(1, round(WIDTH_S / records.dt))), spacing=records.dt, dim=-2)[0]
-        tapes[one] = none + one.step * moved
+        tapes[one] = none + one.step * acts * moved
     for one in chosen:
         if one.effect in paths:
             with sized(model, one):

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import torch
 
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS
+from rotorid_torch.model.gusts import GUSTS
 from rotorid_torch.model.model import Model
 from rotorid_torch.trace.evidence.residual import AT_ONCE, SECOND_ORDER, LeftOver, loads, on_measured
 from rotorid_torch.trace.terms.settings import SETTINGS
@@ -19,7 +20,7 @@ Deflected = Mapping[str, Mapping[str, float]]
 
 def deflected(model: Model) -> Deflected:
     """What a model's controls do at its reference: forces, moments, and the rates of a disc that follows them."""
-    controls = model.body.controls
+    controls = [n for n in model.body.controls if n not in GUSTS]
     one = DEFLECTION * torch.eye(len(controls), dtype=torch.float64)
     moved = dict(zip(controls, torch.cat([one, -one]).mT, strict=True))
     still = torch.zeros(2 * len(controls), dtype=torch.float64)

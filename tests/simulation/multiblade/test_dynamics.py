@@ -165,3 +165,21 @@ def test_response_to_a_doublet_is_the_flight_test_aircrafts(hover, multiblade):
     for row, name in ((1, "v"), (3, "p"), (4, "q"), (5, "r"), (6, "phi"), (7, "theta"), (13, "a1"), (14, "b1")):
         theirs = flight[name][: ours.shape[1]] - flight[name][0]
         assert np.abs(ours[row] - ours[row, 0] - theirs).max() < 0.05 * np.abs(theirs).max() + 2e-4, name
+
+
+def test_a_gust_is_a_velocity_through_the_air(hover, multiblade):
+    """Forces are those of flight at the velocity less the gust; where the vehicle goes is its velocity over ground."""
+    craft, trims = multiblade
+    x, u, gust = trims.state.copy(), trims.controls, np.array([1.0, -2.0, 0.5])[:, None, None]
+    x[3:6] += 0.1
+    through = x.copy()
+    through[:3] -= gust
+    (rates, response), (same, other) = (
+        respond(craft, trims.setting, x, u, gust),
+        respond(craft, trims.setting, through, u),
+    )
+    np.testing.assert_array_equal(response.specific_force, other.specific_force)
+    np.testing.assert_array_equal(rates[12:], same[12:])
+    turning = np.cross(x[3:6, 0, 0], gust[:, 0, 0])
+    np.testing.assert_allclose((rates - same)[:3, 0, 0], -turning, atol=1e-12)
+    assert np.abs((rates - respond(craft, trims.setting, x, u)[0])[:3]).max() > 0.01

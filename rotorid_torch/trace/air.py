@@ -1,0 +1,68 @@
+"""Moving air in what is compared: gusts as inputs of the models, smoothed from each flight, on the data and on draws.
+
+Clean aircraft fly in gusts of the intensity and length that step 3 came to for the data, and their gusts are smoothed
+as the data's are: whatever gusts leave over, or a smoother takes away, is in the critical values too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+import msgspec
+import numpy as np
+import torch
+
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.facts import Facts
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.identification.gusts import Histories, Weather, histories, in_weather
+from rotorid_torch.identification.model_estimation import sensor_noise
+from rotorid_torch.identification.model_regression import regress_model
+from rotorid_torch.model.gusts import GUSTS
+from rotorid_torch.model.nominal import build
+from rotorid_torch.trace.evidence.fits import Flights
+
+
+def in_moving_air(
+    spec: ModelSpec, values: Mapping[str, float], flights: Flights, weather: Weather
+) -> tuple[ModelSpec, Flights]:
+    """The spec with gusts among its inputs, and the flights with theirs as channels.
+
+    values : of the parameters that step 2 does not tell, or doubts.
+    """
+    reference = {**spec.reference, **dict.fromkeys(GUSTS, 0.0)}
+    moving = msgspec.structs.replace(spec, inputs=(*spec.inputs, *GUSTS), reference=reference)
+    gusts = _smoothed_gusts(spec, values, flights, weather)
+    return moving, replace(flights, dataset=_with_channels(flights.dataset, gusts), weather=weather)
+
+
+def in_still_air(spec: ModelSpec) -> ModelSpec:
+    """The spec without gusts among its inputs."""
+    reference = {n: v for n, v in spec.reference.items() if n not in GUSTS}
+    return msgspec.structs.replace(spec, inputs=tuple(n for n in spec.inputs if n not in GUSTS), reference=reference)
+
+
+def _with_channels(dataset: Dataset, gusts: Histories) -> Dataset:
+    flights = {}
+    for name, (time, velocities) in gusts.items():
+        flight = dataset.flights[name]
+        at = [np.interp(flight.time.numpy(), time.numpy(), v) for v in velocities.numpy().T]
+        channels = {**flight.channels, **{g: torch.from_numpy(v) for g, v in zip(GUSTS, at, strict=True)}}
+        flights[name] = replace(flight, channels=channels)
+    facts = {name: Facts.of(flight) for name, flight in flights.items()}
+    return replace(dataset, flights=MappingProxyType(flights), facts=MappingProxyType(facts))
+
+
+def _smoothed_gusts(spec: ModelSpec, values: Mapping[str, float], flights: Flights, weather: Weather) -> Histories:
+    """Gusts of all flights in such weather, by step 2's derivatives of the identify flights."""
+    dataset, model = flights.dataset, build(spec)
+    model.start_from(values)
+    step2 = regress_model(model, dataset, flights.reconstruction)
+    with torch.no_grad():
+        model.theta.copy_(step2.theta)
+    model.start_from({n: values[n] for n in step2.doubtful(model.parameter_set.free) if n in values})
+    batch = flights.records(model, tuple(dataset.flights))
+    gusts = in_weather(model, weather, batch, sensor_noise(model, dataset))
+    return histories(tuple(dataset.flights), batch, gusts)
