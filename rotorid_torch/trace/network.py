@@ -8,7 +8,7 @@ whose residual has been turned in time, so that it means nothing, everything is 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import msgspec
 import torch
@@ -227,7 +227,7 @@ def drawn_turn(fitted: Fitted, chance: torch.Generator) -> Turn:
 class _Turned(Flights):
     """Flights as a model flew them, and its residual turned in time added: nothing in it goes with any motion."""
 
-    outputs: Mapping[str, Tensor]
+    outputs: Mapping[str, Tensor] = field(default_factory=dict)
 
     def records(self, model: Model, listed: Sequence[str]) -> Records:
         """These flights as the fits see them."""
@@ -245,7 +245,8 @@ def turned(fitted: Fitted, turn: Turn) -> Flights:
         records = fitted.flights.records(fitted.model, part.names)
         for f, (name, over) in enumerate(_residuals(fitted, part).items()):
             outputs[name] = records.outputs[f, : len(over)] - over + _rolled(over, turn[name])
-    return _Turned(fitted.flights.dataset, fitted.flights.reconstruction, outputs)
+    flights = fitted.flights
+    return _Turned(flights.dataset, flights.reconstruction, flights.weather, outputs)
 
 
 def _residuals(fitted: Fitted, part: Residual) -> dict[str, Tensor]:
