@@ -10,7 +10,6 @@ from functools import partial
 from pathlib import Path
 
 import msgspec
-from torch import Tensor
 
 from rotorid_torch.core.names import MOMENTS
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
@@ -31,7 +30,7 @@ from rotorid_torch.report.short_horizon import short_horizon
 from rotorid_torch.report.summary import failing
 from rotorid_torch.run.estimate import at_measured_states, estimated
 from rotorid_torch.run.fit_record import fit_record, judge
-from rotorid_torch.run.free_runs import best_of, free_run_gain, worse
+from rotorid_torch.run.free_runs import before_and_after, best_of
 from rotorid_torch.run.loop_record import as_fitted, effect_record, of_sensors, unknown_record
 from rotorid_torch.run.output.arguments import refuse_arguments
 from rotorid_torch.run.output.checkpoint import Checkpoint, Steps
@@ -47,9 +46,7 @@ from rotorid_torch.trace.evidence.fits import Flights, refit
 from rotorid_torch.trace.loop import Bare, Tracing, trace
 from rotorid_torch.trace.multirotor import trace_rotors
 from rotorid_torch.trace.network import Learnt, learn
-from rotorid_torch.trace.search.decide import Row, decide
 from rotorid_torch.trace.search.forward_selection import of_effects
-from rotorid_torch.trace.search.words import reason
 from rotorid_torch.trace.sensors.clocks import sensor_findings
 from rotorid_torch.trace.stochastic import TURBULENCE, stochastic_findings
 from rotorid_torch.trace.terms.finding import Finding
@@ -138,7 +135,7 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
     again = partial(_again, recorded=dataset, steps=steps)
     wrong = partial(again, _Basis(first, at_one_rate(dataset), {}))
     rerun = partial(again, _Basis(base, right, sensors.values))
-    before, after, tracing = _before_and_after(first, tracing, bool(sensors.effects), wrong, rerun)
+    before, after, tracing = before_and_after(first, tracing, bool(sensors.effects), wrong, rerun)
     stays = after is not None and set(tracing.structure) <= set(after.spec.effects)
     traced = tracing.findings if stays else _dropped(tracing)
     findings = [*map(of_sensors, sensors.findings), *_replaced(traced, shaken)]
@@ -176,38 +173,6 @@ def _rough(shaken: Sequence[Finding]) -> bool:
 def _in_gusts(tracing: Tracing, shaken: Sequence[Finding]) -> Tracing:
     """The tracing without what has no name where gusts are left over too: clean aircraft fly in none."""
     return replace(tracing, unknown=None) if _rough(shaken) else tracing
-
-
-def _before_and_after(
-    first: Run, tracing: Tracing, sensors: bool, wrong: Callable[..., Run], right: Callable[..., Run]
-) -> tuple[Run, Run | None, Tracing]:
-    """The best run without what was traced, that with it or none where nothing stays, and the tracing that stands.
-
-    first : the nominal model. sensors : whether sensors err. wrong, right : the three steps again for a spec from
-    values, on records as they are and on those without the sensors' errors. Structure stays where free runs of unseen
-    flights are better with it; beside a named effect unless they are clearly worse, for its size takes up what
-    structure explains. A multirotor's free runs decide nothing.
-    """
-
-    def shapes(spec: ModelSpec, values: Mapping[str, float]) -> list[Run]:
-        """On right records, with the structure that was traced, and without."""
-        both = [spec, *([spec.without(tracing.structure)] if tracing.structure else [])]
-        return [right(shape, values) for shape in both]
-
-    final, null = tracing.final, tracing.null
-    plain = best_of([first, wrong(null.spec, null.values)]) if tracing.structure else first
-    if tracing.accepted:
-        whole, *bare = shapes(final.spec, final.values)
-        if first.spec.motors:
-            return plain, whole, tracing
-        after = next((run for run in bare if worse(run, whole)), whole)
-        without = best_of(shapes(null.spec, null.values)) if sensors else plain
-        if not worse(without, after):
-            return plain, after, tracing
-        tracing = _suspected(tracing, free_run_gain(without, after))
-    if sensors:
-        return plain, best_of(shapes(null.spec, null.values)), tracing
-    return first, None if plain is first else plain, tracing
 
 
 def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
@@ -261,14 +226,6 @@ def _with_network(
         return run, finding
     said = "segments of flights that no fit has seen are better described by it, their free runs are not"
     return None, replace(finding, verdict="rejected", reason=said)
-
-
-def _suspected(tracing: Tracing, runs: Tensor) -> Tracing:
-    """The tracing without its names, for free runs are worse with them, by log ratios of J [F]."""
-    verdict, why = decide(Row(runs_worse=True))
-    said = reason(why, worse=int((runs < 0.0).sum()), count=len(runs))
-    findings = (replace(f, verdict=verdict, reason=said) if f.id in tracing.accepted else f for f in tracing.findings)
-    return replace(tracing, final=tracing.null, accepted=(), groups={}, findings=tuple(findings))
 
 
 def _dropped(tracing: Tracing) -> list[Finding]:
@@ -358,7 +315,7 @@ def _loop(before: Run, after: Run | None, findings: Sequence[Finding], monitor: 
     missing, poor = tracing.unknown, failing(run.fit)
     if missing is not None and not missing.judged and (not poor or short_horizon(run.fit)):
         missing = None  # any model of other people's aircraft lacks something
-    verdict = without_clean_bill(statement([as_fitted(f, run) for f in findings], missing, poor), poor)
+    verdict = without_clean_bill(statement([as_fitted(f, run.fit) for f in findings], missing, poor), poor)
     record = Report(
         command="close-loop",
         dataset=run.record.dataset,
@@ -368,7 +325,7 @@ def _loop(before: Run, after: Run | None, findings: Sequence[Finding], monitor: 
         before=before.fit,
         after=None if after is None else after.fit,
         verdict=VerdictRecord(kind=verdict.kind, effects=verdict.effects, sentence=verdict.sentence),
-        effects=tuple(effect_record(f, run.model, run) for f in findings),
+        effects=tuple(effect_record(f, run.model, run.fit) for f in findings),
         unknown=None if missing is None else unknown_record(missing),
         warnings=(*run.record.warnings, *tracing.notes),
     )

@@ -1,16 +1,21 @@
-"""Free runs of models that were identified again: which is best, and whether one is worse by more than chance."""
+"""Free runs of models that were identified again: which is best, which is worse by more than chance, what stays."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
+from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.report.records import FlightRecord
 from rotorid_torch.report.summary import list_summaries
 from rotorid_torch.run.result import Run
+from rotorid_torch.trace.loop import Tracing
+from rotorid_torch.trace.search.decide import Row, decide
+from rotorid_torch.trace.search.words import reason
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import exceeds
 
@@ -55,3 +60,43 @@ def _deciding(run: Run) -> list[FlightRecord]:
     for name in DECIDING:
         flights += [f for f in run.fit.flights.values() if f.list == name] if len(flights) < 2 else []
     return flights
+
+
+def before_and_after(
+    first: Run, tracing: Tracing, sensors: bool, wrong: Callable[..., Run], right: Callable[..., Run]
+) -> tuple[Run, Run | None, Tracing]:
+    """The best run without what was traced, that with it or none where nothing stays, and the tracing that stands.
+
+    first : the nominal model. sensors : whether sensors err. wrong, right : the three steps again for a spec from
+    values, on records as they are and on those without the sensors' errors. Structure stays where free runs of unseen
+    flights are better with it; beside a named effect unless they are clearly worse, for its size takes up what
+    structure explains. A multirotor's free runs decide nothing.
+    """
+
+    def shapes(spec: ModelSpec, values: Mapping[str, float]) -> list[Run]:
+        """On right records, with the structure that was traced, and without."""
+        both = [spec, *([spec.without(tracing.structure)] if tracing.structure else [])]
+        return [right(shape, values) for shape in both]
+
+    final, null = tracing.final, tracing.null
+    plain = best_of([first, wrong(null.spec, null.values)]) if tracing.structure else first
+    if tracing.accepted:
+        whole, *bare = shapes(final.spec, final.values)
+        if first.spec.motors:
+            return plain, whole, tracing
+        after = next((run for run in bare if worse(run, whole)), whole)
+        without = best_of(shapes(null.spec, null.values)) if sensors else plain
+        if not worse(without, after):
+            return plain, after, tracing
+        tracing = _suspected(tracing, free_run_gain(without, after))
+    if sensors:
+        return plain, best_of(shapes(null.spec, null.values)), tracing
+    return first, None if plain is first else plain, tracing
+
+
+def _suspected(tracing: Tracing, runs: Tensor) -> Tracing:
+    """The tracing without its names, for free runs are worse with them, by log ratios of J [F]."""
+    verdict, why = decide(Row(runs_worse=True))
+    said = reason(why, worse=int((runs < 0.0).sum()), count=len(runs))
+    findings = (replace(f, verdict=verdict, reason=said) if f.id in tracing.accepted else f for f in tracing.findings)
+    return replace(tracing, final=tracing.null, accepted=(), groups={}, findings=tuple(findings))

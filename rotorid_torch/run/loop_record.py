@@ -12,7 +12,7 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.examples import example
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.model.model import Model
-from rotorid_torch.report.records import EffectRecord, ParameterRecord, Role, UnknownRecord, VisibleRecord
+from rotorid_torch.report.records import EffectRecord, FitRecord, ParameterRecord, Role, UnknownRecord, VisibleRecord
 from rotorid_torch.run.estimate import at_measured_states
 from rotorid_torch.run.result import Run
 from rotorid_torch.trace.evidence.fits import Flights, refit
@@ -39,9 +39,9 @@ def of_sensors(error: KinematicFinding) -> Finding:
     )
 
 
-def as_fitted(finding: Finding, run: Run) -> Finding:
+def as_fitted(finding: Finding, fit: FitRecord) -> Finding:
     """The finding with the values of the fit that is told, where that estimated them: sentence and tables agree."""
-    values = {p.name: (p.value, p.se) for p in _fitted(finding, run) if p.value is not None and p.se is not None}
+    values = {p.name: (p.value, p.se) for p in _fitted(finding, fit) if p.value is not None and p.se is not None}
     return replace(finding, values=values) if values else finding
 
 
@@ -50,7 +50,7 @@ def unknown_record(missing: Unknown) -> UnknownRecord:
     return UnknownRecord(**{name: getattr(missing, name) for name in UnknownRecord.__struct_fields__})
 
 
-def effect_record(finding: Finding, model: Model, run: Run) -> EffectRecord:
+def effect_record(finding: Finding, model: Model, fit: FitRecord) -> EffectRecord:
     """A finding for the report; parameters are those of the fit that is told, where that estimated them."""
     traced = [
         ParameterRecord(name=n, value=v, se=e, unit=_unit(model, n), status="free" if e > 0.0 else "frozen")
@@ -67,14 +67,14 @@ def effect_record(finding: Finding, model: Model, run: Run) -> EffectRecord:
         p=finding.p,
         smallest_visible=None if visible is None else VisibleRecord(value=visible[0], unit=visible[1]),
         group=finding.group,
-        parameters=tuple(_fitted(finding, run) or traced),
+        parameters=tuple(_fitted(finding, fit) or traced),
     )
 
 
-def _fitted(finding: Finding, run: Run) -> list[ParameterRecord]:
+def _fitted(finding: Finding, fit: FitRecord) -> list[ParameterRecord]:
     """Sizes of the effect that a fit estimated."""
     prefix = f"{finding.part or finding.id}."
-    return [p for p in run.fit.parameters if p.name.startswith(prefix) and p.se and p.status != "nuisance"]
+    return [p for p in fit.parameters if p.name.startswith(prefix) and p.se and p.status != "nuisance"]
 
 
 def _unit(model: Model, name: str) -> str:
@@ -100,7 +100,7 @@ def with_evidence(run: Run, dataset: Dataset, effects: Sequence[str], seed: int)
         findings = earned(refit(run.spec, flights, run.model.named_values, held), effects, held, seed)
     record = msgspec.structs.replace(
         run.record,
-        effects=tuple(effect_record(f, run.model, run) for f in findings),
+        effects=tuple(effect_record(f, run.model, run.fit) for f in findings),
         warnings=(*run.record.warnings, *untried(dataset)),
     )
     return replace(run, record=record)

@@ -1,8 +1,5 @@
 """What cannot be told is named: missing channels, sticks, wind, control powers that no inertia explains."""
 
-from types import SimpleNamespace
-from typing import Any
-
 import msgspec
 import numpy as np
 import pytest
@@ -11,6 +8,7 @@ from rotorid_torch.data import Dataset
 from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.report import limits
+from rotorid_torch.report.records import FitRecord, ParameterRecord, ScoresRecord
 
 TIME = 0.02 * np.arange(200)
 
@@ -65,29 +63,35 @@ def test_where_motors_stand_is_told_as_far_as_flights_say_it():
     assert not any("places are not declared" in t for t in said(None))
 
 
-def powers(**found: float | None) -> SimpleNamespace:
+def fit_with(*parameters: ParameterRecord) -> FitRecord:
+    none = ScoresRecord(identify=None, validate=None, acid=None)
+    return FitRecord(parameters=parameters, modes=(), flights={}, scores=none)
+
+
+def powers(**values: float | None) -> FitRecord:
     """A fit with these control powers; None: held at zero."""
-    return SimpleNamespace(
-        parameters=[
-            SimpleNamespace(name=f"rotors.power.{row}", value=v or 0.0, status="frozen" if v is None else "free")
-            for row, v in found.items()
-        ]
+    names = {row: f"rotors.power.{row}" for row in values}
+    return fit_with(
+        *(
+            ParameterRecord(name=names[r], value=v or 0.0, se=0.01, unit="1", status="frozen" if v is None else "free")
+            for r, v in values.items()
+        )
     )
 
 
 def test_control_powers_are_told_as_inertia_as_far_as_that_is_credible():
-    said = list(limits.of_rotors(MULTIROTOR, powers(L=0.625, M=0.1, N=3.0)))  # pyright: ignore[reportArgumentType]
+    said = list(limits.of_rotors(MULTIROTOR, powers(L=0.625, M=0.1, N=3.0)))
     assert "an inertia about x of 2.66e-05 kg m² (+60 %)" in said[0]
     assert said[1].startswith("control power of M is 0.1 of what places, thrust and declared inertia give: no inertia")
     assert len(said) == 2  # of yaw nothing: the torque ratio is not declared
-    assert list(limits.of_rotors(MULTIROTOR, powers(L=1.0, M=0.95, N=1.0))) == []  # pyright: ignore[reportArgumentType]
+    assert list(limits.of_rotors(MULTIROTOR, powers(L=1.0, M=0.95, N=1.0))) == []
 
 
 def test_moments_that_commands_do_not_explain_are_not_testable():
-    (said,) = limits.of_rotors(MULTIROTOR, powers(L=None, M=None, N=None))  # pyright: ignore[reportArgumentType]
+    (said,) = limits.of_rotors(MULTIROTOR, powers(L=None, M=None, N=None))
     assert said.startswith("L M N not testable")
     unknown = msgspec.structs.replace(MULTIROTOR, found_places={"L": 0.9, "M": 0.9})
-    (said,) = limits.of_rotors(unknown, powers(L=5e4, M=5e4, N=None))  # pyright: ignore[reportArgumentType]
+    (said,) = limits.of_rotors(unknown, powers(L=5e4, M=5e4, N=None))
     assert said.startswith("N not testable")
 
 
@@ -103,7 +107,7 @@ def test_moments_that_commands_do_not_explain_are_not_testable():
 )
 def test_a_disc_that_cones_at_once_and_tilts_late_is_remarked_upon(cone: float, tilt: float, doubt: float, told: bool):
     poles = {"rotor.a0.a0": (-cone, 5.0), "rotor.a1.a1": (-tilt, doubt), "rotor.b1.b1": (-cone, 3.0)}
-    fit: Any = SimpleNamespace(parameters=[SimpleNamespace(name=n, value=v, se=e) for n, (v, e) in poles.items()])
+    fit = fit_with(*(ParameterRecord(name=n, value=v, se=e, unit="1/s") for n, (v, e) in poles.items()))
     found = list(limits.of_flapping(fit))
     assert len(found) == told
     if told:
@@ -111,5 +115,5 @@ def test_a_disc_that_cones_at_once_and_tilts_late_is_remarked_upon(cone: float, 
 
 
 def test_a_rotor_without_flapping_states_is_not_remarked_upon():
-    fit: Any = SimpleNamespace(parameters=[SimpleNamespace(name="forces.L.p", value=-1.0, se=None)])
+    fit = fit_with(ParameterRecord(name="forces.L.p", value=-1.0, se=None, unit="1/s"))
     assert list(limits.of_flapping(fit)) == []

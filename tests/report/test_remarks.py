@@ -1,14 +1,22 @@
 """What the report says about an identification: one sentence per kind, with what to do next."""
 
-from types import SimpleNamespace
+from dataclasses import replace
 
 import msgspec
 import numpy as np
+import torch
 
 from rotorid_torch.data import Dataset
+from rotorid_torch.identification.estimate.progressive_fit import fit as fit_stages
+from rotorid_torch.identification.estimate.segments import records_from
+from rotorid_torch.identification.estimate.system import System
+from rotorid_torch.identification.model_estimation import ModelEstimate
+from rotorid_torch.identification.model_regression import ModelRegression
+from rotorid_torch.identification.regress.ftr import regress
 from rotorid_torch.report import records, remarks
 from rotorid_torch.report.summary import at_an_edge, at_once
 from tests.helpers import small_arrays, small_flight
+from tests.identification.estimate.output_error_cases import Roll, roll_flight
 
 
 def test_a_control_at_rest_and_one_that_follows_the_states_are_told_apart():
@@ -42,33 +50,43 @@ def test_late_controls_are_told_with_their_time_and_who_mends_them():
 
 
 def test_what_reading_changed_in_many_flights_is_one_sentence():
-    dataset = SimpleNamespace(
-        dead=(),
-        warnings=("control lat has no table", "flight a: time is not uniform: resampled", "flight b: time is rough"),
-    )
+    warnings = ("control lat has no table", "flight a: time is not uniform: resampled", "flight b: time is rough")
+    dataset = replace(Dataset.from_arrays(small_arrays(), identify=["one"]), warnings=warnings)
     assert list(remarks.of_reading(dataset)) == [
         "control lat has no table",
         "flight a: time is not uniform: resampled (likewise in b)",
     ]
 
 
+def regressions(**notes: tuple[str, ...]) -> ModelRegression:
+    """Regressions of rows with these notes."""
+    x = np.random.default_rng(0).standard_normal((400, 1))
+    one = regress(x[:, 0], x, 0.02, kind="value")
+    return ModelRegression({row: replace(one, notes=said) for row, said in notes.items()}, torch.zeros(0), (), {})
+
+
+def estimate(converged: bool, message: str = "") -> ModelEstimate:
+    """The estimate of a roll axis, whose search ended so."""
+    fitted = fit_stages(System(Roll()), records_from([roll_flight(np.random.default_rng(0))])).estimate()
+    minimum = replace(fitted.minimum, converged=converged, message=message)
+    return ModelEstimate(replace(fitted, minimum=minimum), ())
+
+
 def test_one_remark_of_several_equations_is_one_sentence():
-    noisy = SimpleNamespace(notes=("noise fills a combination of the regressors; leave one of them out",))
-    doubtful = SimpleNamespace(notes=("N: does not hold even up to 1 Hz; smallest band", *noisy.notes))
-    step2 = SimpleNamespace(regressions={"L": noisy, "N": doubtful})
-    both, one = remarks.of_regressions(step2)
+    noise = "noise fills a combination of the regressors; leave one of them out"
+    doubt = "N: does not hold even up to 1 Hz; smallest band"
+    both, one = remarks.of_regressions(regressions(L=(noise,), N=(doubt, noise)))
     assert both.startswith("step 2, equations of L N: noise fills a combination of the regressors: their sum")
     assert one.startswith("step 2, equation of N: does not hold even up to 1 Hz: look for a wrong sign")
 
 
 def test_a_remark_without_a_meaning_of_its_own_is_told_as_it_is():
-    step2 = SimpleNamespace(regressions={"L": SimpleNamespace(notes=("response: 3 missing samples",))})
-    assert list(remarks.of_regressions(step2)) == ["step 2, equation of L: response: 3 missing samples"]
+    missing = regressions(L=("response: 3 missing samples",))
+    assert list(remarks.of_regressions(missing)) == ["step 2, equation of L: response: 3 missing samples"]
 
 
 def test_doubts_about_the_estimate_name_parameters_and_say_what_to_do(fit):
-    step3 = SimpleNamespace(fit=SimpleNamespace(minimum=SimpleNamespace(converged=False, message="stopped after 9")))
-    said = list(remarks.of_estimate(step3, fit))
+    said = list(remarks.of_estimate(estimate(converged=False, message="stopped after 9"), fit))
     assert [sentence.split(":")[0] for sentence in said[1:]] == [
         "at a bound",
         "not identifiable from these flights, held",
@@ -82,8 +100,7 @@ def test_a_model_worse_than_holding_trim_is_told(fit):
     flights = {"f1": msgspec.structs.replace(fit.flights["f1"], J=40.0)}
     scores = msgspec.structs.replace(fit.scores, identify=40.0)
     bad = msgspec.structs.replace(fit, flights=flights, scores=scores, parameters=())
-    step3 = SimpleNamespace(fit=SimpleNamespace(minimum=SimpleNamespace(converged=True)))
-    (said,) = remarks.of_estimate(step3, bad)
+    (said,) = remarks.of_estimate(estimate(converged=True), bad)
     assert said.startswith("on the identify flights the model is worse than holding trim (J 40 against 1): do not use")
 
 

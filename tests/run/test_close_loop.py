@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,14 +13,15 @@ import pytest
 from scipy.stats import ttest_1samp
 
 import rotorid_torch as rotorid
-from rotorid_torch.core.parameters import ParameterSet
 from rotorid_torch.data import Dataset
 from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.model.nominal import build
 from rotorid_torch.model.save import load
 from rotorid_torch.report import limits
-from rotorid_torch.report.records import read_report
-from rotorid_torch.run.close_loop import _before_and_after, _in_gusts, _loop
-from rotorid_torch.run.free_runs import best_of, free_run_gain, worse
+from rotorid_torch.report.records import FitRecord, FlightRecord, ScoresRecord, WindowsRecord, read_report
+from rotorid_torch.run.close_loop import _in_gusts, _loop
+from rotorid_torch.run.free_runs import before_and_after, best_of, free_run_gain, worse
 from rotorid_torch.run.output.monitor import Monitor
 from rotorid_torch.trace.loop import Tracing
 from rotorid_torch.trace.terms.finding import Finding, Unknown
@@ -30,6 +30,7 @@ from rotorid_torch.trace.terms.verdict import statement
 from tests.known_models import flown, manoeuvres, rate_vehicle, with_values
 
 DT = 0.02
+MODEL = build(HELICOPTER)
 
 
 def late(delay: float) -> Dataset:
@@ -159,7 +160,7 @@ def test_a_network_stays_where_something_is_left_that_no_candidate_explains(monk
 
 
 def test_names_with_which_free_runs_are_worse_are_suspected_and_do_not_join():
-    null, final = run_with(None), run_with(None)
+    null, final = Traced(0.0), Traced(1.0)
     findings = (
         Finding("control.delay", "undeclared", "accepted", "", values={"control.delay.common": (0.05, 0.01)}),
         Finding("control.lag", "undeclared", "below floor", "why"),
@@ -167,9 +168,9 @@ def test_names_with_which_free_runs_are_worse_are_suspected_and_do_not_join():
     missing = Unknown("L", (0.1, 2.0), "p", None, "Something is missing in L.")
     tracing = Tracing(null, final, (), ("control.delay",), {}, findings, unknown=missing)
     first, better, bad = (run_with(J) for J in (0.12, 0.11, 0.13))
-    kept = _before_and_after(first, tracing, False, pytest.fail, lambda spec, values: better)
+    kept = before_and_after(first, tracing, False, pytest.fail, lambda spec, values: better)
     assert kept == (first, better, tracing)
-    before, after, refused = _before_and_after(first, tracing, False, pytest.fail, lambda spec, values: bad)
+    before, after, refused = before_and_after(first, tracing, False, pytest.fail, lambda spec, values: bad)
     assert (before, after) == (first, None)
     assert (refused.accepted, refused.groups, refused.final, refused.unknown) == ((), {}, null, missing)
     assert [f.verdict for f in refused.findings] == ["suspected", "below floor"]
@@ -189,10 +190,21 @@ def test_what_gusts_leave_over_is_not_told_as_something_missing(verdict: Any, to
     assert (found.unknown == missing) is told
 
 
+@dataclass(frozen=True)
+class Traced:
+    """A fit of the search, as far as the loop takes it up."""
+
+    mark: float
+    spec: ModelSpec = HELICOPTER
+
+    @property
+    def values(self) -> dict[str, float]:
+        return {"from": self.mark}
+
+
 def tracing_of(*accepted: str, structure: tuple[str, ...] = ()) -> Tracing:
     """Null and final differ by their values, which say whose fit a run begins from."""
-    null, final = (SimpleNamespace(spec=HELICOPTER, values={"from": k}) for k in (0.0, 1.0))
-    return Tracing(null, final, structure, accepted, {}, ())
+    return Tracing(Traced(0.0), Traced(1.0), structure, accepted, {}, ())
 
 
 def test_structure_alone_begins_from_the_model_without_undeclared_effects():
@@ -203,17 +215,16 @@ def test_structure_alone_begins_from_the_model_without_undeclared_effects():
         begun.append(values["from"])
         return better
 
-    assert _before_and_after(first, tracing, False, wrong, pytest.fail) == (first, better, tracing)
+    assert before_and_after(first, tracing, False, wrong, pytest.fail) == (first, better, tracing)
     assert begun == [0.0]
-    worse = _before_and_after(first, tracing, False, lambda spec, values: run_with(0.13), pytest.fail)
+    worse = before_and_after(first, tracing, False, lambda spec, values: run_with(0.13), pytest.fail)
     assert worse == (first, None, tracing)
 
 
 def test_free_runs_of_a_multirotor_decide_nothing_and_cost_nothing():
-    first, worse, runs = run_with(0.12), run_with(0.2), []
-    first.spec = MULTIROTOR
+    first, worse, runs = replace(run_with(0.12), spec=MULTIROTOR), run_with(0.2), []
     tracing = tracing_of("propulsion.motor_lag")
-    found = _before_and_after(first, tracing, True, pytest.fail, lambda spec, values: runs.append(spec) or worse)
+    found = before_and_after(first, tracing, True, pytest.fail, lambda spec, values: runs.append(spec) or worse)
     assert found == (first, worse, tracing)
     assert len(runs) == 1
 
@@ -221,55 +232,50 @@ def test_free_runs_of_a_multirotor_decide_nothing_and_cost_nothing():
 def test_sensors_alone_are_put_right_from_the_model_without_undeclared_effects():
     first, better = run_with(0.12), {0.0: run_with(0.1)}
     tracing = tracing_of()
-    found = _before_and_after(first, tracing, True, pytest.fail, lambda spec, values: better[values["from"]])
+    found = before_and_after(first, tracing, True, pytest.fail, lambda spec, values: better[values["from"]])
     assert found == (first, better[0.0], tracing)
 
 
 def test_where_an_effect_is_refused_records_stay_right_and_the_null_stands():
     first, right = run_with(0.12), {0.0: run_with(0.1), 1.0: run_with(0.11)}
     tracing = tracing_of("control.delay")
-    before, after, told = _before_and_after(first, tracing, True, pytest.fail, lambda spec, v: right[v["from"]])
+    before, after, told = before_and_after(first, tracing, True, pytest.fail, lambda spec, v: right[v["from"]])
     assert (before, after) == (first, right[0.0])
     assert (told.accepted, told.final) == ((), tracing.null)
     right[1.0] = run_with(0.09)
-    before, after, told = _before_and_after(first, tracing, True, pytest.fail, lambda spec, v: right[v["from"]])
+    before, after, told = before_and_after(first, tracing, True, pytest.fail, lambda spec, v: right[v["from"]])
     assert (before, after, told) == (first, right[1.0], tracing)
 
 
-def run_with(J: float | None, identify: float | None = None) -> Any:
-    flights = {"f": SimpleNamespace(list="validate", J=J, J_noise=0.05, J_trim=1.0)}
-    model = SimpleNamespace(parameter_set=ParameterSet(()), named_values={})
-    fit = fit_of(flights)
-    return SimpleNamespace(
-        scores={"validate": J, "identify": identify}, spec=HELICOPTER, values={}, fit=fit, model=model
-    )
+def run_with(J: float | None, identify: float | None = None) -> rotorid.Run:
+    """A run by the J of one flight of a list that decides."""
+    return run_of(over("validate", [J]) | ({} if identify is None else over("identify", [identify])))
 
 
-def fit_of(flights: dict[str, Any]) -> Any:
-    """Flights and the scores of their lists, root mean squares of the J that are known."""
+def over(list_: Any, scores: Sequence[float | None]) -> dict[str, FlightRecord]:
+    """Free runs of flights of one list."""
+    windows = WindowsRecord(median=None, p10=None, p90=None)
+    return {
+        f"{list_}{k}": FlightRecord(list=list_, J=J, J_noise=0.05, J_trim=1.0, windows=windows, channels={})
+        for k, J in enumerate(scores)
+    }
+
+
+def run_of(flights: dict[str, FlightRecord]) -> rotorid.Run:
+    """A run whose free runs these are; of the steps it has nothing."""
     totals: dict[str, float | None] = {}
     for name in ("identify", "validate", "acid"):
-        known = [f.J for f in flights.values() if f.list == name and f.J is not None and not math.isnan(f.J)]
-        totals[name] = math.sqrt(sum(J * J for J in known) / len(known)) if known else None
-    return SimpleNamespace(flights=flights, scores=SimpleNamespace(**totals), parameters=())
-
-
-def over(list_: str, scores: Sequence[float | None]) -> dict[str, Any]:
-    """Free runs of flights of one list."""
-    return {f"{list_}{k}": SimpleNamespace(list=list_, J=J, J_noise=0.05, J_trim=1.0) for k, J in enumerate(scores)}
-
-
-def run_of(flights: dict[str, Any]) -> Any:
-    """A run whose free runs these are."""
-    run = run_with(0.1)
-    run.fit = fit_of(flights)
-    return run
+        scores = [f.J for f in flights.values() if f.list == name and f.J is not None]
+        totals[name] = math.sqrt(sum(J * J for J in scores) / len(scores)) if scores else None
+    fit = FitRecord(parameters=(), modes=(), flights=flights, scores=ScoresRecord(**totals))
+    nothing: Any = None
+    return rotorid.Run(MODEL, HELICOPTER, fit, nothing, nothing, nothing, nothing, ())
 
 
 def judged(before: dict[str, Any], after: dict[str, Any], tracing: Tracing) -> Tracing:
     """What stands of the tracing where the model with its effects flies so."""
     run = run_of(after)
-    return _before_and_after(run_of(before), tracing, False, pytest.fail, lambda spec, values: run)[2]
+    return before_and_after(run_of(before), tracing, False, pytest.fail, lambda spec, values: run)[2]
 
 
 @pytest.mark.parametrize(
@@ -324,19 +330,16 @@ def test_acid_flights_decide_nothing():
     assert judged(before, after, tracing_of("control.delay")).accepted
 
 
-def runs_of(*each: Sequence[float]) -> list[Any]:
+def runs_of(*each: Sequence[float]) -> list[rotorid.Run]:
     """Runs by the scores of their flights that no fit has seen."""
-    runs = [run_of(over("validate", scores)) for scores in each]
-    for run, scores in zip(runs, each, strict=True):
-        run.scores["validate"] = math.sqrt(sum(J * J for J in scores) / len(scores))
-    return runs
+    return [run_of(over("validate", scores)) for scores in each]
 
 
 def test_a_good_effect_is_not_refused_for_the_structure_beside_it():
     first, whole, bare = runs_of([0.1] * 4, (0.107, 0.108, 0.107, 0.109), (0.102, 0.098, 0.101, 0.1))
     runs = iter((whole, bare))
     tracing = tracing_of("control.delay", structure=("rotor.lead_lag",))
-    _, after, found = _before_and_after(first, tracing, False, lambda spec, v: first, lambda spec, v: next(runs))
+    _, after, found = before_and_after(first, tracing, False, lambda spec, v: first, lambda spec, v: next(runs))
     assert after is bare
     assert found.accepted
 
@@ -352,7 +355,7 @@ def test_ordinary_physics_stays_beside_a_named_effect_unless_free_runs_are_worse
     first, whole, bare = runs_of([0.2] * 4, with_structure, [0.102] * 4)
     runs = iter((whole, bare))
     tracing = tracing_of("control.delay", structure=("rotor.lead_lag",))
-    _, after, _ = _before_and_after(first, tracing, False, lambda spec, values: first, lambda spec, values: next(runs))
+    _, after, _ = before_and_after(first, tracing, False, lambda spec, values: first, lambda spec, values: next(runs))
     assert after is (whole if stays else bare)
 
 
