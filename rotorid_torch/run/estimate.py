@@ -21,6 +21,7 @@ from rotorid_torch.model.nominal import build
 from rotorid_torch.model.rotors import beyond_belief
 from rotorid_torch.report import remarks
 from rotorid_torch.run.output.checkpoint import Steps
+from rotorid_torch.run.output.curves import Curves
 from rotorid_torch.trace.multirotor import Identified
 from rotorid_torch.validate.predictions import unexplained_moments
 
@@ -76,21 +77,18 @@ def estimated(
     names = [n for n in model.parameter_set.free if n not in regressions.held]
 
     def third() -> ModelEstimate:
-        last: list[Tensor] = []
-
-        def watch(iteration: int, cost: float, theta: Tensor) -> None:
-            monitor.scalars({"ml/cost": cost}, iteration)
-            values = theta.detach().tolist()
-            step = {"ml/step": float((theta - last[-1]).norm() / theta.norm())} if last else {}
-            parameters = (
-                {f"parameters/{n}": v for n, v in zip(names, values, strict=True)} if len(names) == len(values) else {}
-            )
-            record({"ml/cost": cost, **step, **parameters}, iteration)
-            last[:] = [theta.detach().clone()]
-
         with monitor.fit("-".join((spec.flapping or "fit", *spec.effects))[:80]) as record:
+            curves = Curves(record, build(spec), dataset, names)
+
+            def watch(iteration: int, cost: float, theta: Tensor) -> None:
+                monitor.scalars({"ml/cost": cost}, iteration)
+                if monitor.recorded:
+                    curves(iteration, cost, theta)
+
             means = Means(watch, steps.ranks, steps.device, steps.method)
-            return estimate_model(model, dataset, reconstruction, regressions, means)
+            estimate = estimate_model(model, dataset, reconstruction, regressions, means)
+            curves.end(estimate.fit.uncertainty.standard_errors)
+            return estimate
 
     estimate = steps.do("ml", f"ml-{spec.flapping}", third)
     with torch.no_grad():

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 import torch
 from rich.console import Console
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.plugins.hparams import plugin_data_pb2
 
 import rotorid_torch as rotorid
 from rotorid_torch.data import Dataset, load
@@ -49,6 +51,24 @@ def test_a_run_is_whole(run: tuple[Run, Path]):
     _, out = run
     assert {p.name for p in out.iterdir()} >= {"report.json", "report.html", "model.pt", "reconstruct", "log.txt"}
     assert {p.stem for p in (out / "reconstruct").iterdir()} == {"f_lon", "f_lat", "f_col", "f_ped"}
+
+
+def test_tensorboard_has_each_fit_by_iteration_and_runs_compare(run: tuple[Run, Path]):
+    made, out = run
+    fits = [place for place in sorted((out / "tensorboard").iterdir()) if place.is_dir()]
+    assert len(fits) == 1
+    events = EventAccumulator(str(fits[0])).Reload()
+    tags = events.Tags()["scalars"]
+    assert {"ml/cost", "ml/step", "J/validate", "parameters/forces.L.p", "standard errors/forces.L.p"} <= set(tags)
+    assert 0.0 < events.Scalars("J/validate")[0].value < 2.0
+    last = events.Scalars("parameters/forces.L.p")[-1].value
+    assert last == pytest.approx(made["forces.L.p"].value, rel=1e-5)
+    whole = EventAccumulator(str(out / "tensorboard")).Reload()
+    assert whole.Scalars("scores/validate")[0].value == pytest.approx(made.scores["validate"], rel=1e-5)
+    content = whole.SummaryMetadata("_hparams_/experiment").plugin_data.content
+    experiment = plugin_data_pb2.HParamsPluginData.FromString(content).experiment
+    assert {"command", "data set", "effects", "method"} <= {info.name for info in experiment.hparam_infos}
+    assert [info.name.tag for info in experiment.metric_infos] == ["scores/identify", "scores/validate"]
 
 
 def test_report_is_what_the_interface_says(run: tuple[Run, Path], data: Dataset):

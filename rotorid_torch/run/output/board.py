@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from tensorboard.compat.proto.event_pb2 import Event  # pyright: ignore[reportAttributeAccessIssue]
 from tensorboard.compat.proto.summary_pb2 import Summary, SummaryMetadata  # pyright: ignore[reportAttributeAccessIssue]
 from tensorboard.compat.proto.tensor_pb2 import TensorProto  # pyright: ignore[reportAttributeAccessIssue]
 from tensorboard.compat.proto.types_pb2 import DT_STRING  # pyright: ignore[reportAttributeAccessIssue]
+from tensorboard.plugins.hparams import api_pb2 as _interface
+from tensorboard.plugins.hparams import plugin_data_pb2 as _content
 from tensorboard.summary.writer.record_writer import RecordWriter
+
+interface, content = cast(Any, _interface), cast(Any, _content)
+"""Messages whose names only exist when they are loaded."""
 
 
 class Board:
@@ -43,6 +48,26 @@ class Board:
         plugin = SummaryMetadata(plugin_data=SummaryMetadata.PluginData(plugin_name="text"))
         tensor = TensorProto(dtype=DT_STRING, string_val=[words.encode()])
         self._write(summary=Summary(value=[Summary.Value(tag=name, metadata=plugin, tensor=tensor)]), step=0)
+
+    def settings(self, values: Mapping[str, str | float], results: Sequence[str]) -> None:
+        """Record what a run was made with, and which of its numbers are results, for the table of runs."""
+        shown = [interface.MetricInfo(name=interface.MetricName(tag=name)) for name in results]
+        start = content.SessionStartInfo()
+        kinds = []
+        for name, value in values.items():
+            text = isinstance(value, str)
+            setattr(start.hparams[name], "string_value" if text else "number_value", value)
+            kind = interface.DATA_TYPE_STRING if text else interface.DATA_TYPE_FLOAT64
+            kinds.append(interface.HParamInfo(name=name, type=kind))
+        parts = {
+            "experiment": interface.Experiment(hparam_infos=kinds, metric_infos=shown),
+            "session_start_info": start,
+            "session_end_info": content.SessionEndInfo(status=interface.STATUS_SUCCESS),
+        }
+        for name, part in parts.items():
+            packed = content.HParamsPluginData(**{name: part, "version": 0}).SerializeToString()
+            plugin = SummaryMetadata(plugin_data=SummaryMetadata.PluginData(plugin_name="hparams", content=packed))
+            self._write(summary=Summary(value=[Summary.Value(tag=f"_hparams_/{name}", metadata=plugin)]), step=0)
 
     def close(self) -> None:
         """Close the file."""

@@ -10,7 +10,7 @@ import resource
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
@@ -93,6 +93,16 @@ class Monitor:
         self._fits += 1
         with closing(Board(self._boards / f"{self._fits:02d}-{name}")) as board:
             yield board.scalars
+
+    @property
+    def recorded(self) -> bool:
+        """Whether fits are recorded for TensorBoard."""
+        return self._boards is not None
+
+    def settings(self, values: Mapping[str, str | float], results: Sequence[str]) -> None:
+        """Record what the run was made with, for TensorBoard's table of runs; `results` are names of its numbers."""
+        if self._board:
+            self._board.settings(values, results)
 
     def text(self, name: str, words: str) -> None:
         """Record words for TensorBoard, in Markdown."""

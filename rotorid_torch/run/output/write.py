@@ -12,7 +12,7 @@ from rotorid_torch.report.figures import draw
 from rotorid_torch.report.loop_figures import draw_loop
 from rotorid_torch.report.page.document import Shown, render
 from rotorid_torch.report.page.tables import evidence_rows
-from rotorid_torch.report.records import Report, encode_report
+from rotorid_torch.report.records import FitRecord, Report, encode_report
 from rotorid_torch.report.words.verdict import consequence, opening
 from rotorid_torch.run.output.monitor import Monitor
 
@@ -48,6 +48,15 @@ def _tell(report: Report, monitor: Monitor) -> None:
     ranking = [f"| {r.effect.id} | {r.sign} | {r.speaks_for} | {r.against} |" for r in evidence_rows(report.effects)]
     if ranking:
         monitor.text("ranking", "\n".join(["| effect | verdict | for | against |", "|---|---|---|---|", *ranking]))
+    if report.fit is not None:
+        results = [f"scores/{n}" for n, J in msgspec.structs.asdict(report.fit.scores).items() if J is not None]
+        monitor.settings(_settings(report, report.fit), results)
+        monitor.board({f"scores/{n}": J for n, J in msgspec.structs.asdict(report.fit.scores).items() if J is not None})
+    for effect in (e for e in report.effects if e.gain is not None):
+        with monitor.fit(f"candidate-{effect.id}") as record:
+            numbers = {"gain": effect.gain, "floor": effect.floor, "p": effect.p}
+            numbers |= {f"parameters/{p.name}": p.value for p in effect.parameters}
+            record({name: value for name, value in numbers.items() if value is not None}, 0)
     for title, fit in (("before", report.before), ("after", report.after)):
         if fit is None:
             continue
@@ -60,6 +69,14 @@ def _tell(report: Report, monitor: Monitor) -> None:
             channels = record.channels.items()
             monitor.board({f"rmse/{title}/{flight}/{c}": r.rmse for c, r in channels if r.rmse is not None})
             monitor.board({f"theil/{title}/{flight}/{c}": r.theil for c, r in channels if r.theil is not None})
+
+
+def _settings(report: Report, fit: FitRecord) -> dict[str, str | float]:
+    """What a run was made with."""
+    named = "" if report.verdict is None else ", ".join(report.verdict.effects)
+    about = {"command": report.command, "data set": report.dataset.name, "seed": report.seed, "method": fit.method}
+    free = sum(p.status == "free" for p in fit.parameters)
+    return {**about, "effects": named, "free parameters": free}
 
 
 def png(figure: Figure) -> bytes:
