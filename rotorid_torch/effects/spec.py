@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from rotorid_torch.core.names import is_motor
 from rotorid_torch.core.ranges import of_channel
 from rotorid_torch.data import plausible
 from rotorid_torch.data.refusal import convert
@@ -106,7 +107,17 @@ class ModelSpec(msgspec.Struct, frozen=True, kw_only=True):
     def driven(self) -> tuple[str, ...]:
         """What a multirotor's rotors are driven by: their measured speeds, or the commands where these are missing."""
         speeds = tuple(name for name in self.inputs if name.startswith("omega"))
-        return speeds or tuple(name for name in self.controls if name.startswith("motor"))
+        return speeds or self.commands
+
+    @property
+    def commands(self) -> tuple[str, ...]:
+        """Motor commands among the controls."""
+        return tuple(name for name in self.controls if is_motor(name))
+
+    @property
+    def surfaces(self) -> tuple[str, ...]:
+        """Controls of a multirotor beside its motors: elevons, flaps, tilting servos."""
+        return tuple(name for name in self.controls if not is_motor(name)) if self.commands else ()
 
     def with_effects(self, *effects: str, each_control: bool = False) -> ModelSpec:
         """With more effects, of one size for all controls or of one for each."""

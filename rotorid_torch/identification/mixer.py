@@ -80,9 +80,9 @@ class Mixer:
         )
 
 
-def find_mixer(dataset: Dataset, speeds: Sequence[str]) -> Mixer:
-    """From the identify flights; speeds : channels of the rotors' speeds where they are measured, not commands."""
-    inputs = tuple(speeds) or dataset.controls
+def find_mixer(dataset: Dataset, inputs: Sequence[str]) -> Mixer:
+    """From the identify flights; inputs : motor commands, or the rotors' speeds where they are measured."""
+    speeds = inputs[0].startswith("omega")
     shares, explained = torch.zeros(len(inputs), len(MOMENTS), dtype=torch.float64), {}
     flights = [f for f in (dataset.flights[n] for n in dataset.identify[:LOOKED_AT]) if f.has(*RATES, *inputs)]
     best: list[tuple[float, Tensor, Tensor]] = [(0.0, torch.zeros(0), torch.zeros(0))] * len(MOMENTS)

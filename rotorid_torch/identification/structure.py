@@ -12,7 +12,7 @@ from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
 from rotorid_torch.core.least_squares import least_squares
-from rotorid_torch.core.names import ATTITUDES, FLAPPING, FORCES, MOMENTS, RATES, SPECIFIC_FORCES, VELOCITIES
+from rotorid_torch.core.names import ATTITUDES, FLAPPING, FORCES, MOMENTS, RATES, SPECIFIC_FORCES, VELOCITIES, is_motor
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.schema import Vehicle
@@ -288,15 +288,19 @@ def motors(dataset: Dataset, find: bool) -> tuple[tuple[MotorSpec, ...], dict[st
     )
     if declared:
         return declared, None
-    count = len(dataset.controls)
-    nowhere = Mixer(torch.zeros(count, 3, dtype=torch.float64), {})
-    mixer = find_mixer(dataset, rotor_speeds(dataset)) if find else nowhere
+    nowhere = Mixer(torch.zeros(len(motor_commands(dataset)), 3, dtype=torch.float64), {})
+    mixer = find_mixer(dataset, rotor_speeds(dataset) or motor_commands(dataset)) if find else nowhere
     return mixer.motors(usual_arm(dataset.vehicle.mass), dataset.vehicle.frame), dict(mixer.explained)
+
+
+def motor_commands(dataset: Dataset) -> tuple[str, ...]:
+    """The controls that are motor commands."""
+    return tuple(control for control in dataset.controls if is_motor(control))
 
 
 def rotor_speeds(dataset: Dataset) -> tuple[str, ...]:
     """Channels of the rotors' speeds where every flight has all of them, one per motor command."""
-    wanted = tuple(f"omega{control.removeprefix('motor')}" for control in dataset.controls)
+    wanted = tuple(f"omega{control.removeprefix('motor')}" for control in motor_commands(dataset))
     return wanted if dataset.kind == "multirotor" and _every_flight_has(dataset, wanted) else ()
 
 

@@ -20,7 +20,7 @@ from rotorid_torch.model.gusts import GUSTS, FedGusts
 from rotorid_torch.model.inflow import CYCLIC, INDUCED, CyclicInflow, Inflow
 from rotorid_torch.model.linear_equations import LinearBlock
 from rotorid_torch.model.model import Body, Model
-from rotorid_torch.model.rotors import Disturbance, Rotors, RotorSpeed, Telemetry, hover_input
+from rotorid_torch.model.rotors import Disturbance, Rotors, RotorSpeed, Surfaces, Telemetry, hover_input
 
 PRIOR_SPAN = 5.0
 """A trim, or a derivative times its regressor's rms, may reach this many times its row's rms before the prior minds."""
@@ -74,12 +74,20 @@ def _as_specified(declared: Parameter, name: str, spec: ModelSpec) -> Parameter:
 def _multirotor(spec: ModelSpec) -> Sequence[Effect]:
     """Rotors at their places; where their speeds are measured, also what the commands make of these."""
     body: list[Effect]
-    body, speeds = [Rotors(spec, PRIOR_SPAN), Disturbance(spec.sizes)], spec.driven
+    body, speeds = [Rotors(spec, PRIOR_SPAN), *_surfaces(spec), Disturbance(spec.sizes)], spec.driven
     if not speeds[0].startswith("omega"):
         return body
-    at = sum(spec.reference[name] for name in spec.controls) / len(spec.controls)
-    telemetry = Telemetry(spec.controls, speeds, hover_input(spec) / at)
-    return [RotorSpeed(spec.controls, at), *body, telemetry]
+    at = sum(spec.reference[name] for name in spec.commands) / len(spec.commands)
+    telemetry = Telemetry(spec.commands, speeds, hover_input(spec) / at)
+    return [RotorSpeed(spec.commands, at), *body, telemetry]
+
+
+def _surfaces(spec: ModelSpec) -> list[Effect]:
+    """Free derivatives of every equation by the controls that are no motors."""
+    if not spec.surfaces:
+        return []
+    declared = [p for row in rows(spec) for p in _row(spec, row, UNITS[row], spec.surfaces)[1:]]
+    return [Surfaces(rows(spec), spec.surfaces, declared, spec.reference)]
 
 
 def thrust(spec: ModelSpec) -> float:
@@ -104,16 +112,16 @@ def _forces(spec: ModelSpec) -> LinearForces:
 def _block(spec: ModelSpec, names: Sequence[str], unit: str) -> LinearBlock:
     present = {c for r in names for c in spec.patterns[r]}
     columns = [c for c in (*VELOCITIES, *RATES, *FLAPPING, *spec.controls, INDUCED, *CYCLIC) if c in present]
-    declared = [p for r in names for p in _row(spec, r, UNITS.get(r, unit))]
+    declared = [p for r in names for p in _row(spec, r, UNITS.get(r, unit), spec.patterns[r])]
     return LinearBlock(names, columns, spec.patterns, declared)
 
 
-def _row(spec: ModelSpec, row: str, unit: str) -> list[Parameter]:
+def _row(spec: ModelSpec, row: str, unit: str, columns: Sequence[str]) -> list[Parameter]:
     """Trim and derivatives of one equation, with priors scaled by the excursions of row and regressor."""
     size = spec.sizes.get(f"row.{row}", 1.0)
     trim = spec.reference.get(f"{row}.trim", 0.0)
     parameters = [Parameter(f"{row}.trim", trim, unit, prior_sd=PRIOR_SPAN * size, doc="value at the reference")]
-    for column in spec.patterns[row]:
+    for column in columns:
         per = SIGNAL_UNITS.get(column) or spec.control_units.get(column, "1")
         sd = PRIOR_SPAN * size / max(spec.sizes.get(column, 1.0), 1e-12)
         bounds = (-FASTEST, 0.0) if (row, column) in DAMPING and FLAPPING[0] not in spec.patterns[row] else EVERYTHING

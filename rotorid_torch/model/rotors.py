@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor
@@ -142,6 +142,37 @@ def _trims(spec: ModelSpec, span: float) -> tuple[Parameter, ...]:
         )
         for row in rows
     )
+
+
+class Surfaces(Effect):
+    """Elevons and whatever else moves beside the motors: forces and moments linear in each, about the reference.
+
+    Source: Morelli and Klein, Aircraft System Identification (2nd ed.), sec. 3.3 (control derivatives).
+    """
+
+    id, stage, role = "surfaces", Stage.FORCES, Role.NOMINAL
+
+    def __init__(
+        self,
+        rows: Sequence[str],
+        controls: tuple[str, ...],
+        declared: Sequence[Parameter],
+        reference: Mapping[str, float],
+    ) -> None:
+        super().__init__(tuple(declared))
+        self.rows, self.controls = tuple(rows), controls
+        self.at = [reference.get(name, 0.0) for name in controls]
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Adds what the deflections do."""
+        away = frame.stack(self.controls)
+        away = away - away.new_tensor(self.at)
+        zero = torch.zeros_like(away[..., 0])
+        sums = [
+            (p.stack(*(f"{row}.{c}" for c in self.controls)) * away).sum(-1) if row in self.rows else zero
+            for row in (*FORCES, *MOMENTS)
+        ]
+        return frame.add(vec(*sums[:3]), vec(*sums[3:])), x
 
 
 class RotorSpeed(Effect):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from rotorid_torch.core.names import ATTITUDES, FLAPPING, MOMENTS, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
@@ -23,6 +23,8 @@ TILTED = 0.1
 """m/s2 by which flights' constants along x and y differ at least to be worth a sentence: a tilt of 0.6 degrees."""
 LIFTED = 0.02
 """The same of the thrust, over the weight."""
+LEVER = 0.05
+"""Share of the arm below which a motor does not turn the vehicle about an axis."""
 CYCLIC = {"a1": "lon", "b1": "lat"}
 
 
@@ -55,7 +57,7 @@ def _of_places(spec: ModelSpec) -> str:
     lost = f"{' '.join(unknown)} not testable, for little of the angular acceleration goes with the motors"
     if not found:
         return f"{start}thrust acts along -z; {lost}"
-    each = [f"{name} {_stands(m, found)}" for name, m in zip(spec.controls, spec.motors, strict=True)]
+    each = [f"{name} {_stands(m, found)}" for name, m in zip(spec.commands, spec.motors, strict=True)]
     share = ", ".join(f"{row} {r2:.2f}" for row, r2 in found.items())
     said = f"{start}found from the flights (R² of {share}): {', '.join(each)}; arms over inertia alone are known"
     return f"{said}; {lost}" if unknown else said
@@ -101,6 +103,7 @@ def of_rotors(spec: ModelSpec, fit: FitRecord) -> Iterator[str]:
             " holds the rates; commands that a rate controller makes faster than they were recorded, or streams that"
             " do not belong together in time, look like that"
         )
+        yield from _without_lever(spec, silent)
     if not powers_declared(spec):
         return
     assert spec.inertia is not None
@@ -121,6 +124,19 @@ def of_rotors(spec: ModelSpec, fit: FitRecord) -> Iterator[str]:
                 f" {declared / power:.3g} kg m² ({100 * (1 / power - 1):+.0f} %) would explain it, if mass and arms are"
                 " right and no lag is missing"
             )
+
+
+def _without_lever(spec: ModelSpec, silent: Sequence[str]) -> Iterator[str]:
+    """Moments that no rotor makes where it stands: a control that was not recorded must."""
+    places = [m.position for m in spec.motors]
+    levers = {"L": [y for _, y, _ in places], "M": [x for x, _, _ in places]}
+    arm = max((math.hypot(x, y) for x, y, _ in places), default=0.0)
+    never = [row for row in silent if row in levers and max(map(abs, levers[row])) < LEVER * arm]
+    if never and spec.found_places is None and not spec.surfaces:
+        yield (
+            f"no motor turns the vehicle in {' '.join(never)} where it stands: what does is not recorded (elevons,"
+            " tilting servos), and these moments cannot be explained without it"
+        )
 
 
 def of_constants(spec: ModelSpec, fit: FitRecord) -> Iterator[str]:

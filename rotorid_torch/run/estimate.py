@@ -97,15 +97,16 @@ def estimated(
     return spec, model, regressions, estimate
 
 
-def _held(rows: Iterable[str]) -> list[str]:
+def _held(spec: ModelSpec, rows: Iterable[str]) -> list[str]:
     """Parameters of moments that are not explained."""
-    return [f"rotors.{kind}.{row}" for row in rows for kind in ("power", "trim")]
+    own = [f"rotors.{kind}.{row}" for row in rows for kind in ("power", "trim")]
+    return [*own, *(f"surfaces.{row}.{control}" for row in rows for control in spec.surfaces)]
 
 
 def _open(spec: ModelSpec) -> ModelSpec:
     """The structure with every moment free: what a poorer model does not explain this one may."""
-    free = {n: value for n, value in spec.free.items() if n not in _held(MOMENTS)}
-    values = {n: value for n, value in spec.values.items() if n not in _held(MOMENTS) or value != 0.0}
+    free = {n: value for n, value in spec.free.items() if n not in _held(spec, MOMENTS)}
+    values = {n: value for n, value in spec.values.items() if n not in _held(spec, MOMENTS) or value != 0.0}
     return msgspec.structs.replace(spec, free=free, values=values)
 
 
@@ -122,7 +123,7 @@ def _reduced(spec: ModelSpec, model: Model, regressions: ModelRegression, datase
     little = [row for row in MOMENTS if r2[row] < EXPLAINED or row in wrong]
     ahead = little if len(little) == len(MOMENTS) else unexplained_moments(model, _first(dataset))
     rows = [row for row in MOMENTS if row in {*little, *ahead}]
-    held = _held(rows)
+    held = _held(spec, rows)
     return msgspec.structs.replace(
         spec, free={**spec.free, **dict.fromkeys(held, False)}, values={**spec.values, **dict.fromkeys(held, 0.0)}
     )

@@ -253,7 +253,12 @@ def _chance(misfit: Tensor, freedom: int) -> float:
 def out_of_balance(
     model: Model, spec: ModelSpec, dataset: Dataset, unseen: Sequence[str]
 ) -> tuple[Finding | None, Unknown | None]:
-    """A finding about the centre of gravity or a rotor, and what else is missing; None where nothing is."""
+    """A finding about the centre of gravity or a rotor, and what else is missing; None where nothing is.
+
+    Nothing is said where surfaces balance the moments beside the rotors.
+    """
+    if spec.surfaces:
+        return None, None
     identified, new = balances(model, spec, dataset, dataset.identify), balances(model, spec, dataset, unseen)
     if not identified or not new:
         return None, None

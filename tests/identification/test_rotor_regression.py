@@ -29,14 +29,19 @@ MOTORS = [
     for at, s in zip(PLACES, SPINS, strict=True)
 ]
 HOVER = float(np.sqrt((MASS * G / 4 - 0.2) / 1.5))
+COMMANDS = ("motor1", "motor2", "motor3", "motor4")
 EFFECTS = ("propulsion.motor_lag", "control.delay", "propulsion.rotor_inertia")
 
 
-def flown(seed: int, samples: int = 1600, voltage: np.ndarray | None = None) -> dict[str, np.ndarray]:
+def flown(
+    seed: int, samples: int = 1600, voltage: np.ndarray | None = None, pitching: np.ndarray | None = None
+) -> dict[str, np.ndarray]:
     """Rates and specific force under random commands and a rate controller; rotors lag and their commands are late.
 
-    voltage : of the battery [samples], over the usual one; commands count times it.
+    voltage : of the battery [samples], over the usual one; commands count times it. pitching : angular acceleration
+    [samples] by something else.
     """
+    other = np.zeros((samples, 3)) if pitching is None else np.outer(pitching, [0.0, 1.0, 0.0])
     share = np.ones(samples) if voltage is None else voltage
     rng = np.random.default_rng(seed)
     mix = np.stack([np.ones(4), -np.sign(PLACES[:, 1]), np.sign(PLACES[:, 0]), SPINS], axis=1)
@@ -49,7 +54,7 @@ def flown(seed: int, samples: int = 1600, voltage: np.ndarray | None = None) -> 
         thrust = 0.2 + 1.5 * reached**2
         seen.append([*measured, -thrust.sum() / MASS])
         commands.append(HOVER + mix @ (pushed[k] - np.array([0.0, *(measured * [0.01, 0.01, 0.05])])))
-        rates = rates + DT * (ARMS @ thrust) / INERTIA
+        rates = rates + DT * ((ARMS @ thrust) / INERTIA + other[k])
         reached = a * reached + (1 - a) * commands[max(0, k - behind)] * share[max(0, k - behind)]
     noisy = np.array(seen) + rng.standard_normal((samples, 4)) * np.array([0.01, 0.01, 0.01, 0.02])
     channels = dict(zip(("p", "q", "r", "az"), noisy.T, strict=True))
@@ -62,12 +67,20 @@ def dataset() -> Dataset:
     return recorded({name: flown(k) for k, name in enumerate(("one", "two", "three"))})
 
 
-def recorded(flights: dict[str, dict[str, np.ndarray]], vehicle: dict[str, Any] | None = None) -> Dataset:
+def recorded(
+    flights: dict[str, dict[str, np.ndarray]], vehicle: dict[str, Any] | None = None, **options: Any
+) -> Dataset:
     declared = {"mass": MASS, "inertia": np.diag(INERTIA * 1.25).tolist(), "motors": MOTORS, "gravity": G}
     vehicle = declared if vehicle is None else vehicle
     noise = {c: {"noise": sd} for c, sd in (("p", 0.01), ("q", 0.01), ("r", 0.01), ("az", 0.02))}
     return Dataset.from_arrays(
-        flights, identify=["one", "two"], validate=["three"], kind="multirotor", vehicle=vehicle, channels=noise
+        flights,
+        identify=["one", "two"],
+        validate=["three"],
+        kind="multirotor",
+        vehicle=vehicle,
+        channels=noise,
+        **options,
     )
 
 
@@ -120,6 +133,20 @@ def test_a_moment_that_a_poorer_model_does_not_explain_is_free_again_in_a_richer
     assert power == pytest.approx(1.25, rel=0.1)
 
 
+@pytest.mark.parametrize("places", [True, False])
+def test_an_elevon_is_a_control_of_its_own_beside_the_motors(places: bool):
+    flights = {}
+    for k, name in enumerate(("one", "two", "three")):
+        deflection = 0.1 * np.sin(np.arange(1600) * DT * (5.0 + k)) * np.cos(np.arange(1600) * DT * 2.0)
+        flights[name] = flown(k, pitching=40.0 * deflection) | {"lon": deflection}
+    data = recorded(flights, None if places else {"mass": MASS}, controls={"lon": {"unit": "rad"}})
+    run = rotorid.identify(data, effects=EFFECTS[:2])
+    values = {p.name: p.value for p in run.parameters}
+    assert values["surfaces.M.lon"] == pytest.approx(40.0, rel=0.1)
+    assert abs(values["surfaces.L.lon"] or 0.0) < 4.0
+    assert not any(name.startswith("surfaces.X") for name in values)
+
+
 def test_motors_that_warm_are_not_taken_for_a_battery():
     """Thrust is lost along every flight beside what the falling voltage takes: a trend of the flight's own."""
     time, flights = np.linspace(-0.5, 0.5, 1600), {}
@@ -152,7 +179,7 @@ def test_what_is_missing_for_a_moment_is_missing_for_a_moment():
 
 def test_places_that_are_not_declared_are_found_from_the_flights():
     flights = {name: flown(k) for k, name in enumerate(("one", "two", "three"))}
-    mixer = find_mixer(recorded(flights, vehicle={}), ())
+    mixer = find_mixer(recorded(flights, vehicle={}), COMMANDS)
     assert set(mixer.explained) == {"L", "M", "N"}
     right = np.stack([-PLACES[:, 1], PLACES[:, 0], 0.1 * SPINS], axis=1) / 0.1
     np.testing.assert_allclose(mixer.shares.numpy(), right, atol=0.3)
@@ -172,7 +199,7 @@ def test_motors_of_unknown_places_thrust_along_z_and_moments_are_testable_where_
     told = run.fit.flights["three"].responses
     assert min(told[a].r2_without_constant or 0.0 for a in ("pdot", "qdot", "az")) > 0.8
     still = {n: {**f, "p": f["r"] * 0.0 + 1e-3, "q": f["r"][::-1].copy()} for n, f in flights.items()}
-    assert not {"L", "M"} & set(find_mixer(recorded(still, vehicle={}), ()).explained)
+    assert not {"L", "M"} & set(find_mixer(recorded(still, vehicle={}), COMMANDS).explained)
 
 
 RADIUS, ABOVE = 0.3, 0.05

@@ -95,6 +95,17 @@ def test_moments_that_commands_do_not_explain_are_not_testable():
     assert said.startswith("N not testable")
 
 
+def test_a_tail_sitter_without_its_elevons_says_what_is_missing():
+    pair = tuple(
+        msgspec.structs.replace(m, position=(0.0, y, 0.0))
+        for m, y in zip(MULTIROTOR.motors[:2], (0.1, -0.1), strict=True)
+    )
+    spec = msgspec.structs.replace(MULTIROTOR, controls=("motor1", "motor2"), motors=pair)
+    silent, missing = limits.of_rotors(spec, powers(L=1.0, M=None, N=1.0))  # pyright: ignore[reportArgumentType]
+    assert silent.startswith("M not testable")
+    assert missing.startswith("no motor turns the vehicle in M where it stands")
+
+
 @pytest.mark.parametrize(
     ("cone", "tilt", "doubt", "told"),
     [

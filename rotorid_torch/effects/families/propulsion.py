@@ -20,11 +20,6 @@ LEAST_VOLTAGE = 0.05
 """Share of the reference below which a voltage is a fault of its sensor."""
 
 
-def motors_of(spec: ModelSpec) -> tuple[str, ...]:
-    """Names of the motor commands."""
-    return tuple(c for c in spec.controls if is_motor(c))
-
-
 @register
 class MotorLag(Effect):
     """Motors that follow their commands late: tau dm/dt = command - m, the same for all.
@@ -43,7 +38,7 @@ class MotorLag(Effect):
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> MotorLag:
         """For the motor commands among the controls."""
-        return cls(motors_of(spec))
+        return cls(spec.commands)
 
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Controls [..., T, nu], motor commands behind the lag."""
@@ -71,7 +66,7 @@ class Voltage(Effect):
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> Voltage:
         """About the reference voltage."""
-        return cls(motors_of(spec), spec.reference["voltage"])
+        return cls(spec.commands, spec.reference["voltage"])
 
     @classmethod
     def untestable(cls, spec: ModelSpec) -> str | None:
@@ -124,7 +119,7 @@ class RotorInertia(Effect):
     @classmethod
     def untestable(cls, spec: ModelSpec) -> str | None:
         """Without motors or their spins."""
-        spins = None if len(spec.spins) == len(motors_of(spec)) else "the spins of the motors are not declared"
+        spins = None if len(spec.spins) == len(spec.commands) else "the spins of the motors are not declared"
         return first(no_motors(spec), spins)
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:

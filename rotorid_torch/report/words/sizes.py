@@ -63,4 +63,5 @@ def _sureness(p: ParameterRecord) -> float:
 def _size(effect: str, p: ParameterRecord) -> str:
     label = p.name.removeprefix(f"{effect}.")
     words = words_of(effect).sizes.get(label.rpartition(".")[2]) or f"{label} {{}}"
-    return words.replace("{}", size(p.value or 0.0, p.se, p.unit))
+    unit = "" if label.endswith("exponent") else p.unit  # no share, though it has no unit
+    return words.replace("{}", size(p.value or 0.0, p.se, unit))
