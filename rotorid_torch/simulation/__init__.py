@@ -1,10 +1,10 @@
 """The flight-test aircraft: a simulator with equations of its own that flies manoeuvres and writes data sets.
 
-Read `flight_test` (what `rotorid fly` does, from an aircraft to a data set) and `effects` (what can be hidden in the
-aircraft), then the chapters: `vehicles/` (the file that describes an aircraft), `helicopter/` (its parts), `flight/`
-(how it moves, is trimmed, steered and measured), `multiblade/` (many different helicopters at once, in multi-blade
-coordinates), `multirotor/` (multirotors, whole), `drawn/` (clean aircraft like that of a data set). No equation is
-shared with `model` or `effects`.
+Read `flight_test` (what `rotorid fly` does, from an aircraft to a data set), `effects` (what can be hidden in the
+aircraft) and `rigid` (kinematics that all share), then the chapters: `vehicles/` (the file that describes an aircraft),
+`helicopter/` (its parts), `flight/` (how it moves, is trimmed, steered and measured), `multiblade/` (many different
+helicopters at once, in multi-blade coordinates), `multirotor/` (multirotors, whole), `drawn/` (clean aircraft like that
+of a data set). No equation is shared with `model` or `effects`.
 """
 
 from rotorid_torch.simulation.effects import EFFECT_CLASSES as EFFECT_CLASSES

@@ -18,6 +18,7 @@ from rotorid_torch.simulation.helicopter.atmosphere import Turbulence
 from rotorid_torch.simulation.helicopter.control_path import ControlPath
 from rotorid_torch.simulation.helicopter.sensor_errors import GYROS, VibrationLine
 from rotorid_torch.simulation.helicopter.slung_load import SlungLoad
+from rotorid_torch.simulation.rigid import three
 
 EffectClass = Literal["identifiable", "absorbed"]
 
@@ -108,7 +109,7 @@ def _drag(aircraft: Aircraft, size: float) -> Aircraft:
 def _quadratic_damping(aircraft: Aircraft, size: float) -> Aircraft:
     """Plates far out: 1.5 rad/s^2 at 1 rad/s in roll and yaw, 1 in pitch."""
     each = np.diag(aircraft.inertia_matrix) * [1.5, 1.0, 1.5] * size
-    return replace(aircraft, quadratic_damping=_three(each) if size else aircraft.quadratic_damping)
+    return replace(aircraft, quadratic_damping=three(each) if size else aircraft.quadratic_damping)
 
 
 def _tail_interference(aircraft: Aircraft, size: float) -> Aircraft:
@@ -122,7 +123,7 @@ def _wind(aircraft: Aircraft, size: float) -> Aircraft:
     """6 m/s from 40 degrees, right of a nose that points north."""
     sense = -1.0 if aircraft.clockwise else 1.0
     to = WIND * size * np.array([-np.cos(np.deg2rad(40.0)), -sense * np.sin(np.deg2rad(40.0)), 0.0])
-    return replace(aircraft, wind=_three(np.asarray(aircraft.wind or (0.0, 0.0, 0.0)) + to) if size else aircraft.wind)
+    return replace(aircraft, wind=three(np.asarray(aircraft.wind or (0.0, 0.0, 0.0)) + to) if size else aircraft.wind)
 
 
 WIND = 6.0  # m/s
@@ -137,8 +138,8 @@ def _vibration(aircraft: Aircraft, size: float) -> Aircraft:
     """Lines at 1/rev (track and balance) and at N/rev."""
     if not size:
         return aircraft
-    once = VibrationLine(1, _three(size * np.array([0.12, 0.18, 0.15])), _three(size * np.array([0.006, 0.004, 0.003])))
-    passing = _three(size * np.array([0.35, 0.45, 0.7])), _three(size * np.array([0.010, 0.007, 0.006]))
+    once = VibrationLine(1, three(size * np.array([0.12, 0.18, 0.15])), three(size * np.array([0.006, 0.004, 0.003])))
+    passing = three(size * np.array([0.35, 0.45, 0.7])), three(size * np.array([0.010, 0.007, 0.006]))
     return _sensors(aircraft, vibration=(once, VibrationLine(aircraft.rotor.blades, *passing)))
 
 
@@ -157,7 +158,7 @@ def _cg(aircraft: Aircraft, size: float) -> Aircraft:
     shift = np.array([0.02, 0.005, 0.0]) * aircraft.rotor.radius * size
 
     def moved(part: Any, name: str) -> Any:
-        return replace(part, **{name: _three(np.asarray(getattr(part, name)) - shift)})
+        return replace(part, **{name: three(np.asarray(getattr(part, name)) - shift)})
 
     parts = {name: moved(getattr(aircraft, name), "position") for name in ("tail", "fuselage", "fin", "tailplane")}
     parts["rotor"] = moved(aircraft.rotor, "hub")
@@ -168,7 +169,7 @@ def _cg(aircraft: Aircraft, size: float) -> Aircraft:
 
 def _inertia(aircraft: Aircraft, size: float) -> Aircraft:
     """15 % more inertia about all axes."""
-    return replace(aircraft, inertia=tuple(_three((1.0 + 0.15 * size) * row) for row in aircraft.inertia_matrix))
+    return replace(aircraft, inertia=tuple(three((1.0 + 0.15 * size) * row) for row in aircraft.inertia_matrix))
 
 
 def _slung_load(aircraft: Aircraft, size: float) -> Aircraft:
@@ -176,7 +177,7 @@ def _slung_load(aircraft: Aircraft, size: float) -> Aircraft:
     if not size:
         return aircraft
     radius = aircraft.rotor.radius
-    hook = _three(np.add(aircraft.reference, (0.0, 0.0, 0.15 * radius)))
+    hook = three(np.add(aircraft.reference, (0.0, 0.0, 0.15 * radius)))
     load = SlungLoad(0.08 * size * all_mass(aircraft), radius, hook, drag_area=0.02 * radius**2, damping=0.05)
     return replace(aircraft, load=load)
 
@@ -190,7 +191,7 @@ def _sensors(aircraft: Aircraft, **changes: Any) -> Aircraft:
         if isinstance(change, Mapping):
             joined[name] = {**earlier, **change}
         else:
-            joined[name] = earlier + change if name == "vibration" else _three(np.asarray(earlier) + change)
+            joined[name] = earlier + change if name == "vibration" else three(np.asarray(earlier) + change)
     return replace(aircraft, sensors=replace(errors, **joined))
 
 
@@ -218,11 +219,6 @@ def _sensor_vector(name: str, typical: tuple[float, float, float]) -> Callable[[
         return _sensors(aircraft, **{name: np.asarray(typical) * size})
 
     return change
-
-
-def _three(values: Any) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
 
 
 LOW_PASS = (25.0, 0.7)  # rad/s and damping: 56 ms late at low frequencies

@@ -19,7 +19,7 @@ from rotorid_torch.simulation.flight.runge_kutta import runge_kutta
 from rotorid_torch.simulation.flight.simulation import FlightHistory
 from rotorid_torch.simulation.flight.trim import STEP_ANGLE, Trim
 from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES, CONTROLS, RATES, Aircraft
-from rotorid_torch.simulation.helicopter.section import Array
+from rotorid_torch.simulation.rigid import Array
 
 ONSET = 6.0  # s
 LEFT, SLIP = 0.5, 0.015  # part of a slipped control's deviation that arrives; shift as a part of its range

@@ -24,8 +24,8 @@ from rotorid_torch.simulation.drawn.tracking import Followed, Tapes, follow, tap
 from rotorid_torch.simulation.flight.sensors import MIRRORED, Channels
 from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES
 from rotorid_torch.simulation.helicopter.atmosphere import Air, gusts_of
-from rotorid_torch.simulation.helicopter.section import Array
 from rotorid_torch.simulation.multiblade.priors import KINDS, pick_kind
+from rotorid_torch.simulation.rigid import Array
 
 TRIES = 6  # aircraft drawn for one number, at most
 TOGETHER = 1_300_000  # samples of all flights that fly side by side

@@ -20,10 +20,10 @@ from rotorid_torch.data.schema import Vehicle
 from rotorid_torch.simulation.drawn.resemblance import Evidence, mirrored, rotor_moves
 from rotorid_torch.simulation.drawn.resemblance import reference as trim_of
 from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES
-from rotorid_torch.simulation.helicopter.section import Array
 from rotorid_torch.simulation.multiblade.craft import Craft
 from rotorid_torch.simulation.multiblade.priors import Kind, Number, build, numbers, reference
 from rotorid_torch.simulation.multiblade.trim import Trims, find_trims, linearise
+from rotorid_torch.simulation.rigid import Array
 
 ROUNDS, WORTH = 6, 0.95  # Gauss-Newton steps, while each of them takes the cost below this share
 LOST = 1e3  # what every entry is off, in tolerances, where there is no trim

@@ -14,10 +14,11 @@ import numpy as np
 from rotorid_torch.core.names import SPECIFIC_FORCES
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.schema import Vehicle
-from rotorid_torch.simulation.multirotor.craft import Array, Battery, Drive, Multirotor, Propeller
+from rotorid_torch.simulation.multirotor.craft import Battery, Drive, Multirotor, Propeller
 from rotorid_torch.simulation.multirotor.flight import Fleet, Hover
 from rotorid_torch.simulation.multirotor.hidden import felt_per_speed
 from rotorid_torch.simulation.multirotor.rotor import Blades
+from rotorid_torch.simulation.rigid import Array
 
 SHORT_CUT = 0.378
 """What the controller's filter leaves of a sample of its gyros' noise."""

@@ -21,11 +21,11 @@ from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.schema import Motor, Vehicle
 from rotorid_torch.simulation.drawn.data_sets import in_memory
 from rotorid_torch.simulation.drawn.multirotor_draws import Hovering, draw, hovering, noise_of
-from rotorid_torch.simulation.helicopter.slung_load import to_earth
 from rotorid_torch.simulation.multirotor.channels import Channels, declared_motors, true_channels
 from rotorid_torch.simulation.multirotor.control import ROWS, Targets
-from rotorid_torch.simulation.multirotor.craft import Array, Multirotor
-from rotorid_torch.simulation.multirotor.flight import Fleet, Record, Task, fly_fleet
+from rotorid_torch.simulation.multirotor.craft import Multirotor
+from rotorid_torch.simulation.multirotor.flight import Fleet, FleetHistory, Task, fly_fleet
+from rotorid_torch.simulation.rigid import Array, to_earth
 
 QUICK, SLOW, SLOWER = 10.0, 2.5, 1.0
 """Hz: up to which body rates are followed, measured velocities, and velocities by measured places."""
@@ -248,7 +248,7 @@ def _held(tape: Array, steps: int) -> Array:
     return np.concatenate([tape, np.repeat(tape[..., -1:], more, axis=-1)], axis=-1) if more > 0 else tape[..., :steps]
 
 
-def _misfit(record: Record, courses: Sequence[_Course], place: Sequence[int]) -> float:
+def _misfit(record: FleetHistory, courses: Sequence[_Course], place: Sequence[int]) -> float:
     """Rms of the difference of the body rates from those followed, over the latter's; not a number: flown away."""
     off, size = 0.0, 0.0
     for course, at in zip(courses, place, strict=True):
@@ -262,7 +262,7 @@ def _misfit(record: Record, courses: Sequence[_Course], place: Sequence[int]) ->
 
 def _measured(
     craft: Multirotor,
-    record: Record,
+    record: FleetHistory,
     at: int,
     course: _Course,
     noise: Mapping[str, float],

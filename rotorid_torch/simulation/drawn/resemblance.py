@@ -15,8 +15,8 @@ import numpy as np
 from rotorid_torch.data import Dataset
 from rotorid_torch.simulation.flight.sensors import MIRRORED
 from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES
-from rotorid_torch.simulation.helicopter.section import Array
 from rotorid_torch.simulation.multiblade.trim import Complex
+from rotorid_torch.simulation.rigid import Array
 
 ROWS = ("X", "Y", "Z", "L", "M", "N", "omega")
 COLUMNS = ("u", "v", "w", "p", "q", "r", *CONTROL_NAMES)

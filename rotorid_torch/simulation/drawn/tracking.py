@@ -14,10 +14,10 @@ from scipy.ndimage import gaussian_filter1d
 from rotorid_torch.simulation.drawn.draws import DrawnAircraft, Prior, level_velocity
 from rotorid_torch.simulation.drawn.resemblance import Recorded
 from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES
-from rotorid_torch.simulation.helicopter.section import Array
 from rotorid_torch.simulation.multiblade.craft import BODY, EULER, FLAP, PLACE, SPEED, TORQUE
 from rotorid_torch.simulation.multiblade.dynamics import respond
 from rotorid_torch.simulation.multiblade.trim import find_trims, linearise
+from rotorid_torch.simulation.rigid import Array
 
 FED = ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi")
 VELOCITY, RATES = slice(0, 3), slice(3, 6)

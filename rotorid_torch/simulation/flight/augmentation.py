@@ -8,7 +8,7 @@ import numpy as np
 
 from rotorid_torch.simulation.flight.linear import LinearAircraft
 from rotorid_torch.simulation.helicopter.aircraft import EULER, RATES
-from rotorid_torch.simulation.helicopter.section import Array
+from rotorid_torch.simulation.rigid import Array
 
 FEEDBACK = slice(RATES.start, EULER.stop)
 """Rows of the state that are fed back: p q r phi theta psi."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from rotorid_torch.simulation.flight.motion import Outside, blade_angles, ground_part, moving_air
 from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES, EULER, Aircraft
-from rotorid_torch.simulation.helicopter.section import Array
+from rotorid_torch.simulation.rigid import Array
 
 
 def hidden_signals(aircraft: Aircraft, x: Array, dx: Array, outside: Outside) -> dict[str, Array]:

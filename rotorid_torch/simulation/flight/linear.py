@@ -14,7 +14,7 @@ from scipy.linalg import logm
 
 from rotorid_torch.simulation.flight.trim import Trim, passage, passage_time, unknown_rows, with_held_speed
 from rotorid_torch.simulation.helicopter.aircraft import CONTROLS, Aircraft
-from rotorid_torch.simulation.helicopter.section import Array
+from rotorid_torch.simulation.rigid import Array
 
 BODY_STATES = ("u", "v", "w", "p", "q", "r", "phi", "theta")
 

@@ -11,7 +11,7 @@ import numpy as np
 from rotorid_torch.core.names import nearest
 from rotorid_torch.errors import InputError
 from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES
-from rotorid_torch.simulation.helicopter.section import Array
+from rotorid_torch.simulation.rigid import Array
 
 QUIET = 1.0  # s before the input starts
 UNIT, HALF = 0.8, 1.2  # s: unit of the 3-2-1-1, half of a doublet

@@ -32,14 +32,12 @@ from rotorid_torch.simulation.helicopter.rotor import (
     air_loads,
     blade_motion,
     blade_rates,
-    cross,
-    dot,
     root_loads,
     tilting,
 )
-from rotorid_torch.simulation.helicopter.section import Array
-from rotorid_torch.simulation.helicopter.slung_load import Pull, Surroundings, cable_pull, swing_rates, to_earth, turned
+from rotorid_torch.simulation.helicopter.slung_load import Pull, Surroundings, cable_pull, swing_rates
 from rotorid_torch.simulation.helicopter.tail import tail_rotor
+from rotorid_torch.simulation.rigid import Array, body_rates, cross, dot, to_earth, turned
 
 
 @dataclass(frozen=True)
@@ -104,7 +102,7 @@ def rates(aircraft: Aircraft, x: Array, command: Array, outside: Outside = STILL
     root = root_loads(rotor, motion, air, rotor.to_shaft @ centripetal)
     pull = _pull(aircraft, x, air_motion)
     balance = _solve(aircraft, x, root, force, moment, pull)
-    _kinematics(aircraft, x, balance, dx)
+    dx[:12] = body_rates(x[:12], balance.specific_force, balance.angular, aircraft.gravity)
     _drive(aircraft, x, balance, dx)
     if aircraft.load is not None and pull is not None:
         earth = to_earth(x[EULER])
@@ -252,22 +250,6 @@ def _jacobian(arm: Array, root: RootLoads, up: Array) -> Array:
     rows[:, :, 3, 3:6] = heavy * cross(arm, root.d).transpose(2, 1, 0)
     rows[:, :, 3, 6] = heavy * dot(swing, root.d).T
     return rows.reshape(flights, 4 * blades, 7)
-
-
-def _kinematics(aircraft: Aircraft, x: Array, balance: Motion, dx: Array) -> None:
-    """Rates of velocity, body rates, Euler angles and position."""
-    velocity, omega = x[BODY], x[RATES]
-    (phi, theta, psi), (u, v, w), (p, q, r) = x[EULER], velocity, omega
-    cp, sp, ct, st, cs, ss = np.cos(phi), np.sin(phi), np.cos(theta), np.sin(theta), np.cos(psi), np.sin(psi)
-    dx[BODY] = balance.specific_force - cross(omega, velocity)
-    dx[0] -= aircraft.gravity * st
-    dx[1] += aircraft.gravity * ct * sp
-    dx[2] += aircraft.gravity * ct * cp
-    dx[RATES] = balance.angular
-    turning = q * sp + r * cp
-    dx[6], dx[7], dx[8] = p + turning * st / ct, q * cp - r * sp, turning / ct
-    level, side = u * ct + (v * sp + w * cp) * st, v * cp - w * sp
-    dx[9], dx[10], dx[11] = level * cs - side * ss, level * ss + side * cs, u * st - (v * sp + w * cp) * ct
 
 
 def _drive(aircraft: Aircraft, x: Array, balance: Motion, dx: Array) -> None:

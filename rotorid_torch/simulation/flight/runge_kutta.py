@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from rotorid_torch.simulation.helicopter.section import Array
+from rotorid_torch.simulation.rigid import Array
 
 Slope = Callable[[Array, Array], Array]
 """slope(x, u): rates of the states x [states, flight] under the inputs u [inputs, flight]."""

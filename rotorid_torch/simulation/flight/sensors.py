@@ -8,9 +8,8 @@ import numpy as np
 
 from rotorid_torch.simulation.flight.simulation import FlightHistory
 from rotorid_torch.simulation.helicopter.aircraft import AZIMUTH, BLADES, CONTROL_NAMES, CONTROLS, SPEED, Aircraft
-from rotorid_torch.simulation.helicopter.section import Array
 from rotorid_torch.simulation.helicopter.sensor_errors import readings
-from rotorid_torch.simulation.helicopter.slung_load import to_earth
+from rotorid_torch.simulation.rigid import Array, to_earth
 
 Channels = dict[str, Array]
 

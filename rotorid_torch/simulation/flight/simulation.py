@@ -16,7 +16,7 @@ from rotorid_torch.simulation.flight.trim import STEP_ANGLE, Trim
 from rotorid_torch.simulation.helicopter.aircraft import CONTROLS, EULER, PLACE, Aircraft
 from rotorid_torch.simulation.helicopter.atmosphere import Passage, gusts
 from rotorid_torch.simulation.helicopter.control_path import History
-from rotorid_torch.simulation.helicopter.section import Array
+from rotorid_torch.simulation.rigid import Array
 
 Progress = Callable[[int, int], None]
 """progress(done, total) in samples."""

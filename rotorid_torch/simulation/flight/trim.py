@@ -27,7 +27,7 @@ from rotorid_torch.simulation.helicopter.aircraft import (
     TORQUE,
     Aircraft,
 )
-from rotorid_torch.simulation.helicopter.section import Array
+from rotorid_torch.simulation.rigid import Array
 
 STEP_ANGLE = np.deg2rad(5.1)  # largest azimuth step; two steps per sample at 27 rad/s and 154 Hz
 

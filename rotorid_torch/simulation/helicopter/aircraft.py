@@ -15,10 +15,10 @@ from rotorid_torch.simulation.helicopter.atmosphere import Turbulence
 from rotorid_torch.simulation.helicopter.control_path import ControlPath
 from rotorid_torch.simulation.helicopter.inflow import PLAIN, Wake
 from rotorid_torch.simulation.helicopter.rotor import Rotor, skew
-from rotorid_torch.simulation.helicopter.section import Array
 from rotorid_torch.simulation.helicopter.sensor_errors import SensorErrors
 from rotorid_torch.simulation.helicopter.slung_load import SlungLoad
 from rotorid_torch.simulation.helicopter.tail import TailRotor
+from rotorid_torch.simulation.rigid import Array
 
 BODY, RATES, EULER, PLACE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 CONTROLS, INFLOW, TAIL_INFLOW = slice(12, 16), slice(16, 19), 19

@@ -7,7 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from rotorid_torch.simulation.helicopter.section import Array, Section
+from rotorid_torch.simulation.helicopter.section import Section
+from rotorid_torch.simulation.rigid import Array
 
 
 @dataclass(frozen=True)

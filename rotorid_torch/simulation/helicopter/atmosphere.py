@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import bilinear, lfilter
 
-from rotorid_torch.simulation.helicopter.section import Array
+from rotorid_torch.simulation.rigid import Array
 
 FOOT = 0.3048
 DRIFT = 5.0  # m/s: eddies pass a hovering aircraft with at least this speed

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorid_torch.simulation.helicopter.section import Array
+from rotorid_torch.simulation.rigid import Array
 
 CATCH_UP = 100.0  # 1/s: how fast a limiter or a play closes what the integration left open
 

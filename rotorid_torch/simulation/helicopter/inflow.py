@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorid_torch.simulation.helicopter.section import Array
+from rotorid_torch.simulation.rigid import Array
 
 MASS = (128.0 / (75.0 * np.pi), 16.0 / (45.0 * np.pi))
 SKEW = 15.0 * np.pi / 64.0

@@ -19,7 +19,8 @@ from functools import cached_property
 
 import numpy as np
 
-from rotorid_torch.simulation.helicopter.section import Array, Section
+from rotorid_torch.simulation.helicopter.section import Section
+from rotorid_torch.simulation.rigid import Array, dot
 
 LOCK_SLOPE = 5.73  # 1/rad: the lift slope that tables of Lock numbers customarily assume
 
@@ -123,20 +124,6 @@ def turn_back(vector: Array, cosine: Array, sine: Array) -> Array:
     out[0] = cosine * vector[0] - sine * vector[1]
     out[1] = sine * vector[0] + cosine * vector[1]
     out[2] = vector[2]
-    return out
-
-
-def dot(a: Array, b: Array) -> Array:
-    """Scalar product over the first axis of length three."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def cross(a: Array, b: Array) -> Array:
-    """Vector product over the first axis of length three; b has the full shape, a may broadcast."""
-    out = np.empty_like(b)
-    out[0] = a[1] * b[2] - a[2] * b[1]
-    out[1] = a[2] * b[0] - a[0] * b[2]
-    out[2] = a[0] * b[1] - a[1] * b[0]
     return out
 
 

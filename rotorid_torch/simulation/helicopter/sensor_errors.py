@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 from scipy.spatial.transform import Rotation
 
-from rotorid_torch.simulation.helicopter.section import Array
+from rotorid_torch.simulation.rigid import Array
 
 Three = tuple[float, float, float]
 ACCELEROMETERS, GYROS = ("ax", "ay", "az"), ("p", "q", "r")

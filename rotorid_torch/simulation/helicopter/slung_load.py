@@ -15,8 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorid_torch.simulation.helicopter.rotor import cross, dot
-from rotorid_torch.simulation.helicopter.section import Array
+from rotorid_torch.simulation.rigid import Array, cross, dot, turned
 
 
 @dataclass(frozen=True)
@@ -47,23 +46,6 @@ class Pull:
     direction_earth: Array
     rate_earth: Array
     air_earth: Array
-
-
-def to_earth(euler: Array) -> Array:
-    """Matrices from body axes to (north, east, down), [3, 3, flight], of phi theta psi [3, flight]."""
-    (cp, ct, cs), (sp, st, ss) = np.cos(euler), np.sin(euler)
-    return np.array(
-        [
-            [ct * cs, sp * st * cs - cp * ss, cp * st * cs + sp * ss],
-            [ct * ss, sp * st * ss + cp * cs, cp * st * ss - sp * cs],
-            [-st, sp * ct, cp * ct],
-        ]
-    )
-
-
-def turned(matrix: Array, vector: Array) -> Array:
-    """Matrices [3, 3, flight] times vectors [3, flight]."""
-    return (matrix * vector[None]).sum(1)
 
 
 class Surroundings(NamedTuple):

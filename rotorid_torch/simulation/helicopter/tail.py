@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorid_torch.simulation.helicopter.inflow import MASS
-from rotorid_torch.simulation.helicopter.section import Array
+from rotorid_torch.simulation.rigid import Array
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from rotorid_torch.simulation.helicopter.inflow import MASS
-from rotorid_torch.simulation.helicopter.rotor import cross
-from rotorid_torch.simulation.helicopter.section import Array
 from rotorid_torch.simulation.multiblade.craft import Craft
+from rotorid_torch.simulation.rigid import Array, cross
 
 WAKE_RADIUS, WAKE_EDGE = 0.8, 0.35  # of the rotor's radius: contracted wake, width of its edge
 STALL = 0.3  # tangent of the angle of attack at which half of a surface's flow is separated

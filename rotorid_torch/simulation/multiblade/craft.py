@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from rotorid_torch.simulation.helicopter.section import Array
+from rotorid_torch.simulation.rigid import Array
 
 BODY, RATES, EULER, PLACE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 FLAP, FLAP_RATE, LAG, LAG_RATE = slice(12, 15), slice(15, 18), slice(18, 21), slice(21, 24)

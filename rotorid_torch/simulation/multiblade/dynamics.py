@@ -19,12 +19,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorid_torch.simulation.helicopter.inflow import inflow_rates
-from rotorid_torch.simulation.helicopter.rotor import cross, dot, turn_back
-from rotorid_torch.simulation.helicopter.section import Array
+from rotorid_torch.simulation.helicopter.rotor import turn_back
 from rotorid_torch.simulation.multiblade.airframe import airframe_loads
 from rotorid_torch.simulation.multiblade.craft import (
     BODY,
-    EULER,
     FLAP,
     FLAP_RATE,
     INFLOW,
@@ -39,6 +37,7 @@ from rotorid_torch.simulation.multiblade.craft import (
     Response,
     Setting,
 )
+from rotorid_torch.simulation.rigid import Array, body_rates, cross, dot
 
 UNKNOWNS = 13
 """Accelerations: specific force (3), angular (3), of the shaft, of a0 a1 b1, of the three lag coordinates."""
@@ -229,29 +228,13 @@ def respond(craft: Craft, setting: Setting, x: Array, u: Array, gust: Array | fl
     if not craft.held:
         loads[6] += x[TORQUE]
     z = (setting.inverse @ loads.swapaxes(0, 1)).swapaxes(0, 1)
-    _kinematics(craft, ground, z, dx)
+    dx[:12] = body_rates(ground[:12], z[:3], z[3:6], craft.gravity)
     slack = (setting.relax @ loads[7:10].swapaxes(0, 1)).swapaxes(0, 1)
     dx[FLAP] = x[FLAP_RATE] + slack
     dx[FLAP_RATE], dx[LAG], dx[LAG_RATE] = z[7:10], x[LAG_RATE], z[10:13]
     if not craft.held:
         _drive(craft, x, z[6], dx)
     return dx, Response(z[:3], z[3:6], loads[7:10], -torque)
-
-
-def _kinematics(craft: Craft, x: Array, z: Array, dx: Array) -> None:
-    """Rates of velocity, body rates, Euler angles and position."""
-    velocity, omega = x[BODY], x[RATES]
-    (phi, theta, psi), (u, v, w), (p, q, r) = x[EULER], velocity, omega
-    cp, sp, ct, st, cs, ss = np.cos(phi), np.sin(phi), np.cos(theta), np.sin(theta), np.cos(psi), np.sin(psi)
-    dx[BODY] = z[:3] - cross(omega, velocity)
-    dx[0] -= craft.gravity * st
-    dx[1] += craft.gravity * ct * sp
-    dx[2] += craft.gravity * ct * cp
-    dx[RATES] = z[3:6]
-    turning = q * sp + r * cp
-    dx[6], dx[7], dx[8] = p + turning * st / ct, q * cp - r * sp, turning / ct
-    level, side = u * ct + (v * sp + w * cp) * st, v * cp - w * sp
-    dx[9], dx[10], dx[11] = level * cs - side * ss, level * ss + side * cs, u * st - (v * sp + w * cp) * ct
 
 
 def _drive(craft: Craft, x: Array, speed_rate: Array, dx: Array) -> None:

@@ -16,8 +16,8 @@ import numpy as np
 from rotorid_torch.data.schema import Vehicle
 from rotorid_torch.simulation.helicopter.aircraft import Aircraft
 from rotorid_torch.simulation.helicopter.rotor import LOCK_SLOPE
-from rotorid_torch.simulation.helicopter.section import Array
 from rotorid_torch.simulation.multiblade.craft import Choice, Craft, Mask
+from rotorid_torch.simulation.rigid import Array
 from rotorid_torch.simulation.vehicles.vehicle import load_aircraft
 
 MASS_ERROR, INERTIA_ERROR, PLACE_ERROR, GEOMETRY_ERROR, LOCK_ERROR = 0.01, 0.03, 0.02, 0.003, 0.02

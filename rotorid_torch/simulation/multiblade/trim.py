@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rotorid_torch.simulation.helicopter.rotor import turn_back
-from rotorid_torch.simulation.helicopter.section import Array
 from rotorid_torch.simulation.multiblade.craft import (
     BODY,
     EULER,
@@ -41,6 +40,7 @@ from rotorid_torch.simulation.multiblade.dynamics import (
     respond,
     to_body,
 )
+from rotorid_torch.simulation.rigid import Array
 
 Complex = NDArray[np.complex128]
 

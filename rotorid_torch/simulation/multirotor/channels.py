@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from rotorid_torch.simulation.helicopter.sensor_errors import readings
-from rotorid_torch.simulation.helicopter.slung_load import to_earth
-from rotorid_torch.simulation.multirotor.craft import Array, Multirotor
-from rotorid_torch.simulation.multirotor.flight import Hover, Record
+from rotorid_torch.simulation.multirotor.craft import Multirotor
+from rotorid_torch.simulation.multirotor.flight import FleetHistory, Hover
 from rotorid_torch.simulation.multirotor.manoeuvres import lists
 from rotorid_torch.simulation.multirotor.rotor import Blades
+from rotorid_torch.simulation.rigid import Array, to_earth
 
 Channels = dict[str, Array]
 BODY = ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi", "north", "east", "height", "ax", "ay", "az")
@@ -25,7 +25,7 @@ def measured_names(craft: Multirotor) -> tuple[str, ...]:
     return ("time", *(f"motor{k}" for k in each), *speeds, "voltage", *BODY)
 
 
-def true_channels(craft: Multirotor, record: Record, flight: int) -> Channels:
+def true_channels(craft: Multirotor, record: FleetHistory, flight: int) -> Channels:
     """All channels of one flight without noise, with the loads X Y Z (N) and L M N (N m); time in s from zero.
 
     Velocity and place are those of the declared centre of gravity; the loads are about the true one. What sensors of an
@@ -55,7 +55,7 @@ def true_channels(craft: Multirotor, record: Record, flight: int) -> Channels:
     return {name: np.ascontiguousarray(values) for name, values in out.items()}
 
 
-def _hidden(craft: Multirotor, record: Record, flight: int, earth: Array) -> Channels:
+def _hidden(craft: Multirotor, record: FleetHistory, flight: int, earth: Array) -> Channels:
     """Signals of what only an altered vehicle has.
 
     `effect_wind_u` ... : velocity of the air, body axes, m/s; `effect_ground` : part of the induced velocity that the

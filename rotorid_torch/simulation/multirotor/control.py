@@ -13,8 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorid_torch.simulation.multirotor.craft import Array, Multirotor
+from rotorid_torch.simulation.multirotor.craft import Multirotor
 from rotorid_torch.simulation.multirotor.drive import Drives
+from rotorid_torch.simulation.rigid import Array
 
 TILT = 0.7
 """rad: largest bank or pitch angle that the controller asks for."""

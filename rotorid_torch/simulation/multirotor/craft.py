@@ -9,12 +9,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rotorid_torch.simulation.helicopter.sensor_errors import SensorErrors
 from rotorid_torch.simulation.helicopter.slung_load import SlungLoad
+from rotorid_torch.simulation.rigid import Array
 
-Array = NDArray[np.float64]
 Three = tuple[float, float, float]
 STILL: Three = (0.0, 0.0, 0.0)
 

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorid_torch.simulation.multirotor.craft import Array, Multirotor
+from rotorid_torch.simulation.multirotor.craft import Multirotor
+from rotorid_torch.simulation.rigid import Array
 
 SLOWEST = 0.05
 """Share of the full speed below which no control lets a rotor fall."""

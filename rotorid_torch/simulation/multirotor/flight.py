@@ -13,20 +13,13 @@ from itertools import groupby
 
 import numpy as np
 
-from rotorid_torch.simulation.helicopter.rotor import cross, dot
-from rotorid_torch.simulation.helicopter.slung_load import (
-    SlungLoad,
-    Surroundings,
-    cable_pull,
-    swing_rates,
-    to_earth,
-    turned,
-)
+from rotorid_torch.simulation.helicopter.slung_load import SlungLoad, Surroundings, cable_pull, swing_rates
 from rotorid_torch.simulation.multirotor.control import Controller, Pose, Targets
-from rotorid_torch.simulation.multirotor.craft import Array, Multirotor
+from rotorid_torch.simulation.multirotor.craft import Multirotor
 from rotorid_torch.simulation.multirotor.drive import Drives
 from rotorid_torch.simulation.multirotor.rotor import Blades, Flow
 from rotorid_torch.simulation.multirotor.surroundings import ground_share, turbulence
+from rotorid_torch.simulation.rigid import Array, cross, dot, to_earth, turned
 
 STEP = 0.0025
 """s: period of the controller and step of the integration, at most."""
@@ -104,7 +97,7 @@ class Fleet:
 
 
 @dataclass(frozen=True)
-class Record:
+class FleetHistory:
     """Flights sample by sample, [T, ..., column]; places and velocities in north east down, body axes else.
 
     `force` (N) and `moment` (N m) act on the body without gravity, about its centre of gravity; `specific_force` m/s^2,
@@ -143,7 +136,7 @@ class Task:
     voltage: Callable[[int], Array] | None = None
 
 
-def fly_fleet(fleet: Fleet, task: Task, seed: int, progress: Progress | None = None) -> Record:
+def fly_fleet(fleet: Fleet, task: Task, seed: int, progress: Progress | None = None) -> FleetHistory:
     """Fly all columns at once.
 
     Parameters
@@ -161,7 +154,7 @@ def fly_fleet(fleet: Fleet, task: Task, seed: int, progress: Progress | None = N
             if progress is not None and (len(rows) % 25 == 0 or len(rows) == samples):
                 progress(len(rows), samples)
     time = np.arange(samples, dtype=np.float64) * (fleet.step * every)
-    return Record(time, **{name: np.stack([row[name] for row in rows]) for name in rows[0]})
+    return FleetHistory(time, **{name: np.stack([row[name] for row in rows]) for name in rows[0]})
 
 
 class _World:

@@ -17,6 +17,7 @@ from rotorid_torch.simulation.helicopter.slung_load import SlungLoad
 from rotorid_torch.simulation.multirotor.craft import Multirotor
 from rotorid_torch.simulation.multirotor.flight import Fleet
 from rotorid_torch.simulation.multirotor.rotor import Flow
+from rotorid_torch.simulation.rigid import three
 
 LAG, DELAY = 0.05, 0.03
 """s: of motors, of commands."""
@@ -114,7 +115,7 @@ def _drag(craft: Multirotor, size: float) -> Multirotor:
     """A body that the air holds: more from the side, most from below."""
     area = 2.0 * DRAG * size * craft.mass / craft.air_density * np.array([1.0, 1.2, 1.6])
     total = np.asarray(craft.air.drag_area) + area
-    return replace(craft, air=replace(craft.air, drag_area=_three(total)))
+    return replace(craft, air=replace(craft.air, drag_area=three(total)))
 
 
 def _wind(craft: Multirotor, size: float) -> Multirotor:
@@ -124,7 +125,7 @@ def _wind(craft: Multirotor, size: float) -> Multirotor:
     speed = WIND * craft.speed * size
     to = -speed * np.array([np.cos(np.deg2rad(40.0)), np.sin(np.deg2rad(40.0)), 0.0])
     felt = _felt(craft)
-    return replace(felt, air=replace(felt.air, wind=_three(np.asarray(craft.air.wind) + to)))
+    return replace(felt, air=replace(felt.air, wind=three(np.asarray(craft.air.wind) + to)))
 
 
 def _turbulence(craft: Multirotor, size: float) -> Multirotor:
@@ -141,19 +142,19 @@ def _payload(craft: Multirotor, size: float) -> Multirotor:
 def _cg(craft: Multirotor, size: float) -> Multirotor:
     """Centre of gravity forward of the declared one, and a third of that to the right."""
     shift = AHEAD * size * _arm(craft) * np.array([1.0, 1.0 / 3.0, 0.0])
-    load = craft.load and replace(craft.load, hook=_three(np.asarray(craft.load.hook) - shift))
+    load = craft.load and replace(craft.load, hook=three(np.asarray(craft.load.hook) - shift))
     return replace(
         craft,
-        places=tuple(_three(np.asarray(place) - shift) for place in craft.places),
-        imu=_three(np.asarray(craft.imu) - shift),
-        reference=_three(np.asarray(craft.reference) - shift),
+        places=tuple(three(np.asarray(place) - shift) for place in craft.places),
+        imu=three(np.asarray(craft.imu) - shift),
+        reference=three(np.asarray(craft.reference) - shift),
         load=load,
     )
 
 
 def _inertia(craft: Multirotor, size: float) -> Multirotor:
     """More inertia about all axes."""
-    return replace(craft, inertia=tuple(_three((1.0 + HEAVIER * size) * row) for row in craft.inertia_matrix))
+    return replace(craft, inertia=tuple(three((1.0 + HEAVIER * size) * row) for row in craft.inertia_matrix))
 
 
 def _slung_load(craft: Multirotor, size: float) -> Multirotor:
@@ -161,7 +162,7 @@ def _slung_load(craft: Multirotor, size: float) -> Multirotor:
     if not size:
         return craft
     arm = _arm(craft)
-    hook = _three(np.asarray(craft.reference) + np.array([0.0, 0.0, 0.1 * arm]))
+    hook = three(np.asarray(craft.reference) + np.array([0.0, 0.0, 0.1 * arm]))
     mass = LOADED * size * craft.mass
     load = SlungLoad(mass, ROPE * arm, hook, drag_area=0.01 * mass / craft.air_density, damping=0.05)
     return replace(craft, load=load)
@@ -175,7 +176,7 @@ def _sensors(name: str, typical: Mapping[str, float] | tuple[float, ...]) -> Cal
         if isinstance(typical, Mapping):
             joined: Any = {**earlier, **{channel: value * size for channel, value in typical.items()}}
         else:
-            joined = _three(np.asarray(earlier) + np.asarray(typical) * size)
+            joined = three(np.asarray(earlier) + np.asarray(typical) * size)
         return replace(craft, sensors=replace(craft.sensors, **{name: joined}))
 
     return change
@@ -183,18 +184,13 @@ def _sensors(name: str, typical: Mapping[str, float] | tuple[float, ...]) -> Cal
 
 def _lever_arm(craft: Multirotor, size: float) -> Multirotor:
     """An IMU that is not where it is declared to be."""
-    arm = _three(np.array([0.3, 0.15, -0.2]) * _arm(craft))
+    arm = three(np.array([0.3, 0.15, -0.2]) * _arm(craft))
     return _sensors("lever_arm", arm)(craft, size)
 
 
 def _arm(craft: Multirotor) -> float:
     """Radius of the circle of the rotors, m."""
     return float(np.hypot(*np.subtract(craft.places[0], craft.reference)[:2]))
-
-
-def _three(values: Any) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
 
 
 FELT = ("propulsion.rotor_drag", "propulsion.axial_inflow", "forces.translational_lift")

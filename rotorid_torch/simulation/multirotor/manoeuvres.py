@@ -15,7 +15,8 @@ import numpy as np
 
 from rotorid_torch.errors import InputError
 from rotorid_torch.simulation.multirotor.control import ROWS, Targets
-from rotorid_torch.simulation.multirotor.craft import Array, Multirotor
+from rotorid_torch.simulation.multirotor.craft import Multirotor
+from rotorid_torch.simulation.rigid import Array
 
 QUIET = 1.5
 """s of hover before the first input."""

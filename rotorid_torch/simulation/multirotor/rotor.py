@@ -18,7 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorid_torch.simulation.multirotor.craft import Array, Propeller
+from rotorid_torch.simulation.multirotor.craft import Propeller
+from rotorid_torch.simulation.rigid import Array
 
 
 class Flow(NamedTuple):

@@ -10,7 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from rotorid_torch.simulation.helicopter.atmosphere import Passage, Turbulence, gusts
-from rotorid_torch.simulation.multirotor.craft import Array, Multirotor
+from rotorid_torch.simulation.multirotor.craft import Multirotor
+from rotorid_torch.simulation.rigid import Array
 
 LOWEST = 0.3
 """Height of a rotor over its radius, below which the images do not come nearer."""

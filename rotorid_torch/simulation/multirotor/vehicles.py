@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorid_torch.errors import InputError
-from rotorid_torch.simulation.multirotor.craft import Array, Battery, Drive, Multirotor, Propeller
+from rotorid_torch.simulation.multirotor.craft import Battery, Drive, Multirotor, Propeller
 from rotorid_torch.simulation.multirotor.flight import Hover
 from rotorid_torch.simulation.multirotor.rotor import Blades
+from rotorid_torch.simulation.rigid import Array, three
 
 LIGHTEST, HEAVIEST = 0.027, 5.0
 """kg: of drawn vehicles."""
@@ -177,17 +178,12 @@ def _frame(axes: int, arm: float, form: str, gap: float) -> tuple[tuple, tuple[i
     angles = 2.0 * np.pi * (np.arange(axes) + shift) / axes
     ring = [(arm * np.cos(a), arm * np.sin(a), 0.0) for a in angles]
     if not gap:
-        return tuple(_three(p) for p in ring), tuple(1 if k % 2 == 0 else -1 for k in range(axes))
-    upper = [_three((x, y, -gap)) for x, y, _ in ring]
-    lower = [_three((x, y, gap)) for x, y, _ in ring]
+        return tuple(three(p) for p in ring), tuple(1 if k % 2 == 0 else -1 for k in range(axes))
+    upper = [three((x, y, -gap)) for x, y, _ in ring]
+    lower = [three((x, y, gap)) for x, y, _ in ring]
     spins = [1 if k % 2 == 0 or axes % 2 else -1 for k in range(axes)]
     return (*upper, *lower), (*spins, *(-s for s in spins))
 
 
-def _three(values: object) -> tuple[float, float, float]:
-    x, y, z = (float(v) for v in np.asarray(values, dtype=np.float64))
-    return x, y, z
-
-
 def _rows(matrix: Array) -> tuple:
-    return tuple(_three(row) for row in matrix)
+    return tuple(three(row) for row in matrix)
