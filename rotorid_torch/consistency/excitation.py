@@ -117,7 +117,7 @@ def _excitation(dataset: Dataset, axis: Axis, independent: float, leads: bool) -
     usual = 0.25 * np.sqrt(squares / samples)
     white = white_noise(records)
     dt = dataset.facts[dataset.identify[0]].dt
-    density, in_band = _power_in_band(records, dt)
+    density, in_band = power_in_band(records, dt)
     return Excitation(
         axis=axis,
         independent=independent,
@@ -130,7 +130,7 @@ def _excitation(dataset: Dataset, axis: Axis, independent: float, leads: bool) -
     )
 
 
-def _power_in_band(records: Sequence[np.ndarray], dt: float) -> tuple[float, float]:
+def power_in_band(records: Sequence[np.ndarray], dt: float) -> tuple[float, float]:
     """Mean power of a line in the band, as a white record of that variance had it everywhere, and the rms there."""
     hertz, power = spectrum(records, dt)
     chosen = power[(hertz >= BAND_HZ[0]) & (hertz <= BAND_HZ[1])]

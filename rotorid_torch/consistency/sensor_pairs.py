@@ -272,14 +272,42 @@ def _acceleration(axis: int, sensor: str | None, gravity: float, imu: Array) -> 
         velocity, rates, phi, theta = values[:, :3], values[:, 3:6], values[:, 6], values[:, 7]
         fall = np.stack([-np.sin(theta), np.cos(theta) * np.sin(phi), np.cos(theta) * np.cos(phi)], axis=1) * gravity
         total = (fall - np.cross(rates, velocity))[:, axis]
-        if sensor is None:
-            return total
-        slope = kernel(f.dt)[1]
-        turning = np.stack([np.convolve(rate, slope, "same") for rate in rates.T], axis=1) if imu.any() else rates * 0.0
-        arm = np.cross(turning, imu) + np.cross(rates, np.cross(rates, imu))
-        return total + f.bridged([sensor])[:, 0].numpy() - arm[:, axis]
+        return total if sensor is None else total + _column(sensor)(f) - arm(f)
 
+    arm = _arm(axis, imu)
     return right
+
+
+def _arm(axis: int, imu: Array) -> Callable[[Flight], Array]:
+    """What an IMU feels along an axis because it is away from the reference point."""
+
+    def felt(f: Flight) -> Array:
+        rates, slope = f.bridged(["p", "q", "r"]).numpy(), kernel(f.dt)[1]
+        if not imu.any():
+            return np.zeros(f.samples)
+        turning = np.stack([np.convolve(rate, slope, "same") for rate in rates.T], axis=1)
+        return (np.cross(turning, imu) + np.cross(rates, np.cross(rates, imu)))[:, axis]
+
+    return felt
+
+
+def force_pairs(dataset: Dataset) -> tuple[Pair, ...]:
+    """Each accelerometer against what velocity, rotation, attitude and gravity say: `velocity_pairs` turned about.
+
+    Late accelerometers shift all of one side here, late velocities all of one side there.
+    """
+    pairs = []
+    for axis, pair in enumerate(velocity_pairs(dataset)):
+        if pair.exact:
+            without = _acceleration(axis, None, dataset.vehicle.gravity, np.zeros(3))
+            right = _felt(pair.left_name, without, _arm(axis, np.array(dataset.vehicle.imu or (0.0, 0.0, 0.0))))
+            sensor = _column(pair.right_name)
+            pairs.append(Pair(pair.right_name, pair.left_name, "m/s²", pair.channels, sensor, right, False, False))
+    return tuple(pairs)
+
+
+def _felt(velocity: str, falling: Callable[[Flight], Array], arm: Callable[[Flight], Array]) -> Callable[..., Array]:
+    return lambda f: np.gradient(_column(velocity)(f), f.dt) - falling(f) + arm(f)
 
 
 def position_pairs() -> tuple[Pair, ...]:

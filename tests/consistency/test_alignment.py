@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -115,6 +117,18 @@ def test_a_far_clock_is_known_to_5_ms_and_is_the_only_name(seconds: float):
     assert f"rates {abs(seconds):.2f}" in error.sentence
     values = kinematic_findings(moved).values
     assert values == {"sensors.delay.rates": pytest.approx(seconds, abs=5e-3)}
+
+
+@pytest.mark.parametrize("unit", ["velocities", "accelerations"])
+@pytest.mark.parametrize("seconds", [0.2, -0.3, 0.5, 0.8, -0.64, 1.5, -3.0, 5.0])
+def test_the_time_that_is_told_is_right_to_5_ms_or_3_errors(unit: str, seconds: float):
+    told = []
+    for one in check(dataset(late(flights(), UNITS[unit], seconds))).findings:
+        if {*one.channel.split()} <= {*UNITS[unit]}:
+            told += re.findall(r"\w+ ([.\d]+) s (late|early) \(± ([.\d]+)\)", one.sentence)
+    assert told
+    for value, word, error in told:
+        assert {"late": 1, "early": -1}[word] * float(value) == pytest.approx(seconds, abs=max(5e-3, 3 * float(error)))
 
 
 def test_turned_and_late_at_once():

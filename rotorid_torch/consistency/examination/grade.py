@@ -11,7 +11,7 @@ from rotorid_torch.consistency.coherence import coherences
 from rotorid_torch.consistency.examination.controls import FEEDBACK, TEST_INPUT
 from rotorid_torch.consistency.examination.finding import Finding
 from rotorid_torch.consistency.examination.needs import examinable
-from rotorid_torch.consistency.excitation import Excitation, excitations
+from rotorid_torch.consistency.excitation import BAND_HZ, Excitation, excitations, power_in_band
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
 
@@ -25,8 +25,9 @@ AXES = {
 """Control of each axis of a helicopter, and the responses that show the axis, best first."""
 MOTORS = {"roll": "roll", "pitch": "pitch", "yaw": "yaw", "vertical": "thrust"}
 """What the motors do together on each axis."""
-STILL = {"p": 0.004, "q": 0.004, "r": 0.002, "az": 0.04, "w": 0.02}
-"""Rms below which a response is that of a vehicle that stands: rad/s, m/s², m/s."""
+STILL = {"p": 0.008, "q": 0.008, "r": 0.004, "az": 0.04, "w": 0.02}
+"""Rms in the band of the controls below which a response is that of a vehicle that stands, or that a controller holds
+while nothing is flown: rad/s, m/s², m/s. Bench logs and a take-off have 0.001 to 0.0035 rad/s, test flights 0.02."""
 HARMLESS = ("time", "voltage")
 """Channels on which a warning limits nothing that is identified."""
 TOLD = 3
@@ -114,12 +115,12 @@ def _axes(dataset: Dataset, findings: Sequence[Finding]) -> Iterator[AxisGrade]:
         excitation = flown.get(MOTORS[axis] if motors else control)
         if not response and (motors or excitation is None):
             continue
-        rms = dataset.scales().get(response, 0.0)
+        rms = power_in_band(dataset.records(response), dataset.facts[dataset.identify[0]].dt)[1] if response else 0.0
         yield _axis(axis, Response(response, rms, bands.get(response) is not None), excitation, findings, motors)
 
 
 class Response(NamedTuple):
-    """Channel that shows what an axis does (empty: none is recorded), its rms, whether it follows the controls."""
+    """Channel that shows what an axis does (empty: none is recorded), its rms in the band, whether it follows them."""
 
     channel: str
     rms: float
@@ -133,7 +134,8 @@ def _axis(axis: str, shown: Response, flown: Excitation | None, findings: Sequen
     if not response:
         doubts.append("its response is not recorded")
     elif rms < STILL[response]:
-        wrong.append(f"{response} hardly moves ({rms:.2g} {names.unit(response)} rms): nothing flew")
+        band = f"{BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz"
+        wrong.append(f"{response} hardly moves ({rms:.2g} {names.unit(response)} rms from {band}): nothing was flown")
     elif not follows:
         wrong.append(f"{response} nowhere follows the controls")
     if flown is not None and flown.above_white < TEST_INPUT and (flown.moved or motors):

@@ -31,6 +31,7 @@ from rotorid_torch.consistency.precedence import Response
 from rotorid_torch.consistency.sensor_pairs import REACH_S, Agreement, Pair, agreement
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.flight import Flight
 
 Group = tuple[str, str, Callable[[Dataset], tuple[Pair, ...]]]
 
@@ -43,6 +44,12 @@ BIAS = {"rad/s": 0.004, "m/s²": 0.15, "m/s": 0.15}
 """Constant difference that is worth a word."""
 SCALE = 0.04
 """Scale error that is worth a word."""
+WITHIN_S = REACH_S - 0.03
+"""Lag of a flight beyond which it is that of another peak."""
+KNOWN = 0.6
+"""R² from which on a lag is known."""
+BETTER = 0.8
+"""Share of what velocities leave that a lag of the accelerometers leaves at most where velocities have no lag."""
 AGREES = 0.3
 """R² below which two sides are not compared."""
 CONTRADICT = {"attitude": 0.5, "velocity": 0.3, "position": 0.3}
@@ -68,18 +75,22 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
     lags: dict[str, list[Agreement]] = {}
     for left, right, pairs in GROUPS:
         results = [a for pair in pairs(dataset) if (a := agreement(pair, flights)) is not None]
-        agreeing = [a for a in results if a.r2 > 0.6]
-        yield from _far_off(left, by, agreeing)
-        lags[left] = [a for a in agreeing if _off(a) and not _moved(left, by)]
+        agreeing = [a for a in results if a.r2 > KNOWN]
+        forces = _forces(dataset, flights) if left == "velocity" else []
+        about = _forces_late(forces, results) if not lags.get("attitude") else []
+        yield from _far_off(left, by, agreeing, forces)
+        lags[left] = [a for a in agreeing if _off(a) and not _moved(left, by)] if not about else []
         base = time_base(agreeing) if left == "attitude" else None
         if base is not None:
             yield _wrong_base(base, dataset)
-        if lags[left]:
+        if about and not _moved(left, by):
+            yield _late("specific force", "velocity and attitude", {"specific force": about})
+        elif lags[left]:
             yield _late(left, right, lags)
         elif agreeing and not _moved(left, by):
             lag_words = ", ".join(f"{a.pair.left_name} {a.lag_s:+.3f} s" for a in agreeing)
             yield finding("good", _channels(agreeing), f"{left} keeps time with {right} ({lag_words}).")
-        for result in agreeing:
+        for result in agreeing if left == "attitude" or not (about or lags["attitude"]) else []:
             yield from _drift(result)
         if by.mirror:
             continue
@@ -88,6 +99,20 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
                 yield from _disagreement(result, dataset, left)
                 yield from _bias(result, dataset) if result.r2 > AGREES else ()
                 yield from _scale(result) if base is None else ()
+
+
+def _forces(dataset: Dataset, flights: Sequence[Flight]) -> list[Agreement]:
+    """Accelerometers against velocity and attitude."""
+    return [a for pair in sensor_pairs.force_pairs(dataset) if (a := agreement(pair, flights)) is not None]
+
+
+def _forces_late(forces: Sequence[Agreement], moved: Sequence[Agreement]) -> list[Agreement]:
+    """Accelerometers whose lag explains more than that of the velocities does; none where it does not."""
+    late = [a for a in forces if a.r2 > KNOWN and _off(a)]
+    of_velocities = sum(a.power[0] * (1.0 - a.r2) for a in moved if a.pair.exact)
+    of_forces = sum(a.power[0] * (1.0 - a.r2) for a in forces)
+    either = any(_off(a) for a in moved if a.r2 > KNOWN)
+    return late if of_forces < (1.0 if either else BETTER) * of_velocities else []
 
 
 def _turned(by: Alignment) -> Finding:
@@ -122,16 +147,18 @@ def _moved(group: str, by: Alignment) -> bool:
     return bool({*CLOCKS.get(group, ())} & {*by.clocks})
 
 
-def _far_off(group: str, by: Alignment, agreeing: Sequence[Agreement]) -> Iterator[Finding]:
+def _far_off(
+    group: str, by: Alignment, agreeing: Sequence[Agreement], forces: Sequence[Agreement]
+) -> Iterator[Finding]:
     """Clocks that are off by more than pairs of channels are searched for, with what these still say."""
-    moved = [unit for unit in CLOCKS.get(group, ()) if unit in by.clocks]
-    if not moved:
-        return
-    weights = np.array([max(a.lag_se, 1e-3) ** -2.0 for a in agreeing])
-    remaining_lag = float(weights @ [a.lag_s for a in agreeing] / weights.sum()) if agreeing else 0.0
-    error = float(weights.sum() ** -0.5) if agreeing else EVERY_S / 2.0
-    for unit in moved:
-        seconds = by.clocks[unit] + (remaining_lag if unit in ("attitude", "velocities") else -remaining_lag)
+    for unit in (unit for unit in CLOCKS.get(group, ()) if unit in by.clocks):
+        known = [a for a in forces if a.r2 > KNOWN]
+        pairs = known if unit == "accelerations" and known else agreeing
+        weights = np.array([max(a.lag_se, 1e-3) ** -2.0 for a in pairs])
+        remaining_lag = float(weights @ [a.lag_s for a in pairs] / weights.sum()) if pairs else 0.0
+        error = float(weights.sum() ** -0.5) if pairs else EVERY_S / 2.0
+        forward = unit in ("attitude", "velocities") or pairs is known
+        seconds = by.clocks[unit] + (remaining_lag if forward else -remaining_lag)
         word = "late" if seconds > 0.0 else "early"
         sentence = f"{unit} {abs(seconds):.3f} s {word} (± {max(error, 1e-3):.3f}) against the other streams:"
         what = (
@@ -191,7 +218,8 @@ def _wrong_base(base: tuple[float, float], dataset: Dataset) -> Finding:
 
 
 def _off(a: Agreement) -> bool:
-    return abs(a.lag_s) > max(SURE_LAG * a.lag_se, 0.008 if a.pair.exact else 0.06)
+    known = a.pair.exact or not a.pair.differentiate  # accelerometers
+    return abs(a.lag_s) > max(SURE_LAG * a.lag_se, 0.008 if known else 0.06)
 
 
 def _channels(results: Sequence[Agreement]) -> str:
@@ -215,9 +243,10 @@ def _late(left: str, right: str, lags: dict[str, list[Agreement]]) -> Finding:
 
 def _drift(a: Agreement) -> Iterator[Finding]:
     """Lags that differ between flights by more than their errors."""
-    if len(a.lags_s) < 2:
+    inside = [one for one in a.lags_s.values() if abs(one[0]) < WITHIN_S]
+    if len(inside) < 2:
         return
-    (first, first_se), (last, last_se) = min(a.lags_s.values()), max(a.lags_s.values())
+    (first, first_se), (last, last_se) = min(inside), max(inside)
     if last - first > max(0.06, 6.0 * (first_se + last_se)):
         sentence = f"against {a.pair.right_name} the lag runs from {first:+.3f} to {last:+.3f} s from flight to flight:"
         yield finding("warning", a.pair.left_name, sentence, "the clocks drift, and one common delay cannot repair it.")

@@ -22,7 +22,8 @@ def reading(dataset: Dataset) -> Iterator[Finding]:
     told_by_clock = dataset.path is not None  # the stamps are told from the files then
     for flight, sentence in condensed(dataset.warnings):
         if flight and "taken as missing" in sentence:
-            channel = sentence.partition(" ")[0]
+            channel, _, text = sentence.partition(": ") if "no new samples" in sentence else sentence.partition(" ")
+            sentence = text if "no new samples" in text else sentence
             advice = "Look at the telemetry; nothing that follows sees these samples."
             yield finding("warning", channel, f"{sentence}.", advice, flight=flight)
         elif flight and not (told_by_clock and sentence.startswith("time is not uniform")):
@@ -114,9 +115,10 @@ def gravity(dataset: Dataset) -> Iterator[Finding]:
         for name, flight in dataset.flights.items()
         if flight.has("az")
     ]
+    starts = [start for start in starts if np.isfinite(start)]
     if not starts:
         return
-    az = float(np.nanmedian(starts))
+    az = float(np.median(starts))
     sentence = f"reads {az:.2f} m/s² at the start of the flights"
     if az > 0.3:
         yield finding("error", "az", f"{sentence}; level flight reads {expected:.2f}. Turn the axis: z points down.")

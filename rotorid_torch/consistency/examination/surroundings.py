@@ -81,6 +81,8 @@ def _gravity_moments(flight: Flight, pair: Pair) -> Iterator[tuple[float, float]
     phi, theta = flight.bridged(["phi", "theta"]).numpy().T
     falls = (-np.sin(theta), np.cos(theta) * np.sin(phi), np.cos(theta) * np.cos(phi))
     fall = np.convolve(falls[VELOCITIES.index(pair.left_name)], bell, "valid")
+    missing = np.isnan(flight.stack(pair.channels).numpy()).any(axis=1).astype(float)
+    fall = np.where(np.convolve(missing, np.ones(len(bell)), "valid") > 0.5, np.nan, fall)
     left = np.convolve(pair.left(flight), slope, "valid") - np.convolve(pair.right(flight), bell, "valid")
     for first, last in pieces(len(left), flight.dt, 0):
         x, y = fall[first:last], left[first:last]

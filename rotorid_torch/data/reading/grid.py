@@ -13,6 +13,7 @@ from rotorid_torch.core import names
 from rotorid_torch.core.ranges import of_channel
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.plausible import without_impossible
+from rotorid_torch.data.reading.held import without_held
 from rotorid_torch.data.reading.read import Arrays
 from rotorid_torch.data.reading.spikes import without_spikes
 from rotorid_torch.data.reading.suspicion import unwrapped_roll
@@ -42,12 +43,13 @@ def make_flight(
     checked = _within_half_a_turn(checked)
     checked, cleaned = _without_impossible(checked, units or {}, file)
     checked, spiky = without_spikes(checked)
+    checked, held = without_held(checked)
     for angle in ("phi", "psi"):
         if angle in checked:
             checked[angle] = unwrap(checked[angle])
     dt, resampled, warnings = resample(checked)
     tensors = {channel: torch.from_numpy(np.ascontiguousarray(values)) for channel, values in resampled.items()}
-    remarks = [f"flight {name}: {sentence}" for sentence in (*cleaned, *spiky, *warnings)]
+    remarks = [f"flight {name}: {sentence}" for sentence in (*cleaned, *spiky, *held, *warnings)]
     return Flight(name, dt, MappingProxyType(tensors)), remarks
 
 
