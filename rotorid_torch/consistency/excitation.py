@@ -12,8 +12,7 @@ from rotorid_torch.core import names
 from rotorid_torch.core.statistics import without_line
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
-from rotorid_torch.data.reading.noise import white_noise
-from rotorid_torch.data.reading.quiet import running_mean
+from rotorid_torch.data.reading.noise import running_mean, white_noise
 
 BAND_HZ = (0.2, 4.0)
 """Band in which a rotorcraft answers its controls; from 2/T where the flights are short."""

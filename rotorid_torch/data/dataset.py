@@ -19,8 +19,7 @@ from rotorid_torch.core import names
 from rotorid_torch.data.facts import Facts
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.reading.contents import SHOWN, Contents
-from rotorid_torch.data.reading.noise import white_noise
-from rotorid_torch.data.reading.quiet import quiet_samples
+from rotorid_torch.data.reading.noise import quiet_samples, white_noise
 from rotorid_torch.data.reading.read import FOLDERS, find_flight
 from rotorid_torch.data.reading.sources import from_document, from_folder
 from rotorid_torch.data.schema import Vehicle

@@ -33,6 +33,7 @@ def write_dataset(
     *,
     truth: Mapping[str, Mapping[str, Any]] | None = None,
     texts: Mapping[str, str] | None = None,
+    comment: str = "",
     **declared: Any,
 ) -> Path:
     """Write dataset.toml, flights/NAME.npz and, where it is handed over, truth/NAME.npz; returns the folder.
@@ -45,6 +46,7 @@ def write_dataset(
         the data set has that of the folder.
     truth : arrays by flight and channel.
     texts : more files, by path in the folder; those that say what the data set declares anyway are left out.
+    comment : lines that begin with #, for the table [vehicle], after its keys.
 
     Raises
     ------
@@ -55,18 +57,25 @@ def write_dataset(
     name = declared.pop("name", "") or printable(place.name, layout=False)
     Dataset.from_arrays(flights, name=name, **declared)
     document = _document(name, declared)
+    text = _with_comment(to_toml(document), comment)
     listed = [flight for flights_of_list in document["flights"].values() for flight in flights_of_list]
     with writing(place):
         place.parent.mkdir(parents=True, exist_ok=True)
     with atomic_folder(place, lambda: refuse_unless_free(place)) as partial:
-        (partial / "dataset.toml").write_text(to_toml(document), encoding="utf-8")
+        (partial / "dataset.toml").write_text(text, encoding="utf-8")
         _write_arrays(partial / "flights", {flight: flights[flight] for flight in listed})
         if truth:
             _write_arrays(partial / "truth", truth)
-        for file, text in (texts or {}).items():
-            if text != to_toml(document):
-                (partial / file).write_text(text, encoding="utf-8")
+        for file, other in (texts or {}).items():
+            if other != text:
+                (partial / file).write_text(other, encoding="utf-8")
     return place
+
+
+def _with_comment(text: str, comment: str) -> str:
+    head, table, after = text.partition("[vehicle]\n")
+    keys, _, rest = after.partition("\n") if after.startswith("\n") else after.partition("\n\n")
+    return f"{head}{table}{keys}{chr(10) if keys else ''}{comment}\n{rest}" if comment else text
 
 
 def _document(name: str, declared: Mapping[str, Any]) -> dict[str, Any]:

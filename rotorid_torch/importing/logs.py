@@ -17,6 +17,7 @@ from rotorid_torch.errors import InputError
 from rotorid_torch.importing import manoeuvres
 from rotorid_torch.importing.flights import Record, flights_of, record_of
 from rotorid_torch.importing.formats import built_in_fields, read_log
+from rotorid_torch.importing.frames import template
 from rotorid_torch.importing.signals import units
 from rotorid_torch.importing.signals.boots import boots
 from rotorid_torch.importing.signals.derive import ANGLES
@@ -109,6 +110,8 @@ def import_log(
     durations = {name: (float(arrays["time"][-1]), kinds[name]) for name, arrays in flights.items()}
     lists = manoeuvres.share_out([(name, kind, seconds) for name, (seconds, kind) in durations.items()])
     kind, controls = _vehicle_kind(records, asked.map), _controls(records, flights)
+    vehicle = (asked.map.vehicle if asked.map else None) or dict(records[0].plan.vehicle) or None
+    plan, motors = records[0].plan, sum(map(names.is_motor, controls)) or sum(map(names.is_rotor_speed, channels))
     sources = printable(", ".join(file.name for file in asked.files), layout=False)
     write_dataset(
         asked.out,
@@ -118,9 +121,10 @@ def import_log(
         acid=lists["acid"],
         kind=kind,
         description=f"{IMPORTED} {sources} at {grid_hz:g} Hz.",
-        vehicle=(asked.map.vehicle if asked.map else None) or dict(records[0].plan.vehicle) or None,
+        vehicle=vehicle,
         controls=controls,
         texts=earlier,
+        comment=template(motors if kind == "multirotor" else 0, plan.frame, vehicle or {}, plan.known),
     )
     if replaced := [file for file in earlier if (asked.out / file).exists()]:
         there = f"{asked.out.name}: the data set that was here is replaced"

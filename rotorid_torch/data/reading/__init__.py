@@ -2,7 +2,7 @@
 
 In the order of the way: `npz` and `read` (arrays as they lie on disk), `spikes` (lone wild samples), `held`
 (stretches without new samples), `grid` (one uniform time grid), `suspicion` (degrees where radians belong), `commands`
-(rotor speeds without commands), `dead` (channels that stand still), `noise` and `quiet` (white noise of a channel; the
-time before the controls move). Then `contents` (declaration and flights together) and `sources` (a folder, or arrays in
+(rotor speeds without commands), `dead` (channels that stand still), `noise` (white noise of a channel; the time before
+the controls move). Then `contents` (declaration and flights together) and `sources` (a folder, or arrays in
 memory).
 """

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from rotorid_torch.errors import InputError
+from rotorid_torch.importing import frames
 from rotorid_torch.importing.signals.mapping import Entry
 from rotorid_torch.importing.signals.outputs import of_ardupilot, range_of
 from rotorid_torch.importing.signals.plan import (
@@ -19,6 +21,7 @@ from rotorid_torch.importing.signals.plan import (
     Group,
     Plan,
     first_or_faster,
+    imu_line,
     lowest,
     merged,
     moving,
@@ -117,10 +120,12 @@ def plan(log: Log) -> Plan:
     chosen = [first_or_faster(log, some, flown.instance) for some in (*flown.groups, *COMMON)]
     if evidence := _helicopter(log):
         sticks, wrong = _sticks(log)
-        return merged("helicopter", [*chosen, *sticks, first_or_faster(log, ROTOR)], [*notes, evidence, *wrong])
+        helicopter = merged("helicopter", [*chosen, *sticks, first_or_faster(log, ROTOR)], [*notes, evidence, *wrong])
+        return replace(helicopter, known=flown.place)
     motors, wrong, outputs = _motors(log)
     speeds, left = _speeds(log, outputs)
-    return merged("multirotor", [*chosen, motors, speeds], [*notes, *wrong, *left])
+    multirotor = merged("multirotor", [*chosen, motors, speeds], [*notes, *wrong, *left])
+    return replace(multirotor, frame=frames.of_ardupilot(log.parameters), known=flown.place)
 
 
 def _helicopter(log: Log) -> str:
@@ -148,6 +153,7 @@ class _Flown:
         numbers = numbers or [i for i, topic in enumerate(SENSED) if log.instances(topic)]
         self.imu, self.why_imu = _sensor(log, self.core if self.why else 0, numbers)
         self.groups = _groups(self.kind, self.core, self.imu)
+        self.place = imu_line(log.parameters, [f"INS_POS{self.imu + 1}_{axis}" for axis in "XYZ"])
 
     def instance(self, topic: str, numbers: Sequence[int]) -> tuple[int, str]:
         """Instance of a topic, and why."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -75,7 +76,8 @@ def plan(log: Log) -> Plan:
     if "headspeed" in full_names or any("rotorflight" in str(key).lower() for key in (log.about, *log.parameters)):
         speed = Chosen({"omega": Entry(full_names["headspeed"], "rpm")}) if "headspeed" in full_names else Chosen()
         return merged("helicopter", [*chosen, _sticks(full_names, columns), speed], ["a helicopter: Rotorflight"])
-    return merged("multirotor", [*chosen, _motors(log, full_names), _speeds(log, full_names)], [])
+    plan = merged("multirotor", [*chosen, _motors(log, full_names), _speeds(log, full_names)], [])
+    return replace(plan, frame="quad X in Betaflight's order")
 
 
 def _bare(name: str) -> str:

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from rotorid_torch.errors import InputError
+from rotorid_torch.importing import frames
 from rotorid_torch.importing.signals import resets
 from rotorid_torch.importing.signals.mapping import Entry
 from rotorid_torch.importing.signals.outputs import of_px4, range_of
@@ -20,6 +21,7 @@ from rotorid_torch.importing.signals.plan import (
     Group,
     Plan,
     first_or_faster,
+    imu_line,
     lowest,
     merged,
     moving,
@@ -144,14 +146,16 @@ def plan(log: Log) -> Plan:
         raise InputError(log.file, "", wrong, "a helicopter or a multirotor, or --map to name its controls")
     notes += [f"MAV_TYPE {kind} is a VTOL: only its hover is a rotorcraft"] if kind in VTOL else []
     chosen = [first_or_faster(log, alternatives, lambda t, n: _instance(log, t, n)) for alternatives in GROUPS]
+    place = imu_line(log.parameters, [f"EKF2_IMU_POS_{axis}" for axis in "XYZ"])
     if kind == HELICOPTER_TYPE:
         controls = first_or_faster(log, HELICOPTER)
         thrust = Chosen() if "col" in controls.entries else first_or_faster(log, THRUST)
-        return merged("helicopter", [*chosen, controls, thrust], notes)
+        return replace(merged("helicopter", [*chosen, controls, thrust], notes), known=place)
     number = MOTORS_OF.get(kind, 0)
     motors, outputs = _motors(log, number)
     speeds, wrong = _speeds(log, outputs, number)
-    return merged("multirotor", [*chosen, motors, speeds], [*notes, *wrong], _geometry(log, len(motors.entries)))
+    plan = merged("multirotor", [*chosen, motors, speeds], [*notes, *wrong], _geometry(log, len(motors.entries)))
+    return replace(plan, frame=frames.of_px4(log.parameters), known=place)
 
 
 def _kind(log: Log) -> tuple[int, list[str]]:

@@ -20,7 +20,8 @@ FASTER = 1.8
 class Plan:
     """Which fields become which channels; the kind of vehicle; sentences on choices; what is known of the vehicle.
 
-    `reasons` say per channel why its source was taken, where the log has another one.
+    `reasons` say per channel why its source was taken, where the log has another one. `frame` is that of a multirotor
+    by its settings, `known` lines of TOML for the vehicle's table, by key.
     """
 
     kind: str
@@ -28,6 +29,8 @@ class Plan:
     notes: tuple[str, ...] = ()
     vehicle: Mapping[str, object] = field(default_factory=dict)
     reasons: Mapping[str, str] = field(default_factory=dict)
+    frame: str = ""
+    known: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -158,3 +161,9 @@ def merged(
     missing = ", ".join(m for m in absent if entries.keys().isdisjoint(m.partition(" (")[0].split()))
     none = [f"no data: {missing}"] if missing else []
     return Plan(kind, entries, (*notes, *sentences, *none), vehicle or {}, reasons)
+
+
+def imu_line(settings: Mapping[str, float], keys: Sequence[str]) -> dict[str, str]:
+    """Place of the inertial sensor by three settings in m, as a line of TOML; none where they are not set."""
+    place = [round(settings.get(key, 0.0), 4) for key in keys]
+    return {"imu": f"imu = {place}   # m, by {keys[0]}, ..."} if any(place) else {}
