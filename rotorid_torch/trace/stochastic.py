@@ -31,8 +31,13 @@ DRIFT = 2
 """Order of the polynomial that a flight's beginning follows where it is not quite in trim: no gust."""
 STILL = 0.2
 """Share of its later motion that a control or a rate may make in gusts before the pilot acts."""
+NEAR_HZ = 0.5
+"""Distance from its place in the spectrum within which the frequency of a line is looked for in a flight."""
 NEAR = 0.1
 """A line belongs to a multiple of the rotor speed within this share of it: about one line of a 3-s spectrum."""
+
+Spectra = Mapping[str, Sequence[float]]
+"""Frequencies of lines by channel."""
 
 
 def stochastic_findings(dataset: Dataset, spec: ModelSpec, response: Mapping[str, float]) -> list[Finding]:
@@ -49,11 +54,12 @@ def _turbulence(dataset: Dataset, spec: ModelSpec, response: Mapping[str, float]
     why = registered()[TURBULENCE].untestable(spec)
     names = [n for n in (*dataset.identify, *dataset.validate)]
     channels = [c for c in (*SPECIFIC_FORCES, *RATES) if all(dataset.facts[n].has(c) for n in names)]
-    blocks = [_quiet_blocks(dataset, n, channels) for n in names]
+    spectra = _vibrating(dataset, channels) if channels else {}
+    blocks = [_quiet_blocks(dataset, n, channels, spectra) for n in names]
     count = min((len(b) for b in blocks), default=0)
     if why is None and (len(names) < LEAST_FLIGHTS or count < LEAST_BLOCKS or not channels):
         why = f"needs {LEAST_FLIGHTS} flights that begin with {LEAST_BLOCKS * BLOCK_S:g} s before the pilot acts"
-    if why is None and _pilot_acts(dataset, names):
+    if why is None and _pilot_acts(dataset, names, spectra):
         why = "the flights do not begin in trim: controls or rates move from the first sample on"
     if why is not None:
         return Finding(TURBULENCE, "undeclared", "not testable", why)
@@ -82,18 +88,43 @@ def _turbulence(dataset: Dataset, spec: ModelSpec, response: Mapping[str, float]
     return Finding(TURBULENCE, "undeclared", "accepted", said, **keep, values=size)
 
 
-def _quiet_blocks(dataset: Dataset, name: str, channels: Sequence[str]) -> np.ndarray:
-    """Means over blocks of the quiet part of a flight, [block, channel]."""
+def _quiet_blocks(dataset: Dataset, name: str, channels: Sequence[str], spectra: Spectra) -> np.ndarray:
+    """Means over blocks of the quiet part of a flight, [block, channel], lines of vibration taken out."""
     flight = dataset.flights[name]
     each = max(1, round(BLOCK_S / flight.dt))
     record = flight.bridged(channels).numpy()[: dataset.quiet(name) // each * each]
+    for k, channel in enumerate(channels):
+        for hertz in spectra.get(channel, ()):
+            record[:, k] -= _sine(record[:, k], hertz, flight.dt)
     return record.reshape(-1, each, len(channels)).mean(axis=1)
 
 
-def _pilot_acts(dataset: Dataset, names: Sequence[str]) -> bool:
+def _vibrating(dataset: Dataset, channels: Sequence[str]) -> Spectra:
+    """Frequencies in Hz of lines that stand above a channel's noise: what blocks leave of them is no gust."""
+    dt = dataset.facts[dataset.identify[0]].dt
+    strong = {c: lines(*spectrum(dataset.records(c), dt)) for c in channels}
+    return {c: [one.hertz for one in some if one.rms > dataset.noise(c)] for c, some in strong.items()}
+
+
+def _sine(record: np.ndarray, hertz: float, dt: float) -> np.ndarray:
+    """The sine near a frequency that explains most of a record (T,), a drift beside it; zeros in a short one."""
+    time = dt * np.arange(len(record))
+    if len(record) < 8 * (DRIFT + 3):
+        return np.zeros(len(record))
+    drift = np.vander(np.linspace(-1.0, 1.0, len(record)), DRIFT + 1)
+    tried = list[tuple[float, np.ndarray]]()
+    for one in hertz + NEAR_HZ * np.linspace(-1.0, 1.0, 21):
+        angle = 2.0 * np.pi * one * time
+        columns = np.column_stack([np.cos(angle), np.sin(angle), drift])
+        size = np.linalg.lstsq(columns, record, rcond=None)[0]
+        tried.append((float(((record - columns @ size) ** 2).sum()), columns[:, :2] @ size[:2]))
+    return min(tried, key=lambda pair: pair[0])[1]
+
+
+def _pilot_acts(dataset: Dataset, names: Sequence[str], spectra: Spectra) -> bool:
     """Whether a control or a rate moves in the quiet parts by more than a little of what it moves later."""
     for channel in (*dataset.controls, *(r for r in RATES if all(dataset.facts[n].has(r) for n in names))):
-        moved = [_quiet_blocks(dataset, n, [channel]).std() for n in names]
+        moved = [_quiet_blocks(dataset, n, [channel], spectra).std() for n in names]
         if max(moved) > STILL * max(dataset.scales()[channel], 1e-300):
             return True
     return False

@@ -69,6 +69,14 @@ def test_an_attitude_that_gusts_upset_says_nothing_of_their_size():
     assert 0.1 < told.values["environment.turbulence.intensity"][0] < 0.6
 
 
+@pytest.mark.parametrize("line", [0.3, 0.85, 3.0])
+def test_a_line_of_the_rotor_is_no_gust(line: float):
+    told = found(flights(line=line))
+    assert told["environment.turbulence"].verdict == "below floor"
+    assert told["environment.vibration"].verdict == "accepted"
+    assert found(flights(line=line, heave=0.3))["environment.turbulence"].verdict == "accepted"
+
+
 def test_flights_that_begin_out_of_trim_are_in_calm_air():
     """What an aircraft does that was let go before it had settled is smooth; gusts are not."""
     assert found(flights(off_trim=8.0))["environment.turbulence"].verdict == "below floor"
