@@ -288,7 +288,7 @@ def _record(model: Model, dataset: Dataset, reconstruction: Reconstruction, name
         [
             {
                 "time": averaged(flight.time, every),
-                "controls": averaged(_controls(dataset, name, model.body.controls), every),
+                "controls": averaged(controls_that_acted(dataset, name, model.body.controls), every),
                 "outputs": _compared(
                     model, averaged(flight.stack(model.body.outputs) - _biases(model, reconstructed), every), every
                 ),
@@ -298,7 +298,7 @@ def _record(model: Model, dataset: Dataset, reconstruction: Reconstruction, name
     )
 
 
-def _controls(dataset: Dataset, name: str, controls: Sequence[str]) -> Tensor:
+def controls_that_acted(dataset: Dataset, name: str, controls: Sequence[str]) -> Tensor:
     """Controls (T, nu) of a flight as they acted: without the noise that their sensors are declared to have.
 
     Trajectories take them for exact: noise would make delays short, and play in a linkage wide. Where no noise is

@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 import torch
+from scipy.signal import lfilter
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
@@ -225,11 +226,8 @@ def lagged(signal: Tensor, samples: float) -> Tensor:
     """A first-order lag of so many samples over records (T, ...), in equilibrium at their start."""
     if samples <= 0:
         return signal
-    decay, state, passed = math.exp(-1.0 / samples), signal[0], []
-    for row in signal:
-        state = decay * state + (1.0 - decay) * row
-        passed.append(state)
-    return torch.stack(passed)
+    decay, records = math.exp(-1.0 / samples), signal.numpy()
+    return torch.from_numpy(lfilter([1.0 - decay], [1.0, -decay], records, axis=0, zi=decay * records[:1])[0])
 
 
 def _sizes(dataset: Dataset, reconstruction: Reconstruction | None) -> dict[str, float]:
