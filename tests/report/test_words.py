@@ -81,6 +81,10 @@ def test_members_of_a_group_are_named_as_things_and_what_would_tell_them_apart(r
     loop = closed(report, "group", *members)
     assert "a delay in the control path or a lag of the actuators. These flights cannot tell which." in opening(loop)
     assert any("fly faster" in step for step in steps(loop))
+    bare = [msgspec.structs.replace(one, reason="these flights cannot tell it from the other") for one in members]
+    assert steps(closed(report, "group", *bare))[1].startswith("If it is a lag of the actuators: record the actuators'")
+    sized = an_effect("control.delay", "indistinguishable", common=(0.0571, 0.0062, "s"))
+    assert "a delay in the control path (57 ± 6 ms) or a lag" in opening(closed(report, "group", sized, members[1]))
 
 
 def test_nothing_undeclared_comes_with_how_good_the_model_is(report: records.Report):

@@ -21,7 +21,7 @@ from rotorid_torch.report.summary import (
     weakest_channel,
 )
 from rotorid_torch.report.words.effects import words_of
-from rotorid_torch.report.words.sizes import named, sentence_of, size
+from rotorid_torch.report.words.sizes import named, sentence_of, size, sizes_of
 from rotorid_torch.validate.lists import described
 
 STEPS = 5
@@ -59,7 +59,9 @@ def opening(report: Report) -> str:
     if verdict.kind == "undeclared":
         return f"{sentences}{more}"
     if verdict.kind == "group":
-        members = [words_of(e).noun for e in verdict.effects if e not in {a.id for a in accepted}]
+        sizes = {e.id: f" ({said})" for e in report.effects if (said := sizes_of(e))}
+        others = [name for name in verdict.effects if name not in {a.id for a in accepted}]
+        members = [f"{words_of(name).noun}{sizes.get(name, '')}" for name in others]
         either = (
             f"Something acts on this vehicle that is not declared: {named(members, 'or')}. These flights cannot tell"
         )
@@ -196,17 +198,20 @@ def _of_discovery(report: Report) -> Iterator[str]:
         if record.verdict == "accepted" and record.role == "undeclared" and words_of(name).then:
             yield words_of(name).then
         if record.verdict == "indistinguishable":
-            yield f"To tell {words_of(name).noun} from what takes its place: {_advice(record)}."
+            yield _to_tell(record)
     if report.unknown is not None:
         yield _look_for(report)
     if verdict.kind in ("nothing undeclared", "structure") and not verdict.effects:
         yield "Use the model within the range of motion that its flights covered; export it with rotorid export."
 
 
-def _advice(record: EffectRecord) -> str:
-    """What the reason says after its last semicolon, where that is what would tell."""
-    last = record.reason.rpartition(";")[2].strip()
-    return last or "fly it at another speed, height or mass"
+def _to_tell(record: EffectRecord) -> str:
+    """What would tell a member of a group: what its reason says last, else what to do if it is this one."""
+    words, (_, mark, last) = words_of(record.id), record.reason.rpartition(";")
+    if not mark and words.then:
+        return f"If it is {words.noun}: {words.then[0].lower()}{words.then[1:]}"
+    advice = last.strip() if mark else "fly it at another speed, height or mass"
+    return f"To tell {words.noun} from what takes its place: {advice}."
 
 
 def _look_for(report: Report) -> str:
