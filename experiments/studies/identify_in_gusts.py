@@ -47,6 +47,7 @@ from rotorid_torch.model.gusts import fed
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.modes import state_matrix
 from rotorid_torch.model.nominal import build
+from rotorid_torch.report.records import GustRecord
 from rotorid_torch.run.fit_record import judge
 from rotorid_torch.run.result import Run
 from rotorid_torch.simulation.flight.sensors import Channels
@@ -113,6 +114,13 @@ def on_axis(run: Run) -> tuple[Tensor, Tensor]:
     return values, torch.tensor([p.se or math.inf for p in each])
 
 
+def sizes_off(gusts: GustRecord, intensity: float) -> tuple[float, float]:
+    """Differences from the truth of intensity and of log length, in standard errors."""
+    size, length = gusts.intensity or 0.0, gusts.length or 1.0
+    share = (gusts.length_se or math.inf) / length
+    return abs(size - intensity) / (gusts.intensity_se or math.inf), abs(math.log(length / LENGTH[gusts.axis])) / share
+
+
 def in_mean_air(model: Model, common: Tensor) -> Model:
     """The model as it was, its reference moved to the air that its flights had in common, m/s [3]."""
     moved = dict(zip(VELOCITIES, common.tolist(), strict=True))
@@ -164,6 +172,7 @@ def draw(seed: int, intensity: float) -> dict:
         },
         "damping off": {n: second[n] / first[n] - 1.0 for n in first},
         "on axis within 2.5": sum(x < 2.5 for x in off) / len(off),
+        "errors off": [x for g in run.fit.gusts for x in sizes_off(g, intensity)],
         "intensity": {g.axis: (g.intensity or 0.0) / intensity for g in run.fit.gusts},
         "length": {g.axis: (g.length or 0.0) / LENGTH[g.axis] for g in run.fit.gusts},
         "processor s": seconds,
@@ -187,6 +196,7 @@ def main(args: Args) -> None:
         "on axis within 2.5": sum(r["on axis within 2.5"] for r in rows) / len(rows),
         "intensity within 15 %": sum(abs(x - 1.0) < 0.15 for x in sizes) / max(len(sizes), 1),
         "length within 40 %": sum(abs(x - 1.0) < 0.4 for x in scales) / max(len(scales), 1),
+        "sizes of gusts within 2 errors": sum(x < 2.0 for r in rows for x in r["errors off"]) / max(2 * len(sizes), 1),
         "processor s": sum(r["processor s"] for r in rows) / len(rows),
     }
     print(json.dumps(summary))

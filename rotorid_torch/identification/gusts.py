@@ -67,14 +67,14 @@ class GustAxis:
 
 @dataclass(frozen=True)
 class Air:
-    """What was found of the air.
+    """The air as it was estimated.
 
     axes : one each of u v w. speed : with which eddies pass, m/s. dt : interval of the histories, s.
     velocities, errors : [F, T, 3] smoothed gusts of the flights, m/s, and their standard errors; zero beyond a
     flight's end.
     unknowns : of the filter, and common [3] what all flights have in common, m/s: with both, gusts of other flights.
-    variances : [P] of the parameters when gusts are as uncertain as the filter leaves them, NaN for those not told.
-    doubtful : parameters that were found together with the air.
+    variances : [P] of the parameters when gusts are as uncertain as the filter leaves them, NaN where nothing tells.
+    doubtful : parameters that were estimated together with the air.
     """
 
     axes: tuple[GustAxis, ...]
@@ -124,8 +124,8 @@ def find_gusts(
 
     Parameters
     ----------
-    names : of its parameters that are estimated. floor : [ny] sensor noise. doubtful : those of them that are found
-        together with the air.
+    names : of its parameters that are estimated. floor : [ny] sensor noise. doubtful : those of them that are
+        estimated together with the air.
 
     Raises
     ------
@@ -134,21 +134,22 @@ def find_gusts(
     floor = torch.maximum(floor, smallest_noise(flights)).square()
     problem, held = _problem(model, names, doubtful, flights, floor.sqrt())
     system = problem.system
-    found, engine, x0 = _noises(problem, held, floor)
-    psi = torch.cat([system.theta[:held], found.point.theta])
+    minimum, engine, x0 = _noises(problem, held, floor)
+    psi = torch.cat([system.theta[:held], minimum.point.theta])
     engine = replace(engine, problem=_with_spread(problem, psi))
     gusts, errors, inside = _smoothed(engine, psi)
     common = gusts.sum(dim=(0, 1)) / inside.sum()
     gusts = torch.where(inside, gusts - common, 0.0)
-    axes = _axes(found, len(system.names) - held - 3, passing_speed(model))
+    seconds, before = float(flights.lengths.sum()) * flights.dt, len(system.names) - held - 3
+    axes = _axes(minimum, before, passing_speed(model), seconds, len(flights.lengths))
     estimated = system.names[:-3]
-    own = dict(zip(estimated, _variances(engine, psi, x0, model, estimated).tolist(), strict=True))
-    told = torch.tensor([own[n] for n in names], dtype=torch.float64)
-    return Air(axes, passing_speed(model), flights.dt, gusts, errors, told, psi, common, tuple(doubtful))
+    by_name = dict(zip(estimated, _variances(engine, psi, x0, model, estimated).tolist(), strict=True))
+    variances = torch.tensor([by_name[n] for n in names], dtype=torch.float64)
+    return Air(axes, passing_speed(model), flights.dt, gusts, errors, variances, psi, common, tuple(doubtful))
 
 
 def follow(model: Model, names: Sequence[str], air: Air, flights: Records) -> Tensor:
-    """Gusts [F, T, 3] of other flights, by the filter that found the air of the first; arguments as `find_gusts`."""
+    """Gusts [F, T, 3] of other flights, by the filter of the first; arguments as `find_gusts`."""
     floor = torch.ones(flights.outputs.shape[-1], dtype=torch.float64)
     first = len(air.unknowns) - len(floor)
     problem, held = _problem(model, names, air.doubtful, flights, air.unknowns[first:].sqrt())
@@ -158,7 +159,7 @@ def follow(model: Model, names: Sequence[str], air: Air, flights: Records) -> Te
 
 
 def in_weather(model: Model, weather: Weather, flights: Records, floor: Tensor) -> Tensor:
-    """Smoothed gusts [F, T, 3] of flights in weather that is known, by a model that is believed.
+    """Smoothed gusts [F, T, 3] of flights in such weather, by a model that is believed.
 
     floor : [ny] sensor noise.
     """
@@ -199,32 +200,28 @@ def _variances(engine: NativeFilter, psi: Tensor, x0: Tensor, model: Model, name
     count, nx = len(engine.problem.system.theta), x0.shape[-1]
     following = Following.of(engine, psi[:count], x0, engine.gains(psi, x0))
     each = following.normal_equations(psi[:count], x0)[:, nx:, nx:]
-    own = torch.tensor([*range(len(names)), count])
-    each = each[:, own][:, :, own]
-    known, places = model.parameter_set, [model.parameter_set.index(n) for n in names]
-    sd, there = known.prior_sd[places], torch.isfinite(known.prior_sd[places])
-    prior = torch.diag(1.0 / sd)[there], ((known.values[places] - psi[: len(names)]) / sd)[there]
+    columns = torch.tensor([*range(len(names)), count])
+    each = each[:, columns][:, :, columns]
+    numbers, places = model.parameter_set, [model.parameter_set.index(n) for n in names]
+    sd, finite = numbers.prior_sd[places], torch.isfinite(numbers.prior_sd[places])
+    prior = torch.diag(1.0 / sd)[finite], ((numbers.values[places] - psi[: len(names)]) / sd)[finite]
     A, _ = linear_model(each.sum(dim=0))
     A = torch.cat([A, prior[0]])
-    told = torch.linalg.vector_norm(A, dim=0) > 0.0
-    inverse = inverse_triangle(Linear(A, A[:, 0]), told)
+    identifiable = torch.linalg.vector_norm(A, dim=0) > 0.0
+    inverse = inverse_triangle(Linear(A, A[:, 0]), identifiable)
     plain = torch.zeros(len(names), len(names), dtype=torch.float64)
-    plain[told[:, None] & told] = (inverse @ inverse.mT).flatten()
-    jackknifed = jackknife([linear_model(one) for one in each], prior, told)
-    return torch.where(told, larger_of(plain, plain, jackknifed, len(each)).standard_errors.square(), math.nan)
+    plain[identifiable[:, None] & identifiable] = (inverse @ inverse.mT).flatten()
+    jackknifed = jackknife([linear_model(one) for one in each], prior, identifiable)
+    return torch.where(identifiable, larger_of(plain, plain, jackknifed, len(each)).standard_errors.square(), math.nan)
 
 
-def widened(found: Estimate, variances: Tensor) -> Estimate:
+def widened(estimate: Estimate, variances: Tensor) -> Estimate:
     """The estimate with standard errors no smaller than the roots of variances [P]; correlations stay."""
-    known = found.uncertainty
-    least = variances.sqrt().nan_to_num(0.0)
-    stretch = torch.where(known.standard_errors > 0.0, least / known.standard_errors.clamp_min(1e-300), 1.0).clamp_min(
-        1.0
-    )
-    covariance = known.covariance * stretch * stretch[:, None]
-    return replace(
-        found, uncertainty=replace(known, covariance=covariance, standard_errors=known.standard_errors * stretch)
-    )
+    before = estimate.uncertainty
+    errors, least = before.standard_errors, variances.sqrt().nan_to_num(0.0)
+    stretch = torch.where(errors > 0.0, least / errors.clamp_min(1e-300), 1.0).clamp_min(1.0)
+    covariance = before.covariance * stretch * stretch[:, None]
+    return replace(estimate, uncertainty=replace(before, covariance=covariance, standard_errors=errors * stretch))
 
 
 def _problem(
@@ -240,9 +237,9 @@ def _problem(
     model = in_gusts(model)
     system = System(model, [*held, *free, *rates])
     names, nothing = model.layout.names, (*GUSTS, *QUICK_GUSTS)
-    known = iter(flights.states.unbind(-1))
+    measured = iter(flights.states.unbind(-1))
     zero = torch.zeros_like(flights.states[..., 0])
-    states = torch.stack([zero if n in nothing else next(known) for n in names], dim=-1)
+    states = torch.stack([zero if n in nothing else next(measured) for n in names], dim=-1)
     reference = [model.reference.get(s.channel or s.name, 0.0) for s in model.layout.states]
     states = torch.where(states.isnan(), torch.tensor(reference, dtype=torch.float64), states)
     noise = dict(zip(model.body.outputs, sd.tolist(), strict=True))
@@ -281,16 +278,16 @@ def _noises(problem: FilterProblem, held: int, floor: Tensor) -> tuple[Minimum[F
     lower = torch.cat([system.lower, torch.full_like(density, 1e-12), floor])
     upper = torch.cat([system.upper, torch.full((len(lower) - len(theta),), math.inf, dtype=torch.float64)])
     engine = NativeFilter.of(problem, psi, held)
-    found: Minimum[FilterPlace] | None = None
+    minimum: Minimum[FilterPlace] | None = None
     for _ in range(SEARCHES):
         engine = replace(engine, problem=_with_spread(problem, psi))
-        psi = _followed(engine, psi, floor, x0) if found is None else psi
+        psi = _followed(engine, psi, floor, x0) if minimum is None else psi
         likelihood = InnovationLikelihood(Noises(engine, psi[:held]), x0, free=False)
         noises = Region(lower[held:], upper[held:])
-        found = minimise(likelihood.evaluate, likelihood.linearise, psi[held:], noises, ENOUGH)
-        psi = torch.cat([psi[:held], found.point.theta])
-    assert found is not None
-    return found, engine, x0
+        minimum = minimise(likelihood.evaluate, likelihood.linearise, psi[held:], noises, ENOUGH)
+        psi = torch.cat([psi[:held], minimum.point.theta])
+    assert minimum is not None
+    return minimum, engine, x0
 
 
 def _followed(engine: NativeFilter, psi: Tensor, floor: Tensor, x0: Tensor) -> Tensor:
@@ -299,30 +296,50 @@ def _followed(engine: NativeFilter, psi: Tensor, floor: Tensor, x0: Tensor) -> T
     return next((tried for tried in louder if bool(engine.cost(tried, x0).isfinite().all())), psi)
 
 
-def _axes(found: Minimum[FilterPlace], before: int, speed: float) -> tuple[GustAxis, ...]:
-    """Intensity sqrt(q/(2 rate)) and length V/rate of each axis, with errors."""
-    told = ~(found.at_bound | found.not_identifiable)
-    inverse = inverse_triangle(found.linear, told)
-    covariance = torch.zeros(len(told), len(told), dtype=torch.float64)
-    covariance[told[:, None] & told] = (inverse @ inverse.mT).flatten()
-    made = []
+def least_error(rate: float, seconds: float, flights: int) -> float:
+    """Standard error of the logarithm of a length by gusts that were measured without any noise; of an intensity half.
+
+    A path dg/dt = -rate g + noise tells its noise exactly, and of log rate the information rate T / 2; that each
+    flight's first gust is as large as the stationary ones adds 1 / 2 a flight (T : of all flights together). No
+    estimate without bias has less.
+
+    Source: Kutoyants, Statistical Inference for Ergodic Diffusion Processes, sec. 2.1 (Ornstein-Uhlenbeck process).
+    """
+    return (0.5 * rate * seconds + 0.5 * flights) ** -0.5
+
+
+def _axes(
+    minimum: Minimum[FilterPlace], before: int, speed: float, seconds: float, flights: int
+) -> tuple[GustAxis, ...]:
+    """Intensity sqrt(q/(2 rate)) and length V/rate of each axis, with errors no less than `least_error`.
+
+    before : trims before the rates among the unknowns. A rate at its bound is as uncertain as that.
+    """
+    identifiable = ~(minimum.at_bound | minimum.not_identifiable)
+    inverse = inverse_triangle(minimum.linear, identifiable)
+    covariance = torch.zeros(len(identifiable), len(identifiable), dtype=torch.float64)
+    covariance[identifiable[:, None] & identifiable] = (inverse @ inverse.mT).flatten()
+    axes = []
     for k, name in enumerate(VELOCITIES):
         place = [before + k, before + 3 + k]
-        rate, density = found.point.theta[place].tolist()
+        rate, density = minimum.point.theta[place].tolist()
+        relative = torch.tensor([1.0 / rate, 1.0 / density], dtype=torch.float64)
+        C = covariance[place][:, place] * relative * relative[:, None]
+        missing = max(least_error(rate, seconds, flights) ** 2 - float(C[0, 0]), 0.0)
+        C[0, 0] += missing
+        slopes = torch.tensor([-0.5, 0.5], dtype=torch.float64)
         intensity, length = math.sqrt(density / (2.0 * rate)), speed / rate
-        slopes = torch.tensor([-0.5 / rate, 0.5 / density], dtype=torch.float64)
-        C = covariance[place][:, place]
-        share = float((slopes @ C @ slopes).clamp_min(0.0)) ** 0.5
-        length_se = length / rate * float(C[0, 0]) ** 0.5 if bool(told[before + k]) else math.inf
-        made.append(GustAxis(name, intensity, intensity * share, length, length_se))
-    return tuple(made)
+        intensity_se = intensity * float((slopes @ C @ slopes).clamp_min(0.0)) ** 0.5
+        length_se = length * float(C[0, 0]) ** 0.5 if bool(identifiable[before + k]) else math.inf
+        axes.append(GustAxis(name, intensity, intensity_se, length, length_se))
+    return tuple(axes)
 
 
 def fed_in(flights: Records, air: Air, ranks: Ranks = ALONE) -> Records:
     """Flights of this rank with their gusts as three more controls."""
     before = sum(ranks.gather(len(flights.lengths))[: ranks.rank])
-    own = air.velocities[before : before + len(flights.lengths), : flights.samples]
-    return replace(flights, controls=torch.cat([flights.controls, own], dim=-1))
+    gusts = air.velocities[before : before + len(flights.lengths), : flights.samples]
+    return replace(flights, controls=torch.cat([flights.controls, gusts], dim=-1))
 
 
 def of_all(flights: Records, ranks: Ranks) -> Records:
