@@ -18,7 +18,6 @@ import time
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from itertools import pairwise
 from pathlib import Path
 from statistics import median
 
@@ -29,6 +28,7 @@ from hidden.changed_records import Records, changed, smoothed
 from recorded.lines import read_lines
 from recorded.runs import over_sets, sets_left
 from recorded.tables import OUTCOMES, markdown, share, write_between
+from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 import rotorid_torch as rotorid
 from rotorid_torch.data import Dataset
@@ -46,10 +46,18 @@ MEMBERS: dict[str, dict[str, float]] = {
     "lever_arm": dict.fromkeys(BODY_AXES, 0.5),
     "delay": dict.fromkeys(UNITS, 0.05),
     "filter": dict.fromkeys(UNITS, 0.05),
+    "second_order": dict.fromkeys(UNITS, 0.025),
 }
-"""What may be wrong, by kind of error, and its typical size: rad/s and m/s², 1, rad, m, s."""
-ONE_SIGN = ("delay", "filter")
+"""What may be wrong, by kind of error, and its typical size: rad/s and m/s², 1, rad, m, s (1/natural frequency)."""
+EFFECT = {kind: f"sensors.{kind}" for kind in MEMBERS} | {"second_order": "sensors.filter"}
+ENDING = {"second_order": "_period"}
+"""Behind the unit in the name of the parameter that the size is of."""
+DAMPING = 0.7
+"""Of filters of second order, as most have."""
+ONE_SIGN = ("delay", "filter", "second_order")
 WHOLE = ("misalignment", "lever_arm")  # three axes are told together
+ROWS = {"nothing": "nothing", "second_order": "sensors.filter of second order"}
+"""Titles of rows that are not called as their effect is."""
 SMOOTHED_S = 0.1
 """Rates are smoothed over this before they are differentiated for an arm."""
 
@@ -110,18 +118,19 @@ def _delay(records: Records, member: str, size: float, dt: float) -> Records:
 
 
 def _filter(records: Records, member: str, size: float, dt: float) -> Records:
-    """A first-order lag, the record straight between samples."""
-    decay = math.exp(-dt / size)
-    ramp = 1.0 - (1.0 - decay) * size / dt  # weight of the newer sample
-    out = {}
-    for channel in UNITS[member]:
-        if channel in records:
-            values = records[channel]
-            passed = [values[0]]
-            for before, now in pairwise(values):
-                passed.append(decay * passed[-1] + (1.0 - decay - ramp) * before + ramp * now)
-            out[channel] = np.array(passed)
-    return out
+    return _passed(records, UNITS[member], [size, 1.0], dt)
+
+
+def _second_order(records: Records, member: str, size: float, dt: float) -> Records:
+    return _passed(records, UNITS[member], [size * size, 2.0 * DAMPING * size, 1.0], dt)
+
+
+def _passed(records: Records, channels: Sequence[str], denominator: Sequence[float], dt: float) -> Records:
+    """Behind 1 / denominator(s), from rest, the record straight between samples."""
+    (numerator,), divisor, _ = cont2discrete(([1.0], denominator), dt, "foh")
+    still = lfilter_zi(numerator, divisor)
+    present = {c: records[c] for c in channels if c in records}
+    return {c: lfilter(numerator, divisor, values, zi=still * values[0])[0] for c, values in present.items()}
 
 
 WRONG: dict[str, Callable[[Records, str, float, float], Records]] = {
@@ -131,6 +140,7 @@ WRONG: dict[str, Callable[[Records, str, float, float], Records]] = {
     "lever_arm": _lever_arm,
     "delay": _delay,
     "filter": _filter,
+    "second_order": _second_order,
 }
 
 
@@ -154,7 +164,7 @@ def run_one(place: Path, kind: str, number: int, seed: int) -> dict:
         size = MEMBERS[kind][member] * float(2.0 ** rng.uniform(-1.0, 1.0))
         size *= 1.0 if kind in ONE_SIGN else float(rng.choice((-1.0, 1.0)))
         dataset = with_error(dataset, kind, member, size)
-        told |= {"hidden": [f"sensors.{kind}"], "member": f"sensors.{kind}.{member}", "size": size}
+        told |= {"hidden": [EFFECT[kind]], "member": f"{EFFECT[kind]}.{member}{ENDING.get(kind, '')}", "size": size}
     found = sensor_findings(at_one_rate(dataset))
     named = [f.id for f in found.findings if f.verdict == "accepted"]
     group = [f.id for f in found.findings if f.verdict == "indistinguishable"]
@@ -166,10 +176,15 @@ def run_one(place: Path, kind: str, number: int, seed: int) -> dict:
     return told | {"sentence": sentence, "seconds": round(time.perf_counter() - began, 1)}
 
 
+def _units(parameters: Sequence[str]) -> set[str]:
+    """Effect and unit of parameters, a filter's period and damping alike."""
+    return {name.removesuffix("_damping").removesuffix("_period") for name in parameters}
+
+
 def outcome(line: dict) -> str:
     """What a run's answer is worth; the right effect of another channel, unit or axis is a false name."""
     hidden, named, group = (set(line[key]) for key in ("hidden", "named", "group"))
-    wrong = named and line["kind"] not in WHOLE and set(line["accepted"]) != {line["member"]}
+    wrong = named and line["kind"] not in WHOLE and _units(line["accepted"]) != _units([line["member"]])
     if named - hidden or (group and not group & hidden) or wrong:
         return "false name"
     return "in a group" if group else "named" if named else "silent"
@@ -185,7 +200,7 @@ def table(lines: Sequence[dict]) -> str:
         ratios = [line["found"] / line["size"] for line in own if "found" in line]
         sizes = (f"{median(ratios):.3f}", f"{median(off):.1f}", f"{off[-1]:.1f}") if off else ("", "", "")
         counts = [str(said.count(one)) if one in said else "" for one in OUTCOMES if one not in ("in part", "no name")]
-        rows.append((kind if kind == "nothing" else f"sensors.{kind}", str(len(own)), *counts, *sizes))
+        rows.append((ROWS.get(kind, f"sensors.{kind}"), str(len(own)), *counts, *sizes))
     hidden = [outcome(line) for line in lines if line["hidden"]]
     off = ("found / true, median", "standard errors off, median", "largest")
     head = ("wrong", "runs", "named", "in a group", "silent", "false name", *off)

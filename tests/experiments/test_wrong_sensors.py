@@ -29,6 +29,11 @@ def test_a_delay_and_a_filter_act_on_one_unit_by_their_exact_solutions() -> None
     np.testing.assert_allclose(slow, TIME - 0.05 * (1.0 - np.exp(-TIME / 0.05)), atol=1e-12)
 
 
+def test_a_filter_of_second_order_follows_a_ramp_at_twice_the_damping_times_the_period() -> None:
+    late = TIME - wrong("second_order", "rates", 0.03, q=TIME)["q"]
+    np.testing.assert_allclose(late[200:], 2.0 * 0.7 * 0.03, atol=1e-9)
+
+
 def test_a_displaced_unit_feels_the_turning() -> None:
     still = {c: np.zeros_like(TIME) for c in ("ax", "ay", "az", "q", "r")}
     felt = wrong("lever_arm", "z", 0.5, p=0.2 * TIME, **still)  # point below the centre: y by -p' z, z by -p² z
@@ -68,7 +73,7 @@ def test_the_table_counts_what_was_said() -> None:
 def test_errors_in_other_peoples_records_are_named(tmp_path: Path) -> None:
     data = shared("flightdata")
     result = quick("studies/wrong_sensors", tmp_path, "--data", str(data), "--out", str(tmp_path / "study"))
-    assert result["runs"] == 7
+    assert result["runs"] == 8
     assert "false name" not in result["wrong"]
     assert result["wrong"]["named"] >= 5
     assert result["right"] == {"silent": 1}
