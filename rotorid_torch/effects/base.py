@@ -152,7 +152,7 @@ class Effect(nn.Module):
     A subclass sets `id`, `stage`, `role`, declares parameters and states, and writes `forward` or `tape`. Parameter
     names are local ("drag.x"); the model prefixes them with the id. `predicts` names channels beyond the body's that
     the effect publishes as signals: outputs where the flights have them. `ordinary` is structure that every rotor has,
-    in every comparison from the start. `companion` is the id of an effect that may come with this one at once.
+    in every comparison from the start.
     Modules of torch that are attributes are trained with the rest: their weights are parameters behind those declared,
     with `weight_sd` for prior_sd, one number or one for each beginning of a name ("net.0").
     `proportional` : whether twice the size does about twice as much. `separated_by` are the flights that tell it from
@@ -166,7 +166,6 @@ class Effect(nn.Module):
     showing: Showing = Showing.TRAJECTORIES
     predicts: tuple[str, ...] = ()
     ordinary: bool = False
-    companion: str = ""
     proportional: bool = True
     swings: bool = False
     separated_by: str = "larger or longer inputs on every control"

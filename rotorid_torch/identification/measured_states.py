@@ -106,8 +106,8 @@ class MeasuredStates:
 
             def evaluate(part: Tensor, base: _Place | None, share: float, sigma: Mapping[str, float] = sigma) -> _Place:
                 left = sum(
-                    float(self._weighed(r, row, sigma[row]).square().sum())
-                    for one in self._left(whole(part))
+                    float(self.weighed(r, row, sigma[row]).square().sum())
+                    for one in self.remainders(whole(part))
                     for row, r in one.items()
                 )
                 return _Place(part, 0.5 * (left + float(((part - prior[0]) / prior[1]).square().sum())))
@@ -138,8 +138,8 @@ class MeasuredStates:
     def _modelled(self, theta: Tensor) -> list[dict[str, Tensor]]:
         return [{row: one[row][0] for row in self._rows} for one in self.equations.at(theta[None])]
 
-    def _left(self, theta: Tensor) -> list[dict[str, Tensor]]:
-        """Measured less modelled."""
+    def remainders(self, theta: Tensor) -> list[dict[str, Tensor]]:
+        """Measured less modelled, of each flight by row."""
         return [
             {row: measured[row] - modelled[row] for row in self._rows}
             for measured, modelled in zip(self.measured, self._modelled(theta), strict=True)
@@ -152,7 +152,7 @@ class MeasuredStates:
         gravity = self.equations.model.body.gravity
         return {row: SPREAD * (gravity if row in SPECIFIC_FORCES else float(size)) for row, size in sizes.items()}
 
-    def _weighed(self, values: Tensor, row: str, sigma: float) -> Tensor:
+    def weighed(self, values: Tensor, row: str, sigma: float) -> Tensor:
         """Values [..., T] of a flight in units of what is left: about a straight line, and its level and slope.
 
         The latter [..., 2], behind T others, count as constant and trend of a flight are expected: squares add up to
@@ -165,7 +165,7 @@ class MeasuredStates:
 
     def _lines(self, theta: Tensor) -> tuple[Mapping[str, tuple[float, float]], ...]:
         lines = []
-        for one, flight in zip(self._left(theta), self.equations.flights, strict=True):
+        for one, flight in zip(self.remainders(theta), self.equations.flights, strict=True):
             seconds = flight.step * max(len(r) for r in one.values())
             parts = {row: (_shapes(r) @ r / len(r)).tolist() for row, r in one.items()}
             lines.append({row: (level, slope * 12.0**0.5 / seconds) for row, (level, slope) in parts.items()})
@@ -179,7 +179,7 @@ class MeasuredStates:
 
     def _sigma(self, theta: Tensor) -> dict[str, float]:
         """Rms of what is left of each response."""
-        left = self._left(theta)
+        left = self.remainders(theta)
         squares = {row: torch.cat([centred(one[row]) for one in left]).square().mean() for row in self._rows}
         return {row: max(math.sqrt(float(square)), 1e-300) for row, square in squares.items()}
 
@@ -194,7 +194,7 @@ class MeasuredStates:
             for row in self._rows:
                 z = torch.stack([columns[name][k][row] for name in names])
                 left = self.measured[k][row] - base[k][row]
-                one[row] = self._weighed(z, row, sigma[row]).mT, self._weighed(left, row, sigma[row])
+                one[row] = self.weighed(z, row, sigma[row]).mT, self.weighed(left, row, sigma[row])
             every.append(one)
         return every
 

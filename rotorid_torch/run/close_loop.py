@@ -11,7 +11,6 @@ from pathlib import Path
 
 import msgspec
 
-from rotorid_torch.core.names import MOMENTS
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.one_rate import at_one_rate
@@ -28,7 +27,7 @@ from rotorid_torch.report.page.document import Shown
 from rotorid_torch.report.records import FitRecord, ParameterRecord, Report, VerdictRecord
 from rotorid_torch.report.short_horizon import short_horizon
 from rotorid_torch.report.summary import failing
-from rotorid_torch.run.estimate import at_measured_states, estimated
+from rotorid_torch.run.estimate import estimated
 from rotorid_torch.run.fit_record import fit_record, judge
 from rotorid_torch.run.free_runs import before_and_after, best_of
 from rotorid_torch.run.loop_record import as_fitted, effect_record, of_sensors, unknown_record
@@ -197,12 +196,15 @@ def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
 
 def _rotors_traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
     """By accelerations at measured states, to which each candidate is fitted."""
-    held = [f"rotors.{kind}.{row}" for kind in ("power", "trim") for row in MOMENTS]
-    free, values = ({n: v for n, v in part.items() if n not in held} for part in (base.spec.free, base.spec.values))
-    fit = partial(at_measured_states, dataset=flights.dataset, reconstruction=flights.reconstruction)
-    # what step 2 could not tell without an effect may be told with it
-    released = msgspec.structs.replace(base.spec, free=free, values=values)
-    return trace_rotors(released, flights.dataset, fit, steps.monitor.say, seed, steps.ranks)
+    say, tell, ranks = steps.monitor.say, steps.monitor.tell, steps.ranks
+    return trace_rotors(
+        base.spec,
+        flights,
+        lambda null, effects, observed: clean_draws(flights.dataset, null, effects, observed, seed, tell, ranks),
+        say,
+        seed,
+        ranks,
+    )
 
 
 def _with_network(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import msgspec
 
@@ -13,11 +12,11 @@ from rotorid_torch.effects.examples import example
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.model.model import Model
 from rotorid_torch.report.records import EffectRecord, FitRecord, ParameterRecord, Role, UnknownRecord, VisibleRecord
-from rotorid_torch.run.estimate import at_measured_states
 from rotorid_torch.run.result import Run
 from rotorid_torch.trace.evidence.fits import Flights, refit
-from rotorid_torch.trace.multirotor import rotors_earned
+from rotorid_torch.trace.measured.accelerations import MeasuredAccelerations
 from rotorid_torch.trace.search.requested import earned
+from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.sensors.sensor_finding import KinematicFinding
 from rotorid_torch.trace.terms.eligible import untried
 from rotorid_torch.trace.terms.finding import Finding, Unknown
@@ -92,12 +91,14 @@ def with_evidence(run: Run, dataset: Dataset, effects: Sequence[str], seed: int)
 
     dataset : as the steps saw it. seed : of the residuals that say what chance explains.
     """
+    flights, held = Flights(dataset, run.reconstruction), run.regressions.held
     if run.spec.motors:
-        fit = partial(at_measured_states, dataset=dataset, reconstruction=run.reconstruction)
-        findings = rotors_earned(fit(run.spec), dataset, fit, effects, seed)
+        shared = MeasuredAccelerations(flights)
+        findings = earned(shared, shared.fitted(run.spec), effects, seed)
     else:
-        flights, held = Flights(dataset, run.reconstruction), run.regressions.held
-        findings = earned(refit(run.spec, flights, run.model.named_values, held), effects, held, seed)
+        findings = earned(
+            Trajectories(flights, tuple(held)), refit(run.spec, flights, run.model.named_values, held), effects, seed
+        )
     record = msgspec.structs.replace(
         run.record,
         effects=tuple(effect_record(f, run.model, run.fit) for f in findings),

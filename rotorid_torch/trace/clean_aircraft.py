@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import torch
@@ -45,9 +45,18 @@ from rotorid_torch.model.gusts import GUSTS
 from rotorid_torch.trace.air import in_moving_air
 from rotorid_torch.trace.evidence.critical_values import Draws, Null, clear
 from rotorid_torch.trace.evidence.family import Family, family
-from rotorid_torch.trace.evidence.fits import Flights, refit
+from rotorid_torch.trace.evidence.fits import FittedT, Flights, refit
+from rotorid_torch.trace.measured.evidence import measured_family
+from rotorid_torch.trace.measured.fitted import FittedAtStates
 from rotorid_torch.trace.terms.settings import SETTINGS
 
+if TYPE_CHECKING:
+    from rotorid_torch.simulation.drawn.data_sets import Drawn
+    from rotorid_torch.simulation.drawn.multirotors import DrawnMultirotor
+    from rotorid_torch.simulation.helicopter.atmosphere import Air
+
+MULTIROTOR = "multirotor"
+"""Kind of vehicle whose model is scored by accelerations at measured states."""
 SPARE = 5
 """Clean aircraft that are drawn beside those needed: some fly away, and are no draws."""
 WIND, TURNING = Wind.id, ("q", "r", "phi", "theta")
@@ -71,10 +80,13 @@ def statistics_on(clean: Dataset, null: Null, effects: Sequence[str]) -> dict[st
     spec = propose(flown, reconstruction, ())
     spec = msgspec.structs.replace(spec, **{name: getattr(null.spec, name) for name in SAME})
     flights = Flights(flown, reconstruction)
-    if null.weather is not None:
-        spec, flights = in_moving_air(spec, null.values, flights, null.weather)
-    # an aircraft in the data's likeness lies near the data's values: from its own regression few fits find their end
-    candidates = family(refit(spec, flights, null.values, null.held), effects)
+    if spec.motors:
+        candidates = measured_family(FittedAtStates.of(spec, flights), effects)
+    else:
+        if null.weather is not None:
+            spec, flights = in_moving_air(spec, null.values, flights, null.weather)
+        # an aircraft in the data's likeness lies near the data's values; few fits from its own regression converge
+        candidates = family(refit(spec, flights, null.values, null.held), effects)
     return {"statistics": candidates.statistics, "sizes": candidates.sizes()}
 
 
@@ -82,7 +94,7 @@ def clean_draws(
     dataset: Dataset,
     null: Null,
     effects: Sequence[str],
-    observed: Family,
+    observed: Family[FittedT],
     seed: int = 0,
     say: Callable[[str], None] = lambda line: None,
     ranks: Ranks = ALONE,
@@ -96,9 +108,7 @@ def clean_draws(
     observed : the data's statistics; draws stop when they are clearly no larger than those of clean aircraft.
     ranks : processes that share the draws, each of which calls this; what the first one has cached counts for all.
     """
-    from rotorid_torch.simulation.drawn.data_sets import undrawable
-
-    why = undrawable(dataset)
+    why = _undrawable(dataset)
     if why is not None:
         return why
     wanted = SETTINGS.draws
@@ -139,6 +149,24 @@ def clean_draws(
     if alike < len(flown):
         note = f"{note}, of which {alike} resemble it and the others are as near as the drawn aircraft come"
     return Draws(_table(flown, "statistics"), note, clean=True, least=observed.least, sizes=_table(flown, "sizes"))
+
+
+def _undrawable(dataset: Dataset) -> str | None:
+    """Why no clean vehicle can be drawn for a data set, in words; None where they can."""
+    from rotorid_torch.simulation.drawn.data_sets import undrawable
+    from rotorid_torch.simulation.drawn.multirotors import undrawable_multirotor
+
+    return undrawable_multirotor(dataset) if dataset.kind == MULTIROTOR else undrawable(dataset)
+
+
+def _drawn(dataset: Dataset, seed: int, numbers: Sequence[int], air: Air | None) -> Iterator[Drawn | DrawnMultirotor]:
+    """Clean vehicles in a data set's likeness; helicopters in this air, multirotors in still air."""
+    from rotorid_torch.simulation.drawn.data_sets import clean_flights
+    from rotorid_torch.simulation.drawn.multirotors import clean_multirotors
+
+    if dataset.kind == MULTIROTOR:
+        return clean_multirotors(dataset, seed, numbers)
+    return clean_flights(dataset, seed, numbers, air=air)
 
 
 def _table(draws: Sequence[Mapping[str, Any]], kind: str) -> dict[str, Tensor]:
@@ -336,7 +364,7 @@ def _written(dataset: Dataset, null: Null, place: Path) -> None:
 
 def _work(request: Mapping[str, object]) -> None:
     """Draws of one process: one file for each, whole or absent."""
-    from rotorid_torch.simulation.drawn.data_sets import Untrimmable, clean_flights
+    from rotorid_torch.simulation.drawn.data_sets import Untrimmable
     from rotorid_torch.simulation.helicopter.atmosphere import Air
 
     dataset, folder = load(str(request["dataset"])), Path(str(request["folder"]))
@@ -354,7 +382,7 @@ def _work(request: Mapping[str, object]) -> None:
 
     away = {"statistics": {}, "alike": False, "effects": effects}
     with suppress(Untrimmable):  # none flies
-        for drawn in clean_flights(dataset, msgspec.convert(request["seed"], int), tuple(numbers), air=air):
+        for drawn in _drawn(dataset, msgspec.convert(request["seed"], int), tuple(numbers), air):
             while numbers and numbers[0] < drawn.number:  # aircraft that flew away are not flown again next time
                 write(numbers.pop(0), away)
             numbers.remove(drawn.number)
@@ -362,7 +390,7 @@ def _work(request: Mapping[str, object]) -> None:
                 statistics = statistics_on(drawn.dataset, null, effects)
             except NO_FIT:
                 statistics = away
-            likeness = {"alike": drawn.alike, "misfit": drawn.misfit, "rotor": drawn.rotor}
+            likeness = {"alike": drawn.alike, "misfit": drawn.misfit}
             write(drawn.number, statistics | likeness | {"effects": effects})
     for number in numbers:
         write(number, away)

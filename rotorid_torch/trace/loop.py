@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -11,21 +11,28 @@ from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.evidence.critical_values import Draws, Null
-from rotorid_torch.trace.evidence.family import TURNED, Family, by_chance
-from rotorid_torch.trace.evidence.fits import Fitted, Flights, refit
+from rotorid_torch.trace.evidence.family import Family, by_chance
+from rotorid_torch.trace.evidence.fits import Fitted, FittedT, Flights, refit
 from rotorid_torch.trace.evidence.trim_differences import explained_trims
 from rotorid_torch.trace.search.decide import Estimate, decide, estimate, gain, size_of
 from rotorid_torch.trace.search.forward_selection import Say, Search, Trial, observed, of_effects
 from rotorid_torch.trace.search.ordinary_physics import with_structure
 from rotorid_torch.trace.search.outcome import how_it_ended
 from rotorid_torch.trace.search.screening_sizes import with_screening_sizes
+from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.candidate import UNATTRIBUTED, Candidate
 from rotorid_torch.trace.terms.eligible import candidates, untried
 from rotorid_torch.trace.terms.finding import Finding, Unknown
 
 STILL = "they fly in still air, far from the ground: what stays without a name is not compared with them"
-DrawClean = Callable[[Null, Sequence[str], Family], Draws | str]
-"""Draws of clean aircraft for a null, effects and the data's family; or, in words, why none can be drawn."""
+
+
+class DrawClean(Protocol[FittedT]):
+    """Draws clean aircraft."""
+
+    def __call__(self, null: Null, effects: Sequence[str], observed: Family[FittedT], /) -> Draws | str:
+        """Statistics of effects for a null and the data's family; or, in words, why none can be drawn."""
+        ...
 
 
 class Named(Protocol):
@@ -76,7 +83,7 @@ def trace(
     start: Mapping[str, float],
     held: Sequence[str],
     flights: Flights,
-    draw: DrawClean,
+    draw: DrawClean[Fitted],
     say: Say = lambda line: None,
     seed: int = 0,
     ranks: Ranks = ALONE,
@@ -94,20 +101,19 @@ def trace(
     spec, testable, unmoved = with_screening_sizes(spec, start, flights.dataset, testable)
     tested = [e for e in testable if registered()[e].role is Role.UNDECLARED]
     placed: list[str] = []
+    shared = Trajectories(flights, tuple(held), ranks)
     search = Search(
-        flights,
-        tuple(held),
-        lambda observed, effects: _draws(search, observed, effects, placed, draw, seed),
-        say,
-        ranks,
+        shared, lambda observed, effects: draws_of(search, observed, effects, placed, draw, seed), say, ranks
     )
     null = refit(spec, flights, start, held)
-    null = _placed(search, null, tested, placed)
-    null, ordinary = with_structure(search, null, [e for e in testable if registered()[e].role is Role.STRUCTURE])
+    null = _placed(search, shared, null, tested, placed)
+    null, ordinary = with_structure(
+        search, shared, null, [e for e in testable if registered()[e].role is Role.STRUCTURE]
+    )
     structure = tuple(f.id for f in ordinary if f.verdict == "accepted")
     final = search.back(search.forward(null, tested), tested)
     idle = [e for e in structure if size_of(final, e).estimate is not Estimate.SIZE]
-    outcome, unknown = how_it_ended(search, final, tested)
+    outcome, unknown = how_it_ended(search, held, final, tested)
     accepted = tuple(c.effect for c in search.joined) if outcome.adequate else ()
     if placed:  # the model before has the same structure
         null = refit(null.spec.without(placed), flights, null.values, held, near=null)
@@ -118,45 +124,55 @@ def trace(
         accepted,
         {e: others for e, others in search.rivals.items() if e in accepted and others},
         (*_without(ordinary, idle), *outcome.findings(tested), *settled, *unmoved),
-        (*_notes(search), *untried(flights.dataset)),
+        (*notes_of(search), *untried(flights.dataset)),
         unknown,
         outcome.spread,
     )
 
 
-def _draws(
-    search: Search, observed: Family, effects: Sequence[str], placed: Sequence[str], draw: DrawClean, seed: int
+def draws_of(
+    search: Search[FittedT],
+    observed: Family[FittedT],
+    effects: Sequence[str],
+    placed: Sequence[str],
+    draw: DrawClean[FittedT],
+    seed: int,
 ) -> Draws:
     """Statistics where nothing is missing: of clean aircraft, or of residuals turned in time where none can be drawn.
 
     Clean aircraft fly in still air far from the ground; what wind or ground leave over these cannot say.
+
+    placed : effects that joined before any draw, by how trims differ.
     """
+    make = search.scored.family
     if search.first is not None:  # where none could be drawn there are none beside what joined either
-        return by_chance(observed, effects, seed, search.first[2].note)
+        return by_chance(observed, effects, seed, make, search.first[2].note)
     null = observed.null
-    bare = Null(null.spec.without(placed), null.values, search.held, null.flights.weather)
+    bare = Null(null.spec.without(placed), null.values, search.scored.held, null.flights.weather)
     drawn = draw(bare, effects, observed)
     if isinstance(drawn, str):
-        return by_chance(observed, effects, seed, f"{TURNED}: {drawn}")
+        return by_chance(observed, effects, seed, make, f"{search.scored.by_chance}: {drawn}")
     if not placed:
         return drawn
     library = {n: t for n, t in drawn.statistics.items() if not n.startswith(UNATTRIBUTED)}
     return replace(drawn, statistics=library, note=f"{drawn.note}; {STILL}")
 
 
-def _placed(search: Search, null: Fitted, effects: Sequence[str], placed: list[str]) -> Fitted:
+def _placed(
+    search: Search[Fitted], shared: Trajectories, null: Fitted, effects: Sequence[str], placed: list[str]
+) -> Fitted:
     """The null with what explains how trims differ from flight to flight: without that, no fit of it means much.
 
     placed : takes the effects that join.
     """
     remaining = list(effects)
-    while explained := explained_trims(null.spec, of_effects(null.values, placed), search.flights, remaining):
+    while explained := explained_trims(null.spec, of_effects(null.values, placed), shared.flights, remaining):
         effect, one = next(iter(explained.items()))
         remaining = [e for e in explained if e != effect]
         values = one.start if not placed else of_effects(one.start, [effect])
-        start = {n: v for n, v in values.items() if n not in search.held}
+        start = {n: v for n, v in values.items() if n not in shared.held}
         spec = null.spec.with_effects(effect)
-        fitted = refit(spec, search.flights, {**null.values, **start}, search.held, near=null)
+        fitted = refit(spec, shared.flights, {**null.values, **start}, shared.held, near=null)
         row = observed(null, fitted, Candidate(effect))
         errors = {n: max(fitted.error(n), one.scatter.get(n, 0.0)) for n in fitted.names}
         row = replace(row, estimate=estimate(fitted.model, errors, effect).estimate)
@@ -171,7 +187,8 @@ def _placed(search: Search, null: Fitted, effects: Sequence[str], placed: list[s
     return null
 
 
-def _notes(search: Search) -> tuple[str, ...]:
+def notes_of(search: Search[FittedT]) -> tuple[str, ...]:
+    """Where the critical values come from."""
     return () if search.first is None else (search.first[2].note,)
 
 

@@ -29,7 +29,6 @@ class MotorLag(Effect):
 
     id, stage, role = "propulsion.motor_lag", Stage.CONTROL, Role.UNDECLARED
     needs = (no_motors,)
-    companion = "propulsion.rotor_inertia"  # a rotor that takes time to turn up hands angular momentum to the body
 
     def __init__(self, motors: tuple[str, ...]) -> None:
         super().__init__((Parameter("tau", 0.0, "s", (0.0, 0.5), doc="time constant of the motors", typical=0.07),))

@@ -7,14 +7,15 @@ forces on the measured motion, and pseudo-effects for what the library has no na
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Generic, Protocol
 
 import torch
 from torch import Tensor
 
 from rotorid_torch.trace.evidence.critical_values import Draws
-from rotorid_torch.trace.evidence.fits import Fitted
+from rotorid_torch.trace.evidence.fits import Fitted, FittedT
 from rotorid_torch.trace.evidence.force_evidence import Seen, seen_in_forces
 from rotorid_torch.trace.evidence.residual import AT_ONCE, left_over
 from rotorid_torch.trace.evidence.screen import PATH, Screen, both_screens
@@ -27,21 +28,21 @@ TURNED = "critical values come from the data's own residuals, turned in time"
 
 
 @dataclass(frozen=True, eq=False)
-class Family:
+class Family(Generic[FittedT]):
     """Evidence beside a model.
 
     null : the model. accepted : its effects that have a name. common, each : screens of effects with a size of all
     controls, and of each control. forces : effects in the forces on the measured motion. residuals, descriptions : what
-    has no name.
+    has no name, where the residual that is scored has descriptions of that.
     """
 
-    null: Fitted
+    null: FittedT
     accepted: tuple[str, ...]
     common: Screen
     each: Screen
-    forces: Mapping[str, Seen]
-    residuals: Residuals
-    descriptions: Mapping[str, Description]
+    forces: Mapping[str, Seen] = field(default_factory=dict)
+    residuals: Residuals | None = None
+    descriptions: Mapping[str, Description] = field(default_factory=dict)
 
     @cached_property
     def statistics(self) -> dict[str, float]:
@@ -84,7 +85,7 @@ class Family:
 
     def nameless(self, members: Sequence[str]) -> float:
         """The largest of pseudo-effects, as evidence in trajectories: one equation is one of all that are measured."""
-        rows = len([row for row in self.residuals.fitted.rows if row not in AT_ONCE])
+        rows = 1 if self.residuals is None else len([r for r in self.residuals.fitted.rows if r not in AT_ONCE])
         keys = [name.removeprefix(UNATTRIBUTED) for name in members]
         log_ratios = [self.descriptions[key].log_ratio / rows for key in keys if key in self.descriptions]
         return max([*log_ratios, *(self.statistics[n] for n in members if n == f"{UNATTRIBUTED}{PATH}")], default=0.0)
@@ -95,9 +96,19 @@ class Family:
         return {n: v for c in candidates for n, v in self.screen(c).unbounded(c.effect).items()}
 
 
+class MakeFamily(Protocol[FittedT]):
+    """Makes the family of effects beside a model, see `family`."""
+
+    def __call__(
+        self, null: FittedT, effects: Sequence[str], accepted: Sequence[str] = (), turned: int = 0, seed: int = 0
+    ) -> Family[FittedT]:
+        """The family of these effects."""
+        ...
+
+
 def family(
     null: Fitted, effects: Sequence[str], accepted: Sequence[str] = (), turned: int = 0, seed: int = 0
-) -> Family:
+) -> Family[Fitted]:
     """The family of these effects beside a fitted model.
 
     accepted : effects of the model that have a name. turned : residuals that know nothing of the motion, for
@@ -114,18 +125,22 @@ def family(
     return Family(null, tuple(accepted), common, each, forces, residuals, residuals.descriptions())
 
 
-def by_chance(observed: Family, effects: Sequence[str], seed: int, note: str = TURNED) -> Draws:
+def by_chance(
+    observed: Family[FittedT], effects: Sequence[str], seed: int, make: MakeFamily[FittedT], note: str = TURNED
+) -> Draws:
     """Statistics of the family beside a model where nothing is missing, by its residuals turned in time."""
     count, named = SETTINGS.draws, observed.accepted
-    turned = family(observed.null, [e for e in effects if e not in named], named, count, seed)
-    turned_gains = {
-        c.name: [float(turned.screen(c).evidence(c.effect, 1 + r).sum()) for r in range(count)]
+    turned = make(observed.null, [e for e in effects if e not in named], named, count, seed)
+    statistics = {
+        c.name: torch.tensor(
+            [float(turned.screen(c).evidence(c.effect, 1 + r).sum()) for r in range(count)], dtype=torch.float64
+        )
         for c in turned.candidates
     }
-    statistics = {name: torch.tensor(values, dtype=torch.float64) for name, values in turned_gains.items()}
-    path = [float(turned.common.evidence(PATH, 1 + r).sum()) for r in range(count)]
-    statistics[f"{UNATTRIBUTED}{PATH}"] = torch.tensor(path, dtype=torch.float64)
-    statistics |= {f"{UNATTRIBUTED}{key}": t for key, t in turned.residuals.by_chance(count, seed).items()}
+    if turned.residuals is not None:
+        path = [float(turned.common.evidence(PATH, 1 + r).sum()) for r in range(count)]
+        statistics[f"{UNATTRIBUTED}{PATH}"] = torch.tensor(path, dtype=torch.float64)
+        statistics |= {f"{UNATTRIBUTED}{key}": t for key, t in turned.residuals.by_chance(count, seed).items()}
     return Draws(statistics, note, clean=False, least=turned.least)
 
 

@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol, Self, TypeVar
 
 import torch
 from torch import Tensor
@@ -54,6 +55,67 @@ class Flights:
     def records(self, model: Model, listed: Sequence[str]) -> Records:
         """These flights as the fits see them."""
         return records(model, replace(self.dataset, identify=tuple(listed)), self.reconstruction)
+
+
+class FittedModel(Protocol):
+    """A model fitted on the identify flights, by whatever residual it is scored.
+
+    cost : minus log-likelihood of the identify flights, of so many measured values.
+    """
+
+    @property
+    def spec(self) -> ModelSpec:
+        """Its structure."""
+        ...
+
+    @property
+    def model(self) -> Model:
+        """With its parameters."""
+        ...
+
+    @property
+    def flights(self) -> Flights:
+        """What all fits of the data set share."""
+        ...
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Free parameters."""
+        ...
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Every parameter by its full name."""
+        ...
+
+    @property
+    def cost(self) -> float:
+        """Minus log-likelihood of the identify flights."""
+        ...
+
+    @property
+    def per_sample(self) -> float:
+        """Measured values of the identify flights."""
+        ...
+
+    def error(self, name: str) -> float:
+        """Standard error of a parameter, infinite where it was not estimated or cannot be told."""
+        ...
+
+    def scatter(self, effect: str) -> dict[str, float]:
+        """Standard errors of an effect's free parameters by leaving out one flight in turn."""
+        ...
+
+    def log_ratios(self, other: Self) -> Tensor:
+        """Mean over the channels of log(rms of this model / rms of the other) of each flight, fitted or not [F]."""
+        ...
+
+    def unseen_log_ratios(self, other: Self) -> Tensor:
+        """The same of flights that no fit has seen; of the fitted ones where there are no others [F]."""
+        ...
+
+
+FittedT = TypeVar("FittedT", bound=FittedModel)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +170,16 @@ class Fitted:
         residual = torch.cat([part.residual for part in problem.parts(place)])
         return Residual(tuple(self.flights.dataset.unseen), problem.segments.flight, residual)
 
+    def log_ratios(self, other: Self) -> Tensor:
+        """Mean over the channels of log(rms of this model / rms of the other) of each flight, fitted or not [F + V]."""
+        pairs = [(self.identified, other.identified)]
+        pairs += [(self.unseen, other.unseen)] if self.flights.dataset.validate else []
+        return torch.cat([_log_ratios(*pair) for pair in pairs])
+
+    def unseen_log_ratios(self, other: Self) -> Tensor:
+        """The same of flights that no fit has seen; of the fitted ones where there are no others."""
+        return _log_ratios(self.unseen, other.unseen)
+
     @cached_property
     def on_unseen(self) -> tuple[Likelihood, Place]:
         """The likelihood of these flights' segments, and the place with the best initial states, parameters held."""
@@ -133,6 +205,10 @@ class Residual:
         """Root mean square of each flight's residuals by channel [F, ny]."""
         sizes = [self.residual[self.flight == f].square().nanmean(dim=(0, 1)).sqrt() for f in range(len(self.names))]
         return torch.stack(sizes)
+
+
+def _log_ratios(before: Residual, after: Residual) -> Tensor:
+    return (before.size().log() - after.size().log()).nanmean(dim=1)
 
 
 def refit(

@@ -117,6 +117,20 @@ class Screen:
     residuals: int = 1
     _chosen: dict[str, list[int]] = field(default_factory=dict, repr=False)
 
+    @classmethod
+    def of(
+        cls,
+        chosen: tuple[Signature, ...],
+        names: Sequence[str],
+        equations: FlightEquations,
+        raw: Tensor,
+        samples: float,
+    ) -> Screen:
+        """Of signatures beside a model's parameters of these names, from normal equations that hold both."""
+        left, shares = _eliminated(equations.fitted, equations.prior, len(names))
+        absorbed = tuple(_largest(tuple(names), shares[:, k]) for k in range(len(chosen)))
+        return cls(chosen, left, raw, samples, absorbed, equations, equations.residuals)
+
     @property
     def effects(self) -> tuple[str, ...]:
         """Ids of those that have signatures."""
@@ -225,22 +239,25 @@ class Screen:
 
 
 def signatures(model: Model, effects: Sequence[str]) -> tuple[Signature, ...]:
-    """Free parameters of these effects that have sizes to be met with, at each and at each start of the others."""
+    """Free parameters of these effects that have sizes to be met with, at each and at each start of the others.
+
+    A size that is itself to be tried at several values is met at these, where the effect has no other size.
+    """
     results = []
     for effect in effects:
         parameters = [p for p in model.parameter_set.parameters if p.name.startswith(f"{effect}.") and p.free]
+        usual = [p for p in parameters if p.typical not in (0.0, p.value)]
+        met = {p: (p.typical, *p.met) for p in usual if not p.tried} or {p: p.tried for p in usual}
+        shapes = [p for p in parameters if p.tried and p not in met]
         starts = [
-            tuple((p.name, value) for p, value in zip([p for p in parameters if p.tried], values, strict=True))
-            for values in product(*(p.tried for p in parameters if p.tried))
+            tuple((p.name, value) for p, value in zip(shapes, values, strict=True))
+            for values in product(*(p.tried for p in shapes))
         ]
-        sized = [p for p in parameters if p.typical not in (0.0, p.value) and not p.tried]
         results += [
-            Signature(
-                effect, p.name, p.value, (p.typical, *p.met)[min(size, len(p.met))], p.bounds, p.unit, others, size
-            )
+            Signature(effect, p.name, p.value, met[p][min(size, len(met[p]) - 1)], p.bounds, p.unit, others, size)
             for others in starts
-            for size in range(1 + max((len(p.met) for p in sized), default=0))
-            for p in sized
+            for size in range(max(map(len, met.values()), default=0))
+            for p in met
         ]
     return tuple(results)
 
@@ -274,16 +291,13 @@ def screens(
     none = prior_rest.new_zeros(len(prior_rest), sum(counts))
     prior = torch.cat([prior_rows[:, keep], none, prior_rest[:, None], prior_rest.new_zeros(len(none), shuffles)], 1)
     prior = prior.mT @ prior
-    left, shares = _eliminated(products, prior, len(names))
-    screened, first, behind = [], 0, list(range(sum(counts), left.shape[-1]))
+    screened, first, behind = [], 0, list(range(sum(counts), products.shape[-1] - len(names)))
     for probe, count in zip(probes, counts, strict=True):
         mine = list(range(first, first + count))
         whole = [*range(len(names)), *(len(names) + k for k in (*mine, *behind))]
         ours, theirs, before = (_block(matrices, whole) for matrices in (products, unseen, prior))
         equations = FlightEquations(ours, theirs, before, len(names), len(behind))
-        absorbed = tuple([_largest(tuple(names), shares[:, k]) for k in mine])
-        projected = _block(left, [*mine, *behind])
-        screened.append(Screen(probe.chosen, projected, raw[mine], null.per_sample, absorbed, equations, len(behind)))
+        screened.append(Screen.of(probe.chosen, names, equations, raw[mine], null.per_sample))
         first += count
     return screened
 

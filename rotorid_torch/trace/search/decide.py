@@ -7,11 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum, auto
 
-import torch
 from torch import Tensor
 
 from rotorid_torch.model.model import Model
-from rotorid_torch.trace.evidence.fits import Fitted, Residual
+from rotorid_torch.trace.evidence.fits import FittedModel, FittedT
 from rotorid_torch.trace.evidence.screen import signatures
 from rotorid_torch.trace.terms.finding import Verdict
 from rotorid_torch.trace.terms.settings import SETTINGS
@@ -98,22 +97,20 @@ def decide(row: Row) -> tuple[Verdict, Reason]:
     raise AssertionError("the last row of the table asks nothing")
 
 
-def gain(null: Fitted, candidate: Fitted) -> float:
+def gain(null: FittedModel, candidate: FittedModel) -> float:
     """Fall of minus log-likelihood per sample of the identify flights; minus infinity where the fit failed."""
     improvement = (null.cost - candidate.cost) / null.per_sample
     return improvement if math.isfinite(improvement) else -math.inf
 
 
-def evidence(null: Fitted, candidate: Fitted) -> Tensor:
+def evidence(null: FittedT, candidate: FittedT) -> Tensor:
     """Mean over the channels of log(rms without / rms with) of each flight, fitted or not [F + V]."""
-    pairs = [(null.identified, candidate.identified)]
-    pairs += [(null.unseen, candidate.unseen)] if null.flights.dataset.validate else []
-    return torch.cat([_log_ratios(*pair) for pair in pairs])
+    return null.log_ratios(candidate)
 
 
-def unseen_evidence(null: Fitted, candidate: Fitted) -> Tensor:
+def unseen_evidence(null: FittedT, candidate: FittedT) -> Tensor:
     """The same of flights that no fit has seen; of the fitted ones where there are no others."""
-    return _log_ratios(null.unseen, candidate.unseen)
+    return null.unseen_log_ratios(candidate)
 
 
 def total(log_ratios: Tensor) -> float:
@@ -127,10 +124,6 @@ def improves(log_ratios: Tensor) -> bool:
     return len(log_ratios) > 0 and float(log_ratios.mean()) > 0.0
 
 
-def _log_ratios(before: Residual, after: Residual) -> Tensor:
-    return (before.size().log() - after.size().log()).nanmean(dim=1)
-
-
 @dataclass(frozen=True)
 class Size:
     """What the interval of an effect's size says, and the parameter that says so with its value and error."""
@@ -141,7 +134,7 @@ class Size:
     error: float = 0.0
 
 
-def size_of(fitted: Fitted, effect: str, tests: int = 1) -> Size:
+def size_of(fitted: FittedModel, effect: str, tests: int = 1) -> Size:
     """The size of an effect in a fit: standard errors, and the scatter over flights where that is larger.
 
     tests : effects whose sizes are looked at.
@@ -169,7 +162,7 @@ def estimate(model: Model, errors: Mapping[str, float], effect: str, tests: int 
     return Size(Estimate.WITHIN_ERROR if inside else Estimate.SIZE, name, values.get(name, 0.0), errors.get(name, 0.0))
 
 
-def errors_of(fitted: Fitted, effect: str, spread: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+def errors_of(fitted: FittedModel, effect: str, spread: Mapping[str, float]) -> dict[str, tuple[float, float]]:
     """Sizes of an effect with their standard errors, no smaller than their scatter over flights, controls and draws."""
     names, values = [p.name for p in fitted.model.parameter_set.sizes(effect)], fitted.values
     return {n: (values[n], max(fitted.error(n), spread.get(n, 0.0))) for n in names}

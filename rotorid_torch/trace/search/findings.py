@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Generic
 
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.trace.evidence.family import effect_of
-from rotorid_torch.trace.evidence.fits import Fitted
+from rotorid_torch.trace.evidence.fits import FittedT
 from rotorid_torch.trace.search.decide import Reason, Row, decide, errors_of
 from rotorid_torch.trace.search.forward_selection import Search
 from rotorid_torch.trace.search.words import explained_by, reason, size_details
@@ -17,7 +18,7 @@ from rotorid_torch.trace.terms.settings import SETTINGS
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class Outcome(Generic[FittedT]):
     """How a search ended.
 
     final : the model with what joined. share : of what is missing that the names explain; None where nothing without a
@@ -26,8 +27,8 @@ class Outcome:
     their scatter over flights, controls and draws.
     """
 
-    search: Search
-    final: Fitted
+    search: Search[FittedT]
+    final: FittedT
     share: float | None
     other_law: tuple[str, ...]
     by_control: Mapping[str, str]

@@ -9,33 +9,70 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Generic, Protocol
 
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
-from rotorid_torch.effects.registry import registered
+from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.evidence.critical_values import Draws, p_values
-from rotorid_torch.trace.evidence.family import Family, by_chance, effect_of, family
-from rotorid_torch.trace.evidence.fits import BEGINNING, CAREFUL, Fitted, Flights, refit
-from rotorid_torch.trace.evidence.force_evidence import derivatives_beside, seen_in_forces
-from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
+from rotorid_torch.trace.evidence.family import Family, by_chance, effect_of
+from rotorid_torch.trace.evidence.fits import FittedT
 from rotorid_torch.trace.search.decide import Estimate, Row, decide, evidence, gain, improves, size_of, unseen_evidence
 from rotorid_torch.trace.terms.candidate import Candidate
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import exceeds
 
-LONGEST = 4
-"""Times that a fit may go on, at most."""
 Say = Callable[[str], None]
-Tested = tuple[Family, dict[str, float], Draws]
+Tested = tuple[Family[FittedT], dict[str, float], Draws]
 """A family, the p of its members, and the draws that p comes from."""
 
 
+class Scored(Protocol[FittedT]):
+    """The residual that a search scores candidates by: what is fitted to it, and the evidence in it.
+
+    Trajectories over segments, or accelerations at measured states.
+    """
+
+    @property
+    def held(self) -> tuple[str, ...]:
+        """Parameters that keep their values."""
+        ...
+
+    @property
+    def by_chance(self) -> str:
+        """What stands for flights where nothing is missing, in words, where none can be drawn."""
+        ...
+
+    def family(
+        self, null: FittedT, effects: Sequence[str], accepted: Sequence[str] = (), turned: int = 0, seed: int = 0
+    ) -> Family[FittedT]:
+        """The family of these effects beside a fitted model.
+
+        accepted : effects of the model that have a name. turned : residuals that know nothing of the motion.
+        """
+        ...
+
+    def refitted(self, spec: ModelSpec, near: FittedT) -> FittedT:
+        """The model of a spec, fitted from where another fit ended."""
+        ...
+
+    def candidates(
+        self, null: FittedT, observed: Family[FittedT], candidates: Sequence[Candidate]
+    ) -> dict[Candidate, FittedT]:
+        """The null with one more effect, for each of these, fitted in full."""
+        ...
+
+    def settled(self, fitted: FittedT) -> FittedT:
+        """A fit gone on with, where it has not converged."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
-class Trial:
+class Trial(Generic[FittedT]):
     """A candidate that was fitted in full: beside which null, and what was observed of it."""
 
     candidate: Candidate
-    null: Fitted
-    fitted: Fitted
+    null: FittedT
+    fitted: FittedT
     row: Row
 
     @property
@@ -45,10 +82,10 @@ class Trial:
 
 
 @dataclass
-class Search:
-    """What the fits of a search share, and what it has come upon.
+class Search(Generic[FittedT]):
+    """What a search goes by, and what it has come upon.
 
-    held : parameters that keep their values. draws : statistics where nothing is missing, for a family.
+    scored : the residual that candidates are scored by. draws : statistics where nothing is missing, for a family.
     ranks : among which fits of several candidates are spread; everything else is the same at each.
     first : the family beside the null, its p by member, and the draws. null : without candidates, as it ends once the
     first of them are fitted. trials : the last of each candidate. tested : the family in which an effect was
@@ -57,37 +94,35 @@ class Search:
     that was asked last.
     """
 
-    flights: Flights
-    held: tuple[str, ...]
-    draws: Callable[[Family, Sequence[str]], Draws]
+    scored: Scored[FittedT]
+    draws: Callable[[Family[FittedT], Sequence[str]], Draws]
     say: Say
     ranks: Ranks = ALONE
-    first: Tested | None = None
-    null: Fitted | None = None
-    trials: dict[Candidate, Trial] = field(default_factory=dict)
-    tested: dict[str, Tested] = field(default_factory=dict)
+    first: Tested[FittedT] | None = None
+    null: FittedT | None = None
+    trials: dict[Candidate, Trial[FittedT]] = field(default_factory=dict)
+    tested: dict[str, Tested[FittedT]] = field(default_factory=dict)
     joined: list[Candidate] = field(default_factory=list)
     rivals: dict[str, tuple[str, ...]] = field(default_factory=dict)
     scatter: dict[str, float] = field(default_factory=dict)
-    last: Tested | None = None
+    last: Tested[FittedT] | None = None
 
     @classmethod
-    def alone(cls, flights: Flights, held: Sequence[str], seed: int) -> Search:
+    def alone(cls, scored: Scored[FittedT], seed: int) -> Search[FittedT]:
         """A search whose critical values come from residuals turned in time, which says nothing while it goes on."""
-        return cls(
-            flights, tuple(held), lambda observed, effects: by_chance(observed, effects, seed), lambda line: None
-        )
+        make, note = scored.family, scored.by_chance
+        return cls(scored, lambda observed, effects: by_chance(observed, effects, seed, make, note), lambda line: None)
 
     @property
     def tests(self) -> int:
         """Effects that are tested."""
-        return 1 if self.first is None else max(len(self.first[0].common.effects) - 1, 1)  # one is a pseudo-effect
+        return 1 if self.first is None else max(len({c.effect for c in self.first[0].candidates}), 1)
 
-    def consider(self, null: Fitted, effects: Sequence[str]) -> None:
+    def consider(self, null: FittedT, effects: Sequence[str]) -> None:
         """The family of these effects beside a null as the first one."""
-        self.tested_beside(family(null, effects), effects)
+        self.tested_beside(self.scored.family(null, effects), effects)
 
-    def forward(self, null: Fitted, effects: Sequence[str]) -> Fitted:
+    def forward(self, null: FittedT, effects: Sequence[str]) -> FittedT:
         """The null with the effects that join it."""
         for _ in range(SETTINGS.effects + 1):
             tested = self.beside(null, effects)
@@ -96,21 +131,23 @@ class Search:
             promising = self._promising(observed, p)
             if not promising or len(self.joined) == SETTINGS.effects:
                 break
-            null, best = self._joining(self.settled(null), tested, promising)
+            null, best = self._joining(self.scored.settled(null), tested, promising)
             if best is None:
                 break
             null = best.fitted
             self._joins(best.candidate)
         return null
 
-    def _joining(self, null: Fitted, tested: Tested, promising: Sequence[Candidate]) -> tuple[Fitted, Trial | None]:
+    def _joining(
+        self, null: FittedT, tested: Tested[FittedT], promising: Sequence[Candidate]
+    ) -> tuple[FittedT, Trial[FittedT] | None]:
         """The null, from the best start that fits of candidates came upon, and the candidate that joins, if any stands.
 
         Those of largest evidence are fitted first; others where none of these stands.
         """
         for first in range(0, len(promising), SETTINGS.fits):
             batch = promising[first : first + SETTINGS.fits]
-            fitted = self.fitted(null, {c: self._starts(tested[0], c) for c in batch})
+            fitted = self.scored.candidates(null, tested[0], batch)
             null = self.improved(null, fitted)
             self.null = self.null or null
             self.tested |= {c.effect: tested for c in batch}
@@ -124,22 +161,22 @@ class Search:
         self.joined.append(candidate)
         self.rivals = {e: tuple(one for one in others if one != candidate.effect) for e, others in self.rivals.items()}
 
-    def beside(self, model: Fitted, effects: Sequence[str]) -> Tested:
+    def beside(self, model: FittedT, effects: Sequence[str]) -> Tested[FittedT]:
         """The family beside a model with the effects that joined, and the p of its members; made once for a model."""
         named = tuple(c.effect for c in self.joined)
         if self.last is None or self.last[0].null is not model or self.last[0].accepted != named:
-            asked = family(model, [e for e in effects if e not in named], named)
+            asked = self.scored.family(model, [e for e in effects if e not in named], named)
             self.last = self.tested_beside(asked, effects)
         return self.last
 
-    def tested_beside(self, observed: Family, effects: Sequence[str]) -> Tested:
+    def tested_beside(self, observed: Family[FittedT], effects: Sequence[str]) -> Tested[FittedT]:
         """Adjusted p of each member: against clean aircraft, drawn once, or the model's own turned residuals."""
         drawn = self.first[2] if self.first is not None and self.first[2].clean else self.draws(observed, effects)
         tested = observed, p_values(observed.contest, drawn.statistics, drawn.least), drawn
         self.first = self.first or tested
         return tested
 
-    def _promising(self, observed: Family, p: Mapping[str, float]) -> list[Candidate]:
+    def _promising(self, observed: Family[FittedT], p: Mapping[str, float]) -> list[Candidate]:
         """Candidates whose p is below the level, those of largest evidence first.
 
         Of an effect with a size of each control only where flights, held out, are better predicted than with one size.
@@ -149,63 +186,16 @@ class Search:
         chosen = [c for c in observed.candidates if c.effect in low and c.each_control == (c.effect in each)]
         return sorted(chosen, key=lambda c: -observed.statistics[c.name])
 
-    def fitted(
-        self, null: Fitted, starts: Mapping[Candidate, Sequence[Mapping[str, float]]]
-    ) -> dict[Candidate, Fitted]:
-        """The null with one more effect, for each of these, fitted in full: the best of several starts goes on.
-
-        starts : sizes of the effect. What is not proportional to its size is far from a straight line, and derivatives
-        of the null lead astray: it starts once more with derivatives of the measured motion.
-        """
-        wanted: list[tuple[Candidate, Wanted]] = []
-        for c, sizes in starts.items():
-            spec = c.joined_to(null.spec)
-            values = [{**null.values, **size} for size in sizes]
-            wanted += [(c, Wanted(spec, start, null)) for start in values]
-            wanted.append((c, Wanted(spec, values[0], null, short_first=True)))
-            if not registered()[c.effect].proportional:
-                wanted += [(c, Wanted(spec, derivatives_beside(null, spec, size, self.held), null)) for size in sizes]
-        begun: dict[Candidate, Fitted] = {}
-        for (c, _), one in zip(wanted, fits([w for _, w in wanted], self.held, BEGINNING, self.ranks), strict=True):
-            begun[c] = min(begun.get(c, one), one, key=lambda fitted: fitted.cost)
-        return self.longer(begun)
-
-    @staticmethod
-    def _starts(observed: Family, candidate: Candidate) -> list[Mapping[str, float]]:
-        """Sizes by the screen, and those that the forces on the measured motion ask for."""
-        starts: list[Mapping[str, float]] = [*observed.screen(candidate).starts(candidate.effect)]
-        if candidate.effect in observed.forces:
-            return [*starts, observed.forces[candidate.effect].start]
-        if not registered()[candidate.effect].proportional:
-            by_forces = seen_in_forces(observed.null, observed.residuals.fitted, [candidate], whole=True)
-            starts += [one.start for one in by_forces.values()]
-        return starts
-
-    def longer(self, fitted: Mapping[Candidate, Fitted]) -> dict[Candidate, Fitted]:
-        """Fits gone on with until they have converged, or gain no more."""
-        now, going = dict(fitted), list(fitted)
-        for _ in range(LONGEST):
-            going = [c for c in going if not now[c].fit.minimum.converged]
-            wanted = [Wanted(now[c].spec, now[c].values, now[c]) for c in going]
-            more = dict(zip(going, fits(wanted, self.held, CAREFUL, self.ranks), strict=True))
-            going = [c for c, one in more.items() if gain(now[c], one) > 0.0]
-            now |= {c: more[c] for c in going}
-        return now
-
-    def settled(self, fitted: Fitted) -> Fitted:
-        """One fit gone on with."""
-        return self.longer({Candidate(""): fitted})[Candidate("")]
-
-    def improved(self, null: Fitted, fitted: Mapping[Candidate, Fitted]) -> Fitted:
+    def improved(self, null: FittedT, fitted: Mapping[Candidate, FittedT]) -> FittedT:
         """The null fitted again from where the best candidate ended: what it gains so is not the candidate's."""
         best = max(fitted.values(), key=lambda one: gain(null, one))
-        again = self.settled(refit(null.spec, self.flights, best.values, self.held, near=best))
+        again = self.scored.refitted(null.spec, best)
         if gain(null, again) <= 0.0:
             return null
         self.say(f"the model without candidates gains {gain(null, again):.3g} per sample from a better start")
         return again
 
-    def _best(self, null: Fitted, fitted: Mapping[Candidate, Fitted]) -> Trial | None:
+    def _best(self, null: FittedT, fitted: Mapping[Candidate, FittedT]) -> Trial[FittedT] | None:
         """The trial of the candidate that joins; its rivals are noted."""
         rows = self.ranks.share(list(fitted), lambda c: observed(null, fitted[c], c, self.tests))
         trials = dict(zip(fitted, rows, strict=True))
@@ -229,7 +219,7 @@ class Search:
             low = {effect_of(n) for n, one in p.items() if one <= SETTINGS.level}
             self.rivals[last] = tuple(e for e in self.rivals.get(last, ()) if e not in low)
 
-    def back(self, final: Fitted, effects: Sequence[str]) -> Fitted:
+    def back(self, final: FittedT, effects: Sequence[str]) -> FittedT:
         """The final model without the effects that explain nothing more beside the others, by the same test.
 
         The one that explains least goes first, and the others are asked again.
@@ -257,7 +247,7 @@ class Search:
                 self.rivals.pop(one.effect, None)
         return final
 
-    def _left_out(self, candidate: Candidate, final: Fitted, effects: Sequence[str]) -> Trial:
+    def _left_out(self, candidate: Candidate, final: FittedT, effects: Sequence[str]) -> Trial[FittedT]:
         """A candidate that joined, tried again beside the others that did."""
         assert self.first is not None
         row = replace(self.trials[candidate].row, estimate=size_of(final, candidate.effect, self.tests).estimate)
@@ -265,17 +255,17 @@ class Search:
         if row.estimate is Estimate.SIZE and (alone or candidate.effect not in self.first[2].statistics):
             return Trial(candidate, self.trials[candidate].null, final, row)
         spec = final.spec.without([candidate.effect])
-        without = self.settled(refit(spec, self.flights, final.values, self.held, near=final))
+        without = self.scored.refitted(spec, final)
         if alone or candidate.effect not in self.first[2].statistics:
             return Trial(candidate, without, final, row)
         named = [c.effect for c in self.joined if c is not candidate]
         others = [e for e in effects if e not in named]
-        p = self.tested_beside(family(without, others, named), others)[1]
+        p = self.tested_beside(self.scored.family(without, others, named), others)[1]
         low = any(one <= SETTINGS.level and effect_of(n) == candidate.effect for n, one in p.items())
         return Trial(candidate, without, final, replace(row, still=low, in_set=low))
 
 
-def observed(null: Fitted, fitted: Fitted, candidate: Candidate, tests: int = 1) -> Row:
+def observed(null: FittedT, fitted: FittedT, candidate: Candidate, tests: int = 1) -> Row:
     """What a full fit says of a candidate, one of so many effects that are tested."""
     return Row(
         fitted=gain(null, fitted) > 0.0,

@@ -14,6 +14,7 @@ from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
 from rotorid_torch.trace.evidence.screen import screen
 from rotorid_torch.trace.search.decide import decide, errors_of, gain, unseen_evidence
 from rotorid_torch.trace.search.forward_selection import Search, observed
+from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.search.words import reason, size_details
 from rotorid_torch.trace.terms.candidate import Candidate
 from rotorid_torch.trace.terms.finding import Finding
@@ -24,11 +25,13 @@ WANTED = "ordinary physics that flights not fitted ask for"
 NOT_WANTED = "flights not fitted do not gain by it"
 
 
-def with_structure(search: Search, null: Fitted, effects: Sequence[str]) -> tuple[Fitted, list[Finding]]:
+def with_structure(
+    search: Search[Fitted], shared: Trajectories, null: Fitted, effects: Sequence[str]
+) -> tuple[Fitted, list[Finding]]:
     """The null with the structure that joins it, and a finding for each of these effects."""
     ordinary = [e for e in effects if registered()[e].ordinary]
-    null, findings = _with_ordinary(search, null, ordinary)
-    null = _over_short(search, null)
+    null, findings = _with_ordinary(search, shared, null, ordinary)
+    null = _over_short(search, shared, null)
     others = [e for e in effects if e not in ordinary]
     while others:
         screened = screen(null, others)
@@ -37,7 +40,7 @@ def with_structure(search: Search, null: Fitted, effects: Sequence[str]) -> tupl
         if not exceeds(promising[best]):
             break
         candidate = Candidate(best)
-        fitted = search.fitted(null, {candidate: screened.starts(best)})[candidate]
+        fitted = shared.fitted(null, {candidate: screened.starts(best)})[candidate]
         null = search.improved(null, {candidate: fitted})
         row = observed(null, fitted, candidate)
         verdict, why = decide(row)
@@ -51,13 +54,15 @@ def with_structure(search: Search, null: Fitted, effects: Sequence[str]) -> tupl
     return null, findings
 
 
-def _with_ordinary(search: Search, null: Fitted, effects: Sequence[str]) -> tuple[Fitted, list[Finding]]:
+def _with_ordinary(
+    search: Search[Fitted], shared: Trajectories, null: Fitted, effects: Sequence[str]
+) -> tuple[Fitted, list[Finding]]:
     """The null with what every rotor has, where a fit gains by that at all."""
     if not effects:
         return null, []
     sizes = screen(null, effects).sizes(effects)
     spec = null.spec.with_effects(*effects)
-    richer = refit(spec, search.flights, {**null.values, **sizes}, search.held, near=null)
+    richer = refit(spec, shared.flights, {**null.values, **sizes}, shared.held, near=null)
     gained = gain(null, richer)
     search.say(f"structure: {' and '.join(effects)}, gain {gained:.3g} per sample")
     if gained <= 0.0:
@@ -69,13 +74,13 @@ def _with_ordinary(search: Search, null: Fitted, effects: Sequence[str]) -> tupl
     ]
 
 
-def _over_short(search: Search, null: Fitted) -> Fitted:
+def _over_short(search: Search[Fitted], shared: Trajectories, null: Fitted) -> Fitted:
     """The null, or what a fit over short segments first makes of it where that ends better.
 
     Not where flights that no fit has seen are described worse: derivatives that are no vehicle's may imitate what a
     model lacks in the fitted flights.
     """
-    again = fits([Wanted(null.spec, null.values, null, short_first=True)], search.held, CAREFUL, search.ranks)[0]
+    again = fits([Wanted(null.spec, null.values, null, short_first=True)], shared.held, CAREFUL, shared.ranks)[0]
     unseen = unseen_evidence(null, again)
     if gain(null, again) <= 0.0 or not bool(unseen.isfinite().all()) or float(unseen.mean()) < 0.0:
         return null

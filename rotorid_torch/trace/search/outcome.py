@@ -26,7 +26,9 @@ UNJUDGED = "No clean aircraft tells how much of this is ordinary."
 UNCONFIRMED = "No flight was kept back that could confirm it."
 
 
-def how_it_ended(search: Search, final: Fitted, effects: Sequence[str]) -> tuple[Outcome, Unknown | None]:
+def how_it_ended(
+    search: Search[Fitted], held: Sequence[str], final: Fitted, effects: Sequence[str]
+) -> tuple[Outcome[Fitted], Unknown | None]:
     """How the search ended, and what stays without a name."""
     names = [c.effect for c in search.joined]
     observed, p, _ = search.beside(final, effects)
@@ -40,7 +42,7 @@ def how_it_ended(search: Search, final: Fitted, effects: Sequence[str]) -> tuple
         of_motion = explained / max(explained + observed.nameless(low), 1e-300) if low else None
         of_curves = _share_of_curves(first, observed, curves, draws) if curves else None
     share = min((one for one in (of_motion, of_curves) if one is not None), default=None)
-    outcome = Outcome(search, final, share, _other_law(names, low, draws), *_spread(search, final, draws))
+    outcome = Outcome(search, final, share, _other_law(names, low, draws), *_spread(search, held, final, draws))
     next_to_nothing = of_motion is not None and of_motion > 1.0 - SETTINGS.level
     unknown = None
     if (low and not next_to_nothing) or not outcome.adequate:
@@ -48,7 +50,7 @@ def how_it_ended(search: Search, final: Fitted, effects: Sequence[str]) -> tuple
     return outcome, unknown
 
 
-def _extreme_curves(observed: Family, draws: Draws) -> list[str]:
+def _extreme_curves(observed: Family[Fitted], draws: Draws) -> list[str]:
     """Members that are curves and products of signals, by equation, with p at most the level among their kind."""
     curves = [n for n in draws.statistics if n.startswith(UNATTRIBUTED) and n.endswith(Shape.CURVE.value)]
     p = adjusted_p(
@@ -57,7 +59,7 @@ def _extreme_curves(observed: Family, draws: Draws) -> list[str]:
     return [n for n, one in p.items() if one <= SETTINGS.level]
 
 
-def _share_of_curves(before: Family, after: Family, extreme: Sequence[str], draws: Draws) -> float:
+def _share_of_curves(before: Family[Fitted], after: Family[Fitted], extreme: Sequence[str], draws: Draws) -> float:
     """Share that names explain of the curves beside a null.
 
     With T_k the statistic of the curves of an equation and m_k its mean size over the draws, the share is
@@ -74,18 +76,20 @@ def _other_law(names: Sequence[str], low: Sequence[str], draws: Draws) -> tuple[
     return tuple(of_control_path(names)) if draws.clean and f"{UNATTRIBUTED}{PATH}" in low else ()
 
 
-def _nameless(observed: Family, members: Sequence[str], draws: Draws) -> Unknown:
+def _nameless(observed: Family[Fitted], members: Sequence[str], draws: Draws) -> Unknown:
     """Where these members say that something acts."""
     described = [observed.descriptions.get(n.removeprefix(UNATTRIBUTED)) for n in members]
     sentences, flights = [one for one in described if one is not None], observed.null.flights
     unknown = in_control_path(flights)
-    if sentences:
+    if sentences and observed.residuals is not None:
         unknown = localised(sentences, observed.residuals, deflected(observed.null.model))
     doubts = [*([] if draws.clean else [UNJUDGED]), *([] if flights.dataset.validate else [UNCONFIRMED])]
     return replace(unknown, sentence=" ".join([unknown.sentence, *doubts]), judged=draws.clean)
 
 
-def _spread(search: Search, final: Fitted, draws: Draws) -> tuple[dict[str, str], dict[str, float]]:
+def _spread(
+    search: Search[Fitted], held: Sequence[str], final: Fitted, draws: Draws
+) -> tuple[dict[str, str], dict[str, float]]:
     """Words on how controls differ, and standard errors by the scatter of sizes over flights, controls and draws."""
     words: dict[str, str] = {}
     spread = dict(search.scatter)
@@ -93,7 +97,7 @@ def _spread(search: Search, final: Fitted, draws: Draws) -> tuple[dict[str, str]
         for name, scatter in [*final.scatter(effect).items(), *draws.scatter(effect).items()]:
             if name in final.names:
                 spread[name] = max(spread.get(name, 0.0), scatter)
-        sizes = by_control(final, effect, search.held)
+        sizes = by_control(final, effect, held)
         if sizes is not None:
             errors = [e for e in (final.error(sizes.parameter), spread.get(sizes.parameter, 0.0)) if math.isfinite(e)]
             spread[sizes.parameter] = math.hypot(max(errors, default=0.0), sizes.spread)

@@ -14,10 +14,10 @@ import msgspec
 from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.trace.evidence.family import effect_of
-from rotorid_torch.trace.evidence.fits import Fitted, refit
+from rotorid_torch.trace.evidence.fits import FittedT
 from rotorid_torch.trace.search.decide import Reason, errors_of, unseen_evidence
 from rotorid_torch.trace.search.findings import Outcome
-from rotorid_torch.trace.search.forward_selection import Search, Trial, observed
+from rotorid_torch.trace.search.forward_selection import Scored, Search, Trial, observed
 from rotorid_torch.trace.search.screening_sizes import with_screening_sizes
 from rotorid_torch.trace.search.words import reason, size_details
 from rotorid_torch.trace.terms.candidate import Candidate
@@ -27,10 +27,10 @@ from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import exceeds
 
 
-def earned(whole: Fitted, effects: Sequence[str], held: Sequence[str] = (), seed: int = 0) -> list[Finding]:
+def earned(scored: Scored[FittedT], whole: FittedT, effects: Sequence[str], seed: int = 0) -> list[Finding]:
     """A finding for each of these effects of a model.
 
-    whole : the model with all of them, as identified. held : parameters that keep their values. seed : of the residuals
+    scored : the residual that tells. whole : the model with all of them, as identified. seed : of the residuals
     turned in time that say what chance explains.
     """
     spec, flights = whole.spec, whole.flights
@@ -42,16 +42,15 @@ def earned(whole: Fitted, effects: Sequence[str], held: Sequence[str] = (), seed
             findings[e] = Finding(e, registered()[e].role.value, "not testable", NOT_IN_TRAJECTORIES)
     if tested:
         richer = msgspec.structs.replace(spec, screening_sizes=sized.screening_sizes)
-        refitted = refit(richer, flights, whole.values, held)
-        whole = Search.alone(flights, held, seed).settled(refitted)
-        findings |= {e: _finding(whole, e, held, seed) for e in tested}
+        whole = scored.refitted(richer, whole)
+        findings |= {e: _finding(scored, whole, e, seed) for e in tested}
     return [findings[e] for e in effects]
 
 
-def _finding(whole: Fitted, effect: str, held: Sequence[str], seed: int) -> Finding:
+def _finding(scored: Scored[FittedT], whole: FittedT, effect: str, seed: int) -> Finding:
     """What a model without the effect, fitted with the same care, says of it."""
-    role, search = registered()[effect].role, Search.alone(whole.flights, held, seed)
-    null = search.settled(refit(whole.spec.without([effect]), whole.flights, whole.values, held, near=whole))
+    role, search = registered()[effect].role, Search.alone(scored, seed)
+    null = scored.refitted(whole.spec.without([effect]), whole)
     if role is Role.LEARNT:  # a network has no size of its own
         better = unseen_evidence(null, whole)
         verdict = "accepted" if exceeds(better) else "rejected"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rotorid_torch.trace.evidence.fits import Fitted
+from rotorid_torch.trace.evidence.fits import FittedT
 from rotorid_torch.trace.search.decide import TABLE, Estimate, Reason, size_of, unseen_evidence
 
 REASONS = {
@@ -36,7 +36,7 @@ def explained_by(names: Sequence[str]) -> str:
     return f"{' and '.join(names) or 'another effect'} {'explain' if len(names) > 1 else 'explains'}"
 
 
-def size_details(null: Fitted, fitted: Fitted, effect: str) -> dict[str, object]:
+def size_details(null: FittedT, fitted: FittedT, effect: str) -> dict[str, object]:
     """What the reasons about a full fit say of it."""
     size, unseen = size_of(fitted, effect), unseen_evidence(null, fitted)
     return {

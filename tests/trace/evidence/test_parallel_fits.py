@@ -15,11 +15,11 @@ from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build
-from rotorid_torch.trace import multirotor
 from rotorid_torch.trace.evidence.fits import CAREFUL, Flights, refit
 from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
 from rotorid_torch.trace.evidence.screen import screen
-from rotorid_torch.trace.multirotor import Identified
+from rotorid_torch.trace.measured.accelerations import MeasuredAccelerations, _message
+from rotorid_torch.trace.measured.fitted import FittedAtStates
 from tests.known_models import body_spec, flown, manoeuvres, rate_vehicle, scattered, with_values
 
 DT = 0.04
@@ -64,8 +64,12 @@ def test_a_fit_of_another_rank_is_the_same_fit(kept: bool, monkeypatch: pytest.M
     assert torch.equal(again.products, seen.products)
 
 
-def test_what_was_identified_travels_whole():
+def test_what_was_fitted_at_measured_states_travels_whole():
     spec = body_spec(states=RATES, outputs=RATES, patterns={}, imu=(0.0, 0.0, 0.0), effects=("control.delay",))
-    made = Identified(spec, scattered(build(spec)), {"control.delay.common": 0.25})
-    found = Others().carry([spec], lambda _: made, multirotor._told, multirotor._again)[0]
+    unused: Any = None
+    model = scattered(build(spec))
+    made = FittedAtStates(spec, model, unused, {"control.delay.common": 0.25}, {"one": model.theta.detach() + 1.0})
+    shared = MeasuredAccelerations(unused)
+    found = Others().carry([spec], lambda _: made, _message, shared._again)[0]
     assert (found.spec, found.values, found.errors) == (made.spec, made.values, made.errors)
+    assert torch.equal(found.without["one"], made.without["one"])

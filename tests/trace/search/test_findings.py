@@ -15,6 +15,7 @@ from rotorid_torch.trace.evidence.fits import Fitted, refit
 from rotorid_torch.trace.search.decide import Estimate, Row
 from rotorid_torch.trace.search.findings import Outcome
 from rotorid_torch.trace.search.forward_selection import Search, Trial
+from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.candidate import Candidate
 from rotorid_torch.trace.terms.finding import Finding
 from rotorid_torch.trace.terms.settings import SETTINGS
@@ -32,13 +33,13 @@ def late() -> tuple[Fitted, Fitted, Family, Draws]:
     known, null = started(flights(DELAY, control__delay__common=0.06))
     fitted = refit(null.spec.with_effects(DELAY), known, {**null.values, NAME: 0.05}, near=null)
     beside = family(null, TESTED)
-    return null, fitted, beside, by_chance(beside, TESTED, 0)
+    return null, fitted, beside, by_chance(beside, TESTED, 0, family)
 
 
 def outcome(share: float | None = None, row: Row | None = GOOD, p: float = 0.05, **rivals: tuple[str, ...]) -> Outcome:
     """A search in which the delay was tried with this row, and joined where nothing speaks against it."""
     null, fitted, beside, draws = late()
-    search = Search.alone(null.flights, (), 0)
+    search = Search.alone(Trajectories(null.flights), 0)
     adjusted = {name: 0.9 for name in beside.statistics if name in draws.statistics} | {DELAY: p}
     search.first = beside, adjusted, draws
     if row is not None:
@@ -108,7 +109,7 @@ def test_what_these_flights_would_not_show_at_its_usual_size_is_told_with_what_t
     null, _, beside, draws = late()
     loud = Draws({n: t + 1e6 for n, t in draws.statistics.items()}, "", clean=True)
     loud.statistics[DELAY][0] = 3e6  # type: ignore[index]
-    search = Search.alone(null.flights, (), 0)
+    search = Search.alone(Trajectories(null.flights), 0)
     search.first = beside, dict.fromkeys(loud.statistics, 0.9), loud
     told = of(Outcome(search, null, None, (), {}, {}))
     assert told.verdict == "indistinguishable"
@@ -177,7 +178,7 @@ def test_what_joined_beside_another_effect_is_accepted_though_alone_it_was_hidde
 def test_an_effect_that_was_placed_before_the_family_has_a_finding_too():
     """Of a wind that explains trims the family knows nothing: it is in the model already."""
     null, fitted, _, _ = late()
-    search = Search.alone(null.flights, (), 0)
+    search = Search.alone(Trajectories(null.flights), 0)
     beside = family(null, [LAG])
     drawn = Draws({n: torch.zeros(SETTINGS.draws) for n in beside.statistics}, "", clean=True)
     search.first = beside, dict.fromkeys(drawn.statistics, 0.9), drawn

@@ -16,6 +16,7 @@ from rotorid_torch.trace.evidence.fits import BEGINNING, CAREFUL, Fitted, Flight
 from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
 from rotorid_torch.trace.search.decide import Estimate, Row, gain
 from rotorid_torch.trace.search.forward_selection import Search, Trial, observed
+from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.candidate import Candidate
 from rotorid_torch.trace.terms.settings import SETTINGS
 from tests.known_models import rate_vehicle
@@ -38,30 +39,30 @@ def late() -> tuple[Flights, Fitted]:
 @cache
 def draws_of(hidden: bool) -> Draws:
     known = late() if hidden else nothing()
-    return by_chance(family(known[1], SUSPECTS), SUSPECTS, 0)
+    return by_chance(family(known[1], SUSPECTS), SUSPECTS, 0, family)
 
 
 def search_of(known: Flights, draws: Draws | None = None, said: list[str] | None = None) -> Search:
     if draws is None:
-        return Search.alone(known, (), 0)
-    return Search(known, (), lambda beside, effects: draws, (said if said is not None else []).append)
+        return Search.alone(Trajectories(known), 0)
+    return Search(Trajectories(known), lambda beside, effects: draws, (said if said is not None else []).append)
 
 
 def test_fits_go_on_while_they_gain(monkeypatch: pytest.MonkeyPatch):
     known, null = nothing()
     rough = refit(null.spec, known, {}, options=replace(CAREFUL, max_iterations=1))
-    monkeypatch.setattr("rotorid_torch.trace.search.forward_selection.CAREFUL", replace(CAREFUL, max_iterations=1))
-    monkeypatch.setattr("rotorid_torch.trace.search.forward_selection.LONGEST", 30)
-    on = search_of(known).settled(rough)
+    monkeypatch.setattr("rotorid_torch.trace.search.trajectories.CAREFUL", replace(CAREFUL, max_iterations=1))
+    monkeypatch.setattr("rotorid_torch.trace.search.trajectories.LONGEST", 30)
+    on = Trajectories(known).settled(rough)
     assert rough.cost > null.cost + 10.0
     assert on.cost == pytest.approx(null.cost, abs=1.0)
 
 
 def test_a_fit_that_has_converged_is_left_alone():
     known, null = nothing()
-    end = search_of(known).settled(null)
+    end = Trajectories(known).settled(null)
     assert end.fit.minimum.converged
-    assert search_of(known).settled(end) is end
+    assert Trajectories(known).settled(end) is end
 
 
 def test_the_delay_joins_with_its_size_and_what_else_is_significant_was_fitted_too():
@@ -273,7 +274,7 @@ def noted_fits(monkeypatch: pytest.MonkeyPatch) -> list[Wanted]:
         asked.extend(wanted)
         return fits(wanted, *rest)
 
-    monkeypatch.setattr("rotorid_torch.trace.search.forward_selection.fits", noted)
+    monkeypatch.setattr("rotorid_torch.trace.search.trajectories.fits", noted)
     return asked
 
 
@@ -281,11 +282,11 @@ def test_a_candidate_begins_from_each_of_its_sizes_and_once_over_short_segments(
     known, null = late()
     asked = noted_fits(monkeypatch)
     sizes = [{f"{DELAY}.common": 0.03}, {f"{DELAY}.common": 0.1}]
-    found = search_of(known).fitted(null, {Candidate(DELAY): sizes})[Candidate(DELAY)]
+    found = Trajectories(known).fitted(null, {Candidate(DELAY): sizes})[Candidate(DELAY)]
     begun = [one for one in asked if one.start.get(f"{DELAY}.common") in (0.03, 0.1)]
     assert [one.short_first for one in begun] == [False, False, True]
     assert found.values[f"{DELAY}.common"] == pytest.approx(0.06, abs=0.003)
-    alone = fits(begun[:1], (), BEGINNING, search_of(known).ranks)[0]
+    alone = fits(begun[:1], (), BEGINNING, Trajectories(known).ranks)[0]
     assert found.cost <= alone.cost + 1e-6
 
 
@@ -294,7 +295,7 @@ def test_a_play_begins_once_more_with_derivatives_of_the_measured_motion(monkeyp
     known, null = started(flights(PLAY, control__backlash__width=0.012))
     asked = noted_fits(monkeypatch)
     sizes = [{f"{PLAY}.width": 0.01}, {f"{PLAY}.width": 0.005}]
-    found = search_of(known).fitted(null, {Candidate(PLAY): sizes})[Candidate(PLAY)]
+    found = Trajectories(known).fitted(null, {Candidate(PLAY): sizes})[Candidate(PLAY)]
     truth = rate_vehicle().named_values["forces.M.lon"]
     wrong = abs(null.values["forces.M.lon"] - truth)
     assert [abs(one.start["forces.M.lon"] - truth) < wrong for one in asked[:5]] == [False, False, False, True, True]
@@ -308,7 +309,7 @@ def test_what_a_better_start_of_the_null_gains_is_not_the_candidates():
     search = search_of(known, draws_of(True), said)
     good = refit(null.spec.with_effects(DELAY), known, {**null.values, f"{DELAY}.common": 0.05}, near=null)
     again = search.improved(rough, {Candidate(DELAY): good})
-    assert again.cost == pytest.approx(search.settled(null).cost, abs=1.0)
+    assert again.cost == pytest.approx(search.scored.settled(null).cost, abs=1.0)
     assert "from a better start" in said[-1]
     assert search.improved(again, {Candidate(DELAY): good}) is again
 

@@ -11,6 +11,7 @@ import pytest
 from rotorid_torch.trace.evidence.fits import Fitted, refit
 from rotorid_torch.trace.search.forward_selection import Search
 from rotorid_torch.trace.search.ordinary_physics import _over_short, _with_ordinary, with_structure
+from rotorid_torch.trace.search.trajectories import Trajectories
 from tests.trace.hidden_flights import flights, started
 
 DELAY, DAMPING = "control.delay", "forces.quadratic_damping"
@@ -24,8 +25,8 @@ def late() -> Fitted:
 def test_what_flights_ask_for_joins_and_what_they_do_not_ask_for_does_not():
     """By two effects of the library that take the part of ordinary physics here."""
     null = late()
-    search = Search.alone(null.flights, (), 0)
-    richer, findings = with_structure(search, null, [DELAY, DAMPING])
+    search = Search.alone(Trajectories(null.flights), 0)
+    richer, findings = with_structure(search, Trajectories(null.flights), null, [DELAY, DAMPING])
     assert richer.spec.effects == (*null.spec.effects, DELAY)
     assert richer.values[f"{DELAY}.common"] == pytest.approx(0.06, abs=0.005)
     verdicts = {f.id: f.verdict for f in findings}
@@ -38,15 +39,15 @@ def test_what_flights_ask_for_joins_and_what_they_do_not_ask_for_does_not():
 
 def test_what_every_rotor_has_joins_where_a_fit_gains_by_it(monkeypatch: pytest.MonkeyPatch):
     null = late()
-    search = Search.alone(null.flights, (), 0)
-    richer, (told,) = _with_ordinary(search, null, [DELAY])
+    search = Search.alone(Trajectories(null.flights), 0)
+    richer, (told,) = _with_ordinary(search, Trajectories(null.flights), null, [DELAY])
     assert told.verdict == "accepted"
     assert richer.cost < null.cost
     monkeypatch.setattr("rotorid_torch.trace.search.ordinary_physics.refit", lambda *given, **named: null)
-    same, (told,) = _with_ordinary(search, null, [DELAY])
+    same, (told,) = _with_ordinary(search, Trajectories(null.flights), null, [DELAY])
     assert same is null
     assert told.verdict == "rejected"
-    assert _with_ordinary(search, null, []) == (null, [])
+    assert _with_ordinary(search, Trajectories(null.flights), null, []) == (null, [])
 
 
 @pytest.mark.parametrize("better", [True, False])
@@ -60,4 +61,6 @@ def test_a_start_over_short_segments_counts_only_where_it_ends_better(monkeypatc
         return [after]
 
     monkeypatch.setattr("rotorid_torch.trace.search.ordinary_physics.fits", made)
-    assert _over_short(Search.alone(null.flights, (), 0), before) is (after if better else before)
+    assert _over_short(Search.alone(shared := Trajectories(null.flights), 0), shared, before) is (
+        after if better else before
+    )

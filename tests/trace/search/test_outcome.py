@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import pytest
 
-from rotorid_torch.trace.evidence.family import by_chance
+from rotorid_torch.trace.evidence.family import by_chance, family
 from rotorid_torch.trace.evidence.fits import Fitted, Flights, refit
 from rotorid_torch.trace.search.findings import Outcome
 from rotorid_torch.trace.search.forward_selection import Search, Trial, observed
 from rotorid_torch.trace.search.outcome import how_it_ended
+from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.candidate import Candidate
 from rotorid_torch.trace.terms.finding import Unknown
 from rotorid_torch.trace.terms.settings import SETTINGS
@@ -30,7 +31,9 @@ def ended(damped: tuple[Flights, Fitted], effect: str, **sizes: float) -> tuple[
     shared, null = damped
     effects = [LAG, DAMPING]
     search = Search(
-        shared, (), lambda family, effects: replace(by_chance(family, effects, 0), clean=True), lambda line: None
+        Trajectories(shared),
+        lambda beside, asked: replace(by_chance(beside, asked, 0, family), clean=True),
+        lambda line: None,
     )
     search.consider(null, effects)
     start = {**null.values, **{f"{effect}.{name}": size for name, size in sizes.items()}}
@@ -38,7 +41,7 @@ def ended(damped: tuple[Flights, Fitted], effect: str, **sizes: float) -> tuple[
     candidate = Candidate(effect)
     search.joined, search.null = [candidate], null
     search.trials[candidate] = Trial(candidate, null, final, observed(null, final, candidate))
-    return how_it_ended(search, final, effects)
+    return how_it_ended(search, (), final, effects)
 
 
 def test_a_name_beside_which_the_curves_stay_is_suspected_and_what_stays_is_told(damped: tuple[Flights, Fitted]):

@@ -8,6 +8,7 @@ from rotorid_torch.data import Dataset
 from rotorid_torch.effects.registry import EFFECTS, registered
 from rotorid_torch.trace.evidence.fits import Fitted, refit
 from rotorid_torch.trace.search.requested import earned
+from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.finding import Finding
 from tests.effects.own_effects import OwnGain, OwnLag
 from tests.trace.hidden_flights import flights, started
@@ -27,7 +28,8 @@ def fitted(data: Dataset, *effects: str, **start: float) -> Fitted:
 
 
 def findings(data: Dataset, *effects: str, **start: float) -> dict[str, Finding]:
-    return {f.id: f for f in earned(fitted(data, *effects, **start), effects)}
+    whole = fitted(data, *effects, **start)
+    return {f.id: f for f in earned(Trajectories(whole.flights), whole, effects)}
 
 
 def test_of_two_effects_the_one_that_acts_earns_its_place():

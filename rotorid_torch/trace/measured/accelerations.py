@@ -1,0 +1,70 @@
+"""Accelerations at measured states as what a search goes by: no free run of a multirotor means much."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.processes.ranks import ALONE, Ranks
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.model.nominal import build
+from rotorid_torch.trace.evidence.family import Family
+from rotorid_torch.trace.evidence.fits import Flights
+from rotorid_torch.trace.measured.evidence import SHUFFLED, measured_family
+from rotorid_torch.trace.measured.fitted import FittedAtStates
+from rotorid_torch.trace.terms.candidate import Candidate
+
+Message = tuple[dict[str, Any], Tensor, dict[str, float], dict[str, Tensor]]
+"""A fit as it travels between ranks: its spec, theta, errors, and theta without each flight."""
+
+
+@dataclass(frozen=True)
+class MeasuredAccelerations:
+    """What the fits of a search share: flights, and ranks that share the candidates."""
+
+    flights: Flights
+    ranks: Ranks = ALONE
+    held: tuple[str, ...] = ()
+    by_chance: str = SHUFFLED
+
+    def fitted(self, spec: ModelSpec) -> FittedAtStates:
+        """The model of a spec."""
+        return FittedAtStates.of(spec, self.flights)
+
+    def family(
+        self, null: FittedAtStates, effects: Sequence[str], accepted: Sequence[str] = (), turned: int = 0, seed: int = 0
+    ) -> Family[FittedAtStates]:
+        """The family of these effects beside a fitted model."""
+        return measured_family(null, effects, accepted, turned, seed)
+
+    def refitted(self, spec: ModelSpec, near: FittedAtStates) -> FittedAtStates:
+        """The model of a spec, fitted from where another fit ended."""
+        return self.fitted(near.started(spec))
+
+    def candidates(
+        self, null: FittedAtStates, observed: Family[FittedAtStates], candidates: Sequence[Candidate]
+    ) -> dict[Candidate, FittedAtStates]:
+        """The null with one more effect, for each of these, fitted in full."""
+        specs = [null.started(c.joined_to(null.spec)) for c in candidates]
+        fitted = self.ranks.carry(specs, self.fitted, _message, self._again)
+        return dict(zip(candidates, fitted, strict=True))
+
+    def settled(self, fitted: FittedAtStates) -> FittedAtStates:
+        """The fit itself, which has converged."""
+        return fitted
+
+    def _again(self, _: ModelSpec, message: Message) -> FittedAtStates:
+        spec, theta, errors, without = ModelSpec.from_plain(message[0]), *message[1:]
+        model = build(spec)
+        with torch.no_grad():
+            model.theta.copy_(theta)
+        return FittedAtStates(spec, model, self.flights, errors, without)
+
+
+def _message(fitted: FittedAtStates) -> Message:
+    theta = fitted.model.theta.detach().clone()
+    return fitted.spec.plain(), theta, dict(fitted.errors), dict(fitted.without)

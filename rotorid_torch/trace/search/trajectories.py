@@ -1,0 +1,92 @@
+"""Candidates scored by trajectories over segments: fits from several starts, gone on with until they have converged."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from rotorid_torch.core.processes.ranks import ALONE, Ranks
+from rotorid_torch.effects.registry import registered
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.trace.evidence.family import TURNED, Family, family
+from rotorid_torch.trace.evidence.fits import BEGINNING, CAREFUL, Fitted, Flights, refit
+from rotorid_torch.trace.evidence.force_evidence import derivatives_beside, seen_in_forces
+from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
+from rotorid_torch.trace.search.decide import gain
+from rotorid_torch.trace.terms.candidate import Candidate
+
+LONGEST = 4
+"""Times that a fit may go on, at most."""
+
+
+@dataclass(frozen=True)
+class Trajectories:
+    """What the fits of a search share: flights, parameters that keep their values, ranks that share the fits."""
+
+    flights: Flights
+    held: tuple[str, ...] = ()
+    ranks: Ranks = ALONE
+    by_chance: str = TURNED
+
+    def family(
+        self, null: Fitted, effects: Sequence[str], accepted: Sequence[str] = (), turned: int = 0, seed: int = 0
+    ) -> Family[Fitted]:
+        """The family of these effects beside a fitted model."""
+        return family(null, effects, accepted, turned, seed)
+
+    def refitted(self, spec: ModelSpec, near: Fitted) -> Fitted:
+        """The model of a spec, fitted from where another fit ended."""
+        return self.settled(refit(spec, self.flights, near.values, self.held, near=near))
+
+    def candidates(
+        self, null: Fitted, observed: Family[Fitted], candidates: Sequence[Candidate]
+    ) -> dict[Candidate, Fitted]:
+        """The null with one more effect, for each of these, fitted in full."""
+        return self.fitted(null, {c: self._starts(observed, c) for c in candidates})
+
+    def fitted(
+        self, null: Fitted, starts: Mapping[Candidate, Sequence[Mapping[str, float]]]
+    ) -> dict[Candidate, Fitted]:
+        """The null with one more effect, for each of these, fitted in full: the best of several starts goes on.
+
+        starts : sizes of the effect. What is not proportional to its size is far from a straight line, and derivatives
+        of the null lead astray: it starts once more with derivatives of the measured motion.
+        """
+        wanted: list[tuple[Candidate, Wanted]] = []
+        for c, sizes in starts.items():
+            spec = c.joined_to(null.spec)
+            values = [{**null.values, **size} for size in sizes]
+            wanted += [(c, Wanted(spec, start, null)) for start in values]
+            wanted.append((c, Wanted(spec, values[0], null, short_first=True)))
+            if not registered()[c.effect].proportional:
+                wanted += [(c, Wanted(spec, derivatives_beside(null, spec, size, self.held), null)) for size in sizes]
+        begun: dict[Candidate, Fitted] = {}
+        for (c, _), one in zip(wanted, fits([w for _, w in wanted], self.held, BEGINNING, self.ranks), strict=True):
+            begun[c] = min(begun.get(c, one), one, key=lambda fitted: fitted.cost)
+        return self.longer(begun)
+
+    @staticmethod
+    def _starts(observed: Family[Fitted], candidate: Candidate) -> list[Mapping[str, float]]:
+        """Sizes by the screen, and those that the forces on the measured motion ask for."""
+        starts: list[Mapping[str, float]] = [*observed.screen(candidate).starts(candidate.effect)]
+        if candidate.effect in observed.forces:
+            return [*starts, observed.forces[candidate.effect].start]
+        if not registered()[candidate.effect].proportional and observed.residuals is not None:
+            by_forces = seen_in_forces(observed.null, observed.residuals.fitted, [candidate], whole=True)
+            starts += [one.start for one in by_forces.values()]
+        return starts
+
+    def longer(self, fitted: Mapping[Candidate, Fitted]) -> dict[Candidate, Fitted]:
+        """Fits gone on with until they have converged, or gain no more."""
+        now, going = dict(fitted), list(fitted)
+        for _ in range(LONGEST):
+            going = [c for c in going if not now[c].fit.minimum.converged]
+            wanted = [Wanted(now[c].spec, now[c].values, now[c]) for c in going]
+            more = dict(zip(going, fits(wanted, self.held, CAREFUL, self.ranks), strict=True))
+            going = [c for c, one in more.items() if gain(now[c], one) > 0.0]
+            now |= {c: more[c] for c in going}
+        return now
+
+    def settled(self, fitted: Fitted) -> Fitted:
+        """One fit gone on with."""
+        return self.longer({Candidate(""): fitted})[Candidate("")]
