@@ -18,7 +18,7 @@ from rotorid_torch.data.write import write_dataset
 from rotorid_torch.effects.spec import FlappingKind, ModelSpec, RotorSpec
 from rotorid_torch.model.inflow import INDUCED, trim_velocity
 from rotorid_torch.model.model import Model
-from rotorid_torch.model.nominal import build, thrust
+from rotorid_torch.model.nominal import build
 
 BODY = (*VELOCITIES, *RATES, "phi", "theta")
 INERTIA = ((7600.0, 0.0, -2260.0), (0.0, 52000.0, 0.0), (-2260.0, 0.0, 49900.0))
@@ -72,7 +72,7 @@ def helicopter_spec(flapping: FlappingKind = "first order", **changes: Any) -> M
     )
     phi, theta = reference["phi"], reference["theta"]
     weight = -9.80665 * np.array([-np.sin(theta), np.cos(theta) * np.sin(phi), np.cos(theta) * np.cos(phi)])
-    reference |= {INDUCED: trim_velocity(ROTOR, 1.225, 7257.0, reference, thrust(spec))}
+    reference |= {INDUCED: trim_velocity(ROTOR, 1.225, 7257.0, reference, spec.lift)}
     reference |= {f"{row}.trim": float(value) for row, value in zip(FORCES, weight, strict=True)}
     if flapping == "algebraic":
         reference |= {f"{row}.trim": reference[row] for row in FLAPPING}

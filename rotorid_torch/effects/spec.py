@@ -104,6 +104,11 @@ class ModelSpec(msgspec.Struct, frozen=True, kw_only=True):
     screening_sizes: dict[str, float] = {}
 
     @property
+    def lift(self) -> float:
+        """Specific force upwards at the reference, m/s2."""
+        return self.gravity * math.cos(self.reference.get("phi", 0.0)) * math.cos(self.reference.get("theta", 0.0))
+
+    @property
     def driven(self) -> tuple[str, ...]:
         """What a multirotor's rotors are driven by: their measured speeds, or the commands where these are missing."""
         speeds = tuple(name for name in self.inputs if name.startswith("omega"))

@@ -23,6 +23,7 @@ RUNTIME = Path(__file__).parent / "runtime"
 DEPTH = 256
 """Samples that a delay looks back to; with shorter steps it keeps only some of them."""
 LONGEST_NAME = 40
+"""Letters of a title that its name in C keeps."""
 MATHEMATICS = """
 #define F_sin sin
 #define F_cos cos

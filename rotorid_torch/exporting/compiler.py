@@ -9,11 +9,10 @@ import shutil
 import subprocess
 from pathlib import Path
 
+from rotorid_torch.core.native.build import LIMIT_S
 from rotorid_torch.errors import InputError
 
 FLAGS = ("-O2", "-std=c99", "-fPIC", "-shared", "-fvisibility=hidden")
-LIMIT_S = 300.0
-"""s: a compiler that takes longer than this is given up."""
 
 
 def c_compiler() -> list[str]:

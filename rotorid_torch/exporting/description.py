@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 from xml.etree import ElementTree
 
-from rotorid_torch.core.names import channel
+from rotorid_torch.core.names import channel, unit
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.modes import reference_point
 
@@ -81,8 +81,7 @@ def variables(model: Model, units: Mapping[str, str], step: float, fmi: Fmi) -> 
 
 
 def _unit(name: str) -> str:
-    listed = channel(name)
-    return listed.unit.replace("²", "2") if listed else ""
+    return unit(name).replace("²", "2")
 
 
 def _about(name: str) -> str:

@@ -17,7 +17,7 @@ from rotorid_torch.core.native.graph.emit import SHARED
 from rotorid_torch.core.native.graph.symbols import Graph
 from rotorid_torch.core.native.graph.tracing import scalarise
 from rotorid_torch.effects.base import Effect, Stage, Values
-from rotorid_torch.effects.families.control import per_control
+from rotorid_torch.effects.families.control import per_control, places_in_play
 from rotorid_torch.effects.families.sensors import PERIOD, SMOOTHED, per_channel
 from rotorid_torch.errors import InputError, Unsupported
 from rotorid_torch.model.model import Model
@@ -25,6 +25,7 @@ from rotorid_torch.model.model import Model
 DT = 0.01
 """s: sample interval at which it is tried whether an effect has a memory."""
 SAMPLES = 8
+"""Samples of that record, per signal."""
 AGREE = 1e-12
 """Difference at which an effect without memory gives the same on a record as on its samples one by one."""
 Sizes = Callable[[Values, tuple[str, ...]], Tensor]
@@ -139,13 +140,12 @@ def _with_memory(model: Model, graph: Graph, k: int, names: tuple[str, ...], ele
         wrong = f"{early} comes {-float(at.min()):g} s before it is recorded"
         raise InputError("export", effect.id, wrong, "none that is early, for a model that runs in time")
     nodes = scalarise(graph, lambda th: sizes(model.values(th, k), names), {SHARED: theta})
-    places = scalarise(graph, lambda th: _places(model.values(th, k), names), {SHARED: theta}) if kind == "PLAY" else []
+    places = (
+        scalarise(graph, lambda th: places_in_play(model.values(th, k), names), {SHARED: theta})
+        if kind == "PLAY"
+        else []
+    )
     return Element(kind, tuple(nodes), tuple(places))
-
-
-def _places(p: Values, names: tuple[str, ...]) -> Tensor:
-    middle = torch.zeros_like(p["width"])
-    return torch.stack([p[f"place.{n}"] if f"place.{n}" in p.names else middle for n in names], dim=-1)
 
 
 def _without_memory(model: Model, graph: Graph, k: int, names: tuple[str, ...]) -> Element:

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.names import channel
+from rotorid_torch.core.names import unit
 from rotorid_torch.errors import InputError
 from rotorid_torch.exporting.signal_path import times
 from rotorid_torch.exporting.subject import Subject
@@ -57,7 +57,7 @@ def state_space(subject: Subject) -> dict[str, Any]:
         "inputs": {"name": list(model.body.controls), "unit": units, **_times(delay[0], lag[0])},
         "outputs": {
             "name": list(model.body.outputs),
-            "unit": [_unit(n) for n in model.body.outputs],
+            "unit": [unit(n) for n in model.body.outputs],
             **_times(delay[1], lag[1]),
         },
         "trim": {name: value.numpy() for name, value in trim.items()},
@@ -72,11 +72,6 @@ def _jacobian(function: Any, at: Tensor) -> Tensor:
 
 def _times(delay: Tensor, lag: Tensor) -> dict[str, np.ndarray]:
     return {"delay_s": delay.detach().numpy(), "lag_s": lag.detach().numpy()}
-
-
-def _unit(name: str) -> str:
-    listed = channel(name)
-    return listed.unit if listed else ""
 
 
 def _with_cells(value: Any) -> Any:

@@ -22,7 +22,6 @@ from rotorid_torch.effects.spec import FlappingKind, ModelSpec, MotorSpec, Rotor
 from rotorid_torch.identification.mixer import Mixer, find_mixer
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.model.inflow import CYCLIC, INDUCED, trim_velocity
-from rotorid_torch.model.nominal import thrust
 
 ATTITUDE = ATTITUDES[:2]
 OUTPUTS = (*VELOCITIES, *RATES, *ATTITUDE, *SPECIFIC_FORCES, *FLAPPING)
@@ -132,7 +131,7 @@ def _with_patterns(spec: ModelSpec, drivers: Sequence[str]) -> ModelSpec:
     if spec.inflow:
         assert spec.rotor is not None
         assert spec.mass is not None
-        reference[INDUCED] = trim_velocity(spec.rotor, spec.air_density, spec.mass, reference, thrust(spec))
+        reference[INDUCED] = trim_velocity(spec.rotor, spec.air_density, spec.mass, reference, spec.lift)
     reference |= _trims(spec, forces)
     if spec.cyclic_inflow:
         reference |= {wake: reference[tilt] for wake, tilt in zip(CYCLIC, FLAPPING[1:], strict=True)}

@@ -19,6 +19,7 @@ CYCLIC = ("wa1", "wb1")
 HARMONIC_MASS = 32.0 / (45.0 * math.pi)
 APPARENT_MASS = 8.0 / (3.0 * math.pi)
 ITERATIONS = 4
+"""Newton steps on momentum theory's quartic, from its solution without axial speed."""
 TIME_BOUNDS = (0.02, 0.6)
 
 

@@ -90,11 +90,6 @@ def _surfaces(spec: ModelSpec) -> list[Effect]:
     return [Surfaces(rows(spec), spec.surfaces, declared, spec.reference)]
 
 
-def thrust(spec: ModelSpec) -> float:
-    """Specific force upwards at the reference, m/s2."""
-    return spec.gravity * math.cos(spec.reference.get("phi", 0.0)) * math.cos(spec.reference.get("theta", 0.0))
-
-
 def _rotor(spec: ModelSpec) -> list[Effect]:
     if spec.flapping == "none":
         return []
@@ -134,7 +129,7 @@ def _physics(spec: ModelSpec) -> list[Effect]:
     rotor, mass, inertia = spec.rotor, spec.mass, spec.inertia
     if rotor is None or mass is None or inertia is None or "Z" not in spec.patterns or "u" not in spec.states:
         return []
-    tensor, lift = torch.tensor(inertia, dtype=torch.float64), thrust(spec)
+    tensor, lift = torch.tensor(inertia, dtype=torch.float64), spec.lift
     effects: list[Effect] = []
     if spec.flapping != "none" and spec.hub is not None:
         hub = torch.tensor(spec.hub, dtype=torch.float64)

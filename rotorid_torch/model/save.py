@@ -20,6 +20,7 @@ from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 
 FORMAT = 1
+"""Version of the file; another one is refused."""
 LARGEST = 64 * 2**20
 """Bytes of a model.pt, packed and unpacked, at most; a network of the largest kind takes less than a hundredth."""
 MEMORY = 2**30

@@ -38,6 +38,12 @@ def per_control(p: Values, common: str, names: tuple[str, ...]) -> Tensor:
     return torch.stack([s + p[n] if n in p.names else s for s, n in zip(shared, names, strict=True)], dim=-1)
 
 
+def places_in_play(p: Values, names: tuple[str, ...]) -> Tensor:
+    """Where each control stands in its play when a flight begins [..., nu]; in the middle where it has none."""
+    middle = torch.zeros_like(p["width"])
+    return torch.stack([p[f"place.{n}"] if f"place.{n}" in p.names else middle for n in names], dim=-1)
+
+
 def excursions(spec: ModelSpec) -> dict[str, float]:
     """The controls' rms excursions, in the controls' unit; of one that hardly moves as much as would tell."""
     sizes = {c: spec.sizes.get(c, EXCURSION) for c in spec.controls}
@@ -183,6 +189,4 @@ class Backlash(Effect):
 
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Controls [..., T, nu], each through its play."""
-        middle = torch.zeros_like(p["width"])
-        places = torch.stack([p[f"place.{n}"] if f"place.{n}" in p.names else middle for n in names], dim=-1)
-        return with_play_behind_noise(record, per_control(p, "width", names), dt, places)
+        return with_play_behind_noise(record, per_control(p, "width", names), dt, places_in_play(p, names))

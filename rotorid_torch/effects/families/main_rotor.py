@@ -51,11 +51,6 @@ def inside(value: float, bounds: tuple[float, float]) -> float:
     return min(max(value, bounds[0]), bounds[1])
 
 
-def lift(spec: ModelSpec) -> float:
-    """Specific force upwards at the reference, m/s2."""
-    return spec.gravity * math.cos(spec.reference.get("phi", 0.0)) * math.cos(spec.reference.get("theta", 0.0))
-
-
 def damping_of(rotor: RotorSpec) -> float:
     """Aerodynamic damping of flapping over its inertia, Lock number times speed over 8, 1/s."""
     return (rotor.lock_number or USUAL_LOCK) * rotor.speed / 8.0
@@ -100,7 +95,7 @@ class DynamicInflow(Effect):
     def from_spec(cls, spec: ModelSpec) -> DynamicInflow:
         """With the harmonics where flapping is a state."""
         tilts = (spec.reference.get("a1", 0.0), spec.reference.get("b1", 0.0))
-        return cls(lift(spec), tilts if spec.flapping == "first order" else None)
+        return cls(spec.lift, tilts if spec.flapping == "first order" else None)
 
     @classmethod
     def within(cls, spec: ModelSpec) -> str:

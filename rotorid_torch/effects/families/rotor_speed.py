@@ -9,7 +9,7 @@ from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.core.rigid import vec
 from rotorid_torch.core.state import State
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
-from rotorid_torch.effects.families.main_rotor import KNOWN, LIFT_SLOPE, USUAL_LOCK, lift
+from rotorid_torch.effects.families.main_rotor import KNOWN, LIFT_SLOPE, USUAL_LOCK
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec, RotorSpec
 from rotorid_torch.effects.testable import first, no_forces, no_rotor
@@ -43,7 +43,7 @@ class RotorSpeed(Effect):
         if spec.inflow:
             assert spec.mass is not None
             unit, load, over = "rad s/m2", spec.mass / (_inertia(spec, rotor) * rotor.speed), "m2/s3"
-            spread = KNOWN * lift(spec) * at["vi"]
+            spread = KNOWN * spec.lift * at["vi"]
         measured = "omega" in spec.outputs
         super().__init__(
             (
@@ -61,7 +61,7 @@ class RotorSpeed(Effect):
             ),
         )
         self.by_power, self.col, self.omega = spec.inflow, at.get("col", 0.0), at.get("omega", rotor.speed)
-        self.power = lift(spec) * (at["vi"] - at["w"]) if spec.inflow else 0.0
+        self.power = spec.lift * (at["vi"] - at["w"]) if spec.inflow else 0.0
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> RotorSpeed:

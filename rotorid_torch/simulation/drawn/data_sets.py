@@ -18,7 +18,7 @@ from rotorid_torch.data import Dataset
 from rotorid_torch.data.schema import Vehicle
 from rotorid_torch.errors import InputError
 from rotorid_torch.simulation.drawn.draws import ALIKE, DrawnAircraft, Prior, draw, finish, prior
-from rotorid_torch.simulation.drawn.resemblance import Evidence, Table, look, mirrored, recorded
+from rotorid_torch.simulation.drawn.resemblance import Evidence, look, mirrored, recorded
 from rotorid_torch.simulation.drawn.resemblance import reference as trim_of
 from rotorid_torch.simulation.drawn.tracking import Followed, Tapes, follow, tapes
 from rotorid_torch.simulation.flight.sensors import MIRRORED, Channels
@@ -76,9 +76,7 @@ def undrawable(dataset: Dataset) -> str | None:
     return f"flights lack {', '.join(missing)}" if missing else None
 
 
-def clean_flights(
-    dataset: Dataset, seed: int, draws: Sequence[int], resembles: Table | None = None, air: Air | None = None
-) -> Iterator[Drawn]:
+def clean_flights(dataset: Dataset, seed: int, draws: Sequence[int], air: Air | None = None) -> Iterator[Drawn]:
     """Clean aircraft of the data set's kind, flown through its manoeuvres, one data set in memory per draw number.
 
     Every number has random streams of its own: neither the other numbers nor their order change what it gives. One
@@ -88,7 +86,6 @@ def clean_flights(
 
     Parameters
     ----------
-    resembles : derivatives to compare with instead of `resemblance.look`'s; see there.
     air : gusts that they fly in, each draw and flight in its own; still air without.
 
     Raises
@@ -98,7 +95,7 @@ def clean_flights(
     why = undrawable(dataset)
     if why is not None:
         raise InputError(dataset.path or "arrays", "vehicle", why, "a helicopter with mass, inertia and rotor radius")
-    evidence = look(dataset, resembles)
+    evidence = look(dataset)
     return _flown(dataset, seed, tuple(draws), prior(dataset, evidence), evidence, air)
 
 

@@ -20,8 +20,6 @@ from rotorid_torch.simulation.rigid import Array
 
 ROWS = ("X", "Y", "Z", "L", "M", "N", "omega")
 COLUMNS = ("u", "v", "w", "p", "q", "r", *CONTROL_NAMES)
-Table = Mapping[tuple[str, str], tuple[float, float]]
-"""(row, column) -> (value, standard error), SI: m/s^2, rad/s^2 and rad/s per unit of the channel."""
 
 BAND, PERIODS = (0.1, 2.0), 2.0  # Hz; and at least so many periods in a flight
 LIKE, SMALL = 0.15, 0.05  # an entry is alike within this share of itself, and of the row's largest contribution
@@ -94,14 +92,8 @@ def reference(dataset: Dataset) -> dict[str, float]:
     return {name: -value if mirror and name in MIRRORED else value for name, value in dataset.reference().items()}
 
 
-def look(dataset: Dataset, resembles: Table | None = None, most: int = 30) -> Evidence:
-    """Trim and derivatives of the data set's identify flights.
-
-    Parameters
-    ----------
-    resembles : values that replace the regression's, as the data set has them (not mirrored); others are not compared.
-    most : flights that are looked at.
-    """
+def look(dataset: Dataset, most: int = 30) -> Evidence:
+    """Trim and derivatives of the data set's identify flights, of `most` of them."""
     trim = reference(dataset)
     imu = np.asarray(dataset.vehicle.imu or (0.0, 0.0, 0.0)) * ([1.0, -1.0, 1.0] if mirrored(dataset) else 1.0)
     parts = [_transformed(recorded(dataset, name), trim, dataset.vehicle.gravity, imu) for name in dataset.some(most)]
@@ -120,8 +112,8 @@ def look(dataset: Dataset, resembles: Table | None = None, most: int = 30) -> Ev
     freedom = max(len(stacked) - stacked.shape[1], 1)
     spread = np.sqrt((left * left).sum(0)[:, None] / freedom * (project[:10] ** 2).sum(1)[None])
     excursions = np.sqrt((np.abs(motion) ** 2).mean(0))
-    table, error = _replaced(fitted[:10].T, spread, resembles, mirrored(dataset))
-    tolerance = _tolerance(table, error, excursions)
+    table = fitted[:10].T
+    tolerance = _tolerance(table, spread, excursions)
     if not rotor_moves(dataset):
         tolerance[ROWS.index("omega")] = np.inf
     tolerance[ROWS.index("omega")] *= GOVERNED
@@ -148,19 +140,6 @@ def _tolerance(table: Array, error: Array, excursions: Array) -> Array:
     largest = parts.max(1, keepdims=True)
     alike = np.hypot(LIKE * parts, SMALL * largest) / np.where(excursions > 0.0, excursions, 1.0)
     return np.where(usable & (largest > 0.0), np.hypot(np.where(usable, error, 0.0), alike), np.inf)
-
-
-def _replaced(table: Array, error: Array, resembles: Table | None, mirror: bool) -> tuple[Array, Array]:
-    """The caller's values in the place of ours."""
-    if resembles is None:
-        return table, error
-    table, error = np.zeros_like(table), np.full_like(error, np.nan)
-    odd = {"v", "p", "r", "Y", "L", "N"}
-    for (row, column), (value, spread) in resembles.items():
-        place = ROWS.index(row), COLUMNS.index(column)
-        sign = -1.0 if mirror and (row in odd) != (column in odd) else 1.0
-        table[place], error[place] = sign * value, spread
-    return table, error
 
 
 def _transformed(

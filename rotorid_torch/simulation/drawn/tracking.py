@@ -129,7 +129,7 @@ def _controller(flights: Sequence[Recorded], trim: Mapping[str, float]) -> Array
     return out
 
 
-_ROWS = 27
+_ROWS = 27  # of a recorded sample
 
 
 @dataclass(frozen=True)

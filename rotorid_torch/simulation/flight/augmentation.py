@@ -22,7 +22,7 @@ class Augmentation:
 
 
 PITCH, ROLL, YAW = 1.2, 1.6, 1.0  # rad/s: attitude frequencies that the feedback aims at
-DAMPING = 0.7
+DAMPING = 0.7  # of the attitude, over critical
 
 
 def design(linear: LinearAircraft) -> Augmentation:

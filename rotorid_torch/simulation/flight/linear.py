@@ -37,7 +37,11 @@ class LinearAircraft:
         return np.linalg.eigvals(self.a).astype(np.complex128)
 
 
-def linearise(aircraft: Aircraft, trim: Trim, shift: float = 1e-4) -> LinearAircraft:
+SHIFT = 1e-4
+"""Perturbation of a state or control, SI: small for the aircraft, large for rounding."""
+
+
+def linearise(aircraft: Aircraft, trim: Trim) -> LinearAircraft:
     """Linear model about a trim by central differences over one blade passage, rotor speed held.
 
     Source: Johnson, Helicopter Theory, section 8.6 (Floquet theory); Padfield, Helicopter Flight Dynamics, section 2.3
@@ -45,11 +49,11 @@ def linearise(aircraft: Aircraft, trim: Trim, shift: float = 1e-4) -> LinearAirc
     """
     rows = [*unknown_rows(aircraft), *range(CONTROLS.start, CONTROLS.stop)]
     size = len(rows)
-    shifts = np.hstack([shift * np.eye(size), -shift * np.eye(size)])
+    shifts = np.hstack([SHIFT * np.eye(size), -SHIFT * np.eye(size)])
     batch = np.repeat(trim.state[:, None], 2 * size, axis=1)
     batch[rows] += shifts
     after = passage(with_held_speed(aircraft), batch)[rows]
-    jump = (after[:, :size] - after[:, size:]) / (2.0 * shift)
+    jump = (after[:, :size] - after[:, size:]) / (2.0 * SHIFT)
     generator = np.real(logm(jump)) / passage_time(aircraft)
     states = size - 4
     full_a, full_b = generator[:states, :states], generator[:states, states:]

@@ -115,6 +115,7 @@ def find_trim(aircraft: Aircraft, speed: float, height: float = 27.4, heading: f
     return Trim(x, controls.copy(), speed, residual)
 
 
+NEWTON_STEPS = 40  # at most
 LOOSE, TIGHT = 1e-6, 1e-10  # residual acceleration: converged at all, and Newton's goal
 
 
@@ -161,14 +162,14 @@ def _residual(aircraft: Aircraft, before: Array, after: Array, speed: float) -> 
     return np.concatenate([after[rows] - before[rows], ground]) / duration
 
 
-def _newton(aircraft: Aircraft, x: Array, speed: float, steps: int = 40) -> tuple[Array, float]:
+def _newton(aircraft: Aircraft, x: Array, speed: float) -> tuple[Array, float]:
     """Newton's method with step control; the Jacobian by differences, all perturbed flights in one batch."""
     rows = [*unknown_rows(aircraft), *range(CONTROLS.start, CONTROLS.stop)]
     shifts = 1e-6 * np.hstack([np.zeros((len(rows), 1)), np.eye(len(rows))])
     size, damping = np.inf, 1.0
     base = x
     direction = np.zeros(len(rows))
-    for _ in range(steps):
+    for _ in range(NEWTON_STEPS):
         trial = base.copy()
         trial[rows] += damping * direction
         batch = np.repeat(trial[:, None], len(rows) + 1, axis=1)

@@ -12,7 +12,7 @@ from scipy.signal import bilinear, lfilter
 
 from rotorid_torch.simulation.rigid import Array
 
-FOOT = 0.3048
+FOOT = 0.3048  # m
 DRIFT = 5.0  # m/s: eddies pass a hovering aircraft with at least this speed
 SETTLING = 5.0  # run-up of the shaping filters, in their own time constants
 

@@ -42,7 +42,7 @@ from rotorid_torch.simulation.rigid import Array, body_rates, cross, dot
 UNKNOWNS = 13
 """Accelerations: specific force (3), angular (3), of the shaft, of a0 a1 b1, of the three lag coordinates."""
 AZIMUTHS = 6  # products of the third harmonic are still averaged exactly
-STATIONS = 4
+STATIONS = 4  # points of Gauss and Legendre along a blade
 
 _ANGLES = 2.0 * np.pi / AZIMUTHS * np.arange(AZIMUTHS, dtype=np.float64)
 COSINE, SINE = np.cos(_ANGLES)[:, None, None], np.sin(_ANGLES)[:, None, None]

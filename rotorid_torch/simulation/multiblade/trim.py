@@ -48,6 +48,7 @@ ROWS = [6, 7, *range(FLAP.start, FLAP.stop), *range(LAG.start, LAG.stop), *range
 """Rows of the state that trim looks for, besides the four controls: bank, pitch, flap, lag, inflows."""
 INNER = [*range(FLAP.start, STATES)]
 """Rows of rotor, inflow and drive: what a linear model of the body follows."""
+SHIFT = 1e-4  # perturbation of a state or control for a derivative, SI
 CLOSE, STEPS = 1e-8, 25  # residual acceleration of a trim, m/s^2 and rad/s^2; Newton steps at most
 SETTLED = 4  # steps after which the mass matrix is that of trim
 
@@ -262,17 +263,17 @@ def _guess(craft: Craft) -> tuple[Array, Array]:
     return x, np.stack([zero, zero, collective, 3.3 * pedal - 0.75 * craft.tail_twist])
 
 
-def linearise(craft: Craft, trims: Trims, shift: float = 1e-4) -> Linears:
+def linearise(craft: Craft, trims: Trims) -> Linears:
     """Linear models by central differences."""
     rows = [*INNER, *range(6)]
     size = len(rows) + 4
-    shifts = shift * np.concatenate([np.eye(size), -np.eye(size)], axis=1)
+    shifts = SHIFT * np.concatenate([np.eye(size), -np.eye(size)], axis=1)
     batch, hands = np.repeat(trims.state, 2 * size, axis=2), np.repeat(trims.controls, 2 * size, axis=2)
     batch[rows] += shifts[: len(rows), None]
     hands += shifts[len(rows) :, None]
     dx, response = respond(craft, trims.setting, batch, hands)
     out = np.concatenate([dx[INNER], response.specific_force, response.angular, batch[[SPEED]]])
-    jacobian = ((out[:, :, :size] - out[:, :, size:]) / (2.0 * shift)).transpose(1, 0, 2)
+    jacobian = ((out[:, :, :size] - out[:, :, size:]) / (2.0 * SHIFT)).transpose(1, 0, 2)
     inner = jacobian[:, : len(INNER), : len(INNER)]
     # What does not move has zero rates; it returns by itself here, so that it can be eliminated.
     still = np.abs(jacobian[:, : len(INNER)]).max(2) == 0.0
