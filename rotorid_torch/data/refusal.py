@@ -19,10 +19,10 @@ def convert(value: Any, kind: type[T], file: str | Path, prefix: str) -> T:
     try:
         return msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
-        raise _told(str(error), value, kind, file, prefix) from None
+        raise _refusal(str(error), value, kind, file, prefix) from None
 
 
-def _told(message: str, document: Any, kind: Any, file: str | Path, prefix: str) -> InputError:
+def _refusal(message: str, document: Any, kind: Any, file: str | Path, prefix: str) -> InputError:
     """Message of msgspec as file, key path, what is there, and what is allowed."""
     text, _, place = message.partition(" - at `$")
     path = place.rstrip("`").lstrip(".")
