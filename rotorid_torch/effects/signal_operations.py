@@ -21,6 +21,9 @@ NOTHING = 1e-12
 HELD_S = 2.0
 """s for which a record is held at its ends while a filter of second order rings out."""
 
+SAME = 1e-3
+"""Of a sample: by so much no length of a mean differs."""
+
 QUIET_S = 0.1
 """s over which the noise of a record is taken out before a play, whose edges would follow the largest of it."""
 
@@ -148,6 +151,11 @@ def smoothed(record: Tensor, width: int) -> Tensor:
     before, after = width // 2, width - 1 - width // 2
     held = [rows[..., :1].expand(*rows.shape[:-1], before), rows, rows[..., -1:].expand(*rows.shape[:-1], after)]
     return (torch.cat(held, dim=-1).unfold(-1, width, 1) @ (kernel / kernel.sum())).movedim(-1, -2)
+
+
+def half_of(seconds: float, dt: float) -> int:
+    """Samples to either side of a centred mean over so many seconds: 2 of 30 ms at 100 Hz, however dt is rounded."""
+    return int(0.5 * seconds / dt + 0.5 + SAME)
 
 
 def averaged(record: Tensor, half: int) -> Tensor:

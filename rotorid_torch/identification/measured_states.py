@@ -18,6 +18,7 @@ from torch import Tensor
 from rotorid_torch.core.gauss_newton import Linear, Options, Region, minimise
 from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
+from rotorid_torch.effects.signal_operations import half_of
 from rotorid_torch.identification.rotor_equations import RotorEquations, Seen
 from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
 
@@ -253,7 +254,7 @@ class MeasuredStates:
 
 
 def _condensed(flight: Seen) -> tuple[int, int]:
-    half = round(0.5 * SMOOTHED_S / flight.dt)
+    half = half_of(SMOOTHED_S, flight.dt)
     return half, max(1, 2 * half)
 
 

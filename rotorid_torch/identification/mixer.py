@@ -18,7 +18,7 @@ from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.core.names import MOMENTS, RATES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
-from rotorid_torch.effects.signal_operations import averaged, lagged, shifted
+from rotorid_torch.effects.signal_operations import averaged, half_of, lagged, shifted
 from rotorid_torch.effects.spec import MotorSpec
 
 LOOKED_AT = 12
@@ -90,8 +90,7 @@ def find_mixer(dataset: Dataset, inputs: Sequence[str]) -> Mixer:
         for delay in DELAYS_S[:1] if speeds else DELAYS_S:
             records = list(_records(flights, inputs, lag, delay))
             for k in range(len(MOMENTS)):
-                found = _regressed(records, k, len(inputs))
-                best[k] = max(best[k], found, key=lambda one: one[0])
+                best[k] = max(best[k], _regressed(records, k, len(inputs)), key=lambda one: one[0])
     for k, (r2, share, error) in enumerate(best):
         if r2 >= TOLD and int((share.abs() > SURE * error).sum()) >= len(inputs) / 2:
             shares[:, k], explained[MOMENTS[k]] = share / share.square().mean().sqrt(), r2
@@ -106,7 +105,7 @@ def _records(
     And the samples of a block.
     """
     for flight in flights:
-        dt, half = flight.dt, round(0.5 * SMOOTHED_S / flight.dt)
+        dt, half = flight.dt, half_of(SMOOTHED_S, flight.dt)
         first = max(0, (flight.samples - SAMPLES) // 2)
         part = slice(first, first + SAMPLES)
         record = flight.bridged(inputs)[part]

@@ -52,24 +52,24 @@ def of_channels(dataset: Dataset, spec: ModelSpec) -> Iterator[str]:
 
 def _of_places(spec: ModelSpec) -> str:
     """Where flights say that motors stand whose places are not declared."""
-    found, start = spec.found_places or {}, "the motors' places are not declared ([[vehicle.motors]]): "
-    unknown = [row for row in MOMENTS if row not in found]
+    explained, start = spec.found_places or {}, "the motors' places are not declared ([[vehicle.motors]]): "
+    unknown = [row for row in MOMENTS if row not in explained]
     lost = f"{' '.join(unknown)} not testable, for little of the angular acceleration goes with the motors"
-    if not found:
+    if not explained:
         return f"{start}thrust acts along -z; {lost}"
-    each = [f"{name} {_stands(m, found)}" for name, m in zip(spec.commands, spec.motors, strict=True)]
-    share = ", ".join(f"{row} {r2:.2f}" for row, r2 in found.items())
+    each = [f"{name} {_stands(m, explained)}" for name, m in zip(spec.commands, spec.motors, strict=True)]
+    share = ", ".join(f"{row} {r2:.2f}" for row, r2 in explained.items())
     said = f"{start}found from the flights (R² of {share}): {', '.join(each)}; arms over inertia alone are known"
     return f"{said}; {lost}" if unknown else said
 
 
-def _stands(motor: MotorSpec, found: Mapping[str, float]) -> str:
+def _stands(motor: MotorSpec, explained: Mapping[str, float]) -> str:
     """In words, by the moments that tell."""
     x, y, _ = motor.position
     least = 0.2 * max(abs(x), abs(y))
-    along = ("ahead" if x > 0.0 else "behind") if "M" in found and abs(x) > least else ""
-    across = ("right" if y > 0.0 else "left") if "L" in found and abs(y) > least else ""
-    spin = ("ccw" if motor.spin > 0.0 else "cw") if "N" in found else ""
+    along = ("ahead" if x > 0.0 else "behind") if "M" in explained and abs(x) > least else ""
+    across = ("right" if y > 0.0 else "left") if "L" in explained and abs(y) > least else ""
+    spin = ("ccw" if motor.spin > 0.0 else "cw") if "N" in explained else ""
     return " ".join(word for word in (along, across, spin) if word) or "near the middle"
 
 

@@ -16,7 +16,7 @@ from torch import Tensor
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
-from rotorid_torch.effects.signal_operations import averaged
+from rotorid_torch.effects.signal_operations import averaged, half_of
 from rotorid_torch.identification.measured_states import SMOOTHED_S
 from rotorid_torch.model.accelerations import Accelerations
 from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
@@ -70,7 +70,7 @@ def least_motion(dataset: Dataset, smoothed: float = SMOOTHED_S) -> dict[str, fl
             if flight.has(_channel(name)):
                 values = _measured(name, flight, smoothed)
                 moved.setdefault(name, []).append(values - values.mean())
-    half = _half(smoothed, dt)
+    half = half_of(smoothed, dt)
     noise = {name: dataset.noise(_channel(name)) * _passed(name, half, dt) for name in moved}
     usual = {name: float(torch.cat(parts).square().mean().sqrt()) for name, parts in moved.items()}
     return {name: max(CLEAR * noise[name], USUAL * usual[name]) for name in moved}
@@ -87,10 +87,6 @@ def _channel(name: str) -> str:
     return RATES[ANGULAR_ACCELERATIONS.index(name)] if name in ANGULAR_ACCELERATIONS else name
 
 
-def _half(smoothed: float, dt: float) -> int:
-    return round(smoothed / dt / 2.0)
-
-
 def _inner(record: Tensor, half: int) -> Tensor:
     """A record [T] without the ends that a mean and a derivative do not reach."""
     return record[half + 1 : len(record) - half - 1]
@@ -98,7 +94,7 @@ def _inner(record: Tensor, half: int) -> Tensor:
 
 def _measured(name: str, flight: Flight, smoothed: float) -> Tensor:
     """A response of a flight as measured [T']."""
-    half = _half(smoothed, flight.dt)
+    half = half_of(smoothed, flight.dt)
     measured = averaged(flight.bridged([_channel(name)])[:, 0], half)
     if name in ANGULAR_ACCELERATIONS:
         measured = torch.gradient(measured, spacing=flight.dt)[0]
@@ -115,7 +111,7 @@ def compared(model: Model, flight: Flight, smoothed: float = SMOOTHED_S) -> dict
     with torch.no_grad():
         taped = model.tape(flight.bridged(model.body.controls), flight.dt)
         modelled = Accelerations(model)(model.theta, x, taped, flight.dt)
-    half = _half(smoothed, flight.dt)
+    half = half_of(smoothed, flight.dt)
     return {
         name: (_measured(name, flight, smoothed), _inner(averaged(values, half), half))
         for name, values in modelled.items()

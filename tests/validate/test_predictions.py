@@ -13,6 +13,7 @@ from rotorid_torch.core.names import ATTITUDES, POSITIONS
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.examples import BODY, MOTORS, MULTIROTOR
+from rotorid_torch.effects.signal_operations import half_of
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.validate.predictions import predictions, unexplained_moments
@@ -105,3 +106,8 @@ def test_a_flight_moves_a_response_that_stands_out_of_noise_and_of_what_is_usual
     model = build(msgspec.structs.replace(MULTIROTOR, inputs=()))
     moved = {n: {c for c, r in responses(model, data.flights[n], least=least).items() if r.moved} for n in numbers}
     assert moved == {"first": {"pdot", "qdot"}, "second": {"pdot"}}
+
+
+def test_the_mean_that_responses_pass_does_not_hang_on_how_the_interval_is_rounded():
+    assert {half_of(0.03, dt) for dt in (0.01, 0.00999992, 0.0100000001)} == {2}
+    assert [half_of(0.03, dt) for dt in (0.02, 0.005, 0.002, 0.001)] == [1, 3, 8, 15]
