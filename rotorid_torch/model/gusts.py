@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import msgspec
 import torch
 from torch import Tensor
 
@@ -12,6 +13,7 @@ from rotorid_torch.core.names import FLAPPING, FORCES, RATES, VELOCITIES
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.core.state import State
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
+from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model
 
 DRIFT = 5.0
@@ -88,6 +90,18 @@ def in_gusts(model: Model) -> Model:
 def fed(model: Model) -> Model:
     """The model with gusts as three more inputs behind its controls, its parameters where they are."""
     return _with(model, (*model.body.controls, *GUSTS), FedGusts())
+
+
+def with_gust_inputs(spec: ModelSpec) -> ModelSpec:
+    """The spec of a model in which gusts are fed."""
+    reference = {**spec.reference, **dict.fromkeys(GUSTS, 0.0)}
+    return msgspec.structs.replace(spec, inputs=(*spec.inputs, *GUSTS), reference=reference)
+
+
+def without_gust_inputs(spec: ModelSpec) -> ModelSpec:
+    """The spec of the same model in still air."""
+    reference = {n: v for n, v in spec.reference.items() if n not in GUSTS}
+    return msgspec.structs.replace(spec, inputs=tuple(n for n in spec.inputs if n not in GUSTS), reference=reference)
 
 
 def noisy_states(model: Model) -> tuple[str, ...]:

@@ -19,6 +19,7 @@ from rotorid_torch.effects.families.neural import NeuralForces
 from rotorid_torch.effects.registry import of_others
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.gusts import Weather
+from rotorid_torch.model.gusts import without_gust_inputs
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.modes import gust_response
 from rotorid_torch.model.nominal import build
@@ -39,7 +40,7 @@ from rotorid_torch.run.output.write import write_report
 from rotorid_torch.run.pipeline import identified, pictured, refuse, remarks_on
 from rotorid_torch.run.result import Run, facts_of, write_model
 from rotorid_torch.run.turbulence import in_turbulence, smoothed, with_gusts, without_clean_bill
-from rotorid_torch.trace.air import in_moving_air, in_still_air
+from rotorid_torch.trace.air import in_moving_air
 from rotorid_torch.trace.clean_aircraft import clean_draws
 from rotorid_torch.trace.evidence.fits import Flights, refit
 from rotorid_torch.trace.loop import Bare, Tracing, trace
@@ -190,7 +191,7 @@ def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
         seed,
         ranks,
     )
-    null, final = (Bare(in_still_air(one.spec), one.values) for one in (traced.null, traced.final))
+    null, final = (Bare(without_gust_inputs(one.spec), one.values) for one in (traced.null, traced.final))
     return replace(traced, null=null, final=final)
 
 

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
-import msgspec
 import numpy as np
 import torch
 
@@ -20,7 +19,7 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.gusts import Histories, Weather, histories, in_weather
 from rotorid_torch.identification.model_estimation import sensor_noise
 from rotorid_torch.identification.model_regression import regress_model
-from rotorid_torch.model.gusts import GUSTS
+from rotorid_torch.model.gusts import GUSTS, with_gust_inputs
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.evidence.fits import Flights
 
@@ -32,16 +31,8 @@ def in_moving_air(
 
     values : of the parameters that step 2 does not tell, or doubts.
     """
-    reference = {**spec.reference, **dict.fromkeys(GUSTS, 0.0)}
-    moving = msgspec.structs.replace(spec, inputs=(*spec.inputs, *GUSTS), reference=reference)
     gusts = _smoothed_gusts(spec, values, flights, weather)
-    return moving, replace(flights, dataset=_with_channels(flights.dataset, gusts), weather=weather)
-
-
-def in_still_air(spec: ModelSpec) -> ModelSpec:
-    """The spec without gusts among its inputs."""
-    reference = {n: v for n, v in spec.reference.items() if n not in GUSTS}
-    return msgspec.structs.replace(spec, inputs=tuple(n for n in spec.inputs if n not in GUSTS), reference=reference)
+    return with_gust_inputs(spec), replace(flights, dataset=_with_channels(flights.dataset, gusts), weather=weather)
 
 
 def _with_channels(dataset: Dataset, gusts: Histories) -> Dataset:

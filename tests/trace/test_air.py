@@ -9,9 +9,9 @@ from rotorid_torch.identification.gusts import Weather
 from rotorid_torch.identification.model_regression import regress_model
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
-from rotorid_torch.model.gusts import DRIFT, GUSTS
+from rotorid_torch.model.gusts import DRIFT, GUSTS, without_gust_inputs
 from rotorid_torch.model.nominal import build
-from rotorid_torch.trace.air import in_moving_air, in_still_air
+from rotorid_torch.trace.air import in_moving_air
 from rotorid_torch.trace.evidence.fits import Flights, refit
 from rotorid_torch.trace.evidence.residual import left_over
 from tests.gusty_flights import INTENSITY, LENGTH, turbulent
@@ -28,7 +28,7 @@ def test_gusts_that_are_fed_in_leave_little_over():
     weather = Weather((INTENSITY,) * 3, (LENGTH,) * 3, DRIFT, {}, {})
     moving, in_air = in_moving_air(spec, values, flights, weather)
     assert in_air.weather is weather
-    assert in_still_air(moving).inputs == spec.inputs
+    assert without_gust_inputs(moving).inputs == spec.inputs
     for k, name in enumerate(GUSTS):
         smoothed = torch.stack([in_air.dataset.flights[n].channels[name] for n in data.identify])
         assert float(torch.corrcoef(torch.stack([smoothed.flatten(), gusts[..., k].flatten()]))[0, 1]) > 0.8
@@ -37,3 +37,6 @@ def test_gusts_that_are_fed_in_leave_little_over():
     assert bool((fed.sigma[places] < 0.6 * still.sigma[places]).all())
     left = left_over(fed.model, in_air.dataset, step1, data.identify)
     assert not set(GUSTS) & set(left.names)  # nothing is said to go with a gust
+    assert fed.in_still_air.spec.inputs == spec.inputs
+    assert fed.in_still_air.values == fed.values
+    assert still.in_still_air is still

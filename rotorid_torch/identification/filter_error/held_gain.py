@@ -66,14 +66,14 @@ class Following:
     filter: NativeFilter
     dynamics: Dynamics
     gains: Gains
-    made: dict[tuple[int, ...], Observer] = field(default_factory=dict)
+    observers: dict[tuple[int, ...], Observer] = field(default_factory=dict)
 
     @classmethod
     def of(cls, filter: NativeFilter, theta: Tensor, x0: Tensor, gains: Gains) -> Following:
         """Trace the system."""
         system, u = filter.problem.system, filter.problem.records.controls[0, 0]
-        nu, given = len(u), torch.cat([u, u.new_zeros(1)])
-        traced = Dynamics.of(lambda x, u, theta: system.motion(theta, u[nu], x, u[:nu]), x0[0], given, theta)
+        nu, inputs = len(u), torch.cat([u, u.new_zeros(1)])
+        traced = Dynamics.of(lambda x, u, theta: system.motion(theta, u[nu], x, u[:nu]), x0[0], inputs, theta)
         return cls(filter, traced if filter.timed else replace(traced, nu=nu), gains)
 
     @property
@@ -100,9 +100,9 @@ class Following:
         _, flights = self.filter.flown(theta, x0)
         which, _ = control_slopes(self.problem.system, theta, self.problem.records, self.problem.segments)
         key = tuple(which.tolist())
-        if key not in self.made:
-            self.made[key] = Observer(replace(self.dynamics, path=key))
-        return self.made[key], flights
+        if key not in self.observers:
+            self.observers[key] = Observer(replace(self.dynamics, path=key))
+        return self.observers[key], flights
 
 
 @dataclass(frozen=True, eq=False)

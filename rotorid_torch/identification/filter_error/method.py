@@ -193,10 +193,10 @@ def filter_error(
     ...     x[k + 1] = x[k] + dt * (-2.0 * x[k] + 3.0 * controls[k]) + gust
     >>> outputs = x + 0.02 * rng.standard_normal(x.shape)
     >>> flight = {"time": time, "controls": controls, "outputs": outputs, "x0": [0.0]}
-    >>> found = rotorid.filter_error(Lag(), [flight])
-    >>> abs(found["a"].value + 2.0) < 3.0 * found["a"].se
+    >>> result = rotorid.filter_error(Lag(), [flight])
+    >>> abs(result["a"].value + 2.0) < 3.0 * result["a"].se
     True
-    >>> print(f"{found.process_noise[0].value:.1f} {found.process_noise[0].unit}")
+    >>> print(f"{result.process_noise[0].value:.1f} {result.process_noise[0].unit}")
     0.2 /sqrt(s)
     """
     system, records = prepared(model, flights, free, bounds, Between(delays=delays, angles=angles))
@@ -224,11 +224,11 @@ def filter_error(
     search = _Search(problem, floor, x0 == "free", max_iterations, gain, engine, monitor)
 
     def solve(records: Records, theta: Tensor) -> Maximum:
-        return replace(search, problem=replace(problem, records=records)).found(theta)
+        return replace(search, problem=replace(problem, records=records)).ended(theta)
 
-    def end(found: Maximum) -> tuple[Tensor, Tensor]:
-        place = found.minimum.point
-        return place.theta[: len(system.theta)], found.engine.filter(place.theta, place.x0).states
+    def end(maximum: Maximum) -> tuple[Tensor, Tensor]:
+        place = maximum.minimum.point
+        return place.theta[: len(system.theta)], maximum.engine.filter(place.theta, place.x0).states
 
     return _result(in_steps(system, records, solve, end))
 
@@ -253,7 +253,7 @@ class _Search:
     engine: str | None
     monitor: Monitor | None
 
-    def found(self, theta: Tensor) -> Maximum:
+    def ended(self, theta: Tensor) -> Maximum:
         """From where the filter follows the flights with parameters near theta, to the maximum."""
         problem, system = self.problem, self.problem.system
         theta, start = torch.clamp(theta, system.lower, system.upper), problem.records.states[:, 0]
@@ -355,10 +355,10 @@ def _result(stepped: Stepped[Maximum]) -> FilterError:
     theta, Q, R = problem.split(psi)
     run = engine.filter(psi, place.x0)
     states, covariances = smoothed(problem, psi, place.x0, run)
-    told = _head(covariance, count).without(
+    identified = _head(covariance, count).without(
         (minimum.at_bound | minimum.not_identifiable | (not stepped.mended))[:count]
     )
-    parameters = estimates(system, theta, minimum, told)
+    parameters = estimates(system, theta, minimum, identified)
     errors = covariance.covariance
     q, r = slice(count, count + problem.process.count), slice(count + problem.process.count, len(psi))
     rooted = covariances.diagonal(dim1=-2, dim2=-1).clamp_min(0.0).sqrt()
@@ -366,7 +366,7 @@ def _result(stepped: Stepped[Maximum]) -> FilterError:
     return FilterError(
         model=system.fitted(theta),
         parameters=parameters,
-        covariance=told.covariance,
+        covariance=identified.covariance,
         process_noise=sizes(problem.process, psi[q], errors[q, q], loss, "/sqrt(s)"),
         process_covariance=Q * loss if problem.process.count else Q,
         measurement_noise=sizes(problem.noise, psi[r], errors[r, r], loss, ""),
@@ -380,7 +380,7 @@ def _result(stepped: Stepped[Maximum]) -> FilterError:
         state_errors=records.measured(rooted),
         log_likelihood=-float(run.cost.sum()) - 0.5 * likelihood.samples * math.log(2.0 * math.pi),
         whiteness=whiteness(_padded(innovations, math.nan), _padded(spreads, 0.0)),
-        uncertainty=told,
+        uncertainty=identified,
         times=records.times(),
     )
 

@@ -120,7 +120,10 @@ def family(
     validate = null.flights.dataset.validate
     unseen = left_over(null.model, *listed, validate, accepted) if validate else None
     residuals = Residuals(left_over(null.model, *listed, null.flights.dataset.identify, accepted), unseen)
-    by_forces = seen_in_forces(null, residuals.fitted, [Candidate(e) for e in effects])
+    still, over = null.in_still_air, residuals.fitted
+    if still is not null:
+        over = left_over(still.model, *listed, null.flights.dataset.identify, accepted)
+    by_forces = seen_in_forces(still, over, [Candidate(e) for e in effects])
     forces = {candidate.effect: one for candidate, one in by_forces.items()}
     return Family(null, tuple(accepted), common, each, forces, residuals, residuals.descriptions())
 

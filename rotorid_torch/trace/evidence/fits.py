@@ -28,6 +28,7 @@ from rotorid_torch.identification.estimate.system import System
 from rotorid_torch.identification.gusts import Weather
 from rotorid_torch.identification.model_estimation import initial_spread, records, sensor_noise
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
+from rotorid_torch.model.gusts import without_gust_inputs
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 
@@ -136,6 +137,16 @@ class Fitted:
     def values(self) -> dict[str, float]:
         """Every parameter by its full name."""
         return self.model.named_values
+
+    @cached_property
+    def in_still_air(self) -> Fitted:
+        """The same values without gusts fed in: a smoother takes for gusts what sways for itself."""
+        if self.flights.weather is None:
+            return self
+        spec = without_gust_inputs(self.spec)
+        model = build(spec)
+        model.start_from(self.values)
+        return replace(self, spec=spec, model=model)
 
     @property
     def cost(self) -> float:
