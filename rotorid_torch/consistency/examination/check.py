@@ -48,6 +48,7 @@ EXAMINATIONS: tuple[Examination, ...] = (
     records.vibration,
     records.supply,
     controls.controls,
+    controls.rotor_speeds,
     band,
     controls.trim,
     controls.length,

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+
 from rotorid_torch.consistency.examination.finding import Finding, finding
 from rotorid_torch.consistency.excitation import BAND_HZ, Excitation, excitations, share_at
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.flight import Flight
+from rotorid_torch.data.reading.noise import running_mean
 
 FEEDBACK = 0.1
 """Share of an axis's own motion below which only a combination of derivatives can be found."""
@@ -15,8 +19,17 @@ TEST_INPUT = 30.0
 """Power in the band over that of the white part there, below which nothing was flown on an axis."""
 FOLDED = 0.1
 """White part over the power in the band from which on a motor command was folded by sampling."""
+FOLLOWS, STRAYS = 0.8, 0.6
+"""Mean correlation of rotor speeds with the commands that they follow best, and with those of their own numbers, from
+and up to which they are paired with other motors."""
+UNRELATED = 0.3
+"""The same up to which they follow no command."""
+SPEED_LAGS_S = (0.0, 0.03, 0.06, 0.1, 0.15, 0.2)
+"""Lags of a rotor that are tried."""
 TURNS = {"roll": "p", "pitch": "q", "yaw": "r"}
 """What the axes of the motors turn."""
+LEAST_MOTORS = 3
+"""Motors from which on they do something apart from what they do together."""
 FREE_RUN_S = 8.0
 PERIODS = 2.0
 """A mode needs so many of its periods in a flight."""
@@ -178,3 +191,43 @@ def length(dataset: Dataset) -> Iterator[Finding]:
         yield finding("note", "", f"{span_sentence} {slower}", short_sentence)
     else:
         yield finding("good", "", span_sentence, slower)
+
+
+def rotor_speeds(dataset: Dataset) -> Iterator[Finding]:
+    """Whether omegaN follows motorN, by what each motor does beyond all of them together."""
+    count = len(dataset.controls)
+    speeds = [f"omega{n}" for n in range(1, count + 1)]
+    flights = [dataset.flights[name] for name in dataset.identify if dataset.flights[name].has(*speeds)]
+    recorded = all(map(names.is_motor, dataset.controls)) and not {*dataset.controls} & {*dataset.derived}
+    if not flights or not recorded or count < LEAST_MOTORS:
+        return
+    by_lag = [_following(flights, dataset.controls, speeds, lag) for lag in SPEED_LAGS_S]
+    best, own, order = max(by_lag, key=lambda one: one[0])
+    if best > FOLLOWS and own < STRAYS:
+        pairs = ", ".join(f"{s} follows {dataset.controls[k]}" for s, k in zip(speeds, order, strict=True))
+        sentence = f"rotor speeds are paired with other motors: {pairs} (correlation {best:.2f}, by number {own:.2f})."
+        yield finding("error", " ".join(speeds), sentence, "Number speeds and commands alike.")
+    elif best < UNRELATED:
+        sentence = f"rotor speeds and commands contradict each other: no speed follows one (correlation {best:.2f})."
+        yield finding("error", " ".join(speeds), sentence, "One of them is of another flight, clock or motor.")
+    elif best > FOLLOWS:
+        yield finding("good", " ".join(speeds), f"every rotor speed follows its command (correlation {own:.2f}).")
+
+
+def _following(
+    flights: Sequence[Flight], motors: Sequence[str], speeds: Sequence[str], lag_s: float
+) -> tuple[float, float, Sequence[int]]:
+    """Mean correlation of speeds with commands, paired best and by number, and the best command of each speed."""
+    from scipy.optimize import linear_sum_assignment  # slow to import
+
+    total = np.zeros((2 * len(motors), 2 * len(motors)))
+    for flight in flights:
+        by, width = round(lag_s / flight.dt), max(1, round(0.1 / flight.dt))
+        asked, turned = (flight.bridged(channels).nan_to_num(0.0).numpy() for channels in (motors, speeds))
+        both = [asked[: len(asked) - by], turned[by:]]
+        smooth = [np.stack([running_mean(x, width) for x in (b - b.mean(axis=1, keepdims=True)).T]) for b in both]
+        total += np.concatenate([x - x.mean(axis=1, keepdims=True) for x in smooth]) @ np.concatenate(smooth).T
+    size = np.sqrt(np.maximum(np.diag(total), np.finfo(float).tiny))
+    correlation = (total / np.outer(size, size))[len(motors) :, : len(motors)]
+    rows, columns = linear_sum_assignment(-correlation)
+    return float(correlation[rows, columns].mean()), float(np.diag(correlation).mean()), columns.tolist()

@@ -388,3 +388,37 @@ def test_a_resolution_is_no_limit_of_range(step):
         slow = 0.3 * np.sin(0.9 * flight["time"] + 0.2)
         flight["height"] = 30.0 + step * np.round(slow / step)
     assert not any("cut off" in s for s in sentences(Dataset.from_arrays(flights, identify=list(flights))))
+
+
+def turning(order=(0, 1, 2, 3), lag=0.06, unrelated=False):
+    """A multirotor's flights with rotor speeds that follow the commands of motors in this order, a little late."""
+    made = {}
+    for seed in range(3):
+        rng, time = np.random.default_rng(seed), DT * np.arange(SAMPLES)
+        waves, phases = rng.uniform(0.3, 2.0, (4, 3)), rng.uniform(0.0, 6.0, (4, 3))
+
+        def asked(t, waves=waves, phases=phases):
+            own = 0.05 * np.sin(2 * np.pi * waves[..., None] * t + phases[..., None]).sum(axis=1)
+            return 0.5 + 0.1 * np.sin(t) + own
+
+        speeds = 600.0 * np.sqrt(asked(time - lag)[[*order]]) + 2.0 * rng.standard_normal((4, SAMPLES))
+        if unrelated:
+            speeds = speeds[:, ::-1]
+        flight = {"time": time, **{f"motor{i + 1}": m for i, m in enumerate(asked(time))}}
+        flight |= {f"omega{i + 1}": s for i, s in enumerate(speeds)}
+        made[f"f{seed}"] = flight | {c: 0.1 * np.sin(2.0 * time + k) for k, c in enumerate("pqr")}
+    return Dataset.from_arrays(made, identify=list(made), kind="multirotor")
+
+
+@pytest.mark.parametrize("order", [(3, 1, 2, 0), (1, 2, 3, 0), (2, 3, 0, 1)])
+def test_rotor_speeds_of_other_motors_are_told(order):
+    (told,) = [f for f in check(turning(order)).findings if "paired with other motors" in f.sentence]
+    assert told.severity == "error"
+    assert f"omega1 follows motor{order[0] + 1}" in told.sentence
+
+
+def test_rotor_speeds_follow_their_commands_or_contradict_them():
+    found = check(turning(lag=0.1)).findings
+    assert any(f.severity == "good" and "follows its command" in f.sentence for f in found)
+    (told,) = [f for f in check(turning(unrelated=True)).findings if f.channel.startswith("omega1")]
+    assert (told.severity, "contradict each other" in told.sentence) == ("error", True)
