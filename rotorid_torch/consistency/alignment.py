@@ -401,6 +401,34 @@ def _motion(flights: Sequence[Flight], turn: Array, clocks: Mapping[str, float])
 
 
 @dataclass(frozen=True)
+class ForceTurn:
+    """How the accelerometers alone are turned, or mirrored, against velocity and attitude.
+
+    matrix : orthogonal (3, 3), what they read of a vector in body axes. left, by_bias : mean square in (m/s²)² of what
+    the turn leaves, and of what a constant on each axis leaves instead.
+    """
+
+    matrix: Array
+    left: float
+    by_bias: float
+
+
+def force_turn(flights: Sequence[Flight]) -> ForceTurn | None:
+    """The turn that makes specific force that of velocity and attitude (Wahba's problem); None without these."""
+    every = [_forces(f) for f in flights if f.has(*names.VELOCITIES, *names.SPECIFIC_FORCES, *names.ATTITUDES)]
+    felt = np.concatenate([e.felt[e.present] for e in every] or [np.zeros((0, 3))])
+    true = np.concatenate([(e.pushed + e.fallen)[e.present] for e in every] or [np.zeros((0, 3))])
+    whole = np.isfinite(felt).all(axis=1) & np.isfinite(true).all(axis=1)
+    felt, true = felt[whole], true[whole]
+    if len(felt) < 50:
+        return None
+    u, _, vt = np.linalg.svd(felt.T @ true)
+    away = felt - true
+    left = float(((felt - true @ (u @ vt).T) ** 2).mean())
+    return ForceTurn(u @ vt, left, float(((away - away.mean(axis=0)) ** 2).mean()))
+
+
+@dataclass(frozen=True)
 class _Forces:
     """What velocity says (T, 3), what gravity says, what is felt, smoothed; and where all is known (T,).
 

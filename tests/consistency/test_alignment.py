@@ -119,6 +119,32 @@ def test_a_far_clock_is_known_to_5_ms_and_is_the_only_name(seconds: float):
     assert values == {"sensors.delay.rates": pytest.approx(seconds, abs=5e-3)}
 
 
+def accelerometers(matrix: np.ndarray, bias: float = 0.0) -> Dataset:
+    """The flights with accelerometers alone that read a matrix (3, 3) times specific force, and a bias of ay."""
+    made = flights()
+    for flight in made.values():
+        flight |= dict(zip(("ax", "ay", "az"), matrix @ np.stack([flight[c] for c in ("ax", "ay", "az")]), strict=True))
+        flight["ay"] = flight["ay"] + bias
+    return dataset(made)
+
+
+@pytest.mark.parametrize("degrees", [15, 30, 90])
+def test_accelerometers_that_are_turned_alone_are_one_error_and_no_bias(degrees: int):
+    turned = accelerometers(rotation(np.radians(degrees) * np.array([0.6, 0.0, 0.8])).T)
+    findings = check(turned).findings
+    (error,) = [f for f in findings if f.severity == "error"]
+    assert f"turned by {degrees}" in error.sentence or f"turned by {degrees - 1}.9" in error.sentence
+    assert not any("bias" in f.sentence and f is not error for f in findings if f.severity == "warning")
+
+
+def test_a_wrong_sign_of_an_accelerometer_is_an_error_and_a_bias_is_a_bias():
+    (error,) = check(accelerometers(np.diag([1.0, -1.0, 1.0]))).of("error")
+    assert "they read +x -y +z" in error.sentence
+    biased = check(accelerometers(np.eye(3), 0.8))
+    assert not biased.of("error")
+    assert any("0.8" in f.sentence and "a sensor bias" in f.sentence for f in biased.findings)
+
+
 @pytest.mark.parametrize("unit", ["velocities", "accelerations"])
 @pytest.mark.parametrize("seconds", [0.2, -0.3, 0.5, 0.8, -0.64, 1.5, -3.0, 5.0])
 def test_the_time_that_is_told_is_right_to_5_ms_or_3_errors(unit: str, seconds: float):

@@ -15,6 +15,7 @@ from rotorid_torch.consistency.alignment import (
     aligned,
     alignment,
     axes_of,
+    force_turn,
     right_angles,
     rotation,
     rotation_vector,
@@ -60,6 +61,8 @@ CLOCKS = {"attitude": ("attitude", "rates"), "velocity": ("velocities", "acceler
 """Units whose clock a group of pairs compares."""
 MOUNTED = 3.0
 """Degrees within which a turn is a mounting by right angles."""
+TURNED = 0.7
+"""Share of what biases of the accelerometers leave that a turn of them leaves at most, to be told instead."""
 SURE, SURE_LAG = 4.0, 3.0
 """Standard errors that make a finding; of a lag, whose size must mean something besides."""
 
@@ -73,7 +76,12 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
     elif by.angle > 0.0:
         yield _turned(by)
     lags: dict[str, list[Agreement]] = {}
+    by_forces = None if by.mirror else _forces_turned(flights)
+    if by_forces is not None:
+        yield by_forces
     for left, right, pairs in GROUPS:
+        if left == "velocity" and by_forces is not None:
+            continue  # one cause, told once
         results = [a for pair in pairs(dataset) if (a := agreement(pair, flights)) is not None]
         agreeing = [a for a in results if a.r2 > KNOWN]
         forces = _forces(dataset, flights) if left == "velocity" else []
@@ -129,6 +137,23 @@ def _turned(by: Alignment) -> Finding:
         f"leaves {by.after:.1%} of the rates' variance instead of {min(by.before, 9.99):.0%}. Turn p q r and ax ay az",
         "back; close-loop names it as sensors.misalignment.",
     )
+
+
+def _forces_turned(flights: Sequence[Flight]) -> Finding | None:
+    """The accelerometers' axes are not those of velocity and attitude, and no biases explain it as well."""
+    by = force_turn(flights)
+    if by is None or by.left > TURNED * by.by_bias:
+        return None
+    mirrored = float(np.linalg.det(by.matrix)) < 0.0
+    angle = 180.0 if mirrored else float(np.degrees(np.linalg.norm(rotation_vector(by.matrix))))
+    if angle < MOUNTED:
+        return None
+    reads = axes_of(by.matrix).translate(str.maketrans("pqr", "xyz"))
+    what = "a wrong sign or exchanged axes" if mirrored else f"turned by {angle:.1f}° against velocity and attitude"
+    nearest = f" (they read {reads}, by the nearest axes)" if reads != "+x +y +z" else ""
+    sentence = f"the accelerometers alone are not in body axes: {what}{nearest}."
+    left = f"So taken, they leave {by.left:.2g} (m/s²)² instead of {by.by_bias:.2g} with biases."
+    return finding("error", "ax ay az", sentence, left, "Correct their signs, order or mounting.")
 
 
 def _mirrored(by: Alignment) -> Finding:
