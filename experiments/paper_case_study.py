@@ -73,9 +73,9 @@ def flown(args: Args) -> tuple[Dataset, Truth]:
 
 def true(truth: Truth, dataset: Dataset, name: str, channels: tuple[str, ...]) -> Tensor:
     """True channels of a flight at its samples, (T, n)."""
-    known, time = truth[name], dataset.flights[name].time.numpy()
-    clock = np.asarray(known["time"], dtype=float)
-    return torch.tensor(np.stack([np.interp(time, clock - clock[0], known[c]) for c in channels], axis=-1))
+    values, time = truth[name], dataset.flights[name].time.numpy()
+    clock = np.asarray(values["time"], dtype=float)
+    return torch.tensor(np.stack([np.interp(time, clock - clock[0], values[c]) for c in channels], axis=-1))
 
 
 def sensed(dataset: Dataset, hertz: Tensor) -> Tensor:
@@ -93,19 +93,23 @@ def sensed(dataset: Dataset, hertz: Tensor) -> Tensor:
     return torch.cat([mass**2 * push, turn @ inertia.square().mT], dim=-1)
 
 
-def step1_tables(dataset: Dataset, found: Reconstruction, truth: Truth) -> dict[str, dict[str, dict[str, float]]]:
+Tables = dict[str, dict[str, dict[str, float]]]
+"""By title, flight and component."""
+
+
+def step1_tables(dataset: Dataset, reconstruction: Reconstruction, truth: Truth) -> Tables:
     """Shares of the truth within the error bars, and the errors below 2 Hz; per flight and component."""
-    known = {name: true(truth, dataset, name, AXES) for name in found.flights}
-    every, tables = torch.cat([k - k.mean(0) for k in known.values()]), {}
-    for name, flight in found.flights.items():
-        error, dt = flight.loads - known[name], dataset.flights[name].dt
+    truths = {name: true(truth, dataset, name, AXES) for name in reconstruction.flights}
+    every, tables = torch.cat([k - k.mean(0) for k in truths.values()]), {}
+    for name, flight in reconstruction.flights.items():
+        error, dt = flight.loads - truths[name], dataset.flights[name].dt
         rows = {
             "truth within 3 sigma": share_within(error, flight.loads_sd, 3.0),
             "truth within 1 sigma": share_within(error, flight.loads_sd, 1.0),
-            "error below 2 Hz over the flight's signal": slow_error(error, known[name], dt),
+            "error below 2 Hz over the flight's signal": slow_error(error, truths[name], dt),
             "error below 2 Hz over all flights' signal": slow_error(error, every, dt),
             "least possible over the flight's signal": least_slow_error(
-                known[name], lambda hertz: sensed(dataset, hertz), dt
+                truths[name], lambda hertz: sensed(dataset, hertz), dt
             ),
         }
         for key, row in rows.items():
@@ -113,15 +117,15 @@ def step1_tables(dataset: Dataset, found: Reconstruction, truth: Truth) -> dict[
     return tables
 
 
-def figure4(dataset: Dataset, found: Reconstruction, truth: Truth, name: str) -> Figure:
+def figure4(dataset: Dataset, reconstruction: Reconstruction, truth: Truth, name: str) -> Figure:
     """Estimated (blue) and true (red) forces; right their difference within three standard deviations."""
     figure = Figure(figsize=(9.6, 6.0), layout="constrained")
-    flight, known = found.flights[name], true(truth, dataset, name, FORCES) / 1e3
+    flight, true_forces = reconstruction.flights[name], true(truth, dataset, name, FORCES) / 1e3
     estimate, band, time = flight.forces / 1e3, 3.0 * flight.loads_sd / 1e3, flight.time
     for k, (left, right) in enumerate(figure.subplots(3, 2, sharex=True)):
-        left.plot(time, known[:, k], "#c0392b", linewidth=1.0, label="true")
+        left.plot(time, true_forces[:, k], "#c0392b", linewidth=1.0, label="true")
         left.plot(time, estimate[:, k], "#1f4e9c", linewidth=1.0, linestyle="--", label="estimated")
-        right.plot(time, estimate[:, k] - known[:, k], "#1f4e9c", linewidth=0.7, label="error")
+        right.plot(time, estimate[:, k] - true_forces[:, k], "#1f4e9c", linewidth=0.7, label="error")
         right.plot(time, band[:, k], "black", linewidth=0.8, label="3 sigma")
         right.plot(time, -band[:, k], "black", linewidth=0.8)
         left.set_ylabel(f"{FORCES[k]}, kN")
@@ -136,21 +140,21 @@ def figure4(dataset: Dataset, found: Reconstruction, truth: Truth, name: str) ->
 
 
 @torch.no_grad()
-def along(model: Model, dataset: Dataset, found: Reconstruction, name: str) -> dict[str, Tensor]:
+def along(model: Model, dataset: Dataset, reconstruction: Reconstruction, name: str) -> dict[str, Tensor]:
     """Flapping (rad) and moments (N m, or per inertia) of the model along a flight's motion and controls, (T,) each.
 
     The body moves as step 1 saw it; the rotor's own states are integrated from rest and see no measurement.
     """
     flight, states = dataset.flights[name], model.body.states
-    body = torch.stack([found.flights[name].channels[c] for c in states], dim=-1)
+    body = torch.stack([reconstruction.flights[name].channels[c] for c in states], dim=-1)
     controls, n = flight.bridged(model.body.controls), len(states)
 
-    def rates(t: Tensor, own: Tensor, u: Tensor) -> Tensor:
-        return model.frame(model.theta, torch.cat([u[..., :n], own], dim=-1), u[..., n:])[1]
+    def rates(t: Tensor, rotor: Tensor, u: Tensor) -> Tensor:
+        return model.frame(model.theta, torch.cat([u[..., :n], rotor], dim=-1), u[..., n:])[1]
 
     start = equilibrium(model, body[0], controls[0])[n:]
-    own = simulate(rates, start, torch.cat([body, controls], dim=-1), flight.dt)
-    frame, _ = model.frame(model.theta, torch.cat([body, own], dim=-1), controls)
+    rotor = simulate(rates, start, torch.cat([body, controls], dim=-1), flight.dt)
+    frame, _ = model.frame(model.theta, torch.cat([body, rotor], dim=-1), controls)
     assert frame.moment is not None
     rows = dict(zip(MOMENTS, (frame.moment @ model.inertia.mT).unbind(-1), strict=True))
     return rows | {c: frame.signals[c] for c in FLAPPING if c in frame.signals}
@@ -158,13 +162,13 @@ def along(model: Model, dataset: Dataset, found: Reconstruction, name: str) -> d
 
 def unseen(model: Model, run: Run, dataset: Dataset, truth: Truth) -> list[Overlay]:
     """Flapping and moments of the validate flights: measured flapping and true moments beside the driven model's."""
-    made = []
+    overlays = []
     for name in dataset.validate:
-        flight, found = dataset.flights[name], along(model, dataset, run.reconstruction, name)
-        known = dict(zip(MOMENTS, true(truth, dataset, name, MOMENTS).unbind(-1), strict=True))
-        known |= {c: flight.channels[c] for c in FLAPPING if flight.has(c)}
-        made.append(Overlay(name, "validate", flight.time, known, found))
-    return made
+        flight, driven = dataset.flights[name], along(model, dataset, run.reconstruction, name)
+        flown = dict(zip(MOMENTS, true(truth, dataset, name, MOMENTS).unbind(-1), strict=True))
+        flown |= {c: flight.channels[c] for c in FLAPPING if flight.has(c)}
+        overlays.append(Overlay(name, "validate", flight.time, flown, driven))
+    return overlays
 
 
 def explained(overlays: list[Overlay], channels: tuple[str, ...]) -> dict[str, dict[str, float]]:
@@ -172,7 +176,7 @@ def explained(overlays: list[Overlay], channels: tuple[str, ...]) -> dict[str, d
     table = {}
     for o in overlays:
         pairs = [(c, o.model[c][:, None], o.measured[c][:, None]) for c in o.common(channels)]
-        table[o.flight] = {c: float(r2(found - measured, measured)) for c, found, measured in pairs}
+        table[o.flight] = {c: float(r2(modelled - measured, measured)) for c, modelled, measured in pairs}
     return table
 
 
@@ -184,8 +188,8 @@ def pictures(run: Run, dataset: Dataset, truth: Truth, driven: Mapping[str, list
     for axes in moments.axes:
         if axis := axes.get_ylabel():
             axes.set_ylabel(f"{axis}, {run.reconstruction.units[axis]}")
-    made = {"figure4_forces": figure4(dataset, run.reconstruction, truth, lateral), "figure6_moments": moments}
-    return made | {"figure5_flapping_driven": side_by_side(driven["step 2"], FLAPPING)} | run.plot()
+    figures = {"figure4_forces": figure4(dataset, run.reconstruction, truth, lateral), "figure6_moments": moments}
+    return figures | {"figure5_flapping_driven": side_by_side(driven["step 2"], FLAPPING)} | run.plot()
 
 
 def main(args: Args) -> None:

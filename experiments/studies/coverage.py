@@ -96,17 +96,17 @@ def one_fit(controls: Tensor, states: Tensor, colour: float, rng: torch.Generato
     flights = [
         {"time": t, "controls": u, "outputs": y, "x0": torch.zeros(2)} for u, y in zip(controls, outputs, strict=True)
     ]
-    found = output_error(Roll((-1.0, -1.5, 2.5)), flights, segment_lengths=[torch.inf])
-    return torch.tensor([p.value for p in found.parameters]), torch.tensor([p.se for p in found.parameters])
+    estimate = output_error(Roll((-1.0, -1.5, 2.5)), flights, segment_lengths=[torch.inf])
+    return torch.tensor([p.value for p in estimate.parameters]), torch.tensor([p.se for p in estimate.parameters])
 
 
 def one_regression(controls: Tensor, states: Tensor, colour: float, rng: torch.Generator) -> tuple[Tensor, Tensor]:
     """The same by Fourier regression of the roll acceleration on roll rate, bank angle and control."""
     measured = states + NOISE * noise(tuple(states.shape), colour, rng)
     columns = torch.cat([measured.flip(-1), controls], dim=-1)
-    known = torch.tensor([float(NOISE[1]), float(NOISE[0]), 0.0], dtype=torch.float64)
-    found = regress([m[:, 1] for m in measured], list(columns), DT, band=(0.1, 1.5), noise=known)
-    return found.coefficients, found.standard_errors
+    declared = torch.tensor([float(NOISE[1]), float(NOISE[0]), 0.0], dtype=torch.float64)
+    estimate = regress([m[:, 1] for m in measured], list(columns), DT, band=(0.1, 1.5), noise=declared)
+    return estimate.coefficients, estimate.standard_errors
 
 
 def coverage(

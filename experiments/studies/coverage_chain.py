@@ -113,12 +113,12 @@ def clean_flights(lag: float) -> dict[str, dict[str, Tensor]]:
     """Channels of all flights without noise; `lag` s is between the recorded controls and those that act."""
     model, (names, pilot) = true_model(), inputs()
     trim = torch.tensor([TRIM[c] for c in STICKS], dtype=torch.float64)
-    rest = torch.tensor([model.reference[s] for s in STATES], dtype=torch.float64)
+    trimmed = torch.tensor([model.reference[s] for s in STATES], dtype=torch.float64)
     gains = torch.tensor([[FEEDBACK[c].get(s, 0.0) for s in STATES] for c in STICKS], dtype=torch.float64)
-    x, u = rest.repeat(len(names), 1), trim + pilot[:, 0]
+    x, u = trimmed.repeat(len(names), 1), trim + pilot[:, 0]
     acting, states, controls, effective = u, [x], [u], [u]
     for k in range(1, pilot.shape[1]):
-        following = trim + pilot[:, k] + (x - rest) @ gains.mT
+        following = trim + pilot[:, k] + (x - trimmed) @ gains.mT
         after = following if lag == 0.0 else acting + (1.0 - np.exp(-DT / lag)) * (following - acting)
         x = step(model, torch.tensor(0.0), x, acting, after, DT)
         u, acting = following, after
@@ -148,9 +148,9 @@ def measured(clean: dict[str, dict[str, Tensor]], rng: np.random.Generator | Non
 
 def identified(dataset: Dataset) -> dict[str, tuple[float, float]]:
     """The whole chain: value and standard error of every derivative that step 3 gives an interval."""
-    found = reconstruct(dataset)
-    model = build(propose(dataset, found))
-    estimate = estimate_model(model, dataset, found, regress_model(model, dataset, found))
+    reconstruction = reconstruct(dataset)
+    model = build(propose(dataset, reconstruction))
+    estimate = estimate_model(model, dataset, reconstruction, regress_model(model, dataset, reconstruction))
     errors = estimate.fit.uncertainty.standard_errors.tolist()
     rows = zip(estimate.names, estimate.fit.theta.tolist(), errors, strict=True)
     return {name: (value, error) for name, value, error in rows if not name.endswith(".trim") and error > 0.0}

@@ -50,9 +50,9 @@ class Args:
     logdir: str = "runs/coverage_gusts"
 
 
-def estimates(found: FilterError) -> dict[str, list[ParameterEstimate]]:
+def estimates(estimate: FilterError) -> dict[str, list[ParameterEstimate]]:
     """What is counted, by kind."""
-    return {"parameters": found.parameters, "F": found.process_noise, "R": found.measurement_noise}
+    return {"parameters": estimate.parameters, "F": estimate.process_noise, "R": estimate.measurement_noise}
 
 
 def summary(kind: str, values: np.ndarray, errors: np.ndarray, names: list[str]) -> dict:
@@ -82,9 +82,9 @@ def main(args: Args) -> None:
     calm, converged, began = [], 0, time.perf_counter()
     for run in range(args.runs):
         flights = [lateral_flight(np.random.default_rng([args.seed, run, k])) for k in range(args.flights)]
-        found = filter_error(lateral_model(0.7), flights)
-        converged += found.converged
-        for kind, estimated in estimates(found).items():
+        estimate = filter_error(lateral_model(0.7), flights)
+        converged += estimate.converged
+        for kind, estimated in estimates(estimate).items():
             values[kind].append([p.value for p in estimated])
             errors[kind].append([p.se for p in estimated])
             names[kind] = [p.name for p in estimated]

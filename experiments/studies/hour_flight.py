@@ -35,11 +35,11 @@ def main() -> int:
         begin = time.perf_counter(), time.process_time()
         dataset = load(Path(folder) / "hour")
         loaded = time.perf_counter()
-        found = check(dataset)
+        result = check(dataset)
         checked = time.perf_counter()
-        write_check(Path(folder) / "run", dataset, found, 0, Monitor())
+        write_check(Path(folder) / "run", dataset, result, 0, Monitor())
         end = time.perf_counter(), time.process_time()
-    told = {
+    figures = {
         "samples": dataset.facts["hour"].samples,
         "channels": len(dataset.facts["hour"].channels),
         "load_s": loaded - begin[0],
@@ -48,9 +48,9 @@ def main() -> int:
         "total_s": end[0] - begin[0],
         "total_cpu_s": end[1] - begin[1],
         "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
-        "warnings": [f.sentence for f in found.findings if f.severity in ("error", "warning")],
+        "warnings": [f.sentence for f in result.findings if f.severity in ("error", "warning")],
     }
-    line = json.dumps(told)
+    line = json.dumps(figures)
     if options.out:
         options.out.write_text(line + "\n")
     sys.stdout.write(line + "\n")
@@ -86,11 +86,11 @@ def _at_rate(dataset, name: str, hertz: float) -> dict[str, np.ndarray]:
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = argparse.ArgumentParser(description=__doc__, allow_abbrev=False)
-    made.add_argument("--minutes", type=float, default=60.0)
-    made.add_argument("--hertz", type=float, default=200.0)
-    made.add_argument("--out", type=Path, metavar="FILE")
-    return made
+    command_line = argparse.ArgumentParser(description=__doc__, allow_abbrev=False)
+    command_line.add_argument("--minutes", type=float, default=60.0)
+    command_line.add_argument("--hertz", type=float, default=200.0)
+    command_line.add_argument("--out", type=Path, metavar="FILE")
+    return command_line
 
 
 if __name__ == "__main__":

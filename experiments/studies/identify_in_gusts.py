@@ -100,9 +100,9 @@ def with_true_gusts(run: Run, data: Dataset, gusts: Tensor) -> Model:
     )
     flights = records(model, data, run.reconstruction)
     flights = replace(flights, controls=torch.cat([flights.controls, gusts], dim=-1))
-    found = fit(System(fed(model), names), flights, settings=settings)
+    fitted = fit(System(fed(model), names), flights, settings=settings)
     with torch.no_grad():
-        model.theta[places] = found.theta
+        model.theta[places] = fitted.theta
     return model
 
 
@@ -124,9 +124,9 @@ def sizes_off(gusts: GustRecord, intensity: float) -> tuple[float, float]:
 def in_mean_air(model: Model, common: Tensor) -> Model:
     """The model as it was, its reference moved to the air that its flights had in common, m/s [3]."""
     moved = dict(zip(VELOCITIES, common.tolist(), strict=True))
-    made = Model(model.body, [_Steady(moved), *model.chain], model.reference)
-    made.start_from(model.named_values)
-    return made
+    moving = Model(model.body, [_Steady(moved), *model.chain], model.reference)
+    moving.start_from(model.named_values)
+    return moving
 
 
 class _Steady(Effect):

@@ -89,12 +89,12 @@ def run_case(case: Case) -> dict:
     """Fly a case, close the loop, and say what came of it."""
     hidden = [(case.effect, case.size)] if case.effect else []
     vehicle = f"multirotor-{case.number}"
-    made = fly(None, vehicle=vehicle, flights=case.flights, effects=hidden, seconds=case.seconds, seed=case.number)
+    flown = fly(None, vehicle=vehicle, flights=case.flights, effects=hidden, seconds=case.seconds, seed=case.number)
     line: dict = {"case": case.name, "vehicle": vehicle, "hidden": case.effect, "size": case.size}
     before = time.process_time()
     try:
         with tempfile.TemporaryDirectory(prefix="rotorid-multirotor-") as folder:
-            close_loop(made.dataset(), out=Path(folder) / "run")
+            close_loop(flown.dataset(), out=Path(folder) / "run")
             report = json.loads((Path(folder) / "run" / "report.json").read_text(encoding="utf-8"))
     except Exception as error:  # a study goes on; the line tells
         return line | failure(error)
@@ -107,10 +107,10 @@ def run_case(case: Case) -> dict:
 def outcome(case: Case, verdict: dict) -> str:
     """One word: right, group, silent, unknown, or wrong."""
     named = set(verdict["effects"])
-    there = {case.effect, *(HIDDEN[case.effect].brings if case.effect else ())}
+    present = {case.effect, *(HIDDEN[case.effect].brings if case.effect else ())}
     if verdict["kind"] == "group":
-        return "group" if named & there else "wrong"
-    if named - there:
+        return "group" if named & present else "wrong"
+    if named - present:
         return "wrong"
     if case.effect in named:
         return "right"

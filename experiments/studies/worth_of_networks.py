@@ -106,23 +106,23 @@ def alone(spec: ModelSpec, trust: float) -> ModelSpec:
 
 def network_alone(spec: ModelSpec, flights: Flights, trust: float, seed: int) -> Fitted:
     """The rigid body's network: on equations first, over trajectories second."""
-    own = alone(spec, trust)
-    model = build(own)
+    bare = alone(spec, trust)
+    model = build(bare)
     over = left_over(model, flights.dataset, flights.reconstruction, flights.dataset.identify)
-    return refit(own, flights, regressed(model, over, seed, linear=True))
+    return refit(bare, flights, regressed(model, over, seed, linear=True))
 
 
 def models(args: Args, data: rotorid.Dataset, say: Console) -> Iterator[tuple[str, Fitted]]:
     """Each kind of model with what it is called, fitted."""
     base = rotorid.identify(data, seed=args.seed)
-    seen, held, start = at_one_rate(data), base.regressions.held, base.model.named_values
-    flights = Flights(seen, base.reconstruction)
+    uniform, held, start = at_one_rate(data), base.regressions.held, base.model.named_values
+    flights = Flights(uniform, base.reconstruction)
     null = refit(base.spec, flights, start, held)
     yield "physics", null
     if not args.quick:
 
         def drawn(null: Null, effects: Sequence[str], observed: Family) -> Draws | str:
-            return "none wanted" if args.chance else clean_draws(seen, null, effects, observed, args.seed, say.print)
+            return "none wanted" if args.chance else clean_draws(uniform, null, effects, observed, args.seed, say.print)
 
         final = trace(base.spec, start, held, flights, drawn, say.print, args.seed).final
         null = refit(final.spec, flights, final.values, held)
@@ -142,7 +142,7 @@ def line_of(name: str, fitted: Fitted, judged: Judged, seconds: float) -> dict:
         "free": len(fitted.names),
         "effects": [e for e in fitted.spec.effects if not e.startswith("neural")],
         "J": {k: getattr(judged.scores, k) for k in LISTS},
-        "noise": {k: (sum(v * v for v in own) / len(own)) ** 0.5 if own else None for k, own in noise.items()},
+        "noise": {k: (sum(v * v for v in J) / len(J)) ** 0.5 if J else None for k, J in noise.items()},
         "seconds": round(seconds, 1),
     }
 

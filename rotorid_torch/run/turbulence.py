@@ -102,7 +102,7 @@ def with_gusts(
 
     dataset : judged.
     """
-    scored = dict(in_gusts(model, dataset, gusts))
+    scored = dict(in_gusts(model, dataset, gusts)) if gusts else {}
     return {
         n: msgspec.structs.replace(f, J_gust=scored[n].J_gust, J_fed=scored[n].J_fed) if n in scored else f
         for n, f in flights.items()

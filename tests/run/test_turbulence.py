@@ -13,11 +13,18 @@ from rotorid_torch.identification.gusts import Air, GustAxis
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.report.summary import WORSE_THAN_TRIM
-from rotorid_torch.run.turbulence import ALIKE, UNTOLD, in_turbulence, method_by_quiet_moments, without_clean_bill
+from rotorid_torch.run.turbulence import (
+    ALIKE,
+    UNTOLD,
+    in_turbulence,
+    method_by_quiet_moments,
+    with_gusts,
+    without_clean_bill,
+)
 from rotorid_torch.trace.terms.finding import Finding
 from rotorid_torch.trace.terms.verdict import statement
 from tests.helpers import shared
-from tests.known_models import flown, linear_vehicle, manoeuvres
+from tests.known_models import flown, linear_vehicle, manoeuvres, rate_vehicle
 
 QUIET = Finding("environment.turbulence", "undeclared", "below floor", "before the pilot acts all flights are alike")
 
@@ -73,3 +80,11 @@ def test_flights_without_quiet_moments():
     assert method_by_quiet_moments("auto", "auto", data, spec) == ("auto", "")
     assert method_by_quiet_moments("auto", "output-error", data, spec) == ("output-error", UNTOLD)
     assert method_by_quiet_moments("filter-error", "output-error", data, spec) == ("filter-error", "")
+
+
+def test_without_gusts_no_model_in_moving_air_is_made(caplog: pytest.LogCaptureFixture):
+    """A model without velocities has nothing for gusts to act through."""
+    model = rate_vehicle()
+    data = flown(model, manoeuvres(3.0, 0.02), 0.02)
+    assert with_gusts({}, model, data, {}) == {}
+    assert caplog.records == []

@@ -179,17 +179,17 @@ def _prepared(
     aircraft: Aircraft, conditions: Sequence[Condition], factor: float
 ) -> tuple[list[Trim], list[Augmentation]]:
     """Trim and augmentation of each flight; another heading or height needs another trim only where it matters."""
-    found: dict[tuple[float, float, float], Trim] = {}
+    by_condition: dict[tuple[float, float, float], Trim] = {}
     designed: dict[float, Augmentation] = {}
     trims = []
     for one in conditions:
         heading = one.heading if aircraft.knows_directions else 0.0
         key = (one.speed, one.height if aircraft.wake.ground else 0.0, heading)
-        if key not in found:
-            found[key] = find_trim(aircraft, one.speed, one.height, heading)
+        if key not in by_condition:
+            by_condition[key] = find_trim(aircraft, one.speed, one.height, heading)
         if one.speed not in designed:
-            designed[one.speed] = Augmentation(factor * design(linearise(aircraft, found[key])).gains)
-        trim = found[key] if aircraft.knows_directions else with_heading(found[key], one.heading)
+            designed[one.speed] = Augmentation(factor * design(linearise(aircraft, by_condition[key])).gains)
+        trim = by_condition[key] if aircraft.knows_directions else with_heading(by_condition[key], one.heading)
         trims.append(with_height(trim, one.height))
     return trims, [designed[one.speed] for one in conditions]
 

@@ -118,14 +118,14 @@ def fly_with(
         dx[CONTROLS] = (np.clip(command, low, high) - state[CONTROLS]) / aircraft.actuator_lag
         return dx, motion
 
-    states, kept = [], {name: [] for name in LOADS}
+    states, loads_of = [], {name: [] for name in LOADS}
     for k in range((samples - 1) * parts + 1):
         hands = [np.vstack([stick[:, k, stage], np.full((1, len(flights)), times[k, stage])]) for stage in range(3)]
         first, motion = respond(x, hands[0])
         if k % parts == 0:
             states.append(x)
             for name in LOADS:
-                kept[name].append(getattr(motion, name))
+                loads_of[name].append(getattr(motion, name))
         x = runge_kutta(lambda s, u: respond(s, u)[0], x, first, (hands[0], hands[1], hands[2]), step)
-    time, loads = np.arange(samples, dtype=np.float64) * dt, [np.stack(kept[name]) for name in LOADS]
+    time, loads = np.arange(samples, dtype=np.float64) * dt, [np.stack(loads_of[name]) for name in LOADS]
     return FlightHistory(time, np.stack(states), loads[0], loads[1], loads[2], loads[3])

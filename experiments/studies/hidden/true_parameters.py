@@ -21,7 +21,7 @@ def true_parameters(clean: Aircraft, hidden: Sequence[str], size: float) -> dict
     """
     heading = np.deg2rad(40.0)
     drag = 0.5 * clean.air_density * np.asarray(clean.fuselage.drag_area) / all_mass(clean)
-    known: dict[str, dict[str, float]] = {
+    true: dict[str, dict[str, float]] = {
         "control.delay": {"common": 0.06},
         "control.lag": {"common": 0.08},
         "control.rate_limit": {"inverse": 1.0 / RATE_LIMIT},
@@ -43,4 +43,4 @@ def true_parameters(clean: Aircraft, hidden: Sequence[str], size: float) -> dict
         "sensors.delay": {"rates": 0.06},
         "sensors.filter": {"rates": 0.05},
     }
-    return {f"{e}.{name}": float(size * value) for e in hidden for name, value in known.get(e, {}).items()}
+    return {f"{e}.{name}": float(size * value) for e in hidden for name, value in true.get(e, {}).items()}

@@ -17,14 +17,14 @@ def failure(error: Exception) -> dict:
 
 def read_lines(file: Path) -> list[dict]:
     """Lines that are there, the last one of each case; a line that a killed run left half is not."""
-    found: dict[str, dict] = {}
+    last: dict[str, dict] = {}
     for text in file.read_text(encoding="utf-8").splitlines() if file.exists() else ():
         try:
             line = json.loads(text)
         except json.JSONDecodeError:
             continue
-        found[line["case"]] = line
-    return list(found.values())
+        last[line["case"]] = line
+    return list(last.values())
 
 
 @cache

@@ -17,15 +17,15 @@ from torch.utils.tensorboard import SummaryWriter
 from recorded.lines import append_line, read_lines
 
 
-def lines_of(run: Callable[..., dict], given: Sequence[tuple], processes: int) -> Iterator[dict]:
+def lines_of(run: Callable[..., dict], arguments: Sequence[tuple], processes: int) -> Iterator[dict]:
     """Lines of runs as they come; in processes of their own, which share the processors, where there are several."""
     if processes == 1:
-        yield from (run(*each) for each in given)
+        yield from (run(*each) for each in arguments)
         return
     share = max(1, len(os.sched_getaffinity(0)) // processes)
     os.environ.update({"OMP_NUM_THREADS": "1", "ROTORID_THREADS": str(share)})
     with ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_end_with_parent) as pool:
-        for done in as_completed([pool.submit(run, *each) for each in given]):
+        for done in as_completed([pool.submit(run, *each) for each in arguments]):
             yield done.result()
 
 
@@ -54,22 +54,22 @@ def keep(lines: Iterable[dict], file: Path, total: int, writer: SummaryWriter) -
 
 
 def sets_left(
-    data: Path, sets: Sequence[str], quick: bool, file: Path, beside: str = ""
+    data: Path, sets: Sequence[str], quick: bool, file: Path, suffix: str = ""
 ) -> tuple[list[str], dict[str, str]]:
     """Data sets that are there and have no line yet, of the first one alone where it is quick; why others are not.
 
-    beside : what stands behind the sets' names in the lines.
+    suffix : what stands behind the sets' names in the lines.
     """
     skipped = {n: f"no data set in {data}" for n in sets if not (data / n / "dataset.toml").exists()}
     done = {line["case"] for line in read_lines(file) if "failed" not in line}
-    there = [n for n in sets if n not in skipped]
-    return [n for n in (there[:1] if quick else there) if f"{n} {beside}".strip() not in done], skipped
+    present = [n for n in sets if n not in skipped]
+    return [n for n in (present[:1] if quick else present) if f"{n} {suffix}".strip() not in done], skipped
 
 
-def over_sets(run: Callable[..., dict], given: Sequence[tuple], processes: int, file: Path, settings: dict) -> int:
+def over_sets(run: Callable[..., dict], arguments: Sequence[tuple], processes: int, file: Path, settings: dict) -> int:
     """Runs of data sets, kept beside TensorBoard records with the settings; returns how many there were."""
     writer = SummaryWriter(str(file.parent / "tensorboard"))
     writer.add_text("settings", json.dumps(settings, default=str))
-    runs = keep(lines_of(run, given, processes), file, len(given), writer)
+    runs = keep(lines_of(run, arguments, processes), file, len(arguments), writer)
     writer.close()
     return runs

@@ -50,6 +50,6 @@ def write_between(page: Path, name: str, text: str) -> None:
     whole = page.read_text(encoding="utf-8")
     if begin not in whole or end not in whole:
         raise SystemExit(f"{page} has no markers {begin} and {end}")
-    before, rest = whole.split(begin, 1)
-    after = rest.split(end, 1)[1]
+    before, behind = whole.split(begin, 1)
+    after = behind.split(end, 1)[1]
     page.write_text(f"{before}{begin}\n{text}\n{end}{after}", encoding="utf-8")
