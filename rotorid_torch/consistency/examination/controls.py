@@ -202,16 +202,18 @@ def rotor_speeds(dataset: Dataset) -> Iterator[Finding]:
     if not flights or not recorded or count < LEAST_MOTORS:
         return
     by_lag = [_following(flights, dataset.controls, speeds, lag) for lag in SPEED_LAGS_S]
-    best, own, order = max(by_lag, key=lambda one: one[0])
-    if best > FOLLOWS and own < STRAYS:
+    best, by_number, order = max(by_lag, key=lambda one: one[0])
+    if best > FOLLOWS and by_number < STRAYS:
         pairs = ", ".join(f"{s} follows {dataset.controls[k]}" for s, k in zip(speeds, order, strict=True))
-        sentence = f"rotor speeds are paired with other motors: {pairs} (correlation {best:.2f}, by number {own:.2f})."
+        sentence = (
+            f"rotor speeds are paired with other motors: {pairs} (correlation {best:.2f}, by number {by_number:.2f})."
+        )
         yield finding("error", " ".join(speeds), sentence, "Number speeds and commands alike.")
     elif best < UNRELATED:
         sentence = f"rotor speeds and commands contradict each other: no speed follows one (correlation {best:.2f})."
         yield finding("error", " ".join(speeds), sentence, "One of them is of another flight, clock or motor.")
     elif best > FOLLOWS:
-        yield finding("good", " ".join(speeds), f"every rotor speed follows its command (correlation {own:.2f}).")
+        yield finding("good", " ".join(speeds), f"every rotor speed follows its command (correlation {by_number:.2f}).")
 
 
 def _following(

@@ -398,8 +398,8 @@ def turning(order=(0, 1, 2, 3), lag=0.06, unrelated=False):
         waves, phases = rng.uniform(0.3, 2.0, (4, 3)), rng.uniform(0.0, 6.0, (4, 3))
 
         def asked(t, waves=waves, phases=phases):
-            own = 0.05 * np.sin(2 * np.pi * waves[..., None] * t + phases[..., None]).sum(axis=1)
-            return 0.5 + 0.1 * np.sin(t) + own
+            apart = 0.05 * np.sin(2 * np.pi * waves[..., None] * t + phases[..., None]).sum(axis=1)
+            return 0.5 + 0.1 * np.sin(t) + apart
 
         speeds = 600.0 * np.sqrt(asked(time - lag)[[*order]]) + 2.0 * rng.standard_normal((4, SAMPLES))
         if unrelated:
