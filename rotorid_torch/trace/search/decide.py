@@ -163,6 +163,7 @@ def estimate(model: Model, errors: Mapping[str, float], effect: str, tests: int 
 
 
 def errors_of(fitted: FittedModel, effect: str, spread: Mapping[str, float]) -> dict[str, tuple[float, float]]:
-    """Sizes of an effect with their standard errors, no smaller than their scatter over flights, controls and draws."""
-    names, values = [p.name for p in fitted.model.parameter_set.sizes(effect)], fitted.values
+    """Estimated sizes of an effect with standard errors no smaller than their scatter over flights, controls, draws."""
+    sizes, values = fitted.model.parameter_set.sizes(effect), fitted.values
+    names = [p.name for p in sizes if p.name in fitted.names]
     return {n: (values[n], max(fitted.error(n), spread.get(n, 0.0))) for n in names}

@@ -213,5 +213,6 @@ def test_errors_of_a_size_are_no_smaller_than_its_scatter_over_flights(fits: tup
     assert told.error == max(late.error(name), late.scatter(DELAY)[name]) > 0.0
     assert errors_of(late, DELAY, {name: 9.0})[name] == (late.values[name], 9.0)
     assert errors_of(late, DELAY, {})[name] == (late.values[name], late.error(name))
+    assert list(errors_of(late, DELAY, {})) == [name]  # sizes of single controls, which are held, were not estimated
     details = size_details(null, late, DELAY)
     assert (details["parameter"], details["better"], details["count"]) == (name, 4, 4)
