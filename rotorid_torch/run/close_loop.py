@@ -131,7 +131,8 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
     flights = Flights(right, base.reconstruction)
     with monitor.step("trace"):
         tracing = (_rotors_traced if base.spec.motors else _traced)(base, flights, seed, steps)
-    tracing = _in_gusts(tracing, shaken)
+    if base.estimate.air is None:
+        tracing = _in_gusts(tracing, shaken)
     again = partial(_again, recorded=dataset, steps=steps)
     wrong = partial(again, _Basis(first, at_one_rate(dataset), {}))
     rerun = partial(again, _Basis(base, right, sensors.values))
