@@ -207,6 +207,7 @@ class Flapping(Effect):
     """
 
     id, stage, role = "propulsion.flapping", Stage.FORCES, Role.UNDECLARED
+    separated_by = "flights with the controller off, or a wind tunnel"
     needs = (no_motors, no_velocities, no_rates)
 
     def __init__(self, driven: tuple[str, ...], total: float) -> None:
@@ -218,6 +219,11 @@ class Flapping(Effect):
     def from_spec(cls, spec: ModelSpec) -> Flapping:
         """About the reference's commands or speeds."""
         return cls(spec.driven, _total(spec))
+
+    @classmethod
+    def absorbed_by(cls, spec: ModelSpec) -> str:
+        """By the control powers: a controller's commands answer the velocity as flapping does, late as they are."""
+        return "rotors.power"
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds the moments."""
