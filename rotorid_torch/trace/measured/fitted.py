@@ -183,8 +183,12 @@ class FittedAtStates:
         return MeasuredStates.of(self.model, list(seen_flights(self.model, self.flights.records(self.model, listed))))
 
     def _errors(self, states: MeasuredStates, theta: Tensor) -> list[Errors]:
-        """Of each flight."""
-        return [{row: centred(r).nan_to_num(0.0) for row, r in one.items()} for one in states.remainders(theta)]
+        """Of each flight; a moment that the rotors do not explain is explained by nothing else."""
+        silent = {ANGULAR_ACCELERATIONS[MOMENTS.index(row)] for row in self.silent}
+        return [
+            {row: centred(measured[row] if row in silent else r).nan_to_num(0.0) for row, r in left.items()}
+            for left, measured in zip(states.remainders(theta), states.measured, strict=True)
+        ]
 
     @cached_property
     def _identified(self) -> list[Errors]:
