@@ -356,7 +356,8 @@ def a_data_set(folder: Path) -> Path:
         time = np.arange(600) / 50.0
         stick = np.where((time > 2) & (time < 4), 0.05, 0.0)
         channels = {"time": time, "lat": stick + 1e-4 * generator.standard_normal(600)}
-        channels |= {name: 0.01 * generator.standard_normal(600).cumsum() / 10 for name in "pqr"}
+        channels |= {name: 0.01 * generator.standard_normal(600).cumsum() / 10 for name in "qr"}
+        channels["p"] = 0.05 * stick.cumsum() + 1e-4 * generator.standard_normal(600)
         np.savez(folder / "flights" / f"{name}.npz", **channels)  # pyright: ignore[reportArgumentType]
     head = 'format = 1\nname = "small"\nkind = "helicopter"\n[controls.lat]\nunit = "rad"\n'
     (folder / "dataset.toml").write_text(head + '[flights]\nidentify = ["one"]\nvalidate = ["two"]\n')
