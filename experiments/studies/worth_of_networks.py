@@ -35,7 +35,7 @@ from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.nominal import build
 from rotorid_torch.run.fit_record import Judged, judge
-from rotorid_torch.trace.clean_aircraft import clean_draws
+from rotorid_torch.trace.clean_aircraft import Request, clean_draws
 from rotorid_torch.trace.evidence.critical_values import Draws, Null
 from rotorid_torch.trace.evidence.family import Family
 from rotorid_torch.trace.evidence.fits import Fitted, Flights, refit
@@ -122,9 +122,11 @@ def models(args: Args, data: rotorid.Dataset, say: Console) -> Iterator[tuple[st
     if not args.quick:
 
         def drawn(null: Null, effects: Sequence[str], observed: Family) -> Draws | str:
-            return "none wanted" if args.chance else clean_draws(uniform, null, effects, observed, args.seed, say.print)
+            if args.chance:
+                return "none wanted"
+            return clean_draws(Request(uniform, null, effects, args.seed, say.print), observed)
 
-        final = trace(base.spec, start, held, flights, drawn, say.print, args.seed).final
+        final = trace(Null(base.spec, start, held), flights, drawn, say.print, args.seed).final
         null = refit(final.spec, flights, final.values, held)
         yield "physics + effects", null
     learnt = learn(null, held, args.seed, say.print)

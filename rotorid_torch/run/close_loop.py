@@ -41,7 +41,8 @@ from rotorid_torch.run.pipeline import identified, pictured, refuse, remarks_on
 from rotorid_torch.run.result import Run, facts_of, write_model
 from rotorid_torch.run.turbulence import in_turbulence, smoothed, with_gusts, without_clean_bill
 from rotorid_torch.trace.air import in_moving_air
-from rotorid_torch.trace.clean_aircraft import clean_draws
+from rotorid_torch.trace.clean_aircraft import Request, clean_draws
+from rotorid_torch.trace.evidence.critical_values import Null
 from rotorid_torch.trace.evidence.fits import Flights, refit
 from rotorid_torch.trace.loop import Bare, Tracing, trace
 from rotorid_torch.trace.multirotor import trace_rotors
@@ -183,11 +184,11 @@ def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
     if air is not None:
         spec, flights = in_moving_air(spec, values, flights, Weather.of(air, base.model))
     traced = trace(
-        spec,
-        values,
-        base.regressions.held,
+        Null(spec, values, base.regressions.held),
         flights,
-        lambda null, effects, observed: clean_draws(flights.dataset, null, effects, observed, seed, tell, ranks),
+        lambda null, effects, observed: clean_draws(
+            Request(flights.dataset, null, effects, seed, tell, ranks), observed
+        ),
         say,
         seed,
         ranks,
@@ -202,7 +203,9 @@ def _rotors_traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Trac
     return trace_rotors(
         base.spec,
         flights,
-        lambda null, effects, observed: clean_draws(flights.dataset, null, effects, observed, seed, tell, ranks),
+        lambda null, effects, observed: clean_draws(
+            Request(flights.dataset, null, effects, seed, tell, ranks), observed
+        ),
         say,
         seed,
         ranks,

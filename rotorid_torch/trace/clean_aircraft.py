@@ -59,7 +59,11 @@ MULTIROTOR = "multirotor"
 """Kind of vehicle whose model is scored by accelerations at measured states."""
 SPARE = 5
 """Clean aircraft that are drawn beside those needed: some fly away, and are no draws."""
+NUMBERS = range(SETTINGS.draws + SPARE)
+"""Of all draws."""
 WIND, TURNING = Wind.id, ("q", "r", "phi", "theta")
+DRAWS = "draws"
+"""Folder of the draws."""
 NO_ROOM = 2
 """Exit code of a process that finds no room for temporary files."""
 WATCH_S = 0.5
@@ -90,65 +94,73 @@ def statistics_on(clean: Dataset, null: Null, effects: Sequence[str]) -> dict[st
     return {"statistics": candidates.statistics, "sizes": candidates.sizes()}
 
 
-def clean_draws(
-    dataset: Dataset,
-    null: Null,
-    effects: Sequence[str],
-    observed: Family[FittedT],
-    seed: int = 0,
-    say: Callable[[str], None] = lambda line: None,
-    ranks: Ranks = ALONE,
-) -> Draws | str:
-    """Statistics of effects on clean aircraft in the likeness of a data set, for models of the structure of a null.
+@dataclass(frozen=True, eq=False)
+class Request:
+    """What is drawn: clean aircraft in the likeness of a data set, for models of the structure of a null, and effects.
 
-    Or, in words, why none can be drawn.
-
-    Parameters
-    ----------
-    observed : the data's statistics; draws stop when they are clearly no larger than those of clean aircraft.
-    ranks : processes that share the draws, each of which calls this; what the first one has cached counts for all.
+    seed : of the draws. say : hears of their progress, a line at a time. ranks : processes that share the draws, each
+    of which asks for them; what the first one has cached counts for all.
     """
-    why = _undrawable(dataset)
+
+    dataset: Dataset
+    null: Null
+    effects: Sequence[str]
+    seed: int = 0
+    say: Callable[[str], None] = lambda line: None
+    ranks: Ranks = ALONE
+
+
+def clean_draws(request: Request, observed: Family[FittedT]) -> Draws | str:
+    """Statistics of effects on clean aircraft; or, in words, why none can be drawn.
+
+    observed : the data's statistics; draws stop when they are clearly no larger than those of clean aircraft.
+    """
+    why = _undrawable(request.dataset)
     if why is not None:
         return why
-    wanted = SETTINGS.draws
-    numbers = range(wanted + SPARE)
-    key = f"floors/{_fingerprint(dataset, null, seed)}"
-    cached = ranks.from_first(_read(key, numbers))
-    drawn = {number: draw for number, draw in cached.items() if set(effects) <= set(draw["effects"])}
-
-    def chosen(draws: Mapping[int, Any]) -> list[Mapping[str, Any]] | None:
-        """The first draws with which the search may stop; None where more are needed."""
-        flown: list[Mapping[str, Any]] = []
-        for number in numbers:
-            if number not in draws:
-                return None
-            if draws[number]["statistics"]:
-                flown.append(draws[number])
-                if len(flown) == wanted or clear(observed.contest, _table(flown, "statistics"), observed.least):
-                    return flown
-        return flown
-
-    if chosen(drawn) is None:
-        missing = [n for n in numbers if n not in drawn]
-        say(f"at most {wanted} clean aircraft are flown and identified; they are kept for next time")
-        drawn |= _fly(
-            _Request(dataset, null, effects, seed, say), missing, key, ranks, lambda new: chosen({**drawn, **new})
-        )
-    flown = chosen(drawn) or []
-    if len(flown) < min(wanted, len(drawn)) and not clear(
-        observed.contest, _table(flown, "statistics"), observed.least
-    ):
-        for number in [n for n, draw in drawn.items() if not draw["statistics"]] if ranks.first else ():
+    key = f"floors/{_fingerprint(request.dataset, request.null, request.seed)}"
+    cached = request.ranks.from_first(_read(key, NUMBERS))
+    drawn = {number: draw for number, draw in cached.items() if set(request.effects) <= set(draw["effects"])}
+    if _chosen(drawn, observed) is None:
+        missing = [n for n in NUMBERS if n not in drawn]
+        request.say(f"at most {SETTINGS.draws} clean aircraft are flown and identified; they are kept for next time")
+        drawn |= _fly(request, missing, key, lambda new: _chosen({**drawn, **new}, observed))
+    flown = _chosen(drawn, observed) or []
+    if len(flown) < min(SETTINGS.draws, len(drawn)) and not _clear(flown, observed):
+        for number in [n for n, draw in drawn.items() if not draw["statistics"]] if request.ranks.first else ():
             cache.discard(_name(key, number))  # what cannot follow these records may follow the next ones
         return f"{len(flown)} of {len(drawn)} drawn aircraft could be flown"
+    note, sizes = _note(request.null, flown), _table(flown, "sizes")
+    return Draws(_table(flown, "statistics"), note, clean=True, least=observed.least, sizes=sizes)
+
+
+def _chosen(draws: Mapping[int, Any], observed: Family[FittedT]) -> list[Mapping[str, Any]] | None:
+    """The first draws with which the search may stop; None where more are needed."""
+    flown: list[Mapping[str, Any]] = []
+    for number in NUMBERS:
+        if number not in draws:
+            return None
+        if draws[number]["statistics"]:
+            flown.append(draws[number])
+            if len(flown) == SETTINGS.draws or _clear(flown, observed):
+                return flown
+    return flown
+
+
+def _clear(flown: Sequence[Mapping[str, Any]], observed: Family[FittedT]) -> bool:
+    """Whether further draws can make no p small."""
+    return clear(observed.contest, _table(flown, "statistics"), observed.least)
+
+
+def _note(null: Null, flown: Sequence[Mapping[str, Any]]) -> str:
+    """What was drawn, for the report."""
     alike = sum(bool(draw["alike"]) for draw in flown)
     note = f"critical values come from {len(flown)} clean aircraft drawn in the likeness of this one"
     if null.weather is not None:
         note = f"{note}, in gusts of the intensity and length that this one met"
     if alike < len(flown):
         note = f"{note}, of which {alike} resemble it and the others are as near as the drawn aircraft come"
-    return Draws(_table(flown, "statistics"), note, clean=True, least=observed.least, sizes=_table(flown, "sizes"))
+    return note
 
 
 def _undrawable(dataset: Dataset) -> str | None:
@@ -240,23 +252,8 @@ def _code(package: Path = Path(__file__).parents[1]) -> str:
     return digest.hexdigest()
 
 
-@dataclass(frozen=True)
-class _Request:
-    """What is drawn: in the likeness of which flights, for which null and effects, with which seed; who is told."""
-
-    dataset: Dataset
-    null: Null
-    effects: Sequence[str]
-    seed: int
-    say: Callable[[str], None] = lambda line: None
-
-
 def _fly(
-    request: _Request,
-    numbers: Sequence[int],
-    key: str,
-    ranks: Ranks,
-    enough: Callable[[Mapping[int, Any]], object],
+    request: Request, numbers: Sequence[int], key: str, enough: Callable[[Mapping[int, Any]], object]
 ) -> dict[int, Any]:
     """The draws in as many processes as there are processors, each kept as soon as it is made, until there are enough.
 
@@ -265,31 +262,14 @@ def _fly(
     Unwritable : one of them has found no room for temporary files.
     RuntimeError : one of them has failed; with the last line of what it said.
     """
-    mine = ranks.mine(numbers)
-    count = min(threads(), max(len(mine), 1))
-    drawn: dict[int, Any] = {}
+    ranks, drawn = request.ranks, dict[int, Any]()
     with scratch_folder() as place, ExitStack() as stack:
-        likeness, results = place / "likeness", place / "draws"
-        _written(request.dataset, request.null, likeness)
-        results.mkdir()
-        plan = {
-            "dataset": str(likeness),
-            "spec": request.null.spec.plain(),
-            "values": dict(request.null.values),
-            "held": list(request.null.held),
-            "weather": msgspec.to_builtins(request.null.weather),
-            "effects": list(request.effects),
-            "seed": request.seed,
-            "folder": str(results),
-        }
-        files = [place / f"request-{k}.json" for k in range(count)]
-        for k, file in enumerate(files):
-            file.write_text(json.dumps({**plan, "numbers": list(mine[k::count])}))
+        files = _tasks(request, ranks.mine(numbers), place)
         workers = [stack.enter_context(_worker(file)) for file in files]
         at_work, began, stop = True, time.monotonic(), enough(drawn) is not None
         while at_work and not stop:
             at_work, before = any(ranks.gather(any(worker.poll() is None for worker in workers))), len(drawn)
-            new = {int(file.stem): file for file in results.glob("*.json") if int(file.stem) not in drawn}
+            new = {int(file.stem): file for file in (place / DRAWS).glob("*.json") if int(file.stem) not in drawn}
             for part in ranks.gather({number: json.loads(file.read_text()) for number, file in new.items()}):
                 drawn |= part
                 for number, draw in part.items() if ranks.first else ():
@@ -304,6 +284,28 @@ def _fly(
             if worker.poll() is not None:
                 _refuse_failure(worker.returncode, file)
     return drawn
+
+
+def _tasks(request: Request, numbers: Sequence[int], place: Path) -> list[Path]:
+    """Files of what each process does; the flights, and a folder for the draws, lie beside them."""
+    likeness, results = place / "likeness", place / DRAWS
+    _written(request.dataset, request.null, likeness)
+    results.mkdir()
+    plan = {
+        "dataset": str(likeness),
+        "spec": request.null.spec.plain(),
+        "values": dict(request.null.values),
+        "held": list(request.null.held),
+        "weather": msgspec.to_builtins(request.null.weather),
+        "effects": list(request.effects),
+        "seed": request.seed,
+        "folder": str(results),
+    }
+    count = min(threads(), max(len(numbers), 1))
+    files = [place / f"request-{k}.json" for k in range(count)]
+    for k, file in enumerate(files):
+        file.write_text(json.dumps({**plan, "numbers": list(numbers[k::count])}))
+    return files
 
 
 @contextmanager

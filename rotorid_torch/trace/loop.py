@@ -79,33 +79,31 @@ class Tracing:
 
 
 def trace(
-    spec: ModelSpec,
-    start: Mapping[str, float],
-    held: Sequence[str],
+    start: Null,
     flights: Flights,
     draw: DrawClean[Fitted],
     say: Say = lambda line: None,
     seed: int = 0,
     ranks: Ranks = ALONE,
 ) -> Tracing:
-    """Which effects the model of a spec lacks.
+    """Which effects a model lacks.
 
     Parameters
     ----------
-    start : its parameters as identified. held : those that keep their values.
+    start : the model with its parameters as identified.
     draw : statistics of effects on clean aircraft, for the model with its structural effects.
     say : told what happens, a line at a time. seed : of the residuals turned in time.
     ranks : processes that share the candidates, each of which calls this.
     """
-    testable, settled = candidates(spec)
-    spec, testable, unmoved = with_screening_sizes(spec, start, flights.dataset, testable)
+    testable, settled = candidates(start.spec)
+    spec, testable, unmoved = with_screening_sizes(start.spec, start.values, flights.dataset, testable)
     tested = [e for e in testable if registered()[e].role is Role.UNDECLARED]
     placed: list[str] = []
-    shared = Trajectories(flights, tuple(held), ranks)
+    shared = Trajectories(flights, tuple(start.held), ranks)
     search = Search(
         shared, lambda observed, effects: draws_of(search, observed, effects, placed, draw, seed), say, ranks
     )
-    null = refit(spec, flights, start, held)
+    null = refit(spec, flights, start.values, start.held)
     null = _placed(search, shared, null, tested, placed)
     null, ordinary = with_structure(
         search, shared, null, [e for e in testable if registered()[e].role is Role.STRUCTURE]
@@ -113,10 +111,10 @@ def trace(
     structure = tuple(f.id for f in ordinary if f.verdict == "accepted")
     final = search.back(search.forward(null, tested), tested)
     idle = [e for e in structure if size_of(final, e).estimate is not Estimate.SIZE]
-    outcome, unknown = how_it_ended(search, held, final, tested)
+    outcome, unknown = how_it_ended(search, start.held, final, tested)
     accepted = tuple(c.effect for c in search.joined) if outcome.adequate else ()
     if placed:  # the model before has the same structure
-        null = refit(null.spec.without(placed), flights, null.values, held, near=null)
+        null = refit(null.spec.without(placed), flights, null.values, start.held, near=null)
     return Tracing(
         _bare(null, idle),
         _bare(final, idle) if accepted else _bare(null, idle),

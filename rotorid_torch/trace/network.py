@@ -20,7 +20,7 @@ from rotorid_torch.effects.families.neural import TRUST, NeuralForces
 from rotorid_torch.identification.estimate.segments import Records, cut
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
-from rotorid_torch.trace.evidence.fits import SEGMENT_S, Fitted, Flights, Residual, refit
+from rotorid_torch.trace.evidence.fits import SEGMENT_S, Care, Fitted, Flights, Residual, refit
 from rotorid_torch.trace.evidence.residual import ALIKE_S, LeftOver, left_over
 from rotorid_torch.trace.search.decide import gain, unseen_evidence
 from rotorid_torch.trace.terms.finding import Finding
@@ -123,7 +123,7 @@ def trained(null: Fitted, held: Sequence[str] = (), seed: int = 0, turn: Turn | 
         sizes={**null.spec.sizes, TRUST: memory(null) ** -0.5},
     )
     weights = regressed(build(spec), over, seed)
-    return refit(spec, null.flights, {**null.values, **weights}, held, options=LEARNING)
+    return refit(spec, null.flights, {**null.values, **weights}, held, care=Care(LEARNING))
 
 
 def memory(fitted: Fitted) -> float:

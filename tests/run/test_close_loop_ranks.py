@@ -52,7 +52,8 @@ observed = SimpleNamespace(contest={"control.delay": seen}, least={})
 null = Null(propose(dataset, reconstruct(dataset), ()), {})
 sys.executable = worker
 with ranks_of_torchrun() as ranks:
-    found = clean_aircraft.clean_draws(dataset, null, ["control.delay"], observed, say=told.append, ranks=ranks)
+    request = clean_aircraft.Request(dataset, null, ["control.delay"], say=told.append, ranks=ranks)
+    found = clean_aircraft.clean_draws(request, observed)
     statistics = found.statistics["control.delay"].tolist()
 files = sorted(int(f.stem) for f in cache_folder().glob("floors/*/[0-9]*.json"))
 print(json.dumps({"statistics": statistics, "files": files, "note": found.note, "told": told}))

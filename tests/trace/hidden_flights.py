@@ -7,6 +7,7 @@ from rotorid_torch.identification.model_regression import regress_model
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build
+from rotorid_torch.trace.evidence.critical_values import Null
 from rotorid_torch.trace.evidence.fits import Fitted, Flights, refit
 from rotorid_torch.trace.loop import Tracing, trace
 from tests.known_models import flown, manoeuvres, rate_vehicle, with_values
@@ -37,4 +38,4 @@ def started(data: Dataset) -> tuple[Flights, Fitted]:
 
 def traced(data: Dataset) -> Tracing:
     known, null = started(data)
-    return trace(null.spec, null.values, (), known, lambda null, effects, observed: "none drawn")
+    return trace(Null(null.spec, null.values), known, lambda null, effects, observed: "none drawn")

@@ -17,14 +17,13 @@ import pytest
 import torch
 
 from rotorid_torch.core.gauss_newton import InfiniteCost
-from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.core.storage.atomic import Unwritable
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.errors import InputError
 from rotorid_torch.trace import clean_aircraft
-from rotorid_torch.trace.clean_aircraft import SPARE
+from rotorid_torch.trace.clean_aircraft import SPARE, Request
 from rotorid_torch.trace.evidence.critical_values import Draws, Null
 from rotorid_torch.trace.terms.settings import SETTINGS
 from tests.known_models import body_spec, flown, linear_vehicle, manoeuvres, written
@@ -62,7 +61,7 @@ def draws(
     """
 
     def fly(
-        request: Any, numbers: Sequence[int], key: str, ranks: Ranks, enough: Callable[[Mapping[int, Any]], object]
+        request: Request, numbers: Sequence[int], key: str, enough: Callable[[Mapping[int, Any]], object]
     ) -> dict[int, Any]:
         found: dict[int, Any] = {}
         for n in numbers:
@@ -81,7 +80,7 @@ def draws(
     dataset = flown(linear_vehicle(), manoeuvres(4.0, 0.02), 0.02, noise=0.01)
     observed: Any = Observed({"control.delay": seen, "unattributed L, curve": seen}, {"control.delay": 0.1})
     say = (lambda line: None) if said is None else said.append
-    return clean_aircraft.clean_draws(dataset, Null(body_spec(), {}), effects, observed, say=say)
+    return clean_aircraft.clean_draws(Request(dataset, Null(body_spec(), {}), effects, say=say), observed)
 
 
 def test_draws_with_more_effects_serve_a_search_with_fewer(monkeypatch: pytest.MonkeyPatch):
@@ -167,7 +166,7 @@ def test_a_few_that_fly_are_enough_where_they_show_as_much_as_the_data(monkeypat
 def test_what_cannot_be_drawn_is_said_in_words(monkeypatch: pytest.MonkeyPatch):
     dataset = flown(linear_vehicle(), manoeuvres(4.0, 0.02), 0.02, noise=0.01)
     observed: Any = Observed({}, {})
-    found = clean_aircraft.clean_draws(dataset, Null(body_spec(), {}), ["control.delay"], observed)
+    found = clean_aircraft.clean_draws(request_of(dataset), observed)
     assert isinstance(found, str)
     assert "rotor" in found
 
@@ -208,8 +207,8 @@ def test_draws_without_a_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, 
     assert line.endswith("nothing can be kept there (Not a directory); it is made anew each time")
 
 
-def request_of(dataset: Dataset) -> clean_aircraft._Request:
-    return clean_aircraft._Request(dataset, Null(body_spec(), {}), ["control.delay"], 0)
+def request_of(dataset: Dataset) -> Request:
+    return Request(dataset, Null(body_spec(), {}), ["control.delay"])
 
 
 def test_processes_without_room_end_the_search(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
@@ -220,7 +219,7 @@ def test_processes_without_room_end_the_search(monkeypatch: pytest.MonkeyPatch, 
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     dataset = flown(linear_vehicle(), manoeuvres(4.0, 0.02), 0.02, noise=0.01)
     with pytest.raises(Unwritable, match=f"{tmp_path}: cannot be written to; expected room for temporary files"):
-        clean_aircraft._fly(request_of(dataset), [0, 1], "floors/none", ALONE, lambda new: None)
+        clean_aircraft._fly(request_of(dataset), [0, 1], "floors/none", lambda new: None)
     assert [file.name for file in tmp_path.iterdir()] == ["worker"]
 
 
@@ -243,7 +242,7 @@ def test_processes_end_as_soon_as_there_are_enough_draws(monkeypatch: pytest.Mon
     dataset = flown(linear_vehicle(), manoeuvres(4.0, 0.02), 0.02, noise=0.01)
     enough = lambda new: True if len(new) >= 4 else None  # noqa: E731
     begun = time.monotonic()
-    found = clean_aircraft._fly(request_of(dataset), list(range(9)), "floors/none", ALONE, enough)
+    found = clean_aircraft._fly(request_of(dataset), list(range(9)), "floors/none", enough)
     assert time.monotonic() - begun < 60.0
     assert {n: draw["statistics"]["control.delay"] for n, draw in found.items()} == {n: float(n) for n in range(4)}
     assert clean_aircraft._read("floors/none", range(9)).keys() == found.keys()  # kept for next time
@@ -331,7 +330,7 @@ def test_a_process_that_fails_is_reported_with_its_last_line(tmp_path: Path, cap
     """No rotor is declared: nothing can be drawn, which is not asked again before."""
     data = flown(linear_vehicle(), manoeuvres(4.0, 0.02), 0.02, noise=0.01)
     with pytest.raises(RuntimeError, match="radius of the main rotor is not declared"):
-        clean_aircraft._fly(request_of(data), [0], "floors/none", ALONE, lambda new: None)
+        clean_aircraft._fly(request_of(data), [0], "floors/none", lambda new: None)
     assert capfd.readouterr().err == ""
 
 

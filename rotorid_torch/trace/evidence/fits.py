@@ -222,18 +222,26 @@ def _log_ratios(before: Residual, after: Residual) -> Tensor:
     return (before.size().log() - after.size().log()).nanmean(dim=1)
 
 
+@dataclass(frozen=True)
+class Care:
+    """How a fit is carried out: when Gauss-Newton ends, and the lengths of segments, s, stage by stage."""
+
+    options: Options = CAREFUL
+    lengths: tuple[float, ...] = (SEGMENT_S,)
+
+
 def refit(
     spec: ModelSpec,
     flights: Flights,
     start: Mapping[str, float],
     held: Sequence[str] = (),
-    lengths: tuple[float, ...] = (SEGMENT_S,),
-    options: Options = CAREFUL,
     near: Fitted | None = None,
+    care: Care = Care(),
 ) -> Fitted:
     """The model of a spec fitted from a start; parameters that the start does not know begin at their declared values.
 
-    held : parameters that keep their start. near : a fit whose trajectories initial states start from.
+    held : parameters that keep their start. near : a fit whose trajectories initial states start from. care : how the
+    fit is carried out.
     """
     model = build(spec)
     model.start_from(start)
@@ -242,11 +250,11 @@ def refit(
     places = [numbers.index(n) for n in names]
     settings = progressive_fit.Settings(
         floor=sensor_noise(model, flights.dataset),
-        lengths=lengths,
+        lengths=care.lengths,
         prior_mean=numbers.values[places],
         prior_sd=numbers.prior_sd[places],
         x0_sd=initial_spread(model, flights.dataset),
-        options=options,
+        options=care.options,
     )
     records = flights.records(model, flights.dataset.identify)
     states = None if near is None else _followed(near, model, records.states)

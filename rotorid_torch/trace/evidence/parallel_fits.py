@@ -20,7 +20,7 @@ from rotorid_torch.identification.estimate.sensitivity import Run
 from rotorid_torch.identification.estimate.system import System
 from rotorid_torch.identification.estimate.uncertainty import Uncertainty
 from rotorid_torch.model.nominal import build
-from rotorid_torch.trace.evidence.fits import SEGMENT_S, Fitted, Flights, refit
+from rotorid_torch.trace.evidence.fits import SEGMENT_S, Care, Fitted, Flights, refit
 
 OWN = ("states", "noise", "x0", "x0_mean", "x0_sd", "prior_mean", "prior_sd", "bias_sd")
 """What a likelihood has beside flights and model."""
@@ -65,7 +65,7 @@ def fits(wanted: Sequence[Wanted], held: Sequence[str], options: Options, ranks:
 
     def made(one: Wanted) -> Fitted:
         near, lengths = (None, SHORT_FIRST) if one.short_first else (one.near, (SEGMENT_S,))
-        return refit(one.spec, one.near.flights, one.start, held, lengths, options, near)
+        return refit(one.spec, one.near.flights, one.start, held, near, Care(options, lengths))
 
     return ranks.carry(
         wanted,

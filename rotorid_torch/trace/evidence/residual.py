@@ -106,56 +106,74 @@ def left_over(
 
     effects : those of the model with a name; what their parameters' errors leave is theirs.
     """
-    residuals, changes, columns, times, constants, tilts, rests = [], [], [], [], [], [], []
-    names: tuple[str, ...] = ()
     with_flapping = [name for name in flights if dataset.facts[name].has(*FLAPPING)]
     flapping = FLAPPING if with_flapping and isinstance(model.effect("rotor"), Flapping) else ()
-    for k, name in enumerate(flights):
-        if flapping and name not in with_flapping:  # neither the disc nor what it does to the body is known
-            continue
-        flight_data = measured(model, dataset, reconstruction, name)
-        dt = dataset.facts[name].dt
-        every, width = max(1, round(1.0 / (dt * RATE))), max(1, round(SMOOTH_S / dt))
-        moving = (n for n in (*model.body.states, *model.body.controls) if n not in GUSTS)
-        names = tuple(n for n in moving if n in flight_data.signals)
-        signals = torch.stack([flight_data.signals[n] - model.reference.get(n, 0.0) for n in names], dim=-1)
-        residual = _residual(model, flight_data, flapping, dt)
-        moved = [
-            residual - _residual(model, measured(model, dataset, reconstruction, name), flapping, dt)
-            for _ in _moved(model, effects)
-        ]
-        residuals.append(smoothed(residual, width)[::every])
-        changes.append([smoothed(one, width)[::every] for one in moved])
-        columns.append(smoothed(signals, width)[::every])
-        tilts += [smoothed(_stacked(flight_data.signals, flapping).nan_to_num(0.0), width)[::every]] if flapping else []
-        times.append(dt * torch.arange(len(signals), dtype=torch.float64)[::every])
-        quiet = (torch.arange(len(signals)) < dataset.quiet(name)).to(torch.float64)[:, None]
-        rests.append(smoothed(quiet, width)[::every])
-        flight_columns = torch.zeros(len(columns[-1]), len(flights), dtype=torch.float64)
-        flight_columns[:, k] = 1.0
-        constants.append(flight_columns)
-    signals, residual, flight_columns = torch.cat(columns), torch.cat(residuals), torch.cat(constants)
-    rests = [torch.cat(rests)] if any(one.min() < one.max() for one in rests) else []
+    listed = with_flapping if flapping else flights  # else neither the disc nor what it does to the body is known
+    parts = [_thinned(model, effects, flapping, (dataset, reconstruction, name)) for name in listed]
+    signals, residual, named = (torch.cat([getattr(p, n) for p in parts]) for n in ("signals", "residual", "named"))
+    samples = torch.tensor([len(part.time) for part in parts])
+    constants = torch.nn.functional.one_hot(torch.repeat_interleave(samples)).to(torch.float64)
+    rests = [torch.cat([p.rest for p in parts])] if any(p.rest.min() < p.rest.max() for p in parts) else []
     at_once = [n for n, name in AT_ONCE.items() if name in flapping]
     body = len(FORCES) + len(MOMENTS)
     twice = [*range(residual.shape[1]), *range(body, body + len(at_once))]
-    residual = residual[:, twice]
-    named = [torch.cat(one)[:, twice] for one in zip(*changes, strict=True)]
     left = LeftOver(
         (*FORCES, *MOMENTS, *flapping, *at_once),
-        residual,
-        names,
+        residual[:, twice],
+        parts[-1].names,
         signals,
-        torch.cat(times),
-        torch.cat([signals, flight_columns[:, flight_columns.any(dim=0)], *rests], dim=1),
-        torch.cat(tilts) if tilts else signals.new_zeros(len(signals), 0),
-        flight_columns.argmax(dim=1),
-        torch.stack(named, dim=-1) if named else residual.new_zeros(*residual.shape, 0),
+        torch.cat([part.time for part in parts]),
+        torch.cat([signals, constants, *rests], dim=1),
+        torch.cat([part.tilts for part in parts]),
+        torch.repeat_interleave(torch.tensor([flights.index(name) for name in listed]), samples),
+        named[:, twice],
         None if model.body.inertia is None else model.inertia.diagonal(),
     )
     for k in range(body, len(left.rows)):  # fitted as angles: linear terms of the rates are rough
-        left.residual[:, k] = left.beyond(residual[:, k, None], k)[:, 0]
+        left.residual[:, k] = left.beyond(left.residual[:, k, None], k)[:, 0]
     return left
+
+
+@dataclass(frozen=True, eq=False)
+class _Thinned:
+    """A flight's records at about `RATE`, see `LeftOver`: residual [T, rows], named [T, rows, n], rest [T, 1]."""
+
+    names: tuple[str, ...]
+    signals: Tensor
+    residual: Tensor
+    named: Tensor
+    tilts: Tensor
+    time: Tensor
+    rest: Tensor
+
+
+def _thinned(
+    model: Model, effects: Sequence[str], flapping: Sequence[str], source: tuple[Dataset, Reconstruction, str]
+) -> _Thinned:
+    """Of a flight by its name; flapping : angles whose equations are compared."""
+    dataset, _, name = source
+    flight, dt = measured(model, *source), dataset.facts[name].dt
+    every, width = max(1, round(1.0 / (dt * RATE))), max(1, round(SMOOTH_S / dt))
+    names = tuple(n for n in (*model.body.states, *model.body.controls) if n not in GUSTS and n in flight.signals)
+    signals = torch.stack([flight.signals[n] - model.reference.get(n, 0.0) for n in names], dim=-1)
+    residual = _residual(model, flight, flapping, dt)
+    moved = [residual - _residual(model, measured(model, *source), flapping, dt) for _ in _moved(model, effects)]
+    tilts = _stacked(flight.signals, flapping).nan_to_num(0.0) if flapping else signals[:, :0]
+    quiet = (torch.arange(len(signals)) < dataset.quiet(name)).to(torch.float64)[:, None]
+
+    def thin(record: Tensor) -> Tensor:
+        return smoothed(record, width)[::every]
+
+    thinned = [thin(one) for one in moved]
+    return _Thinned(
+        names,
+        thin(signals),
+        thin(residual),
+        torch.stack(thinned, dim=-1) if thinned else thin(residual)[..., None][..., :0],
+        thin(tilts) if flapping else tilts[::every],
+        dt * torch.arange(len(signals), dtype=torch.float64)[::every],
+        thin(quiet),
+    )
 
 
 def _moved(model: Model, effects: Sequence[str]) -> Iterator[None]:

@@ -130,7 +130,7 @@ def test_the_loop_names_the_wind_before_anything_else(windy: Flights):
         return Draws(few, "drawn", clean=True, least=observed.least)
 
     said: list[str] = []
-    found = trace(spec, values, start.held, windy, drawn, said.append)
+    found = trace(Null(spec, values, start.held), windy, drawn, said.append)
     assert found.accepted == ("environment.wind",)
     assert "environment.wind" not in found.null.spec.effects
     assert found.final.values["environment.wind.north"] == pytest.approx(NORTH, abs=0.2)

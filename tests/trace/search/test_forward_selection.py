@@ -12,7 +12,7 @@ import torch
 
 from rotorid_torch.trace.evidence.critical_values import Draws
 from rotorid_torch.trace.evidence.family import Family, by_chance, family
-from rotorid_torch.trace.evidence.fits import BEGINNING, CAREFUL, Fitted, Flights, refit
+from rotorid_torch.trace.evidence.fits import BEGINNING, CAREFUL, Care, Fitted, Flights, refit
 from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
 from rotorid_torch.trace.search.decide import Estimate, Row, gain
 from rotorid_torch.trace.search.forward_selection import Search, Trial, observed
@@ -50,7 +50,7 @@ def search_of(known: Flights, draws: Draws | None = None, said: list[str] | None
 
 def test_fits_go_on_while_they_gain(monkeypatch: pytest.MonkeyPatch):
     known, null = nothing()
-    rough = refit(null.spec, known, {}, options=replace(CAREFUL, max_iterations=1))
+    rough = refit(null.spec, known, {}, care=Care(replace(CAREFUL, max_iterations=1)))
     monkeypatch.setattr("rotorid_torch.trace.search.trajectories.CAREFUL", replace(CAREFUL, max_iterations=1))
     monkeypatch.setattr("rotorid_torch.trace.search.trajectories.LONGEST", 30)
     on = Trajectories(known).settled(rough)
@@ -304,7 +304,7 @@ def test_a_play_begins_once_more_with_derivatives_of_the_measured_motion(monkeyp
 
 def test_what_a_better_start_of_the_null_gains_is_not_the_candidates():
     known, null = late()
-    rough = refit(null.spec, known, {}, options=replace(CAREFUL, max_iterations=1))
+    rough = refit(null.spec, known, {}, care=Care(replace(CAREFUL, max_iterations=1)))
     said: list[str] = []
     search = search_of(known, draws_of(True), said)
     good = refit(null.spec.with_effects(DELAY), known, {**null.values, f"{DELAY}.common": 0.05}, near=null)
