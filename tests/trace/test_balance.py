@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from msgspec.structs import replace
 from torch import Tensor
 
 from rotorid_torch.data import Dataset
@@ -27,9 +28,18 @@ from rotorid_torch.trace.balance import (
 
 ARM = 0.033
 PLACES = ((1, 1, -1), (-1, 1, 1), (-1, -1, -1), (1, -1, 1))
-SPEC: Any = SimpleNamespace(
-    motors=[SimpleNamespace(position=(ARM * x, ARM * y, 0.0), spin=s) for x, y, s in PLACES],
-    driven=tuple(f"motor{k}" for k in range(1, 5)),
+MOTORS = tuple(f"motor{k}" for k in range(1, 5))
+SPEC = ModelSpec(
+    states=("p", "q", "r"),
+    controls=MOTORS,
+    outputs=("p", "q", "r", "az"),
+    reference=dict.fromkeys(MOTORS, 0.5),
+    sizes={},
+    ranges={},
+    patterns=dict.fromkeys("ZLMN", ()),
+    control_units=dict.fromkeys(MOTORS, "norm"),
+    motors=tuple(MotorSpec(position=(ARM * x, ARM * y, 0.0), spin=s) for x, y, s in PLACES),
+    spins=tuple(float(s) for _, _, s in PLACES),
 )
 LEVERS = torch.tensor([[ARM * x, ARM * y, s] for x, y, s in PLACES], dtype=torch.float64)
 MEANS = 20
@@ -184,31 +194,17 @@ def test_a_moved_centre_of_gravity_is_told_with_its_rivals(monkeypatch: pytest.M
 
 
 def test_two_rotors_leave_a_moment_that_no_thrust_makes():
-    two: Any = SimpleNamespace(motors=[SimpleNamespace(position=(0.0, y, 0.0), spin=1) for y in (0.1, -0.1)])
+    two = replace(SPEC, motors=tuple(MotorSpec(position=(0.0, y, 0.0), spin=1.0) for y in (0.1, -0.1)))
     assert standing(two, flights(1, centre=AHEAD), flights(4, centre=AHEAD)) is None
 
 
 def test_seconds_on_the_ground_do_not_count():
-    motors = tuple(MotorSpec(position=(ARM * x, ARM * y, 0.0), spin=s) for x, y, s in PLACES)
-    names = SPEC.driven
-    spec = ModelSpec(
-        states=("p", "q", "r"),
-        controls=names,
-        outputs=("p", "q", "r", "az"),
-        reference=dict.fromkeys(names, 0.5),
-        sizes={},
-        ranges={},
-        patterns=dict.fromkeys("ZLMN", ()),
-        control_units=dict.fromkeys(names, "norm"),
-        motors=motors,
-        spins=tuple(m.spin for m in motors),
-    )
     time, flying = 0.02 * np.arange(500), 1.0 * (np.arange(500) >= 200)
-    command = {n: flying * (0.55 if n == "motor1" else 0.5) for n in names}
+    command = {n: flying * (0.55 if n == "motor1" else 0.5) for n in MOTORS}
     command["motor2"] = command["motor2"] + 0.1 * (1.0 - flying)  # one of them idles
     still = dict.fromkeys(("p", "q", "r", "u"), 1e-12 * np.sin(time))
     data = Dataset.from_arrays({"f": {"time": time, **command, **still}}, identify=["f"], kind="multirotor")
-    (found,) = balances(build(spec), spec, data, ["f"])
+    (found,) = balances(build(SPEC), SPEC, data, ["f"])
     thrust = torch.tensor([0.55**2, 0.25, 0.25, 0.25], dtype=torch.float64)
     torch.testing.assert_close(found.centre, (thrust @ LEVERS / thrust.sum()).repeat(6, 1))
     assert (len(found.turning), len(found.signals["u", 0.0])) == (6, 6)
