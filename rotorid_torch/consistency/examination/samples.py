@@ -90,7 +90,7 @@ def rows(dataset: Dataset) -> Iterator[Finding]:
     if many:
         shares = ", ".join(f"{name} {share:.0%}" for name, share in many.items())
         reason = (
-            f"of the rows repeat the one before in every channel ({shares}): samples were lost and the last one held."
+            f"rows repeat the one before in every channel ({shares} of them): samples were lost and the last one held."
         )
         yield finding("warning", "", reason, "Mark them as missing (NaN); held samples are late and spoil derivatives.")
 

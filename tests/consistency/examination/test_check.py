@@ -240,7 +240,7 @@ def test_frozen_held_cut_lone_and_repeated_samples_are_told():
         if name != "time":
             held[name][1::8] = held[name][::8]
     told = sentences(Dataset.from_arrays({"f": held}, identify=["f"]), "warning")
-    assert any("of the rows repeat the one before in every channel (f 13%)" in s for s in told)
+    assert any("rows repeat the one before in every channel (f 13% of them)" in s for s in told)
 
 
 def closed_loop(test_input):
