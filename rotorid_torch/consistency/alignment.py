@@ -400,6 +400,10 @@ def _motion(flights: Sequence[Flight], turn: Array, clocks: Mapping[str, float])
     return _Motion(agreed, score, unit, lag)
 
 
+MIRRORED = 0.5
+"""Mean square that mirrored axes must leave, over that of the best turn, to be told: less than half."""
+
+
 @dataclass(frozen=True)
 class ForceTurn:
     """How the accelerometers alone are turned, or mirrored, against velocity and attitude.
@@ -423,9 +427,11 @@ def force_turn(flights: Sequence[Flight]) -> ForceTurn | None:
     if len(felt) < 50:
         return None
     u, _, vt = np.linalg.svd(felt.T @ true)
+    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt  # along an axis that does not move any sign will do
+    left, mirrored = (float(((felt - true @ matrix.T) ** 2).mean()) for matrix in (turn, u @ vt))
+    best, left = (u @ vt, mirrored) if mirrored < MIRRORED * left else (turn, left)
     away = felt - true
-    left = float(((felt - true @ (u @ vt).T) ** 2).mean())
-    return ForceTurn(u @ vt, left, float(((away - away.mean(axis=0)) ** 2).mean()))
+    return ForceTurn(best, left, float(((away - away.mean(axis=0)) ** 2).mean()))
 
 
 @dataclass(frozen=True)

@@ -62,7 +62,7 @@ class MeasuredStates:
     """Responses of flights at measured states, and their model.
 
     equations : on means over `SMOOTHED_S`. measured : responses of each flight behind the same means, rates
-    differentiated.
+    differentiated; those that a flight has measured.
     """
 
     equations: RotorEquations
@@ -75,11 +75,16 @@ class MeasuredStates:
         equations = RotorEquations(model, tuple(means))
         outputs = model.body.outputs
         rows = [o for group in equations.groups for o in group if o in ANGULAR_ACCELERATIONS or o in outputs]
-        return cls(equations, [{row: _response(row, outputs, flight) for row in rows} for flight in means])
+        measured = ({row: _response(row, outputs, flight) for row in rows} for flight in means)
+        return cls(equations, [{row: r for row, r in one.items() if not r.isnan().all()} for one in measured])
 
     @cached_property
     def _rows(self) -> tuple[str, ...]:
-        return tuple(self.measured[0])
+        return tuple(dict.fromkeys(row for one in self.measured for row in one))
+
+    def _together(self, flights: Sequence[Mapping[str, Tensor]]) -> dict[str, Tensor]:
+        """Records of all flights that have a response, about their means, one behind the other."""
+        return {row: torch.cat([centred(one[row]) for one in flights if row in one]) for row in self._rows}
 
     def fitted(self, theta: Tensor, names: Sequence[str]) -> MeasuredFit:
         """Theta with these parameters by least squares from there on.
@@ -142,14 +147,15 @@ class MeasuredStates:
     def remainders(self, theta: Tensor) -> list[dict[str, Tensor]]:
         """Measured less modelled, of each flight by row."""
         return [
-            {row: measured[row] - modelled[row] for row in self._rows}
+            {row: record - modelled[row] for row, record in measured.items()}
             for measured, modelled in zip(self.measured, self._modelled(theta), strict=True)
         ]
 
     @cached_property
     def _spreads(self) -> dict[str, float]:
         """Standard deviation of a flight's constant in each response."""
-        sizes = {row: torch.cat([one[row] for one in self.measured]).square().mean().sqrt() for row in self._rows}
+        rows = {row: torch.cat([one[row] for one in self.measured if row in one]) for row in self._rows}
+        sizes = {row: record.square().mean().sqrt() for row, record in rows.items()}
         gravity = self.equations.model.body.gravity
         return {row: SPREAD * (gravity if row in SPECIFIC_FORCES else float(size)) for row, size in sizes.items()}
 
@@ -175,14 +181,13 @@ class MeasuredStates:
     def _explained(self, theta: Tensor) -> dict[str, float]:
         """R2 of each response, the constants of flights taken out."""
         left = self._sigma(theta)
-        moved = {row: torch.cat([centred(one[row]) for one in self.measured]).square().mean() for row in self._rows}
-        return {row: 1.0 - left[row] ** 2 / max(float(moved[row]), 1e-300) for row in self._rows}
+        moved = {row: float(record.square().mean()) for row, record in self._together(self.measured).items()}
+        return {row: 1.0 - left[row] ** 2 / max(moved[row], 1e-300) for row in self._rows}
 
     def _sigma(self, theta: Tensor) -> dict[str, float]:
         """Rms of what is left of each response."""
-        left = self.remainders(theta)
-        squares = {row: torch.cat([centred(one[row]) for one in left]).square().mean() for row in self._rows}
-        return {row: max(math.sqrt(float(square)), 1e-300) for row, square in squares.items()}
+        left = self._together(self.remainders(theta))
+        return {row: max(math.sqrt(float(record.square().mean())), 1e-300) for row, record in left.items()}
 
     def _columns(
         self, theta: Tensor, names: Sequence[str], sigma: Mapping[str, float]
@@ -192,7 +197,7 @@ class MeasuredStates:
         every = []
         for k in range(len(self.measured)):
             one = {}
-            for row in self._rows:
+            for row in self.measured[k]:
                 z = torch.stack([columns[name][k][row] for name in names])
                 left = self.measured[k][row] - base[k][row]
                 one[row] = self.weighed(z, row, sigma[row]).mT, self.weighed(left, row, sigma[row])

@@ -124,7 +124,7 @@ def import_log(
         vehicle=vehicle,
         controls=controls,
         texts=earlier,
-        comment=template(motors if kind == "multirotor" else 0, plan.frame, vehicle or {}, plan.known),
+        comment=template(motors if kind == "multirotor" else None, plan.frame, vehicle or {}, plan.known),
     )
     if replaced := [file for file in earlier if (asked.out / file).exists()]:
         there = f"{asked.out.name}: the data set that was here is replaced"

@@ -229,7 +229,7 @@ def _with_network(
     if finding.verdict != "accepted":
         return None, finding
     run = rerun(learnt.fitted.spec, learnt.fitted.values)
-    if best_of([best, run]) is run:
+    if best_of([run, best]) is run:  # of equals the one without a network
         return run, finding
     said = "segments of flights that no fit has seen are better described by it, their free runs are not"
     return None, replace(finding, verdict="rejected", reason=said)
@@ -297,9 +297,11 @@ def _with_spread(fit: FitRecord, spread: Mapping[str, float], traced: Mapping[st
     care, by an error of its own: se^2 = max(se, scatter)^2 + (value - traced)^2.
     """
 
-    def error(p: ParameterRecord) -> float:
+    def error(p: ParameterRecord) -> float | None:
+        if p.se is None:  # on a bound, or not told by the data
+            return None
         other = 0.0 if p.value is None else p.value - traced.get(p.name, p.value)
-        return math.hypot(max(p.se or 0.0, spread.get(p.name, 0.0)), other)
+        return math.hypot(max(p.se, spread.get(p.name, 0.0)), other)
 
     wider = {*spread, *traced}
     parameters = tuple(msgspec.structs.replace(p, se=error(p)) if p.name in wider else p for p in fit.parameters)

@@ -126,7 +126,7 @@ class ShortHorizon:
         moved = {row: [r for r in of if r.moved] for row, of in each.items()}
         measured, without = ({row: _pooled(moved[row] or of, on) for row, of in each.items()} for on in (False, True))
         still = tuple(row for row, of in moved.items() if not of)
-        silent = tuple(row for row, of in each.items() if not any(r.described for r in of))
+        silent = tuple(row for row, of in each.items() if not any(r.described for r in moved[row] or of))
         return cls(name, len(flights), measured, without, tuple(_means(flights)), still, silent)
 
     @property
@@ -165,7 +165,7 @@ def _pooled(responses: Sequence[Judged], about: bool) -> float:
     """R2 over all flights: their errors over their deviations. about : with each flight's constant taken out."""
     error, spread = 0.0, 0.0
     for r in responses:
-        if r.rmse is not None and r.r2 is not None and r.r2 < 1.0:
+        if r.rmse is not None and r.r2 is not None and math.isfinite(r.r2) and r.r2 < 1.0:
             deviation = r.rmse**2 / (1.0 - r.r2)
             without = r.r2 if r.r2_without_constant is None or not about else r.r2_without_constant
             error += deviation * (1.0 - without)
@@ -175,7 +175,7 @@ def _pooled(responses: Sequence[Judged], about: bool) -> float:
 
 def _means(flights: Sequence[Flown]) -> Iterator[Ahead]:
     turned = [f for f in flights if any(r.moved for row, r in f.responses.items() if row in ANGULAR_ACCELERATIONS)]
-    for p in flights[0].predictions:
+    for p in {(p.quantity, p.seconds): p for flight in flights for p in flight.predictions}.values():
         both = [
             (q.error, q.held)
             for flight in (turned or flights if p.quantity in TURNING else flights)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rotorid_torch.consistency.alignment import aligned, alignment, right_angles, rotation, rotation_vector
+from rotorid_torch.consistency.alignment import aligned, alignment, force_turn, right_angles, rotation, rotation_vector
 from rotorid_torch.consistency.examination.check import check
 from rotorid_torch.data import Dataset
 from rotorid_torch.trace.sensors.kinematics import kinematic_findings
@@ -179,3 +179,26 @@ def test_rates_of_another_flight_contradict_the_attitude():
     told = [f.sentence for f in check(dataset(made)).of("error")]
     assert any("contradict each other" in sentence for sentence in told)
     assert not any("too little motion" in f.sentence for f in check(dataset(made)).findings)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_turn_is_no_mirror_where_one_axis_does_not_move(seed: int):
+    """Motion in the longitudinal plane: the sign of the third axis is that of noise."""
+    rng, made = np.random.default_rng(seed), flights()
+    turn = rotation(np.radians(30.0) * np.array([0.0, 1.0, 0.0])).T
+    for flight in made.values():
+        time = flight["time"]
+        noise = 0.02 * rng.standard_normal((3, len(time)))
+        pitch, speed = 0.2 * np.sin(0.7 * time), np.sin(1.3 * time)
+        flight |= {c: 1e-4 * rng.standard_normal(len(time)) for c in ("v", "w", "p", "r", "phi", "psi")}
+        flight |= {"theta": pitch, "q": 0.14 * np.cos(0.7 * time), "u": speed}
+        force = (
+            1.3 * np.cos(1.3 * time) + 9.80665 * np.sin(pitch),
+            0.0 * time,
+            -flight["q"] * speed - 9.80665 * np.cos(pitch),
+        )
+        flight |= dict(zip(("ax", "ay", "az"), turn @ np.stack(force) + noise, strict=True))
+    found = force_turn(list(dataset(made).flights.values()))
+    assert found is not None
+    assert np.linalg.det(found.matrix) == pytest.approx(1.0)
+    assert np.degrees(np.arccos((np.trace(found.matrix) - 1.0) / 2.0)) == pytest.approx(30.0, abs=1.5)

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
+import torch
 from scipy.signal import lfilter
 
 import rotorid_torch as rotorid
 from rotorid_torch.data import Dataset
+from rotorid_torch.identification.measured_states import MeasuredStates
 from rotorid_torch.identification.mixer import find_mixer
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction, reconstruct
+from rotorid_torch.identification.rotor_equations import seen_flights
 from rotorid_torch.identification.rotor_regression import nonlinear, regress_rotors
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build
 from rotorid_torch.run.estimate import regressed
+from rotorid_torch.trace.evidence.fits import Flights
 
 DT, MASS, G = 0.005, 0.5, 9.80665
 INERTIA = np.array([3e-3, 4e-3, 6e-3])
@@ -235,3 +240,18 @@ def test_ground_effect_comes_back_with_the_radius_and_the_height_of_the_rotors()
     far = [without["one"] for without in (found.without,)]
     place = model.parameter_set.index("environment.ground.radius")
     assert float(far[0][place]) == pytest.approx(RADIUS, rel=0.15)  # as a fit without the first flight says
+
+
+def test_a_flight_without_an_accelerometer_tells_what_it_has():
+    """The thrust is that of the flight with specific force, the moments are those of both."""
+    model = build(propose(dataset(), seen(), EFFECTS))
+    records = Flights(dataset(), seen()).records(model, ("one", "two"))
+    outputs = records.outputs.clone()
+    outputs[1, :, model.body.outputs.index("az")] = torch.nan
+    states = MeasuredStates.of(model, list(seen_flights(model, replace(records, outputs=outputs))))
+    assert [("az" in one, "qdot" in one) for one in states.measured] == [(True, True), (False, True)]
+    start = regress_rotors(model, dataset(), seen()).theta
+    found = states.fitted(start, model.parameter_set.free)
+    value = dict(zip(model.parameter_set.names, found.theta.tolist(), strict=True))
+    assert value["rotors.thrust.c1"] + 2.0 * value["rotors.thrust.c2"] * HOVER == pytest.approx(3.0 * HOVER, rel=0.1)
+    assert min(found.explained[row] for row in ("az", "qdot")) > 0.9

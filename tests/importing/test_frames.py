@@ -84,4 +84,4 @@ def test_what_is_declared_is_not_asked_for_and_helicopters_have_a_rotor():
     assert "mass" not in text
     assert "position" not in text
     assert all(line.startswith("#") for line in text.strip().splitlines())
-    assert "# [vehicle.rotor]\n# blades = ?" in template(0, "", {}, {})
+    assert "# [vehicle.rotor]\n# blades = ?" in template(None, "", {}, {})

@@ -1,5 +1,7 @@
 """What a report says of a multirotor: what it explains and predicts; free runs do not appear."""
 
+import math
+
 import msgspec
 import pytest
 from rich.console import Console
@@ -113,3 +115,19 @@ def test_a_helicopters_report_has_no_word_of_it(report: records.Report):
     assert report.before is not None
     assert short_horizon(report.before) == []
     assert "responses" not in records.encode_report(report).decode()
+
+
+def test_lists_go_by_all_flights(flown: records.Report):
+    """Also by predictions that the first flight is too short for, and without what means nothing."""
+    assert flown.before is not None
+    acid = flown.before.flights["sweep"]
+    silent = msgspec.structs.replace(response(1.0, 0.0), described=False)
+    still = msgspec.structs.replace(response(1.0, -1.0), moved=False)
+    endless = response(1.0, -math.inf)
+    first = msgspec.structs.replace(acid, predictions=(), responses={"rdot": silent, "pdot": endless})
+    second = msgspec.structs.replace(acid, responses={"rdot": still, "pdot": response(1.0, 0.9)})
+    flights = {**flown.before.flights, "sweep": first, "still": second}
+    (list_of_acid,) = short_horizon(msgspec.structs.replace(flown.before, flights=flights))
+    assert [p.seconds for p in list_of_acid.predictions] == [0.1, 0.5]
+    assert list_of_acid.silent == ("rdot",)
+    assert list_of_acid.responses["pdot"] == pytest.approx(0.9)

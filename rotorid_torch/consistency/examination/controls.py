@@ -24,6 +24,10 @@ FOLLOWS, STRAYS = 0.8, 0.6
 and up to which they are paired with other motors."""
 UNRELATED = 0.3
 """The same up to which they follow no command."""
+SPEED_MEAN_S = 0.1
+"""s: mean that commands and rotor speeds pass before they are compared."""
+CLEAR = 3.0
+"""Rms over that of noise from which on something moves."""
 SPEED_LAGS_S = (0.0, 0.03, 0.06, 0.1, 0.15, 0.2)
 """Lags of a rotor that are tried."""
 TURNS = {"roll": "p", "pitch": "q", "yaw": "r"}
@@ -194,12 +198,17 @@ def length(dataset: Dataset) -> Iterator[Finding]:
 
 
 def rotor_speeds(dataset: Dataset) -> Iterator[Finding]:
-    """Whether omegaN follows motorN, by what each motor does beyond all of them together."""
+    """Whether omegaN follows motorN, by what each motor does beyond all of them together.
+
+    Nothing is said where motors hardly differ: what is left then is noise.
+    """
     count = len(dataset.controls)
     speeds = [f"omega{n}" for n in range(1, count + 1)]
     flights = [dataset.flights[name] for name in dataset.identify if dataset.flights[name].has(*speeds)]
     recorded = all(map(names.is_motor, dataset.controls)) and not {*dataset.controls} & {*dataset.derived}
     if not flights or not recorded or count < LEAST_MOTORS:
+        return
+    if not _differ(dataset, flights, dataset.controls) or not _differ(dataset, flights, speeds):
         return
     by_lag = [_following(flights, dataset.controls, speeds, lag) for lag in SPEED_LAGS_S]
     best, by_number, order = max(by_lag, key=lambda one: one[0])
@@ -216,6 +225,18 @@ def rotor_speeds(dataset: Dataset) -> Iterator[Finding]:
         yield finding("good", " ".join(speeds), f"every rotor speed follows its command (correlation {by_number:.2f}).")
 
 
+def _differ(dataset: Dataset, flights: Sequence[Flight], channels: Sequence[str]) -> bool:
+    """Whether channels do more beside their mean than noise behind a mean of `SPEED_MEAN_S` would."""
+    moved, noise = 0.0, 0.0
+    for flight in flights:
+        width = max(1, round(SPEED_MEAN_S / flight.dt))
+        values = flight.bridged(channels).nan_to_num(0.0).numpy()
+        smooth = np.stack([running_mean(x, width) for x in (values - values.mean(axis=1, keepdims=True)).T])
+        moved += float(smooth.var(axis=1).sum())
+        noise += sum(dataset.noise(c) ** 2 for c in channels) / width
+    return moved > CLEAR**2 * noise and moved > 0.0
+
+
 def _following(
     flights: Sequence[Flight], motors: Sequence[str], speeds: Sequence[str], lag_s: float
 ) -> tuple[float, float, Sequence[int]]:
@@ -224,7 +245,7 @@ def _following(
 
     total = np.zeros((2 * len(motors), 2 * len(motors)))
     for flight in flights:
-        by, width = round(lag_s / flight.dt), max(1, round(0.1 / flight.dt))
+        by, width = round(lag_s / flight.dt), max(1, round(SPEED_MEAN_S / flight.dt))
         asked, turned = (flight.bridged(channels).nan_to_num(0.0).numpy() for channels in (motors, speeds))
         both = [asked[: len(asked) - by], turned[by:]]
         smooth = [np.stack([running_mean(x, width) for x in (b - b.mean(axis=1, keepdims=True)).T]) for b in both]

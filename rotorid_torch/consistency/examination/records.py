@@ -80,7 +80,7 @@ def gaps(dataset: Dataset) -> Iterator[Finding]:
         most = max(shares, key=lambda name: shares[name])
         where = f" in {len(flights)} of {len(dataset.flights)} flights, most in {most}" if len(flights) > 1 else ""
         channels = " ".join(dict.fromkeys(channel for flight in flights.values() for channel in flight))
-        sentence = f"up to {100.0 * shares[most]:.2g} % of the samples are missing{where}; they are {use}."
+        sentence = f"up to {100.0 * shares[most]:.3g} % of the samples are missing{where}; they are {use}."
         advice = ["Leave out a flight that has lost what it is for."] if many else []
         yield finding(kind, channels, sentence, *advice, flight="" if where else most)
 

@@ -422,3 +422,16 @@ def test_rotor_speeds_follow_their_commands_or_contradict_them():
     assert any(f.severity == "good" and "follows its command" in f.sentence for f in found)
     (told,) = [f for f in check(turning(unrelated=True)).findings if f.channel.startswith("omega1")]
     assert (told.severity, "contradict each other" in told.sentence) == ("error", True)
+
+
+@pytest.mark.parametrize("difference", [0.0, 1e-3])
+def test_motors_that_hardly_differ_tell_nothing_of_their_pairing(difference):
+    made = {}
+    for seed in range(2):
+        rng, time = np.random.default_rng(seed), DT * np.arange(SAMPLES)
+        together = 0.5 + 0.1 * np.sin(time)
+        flight = {f"motor{i}": together + difference * rng.standard_normal(SAMPLES) for i in range(1, 5)}
+        flight |= {f"omega{i}": 600.0 * np.sqrt(together) + 2.0 * rng.standard_normal(SAMPLES) for i in range(1, 5)}
+        made[f"f{seed}"] = {"time": time, **flight} | {c: 0.1 * np.sin(2.0 * time + k) for k, c in enumerate("pqr")}
+    found = check(Dataset.from_arrays(made, identify=list(made), kind="multirotor")).findings
+    assert not [f for f in found if f.severity == "error"]
