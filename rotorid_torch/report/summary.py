@@ -296,7 +296,7 @@ def _steps_of_responses(fit: FitRecord, traced: bool) -> Iterator[str]:
         yield f"Of {_listed(weak)} less than {100 * MOSTLY:.0f} % is explained on the {last.name} flights: {look}."
     poor = dict.fromkeys(p.quantity for p in last.predictions if p.error > p.held)
     if poor:
-        yield f"{_listed(list(poor))}: held values are nearer than the model's predictions. Do not use it for these."
+        yield f"Do not predict {_listed(list(poor))} with it: held values are nearer than the model's predictions."
 
 
 def at_an_edge(parameters: Iterable[ParameterRecord]) -> list[str]:

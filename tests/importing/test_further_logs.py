@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import rotorid_torch as rotorid
+from rotorid_torch.importing.signals.boots import boots
+from rotorid_torch.importing.signals.streams import Log, Stream
 from tests.importing.log_writers import motion, quaternion, write_dataflash, write_ulog
 from tests.importing.test_flown import QUAD, clock, commands, copter, floats, gyro, imported, outputs, px4, wired
 
@@ -180,3 +182,12 @@ def test_any_setting_of_a_swashplate_makes_a_helicopter(settings: dict, tmp_path
     topics = copter(TIME, 1000.0 + 1000.0 * commands(TIME)) | {"RATE": (TIME, rates)}
     done, _ = imported(write_dataflash(tmp_path / "t.bin", topics, settings), tmp_path)
     assert done.kind == "helicopter"
+
+
+@pytest.mark.parametrize("first", ["fast", "slow"])
+def test_boots_are_those_of_most_samples_whatever_the_order(first: str):
+    whole, restarted = np.arange(0.0, 20.0, 0.1), np.tile(np.arange(0.0, 10.0, 0.01), 2)
+    streams = {("slow", 0): Stream(whole, {}), ("fast", 0): Stream(restarted, {})}
+    order = sorted(streams, key=lambda place: place[0] != first)
+    log = Log(Path("log"), "", "", {place: streams[place] for place in order}, {})
+    assert [[*part.streams] for part in boots(log)] == [[("fast", 0)], [("fast", 0)]]

@@ -19,11 +19,15 @@ MOST = 20
 def boots(log: Log) -> list[Log]:
     """One log for each boot, in the file's order; the log itself where no clock begins again.
 
-    Streams that do not begin again as often as most do are left out, for nothing says to which boot they belong.
+    Streams that do not begin again as often as those with most samples are left out, for nothing says to which boot
+    they belong.
     """
     begun = {place: _beginnings(stream.time) for place, stream in log.streams.items()}
-    counts = [len(starts) for place, starts in begun.items() if len(log.streams[place].time) >= LEAST]
-    count = max(counts, key=counts.count, default=1)
+    samples: dict[int, int] = {}
+    for place, starts in begun.items():
+        if len(log.streams[place].time) >= LEAST:
+            samples[len(starts)] = samples.get(len(starts), 0) + len(log.streams[place].time)
+    count = max(samples, key=lambda boots: (samples[boots], boots), default=1)
     if count == 1:
         return [log]
     whole = {place: starts for place, starts in begun.items() if len(starts) == count}
