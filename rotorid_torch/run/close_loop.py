@@ -42,7 +42,8 @@ from rotorid_torch.run.result import Run, facts_of, write_model
 from rotorid_torch.run.turbulence import in_turbulence, smoothed, with_gusts, without_clean_bill
 from rotorid_torch.trace.air import in_moving_air
 from rotorid_torch.trace.clean_aircraft import Request, clean_draws
-from rotorid_torch.trace.evidence.critical_values import Null
+from rotorid_torch.trace.evidence.critical_values import Draws, Null
+from rotorid_torch.trace.evidence.family import Family
 from rotorid_torch.trace.evidence.fits import Flights, refit
 from rotorid_torch.trace.loop import Bare, Tracing, trace
 from rotorid_torch.trace.multirotor import trace_rotors
@@ -179,19 +180,16 @@ def _in_gusts(tracing: Tracing, shaken: Sequence[Finding]) -> Tracing:
 
 def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
     """By trajectories over segments, p by clean aircraft; where the air moves, its gusts fed into all of them."""
-    say, tell, ranks = steps.monitor.say, steps.monitor.tell, steps.ranks
     spec, values, air = base.spec, base.model.named_values, base.estimate.air
     if air is not None:
         spec, flights = in_moving_air(spec, values, flights, Weather.of(air, base.model))
     traced = trace(
         Null(spec, values, base.regressions.held),
         flights,
-        lambda null, effects, observed: clean_draws(
-            Request(flights.dataset, null, effects, seed, tell, ranks), observed
-        ),
-        say,
+        _drawing(flights, seed, steps),
+        steps.monitor.say,
         seed,
-        ranks,
+        steps.ranks,
     )
     null, final = (Bare(without_gust_inputs(one.spec), one.values) for one in (traced.null, traced.final))
     return replace(traced, null=null, final=final)
@@ -199,17 +197,16 @@ def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
 
 def _rotors_traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
     """By accelerations at measured states, to which each candidate is fitted."""
-    say, tell, ranks = steps.monitor.say, steps.monitor.tell, steps.ranks
-    return trace_rotors(
-        base.spec,
-        flights,
-        lambda null, effects, observed: clean_draws(
-            Request(flights.dataset, null, effects, seed, tell, ranks), observed
-        ),
-        say,
-        seed,
-        ranks,
-    )
+    return trace_rotors(base.spec, flights, _drawing(flights, seed, steps), steps.monitor.say, seed, steps.ranks)
+
+
+def _drawing(flights: Flights, seed: int, steps: Steps) -> Callable[[Null, Sequence[str], Family], Draws | str]:
+    """What draws clean vehicles in the likeness of these flights."""
+
+    def draw(null: Null, effects: Sequence[str], observed: Family) -> Draws | str:
+        return clean_draws(Request(flights.dataset, null, effects, seed, steps.monitor.tell, steps.ranks), observed)
+
+    return draw
 
 
 def _with_network(

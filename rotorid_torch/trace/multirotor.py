@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
@@ -51,7 +51,7 @@ def trace_rotors(
     search = Search(shared, lambda observed, effects: draws_of(search, observed, effects, (), draw, seed), say, ranks)
     final = search.back(search.forward(null, tested), tested)
     accepted = tuple(c.effect for c in search.joined)
-    outcome = Outcome(search, final, None, (), {}, _spread(search, final, accepted))
+    outcome = Outcome(search, final, None, (), {}, search.spread(final))
     balanced = bool(spec.motors) and spec.found_places is None  # of arms that are not known nothing balances
     dataset = flights.dataset
     centre, missing = out_of_balance(final.model, final.spec, dataset, dataset.unseen) if balanced else (None, None)
@@ -78,14 +78,3 @@ def _untested(spec: ModelSpec, effect: str) -> Finding | None:
         return None
     said = f"{absorbed} stand for it in these flights; weigh the vehicle, or swing it, to tell"
     return Finding(effect, "undeclared", "indistinguishable", said, group=(absorbed,))
-
-
-def _spread(search: Search[FittedAtStates], final: FittedAtStates, accepted: Sequence[str]) -> dict[str, float]:
-    """Standard errors of parameters by the scatter of sizes over flights and draws."""
-    spread: dict[str, float] = {}
-    for effect in accepted if search.first is not None else ():
-        assert search.first is not None
-        for name, scatter in [*final.scatter(effect).items(), *search.first[2].scatter(effect).items()]:
-            if name in final.names:
-                spread[name] = max(spread.get(name, 0.0), scatter)
-    return spread

@@ -219,6 +219,16 @@ class Search(Generic[FittedT]):
             low = {effect_of(n) for n, one in p.items() if one <= SETTINGS.level}
             self.rivals[last] = tuple(e for e in self.rivals.get(last, ()) if e not in low)
 
+    def spread(self, final: FittedT) -> dict[str, float]:
+        """Standard errors of the named effects' parameters by the scatter of sizes over trims, flights and draws."""
+        spread, draws = dict(self.scatter), self.first[2] if self.first is not None else None
+        for c in self.joined:
+            drawn = draws.scatter(c.effect) if draws is not None else {}
+            for name, scatter in [*final.scatter(c.effect).items(), *drawn.items()]:
+                if name in final.names:
+                    spread[name] = max(spread.get(name, 0.0), scatter)
+        return spread
+
     def back(self, final: FittedT, effects: Sequence[str]) -> FittedT:
         """The final model without the effects that explain nothing more beside the others, by the same test.
 

@@ -42,7 +42,7 @@ def how_it_ended(
         of_motion = explained / max(explained + observed.nameless(low), 1e-300) if low else None
         of_curves = _share_of_curves(first, observed, curves, draws) if curves else None
     share = min((one for one in (of_motion, of_curves) if one is not None), default=None)
-    outcome = Outcome(search, final, share, _other_law(names, low, draws), *_spread(search, held, final, draws))
+    outcome = Outcome(search, final, share, _other_law(names, low, draws), *_spread(search, held, final))
     next_to_nothing = of_motion is not None and of_motion > 1.0 - SETTINGS.level
     unknown = None
     if (low and not next_to_nothing) or not outcome.adequate:
@@ -87,16 +87,10 @@ def _nameless(observed: Family[Fitted], members: Sequence[str], draws: Draws) ->
     return replace(unknown, sentence=" ".join([unknown.sentence, *doubts]), judged=draws.clean)
 
 
-def _spread(
-    search: Search[Fitted], held: Sequence[str], final: Fitted, draws: Draws
-) -> tuple[dict[str, str], dict[str, float]]:
+def _spread(search: Search[Fitted], held: Sequence[str], final: Fitted) -> tuple[dict[str, str], dict[str, float]]:
     """Words on how controls differ, and standard errors by the scatter of sizes over flights, controls and draws."""
-    words: dict[str, str] = {}
-    spread = dict(search.scatter)
+    words, spread = dict[str, str](), search.spread(final)
     for effect in (c.effect for c in search.joined):
-        for name, scatter in [*final.scatter(effect).items(), *draws.scatter(effect).items()]:
-            if name in final.names:
-                spread[name] = max(spread.get(name, 0.0), scatter)
         sizes = by_control(final, effect, held)
         if sizes is not None:
             errors = [e for e in (final.error(sizes.parameter), spread.get(sizes.parameter, 0.0)) if math.isfinite(e)]
