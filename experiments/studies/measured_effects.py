@@ -28,12 +28,12 @@ from recorded.tables import markdown, write_between
 from scipy.signal import butter, sosfiltfilt
 
 import rotorid_torch as rotorid
+from rotorid_torch.consistency.sensor_errors.correction import without_errors_of_flight
 from rotorid_torch.data import Dataset
 from rotorid_torch.model.accelerations import Accelerations
 from rotorid_torch.model.model import Model
 from rotorid_torch.run.result import Run
 from rotorid_torch.trace.balance import ROWS, balances, going_with, standing
-from rotorid_torch.trace.sensors.correction import without_errors_of_flight
 from rotorid_torch.validate.predictions import predictions
 from rotorid_torch.validate.responses import measured_states, responses
 

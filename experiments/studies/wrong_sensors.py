@@ -31,10 +31,10 @@ from recorded.tables import OUTCOMES, markdown, share, write_between
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 import rotorid_torch as rotorid
+from rotorid_torch.consistency.sensor_errors.clocks import sensor_findings
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.one_rate import at_one_rate
-from rotorid_torch.trace.sensors.clocks import sensor_findings
 
 ROOT = Path(__file__).parents[2]
 RATES, FORCES, BODY_AXES = ("p", "q", "r"), ("ax", "ay", "az"), ("x", "y", "z")

@@ -12,6 +12,10 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 Bias = Literal["free", "none"]
+Verdict = Literal["accepted", "rejected", "below floor", "suspected", "indistinguishable", "not testable"]
+"""What is said of one effect."""
+Kind = Literal["nothing undeclared", "undeclared", "group", "unknown", "structure"]
+"""What is said of a whole run."""
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,26 @@
-"""Statistics of records, and of estimates that leave out one part of the data in turn."""
+"""Statistics: quantiles for few data, jackknife, records without their straight lines."""
 
 from __future__ import annotations
 
+import math
+from statistics import NormalDist
 from typing import TypeVar
 
 import numpy as np
+from scipy.special import ndtr, stdtrit
 from torch import Tensor
 
 Values = TypeVar("Values", Tensor, np.ndarray)
+
+
+def normal_quantile(upper_tail: float) -> float:
+    """Normal deviate that is exceeded with this probability."""
+    return NormalDist().inv_cdf(1.0 - upper_tail)
+
+
+def student_quantile(normal: float, freedom: float) -> float:
+    """Student's t with so many degrees of freedom that is as improbable as this normal deviate, sign kept."""
+    return math.copysign(float(stdtrit(freedom, ndtr(-abs(normal)))), normal)
 
 
 def jackknife_variance(without_one: Values) -> Values:

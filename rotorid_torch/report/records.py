@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
+from rotorid_torch.core.names import Kind, Verdict
 from rotorid_torch.core.storage.atomic import restore
 from rotorid_torch.core.storage.files import read_file
 from rotorid_torch.data.refusal import convert
@@ -28,8 +29,6 @@ LARGEST = 64 * 2**20
 """Bytes of a report.json at most."""
 Status = Literal["free", "frozen", "nuisance", "not identifiable"]
 Role = Literal["undeclared", "structure", "learnt"]
-VerdictKind = Literal["nothing undeclared", "undeclared", "group", "unknown", "structure"]
-EffectVerdict = Literal["accepted", "rejected", "below floor", "suspected", "indistinguishable", "not testable"]
 LISTS = ("identify", "validate", "acid")
 
 
@@ -182,7 +181,7 @@ class EffectRecord(Record, frozen=True, kw_only=True):
 
     id: str
     role: Role
-    verdict: EffectVerdict
+    verdict: Verdict
     reason: str
     gain: Number = None
     floor: Number = None
@@ -195,7 +194,7 @@ class EffectRecord(Record, frozen=True, kw_only=True):
 class VerdictRecord(Record, frozen=True, kw_only=True):
     """The run's one statement about undeclared effects."""
 
-    kind: VerdictKind
+    kind: Kind
     effects: tuple[str, ...]
     sentence: str
 

@@ -19,6 +19,14 @@ from rotorid_torch.consistency.examination.band import RESPONSES
 from rotorid_torch.consistency.examination.finding import Finding, finding
 from rotorid_torch.consistency.examination.grade import AxisGrade, Grade, graded, head
 from rotorid_torch.consistency.examination.needs import examinable
+from rotorid_torch.consistency.sensor_errors.correction import without_errors
+from rotorid_torch.consistency.sensor_errors.equations import UNITS
+from rotorid_torch.consistency.sensor_errors.kinematic_findings import kinematic_findings
+from rotorid_torch.consistency.sensor_errors.normal_equations import Search
+from rotorid_torch.consistency.sensor_errors.pieces import pieces
+from rotorid_torch.consistency.sensor_errors.selection import turn_of
+from rotorid_torch.consistency.sensor_errors.sensor_finding import KinematicFinding
+from rotorid_torch.consistency.sensor_errors.weighted_fit import Setting
 from rotorid_torch.consistency.steps import steps, without_steps
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
@@ -31,14 +39,6 @@ from rotorid_torch.run.output.arguments import refuse_arguments
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
 from rotorid_torch.run.output.write import png
-from rotorid_torch.trace.sensors.correction import without_errors
-from rotorid_torch.trace.sensors.equations import UNITS
-from rotorid_torch.trace.sensors.kinematics import kinematic_findings
-from rotorid_torch.trace.sensors.normal_equations import Search
-from rotorid_torch.trace.sensors.pieces import pieces
-from rotorid_torch.trace.sensors.selection import turn_of
-from rotorid_torch.trace.sensors.sensor_finding import KinematicFinding
-from rotorid_torch.trace.sensors.weighted_fit import Setting
 
 GROSS = 300.0
 """Power of what no sensor error explains over that of the noise, above which errors of sensors are not searched for."""

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import msgspec
 
+from rotorid_torch.consistency.sensor_errors.clocks import sensor_findings
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.one_rate import at_one_rate
@@ -49,7 +50,6 @@ from rotorid_torch.trace.loop import Bare, Tracing, trace
 from rotorid_torch.trace.multirotor import trace_rotors
 from rotorid_torch.trace.network import Learnt, learn
 from rotorid_torch.trace.search.forward_selection import of_effects
-from rotorid_torch.trace.sensors.clocks import sensor_findings
 from rotorid_torch.trace.stochastic import TURBULENCE, stochastic_findings
 from rotorid_torch.trace.terms.finding import Finding
 from rotorid_torch.trace.terms.verdict import statement

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import msgspec
 
+from rotorid_torch.consistency.sensor_errors.sensor_finding import KinematicFinding
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.examples import example
 from rotorid_torch.effects.registry import registered
@@ -17,7 +18,6 @@ from rotorid_torch.trace.evidence.fits import Flights, refit
 from rotorid_torch.trace.measured.accelerations import MeasuredAccelerations
 from rotorid_torch.trace.search.requested import earned
 from rotorid_torch.trace.search.trajectories import Trajectories
-from rotorid_torch.trace.sensors.sensor_finding import KinematicFinding
 from rotorid_torch.trace.terms.eligible import untried
 from rotorid_torch.trace.terms.finding import Finding, Unknown
 

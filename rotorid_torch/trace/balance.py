@@ -15,6 +15,7 @@ from torch import Tensor
 
 from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.core.names import RATES, VELOCITIES
+from rotorid_torch.core.statistics import normal_quantile, student_quantile
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.families.mass import CentreOfGravity
@@ -24,7 +25,7 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.rotors import hover_thrust
 from rotorid_torch.trace.terms.finding import Finding, Unknown
-from rotorid_torch.trace.terms.significance import exceeds, normal_quantile, student_quantile
+from rotorid_torch.trace.terms.significance import exceeds
 
 AVERAGED_S = 1.0
 """Length of the means."""

@@ -14,12 +14,12 @@ import numpy as np
 
 from rotorid_torch.consistency.vibration import lines, spectrum
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
+from rotorid_torch.core.statistics import normal_quantile
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.families.environment import Turbulence, Vibration
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.terms.finding import Finding
-from rotorid_torch.trace.terms.significance import normal_quantile
 
 TURBULENCE, VIBRATION = Turbulence.id, Vibration.id
 FALSE_ALARMS = 1e-3

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from rotorid_torch.consistency.alignment import aligned, alignment, force_turn, right_angles, rotation, rotation_vector
 from rotorid_torch.consistency.examination.check import check
+from rotorid_torch.consistency.sensor_errors.kinematic_findings import kinematic_findings
 from rotorid_torch.data import Dataset
-from rotorid_torch.trace.sensors.kinematics import kinematic_findings
-from tests.trace.sensors.kinematic_cases import UNITS, motion, read
+from tests.consistency.sensor_errors.kinematic_cases import UNITS, motion, read
 
 TRUTH = motion(3, 4, seconds=20.0)
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0), "between": (0.5, -0.7, 0.51)}

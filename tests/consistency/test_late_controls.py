@@ -10,8 +10,8 @@ from scipy.ndimage import uniform_filter1d
 from rotorid_torch.consistency.examination.kinematics import precedence
 from rotorid_torch.consistency.late_controls import followed_sticks, late_controls
 from rotorid_torch.consistency.precedence import responses
+from rotorid_torch.consistency.sensor_errors.correction import without_errors
 from rotorid_torch.data import Dataset, load
-from rotorid_torch.trace.sensors.correction import without_errors
 from tests.helpers import shared
 
 DT, SAMPLES = 0.01, 1500

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rotorid_torch.consistency.sensor_errors.correction import without_errors
 from rotorid_torch.consistency.velocity_clock import velocity_clock
 from rotorid_torch.data import Dataset, load
-from rotorid_torch.trace.sensors.correction import without_errors
 from tests.helpers import shared
 
 DT, SAMPLES, GRAVITY = 0.01, 1500, 9.80665

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hidden.changed_records import Records, changed, smoothed
+from rotorid_torch.consistency.sensor_errors.correction import without_errors
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.flight import Flight
-from rotorid_torch.trace.sensors.correction import without_errors
 
 DELAY, LAG, WIDTH = 0.06, 0.08, 0.4  # s, s, width of the play over the mean rms of the controls' motion
 NORTH, EAST = -4.6, -3.9  # m/s

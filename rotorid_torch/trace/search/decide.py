@@ -9,12 +9,12 @@ from enum import Enum, auto
 
 from torch import Tensor
 
+from rotorid_torch.core.names import Verdict
+from rotorid_torch.core.statistics import normal_quantile
 from rotorid_torch.model.model import Model
 from rotorid_torch.trace.evidence.fits import FittedModel, FittedT
 from rotorid_torch.trace.evidence.screen import signatures
-from rotorid_torch.trace.terms.finding import Verdict
 from rotorid_torch.trace.terms.settings import SETTINGS
-from rotorid_torch.trace.terms.significance import normal_quantile
 
 
 class Reason(Enum):

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
 
-Verdict = Literal["accepted", "rejected", "below floor", "suspected", "indistinguishable", "not testable"]
-Kind = Literal["nothing undeclared", "undeclared", "group", "unknown", "structure"]
+from rotorid_torch.core.names import Verdict
 
 
 @dataclass(frozen=True)

@@ -1,25 +1,14 @@
-"""What is more than chance: quantiles of few data, residuals that mean nothing, whether unseen flights gain."""
+"""What is more than chance: residuals that mean nothing, whether unseen flights gain."""
 
 from __future__ import annotations
 
 import math
-from statistics import NormalDist
 
 import torch
-from scipy.special import ndtr, stdtrit
+from scipy.special import stdtrit
 from torch import Tensor
 
 from rotorid_torch.trace.terms.settings import SETTINGS
-
-
-def normal_quantile(upper_tail: float) -> float:
-    """Normal deviate that is exceeded with this probability."""
-    return NormalDist().inv_cdf(1.0 - upper_tail)
-
-
-def student_quantile(normal: float, freedom: float) -> float:
-    """Student's t with so many degrees of freedom that is as improbable as this normal deviate, sign kept."""
-    return math.copysign(float(stdtrit(freedom, ndtr(-abs(normal)))), normal)
 
 
 def exceeds(better: Tensor, confidence: float = SETTINGS.confidence) -> bool:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from rotorid_torch.trace.terms.finding import Finding, Kind, Unknown
+from rotorid_torch.core.names import Kind
+from rotorid_torch.trace.terms.finding import Finding, Unknown
 
 MOST = 3
 """Sizes of one effect in a sentence, those that are surest."""

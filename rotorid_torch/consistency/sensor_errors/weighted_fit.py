@@ -16,10 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotorid_torch.consistency.sensor_errors.equations import null, sides, undoing, unit_of, without_static_errors
+from rotorid_torch.consistency.sensor_errors.pieces import HIGHEST_HZ, Piece
 from rotorid_torch.core.names import POSITIONS, RATES, SPECIFIC_FORCES
 from rotorid_torch.effects.families.sensors import DAMPED, PERIOD, SMOOTHED
-from rotorid_torch.trace.sensors.equations import null, sides, undoing, unit_of, without_static_errors
-from rotorid_torch.trace.sensors.pieces import HIGHEST_HZ, Piece
 
 Array = np.ndarray
 Errors = Mapping[str, float]

@@ -8,13 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rotorid_torch.consistency.alignment import Alignment
-from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
+from rotorid_torch.consistency.sensor_errors import sensor_words
+from rotorid_torch.consistency.sensor_errors.equations import null
+from rotorid_torch.consistency.sensor_errors.normal_equations import Point, Search, limits
+from rotorid_torch.core.names import RATES, SPECIFIC_FORCES, Verdict
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.families.sensors import DAMPED, PERIOD, SMOOTHED
-from rotorid_torch.trace.sensors import sensor_words
-from rotorid_torch.trace.sensors.equations import null
-from rotorid_torch.trace.sensors.normal_equations import Point, Search, limits
-from rotorid_torch.trace.sensors.sensor_finding import Verdict
 
 MOST = 6
 """Errors that are accepted, at most."""

@@ -3,11 +3,11 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rotorid_torch.trace.sensors.equations import rotated
-from rotorid_torch.trace.sensors.normal_equations import Search
-from rotorid_torch.trace.sensors.pieces import pieces
-from rotorid_torch.trace.sensors.weighted_fit import Setting, residual, rows
-from tests.trace.sensors.kinematic_cases import data
+from rotorid_torch.consistency.sensor_errors.equations import rotated
+from rotorid_torch.consistency.sensor_errors.normal_equations import Search
+from rotorid_torch.consistency.sensor_errors.pieces import pieces
+from rotorid_torch.consistency.sensor_errors.weighted_fit import Setting, residual, rows
+from tests.consistency.sensor_errors.kinematic_cases import data
 
 SIZES = {
     "delay.rates": 0.013,

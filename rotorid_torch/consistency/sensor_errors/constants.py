@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotorid_torch.consistency.sensor_errors.normal_equations import Point
+from rotorid_torch.consistency.sensor_errors.sensor_finding import SensorParameter
 from rotorid_torch.core.names import unit
+from rotorid_torch.core.statistics import student_quantile
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.families.sensors import SensorBias
-from rotorid_torch.trace.sensors.normal_equations import Point
-from rotorid_torch.trace.sensors.sensor_finding import SensorParameter
-from rotorid_torch.trace.terms.significance import student_quantile
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,11 @@ import re
 import numpy as np
 import pytest
 
+from rotorid_torch.consistency.sensor_errors.correction import without_errors
+from rotorid_torch.consistency.sensor_errors.kinematic_findings import kinematic_findings
 from rotorid_torch.data.dataset import load
-from rotorid_torch.trace.sensors.correction import without_errors
-from rotorid_torch.trace.sensors.kinematics import kinematic_findings
+from tests.consistency.sensor_errors.kinematic_cases import data
 from tests.helpers import shared
-from tests.trace.sensors.kinematic_cases import data
 
 INJECTED = {
     "delay.attitude": 0.06,

@@ -8,9 +8,9 @@ from functools import cache
 
 import numpy as np
 
+from rotorid_torch.consistency.sensor_errors.equations import EQUATIONS, undoing, unit_of, usable
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
-from rotorid_torch.trace.sensors.equations import EQUATIONS, undoing, unit_of, usable
 
 Array = np.ndarray
 

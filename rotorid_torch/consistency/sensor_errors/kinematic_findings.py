@@ -12,19 +12,19 @@ from dataclasses import replace
 import numpy as np
 
 from rotorid_torch.consistency.alignment import EVERY_S, alignment
+from rotorid_torch.consistency.sensor_errors import sensor_words
+from rotorid_torch.consistency.sensor_errors.constants import Constant, constants
+from rotorid_torch.consistency.sensor_errors.correction import without_errors
+from rotorid_torch.consistency.sensor_errors.equations import UNITS, unit_of
+from rotorid_torch.consistency.sensor_errors.normal_equations import Point, Search
+from rotorid_torch.consistency.sensor_errors.pieces import HIGHEST_HZ, Piece, pieces
+from rotorid_torch.consistency.sensor_errors.selection import GRAVITY_RANGE, Case, kind_of, least, select, spread
+from rotorid_torch.consistency.sensor_errors.sensor_finding import KinematicFinding, KinematicFindings, SensorParameter
+from rotorid_torch.consistency.sensor_errors.weighted_fit import DRIFTING, Setting
 from rotorid_torch.core.names import RATES
+from rotorid_torch.core.statistics import normal_quantile
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.families.sensors import DAMPED, FILTER_ENDINGS, SMOOTHED, SensorDelay
-from rotorid_torch.trace.sensors import sensor_words
-from rotorid_torch.trace.sensors.constants import Constant, constants
-from rotorid_torch.trace.sensors.correction import without_errors
-from rotorid_torch.trace.sensors.equations import UNITS, unit_of
-from rotorid_torch.trace.sensors.normal_equations import Point, Search
-from rotorid_torch.trace.sensors.pieces import HIGHEST_HZ, Piece, pieces
-from rotorid_torch.trace.sensors.selection import GRAVITY_RANGE, Case, kind_of, least, select, spread
-from rotorid_torch.trace.sensors.sensor_finding import KinematicFinding, KinematicFindings, SensorParameter
-from rotorid_torch.trace.sensors.weighted_fit import DRIFTING, Setting
-from rotorid_torch.trace.terms.significance import normal_quantile
 
 FALSE_ALARMS = 0.005
 """Share of data sets without sensor errors in which chance alone may name one, over all candidates together."""

@@ -9,6 +9,8 @@ from types import MappingProxyType
 import numpy as np
 import torch
 
+from rotorid_torch.consistency.sensor_errors.equations import undoing, unit_of, without_static_errors
+from rotorid_torch.consistency.sensor_errors.pieces import advanced
 from rotorid_torch.consistency.sensor_pairs import kernel
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES, is_control
 from rotorid_torch.data.dataset import Dataset
@@ -16,8 +18,6 @@ from rotorid_torch.data.facts import Facts
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.data.schema import ChannelSpec
-from rotorid_torch.trace.sensors.equations import undoing, unit_of, without_static_errors
-from rotorid_torch.trace.sensors.pieces import advanced
 
 Array = np.ndarray
 

@@ -6,11 +6,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from rotorid_torch.consistency.sensor_errors.equations import usable
+from rotorid_torch.consistency.sensor_errors.sensor_finding import SensorParameter
 from rotorid_torch.core import names
+from rotorid_torch.core.names import Verdict
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.families.sensors import DAMPED, PERIOD, SMOOTHED
-from rotorid_torch.trace.sensors.equations import usable
-from rotorid_torch.trace.sensors.sensor_finding import SensorParameter, Verdict
 
 
 def unit(kind: str, member: str) -> str:

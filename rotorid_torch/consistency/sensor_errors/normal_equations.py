@@ -7,12 +7,20 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from rotorid_torch.consistency.sensor_errors.equations import null
+from rotorid_torch.consistency.sensor_errors.pieces import REACH_S, Piece
+from rotorid_torch.consistency.sensor_errors.weighted_fit import (
+    BANDS_HZ,
+    Errors,
+    Levels,
+    Rows,
+    Setting,
+    constant_columns,
+    rows,
+)
 from rotorid_torch.core.names import RATES, VELOCITIES
 from rotorid_torch.effects.base import Effect
 from rotorid_torch.effects.families.sensors import FILTER_ENDINGS, LeverArm, Misalignment, SensorFilter, SensorScale
-from rotorid_torch.trace.sensors.equations import null
-from rotorid_torch.trace.sensors.pieces import REACH_S, Piece
-from rotorid_torch.trace.sensors.weighted_fit import BANDS_HZ, Errors, Levels, Rows, Setting, constant_columns, rows
 
 Array = np.ndarray
 

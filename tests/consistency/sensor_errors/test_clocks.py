@@ -7,15 +7,15 @@ import pytest
 import torch
 
 import rotorid_torch as rotorid
+from rotorid_torch.consistency.sensor_errors.clocks import sensor_findings
+from rotorid_torch.consistency.sensor_errors.correction import without_errors
 from rotorid_torch.consistency.velocity_clock import VelocityClock
 from rotorid_torch.data import Dataset, load
 from rotorid_torch.effects.base import Values
 from rotorid_torch.effects.families.sensors import SensorDelay
-from rotorid_torch.trace.sensors.clocks import sensor_findings
-from rotorid_torch.trace.sensors.correction import without_errors
+from tests.consistency.sensor_errors.kinematic_cases import data
 from tests.helpers import shared
 from tests.known_models import flown, manoeuvres, rate_vehicle
-from tests.trace.sensors.kinematic_cases import data
 
 DT = 0.02
 
@@ -57,7 +57,7 @@ def test_other_clocks_keep_their_verdict() -> None:
 
 def test_a_certain_clock_is_not_lost_in_the_group_of_an_uncertain_one(monkeypatch: pytest.MonkeyPatch) -> None:
     moved = VelocityClock(0.14, 0.01, (0.1, 0.1), (0.02, 0.02), (0.5, 0.6, 0.7, 0.8))
-    monkeypatch.setattr("rotorid_torch.trace.sensors.clocks.velocity_clock", lambda dataset: moved)
+    monkeypatch.setattr("rotorid_torch.consistency.sensor_errors.clocks.velocity_clock", lambda dataset: moved)
     alone = sensor_findings(aircraft(0.0))["sensors.delay"]
     assert (alone.verdict, alone.group) == ("indistinguishable", ("forces.drag",))
     both = sensor_findings(aircraft(0.1))["sensors.delay"]

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from rotorid_torch.trace.sensors.correction import without_errors
-from rotorid_torch.trace.sensors.kinematics import kinematic_findings
-from tests.trace.sensors.kinematic_cases import data
+from rotorid_torch.consistency.sensor_errors.correction import without_errors
+from rotorid_torch.consistency.sensor_errors.kinematic_findings import kinematic_findings
+from tests.consistency.sensor_errors.kinematic_cases import data
 
 INNER = slice(30, -30)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from rotorid_torch.consistency.sensor_errors.correction import without_errors
+from rotorid_torch.core.names import Verdict
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.trace.sensors.correction import without_errors
-from rotorid_torch.trace.terms.finding import Verdict
 
 
 @dataclass(frozen=True)
