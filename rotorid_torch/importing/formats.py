@@ -15,7 +15,7 @@ from rotorid_torch.importing.signals.plan import Plan
 from rotorid_torch.importing.signals.streams import Choose, Log
 from rotorid_torch.importing.tables import sidpac
 from rotorid_torch.importing.tables.arrays import read_matlab, read_npz, read_parquet
-from rotorid_torch.importing.tables.columns import own_entries
+from rotorid_torch.importing.tables.columns import own_entries, own_plan
 from rotorid_torch.importing.tables.csv import read_csv
 
 FLIGHT_LOGS: Mapping[str, Callable[[Path, Choose], Log]] = {
@@ -79,4 +79,4 @@ def built_in_plan(log: Log) -> Plan:
         return sidpac.plan(log)
     if log.system == blackbox.SYSTEM:
         return blackbox.plan(log)
-    return Plan("", own_entries(log.fields))
+    return own_plan(log)

@@ -1,18 +1,24 @@
 """The built-in map of Betaflight's and Rotorflight's blackbox, as CSV of the decoder or of the Blackbox Explorer.
 
-Betaflight's axes are x forward, y left, z up; its gyros are logged in deg/s.
+Betaflight's axes are x forward, y left, z up. A unit in a name (by the decoder's options) is believed.
+Without one its gyros are in deg/s, those of older firmware in counts of the header's scale.
 
-Source: Betaflight, src/main/blackbox/blackbox.c (fields and header); Rotorflight, Blackbox Explorer.
+Source: Betaflight, src/main/blackbox/blackbox.c (fields and header); blackbox-tools, `blackbox_decode --help` (units);
+Rotorflight, Blackbox Explorer.
 """
 
 from __future__ import annotations
 
+import math
 import re
+import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
+from rotorid_torch.importing.signals import units
 from rotorid_torch.importing.signals.mapping import Clock, Entry
 from rotorid_torch.importing.signals.outputs import DSHOT_RAW, PULSE, OutputRange, range_of
 from rotorid_torch.importing.signals.plan import Chosen, Plan, merged, moving
@@ -25,6 +31,8 @@ OF_A_BLACKBOX = ("motor[0]", "servo[0]", "mixer[0]", "setpoint[0]", "rcCommand[0
 """Fields of which a blackbox has one beside its gyros."""
 ACC_1G, POLES = 2048.0, 14.0
 """What the header says unless it says otherwise: counts of an accelerometer at 1 g, magnets of a motor."""
+TENTHS, NEWER = (3, 1), (4, 0)
+"""Firmware from which the battery is logged in 0.1 V, in 0.01 V."""
 STICK = 1000.0
 """Full travel of what Rotorflight's mixer is asked."""
 CONTROLS = {"lat": ("mixer[0]", 1), "lon": ("mixer[1]", -1), "ped": ("mixer[2]", -1), "col": ("mixer[3]", 1)}
@@ -41,7 +49,8 @@ def is_blackbox(names: Sequence[str]) -> bool:
 
 def clock(names: Sequence[str]) -> Clock:
     """The clock of a blackbox, in us."""
-    return Clock(next(name for name in names if _bare(name) == "time"), "us")
+    name = next(name for name in names if _bare(name) == "time")
+    return Clock(name, "s" if _unit(name) == "s" else "us")
 
 
 def settings(rows: Iterable[Sequence[str]]) -> dict[str, float]:
@@ -53,8 +62,9 @@ def settings(rows: Iterable[Sequence[str]]) -> dict[str, float]:
         fields = [part for field in row[1:] for part in field.split(",")]
         for index, part in enumerate(fields):
             try:
-                number = float(part)
-            except ValueError:
+                bits = part.strip().lower()
+                number = struct.unpack(">f", bytes.fromhex(bits[2:]))[0] if bits.startswith("0x") else float(part)
+            except (ValueError, struct.error):
                 continue
             numbers[f"{row[0]}[{index}]" if len(fields) > 1 else row[0]] = number
     return numbers
@@ -72,7 +82,7 @@ def plan(log: Log) -> Plan:
     """Channels of a blackbox. Raises InputError where the motors' outputs have an unknown range."""
     columns = log.streams["", 0].columns
     full_names = {_bare(name): name for name in columns}
-    chosen = [_sensors(log, full_names), _voltage(full_names)]
+    chosen = [_sensors(log, full_names), _voltage(log, full_names)]
     if "headspeed" in full_names or any("rotorflight" in str(key).lower() for key in (log.about, *log.parameters)):
         speed = Chosen({"omega": Entry(full_names["headspeed"], "rpm")}) if "headspeed" in full_names else Chosen()
         return merged("helicopter", [*chosen, _sticks(full_names, columns), speed], ["a helicopter: Rotorflight"])
@@ -86,21 +96,48 @@ def _bare(name: str) -> str:
     return match[1] if match else name
 
 
+def _unit(name: str) -> str:
+    """`gyroADC[0] (deg/s)` as deg/s; empty without a known unit in brackets."""
+    match = _NAME.fullmatch(name)
+    unit = match[2] if match and match[2] else ""
+    return unit if units.find_unit(unit) or units.clock_unit(unit) else ""
+
+
+def _entry(name: str, sign: Literal[1, -1], unit: str, scale: float = 1.0) -> Entry:
+    """Entry of a field in the unit of its name; without one in `unit`, so many of it for a count."""
+    return Entry(name, _unit(name), sign) if _unit(name) else Entry(name, unit, sign, scale)
+
+
+def _gyro_scale(settings: Mapping[str, float]) -> float:
+    """Deg/s of one count of a gyro: the Explorer writes the header's scale in rad/us, the header itself its bits."""
+    if "gyroScale" in settings:
+        return math.degrees(settings["gyroScale"] * 1e6)
+    return settings.get("gyro_scale", settings.get("gyro.scale", 1.0))
+
+
 def _sensors(log: Log, full_names: Mapping[str, str]) -> Chosen:
     entries: dict[str, Entry] = {}
     gyro = GYROS if f"{GYROS}[0]" in full_names else OLDER[GYROS]
-    for i, (rate, force) in enumerate((("p", "ax"), ("q", "ay"), ("r", "az"))):
+    axes: tuple[tuple[str, str, Literal[1, -1]], ...] = (("p", "ax", 1), ("q", "ay", -1), ("r", "az", -1))
+    for i, (rate, force, sign) in enumerate(axes):
         if f"{gyro}[{i}]" in full_names:
-            entries[rate] = Entry(full_names[f"{gyro}[{i}]"], "deg/s", 1 if i == 0 else -1)
+            entries[rate] = _entry(full_names[f"{gyro}[{i}]"], sign, "deg/s", _gyro_scale(log.parameters))
         if f"{FORCES}[{i}]" in full_names:
             scale = 1.0 / log.parameters.get("acc_1G", ACC_1G)
-            entries[force] = Entry(full_names[f"{FORCES}[{i}]"], "g", 1 if i == 0 else -1, scale)
+            entries[force] = _entry(full_names[f"{FORCES}[{i}]"], sign, "g", scale)
     return Chosen(entries)
 
 
-def _voltage(full_names: Mapping[str, str]) -> Chosen:
+def _voltage(log: Log, full_names: Mapping[str, str]) -> Chosen:
+    """Voltage of the battery; without a unit in 0.01 V, in 0.1 V by firmware before 4.0, none before 3.1."""
     name = next((name for bare, name in full_names.items() if bare.lower() in ("vbatlatest", "vbat")), "")
-    return Chosen({"voltage": Entry(name, "V", 1, 1.0 if "(V)" in name else 0.01)}) if name else Chosen()
+    if not name:
+        return Chosen()
+    version = re.search(r"firmware\D*(\d+)\.(\d+)", log.about, re.IGNORECASE)
+    recorded = (int(version[1]), int(version[2])) if version else NEWER
+    if recorded < TENTHS and not _unit(name):
+        return Chosen(missing=f"voltage ({name}: firmware before 3.1 logs counts of its converter)")
+    return Chosen({"voltage": _entry(name, 1, "V", 0.01 if recorded >= NEWER else 0.1)})
 
 
 def _sticks(full_names: Mapping[str, str], columns: Mapping[str, np.ndarray]) -> Chosen:

@@ -17,7 +17,7 @@ Choose = Callable[[str, Sequence[str]], Sequence[str]]
 """Called by a reader once per topic with all its fields; gives those to keep, so that the rest costs no memory."""
 
 _INSTANCE = re.compile(r"([^.\[\]]+)\[(\d{1,3})\]\.(.+)", re.DOTALL)
-_UNIT_IN_HEADER = re.compile(r"\s*([A-Za-z][\w.]*)\s*[\[(]\s*([^\])]*?)\s*[\])]\s*")
+_UNIT_IN_HEADER = re.compile(r"\s*([A-Za-z][\w.]*)\s*(?:[\[({<]\s*([^\])}>]*?)\s*[\])}>]|[,/]\s*\(?([^()]+?)\)?)\s*")
 TOLD = 8
 """Names that a message lists at most."""
 
@@ -113,10 +113,10 @@ def joined(topic: str, name: str) -> str:
 
 
 def header_name(column: str) -> tuple[str, str]:
-    """`p [deg/s]` as p and deg/s; without a unit in brackets the column itself and no unit."""
+    """`p [deg/s]`, `p, deg/s` and `p / (deg/s)` as p and deg/s; without a known unit the column itself and no unit."""
     match = _UNIT_IN_HEADER.fullmatch(column)
-    is_unit = match is not None and bool(units.find_unit(match[2]) or units.clock_unit(match[2]))
-    return (match[1], match[2]) if match and is_unit else (column.strip(), "")
+    unit = (match[2] or match[3] or "") if match else ""
+    return (match[1], unit) if match and (units.find_unit(unit) or units.clock_unit(unit)) else (column.strip(), "")
 
 
 def without_instance(text: str) -> tuple[str, int]:

@@ -64,21 +64,32 @@ UNITS: dict[str, Unit] = {
 
 SPELLINGS = (
     *(("degrees", "deg"), ("degree", "deg"), ("radians", "rad"), ("radian", "rad"), ("°", "deg"), ("/sec", "/s")),
-    *(("**2", "²"), ("^2", "²"), ("/s2", "/s²"), ("/s/s", "/s²"), ("µs", "us")),
+    *(("**2", "²"), ("^2", "²"), ("/s2", "/s²"), ("/s/s", "/s²"), ("µs", "us"), ("percent", "%"), ("pct", "%")),
 )
 """What people write, and the same as the table has it."""
+WHOLE = {
+    **{"kts": "kt", "knot": "kt", "g's": "g", "gs": "g", "volts": "V", "volt": "V", "feet": "ft", "meters": "m"},
+    **{"dps": "deg/s", "degps": "deg/s", "deg_s": "deg/s", "radps": "rad/s", "rad_s": "rad/s"},
+    **{"mps": "m/s", "m_s": "m/s", "fps": "ft/s", "ft_s": "ft/s", "mps2": "m/s²", "m_s2": "m/s²", "fps2": "ft/s²"},
+    **{"degps2": "deg/s²", "deg_s2": "deg/s²", "radps2": "rad/s²", "rad_s2": "rad/s²"},
+}
+"""Units that are spelt as one word, in small letters."""
 
 
 def find_unit(name: str) -> Unit | None:
-    """Unit of this name, also written with ^2 or a plain 2; None where the table has none."""
+    """Unit of this name, also written with ^2 or a plain 2, or in capitals; None where the table has none."""
+    name = name.strip()
+    name = WHOLE.get(name.lower(), name)
     for typed, meant in SPELLINGS:
         name = name.replace(typed, meant)
-    return UNITS.get(name.strip())
+    return UNITS.get(name) or (find_unit(name.lower()) if name != name.lower() else None)
 
 
 def clock_unit(name: str) -> float | None:
     """Seconds of one unit of a clock; None where it is none."""
-    return {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}.get(name)
+    return {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}.get(
+        name.strip().lower()
+    )
 
 
 def names_of(measures: str) -> list[str]:

@@ -6,11 +6,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from msgspec import structs
 
 from rotorid_torch.core import names
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing.signals import units
-from rotorid_torch.importing.signals.mapping import Clock, Entry
+from rotorid_torch.importing.signals.mapping import Clock, Entry, measures
+from rotorid_torch.importing.signals.plan import Plan
 from rotorid_torch.importing.signals.streams import TOLD, Log, Stream, header_name, joined
 
 CLOCKS = {
@@ -76,14 +78,47 @@ def _refuse_other_unit(file: Path, name: str, stamps: np.ndarray) -> None:
         raise InputError(file, name, wrong, f'time in s, or a map with time = {{ field = "{name}", unit = "us" }}')
 
 
+def own_plan(log: Log) -> Plan:
+    """Plan of a table by its names, with what was left and why."""
+    entries = own_entries(log.fields)
+    used = {entry.field for entry in entries.values()}
+    listed = [joined(t, c) for t, columns in log.fields.items() for c in columns if not is_clock(t, c, None)]
+    left = [place for place in listed if place not in used]
+    more = f" and {len(left) - TOLD} more" if len(left) > TOLD else ""
+    notes = [f"left out, for no channel has such a name and unit: {', '.join(left[:TOLD])}{more}"] if left else []
+    if "latitude" in entries:
+        place = f"{entries['latitude'].field} and {entries['longitude'].field}"
+        notes.append(f"{place} are latitude and longitude in degrees, for motors are the controls")
+    return Plan("", entries, tuple(notes))
+
+
 def own_entries(fields: Mapping[str, Sequence[str]]) -> dict[str, Entry]:
-    """Map of a table whose columns are named as our channels are, `p` or `p [deg/s]`."""
+    """Map of a table whose columns are named as our channels are: `p`, `p [deg/s]`, `p_deg`, or all in capitals.
+
+    `lat` and `lon` beside motors, and without the controls of a helicopter, are a place on the globe.
+    """
     entries: dict[str, Entry] = {}
     for topic, columns in fields.items():
+        capitals = all(header_name(column)[0].isupper() for column in columns)
         for column in columns:
-            name, unit = header_name(column)
-            if column in DATA and names.channel(topic.rpartition(".")[2]) is not None:
-                name = topic.rpartition(".")[2]
+            name, unit = _channel(topic, column, capitals)
             if names.channel(name) is not None and name != "time" and name not in entries:
                 entries[name] = Entry(joined(topic, column), unit)
+    if {"lat", "lon"} <= entries.keys() and any(map(names.is_motor, entries)) and not {"col", "ped"} & entries.keys():
+        for stick, name in (("lat", "latitude"), ("lon", "longitude")):
+            entries[name] = structs.replace(entries.pop(stick), unit="deg")
     return entries
+
+
+def _channel(topic: str, column: str, capitals: bool) -> tuple[str, str]:
+    """Name and unit of a column; the name is no channel's where its unit measures something else."""
+    name, unit = header_name(column)
+    if name in DATA and names.channel(topic.rpartition(".")[2]) is not None:
+        return topic.rpartition(".")[2], unit
+    name = name.lower() if capitals else name
+    stem, _, tail = name.partition("_")
+    measure = units.find_unit(tail)
+    if names.channel(stem) is not None and measure is not None:
+        fits = measure.measures == measures(stem) or (stem in names.STICKS and measure.measures in ("rad", "m", "norm"))
+        return (stem, tail) if fits else (column, "")
+    return name, unit

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
@@ -16,10 +18,12 @@ from rotorid_torch.importing.autopilots import blackbox
 from rotorid_torch.importing.signals.mapping import Clock, Form
 from rotorid_torch.importing.signals.streams import Choose, Log
 from rotorid_torch.importing.tables.columns import is_clock, table_log
-from rotorid_torch.importing.tables.header import MISSING, Header, find_header, is_number
+from rotorid_torch.importing.tables.header import MISSING, Header, find_header, is_number, numeric
 
 BLOCK = 4 * 2**20
 """Bytes read at a time; also the longest line."""
+CONTROLS = frozenset({*range(32), *range(0x7F, 0xA0)} - {*b"\t\n\r\f"})
+"""Bytes that are no text in Latin-1."""
 
 
 def read_csv(
@@ -56,7 +60,7 @@ def _lines(file: Path, size: int) -> Iterator[tuple[int, list[str]]]:
     """Whole lines by blocks, each with the number of its first line."""
     number, remainder = 1, b""
     with open_file(file, "a log") as stream:
-        while data := stream.read(size):
+        for data in _in_utf8(file, stream, size):
             whole, _, remainder = (remainder + data).rpartition(b"\n")
             if not whole and len(remainder) > size:
                 raise InputError(file, f"line {number}", f"has over {size} bytes", "a row of numbers")
@@ -67,10 +71,25 @@ def _lines(file: Path, size: int) -> Iterator[tuple[int, list[str]]]:
         yield number, [_text(file, remainder)]
 
 
+def _in_utf8(file: Path, stream: BinaryIO, size: int) -> Iterator[bytes]:
+    """Bytes of a file by blocks; text in UTF-16, which its first two bytes tell, in UTF-8."""
+    wide = stream.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+    stream.seek(0)
+    decoder = codecs.getincrementaldecoder("utf-16")()
+    try:
+        while data := stream.read(size):
+            yield decoder.decode(data).encode() if wide else data
+    except UnicodeError as error:
+        raise InputError(file, "", f"is not text in UTF-16 ({error})", "CSV with a header row") from None
+
+
 def _text(file: Path, data: bytes) -> str:
+    """Text in UTF-8, or, where it is none and has no byte that stands for no letter, in Latin-1."""
     try:
         return data.decode("utf-8-sig").replace("\r", "")
     except UnicodeDecodeError as error:
+        if not CONTROLS.intersection(data):
+            return data.decode("latin-1").replace("\r", "")
         raise InputError(file, "", f"is not text in UTF-8 ({error.reason})", "CSV with a header row") from None
 
 
@@ -96,8 +115,8 @@ class _Table:
             return
         if self.cut:
             raise self._other_count(self.cut)
-        if self.mark == ";" and any("," in line for line in lines):
-            lines = [line.replace(",", ".") for line in lines]
+        if any("D" in line or "d" in line or (self.mark != "," and "," in line) for line in lines):
+            lines = [line if line.startswith('"') else numeric(line, self.mark) for line in lines]
         try:
             if self.mark and any(line.count(self.mark) != self.marks and '"' not in line for line in lines if line):
                 raise ValueError("another number of fields")

@@ -17,7 +17,8 @@ NUMERIC_ROWS = 2
 """Rows of numbers, with as many fields, that make the beginning of a table."""
 LOOKED_AT = 2000
 """Lines among which a table must begin."""
-_WORD = re.compile(r"[^\s\[(]+(?:\s*[\[(][^\])]*[\])])?|[\[(][^\])]*[\])]")
+_WORD = re.compile(r"[^\s\[({]+(?:\s*[\[({][^\])}]*[\])}])?|[\[({][^\])}]*[\])}]")
+_FORTRAN = re.compile(r"(\d\.?)[Dd](?=[+-]?\d)")
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,13 @@ def split(line: str, mark: str | None) -> list[str]:
         return [field.strip() for field in next(csv.reader([line], delimiter=mark), [])]
     except csv.Error:
         return line.split(mark)
+
+
+def numeric(line: str, mark: str | None) -> str:
+    """A row with points for decimal commas and `e` for the exponents of Fortran (1.0D+00)."""
+    if mark != "," and "," in line:
+        line = line.replace(",", ".")
+    return _FORTRAN.sub(r"\1e", line) if "D" in line or "d" in line else line
 
 
 def is_number(field: str) -> bool:
@@ -61,7 +69,7 @@ def find_header(lines: Sequence[str], columns: Sequence[str] = ()) -> Header | N
     mark = _mark(head)
     names = split(head, mark)
     after = filled[1] if len(filled) > 1 else len(lines)
-    start = _first_row(lines, filled)
+    start = _first_row(lines, filled) or _first_row(lines, filled, texts=True)
     if start is None or (not columns and _plain(names, start)):
         if columns:
             return Header(mark, names, filled[0], [])
@@ -85,6 +93,10 @@ def _bare(line: str) -> str:
 
 
 def _mark(line: str) -> str | None:
+    """What separates the fields of a line; None for blanks. Between numbers a comma may be that of decimals."""
+    decimals = (mark for mark in ";\t" if mark in line and "," in line)
+    if of_numbers := next((mark for mark in decimals if _numbers(line, mark)), None):
+        return of_numbers
     mark = max(MARKS, key=line.count)
     return mark if mark in line else None
 
@@ -95,25 +107,27 @@ def _plain(names: Sequence[str], start: tuple[int, str | None, int]) -> bool:
     return words and len(names) == start[2] and (len(names) > 2 or start[0] == 1)
 
 
-def _first_row(lines: Sequence[str], filled: Sequence[int]) -> tuple[int, str | None, int] | None:
-    """Place among the kept lines of the first row of numbers, its mark and its number of fields."""
+def _first_row(lines: Sequence[str], filled: Sequence[int], texts: bool = False) -> tuple[int, str | None, int] | None:
+    """Place among the kept lines of the first row of numbers, its mark and its number of fields.
+
+    `texts`: the row may hold words too (a flight mode), after a number and in less than half of its fields.
+    """
     for at, index in enumerate(filled):
         mark = _mark(lines[index])
-        count = _numbers(lines[index], mark)
+        count = _numbers(lines[index], mark, texts)
         following = filled[at + 1 : at + NUMERIC_ROWS]
-        if count and following and all(_numbers(lines[i], mark) == count for i in following):
+        if count and following and all(_numbers(lines[i], mark, texts) == count for i in following):
             return at, mark, count
     return None
 
 
-def _numbers(line: str, mark: str | None) -> int:
+def _numbers(line: str, mark: str | None, texts: bool = False) -> int:
     """Number of fields of a row of numbers, two at least; 0 where the line is none."""
-    fields = split(line.strip(), mark)
-    if mark == ";":
-        fields = [field.replace(",", ".") for field in fields]
+    fields = split(numeric(line.strip(), mark), mark)
     present = [field for field in fields if field.lower() not in MISSING]
-    whole = len(fields) > 1 and len(present) > 0 and all(map(is_number, present))
-    return len(fields) if whole else 0
+    words = sum(not is_number(field) for field in present)
+    most = len(present) / 2 if texts and present and is_number(present[0]) else 0.5
+    return len(fields) if len(fields) > 1 and present and words < most else 0
 
 
 def _with_units(names: Sequence[str], row: Sequence[str]) -> tuple[list[str], bool]:

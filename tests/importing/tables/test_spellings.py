@@ -1,0 +1,140 @@
+"""Tables as other programs write them: units in the names, encodings, decimal commas, exponents, columns of words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rotorid_torch as rotorid
+from tests.importing.tables.test_columns import KNOWN, TIME, channels, near
+
+ANGULAR = ("p", "q", "r", "phi", "theta", "psi")
+MOTORS = [f"motor{i}" for i in range(1, 5)]
+
+
+def plain(degrees: bool = False) -> dict[str, np.ndarray]:
+    return {
+        "time": TIME,
+        **{name: np.degrees(KNOWN[name]) if degrees else KNOWN[name] for name in ANGULAR},
+        **{name: KNOWN[name] for name in MOTORS},
+    }
+
+
+def text(columns: dict[str, object], mark: str = ",", before: str = "", header: str = "") -> str:
+    rows = [[v[i] if isinstance(v[i], str) else f"{v[i]:.9g}" for v in columns.values()] for i in range(len(TIME))]
+    return before + "\n".join([header or mark.join(columns), *(mark.join(row) for row in rows)]) + "\n"
+
+
+NAMES = [*ANGULAR, *MOTORS]
+UNITS = {
+    "capitals": ["TIME (sec)", "P (deg/sec)", "Q (deg/sec)", "R (DEG/S)", "PHI (deg)", "THETA (deg)", "PSI (deg)"],
+    "commas": ['"time, s"', '"p, deg/s"', '"q, deg/s"', '"r, deg/s"', '"phi, deg"', '"theta, deg"', '"psi, deg"'],
+    "strokes": ["time / s", "p / (deg/s)", "q / (deg/s)", "r / (deg/s)", "phi / deg", "theta / deg", "psi / deg"],
+    "braces": ["time {s}", "p {deg/s}", "q {deg/s}", "r {deg/s}", "phi {deg}", "theta {deg}", "psi {deg}"],
+    "in the name": ["time_s", "p_degps", "q_deg_s", "r_dps", "phi_deg", "theta_deg", "psi_deg"],
+    "short": ["t [sec]", "p [dps]", "q [dps]", "r [dps]", "phi [deg]", "theta [deg]", "psi [deg]"],
+}
+
+
+@pytest.mark.parametrize("form", UNITS)
+def test_units_are_believed_however_they_are_written(form: str, tmp_path: Path):
+    motors = [name.upper() if form == "capitals" else name for name in MOTORS]
+    (tmp_path / "t.csv").write_text(text(plain(degrees=True), header=",".join([*UNITS[form], *motors])))
+    assert near(channels(tmp_path / "t.csv", tmp_path), 1e-4, " ".join(NAMES))
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be", "latin-1"])
+def test_encodings_of_spreadsheets(encoding: str, tmp_path: Path):
+    units = ["time", "p [°/s]", "q [°/s]", "r [°/s]", "phi [°]", "theta [°]", "psi [°]", *MOTORS]
+    before = b"\xfe\xff" if encoding == "utf-16-be" else b""
+    content = text(plain(degrees=True), "\t", header="\t".join(units))
+    (tmp_path / "t.txt").write_bytes(before + content.encode(encoding))
+    assert near(channels(tmp_path / "t.txt", tmp_path), 1e-4, " ".join(NAMES))
+
+
+@pytest.mark.parametrize("mark", ["\t", ";"])
+@pytest.mark.parametrize("before", ["", "Flight;7\nof May\n\n"])
+def test_decimal_commas(mark: str, before: str, tmp_path: Path):
+    (tmp_path / "t.txt").write_text(text(plain(), mark, before).replace(".", ","))
+    assert near(channels(tmp_path / "t.txt", tmp_path), 1e-4, " ".join(NAMES))
+
+
+@pytest.mark.parametrize("letter", ["D", "d"])
+def test_exponents_of_fortran(letter: str, tmp_path: Path):
+    rows = [" ".join(f"{v[i]:16.9E}".replace("E", letter) for v in plain().values()) for i in range(len(TIME))]
+    (tmp_path / "t.asc").write_text("\n".join([" ".join(plain()), *rows]) + "\n")
+    assert near(channels(tmp_path / "t.asc", tmp_path), 1e-4, " ".join(NAMES))
+
+
+@pytest.mark.parametrize("before", ["", "Flight 7\nDate,2026-01-01\n\n", '"gains","40,30,23"\n"rate","100"\n'])
+def test_columns_of_words_beside_the_numbers(before: str, tmp_path: Path):
+    (tmp_path / "t.csv").write_text(text(plain() | {"mode": ["HOVER"] * len(TIME)}, before=before))
+    assert near(channels(tmp_path / "t.csv", tmp_path), 1e-4, " ".join(NAMES))
+
+
+def test_columns_that_are_no_channels_are_told(tmp_path: Path):
+    names = [{"p": "rollrate", "q": "q [furlong]", "phi": "phi_m"}.get(name, name) for name in plain()]
+    (tmp_path / "t.csv").write_text(text(plain(), header=",".join(names)))
+    done = rotorid.import_log(tmp_path / "t.csv", tmp_path / "set")
+    (told,) = done.warnings
+    assert told.endswith("left out, for no channel has such a name and unit: rollrate, q [furlong], phi_m")
+
+
+def test_latitude_and_longitude_are_no_sticks(tmp_path: Path):
+    place = {"time": TIME, "lat": 0.8 + 1e-5 * TIME, "lon": 0.1 + 1e-6 * TIME}
+    (tmp_path / "t.csv").write_text(text(place | plain()))
+    found = channels(tmp_path / "t.csv", tmp_path)
+    assert {"north", "east"} <= found.keys()
+    assert found.keys().isdisjoint(("lat", "lon"))
+    assert found["north"][-1] - found["north"][0] == pytest.approx(110_574.0 * 1e-5 * TIME[-1], rel=0.01)
+
+
+# blackbox
+
+
+def box(gyro: str = "gyroADC[{}]", rate: float = 180.0 / np.pi, force: str = "accSmooth[{}]", g: float = 2048.0):
+    columns = {"loopIteration": TIME * 400.0, "time (us)": 1e6 * (TIME + 50.0)}
+    columns |= {gyro.format(i): rate * KNOWN[n] * (1 if i == 0 else -1) for i, n in enumerate("pqr")}
+    columns |= {f"motor[{i}]": 1000.0 + 1000.0 * KNOWN[f"motor{i + 1}"] for i in range(4)}
+    return columns | {force.format(i): g * (v + 0.01 * np.sin(TIME)) for i, v in enumerate((0.0, 0.0, 1.0))}
+
+
+def blackbox(tmp_path: Path, columns: dict[str, object], before: str = "", names: str = "p q r motor1 motor4"):
+    (tmp_path / "t.csv").write_text(text(columns, before=before))
+    found = channels(tmp_path / "t.csv", tmp_path)
+    assert near(found, 1e-3, names)
+    assert found["az"].mean() == pytest.approx(-9.81, abs=0.05)
+    return found
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        box("gyroADC[{}] (rad/s)", 1.0),
+        box("gyroADC[{}] (deg/s)", force="accSmooth[{}] (g)", g=1.0),
+        box(force="accSmooth[{}] (m/s/s)", g=9.80665),
+        {n.replace("(us)", "(s)"): v * (1e-6 if "time" in n else 1.0) for n, v in box().items()},
+        box() | {"flightModeFlags (flags)": ["ANGLE_MODE|ARM"] * len(TIME)},
+    ],
+)
+def test_a_blackbox_in_the_units_of_the_decoder(columns: dict, tmp_path: Path):
+    blackbox(tmp_path, columns)
+
+
+@pytest.mark.parametrize("line", ['"gyroScale","1.0642252e-9"', '"gyro.scale","0x3d79c190"'])
+def test_gyros_of_older_firmware_are_counts_of_a_scale(line: str, tmp_path: Path):
+    """16.4 counts for a deg/s."""
+    before = f'"Product","Blackbox"\n"firmwareType","Cleanflight"\n{line}\n"acc_1G","4096"\n"minthrottle","1000"\n'
+    blackbox(tmp_path, box("gyroData[{}]", 16.4 * 180.0 / np.pi, g=4096.0), before)
+
+
+@pytest.mark.parametrize(
+    ("name", "version", "counts"),
+    [("vbat (mV)", "", 1e3), ("vbatLatest (V)", "", 1.0), ("vbatLatest", "4.4.0", 1e2), ("vbatLatest", "3.5.2", 1e1)],
+)
+def test_voltage_of_a_blackbox(name: str, version: str, counts: float, tmp_path: Path):
+    before = f'"Product","Blackbox"\n"firmwareVersion","{version}"\n' if version else ""
+    found = blackbox(tmp_path, box() | {name: counts * (16.0 + np.sin(TIME))}, before)
+    assert np.abs(found["voltage"] - 16.0 - np.sin(TIME)).max() < 1e-2
