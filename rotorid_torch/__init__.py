@@ -26,6 +26,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from rotorid_torch.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from rotorid_torch import effects as effects
     from rotorid_torch.core.parameters import Parameter as Parameter
@@ -59,7 +61,6 @@ if TYPE_CHECKING:
     from rotorid_torch.run.saved_model import simulate as simulate
     from rotorid_torch.simulation.flight_test import fly as fly
 
-    __version__: str
 
 _PUBLIC = {
     "Dataset": "data.dataset",
@@ -99,10 +100,6 @@ __all__ = [*_PUBLIC, "effects"]
 
 def __getattr__(name: str) -> Any:
     # loaded when first used: `rotorid --help` needs no torch
-    if name == "__version__":
-        from rotorid_torch.report.records import package_version
-
-        return package_version()
     if name == "effects":
         return import_module("rotorid_torch.effects")
     if name not in _PUBLIC:

@@ -15,7 +15,7 @@ from rich.table import Table
 from rotorid_torch.core.native.build import NO_COMPILER, compiler
 from rotorid_torch.core.storage.cache import Usage, usage
 from rotorid_torch.errors import Unsupported
-from rotorid_torch.report.records import package_version
+from rotorid_torch.version import __version__
 
 NEEDED = ("torch", "torchdiffeq", "numpy", "matplotlib", "tensorboard", "msgspec", "rich", "jinja2")
 ADVICE = "ROTORID_CACHE names another place, --empty-cache empties it"
@@ -44,7 +44,7 @@ class Installation(msgspec.Struct, frozen=True, kw_only=True):
 def findings(removed: Usage | None = None) -> Installation:
     """Look at this installation."""
     return Installation(
-        rotorid=package_version(),
+        rotorid=__version__,
         python=platform.python_version(),
         system=f"{platform.system()} {platform.machine()}",
         cores=os.cpu_count() or 1,

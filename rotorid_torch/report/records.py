@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -19,6 +18,7 @@ from rotorid_torch.core.storage.atomic import restore
 from rotorid_torch.core.storage.files import read_file
 from rotorid_torch.data.refusal import convert
 from rotorid_torch.errors import InputError
+from rotorid_torch.version import __version__
 
 Number = float | None
 Size = Annotated[float, msgspec.Meta(ge=0)] | None
@@ -30,14 +30,6 @@ LARGEST = 64 * 2**20
 Status = Literal["free", "frozen", "nuisance", "not identifiable"]
 Role = Literal["undeclared", "structure", "learnt"]
 LISTS = ("identify", "validate", "acid")
-
-
-def package_version() -> str:
-    """Version of rotorid-torch as installed; "0" where it is run without being installed."""
-    try:
-        return version("rotorid-torch")
-    except PackageNotFoundError:
-        return "0"
 
 
 def _finite(value: object) -> object:
@@ -230,7 +222,7 @@ class Report(Record, frozen=True, kw_only=True):
     """report.json. `before` is None for a command that fits no model; `verdict` is None where nothing was traced."""
 
     format: Literal[1] = 1
-    rotorid: str = msgspec.field(default_factory=package_version)
+    rotorid: str = __version__
     command: str
     dataset: DatasetRecord
     seed: Annotated[int, msgspec.Meta(ge=0)]

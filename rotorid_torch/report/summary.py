@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -278,8 +278,8 @@ def _steps_of_scores(fit: FitRecord) -> Iterator[str]:
         real, imaginary = mode.eigenvalue
         if real is not None and real > 0.05 and (imaginary or 0.0) >= 0.0:
             yield (
-                f"The mode '{mode.name}' is unstable (time to double {math.log(2) / real:.1f} s): expect a free run to"
-                " drift after a few doubling times."
+                f"The mode '{mode.name}' is unstable (time to double {math.log(2) / real:.1f} s): close a loop around"
+                " the model for simulations that last longer than a few of these times."
             )
 
 
@@ -328,10 +328,13 @@ def _steps_of_parameters(parameters: Iterable[ParameterRecord]) -> Iterator[str]
         yield f"The data do not tell {_listed(silent)}: fly a manoeuvre that moves what it multiplies, or leave it out."
     vague = [p.name for p in parameters if p.status == "free" and p.se and p.value is not None and p.se > abs(p.value)]
     if vague:
-        yield f"{_listed(vague)} could as well be zero: the standard error is larger than the value."
+        yield (
+            f"Do not read anything into {_listed(vague, 2)}: the error is larger than the value. Longer flights on"
+            " every axis would make them sure."
+        )
 
 
-def _listed(parameters: list[str], shown: int = 4) -> str:
+def _listed(parameters: Sequence[str], shown: int = 4) -> str:
     remainder = f" and {len(parameters) - shown} more" if len(parameters) > shown else ""
     return ", ".join(parameters[:shown]) + remainder
 

@@ -33,12 +33,13 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.families.sensors import SMOOTHED
 from rotorid_torch.report.check_figures import draw_check
 from rotorid_torch.report.page.check_page import render_check
-from rotorid_torch.report.records import DatasetRecord, Report, encode_report, package_version
+from rotorid_torch.report.records import DatasetRecord, Report, encode_report
 from rotorid_torch.report.summary import GRADED
 from rotorid_torch.run.output.arguments import refuse_arguments
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
 from rotorid_torch.run.output.write import png
+from rotorid_torch.version import __version__
 
 GROSS = 300.0
 """Power of what no sensor error explains over that of the noise, above which errors of sensors are not searched for."""
@@ -239,7 +240,7 @@ def write_check(out: Path, dataset: Dataset, result: Check, seed: int, monitor: 
             before=None,
             warnings=(f"{GRADED}{result.sentence}", *(_told(one) for one in grave)),
         )
-        head = {"format": 1, "rotorid": package_version(), "sha256": dataset.sha256}
+        head = {"format": 1, "rotorid": __version__, "sha256": dataset.sha256}
         whole = msgspec.json.encode(head | msgspec.to_builtins(result))
         (folder / "check.json").write_bytes(msgspec.json.format(whole, indent=2))
         (folder / "report.html").write_text(render_check(result, report, pictures), encoding="utf-8")

@@ -35,13 +35,15 @@ def of_sensors(error: KinematicFinding) -> Finding:
         error.smallest_visible,
         error.group,
         values,
+        units={p.name: p.unit for p in error.parameters},
     )
 
 
 def as_fitted(finding: Finding, fit: FitRecord) -> Finding:
     """The finding with the values of the fit that is told, where that estimated them: sentence and tables agree."""
-    values = {p.name: (p.value, p.se) for p in _fitted(finding, fit) if p.value is not None and p.se is not None}
-    return replace(finding, values=values) if values else finding
+    fitted = [p for p in _fitted(finding, fit) if p.value is not None and p.se is not None]
+    values = {p.name: (p.value, p.se) for p in fitted if p.value is not None and p.se is not None}
+    return replace(finding, values=values, units={p.name: p.unit for p in fitted}) if values else finding
 
 
 def unknown_record(missing: Unknown) -> UnknownRecord:

@@ -29,7 +29,7 @@ from rotorid_torch.identification.reconstruct.reconstruction import reconstruct 
 from rotorid_torch.identification.structure import propose, rival
 from rotorid_torch.model.model import Model
 from rotorid_torch.report import limits, remarks
-from rotorid_torch.report.records import DatasetRecord, FitRecord, Report, package_version
+from rotorid_torch.report.records import DatasetRecord, FitRecord, Report
 from rotorid_torch.run.estimate import estimated
 from rotorid_torch.run.fit_record import fit_record, for_pictures, judge
 from rotorid_torch.run.loop_record import with_evidence
@@ -41,6 +41,7 @@ from rotorid_torch.run.output.write import write_report
 from rotorid_torch.run.own_effects import refuse_faulty
 from rotorid_torch.run.result import Run, write_reconstruction
 from rotorid_torch.run.turbulence import method_by_quiet_moments, smoothed, with_gusts
+from rotorid_torch.version import __version__
 
 AnyRun = TypeVar("AnyRun", bound=Run)
 
@@ -131,7 +132,7 @@ def _key(dataset: Dataset, effects: Sequence[str], seed: int, method: str) -> di
     """What the steps' results depend on."""
     chosen = ", ".join(effects) or "none"
     return {
-        "version": package_version(),
+        "version": __version__,
         "data set": dataset.sha256,
         "effects": chosen,
         "seed": str(seed),

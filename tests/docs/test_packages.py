@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import tarfile
-import tomllib
 import venv
 import zipfile
 from pathlib import Path
 
 import pytest
 
+from rotorid_torch.version import __version__
 from tests.docs.validated import ROOT
 
 
-def declared() -> str:
-    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
-
-
 def test_the_version_is_one_everywhere():
-    version = declared()
-    assert f"version: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-    assert f"## [{version}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"version: {__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    latest = re.search(r"^## \[(.+?)\]", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert latest is not None
+    assert latest[1] == __version__
 
 
 @pytest.mark.slow
@@ -44,4 +42,4 @@ def test_packages_build_and_install_clean(tmp_path: Path):
         said = subprocess.run([python, "-m", "rotorid_torch", "--help"], check=True, capture_output=True, text=True)
         assert "export" in said.stdout
     shown = subprocess.run([python, "-m", "pip", "show", "rotorid-torch"], check=True, capture_output=True, text=True)
-    assert f"Version: {declared()}" in shown.stdout
+    assert f"Version: {__version__}" in shown.stdout

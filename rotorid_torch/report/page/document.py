@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -88,6 +89,7 @@ def environment() -> Environment:
         number=number,
         share=share,
         percent=percent,
+        unbroken=unbroken,
         air_of=air_of,
         derivatives=tables.derivatives,
         modes=lambda fit: list(tables.mode_rows(fit.modes)),
@@ -120,9 +122,16 @@ def share(value: float | None) -> str:
     return "–" if value is None else f"{value:z.3f}"
 
 
-def percent(value: float | None) -> str:
+def percent(value: float | None, digits: int = 0) -> str:
     """Render a share in percent; a dash for none."""
-    return "–" if value is None else f"{100 * value:.0f} %"
+    return "–" if value is None else f"{100 * value:.{digits}f} %"
+
+
+def unbroken(words: str) -> str:
+    """Words whose numbers stay on one line with their errors and units."""
+    return re.sub(
+        r"(?<=\d) (?=[±%])|(?<=±) (?=\d)|(?<=\d) (?=(?:ms|s|m|rad|kg|N|Hz|m/s\S*|rad/s\S*)\b)", "\u00a0", words
+    )
 
 
 def rendered(template: str, **values: object) -> str:

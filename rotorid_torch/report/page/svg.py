@@ -138,7 +138,7 @@ def _ticks(low: float, high: float, wanted: int, log: bool) -> list[float]:
         decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
         every = max(1, math.ceil(len(decades) / wanted))
         steps = (1.0, 3.0) if len(decades) < 4 else (1.0,)
-        return [s * 10.0**d for d in decades[::every] for s in steps if low <= s * 10.0**d <= high]
+        return [s * 10.0**d for d in decades if d % every == 0 for s in steps if low <= s * 10.0**d <= high]
     raw = (high - low) / wanted
     power = 10.0 ** math.floor(math.log10(raw))
     for size in (t for t in (*TICKS[::-1], 0.5) if t * power <= 2.0 * raw):

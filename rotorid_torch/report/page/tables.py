@@ -139,7 +139,7 @@ def _for_and_against(effect: EffectRecord) -> tuple[str, str]:
     if effect.gain is not None and effect.floor:
         ratio = _ratio(effect)
         where = speaks_for if ratio > 1.0 else against
-        where.append(f"evidence {ratio:.2g} × the floor")
+        where.append(f"evidence {rounded(ratio)} × the floor" if ratio > 0.0 else "no evidence")
     if effect.p is not None:
         (speaks_for if effect.p <= 0.05 else against).append(f"p {effect.p:.2g}")
     if effect.group and effect.group[0] not in effect.reason:
@@ -155,6 +155,11 @@ def _shortened(reason: str) -> str:
         return reason
     each = names[0].split(", ")
     return reason.replace(names[0], f"{', '.join(each[:LISTED])} and {len(each) - LISTED} more")
+
+
+def rounded(value: float) -> str:
+    """A number with two significant digits, without an exponent."""
+    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.2g}"
 
 
 def visible(effect: EffectRecord) -> str:

@@ -110,7 +110,11 @@ def grades(report: Report) -> tuple[Grade, ...]:
 def steps(report: Report) -> list[str]:
     """What to do next, the discovery first; never empty."""
     first = next(iter(report.warnings), "")
-    data = [f"The data first, rotorid check says: {first.removeprefix(GRADED)}."] if first.startswith(GRADED) else []
+    data = (
+        [f"Mend the data first. `rotorid check` says: {first.removeprefix(GRADED)}."]
+        if first.startswith(GRADED)
+        else []
+    )
     return list(dict.fromkeys([*data, *_of_discovery(report), *next_steps(report)]))[:STEPS]
 
 

@@ -16,7 +16,7 @@ class Finding:
     missing show as much evidence; None where no clean
         aircraft were drawn.
     values : parameters by full name with their standard errors, where it was fitted. part : of the model from the
-        start that is this effect, where one is.
+        start that is this effect, where one is. units : of the values, by the same names, where they have any.
     """
 
     id: str
@@ -30,6 +30,7 @@ class Finding:
     values: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     part: str = ""
     p: float | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

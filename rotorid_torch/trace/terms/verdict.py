@@ -78,4 +78,6 @@ def _sizes(finding: Finding) -> str:
     sizes = sorted(sizes, key=lambda one: abs(one[1]) / one[2], reverse=True) if len(sizes) > MOST else sizes
     if not sizes:
         return ""
-    return " (" + ", ".join(f"{n.removeprefix(finding.id + '.')} {v:.3g} ± {e:.1g}" for n, v, e in sizes[:MOST]) + ")"
+    units = {name: f" {unit}" for name, unit in finding.units.items() if unit not in ("", "1")}
+    said = (f"{n.removeprefix(finding.id + '.')} {v:.3g} ± {e:.1g}{units.get(n, '')}" for n, v, e in sizes[:MOST])
+    return f" ({', '.join(said)})"
