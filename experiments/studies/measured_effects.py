@@ -28,7 +28,7 @@ from recorded.tables import markdown, write_between
 from scipy.signal import butter, sosfiltfilt
 
 import rotorid_torch as rotorid
-from rotorid_torch.consistency.sensor_errors.correction import without_errors_of_flight
+from rotorid_torch.consistency.correction import without_errors_of_flight
 from rotorid_torch.data import Dataset
 from rotorid_torch.model.accelerations import Accelerations
 from rotorid_torch.model.model import Model

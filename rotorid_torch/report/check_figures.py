@@ -8,13 +8,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from rotorid_torch.consistency import sensor_pairs
-from rotorid_torch.consistency.coherence import USABLE, coherences
 from rotorid_torch.consistency.examination.band import RESPONSES
-from rotorid_torch.consistency.excitation import control_axes, correlations
-from rotorid_torch.consistency.sensor_pairs import Agreement, agreement
-from rotorid_torch.consistency.stamps import intervals
-from rotorid_torch.consistency.vibration import lines, spectrum
+from rotorid_torch.consistency.pairs import sensor_pairs
+from rotorid_torch.consistency.pairs.sensor_pairs import Agreement, agreement
+from rotorid_torch.consistency.records.coherence import USABLE, coherences
+from rotorid_torch.consistency.records.excitation import control_axes, correlations
+from rotorid_torch.consistency.records.stamps import intervals
+from rotorid_torch.consistency.records.vibration import lines, spectrum
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.report.figures import MEASURED, MODEL, QUIET, WIDTH, grid_of, leave

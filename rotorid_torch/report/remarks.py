@@ -8,8 +8,8 @@ from dataclasses import replace
 from rotorid_torch.consistency.examination.check import check
 from rotorid_torch.consistency.examination.grade import graded
 from rotorid_torch.consistency.examination.records import condensed
-from rotorid_torch.consistency.excitation import moves
-from rotorid_torch.consistency.late_controls import late_controls
+from rotorid_torch.consistency.pairs.late_controls import late_controls
+from rotorid_torch.consistency.records.excitation import moves
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.identification.model_estimation import ModelEstimate
 from rotorid_torch.identification.model_regression import ModelRegression

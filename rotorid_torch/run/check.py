@@ -7,30 +7,22 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
-import numpy as np
 from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from rotorid_torch.consistency.alignment import alignment
-from rotorid_torch.consistency.coherence import coherences
+from rotorid_torch.consistency.equations import UNITS
 from rotorid_torch.consistency.examination import check as records
 from rotorid_torch.consistency.examination.band import RESPONSES
 from rotorid_torch.consistency.examination.finding import Finding, finding
 from rotorid_torch.consistency.examination.grade import AxisGrade, Grade, graded, head
 from rotorid_torch.consistency.examination.needs import examinable
-from rotorid_torch.consistency.sensor_errors.correction import without_errors
-from rotorid_torch.consistency.sensor_errors.equations import UNITS
+from rotorid_torch.consistency.records.coherence import coherences
+from rotorid_torch.consistency.records.steps import steps, without_steps
 from rotorid_torch.consistency.sensor_errors.kinematic_findings import kinematic_findings
-from rotorid_torch.consistency.sensor_errors.normal_equations import Search
-from rotorid_torch.consistency.sensor_errors.pieces import pieces
-from rotorid_torch.consistency.sensor_errors.selection import turn_of
 from rotorid_torch.consistency.sensor_errors.sensor_finding import KinematicFinding
-from rotorid_torch.consistency.sensor_errors.weighted_fit import Setting
-from rotorid_torch.consistency.steps import steps, without_steps
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.effects.families.sensors import SMOOTHED
 from rotorid_torch.report.check_figures import draw_check
 from rotorid_torch.report.page.check_page import render_check
 from rotorid_torch.report.records import DatasetRecord, Report, encode_report
@@ -120,14 +112,13 @@ def check(dataset: Dataset) -> Check:
 
 def sensor_errors(dataset: Dataset) -> tuple[tuple[KinematicFinding, ...], tuple[Finding, ...]]:
     """Bias, scale, misalignment, lever arm, delay and filter, all at once, from exact kinematics; and what to say."""
-    level = _misfit(dataset)
-    if level is None:
-        return (), ()
-    if level > GROSS:
+    traced = kinematic_findings(dataset, GROSS).findings
+    if not traced:
         sentence = "kinematics disagree far beyond the noise in ways that no constant sensor error makes:"
         more = "lags, scales and biases are told from pairs of channels only, not jointly."
         return (), (finding("note", "", sentence, more),)
-    traced = kinematic_findings(dataset).findings
+    if all(f.verdict == "not testable" for f in traced):
+        return (), ()
     named = [
         f for f in traced if f.verdict in ("accepted", "indistinguishable") and any(p.accepted for p in f.parameters)
     ]
@@ -152,26 +143,6 @@ def _sentence(error: KinematicFinding) -> Finding:
 def _channels(member: str) -> tuple[str, ...]:
     """Channels of a sensor error's last name: a unit's, an IMU axis's, or the channel itself."""
     return UNITS.get(member.partition("_")[0]) or (() if member in ("x", "y", "z") else (member,))
-
-
-def _misfit(dataset: Dataset) -> float | None:
-    """Largest level of what all sensor errors together leave over, in powers of the noise; None without kinematics."""
-    by = alignment(dataset)
-    if by.clocks:
-        dataset = without_errors(dataset, {f"delay.{unit}": seconds for unit, seconds in by.clocks.items()})
-    cut = pieces(dataset)
-    if not cut:
-        return None
-    channels = dict.fromkeys(channel for piece in cut for channel in piece.channels)
-    units = [unit for unit in UNITS if set(UNITS[unit]) & set(channels)]
-    errors = [f"{kind}.{unit}" for kind in ("delay", "filter") for unit in units]
-    errors += [f"filter.{unit}{SMOOTHED}" for unit in units]
-    errors += [f"scale.{channel}" for channel in channels if channel in names.CHANNELS]
-    if set(names.VELOCITIES) & {name for piece in cut for name in piece.equations}:
-        errors += [f"{kind}.{axis}" for kind in ("misalignment", "lever_arm") for axis in "xyz"]
-    search = Search(cut, Setting(dataset.vehicle.gravity, np.array(dataset.vehicle.imu or (0.0, 0.0, 0.0))))
-    search.measure(turn_of(by) if set(turn_of(by)) <= set(errors) else {}, errors)
-    return max((float(level.max()) for level in search.levels.values()), default=1.0)
 
 
 def _verdicts(dataset: Dataset, findings: tuple[Finding, ...]) -> tuple[ChannelVerdict, ...]:

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from rotorid_torch.consistency.vibration import lines, spectrum
+from rotorid_torch.consistency.records.vibration import lines, spectrum
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
 from rotorid_torch.core.statistics import normal_quantile
 from rotorid_torch.data.dataset import Dataset

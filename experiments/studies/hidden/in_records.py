@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hidden.changed_records import Records, changed, smoothed
-from rotorid_torch.consistency.sensor_errors.correction import without_errors
+from rotorid_torch.consistency.correction import without_errors
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.flight import Flight
 

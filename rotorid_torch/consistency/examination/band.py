@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from rotorid_torch.consistency.coherence import Coherence, coherences
 from rotorid_torch.consistency.examination.finding import Finding, finding
+from rotorid_torch.consistency.records.coherence import Coherence, coherences
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
 

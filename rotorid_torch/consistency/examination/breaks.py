@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from rotorid_torch.consistency.copies import Copy, copies
 from rotorid_torch.consistency.examination.finding import Finding, finding
-from rotorid_torch.consistency.steps import Step, steps
+from rotorid_torch.consistency.records.copies import Copy, copies
+from rotorid_torch.consistency.records.steps import Step, steps
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from rotorid_torch.consistency.alignment import without_large_errors
+from rotorid_torch.consistency.correction import without_errors
 from rotorid_torch.consistency.examination import breaks, controls, kinematics, records, samples
 from rotorid_torch.consistency.examination.band import band
 from rotorid_torch.consistency.examination.finding import Finding, Severity
 from rotorid_torch.consistency.examination.needs import examinable, needs
 from rotorid_torch.consistency.examination.surroundings import surroundings
-from rotorid_torch.consistency.steps import steps, without_steps
+from rotorid_torch.consistency.pairs.alignment import alignment
+from rotorid_torch.consistency.records.steps import steps, without_steps
 from rotorid_torch.data.dataset import Dataset
 
 
@@ -66,7 +67,8 @@ def check(dataset: Dataset, examinations: Sequence[Examination] = EXAMINATIONS) 
     whole = examinable(dataset)
     chosen = examinations if whole else [one for one in examinations if one in ALWAYS]
     smooth = without_steps(dataset, steps(dataset)) if whole else dataset
-    right = without_large_errors(smooth) if whole and any(one in RIGHTED for one in chosen) else smooth
+    errors = alignment(smooth).errors if whole and any(one in RIGHTED for one in chosen) else {}
+    right = without_errors(smooth, errors) if errors else smooth
 
     def seen(examine: Examination) -> Dataset:
         return right if examine in RIGHTED else smooth if examine is kinematics.kinematics else dataset

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from rotorid_torch.consistency.examination.finding import Finding, finding
-from rotorid_torch.consistency.excitation import BAND_HZ, Excitation, excitations, share_at
+from rotorid_torch.consistency.records.excitation import BAND_HZ, Excitation, excitations, share_at
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight

@@ -7,11 +7,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from rotorid_torch.consistency.coherence import coherences
 from rotorid_torch.consistency.examination.controls import FEEDBACK, TEST_INPUT
 from rotorid_torch.consistency.examination.finding import Finding
 from rotorid_torch.consistency.examination.needs import examinable
-from rotorid_torch.consistency.excitation import BAND_HZ, Excitation, excitations, power_in_band
+from rotorid_torch.consistency.records.coherence import coherences
+from rotorid_torch.consistency.records.excitation import BAND_HZ, Excitation, excitations, power_in_band
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
 

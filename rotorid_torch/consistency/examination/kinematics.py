@@ -6,13 +6,14 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from rotorid_torch.consistency import sensor_pairs
-from rotorid_torch.consistency.alignment import (
+from rotorid_torch.consistency.correction import without_errors_of_flight
+from rotorid_torch.consistency.equations import UNITS
+from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
+from rotorid_torch.consistency.pairs import sensor_pairs
+from rotorid_torch.consistency.pairs.alignment import (
     EVERY_S,
     MOVES,
-    UNITS,
     Alignment,
-    aligned,
     alignment,
     axes_of,
     force_turn,
@@ -20,16 +21,15 @@ from rotorid_torch.consistency.alignment import (
     rotation,
     rotation_vector,
 )
-from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
-from rotorid_torch.consistency.late_controls import (
+from rotorid_torch.consistency.pairs.late_controls import (
     LateControls,
     coming_first,
     followed_sticks,
     known_responses,
     late_controls,
 )
-from rotorid_torch.consistency.precedence import Response
-from rotorid_torch.consistency.sensor_pairs import REACH_S, Agreement, Pair, agreement
+from rotorid_torch.consistency.pairs.precedence import Response
+from rotorid_torch.consistency.pairs.sensor_pairs import REACH_S, Agreement, Pair, agreement
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
@@ -70,7 +70,8 @@ SURE, SURE_LAG = 4.0, 3.0
 def kinematics(dataset: Dataset) -> Iterator[Finding]:
     """Attitude against rates, velocity against specific force, position against velocity; large errors first."""
     by = alignment(dataset)
-    flights = [aligned(f, by) for f in dataset.flights.values()] if by.needed else list(dataset.flights.values())
+    flights = list(dataset.flights.values())
+    flights = [without_errors_of_flight(f, by.errors) for f in flights] if by.errors else flights
     if by.mirror:
         yield _mirrored(by)
     elif by.angle > 0.0:

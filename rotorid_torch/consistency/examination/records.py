@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
-from rotorid_torch.consistency.vibration import content_ends, lines, spectrum
+from rotorid_torch.consistency.records.vibration import content_ends, lines, spectrum
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.reading.noise import white_noise

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
-from rotorid_torch.consistency.stamps import clocks
+from rotorid_torch.consistency.records.stamps import clocks
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.reading.spikes import running_median

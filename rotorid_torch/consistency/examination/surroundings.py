@@ -7,20 +7,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotorid_torch.consistency.equations import GRAVITY_RANGE
 from rotorid_torch.consistency.examination.finding import Finding, finding
-from rotorid_torch.consistency.sensor_pairs import Pair, jackknife_error, kernel, pieces, velocity_pairs
-from rotorid_torch.core.names import VELOCITIES
+from rotorid_torch.consistency.pairs.sensor_pairs import Pair, jackknife_error, pieces, velocity_pairs
+from rotorid_torch.consistency.smoothing import kernel
+from rotorid_torch.core.names import ATTITUDES, VELOCITIES
+from rotorid_torch.core.rigid import gravity_in_body, position_rates
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 
 Array = np.ndarray
 
-AIR = ("airspeed", "u", "v", "w", "phi", "theta", "psi")
+AIR = ("airspeed", *VELOCITIES, *ATTITUDES)
 ITERATIONS = 30
 KNOWN = 0.02
 """Standard error of gravity, as a share of it, up to which it is worth telling."""
-GRAVITY_RANGE = 0.0053
-"""Gravity at the poles over that at the equator, less 1: what a declaration may leave open."""
 
 
 @dataclass(frozen=True)
@@ -78,9 +79,8 @@ def _gravity_moments(flight: Flight, pair: Pair) -> Iterator[tuple[float, float]
     bell, slope = kernel(flight.dt)
     if flight.samples < len(bell) + 100:
         return
-    phi, theta = flight.bridged(["phi", "theta"]).numpy().T
-    falls = (-np.sin(theta), np.cos(theta) * np.sin(phi), np.cos(theta) * np.cos(phi))
-    fall = np.convolve(falls[VELOCITIES.index(pair.left_name)], bell, "valid")
+    falls = gravity_in_body(flight.bridged(ATTITUDES[:2]), 1.0).numpy()
+    fall = np.convolve(falls[:, VELOCITIES.index(pair.left_name)], bell, "valid")
     missing = np.isnan(flight.stack(pair.channels).numpy()).any(axis=1).astype(float)
     fall = np.where(np.convolve(missing, np.ones(len(bell)), "valid") > 0.5, np.nan, fall)
     left = np.convolve(pair.left(flight), slope, "valid") - np.convolve(pair.right(flight), bell, "valid")
@@ -110,13 +110,8 @@ def wind(dataset: Dataset) -> Estimate | None:
 
 def _ground(flight: Flight) -> Iterator[Array]:
     """Per piece, rows of airspeed and velocity north, east, down (n, 4), once a second and where all are there."""
-    columns = flight.stack(AIR).numpy()
-    airspeed, u, v, w, phi, theta, psi = columns[:: max(1, round(1.0 / flight.dt))].T
-    level = u * np.cos(theta) + np.sin(theta) * (v * np.sin(phi) + w * np.cos(phi))
-    side = v * np.cos(phi) - w * np.sin(phi)
-    down = -u * np.sin(theta) + np.cos(theta) * (v * np.sin(phi) + w * np.cos(phi))
-    north, east = level * np.cos(psi) - side * np.sin(psi), level * np.sin(psi) + side * np.cos(psi)
-    rows = np.stack([airspeed, north, east, down], axis=1)
+    airspeed, velocity, attitude = flight.stack(AIR)[:: max(1, round(1.0 / flight.dt))].split([1, 3, 3], dim=1)
+    rows = np.concatenate([airspeed.numpy(), position_rates(velocity, attitude).numpy() * (1.0, 1.0, -1.0)], axis=1)
     for first, last in pieces(len(rows), 1.0, 0):
         part = rows[first:last]
         part = part[np.isfinite(part).all(axis=1)]

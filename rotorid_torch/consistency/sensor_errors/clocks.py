@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from rotorid_torch.consistency.late_controls import SURE_STICKS, LateControls, late_controls
+from rotorid_torch.consistency.pairs.late_controls import SURE_STICKS, LateControls, late_controls
+from rotorid_torch.consistency.pairs.velocity_clock import IMITATED_S, VelocityClock, velocity_clock
 from rotorid_torch.consistency.sensor_errors.kinematic_findings import kinematic_findings
 from rotorid_torch.consistency.sensor_errors.sensor_finding import KinematicFinding, KinematicFindings, SensorParameter
-from rotorid_torch.consistency.velocity_clock import IMITATED_S, VelocityClock, velocity_clock
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.families.airframe import Drag
 from rotorid_torch.effects.families.sensors import SensorDelay

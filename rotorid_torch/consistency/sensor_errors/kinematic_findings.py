@@ -11,14 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotorid_torch.consistency.alignment import EVERY_S, alignment
+from rotorid_torch.consistency.correction import without_errors
+from rotorid_torch.consistency.equations import GRAVITY_RANGE, UNITS, unit_of
+from rotorid_torch.consistency.pairs.alignment import EVERY_S, alignment
 from rotorid_torch.consistency.sensor_errors import sensor_words
 from rotorid_torch.consistency.sensor_errors.constants import Constant, constants
-from rotorid_torch.consistency.sensor_errors.correction import without_errors
-from rotorid_torch.consistency.sensor_errors.equations import UNITS, unit_of
 from rotorid_torch.consistency.sensor_errors.normal_equations import Point, Search
 from rotorid_torch.consistency.sensor_errors.pieces import HIGHEST_HZ, Piece, pieces
-from rotorid_torch.consistency.sensor_errors.selection import GRAVITY_RANGE, Case, kind_of, least, select, spread
+from rotorid_torch.consistency.sensor_errors.selection import Case, kind_of, least, select, spread
 from rotorid_torch.consistency.sensor_errors.sensor_finding import KinematicFinding, KinematicFindings, SensorParameter
 from rotorid_torch.consistency.sensor_errors.weighted_fit import DRIFTING, Setting
 from rotorid_torch.core.names import RATES
@@ -35,7 +35,7 @@ EARTH = 7.3e-5
 """Earth's rotation, rad/s: gyros read it, and the equations leave it out."""
 
 
-def kinematic_findings(dataset: Dataset) -> KinematicFindings:
+def kinematic_findings(dataset: Dataset, largest: float = math.inf) -> KinematicFindings:
     """Sensor errors that are common to all identify flights, each with its evidence, or why it is not one.
 
     Bias, scale, misalignment and lever arm of the IMU, delay and filter are estimated jointly from the exact kinematics
@@ -44,10 +44,12 @@ def kinematic_findings(dataset: Dataset) -> KinematicFindings:
     open, and where it is still needed beside the others. Constants of gyros and accelerometers are free in every
     flight; they count only where all flights share one. A delay is that of one unit against the others: what all
     share cannot be seen.
+
+    largest : level of misfit, in powers of the noise, above which errors are not searched for; there are no findings
+    then.
     """
     by = alignment(dataset)
-    if by.clocks:
-        dataset = without_errors(dataset, {f"delay.{unit}": seconds for unit, seconds in by.clocks.items()})
+    dataset = without_errors(dataset, by.delays) if by.clocks else dataset
     cut = pieces(dataset)
     candidates = _candidates(dataset, cut)
     search = Search(cut, Setting(dataset.vehicle.gravity, np.array(dataset.vehicle.imu or (0.0, 0.0, 0.0))))
@@ -56,9 +58,10 @@ def kinematic_findings(dataset: Dataset) -> KinematicFindings:
     if not candidates:
         return KinematicFindings(tuple(_untested(dataset, kind, floor) for kind in KINDS), {})
     case = Case(dataset, search, candidates, floor, by)
-    point = select(case)
-    biases = constants(dataset, point, floor, _least_constants(dataset))
-    findings = tuple(_finding(case, kind, point, biases) for kind in KINDS)
+    point, findings = select(case, largest), ()
+    if point is not None:
+        biases = constants(dataset, point, floor, _least_constants(dataset))
+        findings = tuple(_finding(case, kind, point, biases) for kind in KINDS)
     return KinematicFindings(findings, {name: float(values.max()) for name, values in search.levels.items()})
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from rotorid_torch.consistency.sensor_errors.equations import null
+from rotorid_torch.consistency.equations import null
 from rotorid_torch.consistency.sensor_errors.pieces import REACH_S, Piece
 from rotorid_torch.consistency.sensor_errors.weighted_fit import (
     BANDS_HZ,
@@ -121,6 +121,11 @@ class Search:
         self.levels = levels
         self._points.clear()
         return self.at(errors, names)
+
+    @property
+    def misfit(self) -> float:
+        """Largest level of what is left over, in powers of the noise."""
+        return max((float(level.max()) for level in self.levels.values()), default=1.0)
 
     def fit(self, errors: Errors, free: Sequence[str]) -> Point:
         """Gauss-Newton over the errors named, the others held where they are."""

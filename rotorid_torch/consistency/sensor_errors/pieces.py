@@ -8,7 +8,8 @@ from functools import cache
 
 import numpy as np
 
-from rotorid_torch.consistency.sensor_errors.equations import EQUATIONS, undoing, unit_of, usable
+from rotorid_torch.consistency.equations import EQUATIONS, undoing, unit_of, usable
+from rotorid_torch.consistency.smoothing import advanced
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 
@@ -74,16 +75,6 @@ class Piece:
         values = self.readings[row] + first * self.slopes[row] if first else self.readings[row]
         values = values + second * self.bends[row] if second else values
         return advanced(values, delay / self.dt, self.margin)
-
-
-def advanced(row: Array, by: float, margin: int) -> Array:
-    """Samples (T - 2 margin,) of a row (T,), taken `by` samples later, between samples by a cubic through four."""
-    whole = int(np.floor(by))
-    s, start, count = by - whole, margin + whole, len(row) - 2 * margin
-    if s == 0.0:
-        return row[start : start + count]
-    taps = (-s * (s - 1) * (s - 2), 3 * (s + 1) * (s - 1) * (s - 2), -3 * (s + 1) * s * (s - 2), (s + 1) * s * (s - 1))
-    return np.convolve(row[start - 1 : start + count + 2], np.array(taps[::-1]) / 6.0, mode="valid")
 
 
 def pieces(dataset: Dataset) -> list[Piece]:

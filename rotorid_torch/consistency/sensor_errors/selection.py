@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rotorid_torch.consistency.alignment import Alignment
+from rotorid_torch.consistency.equations import GRAVITY_RANGE, null
+from rotorid_torch.consistency.pairs.alignment import Alignment
 from rotorid_torch.consistency.sensor_errors import sensor_words
-from rotorid_torch.consistency.sensor_errors.equations import null
 from rotorid_torch.consistency.sensor_errors.normal_equations import Point, Search, limits
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES, Verdict
 from rotorid_torch.data.dataset import Dataset
@@ -23,8 +23,6 @@ NEAR = 0.2
 """Share of the best candidate's linear gain from which on another one is fitted in full too."""
 STEADY = 3.0
 """Standard errors, spread between pieces included, by which a value must differ from zero."""
-GRAVITY_RANGE = 0.0053
-"""Gravity at the poles over that at the equator, less 1."""
 RESOLUTION = {"scale": GRAVITY_RANGE, "misalignment": 0.002, "lever_arm": 0.03}
 """What local gravity, mounting and the rounding of a declaration leave open: 1, rad, m."""
 GROSS = 10.0
@@ -67,23 +65,31 @@ def kind_of(name: str) -> str:
     return name.partition(".")[0]
 
 
-def select(case: Case) -> Point:
-    """Decide which candidates are accepted; the normal equations in all candidates at their common fit."""
-    point = _forward(case)
+def select(case: Case, largest: float) -> Point | None:
+    """Decide which candidates are accepted; the normal equations in all candidates at their common fit.
+
+    None where they all leave more than this level of misfit.
+    """
+    point = _begun(case)
+    if case.search.misfit > largest:
+        return None
+    point = _forward(case, point)
     point = _keep_what_holds(case, point)
     point = _weigh_rivals(case, point)
     return case.search.at(point.errors, case.candidates)
 
 
-def _forward(case: Case) -> Point:
+def _begun(case: Case) -> Point:
+    """Where the search begins: at a large turn of the IMU, where there is one."""
+    begin = case.by.misalignment
+    case.fitted += [*begin] if set(begin) <= set(case.candidates) else []
+    return case.search.measure(begin if case.fitted else {}, case.candidates)
+
+
+def _forward(case: Case, point: Point) -> Point:
     """The error that explains most joins, the others are weighed again beside it."""
-    begin = turn_of(case.by)
-    if begin and set(begin) <= set(case.candidates):
-        case.search.measure(begin, case.candidates)
-        case.fitted += [*begin]
-        point = case.search.measure(case.search.fit(begin, case.fitted).errors, case.candidates)
-    else:
-        point = case.search.measure({}, case.candidates)
+    if case.fitted:
+        point = case.search.measure(case.search.fit(point.errors, case.fitted).errors, case.candidates)
     while True:
         base = case.search.fit(point.errors, case.fitted)
         at_base = point if base.errors == point.errors else case.search.at(base.errors, case.candidates)
@@ -95,12 +101,6 @@ def _forward(case: Case) -> Point:
         case.fitted += [name, *(n for n in companions if n not in case.fitted)]
         errors = case.search.fit(fit.errors, case.fitted).errors if companions else fit.errors
         point = case.search.measure(errors, case.candidates)
-
-
-def turn_of(by: Alignment) -> dict[str, float]:
-    """A large turn of the IMU as errors, the largest component first; empty for none."""
-    parts = sorted(zip("xyz", by.turn.tolist(), strict=True), key=lambda part: -abs(part[1]))
-    return {f"misalignment.{axis}": value for axis, value in parts} if by.angle > 0.0 else {}
 
 
 def _ranked(case: Case, point: Point, held: Sequence[str]) -> list[tuple[float, str]]:
@@ -221,8 +221,7 @@ def _doubt(case: Case, point: Point, name: str) -> tuple[Verdict, str] | None:
         return "rejected", "the other errors explain it"
     if not _large(case, name, point):
         return "below floor", sensor_words.too_small(kind_of(name), smallest)
-    gross = max((float(level.max()) for level in case.search.levels.values()), default=1.0) > GROSS
-    if gross and case.gains[name] < SHARE * point.cost:
+    if case.search.misfit > GROSS and case.gains[name] < SHARE * point.cost:
         return "rejected", "the channels disagree far beyond noise, and it explains less than a tenth of that"
     at_fit = case.search.at(point.errors, case.fitted)
     error = spread(at_fit, name, case.fitted)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from rotorid_torch.consistency.sensor_errors.correction import without_errors
+from rotorid_torch.consistency.correction import without_errors
 from rotorid_torch.core.names import Verdict
 from rotorid_torch.data.dataset import Dataset
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from rotorid_torch.consistency.sensor_errors.equations import usable
+from rotorid_torch.consistency.equations import usable
 from rotorid_torch.consistency.sensor_errors.sensor_finding import SensorParameter
 from rotorid_torch.core import names
 from rotorid_torch.core.names import Verdict

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorid_torch.consistency.sensor_errors.equations import null, sides, undoing, unit_of, without_static_errors
+from rotorid_torch.consistency.equations import null, sides, undoing, unit_of, without_static_errors
 from rotorid_torch.consistency.sensor_errors.pieces import HIGHEST_HZ, Piece
 from rotorid_torch.core.names import POSITIONS, RATES, SPECIFIC_FORCES
 from rotorid_torch.effects.families.sensors import DAMPED, PERIOD, SMOOTHED

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import torch
 
-from rotorid_torch.consistency.vibration import SPAN_HZ, lines, spectrum
+from rotorid_torch.consistency.records.vibration import SPAN_HZ, lines, spectrum
 from rotorid_torch.core import rigid
 from rotorid_torch.core.names import ATTITUDES, POSITIONS, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.data.dataset import Dataset

@@ -5,11 +5,11 @@ import re
 import numpy as np
 import pytest
 
-from rotorid_torch.consistency.coherence import coherences
 from rotorid_torch.consistency.examination.check import check
 from rotorid_torch.consistency.examination.surroundings import gravity, wind
-from rotorid_torch.consistency.sensor_pairs import agreement, attitude_pairs, velocity_pairs
-from rotorid_torch.consistency.vibration import lines, spectrum
+from rotorid_torch.consistency.pairs.sensor_pairs import agreement, attitude_pairs, velocity_pairs
+from rotorid_torch.consistency.records.coherence import coherences
+from rotorid_torch.consistency.records.vibration import lines, spectrum
 from rotorid_torch.data import Dataset, load
 from tests.helpers import shared, shared_sets, small_flight
 

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 import rotorid_torch as rotorid
+from rotorid_torch.consistency.correction import without_errors
+from rotorid_torch.consistency.pairs.velocity_clock import VelocityClock
 from rotorid_torch.consistency.sensor_errors.clocks import sensor_findings
-from rotorid_torch.consistency.sensor_errors.correction import without_errors
-from rotorid_torch.consistency.velocity_clock import VelocityClock
 from rotorid_torch.data import Dataset, load
 from rotorid_torch.effects.base import Values
 from rotorid_torch.effects.families.sensors import SensorDelay

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rotorid_torch.consistency.sensor_errors.equations import rotated
+from rotorid_torch.consistency.equations import rotated
 from rotorid_torch.consistency.sensor_errors.normal_equations import Search
 from rotorid_torch.consistency.sensor_errors.pieces import pieces
 from rotorid_torch.consistency.sensor_errors.weighted_fit import Setting, residual, rows

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorid_torch.consistency.precedence import Response, responses
-from rotorid_torch.consistency.sensor_pairs import Agreement, agreement, stick_pairs
+from rotorid_torch.consistency.pairs.precedence import Response, responses
+from rotorid_torch.consistency.pairs.sensor_pairs import Agreement, agreement, stick_pairs
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorid_torch.consistency import sensor_pairs
-from rotorid_torch.consistency.sensor_pairs import LAGS, REACH_S, STEP_S, jackknife_error, kernel, lag_of_top
+from rotorid_torch.consistency.pairs import sensor_pairs
+from rotorid_torch.consistency.pairs.sensor_pairs import LAGS, REACH_S, STEP_S, jackknife_error, lag_of_top
+from rotorid_torch.consistency.smoothing import kernel
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 

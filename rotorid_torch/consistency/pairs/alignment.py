@@ -9,19 +9,19 @@ Source: Kabsch, Acta Crystallographica A 32 (1976), 922; Wahba, SIAM Review 7 (1
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import permutations, product
-from types import MappingProxyType
 from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
 
-from rotorid_torch.consistency.sensor_pairs import kernel
+from rotorid_torch.consistency.correction import without_errors_of_flight
+from rotorid_torch.consistency.smoothing import kernel
 from rotorid_torch.core import names
+from rotorid_torch.core.rigid import gravity_in_body
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
-from rotorid_torch.data.on_demand import OnDemand
 
 Array = np.ndarray
 
@@ -51,15 +51,6 @@ STEEP = 1.3
 """Pitch angle beyond which Euler angles say little of rates."""
 ALIKE_S = 0.06
 """Lags of two streams that differ by less have one cause."""
-UNITS: Mapping[str, tuple[str, ...]] = {
-    "attitude": names.ATTITUDES,
-    "rates": names.RATES,
-    "accelerations": names.SPECIFIC_FORCES,
-    "velocities": names.VELOCITIES,
-}
-"""Streams that have one clock."""
-IMU = (names.RATES, names.SPECIFIC_FORCES, ("pdot", "qdot", "rdot"))
-"""Vectors that an IMU reads in its own axes."""
 
 
 @dataclass(frozen=True)
@@ -87,9 +78,20 @@ class Alignment:
         return float(np.linalg.norm(self.turn))
 
     @property
-    def needed(self) -> bool:
-        """Whether there is anything to take out."""
-        return self.angle > 0.0 or bool(self.clocks)
+    def delays(self) -> dict[str, float]:
+        """Clocks as errors of sensors by name."""
+        return {f"delay.{unit}": seconds for unit, seconds in self.clocks.items()}
+
+    @property
+    def misalignment(self) -> dict[str, float]:
+        """The turn as errors by name, the largest component first; empty for none."""
+        parts = sorted(zip("xyz", self.turn.tolist(), strict=True), key=lambda part: -abs(part[1]))
+        return {f"misalignment.{axis}": value for axis, value in parts} if self.angle > 0.0 else {}
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """All of it as errors by name, as `without_errors` takes them out; empty for none."""
+        return {**self.delays, **self.misalignment}
 
 
 _KNOWN: WeakKeyDictionary[Dataset, Alignment] = WeakKeyDictionary()
@@ -100,15 +102,6 @@ def alignment(dataset: Dataset) -> Alignment:
     if dataset not in _KNOWN:
         _KNOWN[dataset] = _measured(dataset)
     return _KNOWN[dataset]
-
-
-def without_large_errors(dataset: Dataset) -> Dataset:
-    """The data set with every flight aligned; itself where nothing is to be taken out."""
-    by = alignment(dataset)
-    if not by.needed:
-        return dataset
-    flights = OnDemand(dataset.flights, lambda name: aligned(dataset.flights[name], by))
-    return replace(dataset, flights=MappingProxyType(flights))
 
 
 def _measured(dataset: Dataset) -> Alignment:
@@ -126,34 +119,11 @@ def _measured(dataset: Dataset) -> Alignment:
     return Alignment(turn.turn, turn.turn_se, clocks, turn.mirror, before, turn.after, turn.strength)
 
 
-def aligned(flight: Flight, by: Alignment) -> Flight:
-    """A flight with the IMU turned back and its clocks set right; samples beyond the record are missing."""
-    channels = {name: values.numpy() for name, values in flight.channels.items()}
-    for unit, late in by.clocks.items():
-        for name in UNITS[unit]:
-            if name in channels:
-                channels[name] = _moved(channels[name], late / flight.dt)
-    if by.angle > 0.0:
-        matrix = rotation(by.turn)
-        for triad in IMU:
-            if all(name in channels for name in triad):
-                true = matrix @ np.stack([channels[name] for name in triad])
-                channels |= dict(zip(triad, true, strict=True))
-    columns = {name: torch.from_numpy(np.ascontiguousarray(values)) for name, values in channels.items()}
-    return Flight(flight.name, flight.dt, MappingProxyType(columns))
-
-
 def rotation(vector: Array) -> Array:
-    """Matrix (3, 3) of a rotation vector (3,) in rad.
+    """Matrix (3, 3) of a rotation vector (3,) in rad."""
+    from scipy.spatial.transform import Rotation  # slow to import
 
-    Source: Rodrigues' formula; Stevens and Lewis, Aircraft Control and Simulation, 3rd ed., eq. 1.2-12.
-    """
-    angle = float(np.linalg.norm(vector))
-    if angle == 0.0:
-        return np.eye(3)
-    x, y, z = vector / angle
-    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + np.sin(angle) * skew + (1.0 - np.cos(angle)) * skew @ skew
+    return Rotation.from_rotvec(vector).as_matrix()
 
 
 def rotation_vector(matrix: Array) -> Array:
@@ -171,17 +141,6 @@ def right_angles() -> list[Array]:
         for s in product((1.0, -1.0), repeat=3)
     ]
     return [matrix for matrix in signed if np.linalg.det(matrix) > 0.0]
-
-
-def _moved(values: Array, samples: float) -> Array:
-    """Samples (T,) taken so many samples later, between samples by a straight line; missing beyond the record."""
-    at = np.arange(len(values)) + samples
-    low = np.clip(np.floor(at).astype(int), 0, len(values) - 2)
-    share = at - low
-    inside = (at >= 0.0) & (at <= len(values) - 1)
-    exact = np.where(share == 0.0, values[low], (1.0 - share) * values[low] + share * values[low + 1])
-    exact = np.where(share == 1.0, values[low + 1], exact)
-    return np.where(inside, exact, np.nan)
 
 
 @dataclass(frozen=True)
@@ -381,8 +340,8 @@ class _Motion:
 
 
 def _motion(flights: Sequence[Flight], turn: Array, clocks: Mapping[str, float]) -> _Motion:
-    by = Alignment(turn=turn, clocks=clocks)
-    every = [_forces(aligned(f, by)) for f in flights]
+    errors = Alignment(turn=turn, clocks=clocks).errors
+    every = [_forces(without_errors_of_flight(f, errors)) for f in flights]
     every = [e for e in every if len(e.present)]
     if not every:
         return _Motion()
@@ -455,7 +414,5 @@ def _forces(flight: Flight) -> _Forces:
     felt, _, measured = _grid(flight, names.SPECIFIC_FORCES)
     if not len(velocity):
         return _Forces(velocity, velocity, velocity, present)
-    phi, theta, _ = angles.T
-    down = np.stack([-np.sin(theta), np.cos(theta) * np.sin(phi), np.cos(theta) * np.cos(phi)], axis=1)
-    pushed = change + np.cross(rates, velocity)
-    return _Forces(pushed, -9.80665 * down, felt, present & whole & turned & measured)
+    fallen = -gravity_in_body(torch.from_numpy(angles), 9.80665).numpy()
+    return _Forces(change + np.cross(rates, velocity), fallen, felt, present & whole & turned & measured)

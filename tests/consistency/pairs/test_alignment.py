@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rotorid_torch.consistency.alignment import aligned, alignment, force_turn, right_angles, rotation, rotation_vector
+from rotorid_torch.consistency.correction import without_errors_of_flight
 from rotorid_torch.consistency.examination.check import check
+from rotorid_torch.consistency.pairs.alignment import alignment, force_turn, right_angles, rotation, rotation_vector
 from rotorid_torch.consistency.sensor_errors.kinematic_findings import kinematic_findings
 from rotorid_torch.data import Dataset
 from tests.consistency.sensor_errors.kinematic_cases import UNITS, motion, read
@@ -167,7 +168,7 @@ def test_turned_and_late_at_once():
 def test_what_is_aligned_is_as_if_nothing_had_been_wrong():
     turn = np.radians(120.0) * np.array([1.0, 1.0, 1.0]) / np.sqrt(3.0)
     turned = dataset(flights(turn))
-    right = aligned(turned.flights["f0"], alignment(turned))
+    right = without_errors_of_flight(turned.flights["f0"], alignment(turned).errors)
     for channel in ("p", "q", "r", "ax", "az"):
         assert np.abs(right.channels[channel].numpy() - flights()["f0"][channel]).max() < 0.1
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorid_torch.consistency.sensor_pairs import LAGS, REACH_S, STEP_S, jackknife_error, kernel, lag_of_top, pieces
+from rotorid_torch.consistency.pairs.sensor_pairs import LAGS, REACH_S, STEP_S, jackknife_error, lag_of_top, pieces
+from rotorid_torch.consistency.smoothing import kernel
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight

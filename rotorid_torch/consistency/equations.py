@@ -23,6 +23,9 @@ UNITS: dict[str, tuple[str, ...]] = {
 }
 """Channels that share a clock and a filter; flapping has no kinematics."""
 
+GRAVITY_RANGE = 0.0053
+"""Gravity at the poles over that at the equator, less 1: what a declaration may leave open."""
+
 _TURN = ("p", "q", "r", "phi", "theta")
 _MOVE = ("u", "v", "w", *_TURN)
 EQUATIONS: dict[str, tuple[str, ...]] = {

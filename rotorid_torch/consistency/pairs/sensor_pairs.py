@@ -7,15 +7,18 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import torch
+from torch import Tensor
 
+from rotorid_torch.consistency.smoothing import WIDTH_S, kernel
+from rotorid_torch.core.names import ATTITUDES, RATES, SPECIFIC_FORCES, VELOCITIES
+from rotorid_torch.core.rigid import euler_rates, position_rates, specific_force_at, velocity_rates
 from rotorid_torch.core.statistics import jackknife_variance
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 
 Array = np.ndarray
 
-WIDTH_S = 0.08
-"""Standard deviation of the Gaussian that both sides pass, in s: half power at 1.7 Hz, no phase."""
 REACH_S = 0.4
 """Largest lag that is looked for, in s."""
 STEP_S = 0.01
@@ -80,15 +83,6 @@ class Agreement:
         floors = [s**2 * float((t**2).sum()) for s, t in zip(noise, taps, strict=True)]
         tiny = np.finfo(float).tiny
         return min(power / max(floor, tiny) for power, floor in zip(self.power, floors, strict=True))
-
-
-def kernel(dt: float, width_s: float = WIDTH_S) -> tuple[Array, Array]:
-    """Gaussian and its derivative as convolution kernels, 4 widths each way."""
-    half = max(2, round(4 * width_s / dt))
-    time = dt * np.arange(-half, half + 1)
-    bell = np.exp(-0.5 * (time / width_s) ** 2)
-    slope = -time * bell
-    return bell / bell.sum(), slope / (slope @ -time)
 
 
 def agreement(pair: Pair, flights: Iterable[Flight]) -> Agreement | None:
@@ -212,31 +206,16 @@ def _lag(moments: Array, sides: list[Side]) -> tuple[float, float]:
 
 
 def attitude_pairs() -> tuple[Pair, ...]:
-    """Rate of each Euler angle against the body rates.
+    """Rate of each Euler angle against the body rates."""
 
-    Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 3.20.
-    """
+    def rate(axis: int) -> Callable[[Flight], Array]:
+        return lambda f: euler_rates(f.bridged(RATES), f.bridged(ATTITUDES[:2]))[:, axis].numpy()
 
-    def turn(f: Flight) -> tuple[Array, ...]:
-        return tuple(f.bridged(["p", "q", "r", "phi", "theta"]).numpy().T)
-
-    def phi(f: Flight) -> Array:
-        p, q, r, roll, pitch = turn(f)
-        return p + np.tan(pitch) * (q * np.sin(roll) + r * np.cos(roll))
-
-    def theta(f: Flight) -> Array:
-        _, q, r, roll, _ = turn(f)
-        return q * np.cos(roll) - r * np.sin(roll)
-
-    def psi(f: Flight) -> Array:
-        _, q, r, roll, pitch = turn(f)
-        return (q * np.sin(roll) + r * np.cos(roll)) / np.cos(pitch)
-
-    rates = ("p", "q", "r", "phi", "theta")
+    channels = (*RATES, "phi", "theta")
     return (
-        Pair("phi", "p", "rad/s", rates, _column("phi"), phi),
-        Pair("theta", "q", "rad/s", rates, _column("theta"), theta),
-        Pair("psi", "r", "rad/s", (*rates, "psi"), _column("psi"), psi),
+        Pair("phi", "p", "rad/s", channels, _column("phi"), rate(0)),
+        Pair("theta", "q", "rad/s", channels, _column("theta"), rate(1)),
+        Pair("psi", "r", "rad/s", (*channels, "psi"), _column("psi"), rate(2)),
     )
 
 
@@ -248,13 +227,11 @@ def velocity_pairs(dataset: Dataset) -> tuple[Pair, ...]:
     """Rate of each body velocity against specific force, gravity and rotation, the IMU's lever arm taken out.
 
     Without the axis's accelerometer only gravity and rotation are compared: enough to see a clock, not a scale.
-
-    Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 3.35 and 10.11.
     """
-    gravity, imu = dataset.vehicle.gravity, np.array(dataset.vehicle.imu or (0.0, 0.0, 0.0))
-    base = ("u", "v", "w", "p", "q", "r", "phi", "theta")
+    gravity, imu = dataset.vehicle.gravity, _place(dataset)
+    base = (*VELOCITIES, *RATES, "phi", "theta")
     pairs = []
-    for axis, (velocity, sensor) in enumerate(zip(("u", "v", "w"), ("ax", "ay", "az"), strict=True)):
+    for axis, (velocity, sensor) in enumerate(zip(VELOCITIES, SPECIFIC_FORCES, strict=True)):
         felt = any(facts.has(sensor) for facts in dataset.facts.values())
         if not felt and axis == 2:
             continue
@@ -266,27 +243,30 @@ def velocity_pairs(dataset: Dataset) -> tuple[Pair, ...]:
     return tuple(pairs)
 
 
-def _acceleration(axis: int, sensor: str | None, gravity: float, imu: Array) -> Callable[[Flight], Array]:
+def _place(dataset: Dataset) -> Tensor:
+    """Where the IMU is (3), m from the centre of gravity, as declared."""
+    return torch.tensor(dataset.vehicle.imu or (0.0, 0.0, 0.0), dtype=torch.float64)
+
+
+def _acceleration(axis: int, sensor: str | None, gravity: float, imu: Tensor) -> Callable[[Flight], Array]:
     def right(f: Flight) -> Array:
-        values = f.bridged(["u", "v", "w", "p", "q", "r", "phi", "theta"]).numpy()
-        velocity, rates, phi, theta = values[:, :3], values[:, 3:6], values[:, 6], values[:, 7]
-        fall = np.stack([-np.sin(theta), np.cos(theta) * np.sin(phi), np.cos(theta) * np.cos(phi)], axis=1) * gravity
-        total = (fall - np.cross(rates, velocity))[:, axis]
-        return total if sensor is None else total + _column(sensor)(f) - arm(f)
+        velocity, rates, attitude = (f.bridged(c) for c in (VELOCITIES, RATES, ATTITUDES[:2]))
+        without = velocity_rates(velocity, rates, attitude, torch.zeros_like(rates), gravity)[:, axis].numpy()
+        return without if sensor is None else without + _column(sensor)(f) - arm(f)
 
     arm = _arm(axis, imu)
     return right
 
 
-def _arm(axis: int, imu: Array) -> Callable[[Flight], Array]:
+def _arm(axis: int, imu: Tensor) -> Callable[[Flight], Array]:
     """What an IMU feels along an axis because it is away from the reference point."""
 
     def felt(f: Flight) -> Array:
-        rates, slope = f.bridged(["p", "q", "r"]).numpy(), kernel(f.dt)[1]
         if not imu.any():
             return np.zeros(f.samples)
-        turning = np.stack([np.convolve(rate, slope, "same") for rate in rates.T], axis=1)
-        return (np.cross(turning, imu) + np.cross(rates, np.cross(rates, imu)))[:, axis]
+        rates, slope = f.bridged(RATES), kernel(f.dt)[1]
+        turning = torch.from_numpy(np.stack([np.convolve(rate, slope, "same") for rate in rates.numpy().T], axis=1))
+        return specific_force_at(imu, torch.zeros_like(rates), rates, turning)[:, axis].numpy()
 
     return felt
 
@@ -299,8 +279,8 @@ def force_pairs(dataset: Dataset) -> tuple[Pair, ...]:
     pairs = []
     for axis, pair in enumerate(velocity_pairs(dataset)):
         if pair.exact:
-            without = _acceleration(axis, None, dataset.vehicle.gravity, np.zeros(3))
-            right = _felt(pair.left_name, without, _arm(axis, np.array(dataset.vehicle.imu or (0.0, 0.0, 0.0))))
+            without = _acceleration(axis, None, dataset.vehicle.gravity, torch.zeros(3))
+            right = _felt(pair.left_name, without, _arm(axis, _place(dataset)))
             sensor = _column(pair.right_name)
             pairs.append(Pair(pair.right_name, pair.left_name, "m/s²", pair.channels, sensor, right, False, False))
     return tuple(pairs)
@@ -311,31 +291,16 @@ def _felt(velocity: str, falling: Callable[[Flight], Array], arm: Callable[[Flig
 
 
 def position_pairs() -> tuple[Pair, ...]:
-    """Rate of each position against the velocity, turned by the attitude.
+    """Rate of each position against the velocity, turned by the attitude."""
 
-    Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 3.24.
-    """
-    base = ("u", "v", "w", "phi", "theta")
+    def rate(axis: int) -> Callable[[Flight], Array]:
+        return lambda f: position_rates(f.bridged(VELOCITIES), f.bridged(ATTITUDES))[:, axis].numpy()
 
-    def ground(f: Flight) -> tuple[Array, Array, Array, Array]:
-        u, v, w, phi, theta, psi = f.bridged([*base, "psi"]).numpy().T
-        level = u * np.cos(theta) + np.sin(theta) * (v * np.sin(phi) + w * np.cos(phi))
-        side = v * np.cos(phi) - w * np.sin(phi)
-        up = u * np.sin(theta) - np.cos(theta) * (v * np.sin(phi) + w * np.cos(phi))
-        return level, side, up, psi
-
-    def north(f: Flight) -> Array:
-        level, side, _, psi = ground(f)
-        return level * np.cos(psi) - side * np.sin(psi)
-
-    def east(f: Flight) -> Array:
-        level, side, _, psi = ground(f)
-        return level * np.sin(psi) + side * np.cos(psi)
-
+    channels = (*VELOCITIES, "phi", "theta")
     return (
-        Pair("north", "u v w", "m/s", (*base, "psi", "north"), _column("north"), north),
-        Pair("east", "u v w", "m/s", (*base, "psi", "east"), _column("east"), east),
-        Pair("height", "u v w", "m/s", (*base, "height"), _column("height"), lambda f: ground(f)[2]),
+        Pair("north", "u v w", "m/s", (*channels, "psi", "north"), _column("north"), rate(0)),
+        Pair("east", "u v w", "m/s", (*channels, "psi", "east"), _column("east"), rate(1)),
+        Pair("height", "u v w", "m/s", (*channels, "height"), _column("height"), rate(2)),
     )
 
 

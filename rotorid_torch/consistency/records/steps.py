@@ -12,7 +12,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from rotorid_torch.consistency.sensor_pairs import Pair, attitude_pairs, position_pairs, velocity_pairs
+from rotorid_torch.consistency.pairs.sensor_pairs import Pair, attitude_pairs, position_pairs, velocity_pairs
 from rotorid_torch.core.names import ATTITUDES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight

@@ -9,10 +9,10 @@ from types import MappingProxyType
 import numpy as np
 import torch
 
-from rotorid_torch.consistency.sensor_errors.equations import undoing, unit_of, without_static_errors
-from rotorid_torch.consistency.sensor_errors.pieces import advanced
-from rotorid_torch.consistency.sensor_pairs import kernel
+from rotorid_torch.consistency.equations import undoing, unit_of, without_static_errors
+from rotorid_torch.consistency.smoothing import advanced, kernel
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES, is_control
+from rotorid_torch.core.rigid import specific_force_at
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.facts import Facts
 from rotorid_torch.data.flight import Flight
@@ -56,9 +56,13 @@ def without_errors_of_flight(flight: Flight, errors: Mapping[str, float]) -> Fli
     """The same for one flight."""
     x = {name: _on_time(flight, name, errors) for name in flight.channels if _unit(name) or name.endswith("dot")}
     x = without_static_errors(x, errors)
-    arm = np.array([errors.get(f"lever_arm.{axis}", 0.0) for axis in "xyz"])
+    arm = torch.tensor([errors.get(f"lever_arm.{axis}", 0.0) for axis in "xyz"], dtype=torch.float64)
     if arm.any() and all(name in x for name in RATES):
-        felt = _lever(np.stack([x[name] for name in RATES], axis=-1), flight.dt, arm)
+        rates, turning = (
+            torch.from_numpy(np.stack(rows, axis=-1))
+            for rows in zip(*((x[name], _slope(x[name], flight.dt, TURNING_S)) for name in RATES), strict=True)
+        )
+        felt = specific_force_at(arm, torch.zeros_like(rates), rates, turning).numpy()
         x |= {name: x[name] - felt[:, i] for i, name in enumerate(SPECIFIC_FORCES) if name in x}
     channels = {**flight.channels, **{name: torch.from_numpy(np.ascontiguousarray(v)) for name, v in x.items()}}
     return Flight(flight.name, flight.dt, MappingProxyType(channels))
@@ -102,9 +106,3 @@ def _slope(values: Array, dt: float, width: float) -> Array:
     out = np.full_like(values, np.nan)
     out[first:last] = np.convolve(np.pad(filled[first:last], half, mode="reflect", reflect_type="odd"), slope, "valid")
     return np.where(np.isnan(values), np.nan, out)
-
-
-def _lever(omega: Array, dt: float, arm: Array) -> Array:
-    """Specific force (T, 3) by rotation at a place off by `arm`."""
-    turning = np.stack([_slope(rate, dt, TURNING_S) for rate in omega.T], axis=-1)
-    return np.cross(turning, arm) + np.cross(omega, np.cross(omega, arm))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rotorid_torch.consistency.sensor_errors.correction import without_errors
-from rotorid_torch.consistency.velocity_clock import velocity_clock
+from rotorid_torch.consistency.correction import without_errors
+from rotorid_torch.consistency.pairs.velocity_clock import velocity_clock
 from rotorid_torch.data import Dataset, load
 from tests.helpers import shared
 

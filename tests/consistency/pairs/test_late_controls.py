@@ -7,10 +7,10 @@ import pytest
 from scipy import signal
 from scipy.ndimage import uniform_filter1d
 
+from rotorid_torch.consistency.correction import without_errors
 from rotorid_torch.consistency.examination.kinematics import precedence
-from rotorid_torch.consistency.late_controls import followed_sticks, late_controls
-from rotorid_torch.consistency.precedence import responses
-from rotorid_torch.consistency.sensor_errors.correction import without_errors
+from rotorid_torch.consistency.pairs.late_controls import followed_sticks, late_controls
+from rotorid_torch.consistency.pairs.precedence import responses
 from rotorid_torch.data import Dataset, load
 from tests.helpers import shared
 

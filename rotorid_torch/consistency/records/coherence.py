@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from rotorid_torch.consistency.sensor_pairs import pieces
+from rotorid_torch.consistency.pairs.sensor_pairs import pieces
 from rotorid_torch.core.statistics import without_line
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rotorid_torch.consistency.sensor_errors.correction import without_errors
+from rotorid_torch.consistency.correction import without_errors
 from rotorid_torch.consistency.sensor_errors.kinematic_findings import kinematic_findings
 from tests.consistency.sensor_errors.kinematic_cases import data
 

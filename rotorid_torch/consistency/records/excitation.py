@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorid_torch.consistency.vibration import spectrum
+from rotorid_torch.consistency.records.vibration import spectrum
 from rotorid_torch.core import names
 from rotorid_torch.core.statistics import without_line
 from rotorid_torch.data.dataset import Dataset

@@ -1,0 +1,1 @@
+"""What single records hold: `steps` and `copies`, `stamps`, lines of `vibration`, `excitation` and `coherence`."""
