@@ -7,7 +7,7 @@ EK3_IMU_MASK, INS_USE, AHRS_EKF_TYPE.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -61,9 +61,17 @@ ROTOR = (
     triple("RPM", "omega", ("RPM",), "rpm"),
     triple("HELI", "omega", ("ERRPM",), "rpm"),
 )
-FUNCTIONS = {33 + i: i + 1 for i in range(8)} | {82 + i: i + 9 for i in range(4)}
+FUNCTIONS = {
+    **{33 + i: i + 1 for i in range(8)},
+    **{82 + i: i + 9 for i in range(4)},
+    **{160 + i: i + 13 for i in range(20)},
+}
 """Motor by SERVOn_FUNCTION."""
 OUTPUTS = {"RCOU": range(1, 15), "RCO2": range(15, 19), "RCO3": range(19, 33)}
+TRICOPTER, TAIL = 7, 39
+"""FRAME_CLASS of a tricopter, and the function of the servo that tilts its tail motor (elsewhere motor 7)."""
+FINS = (8, 9)
+"""FRAME_CLASS of vehicles whose motors 1 to 4 are fins in the wake."""
 HELICOPTERS = (6, 11, 13)
 """FRAME_CLASS of a helicopter with one main rotor, two, four."""
 OTHERS = {
@@ -74,11 +82,12 @@ OTHERS = {
     "Blimp": "an airship",
 }
 EXTRA = {
-    **{topic: [f"C{i}" for i in outputs] for topic, outputs in OUTPUTS.items()},
+    **{topic: [f"{c}{i}" for i in outputs for c in ("C", "Ch")] for topic, outputs in OUTPUTS.items()},
     **{topic: ["PI", "OFN", "OFE"] for topic in ("XKF4", "NKF4")},
     **{topic: ["GH", "AH"] for topic in SENSED},
     **{topic: ["RPM"] for topic in ("ESC", *(f"ESC{i}" for i in range(1, 9)))},
     "EV": ["Id"],
+    "ERR": ["Subsys", "ECode"],
     "RCIN": [f"C{i}" for i in range(1, 9)],
 }
 
@@ -97,10 +106,15 @@ def _groups(kind: int, core: int, imu: int) -> tuple[tuple[Group, ...], ...]:
     states = [topic for one in filters for topic in (FILTERS[one][:1] if core == 0 else FILTERS[one][1::-1])]
     sensor = SENSED[imu] if imu < len(SENSED) else SENSED[0]
     sensed = [sensor] if sensor == SENSED[0] else [sensor, SENSED[0]]
-    attitude = [triple(topic, "phi theta psi", ATTITUDE, "deg") for topic in ("ATT", *states, "AHR2")]
+    attitude = [triple(topic, "phi theta psi", ATTITUDE, "deg") for topic in ("ATT", *states)]
+    attitude.append(triple("AHR2", "phi theta psi", ATTITUDE, "deg", spare=True))
     return (
-        (*(triple(t, "p q r", GYRO) for t in sensed), triple("RATE", "p q r", ("R", "P", "Y"), "deg/s", spare=True)),
-        tuple(triple(t, "ax ay az", FORCE) for t in sensed),
+        (
+            *(triple(t, "p q r", GYRO) for t in sensed),
+            triple("RATE", "p q r", ("R", "P", "Y"), "deg/s"),
+            triple("GYR", "p q r", GYRO),
+        ),
+        (*(triple(t, "ax ay az", FORCE) for t in sensed), triple("ACC", "ax ay az", FORCE)),
         tuple(attitude),
         tuple(triple(t, "vn ve vd north east height", STATE, "", "+++++-") for t in (*states, "EKF1")),
     )
@@ -164,7 +178,7 @@ class _Flown:
                 return self.core, f"core {self.core}, {self.why}{left}" if left else ""
             if topic in [kind[1] for kind in FILTERS.values()] and self.core:
                 return numbers[0], f"core {self.core}, {self.why}; {topic.replace('6', '1')} left"
-        if topic in SENSED:
+        if topic in (*SENSED, "GYR", "ACC"):
             chosen = self.imu if self.imu in numbers else min(numbers)
             return chosen, self.why_imu
         return lowest(topic, numbers)
@@ -220,40 +234,55 @@ def _sticks(log: Log) -> tuple[list[Chosen], list[str]]:
         zip(("ROLL", "PITCH", "THROTTLE", "YAW"), ("lat", "lon", "col", "ped"), strict=True), 1
     ):
         number = int(parameters.get(f"RCMAP_{name}", axis))
-        low, high = parameters.get(f"RC{number}_MIN", 1000.0), parameters.get(f"RC{number}_MAX", 2000.0)
-        middle = low if axis_name == "col" else parameters.get(f"RC{number}_TRIM", 0.5 * (low + high))
-        span = (high - low) if axis_name == "col" else 0.5 * (high - low)
-        if span > 0.0:
-            entries[axis_name] = Entry(f"C{number}", "norm", 1, 1.0 / span, -middle / span)
+        entry = _centred(f"C{number}", parameters, f"RC{number}", one_sided=axis_name == "col")
+        entries |= {axis_name: entry} if entry else {}
     instance = log.instances("RCIN")[0]
     logged = {n: e for n, e in entries.items() if e.field in log.streams["RCIN", instance].columns}
     reason = "no RATE and no SWSH: the pilot's sticks (RCIN) are the controls"
     return [Chosen(named(Group("RCIN", logged), instance), rate_of(log.streams["RCIN", instance].time))], [reason]
 
 
+def _centred(name: str, settings: Mapping[str, float], prefix: str, one_sided: bool = False) -> Entry | None:
+    """Pulses as -1 to 1 about their trim, or as 0 to 1, by PREFIX_MIN, _TRIM and _MAX; None without a range."""
+    low, high = settings.get(f"{prefix}_MIN", 1000.0), settings.get(f"{prefix}_MAX", 2000.0)
+    middle = low if one_sided else settings.get(f"{prefix}_TRIM", 0.5 * (low + high))
+    span = (high - low) * (1.0 if one_sided else 0.5)
+    return Entry(name, "norm", 1, 1.0 / span, -middle / span) if span > 0.0 else None
+
+
 def _motors(log: Log) -> tuple[Chosen, list[str], dict[int, int]]:
     """Motor commands 0 to 1 from the outputs that drive motors, how these are known, and the output of each motor."""
     parameters = log.parameters
     functions = {i: int(parameters.get(f"SERVO{i}_FUNCTION", 0)) for some in OUTPUTS.values() for i in some}
-    outputs = dict(sorted((FUNCTIONS[f], i) for i, f in functions.items() if f in FUNCTIONS))
+    frame = int(parameters.get("FRAME_CLASS", 0))
+    if frame in FINS:
+        raise InputError(log.file, "", f"has fins for motors 1 to 4 (FRAME_CLASS {frame})", "a map (--map)")
+    tails = [i for i, f in functions.items() if frame == TRICOPTER and f == TAIL]
+    outputs = dict(sorted((FUNCTIONS[f], i) for i, f in functions.items() if f in FUNCTIONS and i not in tails))
     if not log.instances("RCOU"):
         return Chosen(), [], outputs
     columns, notes = log.streams["RCOU", log.instances("RCOU")[0]].columns, list[str]()
+    letter = "C" if "C1" in columns else "Ch"
     if not outputs:
-        outputs = {i: i for i in range(1, 9) if f"C{i}" in columns and moving(columns[f"C{i}"])}
+        outputs = {i: i for i in range(1, 9) if moving(columns.get(f"{letter}{i}", np.zeros(1)))}
         reason = f"no SERVOn_FUNCTION says which output drives which motor: RCOU outputs {[*outputs]} are motors"
         notes = [reason] if outputs else []
     entries, hertz = dict[str, Entry](), 0.0
     for motor, output in outputs.items():
         topic = next(name for name, some in OUTPUTS.items() if output in some)
         stream = log.streams.get((topic, 0))
-        if stream is None or f"C{output}" not in stream.columns:
+        name = f"{letter}{output}"
+        if stream is None or name not in stream.columns:
             reason = "an output for every motor of SERVOn_FUNCTION"
-            raise InputError(log.file, f"{topic}.C{output}", "is missing", reason)
-        values = _numbers(log, stream, topic, f"C{output}")
-        fitting = range_of(log.file, f"{topic}.C{output} (motor{motor})", values, of_ardupilot(parameters))
-        entries |= named(Group(topic, {f"motor{motor}": fitting.entry(f"C{output}")}), 0)
+            raise InputError(log.file, f"{topic}.{name}", "is missing", reason)
+        values = _numbers(log, stream, topic, name)
+        fitting = range_of(log.file, f"{topic}.{name} (motor{motor})", values, of_ardupilot(parameters, output))
+        entries |= named(Group(topic, {f"motor{motor}": fitting.entry(name)}), 0)
         hertz = rate_of(stream.time)
+    for output in tails:
+        entry = _centred(f"{letter}{output}", parameters, f"SERVO{output}")
+        entries |= named(Group("RCOU", {"ped": entry}), 0) if entry and entry.field in columns else {}
+        notes.append(f"RCOU.{letter}{output} tilts the tail motor: ped")
     return Chosen(entries, hertz), notes, outputs
 
 

@@ -43,10 +43,13 @@ class OutputRange:
         return Entry(field, "norm", 1, 1.0 / span, -self.low / span)
 
 
+OF_THE_SERVO = 8
+"""MOT_PWM_TYPE of motors with the range of their servo output."""
 UNIT = OutputRange(0.0, 1.0, "commands 0 to 1")
 DSHOT = OutputRange(1.0, 1999.0, "DShot")
 DSHOT_RAW = OutputRange(48.0, 2047.0, "DShot with the first 48 values for orders")
 UAVCAN = OutputRange(1.0, 8191.0, "UAVCAN")
+SPEEDS = OutputRange(0.0, 1000.0, "speeds of a simulator in rad/s, by default")
 PULSE = OutputRange(1000.0, 2000.0, "servo pulses in us, by default")
 
 
@@ -91,31 +94,36 @@ def of_px4(settings: Mapping[str, float], prefix: str, number: int, raw: Sequenc
     if settings.get("UAVCAN_ENABLE", 0.0) >= 3:
         allowed.append(OutputRange(UAVCAN.low, UAVCAN.high, "UAVCAN, by UAVCAN_ENABLE"))
     timers = [int(value) for key, value in settings.items() if key.startswith(f"{prefix}_TIM")]
+    mixed = any(timer >= -1 for timer in timers) and any(timer < -1 for timer in timers)
     if settings.get("DSHOT_CONFIG", 0.0) > 0 or any(-5 <= timer <= -2 for timer in timers):
         name = "DSHOT_CONFIG" if settings.get("DSHOT_CONFIG", 0.0) > 0 else f"{prefix}_TIM"
         allowed.append(OutputRange(DSHOT.low, DSHOT.high, f"DShot, by {name}"))
     pulses = _px4_pulses(settings, prefix, number)
     if -1 in timers or settings.get("PWM_RATE") == 0.0:
         allowed.append(OutputRange(pulses.low / 8.0, pulses.high / 8.0, f"OneShot125, an eighth of {pulses.about}"))
-    return [*allowed, pulses]
+    return [pulses, *allowed] if mixed else [*allowed, pulses]  # outputs of DShot begin far below pulses
 
 
 def _px4_pulses(settings: Mapping[str, float], prefix: str, number: int) -> OutputRange:
     """Pulses by the settings of the output, of its group or of all; -1 stands for what the group says."""
     ends, used = [], []
-    for end, default in (("MIN", PULSE.low), ("MAX", PULSE.high)):
+    usual = SPEEDS if prefix == "SIM_GZ_EC" else PULSE
+    for end, default in (("MIN", usual.low), ("MAX", usual.high)):
         keys = (f"{prefix}_{end}{number}", f"{prefix}_{end}", *([f"PWM_{end}"] if prefix != "PWM_AUX" else []))
         key = next((key for key in keys if settings.get(key, -1.0) > 0.0), "")
         ends.append(settings[key] if key else default)
         used += [key] if key else []
     if not ends[0] < ends[1]:
-        return PULSE
-    return OutputRange(ends[0], ends[1], ", ".join(used) if used else PULSE.about)
+        return usual
+    return OutputRange(ends[0], ends[1], ", ".join(used) if used else usual.about)
 
 
-def of_ardupilot(settings: Mapping[str, float]) -> list[OutputRange]:
-    """Ranges of RCOU that ArduPilot's settings allow; digital protocols are logged as pulses of 1000 to 2000."""
+def of_ardupilot(settings: Mapping[str, float], number: int) -> list[OutputRange]:
+    """Ranges that ArduPilot's settings allow for output `number`; digital protocols are logged as pulses."""
     kind = int(settings.get("MOT_PWM_TYPE", 0))
+    if kind == OF_THE_SERVO:
+        low, high = settings.get(f"SERVO{number}_MIN", PULSE.low), settings.get(f"SERVO{number}_MAX", PULSE.high)
+        return [OutputRange(low, high, f"SERVO{number}_MIN, SERVO{number}_MAX")] if low < high else [PULSE]
     if kind in (4, 5, 6, 7):
         return [OutputRange(PULSE.low, PULSE.high, f"DShot logged as pulses, by MOT_PWM_TYPE {kind}")]
     throttle = f"RC{int(settings.get('RCMAP_THROTTLE', 3))}"

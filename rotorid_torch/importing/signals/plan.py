@@ -94,10 +94,13 @@ def first_or_faster(log: Log, alternatives: Sequence[Group], instance: Instances
         if group.spare and best.entries:
             continue
         number, why = instance(group.topic, numbers)
+        filled = [n for n in numbers if _filled(log, group, n)]
+        if filled and number not in filled:
+            number, why = filled[0], f"instance {filled[0]}; {_written(group, number)} left: all zero or not a number"
         stream = log.streams[group.topic, number]
         columns = [stream.columns[e.field] for e in group.entries.values() if e.field in stream.columns]
         name = _written(group, number)
-        if not any(map(has_content, columns)):
+        if not filled:
             left.append(f"{name} left: all zero or not a number")
             continue
         hertz, changing = rate_of(stream.time), any(map(moving, columns))
@@ -113,6 +116,12 @@ def first_or_faster(log: Log, alternatives: Sequence[Group], instance: Instances
         topics = ", ".join(dict.fromkeys(group.topic for group in alternatives))
         return Chosen(missing=f"{channels} ({'; '.join(left) or f'no {topics}'})")
     return Chosen(best.entries, best.hertz, "; ".join([*([chosen_why] if chosen_why else []), *left]))
+
+
+def _filled(log: Log, group: Group, number: int) -> bool:
+    """Whether an instance of a group's topic has any content."""
+    columns = log.streams[group.topic, number].columns
+    return any(has_content(columns[e.field]) for e in group.entries.values() if e.field in columns)
 
 
 def _written(group: Group, number: int) -> str:

@@ -1,7 +1,7 @@
 """Resets of an estimator: steps of attitude, velocity and position that no motion made, undone or cut out.
 
 Source: PX4 Autopilot, msg/VehicleAttitude.msg, VehicleLocalPosition.msg (reset counters and deltas); ArduPilot,
-"Onboard Message Log Messages", XKF4 (PI, OFN, OFE), EV (60: EKF altitude reset, 62: EKF yaw reset).
+"Onboard Message Log Messages", XKF4 (PI, OFN, OFE), EV (60: EKF altitude reset, 62: EKF yaw reset), ERR.
 """
 
 from __future__ import annotations
@@ -69,6 +69,8 @@ PX4: Mapping[str, tuple[Counter, ...]] = {
 """Counters by topic."""
 EVENTS = {60: ("height",), 62: ("psi",)}
 """Channels by ArduPilot's EV.Id."""
+PRIMARY = 24
+"""ERR.Subsys that tells another primary core of the estimator."""
 SAYINGS = re.compile(
     r"lane switch|primary changed|yaw (aligned|reset)|(position|velocity|height) reset|emergency yaw|EKF.* reset",
     re.IGNORECASE,
@@ -169,6 +171,13 @@ def _of_ardupilot(log: Log, sources: set[tuple[str, int]]) -> Iterator[Reset]:
             for number, channels in EVENTS.items():
                 for time in stream.time[numbers == number]:
                     yield Reset(float(time), f"estimator reset (EV {number})", channels, within=LATE_S)
+    for instance in log.instances("ERR"):
+        stream = log.streams["ERR", instance]
+        subsystem, code = (stream.columns.get(name, np.empty(0)) for name in ("Subsys", "ECode"))
+        if is_numbers(subsystem) and is_numbers(code) and len(subsystem) == len(code):
+            for at in np.flatnonzero(subsystem == PRIMARY):
+                switch = f"lane switch of the estimator (ERR {PRIMARY}, to {code[at]:g})"
+                yield Reset(float(stream.time[at]), switch, tuple(STEP), within=LATE_S)
     for time, text in log.messages:
         if SAYINGS.search(text):
             yield Reset(time, f"estimator reset ('{text[:50]}')", tuple(STEP), within=LATE_S)

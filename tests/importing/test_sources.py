@@ -1,0 +1,178 @@
+"""Which source of a log is taken: outputs of several groups, instances with content, flags, timers, faster messages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rotorid_torch.errors import InputError
+from tests.importing.log_writers import motion, quaternion, write_dataflash
+from tests.importing.test_flown import clock, commands, copter, floats, gyro, imported, outputs, px4, speeds, wired
+
+TIME = clock()
+SINCE = TIME - TIME[0]
+ASKED = commands(TIME)
+MOTORS = wired({i: i for i in range(1, 5)})
+
+
+def functions(prefix: str, motors: tuple[int, ...] = (1, 2, 3, 4)) -> dict[str, float]:
+    return {f"{prefix}_FUNC{i}": 100 + motor for i, motor in enumerate(motors, 1)}
+
+
+def right(channels: dict[str, np.ndarray], tolerance: float = 2e-3) -> bool:
+    return all(np.abs(channels[f"motor{i + 1}"] - ASKED[i]).max() < tolerance for i in range(4))
+
+
+def told_by(topics: dict[str, tuple], hertz: float = 100.0) -> dict[str, tuple]:
+    """The same log with commands at this rate, its rates added."""
+    time = clock(hertz=hertz)
+    asked = floats({f"control[{i}]": row for i, row in enumerate(commands(time))})
+    return {"vehicle_angular_velocity": gyro(TIME), "actuator_motors": (time, asked)} | topics
+
+
+# PX4
+
+
+@pytest.mark.parametrize("low", [150, 0])
+def test_outputs_of_a_simulator_have_the_range_of_its_settings(low: int, tmp_path: Path):
+    topics = told_by({"actuator_outputs": (TIME, outputs(TIME, low, 1000.0, 0.0))}, hertz=10.0)
+    ends = {f"SIM_GZ_EC_{end}{i}": value for i in range(1, 5) for end, value in (("MIN", low), ("MAX", 1000))}
+    done, channels = px4(tmp_path, topics, functions("SIM_GZ_EC") | ends)
+    assert done.channels["motor1"].source == "actuator_outputs.output[0]"
+    assert right(channels)
+
+
+@pytest.mark.parametrize(("low", "high", "rest"), [(1000.0, 2000.0, 900.0), (1.0, 1999.0, 0.0)])
+def test_some_timers_with_pulses_and_some_with_dshot(low: float, high: float, rest: float, tmp_path: Path):
+    topics = {"vehicle_angular_velocity": gyro(TIME), "actuator_outputs": (TIME, outputs(TIME, low, high, rest))}
+    _, channels = px4(tmp_path, topics, functions("PWM_MAIN") | {"PWM_MAIN_TIM0": 400, "PWM_MAIN_TIM1": -3})
+    assert right(channels)
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_motors_on_two_groups_of_outputs(swapped: bool, tmp_path: Path):
+    every = outputs(TIME, 1000.0, 2000.0, 900.0, order=(0, 1, 2, 3))
+    idle = np.zeros(len(TIME), "<f4")
+    halves = [{f"output[{i}]": every[f"output[{i + first}]"] if i < 2 else idle for i in range(16)} for first in (0, 2)]
+    main, auxiliary = ((3, 4), (1, 2)) if swapped else ((1, 2), (3, 4))
+    first, second = halves[::-1] if swapped else halves
+    topics = {"vehicle_angular_velocity": gyro(TIME), "actuator_outputs": (TIME, first)}
+    topics["actuator_outputs[1]"] = (TIME, second)
+    _, channels = px4(tmp_path, topics, functions("PWM_MAIN", main) | functions("PWM_AUX", auxiliary))
+    assert right(channels)
+
+
+def test_a_group_without_its_outputs_is_told(tmp_path: Path):
+    topics = {"vehicle_angular_velocity": gyro(TIME)}
+    topics["actuator_outputs"] = (TIME, outputs(TIME, 1000.0, 2000.0, 900.0))
+    done, channels = px4(tmp_path, topics, functions("PWM_MAIN", (1, 2, 3)) | functions("UAVCAN_EC", (4,)))
+    assert "motor4" not in channels
+    assert any("no data: motor4 (no actuator_outputs of UAVCAN_EC)" in told for told in done.warnings)
+
+
+def test_a_reversed_output_is_refused(tmp_path: Path):
+    topics = {"vehicle_angular_velocity": gyro(TIME)}
+    topics["actuator_outputs"] = (TIME, outputs(TIME, 1000.0, 2000.0, 900.0))
+    with pytest.raises(InputError, match=r"output\[1\] .motor2.: is reversed by PWM_MAIN_REV"):
+        px4(tmp_path, topics, functions("PWM_MAIN") | {"PWM_MAIN_REV": 2})
+
+
+def test_the_instance_with_content(tmp_path: Path):
+    silent = {name: 0 * values for name, values in speeds(TIME, (1, 2, 3, 4)).items()}
+    topics = {"esc_status": (TIME, silent), "esc_status[1]": (TIME, speeds(TIME, (1, 2, 3, 4)))}
+    topics["battery_status"] = (TIME, floats({"voltage_v": 0.0 * TIME}))
+    topics["battery_status[1]"] = (TIME, floats({"voltage_v": 16.0 + 0.1 * np.sin(SINCE)}))
+    done, channels = px4(tmp_path, told_by(topics))
+    assert np.abs(channels["voltage"] - 16.0 - 0.1 * np.sin(SINCE)).max() < 1e-3
+    assert np.abs(channels["omega3"] - 10_000.0 * np.sqrt(0.2 + ASKED[2]) * np.pi / 30.0).max() < 0.2
+    assert "battery_status.voltage_v left: all zero or not a number" in done.channels["voltage"].reason
+
+
+@pytest.mark.parametrize("never", ["v_xy_valid", "xy_valid"])
+def test_positions_that_the_estimator_never_called_valid(never: str, tmp_path: Path):
+    flags = ("xy_valid", "z_valid", "v_xy_valid", "v_z_valid")
+    state = floats({name: np.sin(SINCE) for name in ("vx", "vy", "vz", "x", "y", "z")})
+    state |= {flag: np.full(len(TIME), flag != never, "<u1") for flag in flags}
+    turned = quaternion(*(motion(SINCE)[name] for name in ("phi", "theta", "psi")))
+    topics = {"vehicle_attitude": (TIME, floats({f"q[{i}]": turned[i] for i in range(4)}))}
+    done, channels = px4(tmp_path, told_by(topics | {"vehicle_local_position": (TIME, state)}))
+    absent = {"u", "v", "w"} if never == "v_xy_valid" else {"north", "east"}
+    assert channels.keys().isdisjoint(absent)
+    assert "height" in channels
+    assert any(f"left: {never} is never set" in told for told in done.warnings)
+
+
+# ArduPilot
+
+
+def ardupilot(tmp_path: Path, topics: dict[str, tuple], settings: dict[str, float] | None = None):
+    return imported(write_dataflash(tmp_path / "log.bin", topics, MOTORS | (settings or {})), tmp_path)
+
+
+def by_pulses(pulses: np.ndarray | None = None) -> dict[str, tuple]:
+    return copter(TIME, 1000.0 + 1000.0 * ASKED if pulses is None else pulses)
+
+
+@pytest.mark.parametrize(("topic", "source"), [("RATE", "RATE.R"), ("GYR", "GYR.GyrX")])
+def test_body_rates_of_a_faster_message(topic: str, source: str, tmp_path: Path):
+    slow = clock(hertz=20.0)
+    topics = by_pulses() | {"IMU": copter(slow, ASKED[:, : len(slow)])["IMU"]}
+    m = motion(SINCE)
+    if topic == "RATE":
+        topics[topic] = (TIME, floats({"R": np.degrees(m["p"]), "P": np.degrees(m["q"]), "Y": np.degrees(m["r"])}))
+    else:
+        topics[topic] = (TIME, floats({f"Gyr{a}": m[n] for a, n in zip("XYZ", "pqr", strict=True)}))
+    done, channels = ardupilot(tmp_path, topics)
+    assert done.channels["p"].source == source
+    assert np.abs(channels["q"] - m["q"])[5:-5].max() < 1e-3
+
+
+def test_motors_with_the_range_of_their_servo(tmp_path: Path):
+    settings = {"MOT_PWM_TYPE": 8, "MOT_PWM_MIN": 1000, "MOT_PWM_MAX": 2000}
+    settings |= {f"SERVO{i}_{end}": value for i in range(1, 5) for end, value in (("MIN", 1100), ("MAX", 1900))}
+    _, channels = ardupilot(tmp_path, by_pulses(1100.0 + 800.0 * ASKED), settings)
+    assert right(channels)
+
+
+def test_the_tail_of_a_tricopter_is_no_motor(tmp_path: Path):
+    pulses = np.vstack([1000.0 + 1000.0 * ASKED[:3], 1520.0 + 200.0 * np.sin(SINCE)])
+    settings = {"SERVO3_FUNCTION": 36, "SERVO4_FUNCTION": 39, "FRAME_CLASS": 7, "SERVO4_MIN": 1120}
+    settings |= {"SERVO4_TRIM": 1520, "SERVO4_MAX": 1920}
+    done, channels = ardupilot(tmp_path, by_pulses(pulses), settings)
+    assert {name for name in channels if name.startswith("motor")} == {"motor1", "motor2", "motor4"}
+    assert np.abs(channels["ped"] - 0.5 * np.sin(SINCE)).max() < 2e-3
+    assert done.units["ped"] == "norm"
+
+
+@pytest.mark.parametrize("frame", [8, 9])
+def test_fins_are_no_motors(frame: int, tmp_path: Path):
+    with pytest.raises(InputError, match=f"has fins for motors 1 to 4 .FRAME_CLASS {frame}."):
+        ardupilot(tmp_path, by_pulses(), {"FRAME_CLASS": frame})
+
+
+@pytest.mark.parametrize(("topic", "field", "channel"), [("BAT", "Volt", "voltage"), ("ARSP", "Airspeed", "airspeed")])
+def test_the_second_battery_and_airspeed_sensor(topic: str, field: str, channel: str, tmp_path: Path):
+    both = np.sort(np.concatenate([TIME, TIME + 1e-4]))
+    number = np.tile([0, 1], len(TIME)).astype("<u1")
+    values = np.where(number == 0, 0.0, 14.0 + np.sin(both - both[0]))
+    topics = by_pulses() | {topic: (both, {"Inst": number} | floats({field: values}))}
+    _, channels = ardupilot(tmp_path, topics)
+    assert np.abs(channels[channel] - 14.0 - np.sin(SINCE)).max() < 1e-2
+
+
+def test_outputs_by_their_older_names(tmp_path: Path):
+    topics = by_pulses()
+    time, columns = topics["RCOU"]
+    topics["RCOU"] = (time, {name.replace("C", "Ch"): values for name, values in columns.items()})
+    _, channels = imported(write_dataflash(tmp_path / "log.bin", topics, {"FRAME": 1}), tmp_path)
+    assert right(channels)
+
+
+def test_a_lane_switch_that_only_an_error_tells(tmp_path: Path):
+    topics = by_pulses() | {"ERR": (np.array([26.0]), {"Subsys": np.array([24], "<u1"), "ECode": np.array([1], "<u1")})}
+    topics["ATT"][1]["Yaw"] += np.where(SINCE > 6.0, 40.0, 0.0).astype("<f4")
+    done, _ = ardupilot(tmp_path, topics)
+    assert len(done.flights) == 2
+    assert any("lane switch of the estimator (ERR 24, to 1)" in told for told in done.warnings)
