@@ -6,7 +6,6 @@ and what is read back are equal.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,36 +15,17 @@ import msgspec
 from rotorid_torch.core.names import Kind, Verdict
 from rotorid_torch.core.storage.atomic import restore
 from rotorid_torch.core.storage.files import read_file
+from rotorid_torch.core.storage.record import AtMostOne, Number, Record, Share, Size
 from rotorid_torch.data.refusal import convert
 from rotorid_torch.errors import InputError
+from rotorid_torch.validate.judged import Prediction, Response
 from rotorid_torch.version import __version__
 
-Number = float | None
-Size = Annotated[float, msgspec.Meta(ge=0)] | None
-"""A number that is not negative: an error, a duration, a score."""
-AtMostOne = Annotated[float, msgspec.Meta(le=1)] | None
-Share = Annotated[float, msgspec.Meta(ge=0, le=1 + 1e-9)] | None
 LARGEST = 64 * 2**20
 """Bytes of a report.json at most."""
 Status = Literal["free", "frozen", "nuisance", "not identifiable"]
 Role = Literal["undeclared", "structure", "learnt"]
 LISTS = ("identify", "validate", "acid")
-
-
-def _finite(value: object) -> object:
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None  # a plain number, whatever library it comes from
-    if isinstance(value, tuple):
-        return tuple(_finite(item) for item in value)
-    return value
-
-
-class Record(msgspec.Struct, frozen=True, kw_only=True):
-    """A part of the report; numbers that are not finite become None."""
-
-    def __post_init__(self) -> None:
-        for name in self.__struct_fields__:
-            msgspec.structs.force_setattr(self, name, _finite(getattr(self, name)))
 
 
 class ParameterRecord(Record, frozen=True, kw_only=True):
@@ -84,32 +64,6 @@ class WindowsRecord(Record, frozen=True, kw_only=True):
     p90: Size
 
 
-class ResponseRecord(Record, frozen=True, kw_only=True):
-    """What a model gives at measured states against what was measured: nothing is integrated.
-
-    constant : mean of measured minus model over the flight; r2_without_constant : R2 with it taken out. moved : whether
-    the flight moves it clearly; described : whether anything of the model does.
-    """
-
-    rmse: Size
-    r2: AtMostOne
-    unit: str
-    constant: Number = None
-    r2_without_constant: AtMostOne = None
-    moved: bool = True
-    described: bool = True
-
-
-class PredictionRecord(Record, frozen=True, kw_only=True):
-    """Mean norm of a quantity's error some seconds after measured states: of the model, and of holding them."""
-
-    quantity: str
-    seconds: Annotated[float, msgspec.Meta(gt=0)]
-    unit: str
-    error: Size
-    held: Size
-
-
 class FlightRecord(Record, frozen=True, kw_only=True, omit_defaults=True):
     """Scores of one flight's free run; of a multirotor's flight also its responses and predictions.
 
@@ -122,8 +76,8 @@ class FlightRecord(Record, frozen=True, kw_only=True, omit_defaults=True):
     J_trim: Size
     windows: WindowsRecord
     channels: dict[str, ChannelRecord]
-    responses: dict[str, ResponseRecord] = {}
-    predictions: tuple[PredictionRecord, ...] = ()
+    responses: dict[str, Response] = msgspec.field(default_factory=dict)
+    predictions: tuple[Prediction, ...] = ()
     J_gust: Size = None
     J_fed: Size = None
 

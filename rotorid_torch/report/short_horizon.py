@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from rotorid_torch.report.records import LISTS, FitRecord
+from rotorid_torch.validate.judged import Judgement
 from rotorid_torch.validate.lists import ShortHorizon
 
 NAMES = {"pdot": "roll acceleration", "qdot": "pitch acceleration", "rdot": "yaw acceleration"}
@@ -17,7 +18,8 @@ BRACKETS = (
 
 def short_horizon(fit: FitRecord) -> list[ShortHorizon]:
     """One for each list whose flights have responses; none for a vehicle that a free run tells of."""
-    lists = {name: [f for f in fit.flights.values() if f.list == name and f.responses] for name in LISTS}
+    judged = [(f.list, Judgement(f.responses, f.predictions)) for f in fit.flights.values() if f.responses]
+    lists = {name: [one for of, one in judged if of == name] for name in LISTS}
     return [ShortHorizon.of(name, flights) for name, flights in lists.items() if flights]
 
 

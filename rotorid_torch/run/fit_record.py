@@ -10,13 +10,12 @@ import msgspec
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.names import SPECIFIC_FORCES
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.velocities import HALF
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.model_estimation import ModelEstimate
-from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
+from rotorid_torch.model.model import Model
 from rotorid_torch.model.modes import modes
 from rotorid_torch.report.figures import Overlay
 from rotorid_torch.report.records import (
@@ -27,8 +26,6 @@ from rotorid_torch.report.records import (
     GustRecord,
     ModeRecord,
     ParameterRecord,
-    PredictionRecord,
-    ResponseRecord,
     ScoresRecord,
     Status,
     WindowsRecord,
@@ -37,11 +34,9 @@ from rotorid_torch.report.summary import SHOWN
 from rotorid_torch.validate import scores
 from rotorid_torch.validate.free_run import Runs, Windows
 from rotorid_torch.validate.neighbours import free_run_bands, without
-from rotorid_torch.validate.predictions import UNITS, predictions
+from rotorid_torch.validate.predictions import predictions
 from rotorid_torch.validate.responses import compared, least_motion, responses
 from rotorid_torch.validate.windows import Scored, all_windows
-
-RESPONSE_UNITS = dict.fromkeys(ANGULAR_ACCELERATIONS, "rad/s2") | dict.fromkeys(SPECIFIC_FORCES, "m/s2")
 
 
 @dataclass(frozen=True)
@@ -165,12 +160,9 @@ def _without_free_run(
     Velocities that were made from positions before and after judge nothing, and no position while that is known.
     """
     flight = dataset.flights[name]
-    explained = {
-        name: ResponseRecord(**vars(response), unit=RESPONSE_UNITS.get(name, "rad/s"))
-        for name, response in responses(run.model, flight, least=least).items()
-    }
+    explained = responses(run.model, flight, least=least)
     ahead = tuple(
-        PredictionRecord(quantity=p.quantity, seconds=p.seconds, unit=UNITS[p.quantity], error=p.error, held=p.held)
+        p
         for p in predictions(run.model, flight, run)
         if not dataset.derived
         or not (p.quantity == "velocity" or (p.quantity == "position" and p.seconds < 2.0 * HALF))

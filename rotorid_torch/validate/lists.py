@@ -8,84 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 from rotorid_torch.model.model import ANGULAR_ACCELERATIONS
+from rotorid_torch.validate.judged import Judgement, Response
 
 TURNING = ("rates", "attitude")
 """Quantities that only flights tell which turn the vehicle."""
-
-
-class Judged(Protocol):
-    """A response of one flight, see `responses.Response`."""
-
-    @property
-    def rmse(self) -> float | None:
-        """Root mean square of the error."""
-        ...
-
-    @property
-    def r2(self) -> float | None:
-        """As measured."""
-        ...
-
-    @property
-    def r2_without_constant(self) -> float | None:
-        """With the flight's constant taken out."""
-        ...
-
-    @property
-    def moved(self) -> bool:
-        """Whether the flight moves it."""
-        ...
-
-    @property
-    def described(self) -> bool:
-        """Whether the model does."""
-        ...
-
-
-class Predicted(Protocol):
-    """A prediction of one flight, see `predictions.Prediction`, in its unit."""
-
-    @property
-    def quantity(self) -> str:
-        """What is predicted."""
-        ...
-
-    @property
-    def seconds(self) -> float:
-        """After how long."""
-        ...
-
-    @property
-    def unit(self) -> str:
-        """Of the errors."""
-        ...
-
-    @property
-    def error(self) -> float | None:
-        """Of the model."""
-        ...
-
-    @property
-    def held(self) -> float | None:
-        """Of holding what was measured."""
-        ...
-
-
-class Flown(Protocol):
-    """What was judged of a flight."""
-
-    @property
-    def responses(self) -> Mapping[str, Judged]:
-        """By name."""
-        ...
-
-    @property
-    def predictions(self) -> Sequence[Predicted]:
-        """Of every quantity and time."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -117,9 +45,9 @@ class ShortHorizon:
     silent: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, name: str, flights: Sequence[Flown]) -> ShortHorizon:
+    def of(cls, name: str, flights: Sequence[Judgement]) -> ShortHorizon:
         """Of a list of flights that have responses."""
-        each: dict[str, list[Judged]] = {}
+        each: dict[str, list[Response]] = {}
         for flight in flights:
             for row, response in flight.responses.items():
                 each.setdefault(row, []).append(response)
@@ -161,7 +89,7 @@ def described(horizon: ShortHorizon, after: ShortHorizon) -> float:
     return sum(shares) / len(shares) if shares else 0.0
 
 
-def _pooled(responses: Sequence[Judged], about: bool) -> float:
+def _pooled(responses: Sequence[Response], about: bool) -> float:
     """R2 over all flights: their errors over their deviations. about : with each flight's constant taken out."""
     error, spread = 0.0, 0.0
     for r in responses:
@@ -173,7 +101,7 @@ def _pooled(responses: Sequence[Judged], about: bool) -> float:
     return 1.0 - error / spread if spread else math.nan
 
 
-def _means(flights: Sequence[Flown]) -> Iterator[Ahead]:
+def _means(flights: Sequence[Judgement]) -> Iterator[Ahead]:
     turned = [f for f in flights if any(r.moved for row, r in f.responses.items() if row in ANGULAR_ACCELERATIONS)]
     for p in {(p.quantity, p.seconds): p for flight in flights for p in flight.predictions}.values():
         both = [

@@ -7,7 +7,6 @@ flight so many steps ahead, the mean over the samples of the norm of the error v
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
@@ -20,6 +19,7 @@ from rotorid_torch.model.accelerations import Accelerations
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.training.equilibrium import equilibrium
 from rotorid_torch.validate.free_run import Runs
+from rotorid_torch.validate.judged import Prediction
 from rotorid_torch.validate.responses import measured_states
 
 HORIZONS_S = (0.1, 0.5, 1.0)
@@ -33,16 +33,6 @@ WORSE = 1.1
 TOGETHER = 200_000
 """Samples that are predicted at once."""
 UNITS = {"position": "m", "velocity": "m/s", "attitude": "rad", "rates": "rad/s"}
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """Mean norm of the error of a quantity after so many seconds: of the model, and of holding what was measured."""
-
-    quantity: str
-    seconds: float
-    error: float
-    held: float
 
 
 def predictions(
@@ -68,7 +58,10 @@ def predictions(
         for some in places.split(max(1, TOGETHER // longest)):
             _predicted(model, run, Record(flight.dt, states, taped, measured), some, errors)
     means = {about: torch.cat(error).nanmean(0).tolist() for about, error in errors.items() if any(map(len, error))}
-    return tuple(Prediction(quantity, seconds, *mean) for (quantity, seconds), mean in means.items())
+    return tuple(
+        Prediction(quantity=quantity, seconds=seconds, unit=UNITS[quantity], error=error, held=held)
+        for (quantity, seconds), (error, held) in means.items()
+    )
 
 
 def unexplained_moments(model: Model, flights: Iterable[Flight]) -> tuple[str, ...]:

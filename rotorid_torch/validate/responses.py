@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -20,6 +19,7 @@ from rotorid_torch.effects.signal_operations import averaged, half_of
 from rotorid_torch.identification.measured_states import SMOOTHED_S
 from rotorid_torch.model.accelerations import Accelerations
 from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
+from rotorid_torch.validate.judged import Response
 
 CLEAR = 2.0
 """Standard deviation of a response over its noise from which on a flight moves it: a perfect model explains 3/4."""
@@ -29,20 +29,8 @@ BARELY = 0.05
 """Standard deviation of the modelled over that of the measured response, below which the model does not describe it."""
 
 
-@dataclass(frozen=True)
-class Response:
-    """One response of a flight: rms of measured minus model in its unit, and R2 = 1 - sum(error^2)/sum(deviation^2).
-
-    constant : mean of measured minus model. r2_without_constant : R2 with that taken out of the error. moved : whether
-    the flight moves it; R2 means nothing of what it leaves alone. described : whether anything of the model moves it.
-    """
-
-    rmse: float
-    r2: float
-    constant: float
-    r2_without_constant: float
-    moved: bool
-    described: bool
+UNITS = dict.fromkeys(ANGULAR_ACCELERATIONS, "rad/s2") | dict.fromkeys(SPECIFIC_FORCES, "m/s2")
+"""Of responses; rotor speeds are in rad/s."""
 
 
 def responses(
@@ -53,7 +41,7 @@ def responses(
     least : standard deviation by response from which on a flight moves it (`least_motion`); none: all are moved.
     """
     pairs = compared(model, flight, smoothed)
-    return {name: _judged(*pair, (least or {}).get(name, 0.0)) for name, pair in pairs.items()}
+    return {name: _judged(name, pair, (least or {}).get(name, 0.0)) for name, pair in pairs.items()}
 
 
 def least_motion(dataset: Dataset, smoothed: float = SMOOTHED_S) -> dict[str, float]:
@@ -119,7 +107,8 @@ def compared(model: Model, flight: Flight, smoothed: float = SMOOTHED_S) -> dict
     }
 
 
-def _judged(measured: Tensor, model: Tensor, least: float) -> Response:
+def _judged(name: str, pair: tuple[Tensor, Tensor], least: float) -> Response:
+    measured, model = pair
     error = measured - model
     deviation = measured - measured.mean()
     spread = deviation.square().sum()
@@ -127,7 +116,13 @@ def _judged(measured: Tensor, model: Tensor, least: float) -> Response:
     moved = float(deviation.square().mean().sqrt()) >= least
     described = bool(model.std() > BARELY * deviation.std())
     return Response(
-        float(error.square().mean().sqrt()), explained[0], float(error.mean()), explained[1], moved, described
+        rmse=float(error.square().mean().sqrt()),
+        r2=explained[0],
+        unit=UNITS.get(name, "rad/s"),
+        constant=float(error.mean()),
+        r2_without_constant=explained[1],
+        moved=moved,
+        described=described,
     )
 
 

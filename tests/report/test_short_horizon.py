@@ -11,14 +11,15 @@ from rotorid_torch.report.page.document import render
 from rotorid_torch.report.scorecard import scorecard
 from rotorid_torch.report.short_horizon import explained, short_horizon
 from rotorid_torch.report.summary import failing, headline, next_steps
+from rotorid_torch.validate.judged import Prediction, Response
 
 
-def response(rmse: float, r2: float) -> records.ResponseRecord:
-    return records.ResponseRecord(rmse=rmse, r2=r2, unit="rad/s2")
+def response(rmse: float, r2: float) -> Response:
+    return Response(rmse=rmse, r2=r2, unit="rad/s2")
 
 
-def ahead(error: float, seconds: float = 0.5) -> records.PredictionRecord:
-    return records.PredictionRecord(quantity="rates", seconds=seconds, unit="rad/s", error=error, held=2.0)
+def ahead(error: float, seconds: float = 0.5) -> Prediction:
+    return Prediction(quantity="rates", seconds=seconds, unit="rad/s", error=error, held=2.0)
 
 
 @pytest.fixture
