@@ -127,7 +127,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     except (Exception, KeyboardInterrupt) as error:
         if speaks:
-            print("rotorid:", printable(" ".join(_sentence(error).split()), layout=False), file=sys.stderr)
+            line = printable(" ".join(_sentence(error).split()), layout=False)
+            print(line if line.startswith("rotorid ") else f"rotorid: {line}", file=sys.stderr)
         if isinstance(error, Unwritable) and error.file == OUTPUT:
             _print_no_more()
         return _code(error)

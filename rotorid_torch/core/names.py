@@ -160,6 +160,8 @@ def ordered_controls(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def nearest(name: str, words: Iterable[str]) -> str:
-    """Hint for a misspelt name, " (did you mean 'x'?)" or an empty string."""
-    match = difflib.get_close_matches(name, list(words), n=1)
-    return f" (did you mean '{match[0]}'?)" if match else ""
+    """Hint for a misspelt or shortened name, " (did you mean 'x'?)" or an empty string."""
+    words = list(words)
+    ending = sorted(word for word in words if word.endswith(f".{name}"))
+    match = ending[:3] or difflib.get_close_matches(name, words, n=1)
+    return f" (did you mean {' or '.join(map(repr, match))}?)" if match else ""

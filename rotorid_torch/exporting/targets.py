@@ -75,7 +75,8 @@ def _write(write: Callable[[Subject, Path], None], subject: Subject, file: Path,
 def _refuse(target: str, place: Path, overwrite: bool) -> None:
     endings = ENDINGS.get(target)
     if endings and place.suffix not in endings:
-        raise InputError(place, f"--{target}", f"ends with '{place.suffix}'", " or ".join(endings))
+        wrong = f"ends with '{place.suffix}'" if place.suffix else "has no ending"
+        raise InputError(place, f"--{target}", wrong, " or ".join(endings))
     if target == "c":
         if place.exists() and not place.is_dir():
             raise InputError(place, "--c", "is a file", "a folder")

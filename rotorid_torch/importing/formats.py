@@ -34,6 +34,18 @@ TABLES: Mapping[str, Callable[[Path, Choose, Clock | None], Log]] = {
     ".parquet": read_parquet,
 }
 """Readers of tables."""
+DECODED = "the .csv that blackbox_decode or Betaflight's explorer makes of it"
+UNPACKED = "the log that is packed in it"
+AS_TABLE = "its topics as .csv"
+CONVERTED: Mapping[str, str] = {
+    **dict.fromkeys((".bbl", ".bfl", ".bbs"), DECODED),
+    **dict.fromkeys((".zip", ".gz", ".7z", ".tar", ".xz"), UNPACKED),
+    **dict.fromkeys((".bag", ".mcap", ".db3"), AS_TABLE),
+    **dict.fromkeys((".xlsx", ".xls", ".ods"), "the sheet saved as .csv"),
+    **dict.fromkeys((".tlog", ".rlog"), "the autopilot's log of its card: .bin of ArduPilot, .ulg of PX4"),
+    ".log": "the .bin of ArduPilot that it was made from",
+}
+"""What to bring instead of files that only other programs read, by their endings."""
 
 
 def read_log(file: Path, choose: Choose, clock: Clock | None, form: Form | None = None) -> Log:
@@ -49,6 +61,8 @@ def read_log(file: Path, choose: Choose, clock: Clock | None, form: Form | None 
             return TABLES[ending](file, choose, clock)
     except OSError as error:
         raise InputError(file, "", f"cannot be read ({error.strerror or error})", "a readable file") from None
+    if ending in CONVERTED:
+        raise InputError(file, "", f"is a '{ending}', which no reader reads", CONVERTED[ending])
     endings = ", ".join((*FLIGHT_LOGS, *TABLES))
     raise InputError(file, "", f"has the ending '{ending}', which no reader reads", f"one of {endings}")
 

@@ -7,6 +7,7 @@ and what is read back are equal.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -15,12 +16,15 @@ import msgspec
 from rotorid_torch.core.names import Kind, Verdict
 from rotorid_torch.core.storage.atomic import restore
 from rotorid_torch.core.storage.files import read_file
+from rotorid_torch.core.storage.paths import nearest_path
 from rotorid_torch.core.storage.record import AtMostOne, Number, Record, Share, Size
 from rotorid_torch.data.refusal import convert
 from rotorid_torch.errors import InputError
 from rotorid_torch.validate.judged import Prediction, Response
 from rotorid_torch.version import __version__
 
+INSIDE = 5
+"""Runs in a folder that a message names, at most."""
 LARGEST = 64 * 2**20
 """Bytes of a report.json at most."""
 Status = Literal["free", "frozen", "nuisance", "not identifiable"]
@@ -214,6 +218,7 @@ def read_report(run: str | Path) -> Report:
     """
     restore(Path(run))
     file = Path(run) / "report.json"
+    _refuse_no_run(Path(run))
     content = read_file(file, "a RUN written by rotorid", LARGEST)
     try:
         document = msgspec.json.decode(content)
@@ -224,6 +229,23 @@ def read_report(run: str | Path) -> Report:
         if low > high:
             raise InputError(file, key, f"is {low:g} to {high:g}", "lower below upper")
     return report
+
+
+def _refuse_no_run(place: Path) -> None:
+    """Say what a place is, where it is no run, and which runs are near."""
+    expected = "a RUN: a folder that rotorid identify, close-loop, check or reconstruct wrote"
+    if place.is_file():
+        around = place.parent if (place.parent / "report.json").is_file() else None
+        raise InputError(place, "", "is a file", f"{expected}, as '{around}' is" if around else expected)
+    if not place.is_dir():
+        raise InputError(place, "", f"there is no such folder{nearest_path(place)}", expected)
+    if (place / "report.json").exists():
+        return
+    if (place / "dataset.toml").exists():
+        raise InputError(place, "", "is a data set, not a run", expected)
+    runs = sorted(child.parent.name for child in islice(place.glob("*/report.json"), INSIDE))
+    hint = f"; inside are {', '.join(runs)}" if runs else ""
+    raise InputError(place, "", f"holds no report.json{hint}", expected)
 
 
 def _pairs(value: Any, key: str) -> Iterator[tuple[str, float, float]]:

@@ -19,6 +19,7 @@ from rotorid_torch.data.velocities import with_velocities
 from rotorid_torch.effects.families.neural import NeuralForces
 from rotorid_torch.effects.registry import of_others
 from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.errors import InputError
 from rotorid_torch.identification.gusts import Weather
 from rotorid_torch.model.gusts import without_gust_inputs
 from rotorid_torch.model.model import Model
@@ -68,6 +69,15 @@ class Loop(Run):
         write_report(folder, self.record, Shown(self.overlays, self.earlier, facts_of(self.model)), monitor)
 
 
+def _refuse_a_single_flight(dataset: Dataset) -> None:
+    """Evidence is how well flights are predicted with estimates of other flights."""
+    first, *others = (*dataset.identify, *dataset.validate)
+    if not others:
+        wrong = f"there is one flight to judge effects by, {first}"
+        expected = "two at least in identify and validate: fly another, or cut a long one (rotorid import --split)"
+        raise InputError(dataset.file(first), "flights", wrong, expected)
+
+
 def close_loop(
     dataset: Dataset,
     *,
@@ -101,6 +111,7 @@ def close_loop(
     refuse_arguments("close_loop", monitor=monitor, ranks=ranks)
     monitor = monitor or Monitor()
     refuse(dataset, of_others(), device)
+    _refuse_a_single_flight(dataset)
     ranks.refuse_more_than(len(dataset.identify))
     with ExitStack() as stack:
         folder = None

@@ -236,7 +236,7 @@ def test_csv_is_refused(folder, case):
 
 def test_what_is_not_a_data_set_is_refused(tmp_path):
     refused(tmp_path / "nowhere", "nowhere", "there is no such folder")
-    refused(tmp_path, "dataset.toml", "there is no such file")
+    refused(tmp_path, "holds no dataset.toml")
     (tmp_path / "file").write_text("")
     refused(tmp_path / "file", "is not a folder")
     (tmp_path / "dataset.toml").write_bytes(b"\xff\xfe")

@@ -509,7 +509,7 @@ def test_csv_of_many_kinds(tmp_path: Path):
         ("time,lat\n1,2,3\n2,3,4\n", "line 2: has another number of fields"),
         ("time,lat\n0,1\n0.1,one\n0.2,2\n", "lat: is 'one' in line 3"),
         ("a,b\n1,2\n", "time: is missing"),
-        ("p,p,time\n1,2,3\n", "p: is there twice"),
+        ("p,p,time\n1,2,3\n", "p: is twice in the header"),
         ("1,2,3\n1,2,3\n", "is missing"),
         ("time,lat\n0,0.1\n0.5,0.2\n", "lasts 0.5 s"),
     ],

@@ -45,6 +45,8 @@ def coherences(dataset: Dataset, channels: Sequence[str]) -> tuple[Coherence, ..
     """
     flights = [dataset.flights[name] for name in dataset.identify]
     recorded = [c for c in channels if all(dataset.facts[name].has(c) for name in dataset.identify)]
+    if not recorded:
+        return ()
     lines = [_lines(f, [*dataset.controls, *recorded]) for f in flights]
     hertz, values = (np.concatenate(both) for both in zip(*lines, strict=True))
     m = len(dataset.controls)

@@ -31,8 +31,11 @@ def nearest_path(path: str | Path) -> str:
             names = [entry.name for entry in islice(entries, COMPARED)]
     except (OSError, ValueError):
         return ""
-    near = get_close_matches(missing.name, names, n=1)
-    return f" (did you mean '{missing.parent / near[0]}'?)" if near and near[0] != missing.name else ""
+    near = get_close_matches(missing.name, [name for name in names if not missing.suffix or "." in name], n=1)
+    if not near or near[0] == missing.name:
+        return ""
+    like = Path(path).with_name(near[0]) if missing == absolute(path) else missing.parent / near[0]
+    return f" (did you mean '{like}'?)"
 
 
 def refuse_foreign(folder: Path, patterns: Sequence[str], kind: str) -> None:

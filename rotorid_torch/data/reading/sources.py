@@ -34,8 +34,12 @@ def from_folder(path: str | Path) -> Contents:
     restore(folder)
     if not os.path.isdir(folder):
         wrong = "is not a folder" if os.path.exists(folder) else f"there is no such folder{nearest_path(folder)}"
-        raise InputError(folder, "", wrong, "a data set's folder")
+        raise InputError(folder, "", wrong, f"a data set's folder{_around(folder)}")
     toml = folder / "dataset.toml"
+    if not os.path.lexists(toml):
+        wrong = "is a run, not a data set" if (folder / "report.json").exists() else "holds no dataset.toml"
+        expected = f"a data set: a folder with dataset.toml and flights/NAME.npz{_around(folder)}"
+        raise InputError(folder, "", wrong, expected)
     declaration, content = read_declaration(toml)
     digest = hashlib.sha256(content)
     digests: dict[str, bytes] = {}
@@ -52,6 +56,12 @@ def from_folder(path: str | Path) -> Contents:
         flights.keep(name, flight)
         warnings += wrong
     return assembled(declaration, flights, facts, Origin(folder, toml, places, digest.hexdigest()), warnings)
+
+
+def _around(place: Path) -> str:
+    """Hint at the data set that a folder or file is a part of; empty where it is of none."""
+    around = next((p for p in place.parents[:2] if (p / "dataset.toml").is_file()), None)
+    return "" if around is None else f", as '{around}' is"
 
 
 def from_document(flights: Mapping[str, Mapping[str, Any]], document: Mapping[str, Any]) -> Contents:

@@ -108,6 +108,8 @@ def increasing(time: np.ndarray) -> np.ndarray:
     BadClock : where time stands still or repeats, or runs back so far that there are two clocks.
     """
     finite = np.isfinite(time)
+    if len(time) < 2:
+        raise BadClock(f"holds {'one sample' if len(time) else 'no sample'}", "at least two")
     if not finite.any():
         raise BadClock("has no stamp", "time in s for every sample")
     steps = np.diff(time)

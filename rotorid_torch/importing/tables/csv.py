@@ -103,7 +103,9 @@ class _Table:
         if len(self.header) > CHANNELS:
             raise InputError(file, "", f"has {len(self.header)} columns", f"at most {CHANNELS}")
         if twice := next((name for name in self.header if name and self.header.count(name) > 1), None):
-            raise InputError(file, twice, "is there twice" if not is_number(twice) else "is no name", "a header row")
+            if is_number(twice):
+                raise InputError(file, twice, "is no name", "a header row")
+            raise InputError(file, twice, "is twice in the header", "each name once")
         wanted = {*choose("", self.header)}
         self.places = [i for i, name in enumerate(self.header) if name in wanted or is_clock("", name, clock)]
         self.parts: list[np.ndarray] = []
