@@ -24,6 +24,7 @@ from rotorid_torch.importing.signals.derive import ANGLES
 from rotorid_torch.importing.signals.mapping import Map, read_map
 from rotorid_torch.importing.signals.plan import QUATERNION
 from rotorid_torch.importing.signals.streams import Log, choose
+from rotorid_torch.importing.tables.columns import apart
 from rotorid_torch.printable import printable
 
 FASTEST_HZ = 250.0
@@ -164,7 +165,14 @@ def _records(files: Sequence[Path], user_map: Map | None) -> list[Record]:
     if user_map is not None and user_map.together:
         logs = [_joined([_read(file, user_map, together=True) for file in files])]
         return [record_of(boot, user_map) for log in logs for boot in boots(log)]
-    return [record_of(boot, user_map) for file in files for boot in boots(_read(file, user_map, together=False))]
+    parts = (part for file in files for part in _flights_of(file, user_map))
+    return [record_of(boot, user_map) for log in parts for boot in boots(log)]
+
+
+def _flights_of(file: Path, user_map: Map | None) -> list[Log]:
+    """A file's log, or those of its structs where each is a flight and no map says otherwise."""
+    log = _read(file, user_map, together=False)
+    return apart(log) if user_map is None else [log]
 
 
 def _read(file: Path, user_map: Map | None, together: bool) -> Log:

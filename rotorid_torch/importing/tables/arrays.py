@@ -19,7 +19,7 @@ from rotorid_torch.data.reading import npz
 from rotorid_torch.data.reading.read import BYTES, CHANNELS, SAMPLES
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing.signals.mapping import Clock
-from rotorid_torch.importing.signals.streams import Choose, Log
+from rotorid_torch.importing.signals.streams import Choose, Log, header_name
 from rotorid_torch.importing.tables import sidpac
 from rotorid_torch.importing.tables.columns import is_clock, table_log
 
@@ -91,6 +91,8 @@ def read_matlab(file: Path, choose: Choose, clock: Clock | None = None) -> Log:
             raise InputError(file, "", f"is not a whole .mat file ({error})", "a .mat of version 4 to 7") from None
     tables: Tables = {}
     _structs("", {name: v for name, v in content.items() if not name.startswith("__")}, tables, 0)
+    inside = [topic for topic, columns in tables.items() if topic and sidpac.is_sidpac([*columns])]
+    tables[""] |= tables.pop(inside[0]) if len(inside) == 1 else {}
     fields = {t: list(columns) for t, columns in tables.items() if columns}
     is_fdata = clock is None and sidpac.is_sidpac(fields.get("", ()))
     log = _log(file, tables, fields, choose, sidpac.clock() if is_fdata else clock)
@@ -136,11 +138,18 @@ def _structs(topic: str, content: Mapping[str, Any], tables: Tables, depth: int)
             _structs(f"{topic}.{name}" if topic else str(name), value, tables, depth + 1)
 
 
-def _unfolded(content: Mapping[str, Any]) -> dict[str, Any]:
-    """A struct with each channel under its own name.
+LISTS = ("VariableNames", "colheaders", "names", "varnames")
+"""Members that name the columns of a matrix beside them: of a timetable, of importdata, of people."""
+OF_ROWS = ("RowTimes", "rowtimes")
+"""Clock of a timetable, beside its columns or among its properties."""
 
-    An array of structs of numbers (table2struct) becomes columns; `time` with `signals`, as Simulink saves them, and a
-    timetable saved as `Time`, `Variables` and `VariableNames` (or `Properties.VariableNames`), take the names in them.
+
+def _unfolded(content: Mapping[str, Any]) -> dict[str, Any]:
+    """A struct with each channel under its own name, with its unit in brackets where the struct tells it.
+
+    An array of structs of numbers (table2struct) becomes columns; `time` with `signals`, as Simulink saves them, a
+    timetable saved as struct (members, or `Variables` and `VariableNames`; also in `Properties`, with `VariableUnits`
+    and `RowTimes`), a matrix beside a list of names, and a time series with `DataInfo.Units` take what these say.
     """
     columns = {str(name): _rows(value) for name, value in content.items()}
     signals = columns.get("signals")
@@ -151,14 +160,36 @@ def _unfolded(content: Mapping[str, Any]) -> dict[str, Any]:
         for number, one in enumerate(s for s in some if isinstance(s, dict) and "values" in s):
             columns[_text(one.get("label")) or f"signal{number + 1}"] = one["values"]
     properties = columns.get("Properties")
-    listed = columns.get("VariableNames", properties.get("VariableNames") if isinstance(properties, dict) else None)
-    matrix = columns.get("Variables")
-    if listed is not None and isinstance(matrix, np.ndarray) and matrix.ndim == 2:
-        names = [_text(one) for one in listed] if isinstance(listed, list | np.ndarray) else []
-        if len(names) == matrix.shape[1]:
-            columns |= {name: matrix[:, i] for i, name in enumerate(names) if name}
-            columns.pop("Variables")
+    about = columns | (properties if isinstance(properties, dict) else {})
+    names = next((found for key in LISTS if (found := _texts(about.get(key)))), [])
+    columns = _named(columns, names)
+    clock = next((np.ravel(about[key]) for key in OF_ROWS if isinstance(about.get(key), np.ndarray)), None)
+    if clock is not None:
+        columns = {name: value for name, value in columns.items() if name not in (*OF_ROWS, "Properties")}
+        columns["Time"] = clock
+    unit = [_text(info.get("Units")) if isinstance(info := columns.get("DataInfo"), dict) else ""]
+    listed = zip(names, _texts(about.get("VariableUnits")), strict=False)
+    for name, known in (*listed, *(zip(("Data",), unit, strict=True))):
+        if known and name in columns and header_name(f"{name} [{known}]")[1]:
+            columns[f"{name} [{known}]"] = columns.pop(name)
     return columns
+
+
+def _named(columns: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
+    """Columns with those of a matrix that has as many as there are names in its place."""
+    fitting = [k for k, v in columns.items() if isinstance(v, np.ndarray) and v.ndim == 2 and v.shape[1] == len(names)]
+    if not names or not fitting:
+        return columns
+    key = "Variables" if "Variables" in fitting else fitting[0]
+    others = {name: value for name, value in columns.items() if name != key}
+    return others | {name: columns[key][:, i] for i, name in enumerate(names) if name}
+
+
+def _texts(value: Any) -> list[str]:
+    """Texts of a cell array; none of anything else."""
+    cells = [*np.ravel(value)] if isinstance(value, np.ndarray) and value.dtype.hasobject else value
+    texts = [_text(cell) for cell in cells] if isinstance(cells, list) else []
+    return texts if any(texts) else []
 
 
 def _rows(value: Any) -> Any:

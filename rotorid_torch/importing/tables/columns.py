@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -76,6 +77,28 @@ def _refuse_other_unit(file: Path, name: str, stamps: np.ndarray) -> None:
     if not USUAL_S[0] <= typical <= USUAL_S[1]:
         wrong = f"has samples {typical:.4g} s apart"
         raise InputError(file, name, wrong, f'time in s, or a map with time = {{ field = "{name}", unit = "us" }}')
+
+
+def apart(log: Log) -> list[Log]:
+    """One log for each struct of a table file that has a control which another one has too; else the log itself."""
+    inside: dict[str, dict[str, Sequence[str]]] = {}
+    for topic, columns in log.fields.items() if not log.system else ():
+        if topic and any(name == topic for name, _ in log.streams):
+            inside.setdefault(topic.partition(".")[0], {})[topic] = columns
+    controls = {root: set(names.acting(own_entries(fields))) for root, fields in inside.items()}
+    flown = [root for root, some in controls.items() if any(some & controls[o] for o in controls if o != root)]
+    if not flown:
+        return [log]
+    note = f"{', '.join(flown)} have the same controls: each is a flight of its own"
+    return [
+        replace(
+            log,
+            fields=inside[root],
+            streams={place: stream for place, stream in log.streams.items() if place[0] in inside[root]},
+            warnings=(*log.warnings, *([note] if root == flown[0] else [])),
+        )
+        for root in flown
+    ]
 
 
 def own_plan(log: Log) -> Plan:

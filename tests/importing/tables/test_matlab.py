@@ -1,0 +1,90 @@
+"""MATLAB files as other programs save them: units and names beside the numbers, several flights, fdata in a struct."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rotorid_torch as rotorid
+from tests.importing.tables.test_columns import KNOWN, TIME, channels, near
+
+OWN = {"lat": KNOWN["motor1"] - 0.5, "p": KNOWN["p"], "q": KNOWN["q"], "phi": KNOWN["phi"]}
+DEGREES = {name: values if name == "lat" else np.degrees(values) for name, values in OWN.items()}
+NAMES, UNITS = np.array([*OWN], object), np.array(["rad", "deg/s", "deg/s", "deg"], object)
+MATRIX = np.stack([TIME, *OWN.values()], -1)
+
+
+def saved(tmp_path: Path, content: dict[str, object]) -> Path:
+    import scipy.io
+
+    scipy.io.savemat(tmp_path / "s.mat", content)
+    return tmp_path / "s.mat"
+
+
+FORMS = {
+    "units of members": {
+        "tt": {"Time": TIME, **DEGREES, "Properties": {"VariableNames": NAMES, "VariableUnits": UNITS}}
+    },
+    "units of a matrix": {
+        "tt": {
+            "Time": TIME,
+            "Variables": np.stack([*DEGREES.values()], -1),
+            "VariableNames": NAMES,
+            "VariableUnits": UNITS,
+        }
+    },
+    "units of series": {
+        "log": {
+            name: {"Time": TIME, "Data": values, "DataInfo": {"Units": unit}}
+            for (name, values), unit in zip(DEGREES.items(), UNITS, strict=True)
+        }
+    },
+    "times of rows": {"tt": {**OWN, "Properties": {"VariableNames": NAMES, "RowTimes": TIME}}},
+    "times beside a matrix": {
+        "tt": {
+            "RowTimes": TIME[:, None],
+            "Variables": np.stack([*OWN.values()], -1),
+            "Properties": {"VariableNames": NAMES[None]},
+        }
+    },
+    "importdata": {"d": {"data": MATRIX, "colheaders": np.array(["time", *OWN], object)}},
+    "names beside a matrix": {"data": MATRIX, "names": np.array(["time", *OWN], object)},
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_structs_say_names_times_and_units(form: str, tmp_path: Path):
+    file = saved(tmp_path, FORMS[form])
+    assert near(channels(file, tmp_path), 1e-6)
+    assert rotorid.import_log(file, tmp_path / "again").warnings == ()
+
+
+@pytest.mark.parametrize("series", [False, True])
+def test_structs_with_the_same_controls_are_flights(series: bool, tmp_path: Path):
+    def flight(sign: float) -> dict[str, object]:
+        columns = {name: sign * values for name, values in OWN.items()}
+        return {n: {"Time": TIME, "Data": v} for n, v in columns.items()} if series else {"time": TIME, **columns}
+
+    done = rotorid.import_log(saved(tmp_path, {"first": flight(1.0), "second": flight(-1.0)}), tmp_path / "set")
+    flights = rotorid.load(done.folder).flights
+    assert len(flights) == 2
+    for flight_, sign in zip(flights.values(), (1.0, -1.0), strict=True):
+        assert np.abs(flight_.channels["p"].numpy() - sign * OWN["p"])[2:-2].max() < 1e-4
+    assert any("first, second have the same controls" in told for told in done.warnings)
+
+
+def test_structs_with_other_channels_are_one_flight(tmp_path: Path):
+    parts = {"sticks": {"time": TIME, "lat": OWN["lat"]}, "imu": {"time": TIME, "p": OWN["p"], "q": OWN["q"]}}
+    done = rotorid.import_log(saved(tmp_path, parts | {"ekf": {"time": TIME, "phi": OWN["phi"]}}), tmp_path / "set")
+    assert len(done.flights) == 1
+    assert {"lat", "p", "q", "phi"} <= done.channels.keys()
+
+
+def test_fdata_in_a_struct(tmp_path: Path):
+    fdata = np.zeros((len(TIME), 90))
+    fdata[:, 0], fdata[:, 4], fdata[:, 13] = TIME, np.degrees(OWN["p"]), np.degrees(OWN["lat"])
+    found = channels(saved(tmp_path, {"fds": {"fdata": fdata, "t": TIME}}), tmp_path)
+    assert np.abs(found["p"] - OWN["p"]).max() < 1e-6
+    assert np.abs(found["lon"] - OWN["lat"]).max() < 1e-6
