@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import msgspec
+import torch
 
 from rotorid_torch.core.names import VELOCITIES
 from rotorid_torch.core.processes.ranks import Ranks
@@ -92,7 +93,12 @@ def smoothed(
     whole = replace(seen, identify=tuple(seen.flights))
     names = [n for part in ranks.gather(ranks.mine(whole.identify)) for n in part]
     batch = of_all(records(follower, whole, reconstruction, ranks), ranks)
-    return histories(names, batch, follow(follower, step3.names, step3.air, batch))
+    gusts = batch.outputs.new_zeros(*batch.outputs.shape[:2], len(VELOCITIES))
+    gusts[[names.index(n) for n in step3.flights], : step3.air.velocities.shape[1]] = step3.air.velocities
+    others = torch.tensor([k for k, n in enumerate(names) if n not in step3.flights], dtype=torch.int64)
+    if len(others):
+        gusts[others] = follow(follower, step3.names, step3.air, batch.pick(others))
+    return histories(names, batch, gusts)
 
 
 def with_gusts(

@@ -135,17 +135,7 @@ class FilterProblem:
 
     def alone(self, flight: int) -> FilterProblem:
         """The same for one of the flights."""
-        r, one = self.records, slice(flight, flight + 1)
-        records = replace(
-            r,
-            lengths=r.lengths[one],
-            start=r.start[one],
-            controls=r.controls[one],
-            outputs=r.outputs[one],
-            states=r.states[one],
-            every=None if r.every is None else r.every[one],
-        )
-        return replace(self, records=records)
+        return replace(self, records=self.records.pick(torch.tensor([flight])))
 
     def split(self, psi: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Parameters, spectral density of the process noise [nx, nx], covariance of the outputs' noise [ny, ny]."""

@@ -123,6 +123,13 @@ def test_both_engines_agree_on_a_nonlinear_model_with_a_control_path() -> None:
     assert float(((H - other_H).abs() / scale[..., None] / scale[..., None, :]).max()) < 1e-9
 
 
+def test_a_filter_without_unknowns_filters_alike() -> None:
+    problem, psi, x0 = tape_problem()
+    one, other = (NativeFilter.of(problem, psi, held).filter(psi, x0) for held in (len(psi), 0))
+    for name in ("cost", "innovations", "states", "covariances"):
+        torch.testing.assert_close(getattr(one, name), getattr(other, name), rtol=1e-12, atol=1e-14, equal_nan=True)
+
+
 def test_rows_are_the_derivatives_of_the_likelihood() -> None:
     problem, psi, x0 = tape_problem()
     native = NativeFilter.of(problem, psi)
