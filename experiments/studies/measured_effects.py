@@ -33,7 +33,8 @@ from rotorid_torch.data import Dataset
 from rotorid_torch.model.accelerations import Accelerations
 from rotorid_torch.model.model import Model
 from rotorid_torch.run.result import Run
-from rotorid_torch.trace.balance import ROWS, balances, going_with, standing
+from rotorid_torch.simulation.drawn.multirotors import clean_balances
+from rotorid_torch.trace.balance import DRAWS, ROWS, balances, going_with, standing
 from rotorid_torch.validate.predictions import predictions
 from rotorid_torch.validate.responses import measured_states, responses
 
@@ -134,8 +135,11 @@ def balance(run: Run, data: Dataset) -> dict[str, tuple[float, float]]:
 
     Means over a second by the model's thrust curve; rows of which nothing was told are left out.
     """
-    known, new, acid = (balances(run.model, run.spec, data, names) for names in (data.identify, data.unseen, data.acid))
-    off, going = standing(run.spec, known, new), {g.row: g for g in going_with(known, new)}
+    identified, new, acid = (
+        balances(run.model, run.spec, data, names) for names in (data.identify, data.unseen, data.acid)
+    )
+    clean = torch.from_numpy(clean_balances(data, 0, range(DRAWS)))
+    off, going = standing(run.spec, identified, new, clean), {g.row: g for g in going_with(identified, new)}
     found = {}
     for k, row in enumerate(ROWS):
         if off is None and row not in going:

@@ -24,7 +24,9 @@ from rotorid_torch.effects.signal_operations import lagged
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.rotors import hover_thrust
+from rotorid_torch.simulation.drawn.multirotors import clean_balances, undrawable_multirotor
 from rotorid_torch.trace.terms.finding import Finding, Unknown
+from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import exceeds
 
 AVERAGED_S = 1.0
@@ -33,14 +35,8 @@ ROWS = ("M", "L", "N")
 """Moments that the thrust centre along x and y and the yaw balance belong to."""
 AIRBORNE = 0.5
 """Share of the weight that the thrusts must carry: below it the ground holds the vehicle, or motors stand still."""
-UNEQUAL = 0.07
-"""Standard deviation of the thrusts that rotors of one kind give at the same input, over their mean."""
-FALSE_ALARMS = 0.001
-"""Chance that ordinary rotors stand out of balance."""
-EXCLUDED = 0.05
-"""Chance below which a cause is."""
-BY_CHANCE = 0.05
-"""Chance, family-wise over rows and signals, that something goes with a signal by chance."""
+DRAWS = 199
+"""Clean vehicles whose balance is drawn: hover alone, which costs nothing to fly, so that p has steps of 0.005."""
 LATE_S = (0.0, 1.0, 2.0, 4.0)
 """By how much a moment may be late behind what it goes with (air and heading take their time), first order."""
 NEIGHBOURS = 5
@@ -66,8 +62,8 @@ class Balance:
 class Going:
     """What a row goes with, and how late it follows, s.
 
-    evidence : t over the t that chance reaches. without, rest : rms of the row on unseen flights without and with it.
-    slopes : of a constant, the row's own angular acceleration and the signal.
+    evidence : t over the t that chance reaches. without, remaining : rms of the row on unseen flights without and with
+    it. slopes : of a constant, the three angular accelerations and the signal.
     """
 
     row: str
@@ -80,7 +76,7 @@ class Going:
 
     def explained(self, balance: Balance) -> Tensor:
         """What it explains of the row's means [B]."""
-        return _columns(balance, ROWS.index(self.row), (self.signal, self.late)) @ self.slopes
+        return _columns(balance, (self.signal, self.late)) @ self.slopes
 
 
 def balances(model: Model, spec: ModelSpec, dataset: Dataset, flights: Sequence[str]) -> list[Balance]:
@@ -129,7 +125,7 @@ def _means(record: Tensor, every: int) -> Tensor:
 def going_with(identify: Sequence[Balance], unseen: Sequence[Balance]) -> list[Going]:
     """Rows that go with a signal beyond chance, on flights that no fit has seen too; the surest first.
 
-    A row's own angular acceleration and a constant are taken out of both sides. Means that resemble their neighbours
+    Angular accelerations and a constant are taken out of both sides. Means that resemble their neighbours
     count for less (first-order autocorrelation).
     """
     names = [n for n in identify[0].signals if all(n in b.signals for b in (*identify, *unseen))]
@@ -141,8 +137,8 @@ def going_with(identify: Sequence[Balance], unseen: Sequence[Balance]) -> list[G
 def _going(
     row: int, signal: tuple[str, float], identify: Sequence[Balance], unseen: Sequence[Balance], tests: int
 ) -> Going | None:
-    usual = [_columns(b, row, None) for b in identify]
-    with_it = [_columns(b, row, signal) for b in identify]
+    usual = [_columns(b, None) for b in identify]
+    with_it = [_columns(b, signal) for b in identify]
     y = torch.cat([b.centre[:, row] for b in identify])
     short, full = torch.cat(usual), torch.cat(with_it)
     if len(y) <= full.shape[1] + 1:
@@ -154,9 +150,9 @@ def _going(
         return None
     left = float(after.square().sum())
     t = math.sqrt(max(float(before.square().sum()) - left, 0.0) * worth / max(left, 1e-300))
-    evidence = t / student_quantile(normal_quantile(BY_CHANCE / tests), worth)
+    evidence = t / student_quantile(normal_quantile(SETTINGS.level / tests), worth)
     fits = ((None, slopes), (signal, more))
-    errors = [[b.centre[:, row] - _columns(b, row, s) @ z for s, z in fits] for b in unseen]
+    errors = [[b.centre[:, row] - _columns(b, s) @ z for s, z in fits] for b in unseen]
     sizes = torch.stack([torch.stack(pair, dim=1).square().mean(dim=0).sqrt() for pair in errors])
     if evidence <= 1.0 or not exceeds((sizes[:, 0] / sizes[:, 1]).log()):
         return None
@@ -164,9 +160,10 @@ def _going(
     return Going(ROWS[row], *signal, evidence, without, remaining, more)
 
 
-def _columns(balance: Balance, row: int, signal: tuple[str, float] | None) -> Tensor:
-    columns = [torch.ones(len(balance.centre), dtype=torch.float64), balance.turning[:, row]]
-    return torch.stack(columns if signal is None else [*columns, balance.signals[signal]], dim=-1)
+def _columns(balance: Balance, signal: tuple[str, float] | None) -> Tensor:
+    """Constant, angular accelerations (of all axes, for rotors that differ turn about all of them), and the signal."""
+    columns = torch.cat([torch.ones(len(balance.centre), 1, dtype=torch.float64), balance.turning], dim=1)
+    return columns if signal is None else torch.cat([columns, balance.signals[signal][:, None]], dim=1)
 
 
 def _worth(residual: Tensor, signal: Tensor, lengths: Sequence[int]) -> float:
@@ -189,18 +186,18 @@ def _autocorrelations(series: Tensor, lengths: Sequence[int]) -> list[float]:
 
 @dataclass(frozen=True)
 class Standing:
-    """Thrusts that balance further from the declared centre of gravity than rotors of one kind differ.
+    """Thrusts that balance further from the declared centre of gravity than those of clean vehicles do.
 
-    centre, errors : [3] thrust centre along x and y, m, and yaw balance. moved_alone : whether a centre of gravity
-    elsewhere explains it, which leaves yaw alone. rotor : the rotor that explains it if it gives `less` of its thrust
-    than its input says; None where no single one does. without, rest : [3] rms on unseen flights from the declared
-    balance and from this one.
+    centre, errors : [3] thrust centre along x and y, m, and yaw balance. p : probability that a clean vehicle shows as
+    much. moved : whether a centre of gravity elsewhere explains it, which leaves yaw alone. rotor : the rotor that
+    explains it if it gives `less` of its thrust than its input says; None where no single one does. without,
+    remaining : [3] rms on unseen flights from the declared balance and from this one.
     """
 
     centre: Tensor
     errors: Tensor
-    moved_alone: bool
-    moved_hardly: bool
+    p: float
+    moved: bool
     rotor: int | None
     less: float
     less_error: float
@@ -208,67 +205,81 @@ class Standing:
     remaining: Tensor
 
 
-def standing(spec: ModelSpec, identify: Sequence[Balance], unseen: Sequence[Balance]) -> Standing | None:
-    """How balance stands out on flights; None where ordinary rotors do that, or unseen flights do not bear it out.
+def standing(spec: ModelSpec, identify: Sequence[Balance], unseen: Sequence[Balance], clean: Tensor) -> Standing | None:
+    """How balance stands out on flights; None where clean vehicles do that, or unseen flights do not bear it out.
 
-    None too where the rotors' places leave a moment that no thrust makes, as for two rotors.
+    clean : [D, 3] balance of clean vehicles. None too where the rotors' places leave a moment that no thrust makes, as
+    for two rotors.
     """
     flights = torch.stack([b.centre.mean(dim=0) for b in identify])
     centre, levers = flights.mean(dim=0), _levers(spec) / len(spec.motors)
     if int(torch.linalg.matrix_rank(levers)) < len(ROWS):
         return None
-    ordinary = UNEQUAL**2 * levers.mT @ levers
-    if len(flights) > 1:
-        ordinary = ordinary + (flights.var(dim=0) / len(flights)).diag()
-    inverse = torch.linalg.inv(ordinary)
-    if _chance(_misfit(centre, inverse), 3) > FALSE_ALARMS:
-        return None
-    beyond = (levers @ inverse @ centre) / (levers @ inverse * levers).sum(dim=1)
-    remainder = centre - beyond[:, None] * levers
-    misfits = (remainder @ inverse * remainder).sum(dim=1)
-    rotor = int(misfits.argmin())
-    explains = _chance(misfits[rotor], 2) > EXCLUDED
-    moved = _chance(centre[2].square() / ordinary[2, 2], 1)
+    vehicles = torch.cat([centre[None], _with_scatter(clean, flights)])
+    inverse = torch.linalg.inv(vehicles.mT @ vehicles / len(vehicles))
+    p = _p(vehicles, inverse)
     unseen_centres = torch.cat([b.centre for b in unseen])
     without, after = (values.square().mean(dim=0).sqrt() for values in (unseen_centres, unseen_centres - centre))
-    if _misfit(after, inverse) >= _misfit(without, inverse):
+    if p > SETTINGS.level or after @ inverse @ after >= without @ inverse @ without:
         return None
-    one = rotor if explains else None
+    misfits = [float(_misfits(_remainders(centre[None], inverse, lever[:, None]), inverse)) for lever in levers]
+    rotor = misfits.index(min(misfits))
+    explained = _p(_remainders(vehicles, inverse, levers[rotor][:, None]), inverse) > SETTINGS.level
+    moved = _p(_remainders(vehicles, inverse, torch.eye(3, 2, dtype=torch.float64)), inverse) > SETTINGS.level
+    ordinary = vehicles[1:].mT @ vehicles[1:] / len(clean)
+    weighed = torch.linalg.solve(ordinary, levers[rotor])
+    beyond, error = float(weighed @ centre / (weighed @ levers[rotor])), float((weighed @ levers[rotor]).rsqrt())
     # its share of all thrusts is larger than the others' by this over their number, and its true thrust is theirs
-    less = float(beyond[rotor] / (1.0 + beyond[rotor] * (1.0 - 1.0 / len(levers))))
-    error = float((levers[rotor] @ inverse @ levers[rotor]).rsqrt())
-    errors, open_, hardly = ordinary.diagonal().sqrt(), moved > EXCLUDED, moved > FALSE_ALARMS
-    return Standing(centre, errors, open_, hardly, one, less, error, without, after)
+    less = beyond / (1.0 + beyond * (1.0 - 1.0 / len(levers)))
+    errors = ordinary.diagonal().sqrt()
+    return Standing(centre, errors, p, moved, rotor if explained else None, less, error, without, after)
 
 
-def _misfit(centre: Tensor, inverse: Tensor) -> Tensor:
-    return centre @ inverse @ centre
+def _with_scatter(clean: Tensor, flights: Tensor) -> Tensor:
+    """Clean vehicles' balance, and by chance what the mean of these flights [F, 3] is uncertain by."""
+    if len(flights) < 2:
+        return clean
+    chance = torch.Generator().manual_seed(0)
+    scatter = torch.randn(clean.shape, generator=chance, dtype=torch.float64)
+    return clean + scatter * (flights.var(dim=0) / len(flights)).sqrt()
 
 
-def _chance(misfit: Tensor, freedom: int) -> float:
-    """Chance that a chi square of so many degrees of freedom is larger."""
-    half = torch.tensor(0.5 * freedom, dtype=torch.float64)
-    return float(torch.special.gammaincc(half, 0.5 * misfit))
+def _misfits(centres: Tensor, inverse: Tensor) -> Tensor:
+    return (centres @ inverse * centres).sum(dim=1)
+
+
+def _p(vehicles: Tensor, inverse: Tensor) -> float:
+    """P = (1 + k) / (1 + n): k of n clean vehicles stand as far off as the first one."""
+    misfits = _misfits(vehicles, inverse)
+    return float((misfits >= misfits[0]).sum()) / len(misfits)
+
+
+def _remainders(vehicles: Tensor, inverse: Tensor, causes: Tensor) -> Tensor:
+    """What causes [3, C] of any size leave of the balance of vehicles [V, 3]."""
+    weighed = inverse @ causes
+    return vehicles - torch.linalg.solve(causes.mT @ weighed, (vehicles @ weighed).mT).mT @ causes.mT
 
 
 def out_of_balance(
-    model: Model, spec: ModelSpec, dataset: Dataset, unseen: Sequence[str]
+    model: Model, spec: ModelSpec, dataset: Dataset, unseen: Sequence[str], seed: int = 0
 ) -> tuple[Finding | None, Unknown | None]:
     """A finding about the centre of gravity or a rotor, and what else is missing; None where nothing is.
 
-    Nothing is said where surfaces balance the moments beside the rotors.
+    Nothing is said where surfaces balance the moments beside the rotors. seed : of the clean vehicles.
     """
     if spec.surfaces:
         return None, None
     identified, new = balances(model, spec, dataset, dataset.identify), balances(model, spec, dataset, unseen)
     if not identified or not new:
         return None, None
-    going, off = going_with(identified, new), standing(spec, identified, new)
+    going, off = going_with(identified, new), None
+    if undrawable_multirotor(dataset) is None:
+        off = standing(spec, identified, new, torch.from_numpy(clean_balances(dataset, seed, range(DRAWS))))
     finding = None
-    if off is not None and off.moved_alone:
-        finding = _centre_of_gravity(off, spec)
-    elif off is not None and off.rotor is not None and off.less > 0.0:
+    if off is not None and off.rotor is not None and off.less > 0.0:
         finding = _unequal(off, spec)
+    elif off is not None and off.moved:
+        finding = _centre_of_gravity(off, spec)
     said = [_said(g) for g in going]
     rows, signal = [g.row for g in going], going[0].signal if going else None
     if off is not None and finding is None:
@@ -297,44 +308,40 @@ def _where(off: Standing) -> str:
     turn = f"rotors turning {ways[0]} carry {100 * abs(yaw):.0f} % of all thrust more than those turning {ways[1]}"
     without, after = ([1e3 * math.hypot(*e[:2].tolist()), 100.0 * float(e[2])] for e in (off.without, off.remaining))
     gain = f"unseen flights from {without[0]:.2g} to {after[0]:.2g} mm and from {without[1]:.2g} to {after[1]:.2g} %"
-    return f"thrusts balance {place}, and {turn}, which takes {gain}"
+    return f"thrusts balance {place}, and {turn} (p {off.p:.2g} by clean vehicles), which takes {gain}"
 
 
 def _rotor(off: Standing, spec: ModelSpec) -> str | None:
     return None if off.rotor is None else spec.driven[off.rotor]
 
 
-def _less(off: Standing) -> str:
-    return f"{100 * abs(off.less):.0f} % {'less' if off.less > 0.0 else 'more'}"
+def _as_if(off: Standing, spec: ModelSpec) -> str:
+    way = "less" if off.less > 0.0 else "more"
+    return f"as if the rotor of {_rotor(off, spec)} gave {100 * abs(off.less):.0f} % {way} than its input says"
 
 
 def _stands(off: Standing, spec: ModelSpec) -> str:
-    rotor = _rotor(off, spec)
-    single = "" if rotor is None else f"; as if the rotor of {rotor} gave {_less(off)} than its input says"
+    single = "" if off.rotor is None else f"; {_as_if(off, spec)}"
     return f"L, M and N: {_where(off)}; a centre of gravity elsewhere would leave yaw alone{single}"
 
 
 def _unequal(off: Standing, spec: ModelSpec) -> Finding:
-    """One rotor gives less; or, where chance leaves that open, a weight near the opposite one."""
-    rotor = _rotor(off, spec)
-    values = {f"{Unequal.id}.{rotor}": (off.less, off.less_error)}
-    said = f"{_where(off)}: as if the rotor of {rotor} gave {_less(off)} than its input says"
-    if off.moved_hardly:
-        said = (
-            f"{said}; a centre of gravity elsewhere would leave yaw alone, and rotors that differ may turn it by chance"
-        )
+    """One rotor gives less; or, where yaw leaves that open, the centre of gravity lies elsewhere."""
+    values = {f"{Unequal.id}.{_rotor(off, spec)}": (off.less, off.less_error)}
+    said = f"{_where(off)}: {_as_if(off, spec)}"
+    if off.moved:
+        said = f"{said}; or the centre of gravity lies there, for rotors that differ as usual may turn yaw so far"
         group = (CentreOfGravity.id,)
-        return Finding(Unequal.id, "undeclared", "indistinguishable", said, group=group, values=values)
+        return Finding(Unequal.id, "undeclared", "indistinguishable", said, group=group, values=values, p=off.p)
     said = f"{said}; a centre of gravity elsewhere would leave yaw alone"
-    return Finding(Unequal.id, "undeclared", "accepted", said, values=values)
+    return Finding(Unequal.id, "undeclared", "accepted", said, values=values, p=off.p)
 
 
 def _centre_of_gravity(off: Standing, spec: ModelSpec) -> Finding:
-    """It may lie elsewhere, or rotors differ."""
-    rotor = _rotor(off, spec)
-    rival = "several rotors may differ" if rotor is None else f"the rotor of {rotor} may give {_less(off)}"
+    """It may lie elsewhere, or several rotors differ; of one rotor this is said where it would give more."""
+    rival = "several rotors may differ" if off.rotor is None else f"it is {_as_if(off, spec)}"
     values = {
         f"{CentreOfGravity.id}.{axis}": (float(off.centre[i]), float(off.errors[i])) for i, axis in enumerate("xy")
     }
-    said = f"{_where(off)}: it lies there, or {rival}; swing the vehicle to tell"
-    return Finding(CentreOfGravity.id, "undeclared", "indistinguishable", said, group=("rotors.thrust",), values=values)
+    said, group = f"{_where(off)}: it lies there, or {rival}; swing the vehicle to tell", (Unequal.id,)
+    return Finding(CentreOfGravity.id, "undeclared", "indistinguishable", said, group=group, values=values, p=off.p)

@@ -54,7 +54,9 @@ def trace_rotors(
     outcome = Outcome(search, final, None, (), {}, search.spread(final))
     balanced = bool(spec.motors) and spec.found_places is None  # of arms that are not known nothing balances
     dataset = flights.dataset
-    centre, missing = out_of_balance(final.model, final.spec, dataset, dataset.unseen) if balanced else (None, None)
+    centre, missing = (
+        out_of_balance(final.model, final.spec, dataset, dataset.unseen, seed) if balanced else (None, None)
+    )
     findings = (*outcome.findings(tested), *settled, *unmoved)
     return Tracing(
         null,

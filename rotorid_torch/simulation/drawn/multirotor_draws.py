@@ -1,7 +1,7 @@
 """Multirotors drawn in the likeness of the one that a data set is about: what is declared, and chance where nothing is.
 
 Places, spins, mass and how commands hover are the data's; propellers, thrust curves, inertia (within a tenth of the
-declared one), the controller's noise and the constants of the sensors are drawn.
+declared one), how rotors of one kind differ, the controller's noise and the constants of the sensors are drawn.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from rotorid_torch.simulation.multirotor.craft import Battery, Drive, Multirotor
 from rotorid_torch.simulation.multirotor.flight import Fleet, Hover
 from rotorid_torch.simulation.multirotor.hidden import felt_per_speed
 from rotorid_torch.simulation.multirotor.rotor import Blades
+from rotorid_torch.simulation.multirotor.vehicles import with_unlike_rotors
 from rotorid_torch.simulation.rigid import Array
 
 SHORT_CUT = 0.378
@@ -65,7 +66,7 @@ def draw(dataset: Dataset, hover: Hovering, chance: np.random.Generator, having:
         inertia=_inertia(vehicle, mass, chance),
         places=places,
         spins=tuple(1 if motor.spin == "ccw" else -1 for motor in vehicle.motors),
-        lifts=tuple(float(x) for x in 1.0 + 0.01 * chance.standard_normal(len(places))),
+        lifts=(1.0,) * len(places),
         propeller=_propeller(places, chance),
         drive=Drive(1.0, 0.0, _exponent(vehicle, hover, chance)),
         battery=Battery(hover.voltage, 0.9 * hover.voltage, 0.0, 1e9, hover.voltage),
@@ -80,7 +81,22 @@ def draw(dataset: Dataset, hover: Hovering, chance: np.random.Generator, having:
         tilt=float(chance.uniform(0.0, 0.01)),
         offsets=(float(chance.uniform(0.0, 0.004)), float(chance.uniform(0.0, 0.08))),
     )
-    return _with(_loud(_turning(bare, hover), hover.white), having)
+    return _with(with_unlike_rotors(_loud(_turning(bare, hover), hover.white), chance), having)
+
+
+def hover_balance(craft: Multirotor) -> Array:
+    """Where a vehicle's thrusts seem to balance while it hovers, as if all rotors were alike, [3].
+
+    Thrust centre x, y in m from the declared centre of gravity, and the share of the thrust by which rotors that turn
+    counter-clockwise exceed the others.
+    """
+    meant, actual = _hover(craft.with_like_rotors()), _hover(craft)
+    (x, y), spins = np.asarray(craft.places)[:, :2].T, np.array(craft.spins)
+    mixer = np.linalg.pinv(np.stack([np.ones(craft.count), -y, x, spins * meant.ratio[:, 0]]))
+    yaw = spins * actual.ratio[:, 0] + x * craft.lean[1] - y * craft.lean[0]
+    moved = np.stack([np.ones(craft.count), -y, x, yaw]) * (actual.curve / meant.curve)[:, 0]
+    thrust = mixer @ np.linalg.solve(moved @ mixer, np.eye(4)[0])
+    return np.stack([x, y, spins]) @ thrust / thrust.sum()
 
 
 def _inertia(vehicle: Vehicle, mass: float, chance: np.random.Generator) -> tuple:

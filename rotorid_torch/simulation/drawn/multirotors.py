@@ -20,7 +20,7 @@ from rotorid_torch.data import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.schema import Motor, Vehicle
 from rotorid_torch.simulation.drawn.data_sets import in_memory
-from rotorid_torch.simulation.drawn.multirotor_draws import Hovering, draw, hovering, noise_of
+from rotorid_torch.simulation.drawn.multirotor_draws import Hovering, draw, hover_balance, hovering, noise_of
 from rotorid_torch.simulation.multirotor.channels import Channels, declared_motors, true_channels
 from rotorid_torch.simulation.multirotor.control import ROWS, Targets
 from rotorid_torch.simulation.multirotor.craft import Multirotor
@@ -83,6 +83,22 @@ def clean_multirotors(
     size = max(1, TOGETHER // len(courses))
     for first in range(0, len(draws), size):
         yield from _flown(dataset, courses, hover, seed, draws[first : first + size], having or {})
+
+
+def clean_balances(dataset: Dataset, seed: int, draws: Sequence[int]) -> Array:
+    """How clean vehicles of the data set's frame balance in hover (`hover_balance`), [draws, 3].
+
+    Raises
+    ------
+    ValueError : `undrawable_multirotor`.
+    """
+    why = undrawable_multirotor(dataset)
+    if why is not None:
+        raise ValueError(why)
+    hover = hovering(dataset)
+    return np.stack(
+        [hover_balance(draw(dataset, hover, np.random.default_rng([seed, number]), {})) for number in draws]
+    )
 
 
 def _flown(

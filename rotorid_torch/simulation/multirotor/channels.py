@@ -131,8 +131,8 @@ def declare(craft: Multirotor, name: str, flights: tuple[str, ...], description:
 
 
 def declared_motors(craft: Multirotor) -> list[dict[str, Any]]:
-    """Places, spins, thrust curves: a parabola through what a bench tells, of the command or of the rotor's speed."""
-    hover = Hover.of([craft], Blades.of([craft.propeller], np.array([craft.air_density])))
+    """Places, spins, thrust curves of the kind: a parabola through what a bench tells, of command or rotor speed."""
+    hover = Hover.of([craft.with_like_rotors()], Blades.of([craft.propeller], np.array([craft.air_density])))
     drive, commands = craft.drive, np.linspace(0.15, 0.95, 33)
     speeds = drive.full_speed * (drive.idle + (1.0 - drive.idle) * commands**drive.exponent)
     motors = []

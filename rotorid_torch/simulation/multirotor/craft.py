@@ -1,12 +1,12 @@
 """What a multirotor is: frame, rotors, drives, battery, what the air does to it, sensors. One vehicle, plain numbers.
 
-Body axes x forward, y right, z down, from the centre of gravity; every rotor's axis is -z. SI units.
+Body axes x forward, y right, z down, from the centre of gravity; rotors' axes are -z but for small angles. SI units.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -109,9 +109,10 @@ class Multirotor:
     """A multirotor.
 
     `places` of the rotors, m; `spins`, 1 for counter-clockwise seen from above, else -1; `lifts`, the share of its lift
-    that each rotor gives. `wake`, how much of the induced velocity of the rotor above a lower one of a pair blows
-    through it; `imu` and `reference` (the declared centre of gravity) in m from the true one. `unsteady` : standard
-    deviation of each rotor's thrust as a share of it, by its own wake. `noise`, `resolution` by channel, SI. From
+    that each rotor gives; `cants`, rad, by which each rotor's axis leans about its arm, so that its thrust turns the
+    vehicle to the right (none: all are -z). `wake`, how much of the induced velocity of the rotor above a lower one of
+    a pair blows through it; `imu` and `reference` (the declared centre of gravity) in m from the true one. `unsteady` :
+    standard deviation of each rotor's thrust as a share of it, by its wake. `noise`, `resolution` by channel, SI. From
     flight to flight, standard deviations: `tilt` of the attitude's axes against the body's, rad; `offsets` of gyros,
     rad/s, and accelerometers, m/s^2. `gyro` : noise of a sample of the gyros that the controller reads, rad/s.
     """
@@ -139,6 +140,7 @@ class Multirotor:
     telemetry: bool = False
     noise: Mapping[str, float] = field(default_factory=dict)
     resolution: Mapping[str, float] = field(default_factory=dict)
+    cants: tuple[float, ...] = ()
     tilt: float = 0.0
     offsets: tuple[float, float] = (0.0, 0.0)
     gyro: float = 0.002
@@ -153,6 +155,17 @@ class Multirotor:
     def count(self) -> int:
         """Number of rotors."""
         return len(self.places)
+
+    def with_like_rotors(self) -> Multirotor:
+        """The vehicle as its maker means it: every rotor lifts what its kind does."""
+        return replace(self, lifts=(1.0,) * self.count)
+
+    @property
+    def lean(self) -> Array:
+        """[2, n] : forces along x and y that each rotor gives over its thrust, across its arm."""
+        across = np.asarray(self.places)[:, :2].T
+        tangent = np.stack([-across[1], across[0]]) / np.maximum(np.hypot(*across), 1e-12)
+        return tangent * np.asarray(self.cants or (0.0,) * self.count)
 
     @property
     def above(self) -> Array:

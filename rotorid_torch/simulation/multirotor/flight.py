@@ -90,9 +90,9 @@ class Fleet:
         return cls(tuple(craft), tuple(clean), blades, Drives.of(craft, hover.speed[0]), hover, dt / every, every)
 
     def controller(self) -> Controller:
-        """Their controllers; what a maker measures on the bench is the hover of the clean vehicle."""
+        """Their controllers; what a maker measures on the bench is the hover of the clean vehicle, rotors alike."""
         blades = Blades.of([v.propeller for v in self.clean], np.array([v.air_density for v in self.clean]))
-        hover = Hover.of(self.clean, blades)
+        hover = Hover.of([v.with_like_rotors() for v in self.clean], blades)
         return Controller.of(self.clean, self.craft, hover.curve, hover.ratio)
 
 
@@ -172,6 +172,7 @@ class _World:
         self.spacing = (across * across).sum(0)
         self.spins = np.array([v.spins for v in craft], dtype=np.float64).T
         self.strength = np.array([v.lifts for v in craft]).T
+        self.lean = np.stack([v.lean for v in craft], axis=-1)
         self.wake = craft[0].wake * craft[0].above
         self.air = {
             name: np.array([getattr(v.air, name) for v in craft]) for name in ("axial", "lift", "drag", "ground")
@@ -282,7 +283,7 @@ class _World:
         self.induced = blades.inflow_step(self.speeds, self.induced, flow, self.strength, self.dt)
         loads = blades.loads(self.speeds, self.induced, flow, self.strength, self.spins)
         thrust = loads.thrust * (1.0 + self.flutter)
-        each = np.stack([loads.across[0], loads.across[1], -thrust])
+        each = np.concatenate([loads.across + self.lean * thrust, -thrust[None]])
         moment = cross(self.places, each).sum(1)
         moment[:2] += self.flapping * loads.hub.sum(1)
         inertia = self.fleet.drives.inertia

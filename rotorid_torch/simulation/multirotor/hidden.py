@@ -16,7 +16,7 @@ from rotorid_torch.simulation.helicopter.sensor_errors import GYROS
 from rotorid_torch.simulation.helicopter.slung_load import SlungLoad
 from rotorid_torch.simulation.multirotor.craft import Multirotor
 from rotorid_torch.simulation.multirotor.flight import Fleet
-from rotorid_torch.simulation.multirotor.rotor import Flow
+from rotorid_torch.simulation.multirotor.rotor import Flow, lift_for
 from rotorid_torch.simulation.rigid import three
 
 LAG, DELAY = 0.05, 0.03
@@ -24,7 +24,7 @@ LAG, DELAY = 0.05, 0.03
 WIND, GUSTS = 1.0, 0.25
 """Wind and standard deviation of gusts over the vehicle's own speed."""
 WEAK = 0.1
-"""Share of its lift that one rotor lacks."""
+"""Share of its thrust that one rotor lacks."""
 LOADED, HEAVIER, AHEAD, ROPE = 0.12, 0.25, 0.06, 5.0
 """Payload over mass; share of inertia; centre of gravity and rope over the arm."""
 TILT = 0.035
@@ -98,7 +98,10 @@ def _rotor_inertia(craft: Multirotor, size: float) -> Multirotor:
 
 def _unequal(craft: Multirotor, size: float) -> Multirotor:
     """The second rotor gives less: a cut propeller."""
-    lifts = tuple(lift * (1.0 - WEAK * size) if k == 1 else lift for k, lift in enumerate(craft.lifts))
+    if not size:
+        return craft
+    weak = lift_for(craft.propeller, craft.air_density, 1.0 - WEAK * size)
+    lifts = tuple(lift * weak if k == 1 else lift for k, lift in enumerate(craft.lifts))
     return replace(craft, lifts=lifts)
 
 

@@ -145,3 +145,14 @@ def hover_thrust(propeller: Propeller, density: float, speed: float) -> tuple[fl
     one = np.ones((1, 1))
     loads = blades.loads(speed * one, induced * one, calm, one, one)
     return float(loads.thrust[0, 0]), float(loads.torque[0, 0]), float(induced)
+
+
+def lift_for(propeller: Propeller, density: float, share: float) -> float:
+    """Lift of the sections over the usual with which a rotor that hovers alone gives this share of the usual thrust.
+
+    At the same speed; less thrust makes less inflow, so that lift falls by more than thrust does.
+    """
+    blades = Blades.of([propeller], np.array([density]))
+    still, loss = (float(part[0]) for part in blades.thrust_parts(np.ones(1), 0.0, 1.0))
+    thrust, _, induced = hover_thrust(propeller, density, 1.0)
+    return share * thrust / (still - loss * induced * np.sqrt(share))

@@ -13,7 +13,7 @@ import numpy as np
 from rotorid_torch.errors import InputError
 from rotorid_torch.simulation.multirotor.craft import Battery, Drive, Multirotor, Propeller
 from rotorid_torch.simulation.multirotor.flight import Hover
-from rotorid_torch.simulation.multirotor.rotor import Blades
+from rotorid_torch.simulation.multirotor.rotor import Blades, lift_for
 from rotorid_torch.simulation.rigid import Array, three
 
 LIGHTEST, HEAVIEST = 0.027, 5.0
@@ -34,6 +34,17 @@ NOISE = {
     "motor": 0.0005,
 }
 """Standard deviation of a sample, SI; that of a rotor's speed is 0.002 of its speed in hover."""
+UNLIKE = 0.02
+"""Standard deviation of the thrusts of rotors of one kind at the same speed, over their mean.
+
+The widest class of ISO 484-2 (ship propellers) lets the mean pitch be 3 % off, of which blade elements make 4 % of
+thrust: two standard deviations. Thrusts of four equal rotors differ on load cells: Kuantama et al., Symmetry 10 (2018).
+"""
+CANT = np.deg2rad(1.0)
+"""Largest angle by which a rotor's axis leans, rad: ISO 2768-1, class m, sides up to 10 mm.
+
+Source: ArduPilot, Thrust loss and yaw imbalance (axes that are not vertical are the usual cause of yaw out of balance).
+"""
 NAME = re.compile(r"multirotor-([0-9]{1,6})")
 
 
@@ -43,7 +54,7 @@ class Build:
 
     `thrust` : most thrust over weight. `exponent`, `idle` : of the command, see `craft.Drive`. `rate` : Hz of the
     record. `blades`, `chord` (over the radius), `pitch`, `twist`, rad, `stiffness` : of the propellers, see
-    `craft.Propeller`. `spread` : of the rotors' lift, a standard deviation.
+    `craft.Propeller`.
     """
 
     mass: float = 1.2
@@ -88,7 +99,15 @@ def multirotor(name: str) -> Multirotor:
         raise InputError(
             "usage", "vehicle", f"there is no multirotor '{name}'", "quad, or multirotor-N with a number N"
         )
-    return built(name, drawn(int(form[1])))
+    number = int(form[1])
+    return with_unlike_rotors(built(name, drawn(number)), np.random.default_rng([number, 0x10F7]))
+
+
+def with_unlike_rotors(craft: Multirotor, rng: np.random.Generator) -> Multirotor:
+    """The vehicle with rotors that differ as those of one kind do: in thrust, and in the lean of their axes."""
+    shares = 1.0 + UNLIKE * rng.standard_normal(craft.count)
+    lifts = tuple(lift_for(craft.propeller, craft.air_density, float(share)) for share in shares)
+    return replace(craft, lifts=lifts, cants=tuple(float(x) for x in rng.uniform(-CANT, CANT, craft.count)))
 
 
 def drawn(number: int, rng: np.random.Generator | None = None) -> Build:

@@ -5,7 +5,7 @@ import pytest
 
 from rotorid_torch.data import Dataset
 from rotorid_torch.simulation import fly
-from rotorid_torch.simulation.drawn.multirotors import clean_multirotors, undrawable_multirotor
+from rotorid_torch.simulation.drawn.multirotors import clean_balances, clean_multirotors, undrawable_multirotor
 
 
 @pytest.fixture(scope="module")
@@ -70,6 +70,20 @@ def test_draws_have_what_the_model_of_the_data_has(flown):
     lag = np.arange(-20, 21)
     match = [np.corrcoef(np.roll(m, k)[30:-30], az[30:-30])[0, 1] for k in lag]
     assert 3 <= lag[int(np.argmax(match))] <= 9  # 20 ms of delay and 50 ms of lag at 100 Hz
+
+
+def test_balance_of_a_draw_is_that_of_its_flights(flown, drawn):
+    """Mean thrusts by the common curve, of flights that turn little on average."""
+    places = np.array([m.position[:2] for m in flown.vehicle.motors])
+    spins = np.array([1.0 if m.spin == "ccw" else -1.0 for m in flown.vehicle.motors])
+    for one, balance in zip(drawn, clean_balances(flown, 0, (0, 1)), strict=True):
+        curve = one.dataset.vehicle.motors[0].thrust
+        m = np.stack([channel(one.dataset, "eight_p", f"motor{k + 1}") for k in range(4)])
+        thrust = np.polynomial.polynomial.polyval(m, curve).mean(axis=1)
+        centre = np.concatenate([places.T, spins[None]]) @ thrust / thrust.sum()
+        np.testing.assert_allclose(centre[:2], balance[:2], atol=2e-4)
+        assert centre[2] == pytest.approx(balance[2], abs=0.01)
+        assert np.abs(balance).max() > 1e-3
 
 
 def test_a_draw_depends_on_its_number_alone(flown, drawn):
