@@ -198,7 +198,7 @@ def _stages(
     _, stages = step_stages(lambda t, x, u: system.rates(theta, t, x, u), t, x, *u, dt)
     nodes = torch.tensor(NODES, dtype=x.dtype).view(4, 1, 1)
     controls = u[0] + nodes[..., None] * (u[1] - u[0])
-    flat = (t + dt * nodes).reshape(-1), stages.reshape(-1, x.shape[-1]), controls.reshape(-1, controls.shape[-1])
+    flat = (t + dt * nodes).flatten(), stages.flatten(0, -2), controls.flatten(0, -2)
     return tuple(stages.shape[:-1]), flat
 
 
@@ -216,7 +216,7 @@ def step_transitions(system: System, theta: Tensor, t: Tensor, x: Tensor, u: End
 
 def _outputs(system: System, theta: Tensor, x: Tensor, u: Tensor, path: Tensor, tape: Tape) -> Tensor:
     shape, nx = x.shape[:-1], x.shape[-1]
-    flat = system.output_jacobian(theta, x.reshape(-1, nx), u.reshape(-1, u.shape[-1]))
+    flat = system.output_jacobian(theta, x.flatten(0, -2), u.flatten(0, -2))
     by_x, by_u, by_theta = (d.unflatten(0, shape) for d in flat)
     which, slopes = tape
     if len(which):
