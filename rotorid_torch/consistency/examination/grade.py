@@ -26,8 +26,12 @@ AXES = {
 MOTORS = {"roll": "roll", "pitch": "pitch", "yaw": "yaw", "vertical": "thrust"}
 """What the motors do together on each axis."""
 STILL = {"p": 0.008, "q": 0.008, "r": 0.004, "az": 0.04, "w": 0.02}
-"""Rms in the band of the controls below which a response is that of a vehicle that stands, or that a controller holds
-while nothing is flown: rad/s, m/s², m/s. Bench logs and a take-off have 0.001 to 0.0035 rad/s, test flights 0.02."""
+"""Rms in the band of the controls, in rad/s, m/s² and m/s, below which nothing was flown.
+
+They are the errors of small inertial units, so that a model of less motion would be one of the unit: 0.008 rad/s about
+1 Hz, and 0.004 rad/s of the slower yaw about 0.5 Hz, are 0.07° of attitude; 0.04 m/s² are 4 mg of bias; 0.02 m/s is the
+noise of a receiver's velocity. What stands on a bench has 0.001 to 0.0035 rad/s, a test flight 0.02.
+"""
 HARMLESS = ("time", "voltage")
 """Channels on which a warning limits nothing that is identified."""
 TOLD = 3
@@ -75,7 +79,7 @@ def graded(dataset: Dataset, findings: Sequence[Finding]) -> Graded:
     if errors or not examinable(dataset):
         return Graded("not usable", errors or ("no control moves in a flight that is long enough",), ())
     axes = tuple(_axes(dataset, findings))
-    spread = {channel for one in axes for channel in _channels(dataset, one.axis)}
+    spread = {channel for one in axes for channel in _channels(one.axis, _motors_alone(dataset))}
     others = tuple(
         dict.fromkeys(
             _told(f)
@@ -109,7 +113,7 @@ def _axes(dataset: Dataset, findings: Sequence[Finding]) -> Iterator[AxisGrade]:
     responses = [c for _, channels in AXES.values() for c in channels]
     bands = {c.channel: c.band for c in coherences(dataset, responses)}
     flown = {e.axis.name: e for e in excitations(dataset)}
-    motors = all(map(names.is_motor, dataset.controls))
+    motors = _motors_alone(dataset)
     for axis, (control, channels) in AXES.items():
         response = next((c for c in channels if c in bands), "")
         excitation = flown.get(MOTORS[axis] if motors else control)
@@ -144,7 +148,7 @@ def _axis(axis: str, shown: Response, flown: Excitation | None, findings: Sequen
         wrong.append("its control hardly moves in any identify flight")
     elif flown is not None and flown.independent < FEEDBACK and not flown.leads:
         doubts.append("its control follows the motion: only combinations of derivatives can be identified")
-    channels = {response, *(flown.axis.controls if flown is not None and not motors else ())} - {""}
+    channels = _channels(axis, motors)
     about = [f for f in findings if f.severity == "warning" and channels & {*f.channel.split()}]
     doubts += [] if wrong else [head(f.sentence) for f in about]
     if wrong:
@@ -152,9 +156,14 @@ def _axis(axis: str, shown: Response, flown: Excitation | None, findings: Sequen
     return AxisGrade(axis, "limited" if doubts else "ready", tuple(dict.fromkeys(doubts)))
 
 
-def _channels(dataset: Dataset, axis: str) -> set[str]:
+def _motors_alone(dataset: Dataset) -> bool:
+    return all(map(names.is_motor, dataset.controls))
+
+
+def _channels(axis: str, motors: bool) -> set[str]:
+    """Channels of an axis, on which a warning limits it: every response, also beside the first, and its control."""
     control, responses = AXES[axis]
-    return {*responses, control}
+    return {*responses, *(() if motors else (control,))}
 
 
 def _told(one: Finding) -> str:

@@ -145,24 +145,35 @@ def examine(values: np.ndarray, dt: float) -> Samples:
     same = np.diff(x) == 0.0
     edges = (x == x.max()) | (x == x.min())
     usual = _longest(same & ~edges[1:])  # what repeats elsewhere is no limit
-    edge = max(_at_limit(x, x == x.max()), _at_limit(x, x == x.min()))
+    edge = max(_beyond_steps(x, x == x.max()), _beyond_steps(x, x == x.min()))
     edge = edge if edge > 2 * (usual + 1) else 0
     changes = int((~same).sum())
-    return Samples(float(same.mean()), _longest(same) * dt, edge, _alone(x), changes / (len(x) * dt))
+    return Samples(float(same.mean()), _beyond_steps(x, same) * dt, edge, _alone(x), changes / (len(x) * dt))
+
+
+def _runs(true: np.ndarray) -> np.ndarray:
+    """First and last + 1 (n, 2) of each run of what is true."""
+    return np.flatnonzero(np.diff(np.concatenate([[0], true.astype(np.int8), [0]]))).reshape(-1, 2)
 
 
 def _longest(true: np.ndarray) -> int:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], true.astype(np.int8), [0]])))
-    return int((edges[1::2] - edges[::2]).max(initial=0))
+    return int(np.diff(_runs(true)).max(initial=0))
 
 
-def _at_limit(x: np.ndarray, edge: np.ndarray) -> int:
-    """Longest run at an edge that is entered or left by more than the record's least steps: else it is resolution."""
-    ends = np.flatnonzero(np.diff(np.concatenate([[0], edge.astype(np.int8), [0]]))).reshape(-1, 2)
+def _beyond_steps(x: np.ndarray, true: np.ndarray) -> int:
+    """Longest run that is entered or left by more than the record's least steps: else it is resolution.
+
+    `true` is of each sample, or of each change between two.
+    """
     moved = np.abs(np.diff(x))
     least = STEPS * float(moved[moved > 0.0].min())
-    cut = [b - a for a, b in ends if max(moved[a - 1] if a else 0.0, moved[b - 1] if b < len(x) else 0.0) > least]
-    return int(max(cut, default=0))
+    after = len(true) - len(moved)  # a run of samples is left by the change before its end
+    beyond = [
+        b - a
+        for a, b in _runs(true)
+        if max(moved[a - 1] if a else 0.0, moved[b - after] if b - after < len(moved) else 0.0) > least
+    ]
+    return int(max(beyond, default=0))
 
 
 def _alone(x: np.ndarray) -> int:

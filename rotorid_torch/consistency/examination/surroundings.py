@@ -22,6 +22,8 @@ AIR = ("airspeed", *VELOCITIES, *ATTITUDES)
 ITERATIONS = 30
 KNOWN = 0.02
 """Standard error of gravity, as a share of it, up to which it is worth telling."""
+WITHOUT = 0.1
+"""Share of gravity below which accelerometers do not read it."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,10 @@ def surroundings(dataset: Dataset) -> Iterator[Finding]:
     if local is not None and local.errors[0] < KNOWN * declared:
         g, error = float(local.values[0]), float(local.errors[0])
         sentence = f"kinematics with tilt give gravity {g:.3f} m/s² (± {error:.3f}), declared {declared:g}"
-        if abs(g - declared) > max(4.0 * error, GRAVITY_RANGE * declared):
+        if abs(g) < WITHOUT * declared:
+            cause = "ax ay az read acceleration without gravity, not specific force."
+            yield finding("error", "ax ay az", f"{sentence}:", cause, "Subtract gravity in body axes.")
+        elif abs(g - declared) > max(4.0 * error, GRAVITY_RANGE * declared):
             cause = "a scale or unit error of attitude or accelerometers, or another vehicle.gravity."
             yield finding("warning", "", f"{sentence}:", cause, "Calibrate before believing forces.")
         else:

@@ -1,13 +1,19 @@
-"""Stretches of flights that are there twice, sample by sample: copies, whole or in part."""
+"""Stretches of flights that are there twice, sample by sample: copies, whole or in part.
+
+Compared are controls and body rates, for nobody corrects them afterwards as headings or positions are, to the decimals
+of the record that has fewest.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
+from rotorid_torch.core.names import RATES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 
@@ -17,6 +23,8 @@ SHORTEST_S, SHORTEST = 2.0, 40
 """Seconds, and samples, of the shortest stretch that counts."""
 CHANNELS = 3
 """Channels that must agree at once; two that are stored in coarse steps may do so by chance."""
+DECIMALS, VALUES = 6, 20
+"""Decimals from which on rounding is no matter, and different values of a record that has a resolution."""
 HELD = 0.5
 """Share of a stretch's rows that differ from the row before; rows that stand still are alike without being copies."""
 ODD = 0x9E3779B97F4A7C15
@@ -38,9 +46,12 @@ def copies(dataset: Dataset) -> tuple[Copy, ...]:
     """Stretches that repeat an earlier one, the longest of each pair of flights."""
     names = list(dataset.flights)
     common = set.intersection(*({*dataset.facts[name].spreads} for name in names)) - {"time"}
-    if len(common) < CHANNELS:
+    raw = {name for name in common if name in dataset.controls or name in RATES}
+    compared = sorted(raw if len(raw) >= CHANNELS else common)
+    if len(compared) < CHANNELS:
         return ()
-    rows = [_rows(dataset.flights[name], sorted(common)) for name in names]
+    digits = {channel: min(_decimals(dataset.flights[name], channel) for name in names) for channel in compared}
+    rows = [_rows(dataset.flights[name], digits) for name in names]
     flight = np.repeat(np.arange(len(rows)), [len(one) for one in rows])
     place = np.concatenate([np.arange(len(one)) for one in rows])
     every = np.concatenate(rows)
@@ -64,11 +75,24 @@ def copies(dataset: Dataset) -> tuple[Copy, ...]:
     return tuple(longest.values())
 
 
-def _rows(flight: Flight, channels: list[str]) -> Array:
+def _decimals(flight: Flight, channel: str) -> int:
+    """Decimals with which a channel is stored, `DECIMALS` where it has that many or hardly moves."""
+    values = flight.channels[channel].numpy()
+    finite = np.unique(values[np.isfinite(values)])
+    if len(finite) < VALUES:
+        return DECIMALS
+    single = 2.0**-23 * np.abs(finite)  # what single precision leaves of it
+    fitting = (d for d in range(DECIMALS) if (np.abs(np.round(finite, d) - finite) <= single).all())
+    return next(fitting, DECIMALS)
+
+
+def _rows(flight: Flight, digits: Mapping[str, int]) -> Array:
     """One number (T,) for each row of these channels: equal where all of them are; 0 where one is missing."""
     mixed = np.zeros(flight.samples, dtype=np.uint64)
-    for k, name in enumerate(channels):
-        values = flight.channels[name].numpy() + 0.0  # minus zero is zero
+    for k, (name, decimals) in enumerate(digits.items()):
+        values = flight.channels[name].numpy()
+        values = (np.round(values, decimals) if decimals < DECIMALS else values.astype(np.float32)) + 0.0
+        values = values.astype(np.float64)  # minus zero is zero
         with np.errstate(over="ignore"):
             mixed = (mixed ^ (values.view(np.uint64) + np.uint64(k))) * np.uint64(ODD)
             mixed ^= mixed >> np.uint64(29)
