@@ -198,12 +198,50 @@ def _store(model: Model, theta: Tensor, effect: str, row: str, names: Sequence[s
         theta[model.parameter_set.index(f"{effect}.{row}.{name}")] = value
 
 
-def measured(model: Model, dataset: Dataset, reconstruction: Reconstruction, name: str) -> Measured:
+@dataclass(frozen=True)
+class Before:
+    """A flight's signals as they come to one effect of a model's chain, whatever the parameters from that effect on."""
+
+    effect: str
+    frame: Frame
+
+
+def measured(
+    model: Model, dataset: Dataset, reconstruction: Reconstruction, name: str, before: Before | None = None
+) -> Measured:
     """A flight's signals and what the declared physics beyond the derivatives gives on them.
 
     Flapping that this flight does not measure stands still where physics asks for it, and is no signal.
+
+    before : where the chain is gone on from; by default its beginning.
     """
-    flight, reconstructed = dataset.flights[name], reconstruction.flights[name]
+    recorded = _as_recorded(model, dataset, reconstruction, name)
+    frame, first = (recorded, 0) if before is None else (before.frame, _place(model, before.effect))
+    frame = _passed(model, frame, recorded.signals, range(first, len(model.chain)), dataset.facts[name].dt)
+    assert frame.force is not None
+    assert frame.moment is not None
+    unseen = [n for n in FLAPPING if n in model.layout.names and not dataset.facts[name].has(n)]
+    visible = {n: signal for n, signal in frame.signals.items() if n not in unseen}
+    specific = reconstruction.flights[name].specific.nan_to_num(0.0)
+    return Measured(visible, torch.cat([frame.force - specific[:, :3], frame.moment], dim=-1), specific)
+
+
+def before(model: Model, dataset: Dataset, reconstruction: Reconstruction, name: str, effect: str) -> Before | None:
+    """A flight before an effect; None for one of the path of controls or sensors, from which all else follows."""
+    place = _place(model, effect)
+    if model.chain[place].stage in (Stage.CONTROL, Stage.SENSORS):
+        return None
+    frame = _as_recorded(model, dataset, reconstruction, name)
+    return Before(effect, _passed(model, frame, frame.signals, range(place), dataset.facts[name].dt))
+
+
+def _place(model: Model, effect: str) -> int:
+    return [e.id for e in model.chain].index(effect)
+
+
+def _as_recorded(model: Model, dataset: Dataset, reconstruction: Reconstruction, name: str) -> Frame:
+    """A flight's signals before the first effect, behind the path of controls and sensors; force of step 1."""
+    flight, specific = dataset.flights[name], reconstruction.flights[name].specific.nan_to_num(0.0)
     names = tuple(dict.fromkeys((*(s for s in model.layout.names), *FLAPPING, *model.body.controls)))
     present = [n for n in names if flight.has(n)]
     signals = dict(zip(present, flight.bridged(present).unbind(-1), strict=True))
@@ -215,24 +253,25 @@ def measured(model: Model, dataset: Dataset, reconstruction: Reconstruction, nam
     rates = {n: torch.gradient(signals[n], spacing=flight.dt)[0] for n in FLAPPING if n in present}
     unseen = [n for n in FLAPPING if n in model.layout.names and n not in present]
     signals |= {n: torch.full_like(flight.time, model.reference.get(n, 0.0)) for n in unseen}
-    specific = reconstructed.specific.nan_to_num(0.0)
+    return Frame(signals, force=specific[:, :3], moment=torch.zeros_like(specific[:, 3:]), rates=rates)
+
+
+def _passed(model: Model, frame: Frame, recorded: Mapping[str, Tensor], places: range, dt: float) -> Frame:
+    """The frame behind effects of the chain, whose states are recorded signals, or followed along the frame's."""
     theta = model.theta.detach()
-    frame = Frame(signals, force=specific[:, :3], moment=torch.zeros_like(specific[:, 3:]), rates=rates)
-    for k, effect in enumerate(model.chain):
+    for k in places:
+        effect = model.chain[k]
         if isinstance(effect, LinearForces | Flapping | AlgebraicFlapping) or effect.stage is Stage.SENSORS:
             continue
         values = model.values(theta, k)
-        followed = _followed(effect, frame, values, flight.dt)
+        followed = _followed(effect, frame, values, dt)
         for i, name in enumerate(model.state_names(k)):
-            followed[:, i] = signals.get(name, followed[:, i])
+            followed[:, i] = recorded.get(name, followed[:, i])
         frame = replace(
             frame, signals={**frame.signals, **dict(zip(model.state_names(k), followed.unbind(-1), strict=True))}
         )
         frame, _ = effect(frame, followed, values)
-    assert frame.force is not None
-    assert frame.moment is not None
-    visible = {n: signal for n, signal in frame.signals.items() if n not in unseen}
-    return Measured(visible, torch.cat([frame.force - specific[:, :3], frame.moment], dim=-1), specific)
+    return frame
 
 
 def _followed(effect: Effect, frame: Frame, values: Values, dt: float) -> Tensor:

@@ -10,6 +10,7 @@ from rotorid_torch.consistency.examination.grade import graded
 from rotorid_torch.consistency.examination.records import condensed
 from rotorid_torch.consistency.pairs.late_controls import late_controls
 from rotorid_torch.consistency.records.excitation import moves
+from rotorid_torch.core.storage.once import once
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.identification.model_estimation import ModelEstimate
 from rotorid_torch.identification.model_regression import ModelRegression
@@ -49,28 +50,29 @@ def of_reading(dataset: Dataset) -> Iterator[str]:
         yield f"{dead.channel} {dead.sentence}"
 
 
-def of_check(dataset: Dataset) -> Iterator[str]:
+@once
+def of_check(dataset: Dataset) -> tuple[str, ...]:
     """The grade of the data set where it is not ready, and what `check` calls an error, by the first flights."""
     names = dataset.identify[:COMPARED]
     flights, facts = ({n: whole[n] for n in names} for whole in (dataset.flights, dataset.facts))
     few = replace(dataset, flights=flights, facts=facts, identify=names, validate=(), acid=())
     findings = check(few).findings
     grade = graded(few, findings)
-    if grade.grade != "ready":
-        yield f"{GRADED}{grade.sentence}"
-    for finding in findings:
-        if finding.severity == "error":
-            yield f"{finding.channel}: {finding.sentence}" if finding.channel else finding.sentence
+    errors = [one for one in findings if one.severity == "error"]
+    said = (f"{one.channel}: {one.sentence}" if one.channel else one.sentence for one in errors)
+    return (*([] if grade.grade == "ready" else [f"{GRADED}{grade.sentence}"]), *said)
 
 
-def of_clocks(dataset: Dataset) -> Iterator[str]:
+@once
+def of_clocks(dataset: Dataset) -> tuple[str, ...]:
     """Controls whose record is late, by the first identify flights."""
     late = late_controls(replace(dataset, identify=dataset.identify[:COMPARED]))
-    if late is not None:
-        yield (
-            f"controls are recorded at least {late.seconds * 1e3:.0f} ± {late.se * 1e3:.1f} ms late: {late.clearest}"
-            " comes first, which no vehicle does; lags and damping are biased by it; `rotorid close-loop` takes it out"
-        )
+    if late is None:
+        return ()
+    return (
+        f"controls are recorded at least {late.seconds * 1e3:.0f} ± {late.se * 1e3:.1f} ms late: {late.clearest}"
+        " comes first, which no vehicle does; lags and damping are biased by it; `rotorid close-loop` takes it out",
+    )
 
 
 def of_controls(dataset: Dataset, own_share: Mapping[str, float]) -> Iterator[str]:

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import fields
 from typing import Any, NoReturn
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -258,8 +259,8 @@ def _refuse_shape(name: str, what: str, entry: Any, shape: tuple[int, ...]) -> N
     if what in ("force", "moment") and entry.shape[-1:] != (3,):
         _refuse(name, what, f"has the shape {tuple(entry.shape)}", f"{shape}, an entry for each axis last")
     try:
-        torch.broadcast_shapes(entry.shape, shape)
-    except RuntimeError:
+        np.broadcast_shapes(entry.shape, shape)
+    except ValueError:
         _refuse(name, what, f"has the shape {tuple(entry.shape)}", f"{shape}")
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import permutations, product
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -20,6 +19,7 @@ from rotorid_torch.consistency.correction import without_errors_of_flight
 from rotorid_torch.consistency.smoothing import kernel
 from rotorid_torch.core import names
 from rotorid_torch.core.rigid import gravity_in_body
+from rotorid_torch.core.storage.once import once
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 
@@ -94,17 +94,9 @@ class Alignment:
         return {**self.delays, **self.misalignment}
 
 
-_KNOWN: WeakKeyDictionary[Dataset, Alignment] = WeakKeyDictionary()
-
-
+@once
 def alignment(dataset: Dataset) -> Alignment:
     """Large turns and clock errors of a data set's identify flights; none where rates or attitude are missing."""
-    if dataset not in _KNOWN:
-        _KNOWN[dataset] = _measured(dataset)
-    return _KNOWN[dataset]
-
-
-def _measured(dataset: Dataset) -> Alignment:
     flights = [dataset.flights[name] for name in dataset.some(FLIGHTS)]
     flights = [f for f in flights if f.has(*names.RATES, *names.ATTITUDES)]
     if not flights:

@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -63,8 +64,8 @@ class CompiledRecursion:
         Unsupported : there is no compiler, or it refuses the step.
         """
         code = library(self.source)
-        lead = torch.broadcast_shapes(start.shape[:-1], *(u.shape[:-2] for u in inputs))
-        columns = torch.broadcast_shapes(start.shape[-1:], *(u.shape[-1:] for u in inputs))[0]
+        lead = np.broadcast_shapes(start.shape[:-1], *(u.shape[:-2] for u in inputs))
+        columns = np.broadcast_shapes(start.shape[-1:], *(u.shape[-1:] for u in inputs))[0]
         samples, batch = max(u.shape[-2] for u in inputs), math.prod(lead)
         first = start.expand(*lead, columns).contiguous()
         arrays = [u.expand(*lead, u.shape[-2], columns).contiguous() for u in inputs]

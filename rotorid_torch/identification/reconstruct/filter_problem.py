@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -41,7 +42,7 @@ def with_angles(problem: Problem, angles: Sequence[int]) -> Problem:
     if not angles:
         return problem
     nu, measured = problem.controls.shape[-1], problem.outputs[..., list(angles)].nan_to_num(0.0)
-    batch = torch.broadcast_shapes(problem.controls.shape[:-2], measured.shape[:-2])
+    batch = np.broadcast_shapes(problem.controls.shape[:-2], measured.shape[:-2])
     parts = [part.expand(*batch, *part.shape[-2:]) for part in (problem.controls, measured)]
     return replace(
         problem,
@@ -116,8 +117,8 @@ def checked(problem: Problem) -> Problem:
     problem = Problem(problem.f, problem.h, x0, P0, Q, R, controls, outputs, interval)
     leading = [x0.shape[:-1], P0.shape[:-2], controls.shape[:-2], outputs.shape[:-2]]
     try:
-        batch = torch.broadcast_shapes(*leading)
-    except RuntimeError as error:
+        batch = np.broadcast_shapes(*leading)
+    except ValueError as error:
         shapes = ", ".join(str(tuple(shape)) for shape in leading)
         wrong = f"P0, controls and outputs have leading shapes {shapes}"
         raise Argument(of, "x0").wrong(wrong, "shapes that broadcast") from error

@@ -15,8 +15,9 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.least_squares import bounded_least_squares
+from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.identification.model_regression import regress_model
+from rotorid_torch.identification.model_regression import before, regress_model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.evidence.fits import Fitted
 from rotorid_torch.trace.evidence.residual import AT_ONCE, LeftOver, left_over
@@ -42,18 +43,19 @@ def seen_in_forces(
 
     over : what the null leaves over of the identify flights. whole : of the others too.
     """
-    flights, residuals = null.flights, {}
-    listed = flights.dataset, flights.reconstruction, flights.dataset.identify
+    flights, residuals = null.flights.dataset, {}
+    source = flights, null.flights.reconstruction
     for candidate in candidates:
         model = build(candidate.joined_to(null.spec))
         model.start_from(null.values)
         results = []
         chosen = [one for one in signatures(model, [candidate.effect]) if whole or one.others]
+        begun = OnDemand(flights.identify, lambda name, m=model, e=candidate.effect: before(m, *source, name, e))
         for _, together in groupby(chosen, key=lambda one: one.kind):
             variant, changes = tuple(together), []
             for one in variant:
                 with sized(model, one):
-                    changes.append(over.residual - left_over(model, *listed).residual)
+                    changes.append(over.residual - left_over(model, *source, flights.identify, (), begun).residual)
             sizes, evidence = _held_out(over, torch.stack(changes, dim=-1), variant)
             values = {s.parameter: s.null + a * s.step for s, a in zip(variant, sizes.tolist(), strict=True)}
             results.append(Seen({**dict(variant[0].others), **values}, evidence))

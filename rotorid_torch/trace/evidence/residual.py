@@ -20,7 +20,7 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.base import Frame
 from rotorid_torch.effects.families.main_rotor import FlapSecondOrder
 from rotorid_torch.effects.signal_operations import smoothed
-from rotorid_torch.identification.model_regression import Measured, measured
+from rotorid_torch.identification.model_regression import Before, Measured, measured
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.model.flapping import Flapping
 from rotorid_torch.model.gusts import GUSTS
@@ -100,16 +100,23 @@ class LeftOver:
 
 
 def left_over(
-    model: Model, dataset: Dataset, reconstruction: Reconstruction, flights: Sequence[str], effects: Sequence[str] = ()
+    model: Model,
+    dataset: Dataset,
+    reconstruction: Reconstruction,
+    flights: Sequence[str],
+    effects: Sequence[str] = (),
+    before: Mapping[str, Before | None] | None = None,
 ) -> LeftOver:
     """Residuals of a model's forces, moments and flapping on flights, and the signals they may go with.
 
-    effects : those of the model with a name; what their parameters' errors leave is theirs.
+    effects : those of the model with a name; what their parameters' errors leave is theirs. before : where the chain of
+    each flight is gone on from; by default its beginning.
     """
     with_flapping = [name for name in flights if dataset.facts[name].has(*FLAPPING)]
     flapping = FLAPPING if with_flapping and isinstance(model.effect("rotor"), Flapping) else ()
     listed = with_flapping if flapping else flights  # else neither the disc nor what it does to the body is known
-    parts = [_thinned(model, effects, flapping, (dataset, reconstruction, name)) for name in listed]
+    begun = before or dict.fromkeys(listed)
+    parts = [_thinned(model, effects, flapping, (dataset, reconstruction, name, begun[name])) for name in listed]
     signals, residual, named = (torch.cat([getattr(p, n) for p in parts]) for n in ("signals", "residual", "named"))
     samples = torch.tensor([len(part.time) for part in parts])
     constants = torch.nn.functional.one_hot(torch.repeat_interleave(samples)).to(torch.float64)
@@ -148,10 +155,13 @@ class _Thinned:
 
 
 def _thinned(
-    model: Model, effects: Sequence[str], flapping: Sequence[str], source: tuple[Dataset, Reconstruction, str]
+    model: Model,
+    effects: Sequence[str],
+    flapping: Sequence[str],
+    source: tuple[Dataset, Reconstruction, str, Before | None],
 ) -> _Thinned:
     """Of a flight by its name; flapping : angles whose equations are compared."""
-    dataset, _, name = source
+    dataset, _, name, _ = source
     flight, dt = measured(model, *source), dataset.facts[name].dt
     every, width = max(1, round(1.0 / (dt * RATE))), max(1, round(SMOOTH_S / dt))
     names = tuple(n for n in (*model.body.states, *model.body.controls) if n not in GUSTS and n in flight.signals)

@@ -158,9 +158,11 @@ class Residuals:
             place = side.rows.index(row)
             residuals = side.residual[:, place, None] if turned is None else turned[k][:, place]  # pyright: ignore[reportOptionalSubscript]
             x, y = side.beyond(columns[k], place), side.beyond(residuals, place)
-            flights = torch.nn.functional.one_hot(side.flight.unique(return_inverse=True)[1]).to(torch.float64)
-            xy = torch.einsum("nf,nm,nr->rfm", flights, x, y)
-            products.append((flights.mT @ x.square(), xy, (flights.mT @ y.square()).mT[..., None]))
+            samples = side.flight.unique(return_counts=True)[1].tolist()
+            parts = [*zip(x.split(samples), y.split(samples), strict=True)]
+            xx, yy = (torch.stack([one.square().sum(0) for one in sides]) for sides in zip(*parts, strict=True))
+            xy = torch.stack([b.mT @ a for a, b in parts], dim=1)  # [R, F, m]
+            products.append((xx, xy, yy.mT[..., None]))
         (xx, xy, yy), *others = products
         whole = xx.sum(0)
         least = LEAST * whole + 1e-300

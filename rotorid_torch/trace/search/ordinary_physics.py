@@ -6,8 +6,9 @@ that no fit has seen are better described.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
+from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.trace.evidence.fits import CAREFUL, Fitted, refit
 from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
@@ -45,7 +46,7 @@ def with_structure(
         row = observed(null, fitted, candidate)
         verdict, why = decide(row)
         search.say(f"structure: {best}, gain {gain(null, fitted):.3g} per sample: {why.name.lower()}")
-        values = errors_of(fitted, best, fitted.scatter(best))
+        values = _sizes(fitted, best)
         said = WANTED if verdict == "accepted" else reason(why, **size_details(null, fitted, best))
         findings.append(Finding(best, "structure", verdict, said, values=values))
         null = fitted if verdict == "accepted" else null
@@ -69,9 +70,7 @@ def _with_ordinary(
         said = "fitted in full, it explains nothing more"
         return null, [Finding(e, "structure", "rejected", said) for e in effects]
     said = WANTED if exceeds(unseen_evidence(null, richer)) else ORDINARY
-    return richer, [
-        Finding(e, "structure", "accepted", said, values=errors_of(richer, e, richer.scatter(e))) for e in effects
-    ]
+    return richer, [Finding(e, "structure", "accepted", said, values=_sizes(richer, e)) for e in effects]
 
 
 def _over_short(search: Search[Fitted], shared: Trajectories, null: Fitted) -> Fitted:
@@ -86,3 +85,9 @@ def _over_short(search: Search[Fitted], shared: Trajectories, null: Fitted) -> F
         return null
     search.say(f"the model without candidates gains {gain(null, again):.3g} per sample over short segments first")
     return again
+
+
+def _sizes(fitted: Fitted, effect: str) -> Mapping[str, tuple[float, float]]:
+    """Sizes of an effect with standard errors, which take as long as a fit: computed where they are asked for."""
+    names = [p.name for p in fitted.model.parameter_set.sizes(effect) if p.name in fitted.names]
+    return OnDemand(names, lambda name: errors_of(fitted, effect, fitted.scatter(effect))[name])
