@@ -101,7 +101,10 @@ class Options:
 
 @dataclass(frozen=True)
 class Minimum(Generic[P]):
-    """Where it ended: the point, the linear model there, the masks of the parameters, and a sentence."""
+    """Where it ended: the point, the linear model there, the masks of the parameters, and a sentence.
+
+    dampings : Levenberg-Marquardt damping after each accepted step; none of other methods.
+    """
 
     point: P
     linear: Linear
@@ -111,6 +114,7 @@ class Minimum(Generic[P]):
     message: str
     iterations: int
     history: list[float] = field(default_factory=list)
+    dampings: list[float] = field(default_factory=list)
 
 
 class InfiniteCost(ValueError):
@@ -157,6 +161,7 @@ def minimise(
     options = options or Options()
     point = evaluate(torch.clamp(start, region.lower, region.upper), None, 1.0) if isinstance(start, Tensor) else start
     damping, history, message, converged, iteration = options.damping, [point.cost], "", False, 0
+    dampings: list[float] = []
     while True:
         linear = linearise(point)
         if not math.isfinite(point.cost):
@@ -176,10 +181,11 @@ def minimise(
             break
         point, iteration = better, iteration + 1
         history.append(point.cost)
+        dampings.append(damping)
         if monitor is not None:
             monitor(iteration, point.cost, point.theta)
     masks = region.mask & region.on_bound(point.theta), region.mask & blind
-    return Minimum(point, linear, *masks, converged, message, iteration, history)
+    return Minimum(point, linear, *masks, converged, message, iteration, history, dampings)
 
 
 def undetermined(linear: Linear, theta: Tensor, region: Region) -> Tensor:

@@ -53,7 +53,7 @@ def estimated(
 
             means = Means(watch, steps.ranks, steps.device, steps.method)
             estimate = estimate_model(model, dataset, reconstruction, regressions, means)
-            curves.end(estimate.fit.uncertainty.standard_errors)
+            curves.end(estimate.fit.uncertainty.standard_errors, estimate.fit.minimum.dampings)
             return estimate
 
     estimate = steps.do("ml", f"ml-{spec.flapping}", third)

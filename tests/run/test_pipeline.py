@@ -59,12 +59,18 @@ def test_tensorboard_has_each_fit_by_iteration_and_runs_compare(run: tuple[Run, 
     assert len(fits) == 1
     events = EventAccumulator(str(fits[0])).Reload()
     tags = events.Tags()["scalars"]
-    assert {"ml/cost", "ml/step", "J/validate", "parameters/forces.L.p", "standard errors/forces.L.p"} <= set(tags)
+    assert {"ml/cost", "ml/step", "ml/damping", "J/validate"} <= set(tags)
+    assert {"parameters/forces.L.p", "standard errors/forces.L.p"} <= set(tags)
+    assert {e.step for e in events.Scalars("ml/damping")} <= {e.step for e in events.Scalars("ml/cost")}
     assert 0.0 < events.Scalars("J/validate")[0].value < 2.0
     last = events.Scalars("parameters/forces.L.p")[-1].value
     assert last == pytest.approx(made["forces.L.p"].value, rel=1e-5)
     whole = EventAccumulator(str(out / "tensorboard")).Reload()
     assert whole.Scalars("scores/validate")[0].value == pytest.approx(made.scores["validate"], rel=1e-5)
+    spectrum = whole.Scalars("spectrum/before/p")
+    assert len(spectrum) > 10
+    assert all(e.value >= 0.0 for e in spectrum)
+    assert [e.step for e in spectrum] == sorted(e.step for e in spectrum)
     content = whole.SummaryMetadata("_hparams_/experiment").plugin_data.content
     experiment = plugin_data_pb2.HParamsPluginData.FromString(content).experiment
     assert {"command", "data set", "effects", "method"} <= {info.name for info in experiment.hparam_infos}

@@ -121,11 +121,11 @@ def evidence(effects: Sequence[EffectRecord]) -> Picture | None:
 def spectra(before: Sequence[Overlay], after: Sequence[Overlay]) -> Picture | None:
     """Amplitude of what is left over by frequency, mean over flights not used to fit, before and after."""
     models = [("before", before), ("after", after)] if before else [("after", after)]
-    channels = dict.fromkeys(c for _, c in _judged(after))
-    panels = []
-    for channel in [c for c in names.BODY if c in channels] or list(channels)[:6]:
-        lines = [Line(kind, *mean) for kind, some in models if (mean := _mean_spectrum(some, channel)) is not None]
-        panels.append(Panel(f"{channel}, {names.unit(channel)}", lines, 60, log=True))
+    means = {kind: mean_spectra(some) for kind, some in models}
+    panels = [
+        Panel(f"{c}, {names.unit(c)}", [Line(k, *mean[c]) for k, mean in means.items() if c in mean], 60, log=True)
+        for c in means["after"]
+    ]
     if not panels:
         return None
     words = [("before", "before"), ("after", "after")] if before else [("after", "measured - model")]
@@ -134,6 +134,14 @@ def spectra(before: Sequence[Overlay], after: Sequence[Overlay]) -> Picture | No
         " line is vibration, a rise to the left a slow drift."
     )
     return Picture(stacked(panels, "frequency, Hz", caption, words), caption)
+
+
+def mean_spectra(overlays: Sequence[Overlay]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Frequencies in Hz and amplitudes of what is left over, by channel; a mean over flights not used to fit."""
+    channels = dict.fromkeys(c for _, c in _judged(overlays))
+    chosen = [c for c in names.BODY if c in channels] or list(channels)[:6]
+    means = {channel: _mean_spectrum(overlays, channel) for channel in chosen}
+    return {channel: mean for channel, mean in means.items() if mean is not None}
 
 
 def _mean_spectrum(overlays: Sequence[Overlay], channel: str) -> tuple[np.ndarray, np.ndarray] | None:

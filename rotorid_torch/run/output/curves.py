@@ -55,8 +55,10 @@ class Curves:
             values |= self._judged(theta)
         self._record(values, iteration)
 
-    def end(self, errors: Tensor) -> None:
-        """Record the standard errors [P] of the parameters where the fit ended."""
+    def end(self, errors: Tensor, dampings: Sequence[float]) -> None:
+        """Record the standard errors [P] of the parameters where the fit ended, and the damping of its last steps."""
+        for iteration, damping in enumerate(dampings, self._iteration - len(dampings) + 1):
+            self._record({"ml/damping": damping}, iteration)
         told = zip(self._names, errors.tolist(), strict=True)
         self._record({f"standard errors/{name}": error for name, error in told}, self._iteration)
 

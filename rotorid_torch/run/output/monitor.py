@@ -154,10 +154,10 @@ class Monitor:
             self._board.scalars(values, iteration)
         self.log(f"{iteration}: " + ", ".join(f"{name} {value:.6g}" for name, value in values.items()))
 
-    def board(self, values: Mapping[str, float]) -> None:
+    def board(self, values: Mapping[str, float], step: int = 0) -> None:
         """Record numbers of the whole run for TensorBoard, not logged."""
         if self._board and values:
-            self._board.scalars(values, 0)
+            self._board.scalars(values, step)
 
     def picture(self, name: str, png: bytes, iteration: int = 0) -> None:
         """Record a picture for TensorBoard, as it is."""

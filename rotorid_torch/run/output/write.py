@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
 from matplotlib.figure import Figure
 
-from rotorid_torch.report.figures import draw
+from rotorid_torch.report.figures import Overlay, draw
 from rotorid_torch.report.loop_figures import draw_loop
 from rotorid_torch.report.page.document import Shown, render
+from rotorid_torch.report.page.pictures import mean_spectra
 from rotorid_torch.report.page.tables import evidence_rows
 from rotorid_torch.report.records import FitRecord, Report, encode_report
 from rotorid_torch.report.words.verdict import consequence, opening
@@ -38,6 +40,8 @@ def write_report(folder: Path, report: Report, shown: Shown | None = None, monit
             monitor.picture(name, content)
     if monitor:
         _tell(report, monitor)
+        for title, overlays in (("before", shown.before), ("after" if report.after else "before", shown.overlays)):
+            _tell_spectra(title, overlays, monitor)
     (folder / "report.html").write_text(render(report, shown), encoding="utf-8")
     (folder / "report.json").write_bytes(encode_report(report))
 
@@ -69,6 +73,14 @@ def _tell(report: Report, monitor: Monitor) -> None:
             channels = record.channels.items()
             monitor.board({f"rmse/{title}/{flight}/{c}": r.rmse for c, r in channels if r.rmse is not None})
             monitor.board({f"theil/{title}/{flight}/{c}": r.theil for c, r in channels if r.theil is not None})
+
+
+def _tell_spectra(title: str, overlays: Sequence[Overlay], monitor: Monitor) -> None:
+    """Amplitudes of the residual by frequency, on flights that no fit has seen; steps are hundredths of a hertz."""
+    spectra = {f"spectrum/{title}/{channel}": spectrum for channel, spectrum in mean_spectra(overlays).items()}
+    for name, (hertz, amplitude) in spectra.items():
+        for place, size in zip((100.0 * hertz).round().astype(int).tolist(), amplitude.tolist(), strict=True):
+            monitor.board({name: size}, place)
 
 
 def _settings(report: Report, fit: FitRecord) -> dict[str, str | float]:
