@@ -222,17 +222,18 @@ def standing(spec: ModelSpec, identify: Sequence[Balance], unseen: Sequence[Bala
     without, after = (values.square().mean(dim=0).sqrt() for values in (unseen_centres, unseen_centres - centre))
     if p > SETTINGS.level or after @ inverse @ after >= without @ inverse @ without:
         return None
-    misfits = [float(_misfits(_remainders(centre[None], inverse, lever[:, None]), inverse)) for lever in levers]
-    rotor = misfits.index(min(misfits))
+    ordinary = vehicles[1:].mT @ vehicles[1:] / len(clean)
+    errors, weighed = ordinary.diagonal().sqrt(), torch.linalg.solve(ordinary, levers.mT)
+    information = (levers.mT * weighed).sum(dim=0)
+    beyond = centre @ weighed / information  # a rotor that gives less is asked for more
+    remainders = torch.cat([_remainders(centre[None], inverse, lever[:, None]) for lever in levers])
+    rotor = int(torch.where(beyond > 0.0, _misfits(remainders, inverse), math.inf).argmin())
     explained = _p(_remainders(vehicles, inverse, levers[rotor][:, None]), inverse) > SETTINGS.level
     moved = _p(_remainders(vehicles, inverse, torch.eye(3, 2, dtype=torch.float64)), inverse) > SETTINGS.level
-    ordinary = vehicles[1:].mT @ vehicles[1:] / len(clean)
-    weighed = torch.linalg.solve(ordinary, levers[rotor])
-    beyond, error = float(weighed @ centre / (weighed @ levers[rotor])), float((weighed @ levers[rotor]).rsqrt())
     # its share of all thrusts is larger than the others' by this over their number, and its true thrust is theirs
-    less = beyond / (1.0 + beyond * (1.0 - 1.0 / len(levers)))
-    errors = ordinary.diagonal().sqrt()
-    return Standing(centre, errors, p, moved, rotor if explained else None, less, error, without, after)
+    less = float(beyond[rotor] / (1.0 + beyond[rotor] * (1.0 - 1.0 / len(levers))))
+    one = rotor if explained and less > 0.0 else None
+    return Standing(centre, errors, p, moved, one, less, float(information[rotor].rsqrt()), without, after)
 
 
 def _with_scatter(clean: Tensor, flights: Tensor) -> Tensor:
@@ -276,14 +277,14 @@ def out_of_balance(
     if undrawable_multirotor(dataset) is None:
         off = standing(spec, identified, new, torch.from_numpy(clean_balances(dataset, seed, range(DRAWS))))
     finding = None
-    if off is not None and off.rotor is not None and off.less > 0.0:
-        finding = _unequal(off, spec)
+    if off is not None and off.rotor is not None:
+        finding = _unequal(off, spec.driven[off.rotor])
     elif off is not None and off.moved:
-        finding = _centre_of_gravity(off, spec)
+        finding = _centre_of_gravity(off)
     said = [_said(g) for g in going]
     rows, signal = [g.row for g in going], going[0].signal if going else None
     if off is not None and finding is None:
-        said, rows, signal = [_stands(off, spec), *said], ["".join(sorted(ROWS)), *rows], _rotor(off, spec)
+        said, rows, signal = [_stands(off), *said], ["".join(sorted(ROWS)), *rows], None
     if not said:
         return finding, None
     longest = max(len(b.centre) for b in identified) * AVERAGED_S
@@ -311,24 +312,15 @@ def _where(off: Standing) -> str:
     return f"thrusts balance {place}, and {turn} (p {off.p:.2g} by clean vehicles), which takes {gain}"
 
 
-def _rotor(off: Standing, spec: ModelSpec) -> str | None:
-    return None if off.rotor is None else spec.driven[off.rotor]
+def _stands(off: Standing) -> str:
+    elsewhere = "a centre of gravity elsewhere would leave yaw alone"
+    return f"L, M and N: {_where(off)}; {elsewhere}, and no single rotor that gives less explains it"
 
 
-def _as_if(off: Standing, spec: ModelSpec) -> str:
-    way = "less" if off.less > 0.0 else "more"
-    return f"as if the rotor of {_rotor(off, spec)} gave {100 * abs(off.less):.0f} % {way} than its input says"
-
-
-def _stands(off: Standing, spec: ModelSpec) -> str:
-    single = "" if off.rotor is None else f"; {_as_if(off, spec)}"
-    return f"L, M and N: {_where(off)}; a centre of gravity elsewhere would leave yaw alone{single}"
-
-
-def _unequal(off: Standing, spec: ModelSpec) -> Finding:
+def _unequal(off: Standing, rotor: str) -> Finding:
     """One rotor gives less; or, where yaw leaves that open, the centre of gravity lies elsewhere."""
-    values = {f"{Unequal.id}.{_rotor(off, spec)}": (off.less, off.less_error)}
-    said = f"{_where(off)}: {_as_if(off, spec)}"
+    values = {f"{Unequal.id}.{rotor}": (off.less, off.less_error)}
+    said = f"{_where(off)}: as if the rotor of {rotor} gave {100 * off.less:.0f} % less than its input says"
     if off.moved:
         said = f"{said}; or the centre of gravity lies there, for rotors that differ as usual may turn yaw so far"
         group = (CentreOfGravity.id,)
@@ -337,11 +329,10 @@ def _unequal(off: Standing, spec: ModelSpec) -> Finding:
     return Finding(Unequal.id, "undeclared", "accepted", said, values=values, p=off.p)
 
 
-def _centre_of_gravity(off: Standing, spec: ModelSpec) -> Finding:
-    """It may lie elsewhere, or several rotors differ; of one rotor this is said where it would give more."""
-    rival = "several rotors may differ" if off.rotor is None else f"it is {_as_if(off, spec)}"
+def _centre_of_gravity(off: Standing) -> Finding:
+    """It lies elsewhere, or several rotors differ."""
     values = {
         f"{CentreOfGravity.id}.{axis}": (float(off.centre[i]), float(off.errors[i])) for i, axis in enumerate("xy")
     }
-    said, group = f"{_where(off)}: it lies there, or {rival}; swing the vehicle to tell", (Unequal.id,)
+    said, group = f"{_where(off)}: it lies there, or several rotors differ; swing the vehicle to tell", (Unequal.id,)
     return Finding(CentreOfGravity.id, "undeclared", "indistinguishable", said, group=group, values=values, p=off.p)
