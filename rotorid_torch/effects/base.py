@@ -156,8 +156,9 @@ class Effect(nn.Module):
     Modules of torch that are attributes are trained with the rest: their weights are parameters behind those declared,
     with `weight_sd` for prior_sd, one number or one for each beginning of a name ("net.0").
     `proportional` : whether twice the size does about twice as much. `separated_by` are the flights that tell it from
-    derivatives which absorb it. `swings` : whether it has a motion of its own that no channel tells. `needs` : what the
-    data must have, each a function of the spec that says what is lacking, or None (see `testable`).
+    derivatives which absorb it. `swings` : whether it has a motion of its own that no channel tells. `delays` : the
+    parameter by which controls act later, s. `needs` : what the data must have, each a function of the spec that says
+    what is lacking, or None (see `testable`).
     """
 
     id: str = ""
@@ -168,6 +169,7 @@ class Effect(nn.Module):
     ordinary: bool = False
     proportional: bool = True
     swings: bool = False
+    delays: str = ""
     separated_by: str = "larger or longer inputs on every control"
     weight_sd: float | Mapping[str, float] = 1.0
     needs: tuple[Need, ...] = ()

@@ -45,12 +45,15 @@ def hover_input(spec: ModelSpec) -> float:
     return sum(spec.reference[name] for name in spec.driven) / len(spec.driven) or 1.0
 
 
+def believable(spec: ModelSpec, moment: str, power: float) -> bool:
+    """Whether another inertia can be the reason of a moment's control power, over the declared one if there is one."""
+    ratios = moment != "N" or all(m.torque_ratio is not None for m in spec.motors)
+    return not (powers_declared(spec) and ratios) or BELIEVED[0] < power < BELIEVED[1]
+
+
 def beyond_belief(spec: ModelSpec, values: Mapping[str, float]) -> tuple[str, ...]:
     """Moments whose control power among these values is so far from the declared that no inertia is the reason."""
-    if not powers_declared(spec):
-        return ()
-    rows = [row for row in MOMENTS if row != "N" or all(m.torque_ratio is not None for m in spec.motors)]
-    return tuple(row for row in rows if not BELIEVED[0] < values[f"rotors.power.{row}"] < BELIEVED[1])
+    return tuple(row for row in MOMENTS if not believable(spec, row, values[f"rotors.power.{row}"]))
 
 
 class Rotors(Effect):

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from rotorid_torch.data import Dataset
+from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR
 from rotorid_torch.effects.registry import registered
@@ -37,7 +38,7 @@ FLIGHTS = ("roll_p", "pitch_p", "eight_p", "mixed_n")
 @cache
 def hidden(*effects: str) -> Dataset:
     """Flights of a drawn quadrotor whose model shares no equation with the identification's."""
-    made = fly(None, vehicle="multirotor-2", flights=list(FLIGHTS), effects=[(e, 1.0) for e in effects], seconds=8.0)
+    made = fly(None, vehicle="multirotor-2", flights=list(FLIGHTS), effects=[(e, 1.0) for e in effects], seconds=10.0)
     return at_one_rate(made.dataset())
 
 
@@ -92,6 +93,29 @@ def test_clean_vehicles_in_the_likeness_of_the_data_show_none_of_it():
         assert drawn["statistics"][LAG] < 0.25 * observed[LAG]
         assert abs(drawn["sizes"][f"{LAG}.tau"]) < 0.02
         assert drawn["statistics"][DRAG] < 0.01 * observed[DRAG]
+
+
+def test_a_moment_that_the_rotors_do_not_explain_takes_nothing_from_the_evidence():
+    """Of a roll rate that is noise the null holds the moment at zero, and no lag lets the rotors explain that noise."""
+    data, chance = hidden(LAG), torch.Generator().manual_seed(0)
+
+    def disturbed(flight: Flight) -> Flight:
+        noise = torch.randn(len(flight.time), generator=chance, dtype=torch.float64)
+        return replace(flight, channels={**flight.channels, "p": noise})
+
+    noisy = replace(data, flights={name: disturbed(flight) for name, flight in data.flights.items()})
+    flights = Flights(noisy, reconstruct(noisy))
+    null = FittedAtStates.of(propose(noisy, flights.reconstruction, ()), flights)
+    assert "L" in null.silent
+    left = measured_family(null, [LAG]).statistics[LAG]
+    assert left > 0.5 * measured_family(fitted(LAG), [LAG]).statistics[LAG]
+
+
+def test_a_lag_and_a_delay_are_two_causes_whichever_joins_first():
+    """At the null each takes the place of the other; sizes that the null's parameters follow tell them apart."""
+    tracing = traced(LAG, DELAY)
+    assert {LAG, DELAY} <= set(tracing.accepted)
+    assert tracing.final.values[f"{DELAY}.common"] > 0.01
 
 
 def test_moments_that_are_held_at_zero_may_be_explained_with_a_candidate():

@@ -77,6 +77,7 @@ class ControlDelay(Effect):
     """
 
     id, stage, role = "control.delay", Stage.CONTROL, Role.UNDECLARED
+    delays = "common"
 
     def __init__(self, controls: tuple[str, ...] = (), alone: bool = False) -> None:
         common = Parameter("common", 0.0, "s", (0.0, LONGEST), doc="delay of every control", typical=0.06)
@@ -103,6 +104,7 @@ class ControlLag(Effect):
     """
 
     id, stage, role = "control.lag", Stage.CONTROL, Role.UNDECLARED
+    delays = "common"
     needs = (not_for_motors("motor commands lag by propulsion.motor_lag"),)
 
     def __init__(self, controls: tuple[str, ...] = (), alone: bool = False) -> None:

@@ -28,6 +28,7 @@ class MotorLag(Effect):
     """
 
     id, stage, role = "propulsion.motor_lag", Stage.CONTROL, Role.UNDECLARED
+    delays = "tau"
     needs = (no_motors,)
 
     def __init__(self, motors: tuple[str, ...]) -> None:

@@ -53,7 +53,8 @@ MOVED = 20.0
 class Signature:
     """One direction of one candidate: its parameter's full name, null, the size it was simulated at, and its bounds.
 
-    others : other parameters of the effect, and where they were. size : which of the sizes it is met at this one is.
+    others : other parameters of the effect, and where they were; and of the null, where these follow. size : which of
+    the sizes it is met at this one is, negative where the null's parameters follow.
     order : of the derivative of the controls that a pseudo-effect of the control path adds to the controls; else zero.
     """
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -43,7 +43,7 @@ class MeasuredAccelerations:
 
     def refitted(self, spec: ModelSpec, near: FittedAtStates) -> FittedAtStates:
         """The model of a spec, fitted from where another fit ended."""
-        return self.fitted(near.started(spec))
+        return replace(self.fitted(near.started(spec)), origin=near)
 
     def candidates(
         self, null: FittedAtStates, observed: Family[FittedAtStates], candidates: Sequence[Candidate]

@@ -1,25 +1,29 @@
 """Evidence for candidates in accelerations at measured states: all at once, in closed form about a fitted model.
 
-The change of the modelled accelerations by a candidate at its usual size is its signature. From the normal equations
-of the flights follows how much better the flights are explained whose equations did not give the signature's size.
+The change of the modelled accelerations by a candidate at its usual size is its signature, once with the null's
+parameters as they are, and once where they follow. From the normal equations
+of the flights follows how much better the flights are explained whose equations did not give the signature's size. A
+moment that the null holds at zero counts where a candidate lets the rotors explain that moment.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.names import MOMENTS
 from rotorid_torch.identification.measured_states import MeasuredStates
 from rotorid_torch.identification.rotor_equations import Seen, seen_flights
-from rotorid_torch.model.model import Model
+from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
 from rotorid_torch.model.nominal import build
+from rotorid_torch.model.rotors import believable
 from rotorid_torch.trace.evidence.family import Family
 from rotorid_torch.trace.evidence.held_out import FlightEquations
 from rotorid_torch.trace.evidence.screen import Screen, Signature, signatures, sized
-from rotorid_torch.trace.measured.fitted import FittedAtStates
+from rotorid_torch.trace.measured.fitted import EXPLAINED, FittedAtStates, of_moments
 
 BLOCK_S = 1.0
 """s: blocks of the residual that are put in another order, longer than what a motor or a stream is late by."""
@@ -37,16 +41,24 @@ def measured_family(
     """
     probe = _Probe.of(null, effects)
     dataset, chance = null.flights.dataset, torch.Generator().manual_seed(seed)
-    fitted = [_matrix(probe, *pieces) for pieces in probe.pieces(dataset.identify)]
-    unseen = [_matrix(probe, *pieces) for pieces in probe.pieces(dataset.validate)]
-    prior, count = probe.prior, len(probe.names)
-    theta = torch.linalg.lstsq(*_estimating(fitted, prior, count)).solution
-    fitted, unseen = ([_with_shuffled(one, theta, turns, chance) for one in side] for side in (fitted, unseen))
-    products = torch.stack([_products(one) for one in fitted])
+    rows, prior, count = tuple(null.sigma), probe.prior, len(probe.names)
+    pieces = [probe.pieces(dataset.identify), probe.pieces(dataset.validate)]
+    sides = [[_matrix(probe, one) for one in side] for side in pieces]
+    followed = probe.followed()
+    sides = [
+        [_with_signatures(matrix, followed, one) for matrix, one in zip(*side, strict=True)]
+        for side in zip(sides, pieces, strict=True)
+    ]
+    probe = replace(probe, chosen=(*probe.chosen, *followed.chosen))
+    theta = torch.linalg.lstsq(*_estimating(sides[0], prior, count)).solution
+    fitted, unseen = ([_with_shuffled(one, theta, turns, chance) for one in side] for side in sides)
+    by_row = torch.stack([_products(one, rows) for one in fitted])
+    counted = [rows.index(row) for row in rows if row not in _unexplained(probe, rows, by_row.sum(0), 1 + turns)]
+    products = by_row[:, counted].sum(1)
     none = products.new_zeros(0, *products.shape[1:])
     before = torch.cat([prior[:, :-1], prior.new_zeros(len(prior), len(probe.chosen)), prior[:, -1:]], dim=1)
     before = torch.cat([before, before.new_zeros(len(before), turns)], dim=1)
-    others = torch.stack([_products(one) for one in unseen]) if unseen else none
+    others = torch.stack([_products(one, rows)[counted].sum(0) for one in unseen]) if unseen else none
     equations = FlightEquations(products, others, before.mT @ before, count, 1 + turns)
     raw = products.sum(0).diagonal()[count : count + len(probe.chosen)]
     common = Screen.of(probe.chosen, probe.names, equations, raw, null.per_sample)
@@ -74,6 +86,12 @@ class _Probe:
         return cls(null, model, build(spec).parameter_set.free, signatures(model, effects))
 
     @property
+    def variants(self) -> list[list[int]]:
+        """Signatures that go together, as places among the chosen."""
+        kinds = dict.fromkeys((one.effect, *one.kind) for one in self.chosen)
+        return [[k for k, one in enumerate(self.chosen) if (one.effect, *one.kind) == kind] for kind in kinds]
+
+    @property
     def prior(self) -> Tensor:
         """Rows of the prior of the null's parameters, and what is left of them [P, P + 1]."""
         parameters = self.model.parameter_set
@@ -82,11 +100,40 @@ class _Probe:
         left = weight * (parameters.values[places] - self.model.theta.detach()[places])
         return torch.cat([weight.diag(), left[:, None]], dim=1)
 
-    def pieces(self, listed: Sequence[str]) -> Iterator[tuple[MeasuredStates, Tensor]]:
-        """Each flight's equations, and theta; one flight alone in halves, each of which tests what the other says."""
+    def pieces(self, listed: Sequence[str]) -> list[MeasuredStates]:
+        """Each flight's equations; one flight alone in halves, each of which tests what the other says."""
         seen = list(seen_flights(self.model, self.null.flights.records(self.model, listed))) if listed else []
-        for one in _halves(seen[0]) if len(seen) == 1 else seen:
-            yield MeasuredStates.of(self.model, [one]), self.model.theta.detach().clone()
+        return [MeasuredStates.of(self.model, [one]) for one in (_halves(seen[0]) if len(seen) == 1 else seen)]
+
+    def followed(self) -> _Probe:
+        """With the signatures that the null follows, of effects with a single size.
+
+        What makes controls later takes the place of what does so in the null. And the null may have begun from a fit
+        that has the effect: at the values of that fit.
+        """
+        origin, chosen = self.null.origin, []
+        for one in (self.chosen[places[0]] for places in self.variants if len(places) == 1):
+            if earlier := self._earlier(one):
+                chosen.append(replace(one, others=(*one.others, *earlier)))
+            if origin is not None and one.effect in origin.spec.effects and origin.values[one.parameter] != one.null:
+                values = tuple((name, origin.values[name]) for name in self.names)
+                chosen.append(replace(one, typical=origin.values[one.parameter], others=(*one.others, *values)))
+        return replace(self, chosen=tuple(replace(one, size=-1 - k) for k, one in enumerate(chosen)))
+
+    def _earlier(self, one: Signature) -> tuple[tuple[str, float], ...]:
+        """By what controls are late in the null, less by as much as the signature makes them later."""
+        late = [f"{effect.id}.{effect.delays}" for effect in self.model.chain if effect.delays]
+        usual = {name: value for name, value in self.null.values.items() if name in late and value > 0.0}
+        return tuple((name, max(value - one.step, 0.0)) for name, value in usual.items() if one.parameter in late)
+
+    def changes(self, states: MeasuredStates) -> list[dict[str, Tensor]]:
+        """Of a flight's rows by each signature."""
+        base, changes = states.equations.at(self.model.theta.detach()[None])[0], []
+        for one in self.chosen:
+            with sized(self.model, one):
+                moved = states.equations.at(self.model.theta.detach()[None])[0]
+            changes.append({row: moved[row][0] - base[row][0] for row in states.measured[0]})
+        return changes
 
 
 def _halves(flight: Seen) -> list[Seen]:
@@ -98,36 +145,50 @@ def _halves(flight: Seen) -> list[Seen]:
 
 @dataclass(frozen=True, eq=False)
 class _Matrix:
-    """Rows of one flight in units of what is left: responses about their lines [rows, T', n], and lines [2 rows, n].
+    """Rows of one flight in units of what is left: responses about their lines [rows, T', n], and lines [rows, 2, n].
 
-    Columns are the null's parameters, the signatures, and the residual. block : samples of a block.
+    Columns are the null's parameters, the signatures, and the residual. rows : their names. block : samples of a block.
     """
 
+    rows: tuple[str, ...]
     values: Tensor
     lines: Tensor
     block: int
 
 
-def _matrix(probe: _Probe, states: MeasuredStates, theta: Tensor) -> _Matrix:
-    base, columns = states.equations.columns(theta, probe.names)
-    changes = []
-    for one in probe.chosen:
-        with sized(probe.model, one):
-            moved = states.equations.at(probe.model.theta.detach()[None])[0]
-        changes.append({row: moved[row][0] - base[0][row] for row in states.measured[0]})
-    values, lines = [], []
+def _matrix(probe: _Probe, states: MeasuredStates) -> _Matrix:
+    base, columns = states.equations.columns(probe.model.theta.detach().clone(), probe.names)
+    changes, values, lines = probe.changes(states), [], []
     for row, measured in states.measured[0].items():
         parts = [*(columns[n][0][row] for n in probe.names), *(c[row] for c in changes), measured - base[0][row]]
-        weighed = states.weighed(torch.stack(parts).nan_to_num(0.0), row, probe.null.sigma[row]).mT
+        weighed = _weighed(probe, states, row, parts)
         values.append(weighed[:-2])
         lines.append(weighed[-2:])
     step = states.equations.flights[0].step
-    return _Matrix(torch.stack(values), torch.cat(lines), max(1, round(BLOCK_S / step)))
+    return _Matrix(tuple(states.measured[0]), torch.stack(values), torch.stack(lines), max(1, round(BLOCK_S / step)))
+
+
+def _weighed(probe: _Probe, states: MeasuredStates, row: str, parts: Sequence[Tensor]) -> Tensor:
+    """Records [T] of a row as columns in units of what is left [T + 2, n]."""
+    return states.weighed(torch.stack([*parts]).nan_to_num(0.0), row, probe.null.sigma[row]).mT
+
+
+def _with_signatures(matrix: _Matrix, probe: _Probe, states: MeasuredStates) -> _Matrix:
+    """With the probe's signatures before the residual."""
+    if not probe.chosen:
+        return matrix
+    changes = probe.changes(states)
+    more = torch.stack([_weighed(probe, states, row, [c[row] for c in changes]) for row in matrix.rows])
+
+    def joined(columns: Tensor, others: Tensor) -> Tensor:
+        return torch.cat([columns[..., :-1], others, columns[..., -1:]], dim=-1)
+
+    return replace(matrix, values=joined(matrix.values, more[:, :-2]), lines=joined(matrix.lines, more[:, -2:]))
 
 
 def _estimating(matrices: Sequence[_Matrix], prior: Tensor, count: int) -> tuple[Tensor, Tensor]:
     """Triangle of the null's columns of all flights, and of the residual."""
-    whole = [part for matrix in matrices for part in (matrix.values.flatten(0, 1), matrix.lines)]
+    whole = [part.flatten(0, 1) for matrix in matrices for part in (matrix.values, matrix.lines)]
     rows = [torch.cat([part[..., :count], part[..., -1:]], dim=-1) for part in whole]
     triangle = torch.linalg.qr(torch.cat([prior, *rows]), mode="r").R
     return triangle[:, :-1], triangle[:, -1:]
@@ -144,7 +205,7 @@ def _with_shuffled(matrix: _Matrix, theta: Tensor, count: int, chance: torch.Gen
     others = _shuffled(left, matrix.block, count, chance).movedim(0, -1)
     lines = matrix.lines.new_zeros(*matrix.lines.shape[:-1], count)
     joined = (torch.cat([matrix.values, others], dim=-1), torch.cat([matrix.lines, lines], dim=-1))
-    return _Matrix(*joined, matrix.block)
+    return _Matrix(matrix.rows, *joined, matrix.block)
 
 
 def _shuffled(records: Tensor, block: int, count: int, chance: torch.Generator) -> Tensor:
@@ -158,6 +219,38 @@ def _shuffled(records: Tensor, block: int, count: int, chance: torch.Generator) 
     return torch.cat([mixed, records[:, whole:].expand(count, -1, -1)], dim=-1)
 
 
-def _products(matrix: _Matrix) -> Tensor:
-    rows = matrix.values.flatten(0, 1)
-    return rows.mT @ rows + matrix.lines.mT @ matrix.lines
+def _products(matrix: _Matrix, rows: Sequence[str]) -> Tensor:
+    """Normal equations by row [rows, n, n], zeros of a row that the flight has not measured."""
+    own = matrix.values.mT @ matrix.values + matrix.lines.mT @ matrix.lines
+    products = own.new_zeros(len(rows), *own.shape[1:])
+    products[[rows.index(row) for row in matrix.rows]] = own
+    return products
+
+
+def _unexplained(probe: _Probe, rows: Sequence[str], products: Tensor, residuals: int) -> set[str]:
+    """Angular accelerations whose moments the null holds at zero, and which no candidate lets the rotors explain.
+
+    The rotors explain a row where R2 reaches `EXPLAINED` at a control power that can be believed.
+
+    products : of the identify flights by row [rows, n, n], residuals in the last columns.
+    """
+    values, count = probe.model.named_values, len(probe.names)
+    last, unexplained = products.shape[-1] - residuals, set()
+    for moment in probe.null.silent:
+        row = ANGULAR_ACCELERATIONS[MOMENTS.index(moment)]
+        one, power = products[rows.index(row)], probe.names.index(f"rotors.power.{moment}")
+        silent = one.new_zeros(len(one))
+        silent[last] = 1.0
+        for name in of_moments(probe.null.spec, [moment]):
+            silent[probe.names.index(name)] = values[name]
+        moved = float(silent @ one @ silent)
+        for places in probe.variants:
+            columns = [*range(count), *(count + k for k in places)]
+            size = torch.linalg.pinv(one[columns][:, columns], hermitian=True) @ one[columns, last]
+            left = float(one[last, last] - one[columns, last] @ size)
+            believed = believable(probe.null.spec, moment, values[probe.names[power]] + float(size[power]))
+            if believed and left <= (1.0 - EXPLAINED) * moved:
+                break
+        else:
+            unexplained.add(row)
+    return unexplained

@@ -63,7 +63,7 @@ def _silenced(spec: ModelSpec, model: Model, regressions: ModelRegression, fligh
     wrong = beyond_belief(spec, model.named_values)
     little = [row for row in MOMENTS if r2[row] < EXPLAINED or row in wrong]
     ahead = little if len(little) == len(MOMENTS) else unexplained_moments(model, _first(flights))
-    held = _of_moments(spec, [row for row in MOMENTS if row in {*little, *ahead}])
+    held = of_moments(spec, [row for row in MOMENTS if row in {*little, *ahead}])
     return msgspec.structs.replace(
         spec, free={**spec.free, **dict.fromkeys(held, False)}, values={**spec.values, **dict.fromkeys(held, 0.0)}
     )
@@ -74,7 +74,7 @@ def _first(flights: Flights) -> Iterator[Flight]:
     return (flights.dataset.flights[name] for name in flights.dataset.identify[:PREDICTED])
 
 
-def _of_moments(spec: ModelSpec, rows: Iterable[str]) -> list[str]:
+def of_moments(spec: ModelSpec, rows: Iterable[str]) -> list[str]:
     """Parameters that make these moments; all at zero where a moment is not explained."""
     powers = [f"rotors.{kind}.{row}" for row in rows for kind in ("power", "trim")]
     return [*powers, *(f"surfaces.{row}.{control}" for row in rows for control in spec.surfaces)]
@@ -82,7 +82,7 @@ def _of_moments(spec: ModelSpec, rows: Iterable[str]) -> list[str]:
 
 def with_moments(spec: ModelSpec) -> ModelSpec:
     """The structure with every moment free: what a poorer model does not explain this one may."""
-    held = _of_moments(spec, MOMENTS)
+    held = of_moments(spec, MOMENTS)
     free = {n: value for n, value in spec.free.items() if n not in held}
     values = {n: value for n, value in spec.values.items() if n not in held or value != 0.0}
     return msgspec.structs.replace(spec, free=free, values=values)
@@ -94,7 +94,7 @@ class FittedAtStates:
 
     spec : its structure, with all moments free. model : where moments that it does not explain are held at zero.
     errors : standard errors of the estimated parameters by full name. without : theta of all identify flights but one,
-    by that one's name: to it, that flight is unseen.
+    by that one's name: to it, that flight is unseen. origin : the fit whose values this one began from, if any.
     """
 
     spec: ModelSpec
@@ -102,6 +102,7 @@ class FittedAtStates:
     flights: Flights
     errors: Mapping[str, float]
     without: Mapping[str, Tensor]
+    origin: FittedAtStates | None = None
 
     @classmethod
     def of(cls, spec: ModelSpec, flights: Flights) -> FittedAtStates:
@@ -168,7 +169,7 @@ class FittedAtStates:
         """A spec that begins with the values that parameters have here, but for moments that are not explained here."""
         effects = {e: f"{e}." for e in (*self.spec.effects, *spec.effects)}
         others = {n: v for n, v in spec.values.items() if not n.startswith(tuple(effects.values()))}
-        silent = _of_moments(spec, self.silent)
+        silent = of_moments(spec, self.silent)
         shared = (*(effects[e] for e in spec.effects if e in self.spec.effects), "rotors.", "speed.", "surfaces.")
         values = {n: v for n, v in self.values.items() if n.startswith(shared) and n not in silent}
         return msgspec.structs.replace(spec, values={**others, **values})

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum, auto
+from types import MappingProxyType
 
 from torch import Tensor
 
@@ -71,6 +72,8 @@ class Row:
     adequate: bool = True
 
 
+NO_SCATTER: Mapping[str, float] = MappingProxyType({})
+
 TABLE: tuple[tuple[Mapping[str, object], Verdict, Reason], ...] = (
     ({"significant": False, "observable": False}, "indistinguishable", Reason.ABSORBED),
     ({"significant": False}, "below floor", Reason.BELOW_LEVEL),
@@ -134,13 +137,14 @@ class Size:
     error: float = 0.0
 
 
-def size_of(fitted: FittedModel, effect: str, tests: int = 1) -> Size:
-    """The size of an effect in a fit: standard errors, and the scatter over flights where that is larger.
+def size_of(fitted: FittedModel, effect: str, tests: int = 1, drawn: Mapping[str, float] = NO_SCATTER) -> Size:
+    """The size of an effect in a fit: standard errors, and the scatter over flights or clean aircraft where larger.
 
-    tests : effects whose sizes are looked at.
+    tests : effects whose sizes are looked at. drawn : scatter over clean aircraft, by full name.
     """
     scatter = fitted.scatter(effect)
-    return estimate(fitted.model, {n: max(fitted.error(n), scatter.get(n, 0.0)) for n in fitted.names}, effect, tests)
+    errors = {n: max(fitted.error(n), scatter.get(n, 0.0), drawn.get(n, 0.0)) for n in fitted.names}
+    return estimate(fitted.model, errors, effect, tests)
 
 
 def estimate(model: Model, errors: Mapping[str, float], effect: str, tests: int = 1) -> Size:
@@ -162,8 +166,8 @@ def estimate(model: Model, errors: Mapping[str, float], effect: str, tests: int 
     return Size(Estimate.WITHIN_ERROR if inside else Estimate.SIZE, name, values.get(name, 0.0), errors.get(name, 0.0))
 
 
-def errors_of(fitted: FittedModel, effect: str, spread: Mapping[str, float]) -> dict[str, tuple[float, float]]:
+def errors_of(fitted: FittedModel, effect: str, *spreads: Mapping[str, float]) -> dict[str, tuple[float, float]]:
     """Estimated sizes of an effect with standard errors no smaller than their scatter over flights, controls, draws."""
     sizes, values = fitted.model.parameter_set.sizes(effect), fitted.values
     names = [p.name for p in sizes if p.name in fitted.names]
-    return {n: (values[n], max(fitted.error(n), spread.get(n, 0.0))) for n in names}
+    return {n: (values[n], max(fitted.error(n), *(one.get(n, 0.0) for one in spreads))) for n in names}

@@ -83,11 +83,12 @@ class Outcome(Generic[FittedT]):
     def _told(self, finding: Finding, row: Row) -> Finding:
         """The finding with verdict, reason and values."""
         effect, (verdict, why) = finding.id, decide(row)
+        drawn = self.search.drawn_scatter(effect)
         joined, names = self._joined(effect), [c.effect for c in self.search.joined]
         trial = next((t for c, t in reversed(self.search.trials.items()) if c.effect == effect), None)
         details: dict[str, object] = {"explained_by": explained_by(names)}
         if trial is not None:
-            details |= size_details(trial.null, trial.fitted, effect)
+            details |= size_details(trial.null, trial.fitted, effect, drawn)
         if joined is not None:
             group = self.search.rivals.get(effect, ())
             details |= {"others": ", ".join(group), "share": 100.0 * max(self.share or 0.0, 0.0)}
@@ -105,5 +106,5 @@ class Outcome(Generic[FittedT]):
             by = f"{', '.join(absorbed)} take its place" if absorbed else "it hardly moves what was measured"
             said = reason(why, imitators=by, flights=registered()[effect].separated_by)
             return replace(finding, verdict=verdict, reason=said, group=absorbed)
-        values = {} if trial is None else errors_of(trial.fitted, effect, trial.fitted.scatter(effect))
+        values = {} if trial is None else errors_of(trial.fitted, effect, trial.fitted.scatter(effect), drawn)
         return replace(finding, verdict=verdict, reason=reason(why, **details), values=values)

@@ -16,7 +16,17 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.evidence.critical_values import Draws, p_values
 from rotorid_torch.trace.evidence.family import Family, by_chance, effect_of
 from rotorid_torch.trace.evidence.fits import FittedT
-from rotorid_torch.trace.search.decide import Estimate, Row, decide, evidence, gain, improves, size_of, unseen_evidence
+from rotorid_torch.trace.search.decide import (
+    NO_SCATTER,
+    Estimate,
+    Row,
+    decide,
+    evidence,
+    gain,
+    improves,
+    size_of,
+    unseen_evidence,
+)
 from rotorid_torch.trace.terms.candidate import Candidate
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import exceeds
@@ -197,7 +207,9 @@ class Search(Generic[FittedT]):
 
     def _best(self, null: FittedT, fitted: Mapping[Candidate, FittedT]) -> Trial[FittedT] | None:
         """The trial of the candidate that joins; its rivals are noted."""
-        rows = self.ranks.share(list(fitted), lambda c: observed(null, fitted[c], c, self.tests))
+        rows = self.ranks.share(
+            list(fitted), lambda c: observed(null, fitted[c], c, self.tests, self.drawn_scatter(c.effect))
+        )
         trials = dict(zip(fitted, rows, strict=True))
         for c, row in trials.items():
             self.trials[c] = Trial(c, null, fitted[c], row)
@@ -219,12 +231,15 @@ class Search(Generic[FittedT]):
             low = {effect_of(n) for n, one in p.items() if one <= SETTINGS.level}
             self.rivals[last] = tuple(e for e in self.rivals.get(last, ()) if e not in low)
 
+    def drawn_scatter(self, effect: str) -> Mapping[str, float]:
+        """Scatter of an effect's sizes over clean aircraft."""
+        return NO_SCATTER if self.first is None else self.first[2].scatter(effect)
+
     def spread(self, final: FittedT) -> dict[str, float]:
         """Standard errors of the named effects' parameters by the scatter of sizes over trims, flights and draws."""
-        spread, draws = dict(self.scatter), self.first[2] if self.first is not None else None
+        spread = dict(self.scatter)
         for c in self.joined:
-            drawn = draws.scatter(c.effect) if draws is not None else {}
-            for name, scatter in [*final.scatter(c.effect).items(), *drawn.items()]:
+            for name, scatter in [*final.scatter(c.effect).items(), *self.drawn_scatter(c.effect).items()]:
                 if name in final.names:
                     spread[name] = max(spread.get(name, 0.0), scatter)
         return spread
@@ -260,7 +275,8 @@ class Search(Generic[FittedT]):
     def _left_out(self, candidate: Candidate, final: FittedT, effects: Sequence[str]) -> Trial[FittedT]:
         """A candidate that joined, tried again beside the others that did."""
         assert self.first is not None
-        row = replace(self.trials[candidate].row, estimate=size_of(final, candidate.effect, self.tests).estimate)
+        size = size_of(final, candidate.effect, self.tests, self.drawn_scatter(candidate.effect))
+        row = replace(self.trials[candidate].row, estimate=size.estimate)
         alone = len(self.joined) == 1
         if row.estimate is Estimate.SIZE and (alone or candidate.effect not in self.first[2].statistics):
             return Trial(candidate, self.trials[candidate].null, final, row)
@@ -275,11 +291,16 @@ class Search(Generic[FittedT]):
         return Trial(candidate, without, final, replace(row, still=low, in_set=low))
 
 
-def observed(null: FittedT, fitted: FittedT, candidate: Candidate, tests: int = 1) -> Row:
-    """What a full fit says of a candidate, one of so many effects that are tested."""
+def observed(
+    null: FittedT, fitted: FittedT, candidate: Candidate, tests: int = 1, drawn: Mapping[str, float] = NO_SCATTER
+) -> Row:
+    """What a full fit says of a candidate, one of so many effects that are tested.
+
+    drawn : scatter of sizes over clean aircraft, by full name.
+    """
     return Row(
         fitted=gain(null, fitted) > 0.0,
-        estimate=size_of(fitted, candidate.effect, tests).estimate,
+        estimate=size_of(fitted, candidate.effect, tests, drawn).estimate,
         unseen_better=improves(unseen_evidence(null, fitted)),
     )
 

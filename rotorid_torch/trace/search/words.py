@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from rotorid_torch.trace.evidence.fits import FittedT
-from rotorid_torch.trace.search.decide import TABLE, Estimate, Reason, size_of, unseen_evidence
+from rotorid_torch.trace.search.decide import NO_SCATTER, TABLE, Estimate, Reason, size_of, unseen_evidence
 
 REASONS = {
     Reason.BELOW_LEVEL: "it explains no more than it does where nothing is missing",
@@ -36,9 +36,11 @@ def explained_by(names: Sequence[str]) -> str:
     return f"{' and '.join(names) or 'another effect'} {'explain' if len(names) > 1 else 'explains'}"
 
 
-def size_details(null: FittedT, fitted: FittedT, effect: str) -> dict[str, object]:
-    """What the reasons about a full fit say of it."""
-    size, unseen = size_of(fitted, effect), unseen_evidence(null, fitted)
+def size_details(
+    null: FittedT, fitted: FittedT, effect: str, drawn: Mapping[str, float] = NO_SCATTER
+) -> dict[str, object]:
+    """What the reasons about a full fit say of it; drawn: scatter of sizes over clean aircraft, by full name."""
+    size, unseen = size_of(fitted, effect, drawn=drawn), unseen_evidence(null, fitted)
     return {
         "parameter": size.parameter,
         "value": size.value,

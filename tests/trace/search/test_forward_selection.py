@@ -174,6 +174,16 @@ def test_an_effect_that_is_real_in_the_end_stays():
     assert search.joined == [Candidate(DELAY)]
 
 
+def test_a_size_that_clean_aircraft_show_as_well_is_none():
+    """A delay of 60 ms where sizes of clean aircraft scatter by as much: the interval holds nothing, whatever p is."""
+    known, null = late()
+    sizes = {f"{DELAY}.common": torch.linspace(-0.1, 0.1, 19, dtype=torch.float64)}
+    search = search_of(known, replace(draws_of(True), sizes=sizes))
+    assert search.forward(null, [DELAY]) is not None
+    assert search.joined == []
+    assert search.trials[Candidate(DELAY)].row.estimate is Estimate.WITHIN_ERROR
+
+
 @pytest.mark.parametrize("first", [DELAY, DAMPING])
 def test_what_explains_nothing_beside_the_others_goes_whatever_joined_first(first: str):
     """Damping that does not act beside a delay that does."""
