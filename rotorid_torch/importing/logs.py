@@ -109,7 +109,9 @@ def import_log(
         flights |= {name: arrays for name, (arrays, _) in cut.items()}
         kinds |= {name: kind for name, (_, kind) in cut.items()}
     durations = {name: (float(arrays["time"][-1]), kinds[name]) for name, arrays in flights.items()}
-    lists = manoeuvres.share_out([(name, kind, seconds) for name, (seconds, kind) in durations.items()])
+    whole = manoeuvres.moved({name: flights[name] for name, kind in kinds.items() if not kind}, 1.0 / grid_hz)
+    of_kinds = {name: whole.get(name) or frozenset(filter(None, (kind,))) for name, kind in kinds.items()}
+    lists = manoeuvres.share_out([(name, of_kinds[name], seconds) for name, (seconds, _) in durations.items()])
     kind, controls = _vehicle_kind(records, asked.map), _controls(records, flights)
     vehicle = (asked.map.vehicle if asked.map else None) or dict(records[0].plan.vehicle) or None
     plan, motors = records[0].plan, sum(map(names.is_motor, controls)) or sum(map(names.is_rotor_speed, channels))

@@ -18,6 +18,8 @@ BEFORE_S, AFTER_S = 1.0, 2.0
 """What belongs to a manoeuvre: the trim before it and the response after it."""
 SHORTEST_S, LONGEST_S = 3.0, 30.0
 """Shorter ones are left out, longer ones cut."""
+MOVED = 0.5
+"""Share of a control's largest motion in a flight with which it is moved in another one."""
 SHARES = {"identify": 0.6, "validate": 0.2, "acid": 0.2}
 """Shares of the lists, by time."""
 
@@ -104,24 +106,38 @@ def _kind(judged: Mapping[str, np.ndarray], start: int, stop: int) -> str:
     return max(judged, key=lambda name: float((judged[name][start:stop] ** 2).sum())) if judged else ""
 
 
-def share_out(flights: Sequence[tuple[str, str, float]]) -> dict[str, list[str]]:
-    """Lists of the flights given as name, kind and seconds, in order.
+def moved(flights: Mapping[str, Mapping[str, np.ndarray]], dt: float) -> dict[str, frozenset[str]]:
+    """Which controls (or, for motors, body rates) each of some whole flights (T,) moves, beside the one most moved."""
+    sizes: dict[str, dict[str, float]] = {}
+    for name, arrays in flights.items():
+        sticks = names.acting(arrays)
+        motors = all(names.is_motor(n) or names.is_rotor_speed(n) for n in sticks)
+        judges = [n for n in names.RATES if n in arrays] if motors else sticks
+        sizes[name] = {n: float(np.sqrt(np.mean(activity(arrays[n], dt) ** 2))) for n in judges}
+    largest = {n: max(one.get(n, 0.0) for one in sizes.values()) for some in sizes.values() for n in some}
+    return {
+        name: frozenset(n for n, size in some.items() if size > 0.0 and size >= MOVED * largest[n])
+        for name, some in sizes.items()
+    }
 
-    The first of every kind is in identify; each further one goes where most is missing of the list's share of time,
-    relative to that share, so that three flights are one in each list.
+
+def share_out(flights: Sequence[tuple[str, frozenset[str], float]]) -> dict[str, list[str]]:
+    """Lists of the flights given as name, kinds of motion in it and seconds, in order.
+
+    Identify has every kind: the first flight of each. Each further one goes where most is missing of the list's share
+    of time, relative to that share, so that three flights of all kinds are one in each list.
     """
     lists: dict[str, list[str]] = {name: [] for name in SHARES}
     total = sum(seconds for *_, seconds in flights) or 1.0
-    have, kinds = dict.fromkeys(SHARES, 0.0), set[str]()
-    later = []
-    for flight in flights:
-        if flight[1] in kinds:
-            later.append(flight)
+    have, covered, later = dict.fromkeys(SHARES, 0.0), set[str](), []
+    for name, kinds, seconds in flights:
+        if lists["identify"] and kinds <= covered:
+            later.append((name, seconds))
             continue
-        kinds.add(flight[1])
-        lists["identify"].append(flight[0])
-        have["identify"] += flight[2]
-    for name, _, seconds in later:
+        covered |= kinds
+        lists["identify"].append(name)
+        have["identify"] += seconds
+    for name, seconds in later:
         place = min(SHARES, key=lambda key: have[key] / (SHARES[key] * total))
         lists[place].append(name)
         have[place] += seconds

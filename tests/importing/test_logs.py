@@ -276,6 +276,18 @@ def test_several_logs_are_flights_in_lists(tmp_path: Path):
     assert rotorid.load(done.folder).acid == ("log_3",)
 
 
+def test_whole_flights_of_every_axis_are_in_identify(tmp_path: Path):
+    """The only flight of an axis never is in acid; a second one of an axis may be."""
+    files, time = [], np.arange(0.0, 30.0, 0.02)
+    for number, axis in enumerate(("lat", "lat", "lat", "ped", "lon")):
+        columns = {"time": time, **{stick: 1e-3 * np.sin(0.3 * time) for stick in ("lat", "lon", "ped")}}
+        columns[axis] = 0.1 * np.sign(np.sin(time))
+        files.append(csv(tmp_path / f"f{number}.csv", columns | {"p": np.sin(time)}))
+    lists = rotorid.import_log(files, tmp_path / "set").lists
+    assert {"f0", "f3", "f4"} <= {*lists["identify"]}
+    assert sorted([*lists["validate"], *lists["acid"]]) == ["f1", "f2"]
+
+
 def test_a_long_pause_makes_two_flights(tmp_path: Path):
     columns = table(20.0)
     columns["time"] = columns["time"] + 1e6 * (columns["time"] >= 12.0)
