@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import torch
-from scipy.optimize import lsq_linear
 from torch import Tensor
 
 
@@ -48,6 +47,8 @@ def bounded_least_squares(G: Tensor, d: Tensor, low: Tensor, high: Tensor) -> Te
     inside = free.clamp(low, high)
     if len(d) == 1 or len(root) == 0 or bool((inside == free).all()):
         return inside
+    from scipy.optimize import lsq_linear  # slow to import
+
     box = (low * scale).numpy(), (high * scale).numpy()
     best = lsq_linear((root[:, None] * across).numpy(), target.numpy(), box, method="bvls", max_iter=100 * len(d))
     side = torch.from_numpy(best.active_mask)

@@ -11,7 +11,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
-from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
 from rotorid_torch.core.least_squares import least_squares
@@ -68,6 +67,8 @@ class Mixer:
         if {"L", "M"} <= set(self.explained) and len(corners) == len(at):
             angles = torch.tensor(corners, dtype=torch.float64).deg2rad()
             nominal = arm * torch.stack([angles.cos(), angles.sin()], dim=1)
+            from scipy.optimize import linear_sum_assignment  # slow to import
+
             at = nominal[linear_sum_assignment(torch.cdist(at, nominal).numpy())[1]]
         yaw = self.shares[:, 2]
         return tuple(

@@ -8,12 +8,12 @@ from typing import Any
 
 import msgspec
 import torch
-from scipy.signal import lfilter
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
 from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.core.names import ATTITUDES, FLAPPING, FORCES, MOMENTS, RATES, SPECIFIC_FORCES, VELOCITIES, is_motor
+from rotorid_torch.core.recursion import followed, linear
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.schema import Vehicle
@@ -225,8 +225,8 @@ def lagged(signal: Tensor, samples: float) -> Tensor:
     """A first-order lag of so many samples over records (T, ...), in equilibrium at their start."""
     if samples <= 0:
         return signal
-    decay, records = math.exp(-1.0 / samples), signal.numpy()
-    return torch.from_numpy(lfilter([1.0 - decay], [1.0, -decay], records, axis=0, zi=decay * records[:1])[0])
+    decay, records = math.exp(-1.0 / samples), signal.flatten(1)
+    return followed(linear, records[0], records.new_full((1, 1), decay), (1.0 - decay) * records).view_as(signal)
 
 
 def _sizes(dataset: Dataset, reconstruction: Reconstruction | None) -> dict[str, float]:
