@@ -99,6 +99,8 @@ def test_an_unknown_says_where_to_look(report: records.Report):
     unknown = records.UnknownRecord(
         where="L", band_hz=(0.2, 2.0), goes_with="p", since_s=None, sentence="Something is missing from L."
     )
+    named = opening(msgspec.structs.replace(closed(report, "undeclared", after=False), unknown=unknown))
+    assert named.endswith("Something more is missing in the rolling moment, where p moves; it has no name.")
     loop = msgspec.structs.replace(closed(report, "unknown", after=False), unknown=unknown)
     assert steps(loop)[0].startswith("What is missing acts on the rolling moment between 0.2 and 2 Hz, where p moves")
 

@@ -64,8 +64,11 @@ class Graded:
         if self.grade == "ready":
             return f"ready: a model can be identified on {_listed(usable) or 'what is recorded'}"
         if self.grade == "limited":
-            return f"limited: {_listed(usable) or 'what is recorded'} with limits ({why})"
-        return f"not usable, because {why}"
+            some = len(usable) < len(self.axes)
+            how = f" to {_listed(usable)}" if some else f": {_listed(usable) or 'what is recorded'} with care"
+            return f"limited{how} ({why})"
+        whole = (re.sub(r"^([\w, ]+) not usable: (.*)$", r"\2 (\1)", one) for one in self.because[:TOLD])
+        return f"not usable, because {'; '.join(whole)}{more}"
 
 
 def graded(dataset: Dataset, findings: Sequence[Finding]) -> Graded:

@@ -55,7 +55,7 @@ def opening(report: Report) -> str:
         return headline(report)
     accepted = [e for e in report.effects if e.id in verdict.effects and e.verdict == "accepted"]
     sentences = " ".join(map(sentence_of, accepted))
-    more = f" {report.unknown.sentence}" if report.unknown and verdict.kind in ("undeclared", "group") else ""
+    more = f" {_unnamed(report)}" if report.unknown and verdict.kind in ("undeclared", "group") else ""
     if verdict.kind == "undeclared":
         return f"{sentences}{more}"
     if verdict.kind == "group":
@@ -216,6 +216,14 @@ def _to_tell(record: EffectRecord) -> str:
         return f"If it is {words.noun}: {words.then[0].lower()}{words.then[1:]}"
     advice = last.strip() if mark else "fly it at another speed, height or mass"
     return f"To tell {words.noun} from what takes its place: {advice}."
+
+
+def _unnamed(report: Report) -> str:
+    """That something is missing beside what is named, in few words."""
+    unknown = report.unknown
+    assert unknown is not None
+    follows = f", where {unknown.goes_with} moves" if unknown.goes_with else ""
+    return f"Something more is missing in {AXES.get(unknown.where, unknown.where)}{follows}; it has no name."
 
 
 def _look_for(report: Report) -> str:

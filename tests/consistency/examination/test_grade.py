@@ -56,7 +56,7 @@ def test_an_axis_that_follows_nothing_limits():
     found = grade(flown(r=noise))
     assert found.grade == "limited"
     assert axes(found) == {"roll": "ready", "pitch": "ready", "yaw": "not usable", "vertical": "ready"}
-    assert "yaw not usable: r nowhere follows the controls" in found.sentence
+    assert found.sentence == "limited to roll, pitch, vertical (yaw not usable: r nowhere follows the controls)"
 
 
 def test_a_control_that_rests_limits():
@@ -76,6 +76,7 @@ def test_rates_that_nowhere_follow_are_not_usable():
     found = grade({c: v for c, v in flown(**noise).items() if c != "az"} | {"w": 0.3 * noise["p"][::-1].copy()})
     assert found.grade == "not usable"
     assert found.because[0] == "roll, pitch, yaw not usable: p, q, r nowhere follow the controls"
+    assert found.sentence.startswith("not usable, because p, q, r nowhere follow the controls (roll, pitch, yaw)")
 
 
 def test_a_bench_is_not_usable():
