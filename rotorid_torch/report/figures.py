@@ -21,9 +21,9 @@ from matplotlib.transforms import blended_transform_factory
 from torch import Tensor
 
 from rotorid_torch.core import names
+from rotorid_torch.core.statistics import autocorrelation
 from rotorid_torch.report.records import FitRecord
 from rotorid_torch.report.summary import shown_flights
-from rotorid_torch.validate.scores import autocorrelation
 
 MEASURED, MODEL, QUIET = "#c0392b", "#1f4e9c", "#b8bcc4"
 LIST_COLOURS = {"identify": "#7f8c8d", "validate": "#1f4e9c", "acid": "#8e2f8f"}

@@ -12,10 +12,11 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
 from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.core.names import RATES, VELOCITIES
-from rotorid_torch.core.statistics import normal_quantile, student_quantile
+from rotorid_torch.core.statistics import autocorrelation, normal_quantile, student_quantile
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.families.mass import CentreOfGravity
@@ -172,16 +173,11 @@ def _worth(residual: Tensor, signal: Tensor, lengths: Sequence[int]) -> float:
     Source: Bartlett (1935), J. Royal Statistical Society 98 (correlated series); no less than by the residual's first
     autocorrelation alone.
     """
-    pairs = [_autocorrelations(series, lengths) for series in (residual, signal - signal.mean())]
-    first = max(pairs[0][0], 0.0)
-    alike = sum(max(a * b, 0.0) for a, b in zip(*pairs, strict=True))
+    both = torch.stack([residual, signal - signal.mean()], dim=-1)
+    flights = pad_sequence(list(both.split(list(lengths))), batch_first=True, padding_value=torch.nan)
+    like = autocorrelation(flights, NEIGHBOURS, centred=False, pooled=True)
+    first, alike = max(float(like[0, 0]), 0.0), float(like.prod(dim=1).clamp_min(0.0).sum())
     return len(residual) * min((1.0 - first) / (1.0 + first), 1.0 / (1.0 + 2.0 * alike))
-
-
-def _autocorrelations(series: Tensor, lengths: Sequence[int]) -> list[float]:
-    power = max(float(series.square().sum()), 1e-300)
-    parts = series.split(list(lengths))
-    return [sum(float(r[k:] @ r[:-k]) for r in parts if len(r) > k) / power for k in range(1, NEIGHBOURS + 1)]
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.gauss_newton import Options
+from rotorid_torch.core.statistics import autocorrelation
 from rotorid_torch.effects.base import Frame, Values
 from rotorid_torch.effects.families.neural import TRUST, NeuralForces
 from rotorid_torch.identification.estimate.segments import Records, cut
@@ -139,11 +140,9 @@ def memory(fitted: Fitted) -> float:
 
 def _correlated(record: Tensor) -> Tensor:
     """Sum of a record's [T, n] autocorrelations up to where they first vanish, both sides [n]."""
-    spectrum = torch.fft.rfft(record - record.mean(dim=0), n=2 * len(record), dim=0)
-    products = torch.fft.irfft(spectrum.abs().square(), dim=0)[: len(record)]
-    correlation = products / products[0].clamp_min(1e-300)
+    correlation = autocorrelation(record, len(record) - 1)
     before = (correlation > 0.0).to(torch.float64).cumprod(dim=0)
-    return (2.0 * (correlation * before).sum(dim=0) - 1.0).clamp_min(1.0)
+    return 1.0 + 2.0 * (correlation * before).sum(dim=0)
 
 
 def regressed(model: Model, over: LeftOver, seed: int = 0, linear: bool = False) -> dict[str, float]:

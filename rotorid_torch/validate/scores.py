@@ -132,14 +132,3 @@ def window_statistics(J: Tensor) -> Spread:
     """Median, 10th and 90th percentile of the windows' J [W]; NaN where no window has a score."""
     levels = torch.tensor([0.5, 0.1, 0.9], dtype=J.dtype, device=J.device)
     return Spread(*torch.nanquantile(J, levels).tolist())
-
-
-def autocorrelation(residual: Tensor, lags: int) -> Tensor:
-    """Autocorrelation of a residual at lags 1 to `lags`: [..., T, n] -> [..., lags, n].
-
-    White residuals stay inside plus or minus 1.96 / sqrt(T) at 95 % of the lags.
-    """
-    centred = (residual - torch.nanmean(residual, dim=-2, keepdim=True)).nan_to_num(0.0)
-    power = centred.square().sum(dim=-2)
-    products = [(centred[..., k:, :] * centred[..., :-k, :]).sum(dim=-2) / power for k in range(1, lags + 1)]
-    return torch.stack(products, dim=-2)

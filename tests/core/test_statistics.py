@@ -1,9 +1,14 @@
-"""Quantiles for few data against SciPy."""
+"""Quantiles for few data against SciPy; autocorrelation against sums by NumPy, by hand and in closed form."""
 
+import math
+
+import numpy as np
 import pytest
+import torch
 from scipy import stats
+from scipy.signal import lfilter
 
-from rotorid_torch.core.statistics import normal_quantile, student_quantile
+from rotorid_torch.core.statistics import Share, autocorrelation, normal_quantile, student_quantile
 
 
 @pytest.mark.parametrize("tail", [0.3, 1e-2, 1e-4])
@@ -13,3 +18,49 @@ def test_student_is_the_exact_quantile(tail: float, freedom: float) -> None:
     exact = stats.t.isf(tail, freedom)
     assert student_quantile(normal_quantile(tail), freedom) == pytest.approx(exact, rel=1e-6)
     assert student_quantile(-normal_quantile(tail), freedom) == pytest.approx(-exact, rel=1e-6)
+
+
+def column(*values: float) -> torch.Tensor:
+    return torch.tensor(values, dtype=torch.float64)[:, None]
+
+
+def test_autocorrelation_by_hand():
+    assert torch.allclose(autocorrelation(column(1.0, -1.0, 1.0, -1.0), 2), column(-0.75, 0.5))
+    assert torch.allclose(autocorrelation(column(1.0, -1.0, 1.0, -1.0), 2, share="pairs"), column(-1.0, 1.0))
+    gap = column(1.0, 2.0, math.nan, 3.0, 4.0)
+    assert torch.allclose(autocorrelation(gap, 2, centred=False), column(14.0 / 30.0, 6.0 / 30.0))
+    pairs = autocorrelation(gap, 1, centred=False, share="pairs")
+    assert torch.allclose(pairs, column((14.0 / 2.0) / (30.0 / 4.0)))
+    overlap = autocorrelation(gap, 1, centred=False, share="overlap")
+    assert torch.allclose(overlap, column(14.0 / math.sqrt((1.0 + 9.0) * (4.0 + 16.0))))
+    assert not autocorrelation(column(0.0, 0.0, 0.0), 2).any()
+
+
+@pytest.mark.parametrize("centred", [False, True])
+def test_autocorrelation_is_that_of_numpy(centred: bool):
+    records = torch.randn(3, 50, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) + 0.3
+    each, pooled = (
+        autocorrelation(records, 49, centred=centred),
+        autocorrelation(records, 49, centred=centred, pooled=True),
+    )
+    sums = np.zeros((50, 2))
+    for k, record in enumerate(records.numpy()):
+        x = record - record.mean(axis=0) if centred else record
+        full = np.stack([np.correlate(c, c, "full")[49:] for c in x.T], axis=1)
+        assert each[k].numpy() == pytest.approx(full[1:] / full[0])
+        sums += full
+    assert pooled.numpy() == pytest.approx(sums[1:] / sums[0])
+
+
+@pytest.mark.parametrize("share", ["whole", "pairs", "overlap"])
+def test_autocorrelation_of_a_first_order_process_falls_as_its_powers(share: Share):
+    noise = np.random.default_rng(1).standard_normal((20, 5000))
+    process = torch.from_numpy(lfilter([1.0], [1.0, -0.8], noise))[..., None]
+    r = autocorrelation(process, 10, pooled=True, share=share)[:, 0]
+    assert r.numpy() == pytest.approx(0.8 ** np.arange(1, 11), abs=0.015)
+
+
+def test_white_records_stay_in_their_band():
+    white = torch.randn(4000, 1, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
+    inside = autocorrelation(white, 50).abs() < 1.96 / math.sqrt(4000)
+    assert inside.double().mean().item() >= 0.88

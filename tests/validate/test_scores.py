@@ -151,14 +151,6 @@ def test_window_statistics_are_numpys_percentiles():
     assert scores.window_statistics(J) == pytest.approx(tuple(np.percentile(known, [50, 10, 90])))
 
 
-def test_autocorrelation_of_a_known_series():
-    series = column(1.0, -1.0, 1.0, -1.0)
-    assert torch.allclose(scores.autocorrelation(series, 2), column(-0.75, 0.5))
-    white = torch.randn(4000, 1, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
-    inside = scores.autocorrelation(white, 50).abs() < 1.96 / math.sqrt(4000)
-    assert inside.double().mean().item() >= 0.88
-
-
 @pytest.mark.parametrize(
     ("name", "J_trim", "J_noise"),
     [

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.statistics import autocorrelation
+
 LEAST_EIGENVALUE = 1e-6
 """Of the residuals' correlation matrix."""
 
@@ -132,15 +134,10 @@ def whiteness(innovations: Tensor, spreads: Tensor) -> Whiteness:
     root = torch.linalg.cholesky(safe)
     white = torch.linalg.solve_triangular(root, innovations.nan_to_num(0.0).unsqueeze(-1), upper=False).squeeze(-1)
     white = torch.where(present, white, 0.0)
-    count, power = present.sum(dim=(0, 1)), white.square().sum(dim=(0, 1)).clamp_min(1e-300)
     lags = min(LAGS, innovations.shape[1] // 4)
-    correlations, pairs = [], []
-    for lag in range(1, lags + 1):
-        pairs.append((present[:, lag:] & present[:, :-lag]).sum(dim=(0, 1)).clamp_min(1))
-        products = (white[:, lag:] * white[:, :-lag]).sum(dim=(0, 1))
-        correlations.append(products / pairs[-1] / (power / count.clamp_min(1)))
-    r, n = torch.stack(correlations), torch.stack(pairs)
-    statistic = (r.square() * n).sum(dim=0)
+    r = autocorrelation(torch.where(present, white, torch.nan), lags, centred=False, pooled=True, share="pairs")
+    n = [(present[:, lag:] & present[:, :-lag]).sum(dim=(0, 1)).clamp_min(1) for lag in range(1, lags + 1)]
+    statistic = (r.square() * torch.stack(n)).sum(dim=0)
     return Whiteness(
         lags, r[0], statistic, torch.special.gammaincc(torch.full_like(statistic, lags / 2.0), statistic / 2.0)
     )
@@ -168,8 +165,6 @@ def colour(residual: Tensor) -> Colour:
     Source: Box, Jenkins and Reinsel, Time Series Analysis, sec. 7.1 (likelihood of a first-order process).
     """
     both = ~(residual[:, 1:].isnan() | residual[:, :-1].isnan())
-    one, other = (torch.where(both, part, 0.0) for part in (residual[:, 1:], residual[:, :-1]))
-    power = (one.square().sum(dim=(0, 1)) * other.square().sum(dim=(0, 1))).sqrt().clamp_min(1e-300)
-    lag_one = (one * other).sum(dim=(0, 1)) / power
+    lag_one = autocorrelation(residual, 1, centred=False, pooled=True, share="overlap")[0]
     gain = -0.5 * both.sum(dim=(0, 1)) * torch.log1p(-lag_one.square().clamp(max=1.0 - 1e-12))
     return Colour(lag_one, float(gain.sum()))
