@@ -403,7 +403,7 @@ def simulate(options: Options) -> None:
     from rotorid_torch.run.output.folder import refuse_unless_free_run
 
     refuse_unless_free_run(options.out, overwrite=options.overwrite)
-    piece = saved_model.Piece(options.start, options.seconds)
+    piece = saved_model.Stretch(options.start, options.seconds)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         data = load(options.dataset)

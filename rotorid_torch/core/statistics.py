@@ -61,7 +61,7 @@ def autocorrelation(
     """
     present = ~records.isnan()
     x = (records - records.nanmean(dim=-2, keepdim=True) if centred else records).nan_to_num(0.0)
-    there, square = present.to(x.dtype), x.square()
+    counted, square = present.to(x.dtype), x.square()
 
     def lagged(a: Tensor, b: Tensor) -> Tensor:
         """Sums [..., lags, n] of a(t) b(t+k)."""
@@ -73,10 +73,10 @@ def autocorrelation(
 
     products = lagged(x, x)
     if share == "overlap":
-        power = (lagged(square, there) * lagged(there, square)).clamp_min(0.0).sqrt()
+        power = (lagged(square, counted) * lagged(counted, square)).clamp_min(0.0).sqrt()
     else:
         power = total(square.sum(dim=-2, keepdim=True))
     if share == "pairs":
-        power = power / total(there.sum(dim=-2, keepdim=True)).clamp_min(1.0)
-        power = power * lagged(there, there).round().clamp_min(1.0)
+        power = power / total(counted.sum(dim=-2, keepdim=True)).clamp_min(1.0)
+        power = power * lagged(counted, counted).round().clamp_min(1.0)
     return products / power.clamp_min(1e-300)

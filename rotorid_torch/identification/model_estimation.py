@@ -197,7 +197,7 @@ def _regressed(start: ModelRegression, names: Sequence[str]) -> Tensor:
     """Variances [P] by step 2's regressions, which say how strongly gusts act; zero for what none of them tells."""
     variances = {
         f"{row}.{name}": float(se) ** 2
-        for row, regression in start.regressions.items()
+        for row, regression in start.by_row.items()
         for name, se in zip(regression.names, regression.standard_errors, strict=True)
     }
     return torch.tensor([variances.get(n.partition(".")[2], 0.0) for n in names], dtype=torch.float64).nan_to_num(0.0)

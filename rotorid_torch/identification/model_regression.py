@@ -61,7 +61,7 @@ class ModelRegression:
     Flapping that seems undamped follows what drives it in the same way, as a start; step 3 finds its lag.
     """
 
-    regressions: Mapping[str, Regression]
+    by_row: Mapping[str, Regression]
     theta: Tensor
     held: tuple[str, ...]
     own_share: Mapping[str, float]  # of each control's in-band motion, what body states do not explain (feedback)
@@ -72,7 +72,7 @@ class ModelRegression:
         Gusts do that to a row which they move as much as the pilot does, above all coning: what they do to the response
         is in its regressors too (vertical velocity, induced velocity). The lag of a row is left out.
         """
-        rows = {row for row, regression in self.regressions.items() if regression.band[1] <= START}
+        rows = {row for row, regression in self.by_row.items() if regression.band[1] <= START}
         lags = {f"{row}.{row}" for row in FLAPPING} | {f"{m}.{r}" for m, r in zip(MOMENTS, RATES, strict=True)}
         split = {n: n.split(".") for n in names}
         return tuple(n for n, s in split.items() if s[1] in rows and s[-1] != "trim" and ".".join(s[1:]) not in lags)

@@ -35,7 +35,7 @@ ROUNDING = 1e-11
 STILL = 1e-6
 """Share of its mean by which a column moves at least if it is not constant."""
 
-Rows = Mapping[str, Tensor]
+ByRow = Mapping[str, Tensor]
 """Values by row."""
 
 
@@ -121,7 +121,7 @@ class RotorEquations:
         axis = SPECIFIC_FORCES.index(row)
         return velocity[:, axis] - integral(other[:, axis], flight.dt)
 
-    def at(self, thetas: Tensor) -> list[Rows]:
+    def at(self, thetas: Tensor) -> list[ByRow]:
         """Rows of every flight [K, T] at thetas [K, P] that have the first one's control path."""
         return [
             self.accelerations(thetas[:, None], flight.states, taped, flight.step)
@@ -168,12 +168,12 @@ class RotorEquations:
                 left = [n for n in left if n not in mine]
         return theta, regressions
 
-    def columns(self, theta: Tensor, names: Sequence[str]) -> tuple[list[Rows], dict[str, list[Rows]]]:
+    def columns(self, theta: Tensor, names: Sequence[str]) -> tuple[list[ByRow], dict[str, list[ByRow]]]:
         """Rows of every flight at theta, and their derivatives by each of the parameters."""
         places = {name: self.model.parameter_set.index(name) for name in names}
         steps = {name: self._step(theta, i) for name, i in places.items()}
         base = self.at(theta[None])
-        columns = dict[str, list[Rows]]()
+        columns = dict[str, list[ByRow]]()
         together = [name for name, i in places.items() if i not in self._path]
         for batch in (together, *([name] for name, i in places.items() if i in self._path)):
             if not batch:

@@ -25,7 +25,7 @@ SHARES = {"identify": 0.6, "validate": 0.2, "acid": 0.2}
 
 
 @dataclass(frozen=True)
-class Piece:
+class Manoeuvre:
     """Samples [start, stop) of a flight, and which control (or, for motors, body rate) does most in it."""
 
     start: int
@@ -33,7 +33,7 @@ class Piece:
     kind: str
 
 
-def cut(arrays: Mapping[str, np.ndarray], dt: float) -> list[Piece]:
+def cut(arrays: Mapping[str, np.ndarray], dt: float) -> list[Manoeuvre]:
     """Manoeuvres of a flight on a uniform grid, in order and apart from each other; empty where nothing moves.
 
     Parameters
@@ -57,7 +57,7 @@ def cut(arrays: Mapping[str, np.ndarray], dt: float) -> list[Piece]:
     spans = _merged(_runs(active), before, after, len(active))
     pieces = (part for span in spans for part in _parts(*span, round(LONGEST_S / dt)))
     kinds = {name: values / size[name] for name, values in judged.items()}
-    return [Piece(a, b, _kind(kinds, a, b)) for a, b in pieces if (b - a) * dt >= SHORTEST_S]
+    return [Manoeuvre(a, b, _kind(kinds, a, b)) for a, b in pieces if (b - a) * dt >= SHORTEST_S]
 
 
 def activity(values: np.ndarray, dt: float) -> np.ndarray:

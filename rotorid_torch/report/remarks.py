@@ -38,7 +38,7 @@ def regression_table(regressions: ModelRegression) -> list[str]:
     return [
         f"{row}: band {r.band[0]:.2f} to {r.band[1]:.2f} Hz, R2 {float(r.r2):.4f}, condition {float(r.condition):.0f},"
         f" variance inflation up to {float(r.vif.max()):.0f}, reliability from {float(r.reliability.min()):.2f}"
-        for row, r in regressions.regressions.items()
+        for row, r in regressions.by_row.items()
     ]
 
 
@@ -95,7 +95,7 @@ def of_controls(dataset: Dataset, own_share: Mapping[str, float]) -> Iterator[st
 def of_regressions(regressions: ModelRegression) -> Iterator[str]:
     """What step 2 remarked: every kind of remark once, with the equations that it is about."""
     rows: dict[str, list[str]] = {}
-    for row, regression in regressions.regressions.items():
+    for row, regression in regressions.by_row.items():
         for note in regression.notes:
             rows.setdefault(note.removeprefix(f"{row}: "), []).append(row)
     for note, where in rows.items():

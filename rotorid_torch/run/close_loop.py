@@ -52,7 +52,7 @@ from rotorid_torch.trace.multirotor import trace_rotors
 from rotorid_torch.trace.network import Learnt, learn
 from rotorid_torch.trace.search.forward_selection import of_effects
 from rotorid_torch.trace.stochastic import TURBULENCE, stochastic_findings
-from rotorid_torch.trace.terms.finding import Finding
+from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.verdict import statement
 
 
@@ -169,7 +169,7 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
     return _loop(before, after, findings, monitor, tracing)
 
 
-def _shaken(dataset: Dataset, base: Run) -> list[Finding]:
+def _shaken(dataset: Dataset, base: Run) -> list[EffectFinding]:
     """Gusts and vibration in records; of gusts the intensity and length where step 3 found these.
 
     Coloured residuals alone name no gusts: a load that sways colours them too.
@@ -179,12 +179,12 @@ def _shaken(dataset: Dataset, base: Run) -> list[Finding]:
     return [in_turbulence(f, air, why) if f.id == TURBULENCE and f.verdict == "accepted" else f for f in findings]
 
 
-def _rough(shaken: Sequence[Finding]) -> bool:
+def _rough(shaken: Sequence[EffectFinding]) -> bool:
     """Whether gusts are in the records."""
     return any(f.id == TURBULENCE and f.verdict == "accepted" for f in shaken)
 
 
-def _in_gusts(tracing: Tracing, shaken: Sequence[Finding]) -> Tracing:
+def _in_gusts(tracing: Tracing, shaken: Sequence[EffectFinding]) -> Tracing:
     """The tracing without what has no name where gusts are left over too: clean aircraft fly in none."""
     return replace(tracing, unknown=None) if _rough(shaken) else tracing
 
@@ -226,11 +226,11 @@ def _with_network(
     best: Run,
     rerun: Callable[..., Run],
     monitor: Monitor,
-) -> tuple[Run | None, Finding]:
+) -> tuple[Run | None, EffectFinding]:
     """The run with a network beside what was traced, and what is told of it; None where it does not stay."""
     why = NeuralForces.untestable(spec)
     if why is not None:
-        return None, Finding(NeuralForces.id, "learnt", "not testable", why)
+        return None, EffectFinding(NeuralForces.id, "learnt", "not testable", why)
     with monitor.step("trace"):
         learnt = learning()
     finding = learnt.finding()
@@ -243,19 +243,19 @@ def _with_network(
     return None, replace(finding, verdict="rejected", reason=said)
 
 
-def _dropped(tracing: Tracing) -> list[Finding]:
+def _dropped(tracing: Tracing) -> list[EffectFinding]:
     """Findings where the structure that was traced beside other effects does not stay in the model."""
     than = "clearly worse with it" if tracing.accepted else "no better by it"
     said = f"it describes the motion that was fitted, but free runs of flights that no fit has seen are {than}"
     return _rejected(tracing.findings, tracing.structure, said)
 
 
-def _rejected(findings: Sequence[Finding], effects: Collection[str], said: str) -> list[Finding]:
+def _rejected(findings: Sequence[EffectFinding], effects: Collection[str], said: str) -> list[EffectFinding]:
     """The findings, those of some effects rejected with a reason."""
     return [replace(f, verdict="rejected", reason=said, group=()) if f.id in effects else f for f in findings]
 
 
-def _replaced(findings: Sequence[Finding], others: Sequence[Finding]) -> list[Finding]:
+def _replaced(findings: Sequence[EffectFinding], others: Sequence[EffectFinding]) -> list[EffectFinding]:
     """Findings with those of the same ids replaced."""
     ids = {f.id for f in others}
     return [*(f for f in findings if f.id not in ids), *others]
@@ -327,7 +327,9 @@ def _with_sensors(spec: ModelSpec, model: Model, sensors: Mapping[str, float]) -
     return richer, sensing
 
 
-def _loop(before: Run, after: Run | None, findings: Sequence[Finding], monitor: Monitor, tracing: Tracing) -> Loop:
+def _loop(
+    before: Run, after: Run | None, findings: Sequence[EffectFinding], monitor: Monitor, tracing: Tracing
+) -> Loop:
     run = after or before
     missing, poor = tracing.unknown, failing(run.fit)
     if missing is not None and not missing.judged and (not poor or short_horizon(run.fit)):

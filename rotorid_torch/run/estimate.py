@@ -36,7 +36,7 @@ def estimated(
     monitor = steps.monitor
     spec, regressions = steps.do("ftr", f"ftr-{spec.flapping}", lambda: regressed(spec, dataset, reconstruction))
     model = build(spec)
-    monitor.scalars({f"ftr/R2/{row}": float(r.r2) for row, r in regressions.regressions.items()}, 0)
+    monitor.scalars({f"ftr/R2/{row}": float(r.r2) for row, r in regressions.by_row.items()}, 0)
     for line in remarks.regression_table(regressions):
         monitor.log(line)
 

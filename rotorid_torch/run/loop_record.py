@@ -19,13 +19,13 @@ from rotorid_torch.trace.measured.accelerations import MeasuredAccelerations
 from rotorid_torch.trace.search.requested import earned
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.eligible import untried
-from rotorid_torch.trace.terms.finding import Finding, Unknown
+from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
 
 
-def of_sensors(error: KinematicFinding) -> Finding:
+def of_sensors(error: KinematicFinding) -> EffectFinding:
     """A kinematic finding as one of the loop; its gain is in squares of the noise."""
     values = {p.name: (p.value, p.se) for p in error.parameters if p.accepted}
-    return Finding(
+    return EffectFinding(
         error.id,
         "undeclared",
         error.verdict,
@@ -39,7 +39,7 @@ def of_sensors(error: KinematicFinding) -> Finding:
     )
 
 
-def as_fitted(finding: Finding, fit: FitRecord) -> Finding:
+def as_fitted(finding: EffectFinding, fit: FitRecord) -> EffectFinding:
     """The finding with the values of the fit that is told, where that estimated them: sentence and tables agree."""
     fitted = [p for p in _fitted(finding, fit) if p.value is not None and p.se is not None]
     values = {p.name: (p.value, p.se) for p in fitted if p.value is not None and p.se is not None}
@@ -51,7 +51,7 @@ def unknown_record(missing: Unknown) -> UnknownRecord:
     return UnknownRecord(**{name: getattr(missing, name) for name in UnknownRecord.__struct_fields__})
 
 
-def effect_record(finding: Finding, model: Model, fit: FitRecord) -> EffectRecord:
+def effect_record(finding: EffectFinding, model: Model, fit: FitRecord) -> EffectRecord:
     """A finding for the report; parameters are those of the fit that is told, where that estimated them."""
     traced = [
         ParameterRecord(name=n, value=v, se=e, unit=_unit(model, n), status="free" if e > 0.0 else "frozen")
@@ -72,7 +72,7 @@ def effect_record(finding: Finding, model: Model, fit: FitRecord) -> EffectRecor
     )
 
 
-def _fitted(finding: Finding, fit: FitRecord) -> list[ParameterRecord]:
+def _fitted(finding: EffectFinding, fit: FitRecord) -> list[ParameterRecord]:
     """Sizes of the effect that a fit estimated."""
     prefix = f"{finding.part or finding.id}."
     return [p for p in fit.parameters if p.name.startswith(prefix) and p.se and p.status != "nuisance"]

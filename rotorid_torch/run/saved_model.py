@@ -158,11 +158,11 @@ def simulate(
     if data is None:
         controls: dict[str, Any] = {c: {} for c in source.controls}
         data = Dataset.from_arrays({flight.name: flight.channels}, identify=[flight.name], controls=controls)
-    return _free_run(source, data, flight.name, Piece(start, seconds))
+    return _free_run(source, data, flight.name, Stretch(start, seconds))
 
 
 @dataclass(frozen=True)
-class Piece:
+class Stretch:
     """Where a free run begins, s, and how long it is, s; to the flight's end by default."""
 
     start: float = 0.0
@@ -216,7 +216,7 @@ def write_free_run(
     dataset: Dataset,
     flight: str,
     out: str | Path,
-    piece: Piece = Piece(),
+    piece: Stretch = Stretch(),
     *,
     overwrite: bool = False,
 ) -> dict[str, np.ndarray]:
@@ -245,7 +245,7 @@ def write_free_run(
     return arrays
 
 
-def _free_run(source: _Source, dataset: Dataset, flight: str, piece: Piece) -> dict[str, np.ndarray]:
+def _free_run(source: _Source, dataset: Dataset, flight: str, piece: Stretch) -> dict[str, np.ndarray]:
     if flight not in dataset.flights:
         raise InputError(
             dataset.path or dataset.name,
@@ -265,7 +265,7 @@ def _free_run(source: _Source, dataset: Dataset, flight: str, piece: Piece) -> d
     return arrays
 
 
-def _span(dt: float, samples: int, piece: Piece, file: str | Path) -> Span:
+def _span(dt: float, samples: int, piece: Stretch, file: str | Path) -> Span:
     start, seconds = piece.start, piece.seconds
     last = (samples - 2) * dt
     if not -0.5 * dt <= start < last + 0.5 * dt:

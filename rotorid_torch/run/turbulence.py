@@ -19,7 +19,7 @@ from rotorid_torch.model.model import Model
 from rotorid_torch.report.records import FlightRecord
 from rotorid_torch.report.summary import WORSE_THAN_TRIM
 from rotorid_torch.trace.stochastic import TURBULENCE, stochastic_findings
-from rotorid_torch.trace.terms.finding import Finding
+from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.verdict import Statement
 from rotorid_torch.validate.gusts import in_gusts
 
@@ -48,7 +48,7 @@ def method_by_quiet_moments(asked: str, where_untold: str, seen: Dataset, spec: 
     return ("auto", "") if verdict == "accepted" else ("output-error", ALIKE)
 
 
-def in_turbulence(finding: Finding, air: Air | None, why: str) -> Finding:
+def in_turbulence(finding: EffectFinding, air: Air | None, why: str) -> EffectFinding:
     """The finding on turbulence with the size that the filter error method gives it, if that was the method.
 
     Intensity is the rms over the three axes, length the mean of the logarithms, each axis by its relative error.

@@ -26,7 +26,7 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.rotors import hover_thrust
 from rotorid_torch.simulation.drawn.multirotors import clean_balances, undrawable_multirotor
-from rotorid_torch.trace.terms.finding import Finding, Unknown
+from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import exceeds
 
@@ -259,7 +259,7 @@ def _remainders(vehicles: Tensor, inverse: Tensor, causes: Tensor) -> Tensor:
 
 def out_of_balance(
     model: Model, spec: ModelSpec, dataset: Dataset, unseen: Sequence[str], seed: int = 0
-) -> tuple[Finding | None, Unknown | None]:
+) -> tuple[EffectFinding | None, Unknown | None]:
     """A finding about the centre of gravity or a rotor, and what else is missing; None where nothing is.
 
     Nothing is said where surfaces balance the moments beside the rotors. seed : of the clean vehicles.
@@ -313,22 +313,24 @@ def _stands(off: Standing) -> str:
     return f"L, M and N: {_where(off)}; {elsewhere}, and no single rotor that gives less explains it"
 
 
-def _unequal(off: Standing, rotor: str) -> Finding:
+def _unequal(off: Standing, rotor: str) -> EffectFinding:
     """One rotor gives less; or, where yaw leaves that open, the centre of gravity lies elsewhere."""
     values = {f"{Unequal.id}.{rotor}": (off.less, off.less_error)}
     said = f"{_where(off)}: as if the rotor of {rotor} gave {100 * off.less:.0f} % less than its input says"
     if off.moved:
         said = f"{said}; or the centre of gravity lies there, for rotors that differ as usual may turn yaw so far"
         group = (CentreOfGravity.id,)
-        return Finding(Unequal.id, "undeclared", "indistinguishable", said, group=group, values=values, p=off.p)
+        return EffectFinding(Unequal.id, "undeclared", "indistinguishable", said, group=group, values=values, p=off.p)
     said = f"{said}; a centre of gravity elsewhere would leave yaw alone"
-    return Finding(Unequal.id, "undeclared", "accepted", said, values=values, p=off.p)
+    return EffectFinding(Unequal.id, "undeclared", "accepted", said, values=values, p=off.p)
 
 
-def _centre_of_gravity(off: Standing) -> Finding:
+def _centre_of_gravity(off: Standing) -> EffectFinding:
     """It lies elsewhere, or several rotors differ."""
     values = {
         f"{CentreOfGravity.id}.{axis}": (float(off.centre[i]), float(off.errors[i])) for i, axis in enumerate("xy")
     }
     said, group = f"{_where(off)}: it lies there, or several rotors differ; swing the vehicle to tell", (Unequal.id,)
-    return Finding(CentreOfGravity.id, "undeclared", "indistinguishable", said, group=group, values=values, p=off.p)
+    return EffectFinding(
+        CentreOfGravity.id, "undeclared", "indistinguishable", said, group=group, values=values, p=off.p
+    )

@@ -14,7 +14,7 @@ from rotorid_torch.trace.evidence.critical_values import Draws, Null
 from rotorid_torch.trace.evidence.family import Family, by_chance
 from rotorid_torch.trace.evidence.fits import Fitted, FittedT, Flights, refit
 from rotorid_torch.trace.evidence.trim_differences import explained_trims
-from rotorid_torch.trace.search.decide import Estimate, decide, estimate, gain, size_of
+from rotorid_torch.trace.search.decide import Interval, decide, estimate, gain, size_of
 from rotorid_torch.trace.search.forward_selection import Say, Search, Trial, observed, of_effects
 from rotorid_torch.trace.search.ordinary_physics import with_structure
 from rotorid_torch.trace.search.outcome import how_it_ended
@@ -22,7 +22,7 @@ from rotorid_torch.trace.search.screening_sizes import with_screening_sizes
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.candidate import UNATTRIBUTED, Candidate
 from rotorid_torch.trace.terms.eligible import candidates, untried
-from rotorid_torch.trace.terms.finding import Finding, Unknown
+from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
 
 STILL = "they fly in still air, far from the ground: what stays without a name is not compared with them"
 
@@ -72,7 +72,7 @@ class Tracing:
     structure: tuple[str, ...]
     accepted: tuple[str, ...]
     groups: Mapping[str, tuple[str, ...]]
-    findings: tuple[Finding, ...]
+    findings: tuple[EffectFinding, ...]
     notes: tuple[str, ...] = ()
     unknown: Unknown | None = None
     spread: Mapping[str, float] = field(default_factory=dict)
@@ -110,7 +110,7 @@ def trace(
     )
     structure = tuple(f.id for f in ordinary if f.verdict == "accepted")
     final = search.back(search.forward(null, tested), tested)
-    idle = [e for e in structure if size_of(final, e).estimate is not Estimate.SIZE]
+    idle = [e for e in structure if size_of(final, e).estimate is not Interval.SIZE]
     outcome, unknown = how_it_ended(search, start.held, final, tested)
     accepted = tuple(c.effect for c in search.joined) if outcome.adequate else ()
     if placed:  # the model before has the same structure
@@ -195,7 +195,7 @@ def _bare(fitted: Fitted, idle: Collection[str]) -> Named:
     return Bare(fitted.spec.without(idle), fitted.values) if idle else fitted
 
 
-def _without(findings: Sequence[Finding], idle: Collection[str]) -> list[Finding]:
+def _without(findings: Sequence[EffectFinding], idle: Collection[str]) -> list[EffectFinding]:
     """The findings, those of structure whose size is nothing rejected."""
     said = "its size is nothing in the end"
     return [replace(f, verdict="rejected", reason=said) if f.id in idle else f for f in findings]

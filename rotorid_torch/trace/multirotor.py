@@ -18,7 +18,7 @@ from rotorid_torch.trace.search.findings import Outcome
 from rotorid_torch.trace.search.forward_selection import Search
 from rotorid_torch.trace.search.screening_sizes import with_screening_sizes
 from rotorid_torch.trace.terms.eligible import candidates, untried
-from rotorid_torch.trace.terms.finding import Finding
+from rotorid_torch.trace.terms.finding import EffectFinding
 
 UNSEEN_STATE = "it has a motion of its own, which no channel tells; accelerations at measured states show nothing of it"
 
@@ -71,12 +71,12 @@ def trace_rotors(
     )
 
 
-def _untested(spec: ModelSpec, effect: str) -> Finding | None:
+def _untested(spec: ModelSpec, effect: str) -> EffectFinding | None:
     """Why accelerations at measured states do not tell an effect; None where they may."""
     if registered()[effect].swings:
-        return Finding(effect, "undeclared", "not testable", UNSEEN_STATE)
+        return EffectFinding(effect, "undeclared", "not testable", UNSEEN_STATE)
     absorbed = registered()[effect].absorbed_by(spec)
     if not absorbed:
         return None
     said = f"{absorbed} stand for it in these flights; weigh the vehicle, or swing it, to tell"
-    return Finding(effect, "undeclared", "indistinguishable", said, group=(absorbed,))
+    return EffectFinding(effect, "undeclared", "indistinguishable", said, group=(absorbed,))

@@ -24,7 +24,7 @@ from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.evidence.fits import SEGMENT_S, Care, Fitted, Flights, Residual, refit
 from rotorid_torch.trace.evidence.residual import ALIKE_S, LeftOver, left_over
 from rotorid_torch.trace.search.decide import gain, unseen_evidence
-from rotorid_torch.trace.terms.finding import Finding
+from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.significance import exceeds
 
 STARTS = 2
@@ -70,13 +70,13 @@ class Learnt:
             return "unseen flights gain no more by it than by a network that was trained where nothing is to be learnt"
         return None
 
-    def finding(self) -> Finding:
+    def finding(self) -> EffectFinding:
         """What the report says of it; gain and floor are mean log ratios of errors on unseen flights."""
         said = (
             self.objection or "it takes what is left: flights that no fit has seen are better described, without a name"
         )
         verdict = "accepted" if self.objection is None else "rejected"
-        return Finding(NeuralForces.id, "learnt", verdict, said, float(self.better.mean()), self.floor)
+        return EffectFinding(NeuralForces.id, "learnt", verdict, said, float(self.better.mean()), self.floor)
 
 
 def learn(

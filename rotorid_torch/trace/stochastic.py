@@ -19,7 +19,7 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.families.environment import Turbulence, Vibration
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.trace.terms.finding import Finding
+from rotorid_torch.trace.terms.finding import EffectFinding
 
 TURBULENCE, VIBRATION = Turbulence.id, Vibration.id
 FALSE_ALARMS = 1e-3
@@ -40,7 +40,7 @@ Spectra = Mapping[str, Sequence[float]]
 """Frequencies of lines by channel."""
 
 
-def stochastic_findings(dataset: Dataset, spec: ModelSpec, response: Mapping[str, float]) -> list[Finding]:
+def stochastic_findings(dataset: Dataset, spec: ModelSpec, response: Mapping[str, float]) -> list[EffectFinding]:
     """Findings of turbulence and vibration.
 
     Parameters
@@ -50,7 +50,7 @@ def stochastic_findings(dataset: Dataset, spec: ModelSpec, response: Mapping[str
     return [_turbulence(dataset, spec, response), _vibration(dataset, spec)]
 
 
-def _turbulence(dataset: Dataset, spec: ModelSpec, response: Mapping[str, float]) -> Finding:
+def _turbulence(dataset: Dataset, spec: ModelSpec, response: Mapping[str, float]) -> EffectFinding:
     why = registered()[TURBULENCE].untestable(spec)
     names = [n for n in (*dataset.identify, *dataset.validate)]
     channels = [c for c in (*SPECIFIC_FORCES, *RATES) if all(dataset.facts[n].has(c) for n in names)]
@@ -62,7 +62,7 @@ def _turbulence(dataset: Dataset, spec: ModelSpec, response: Mapping[str, float]
     if why is None and _pilot_acts(dataset, names, spectra):
         why = "the flights do not begin in trim: controls or rates move from the first sample on"
     if why is not None:
-        return Finding(TURBULENCE, "undeclared", "not testable", why)
+        return EffectFinding(TURBULENCE, "undeclared", "not testable", why)
     means = np.stack([b[:count] for b in blocks])  # flight, block, channel
     each = round(BLOCK_S / dataset.facts[names[0]].dt)
     noise = np.array([dataset.noise(c) for c in channels]) / math.sqrt(each)
@@ -71,10 +71,12 @@ def _turbulence(dataset: Dataset, spec: ModelSpec, response: Mapping[str, float]
     ratio_found, floor = float(ratio[worst]), _floor(means.shape, FALSE_ALARMS / len(channels))
     keep = {"gain": ratio_found, "floor": floor, "smallest_visible": _visible(response, noise, channels, floor)}
     if ratio_found <= floor:
-        return Finding(TURBULENCE, "undeclared", "below floor", "before the pilot acts all flights are alike", **keep)
+        return EffectFinding(
+            TURBULENCE, "undeclared", "below floor", "before the pilot acts all flights are alike", **keep
+        )
     without = [(_between(np.delete(means, k, axis=0)) / noise**2)[worst] for k in range(len(means))]
     if min(without) <= floor:
-        return Finding(TURBULENCE, "undeclared", "rejected", "a single flight shows it", **keep)
+        return EffectFinding(TURBULENCE, "undeclared", "rejected", "a single flight shows it", **keep)
     beyond = np.sqrt(np.maximum(_between(means) - noise**2, 0.0))
     said = (
         f"before the pilot acts the flights differ by more than their sensors' noise, in {channels[worst]} most;"
@@ -85,7 +87,7 @@ def _turbulence(dataset: Dataset, spec: ModelSpec, response: Mapping[str, float]
     most = int(np.argmax(np.where(ratio > floor, moved, 0.0)))  # the others tell of attitudes that gusts upset
     shows = moved[most] > 0.0 and ratio[most] > floor
     size = {f"{TURBULENCE}.intensity": (float(beyond[most] / moved[most]), 0.0)} if shows else {}
-    return Finding(TURBULENCE, "undeclared", "accepted", said, **keep, values=size)
+    return EffectFinding(TURBULENCE, "undeclared", "accepted", said, **keep, values=size)
 
 
 def _quiet_blocks(dataset: Dataset, name: str, channels: Sequence[str], spectra: Spectra) -> np.ndarray:
@@ -161,10 +163,10 @@ def _visible(
     return (min(sizes), "m/s") if sizes else None
 
 
-def _vibration(dataset: Dataset, spec: ModelSpec) -> Finding:
+def _vibration(dataset: Dataset, spec: ModelSpec) -> EffectFinding:
     why = registered()[VIBRATION].untestable(spec)
     if why is not None or spec.rotor is None:
-        return Finding(VIBRATION, "undeclared", "not testable", why or "the rotor speed is not declared")
+        return EffectFinding(VIBRATION, "undeclared", "not testable", why or "the rotor speed is not declared")
     lines: dict[str, tuple[float, float]] = {}
     ratios, where = [0.0], ""
     for channel in (*SPECIFIC_FORCES, *RATES):
@@ -180,9 +182,9 @@ def _vibration(dataset: Dataset, spec: ModelSpec) -> Finding:
     keep = {"gain": max(ratios), "floor": 1.0, "smallest_visible": (dataset.noise(SPECIFIC_FORCES[2]), "m/s2")}
     if not lines:
         said = "no line at a multiple of the rotor speed is stronger than a sensor's noise"
-        return Finding(VIBRATION, "undeclared", "below floor", said, **keep)
+        return EffectFinding(VIBRATION, "undeclared", "below floor", said, **keep)
     said = f"lines at multiples of the rotor speed stand above the sensors' noise, {where} most"
-    return Finding(VIBRATION, "undeclared", "accepted", said, **keep, values=lines)
+    return EffectFinding(VIBRATION, "undeclared", "accepted", said, **keep, values=lines)
 
 
 def _lines(dataset: Dataset, channel: str, turn: float, most: int) -> tuple[float, float]:

@@ -114,11 +114,11 @@ def test_rows_that_gusts_keep_regression_from_telling_are_doubtful(case: tuple[D
     step1 = reconstruct(data)
     model = build(propose(data, step1, ()))
     found = regress_model(model, data, step1)
-    weak = {row for row, r in found.regressions.items() if r.band[1] <= START}
+    weak = {row for row, r in found.by_row.items() if r.band[1] <= START}
     doubtful = found.doubtful(model.parameter_set.free)
     assert {n.split(".")[1] for n in doubtful} == weak
     assert not [n for n in doubtful if n.endswith((".trim", "L.p", "M.q", "N.r"))]
-    poor = replace(found, regressions={"L": replace(found.regressions["L"], band=(0.1, START))})
+    poor = replace(found, by_row={"L": replace(found.by_row["L"], band=(0.1, START))})
     assert "forces.L.v" in poor.doubtful(model.parameter_set.free)
     assert "forces.L.p" not in poor.doubtful(model.parameter_set.free)
 

@@ -30,7 +30,7 @@ def misses(found: ModelRegression, model: Model, sizes: dict[str, float] | None 
     """Errors of the derivatives, each times its regressor's rms, over the row's rms."""
     wanted = {f"forces.{n}": v for n, v in DERIVATIVES.items()}
     made = {}
-    for row in found.regressions:
+    for row in found.by_row:
         terms = {
             n.split(".")[2]: wanted.get(n, 0.0) for n in model.parameter_set.names if n.startswith(f"forces.{row}.")
         }
@@ -61,7 +61,7 @@ def test_derivatives_come_back_from_records_without_noise(clean: Dataset):
     found, model, _ = regressed(clean)
     wrong = misses(found, model, sizes(clean))
     assert max(wrong.values()) < 0.01, max(wrong, key=lambda n: wrong[n])
-    assert all(float(r.r2) > 0.999 for r in found.regressions.values())
+    assert all(float(r.r2) > 0.999 for r in found.by_row.values())
     assert found.held == ()
 
 

@@ -102,8 +102,8 @@ def test_what_is_linear_comes_back_by_regression_beside_lag_and_delay():
     assert value["propulsion.motor_lag.tau"] + value["control.delay.common"] == pytest.approx(LAG + DELAY, rel=0.3)
     slope = value["rotors.thrust.c1"] + 2.0 * value["rotors.thrust.c2"] * HOVER
     assert slope == pytest.approx(3.0 * HOVER, rel=0.1)
-    assert {"az", "pdot", "qdot", "rdot"} <= set(found.regressions)
-    assert min(float(found.regressions[row].r2) for row in ("az", "pdot", "qdot", "rdot")) > 0.9
+    assert {"az", "pdot", "qdot", "rdot"} <= set(found.by_row)
+    assert min(float(found.by_row[row].r2) for row in ("az", "pdot", "qdot", "rdot")) > 0.9
 
 
 def test_the_three_steps_find_the_vehicle_and_its_wrong_inertia():

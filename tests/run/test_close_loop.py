@@ -24,7 +24,7 @@ from rotorid_torch.run.close_loop import _in_gusts, _loop
 from rotorid_torch.run.free_runs import before_and_after, best_of, free_run_gain, worse
 from rotorid_torch.run.output.monitor import Monitor
 from rotorid_torch.trace.loop import Tracing
-from rotorid_torch.trace.terms.finding import Finding, Unknown
+from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.verdict import statement
 from tests.known_models import flown, manoeuvres, rate_vehicle, with_values
@@ -162,8 +162,8 @@ def test_a_network_stays_where_something_is_left_that_no_candidate_explains(monk
 def test_names_with_which_free_runs_are_worse_are_suspected_and_do_not_join():
     null, final = Traced(0.0), Traced(1.0)
     findings = (
-        Finding("control.delay", "undeclared", "accepted", "", values={"control.delay.common": (0.05, 0.01)}),
-        Finding("control.lag", "undeclared", "below floor", "why"),
+        EffectFinding("control.delay", "undeclared", "accepted", "", values={"control.delay.common": (0.05, 0.01)}),
+        EffectFinding("control.lag", "undeclared", "below floor", "why"),
     )
     missing = Unknown("L", (0.1, 2.0), "p", None, "Something is missing in L.")
     tracing = Tracing(null, final, (), ("control.delay",), {}, findings, unknown=missing)
@@ -186,7 +186,7 @@ def test_names_with_which_free_runs_are_worse_are_suspected_and_do_not_join():
 def test_what_gusts_leave_over_is_not_told_as_something_missing(verdict: Any, told: bool):
     missing = Unknown("M", (0.1, 2.0), "v", None, "Something is missing in M.")
     tracing = replace(tracing_of(), unknown=missing)
-    found = _in_gusts(tracing, [Finding("environment.turbulence", "undeclared", verdict, "")])
+    found = _in_gusts(tracing, [EffectFinding("environment.turbulence", "undeclared", verdict, "")])
     assert (found.unknown == missing) is told
 
 

@@ -6,11 +6,11 @@ from rotorid_torch.effects.examples import HELICOPTER
 from rotorid_torch.model.nominal import build
 from rotorid_torch.report.records import FitRecord, ParameterRecord, ScoresRecord
 from rotorid_torch.run.loop_record import as_fitted, effect_record
-from rotorid_torch.trace.terms.finding import Finding
+from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.verdict import statement
 
 NAME = "control.delay.common"
-TRACED = Finding("control.delay", "undeclared", "accepted", "why", values={NAME: (0.018, 0.005)})
+TRACED = EffectFinding("control.delay", "undeclared", "accepted", "why", values={NAME: (0.018, 0.005)})
 
 
 def fit(*parameters: ParameterRecord) -> FitRecord:
@@ -30,13 +30,13 @@ def test_what_no_fit_after_estimated_keeps_the_values_that_were_traced():
 
 
 def test_what_the_model_has_from_the_start_is_told_with_its_sizes():
-    inflow = Finding("rotor.inflow", "structure", "accepted", "from the start", part="inflow")
+    inflow = EffectFinding("rotor.inflow", "structure", "accepted", "from the start", part="inflow")
     tau = ParameterRecord(name="inflow.tau", value=0.12, se=0.01, unit="s", status="free")
     assert effect_record(inflow, build(HELICOPTER), fit(tau)).parameters == (tau,)
 
 
 def test_where_a_play_stands_at_first_is_no_size_to_be_told():
-    play = Finding("control.backlash", "undeclared", "accepted", "why")
+    play = EffectFinding("control.backlash", "undeclared", "accepted", "why")
     after = fit(
         ParameterRecord(name="control.backlash.width", value=0.02, se=0.001, unit="rad"),
         ParameterRecord(name="control.backlash.place.lon", value=-1.0, se=0.01, unit="1", status="nuisance"),

@@ -27,7 +27,7 @@ from rotorid_torch.run import pipeline, saved_model
 from rotorid_torch.run.output.folder import refuse_unless_free
 from rotorid_torch.run.pipeline import identify
 from rotorid_torch.run.result import Run
-from rotorid_torch.run.saved_model import Piece, write_free_run
+from rotorid_torch.run.saved_model import Stretch, write_free_run
 from tests.effects.own_effects import OwnDrag
 from tests.helpers import small_folder
 from tests.known_models import STICKS, flown, linear_vehicle, manoeuvres, rate_vehicle, with_values
@@ -135,10 +135,10 @@ def test_simulate_gives_the_overlay_of_the_report(run: tuple[Run, Path], data: D
 
 def test_simulate_starts_and_ends_where_it_is_told(run: tuple[Run, Path], data: Dataset, tmp_path: Path):
     _, out = run
-    found = write_free_run(out / "model.pt", data, "f_lat", tmp_path / "free.npz", Piece(2.0, 3.0))
+    found = write_free_run(out / "model.pt", data, "f_lat", tmp_path / "free.npz", Stretch(2.0, 3.0))
     assert found["time"][0] == pytest.approx(2.0)
     assert found["time"][-1] == pytest.approx(5.0)
-    late = write_free_run(out, data, "f_lat", tmp_path / "free.npz", Piece(7.0, 30.0))
+    late = write_free_run(out, data, "f_lat", tmp_path / "free.npz", Stretch(7.0, 30.0))
     assert late["time"][-1] == pytest.approx(9.0)
 
 
@@ -159,7 +159,7 @@ def test_simulate_refuses_times_outside_the_flight(
 ):
     with pytest.raises(InputError) as refusal:
         write_free_run(
-            run[1], data, "f_lat", tmp_path / "free.npz", Piece(**more)
+            run[1], data, "f_lat", tmp_path / "free.npz", Stretch(**more)
         )  # f_lat was identified from: no warning
     assert refusal.value.key == key
     assert not list(tmp_path.iterdir())
@@ -208,7 +208,7 @@ def test_simulate_bridges_missing_samples_of_controls(run: tuple[Run, Path], dat
     flights = {"f": {c: v.clone() for c, v in data.flights["f_lat"].channels.items()}}
     flights["f"]["col"][20:] = math.nan
     gaps = Dataset.from_arrays(flights, identify=["f"])
-    found = write_free_run(run[1], gaps, "f", tmp_path / "free.npz", Piece(2.0))
+    found = write_free_run(run[1], gaps, "f", tmp_path / "free.npz", Stretch(2.0))
     assert np.isfinite(found["p"]).all()
 
 

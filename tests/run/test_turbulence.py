@@ -21,12 +21,14 @@ from rotorid_torch.run.turbulence import (
     with_gusts,
     without_clean_bill,
 )
-from rotorid_torch.trace.terms.finding import Finding
+from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.verdict import statement
 from tests.helpers import shared
 from tests.known_models import flown, linear_vehicle, manoeuvres, rate_vehicle
 
-QUIET = Finding("environment.turbulence", "undeclared", "below floor", "before the pilot acts all flights are alike")
+QUIET = EffectFinding(
+    "environment.turbulence", "undeclared", "below floor", "before the pilot acts all flights are alike"
+)
 
 
 WHY = "step 3 by the filter error method: the air moves"

@@ -28,7 +28,7 @@ from rotorid_torch.trace.measured.fitted import FittedAtStates
 from rotorid_torch.trace.multirotor import trace_rotors
 from rotorid_torch.trace.search.requested import earned
 from rotorid_torch.trace.terms.eligible import candidates
-from rotorid_torch.trace.terms.finding import Finding
+from rotorid_torch.trace.terms.finding import EffectFinding
 
 DELAY, LAG, INERTIA = "control.delay", "propulsion.motor_lag", "propulsion.rotor_inertia"
 DRAG, INFLOW = "propulsion.rotor_drag", "propulsion.axial_inflow"
@@ -155,7 +155,9 @@ def test_a_controller_that_answers_noise_is_no_turbulence():
 
 
 def test_a_centre_of_gravity_that_balance_shows_is_said(monkeypatch: pytest.MonkeyPatch):
-    shown = Finding("mass.cg", "undeclared", "indistinguishable", "it lies there", values={"mass.cg.x": (0.01, 0.001)})
+    shown = EffectFinding(
+        "mass.cg", "undeclared", "indistinguishable", "it lies there", values={"mass.cg.x": (0.01, 0.001)}
+    )
     monkeypatch.setattr(multirotor, "out_of_balance", lambda *of: (shown, None))
     assert [f for f in traced().findings if f.id == "mass.cg"] == [shown]
 

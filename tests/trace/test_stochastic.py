@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from rotorid_torch.data import Dataset
 from rotorid_torch.effects.examples import HELICOPTER
 from rotorid_torch.trace.stochastic import stochastic_findings
-from rotorid_torch.trace.terms.finding import Finding
+from rotorid_torch.trace.terms.finding import EffectFinding
 
 DT, SECONDS, QUIET_S = 0.01, 8.0, 1.5
 NOISE = {"p": 0.002, "q": 0.002, "r": 0.002, "ax": 0.05, "ay": 0.05, "az": 0.05}
@@ -37,7 +37,7 @@ def flights(
     return Dataset.from_arrays(made, channels=channels, controls={"lat": {"unit": "rad", "noise": 1e-5}}, **lists)
 
 
-def found(data: Dataset) -> dict[str, Finding]:
+def found(data: Dataset) -> dict[str, EffectFinding]:
     return {f.id: f for f in stochastic_findings(data, HELICOPTER, {"az": 0.5})}
 
 

@@ -19,10 +19,10 @@ def jumps(dataset: Dataset) -> Iterator[Finding]:
     by_flight: dict[str, list[Step]] = {}
     for step in steps(dataset):
         by_flight.setdefault(step.flight, []).append(step)
-    for flight, found in by_flight.items():
-        listed = ", ".join(f"{s.channel} {s.size:+.3g} {names.unit(s.channel)} at {s.at:.2f} s" for s in found[:TOLD])
-        more = f" and {len(found) - TOLD} more" if len(found) > TOLD else ""
-        channels = " ".join(dict.fromkeys(s.channel for s in found))
+    for flight, jumped in by_flight.items():
+        listed = ", ".join(f"{s.channel} {s.size:+.3g} {names.unit(s.channel)} at {s.at:.2f} s" for s in jumped[:TOLD])
+        more = f" and {len(jumped) - TOLD} more" if len(jumped) > TOLD else ""
+        channels = " ".join(dict.fromkeys(s.channel for s in jumped))
         sentence = f"steps from one sample to the next ({listed}{more}), which no motion makes:"
         cause = "an estimator was reset. Cut the flight there, or undo the step; no bias is told from it."
         yield finding("warning", channels, sentence, cause, flight=flight)

@@ -17,7 +17,7 @@ from rotorid_torch.data.dataset import Dataset
 
 
 @dataclass(frozen=True)
-class Check:
+class Examined:
     """All findings on a data set, gravest first; `fit` is false where one is an error."""
 
     dataset: str
@@ -62,7 +62,7 @@ RIGHTED = (records.gravity, kinematics.precedence, surroundings)
 """Those that look at the records with large turns and clock errors taken out: these have one cause, told once."""
 
 
-def check(dataset: Dataset, examinations: Sequence[Examination] = EXAMINATIONS) -> Check:
+def check(dataset: Dataset, examinations: Sequence[Examination] = EXAMINATIONS) -> Examined:
     """Examine a data set: needs, clocks, samples, units, kinematics, noise, controls, band, trim and length."""
     whole = examinable(dataset)
     chosen = examinations if whole else [one for one in examinations if one in ALWAYS]
@@ -70,10 +70,10 @@ def check(dataset: Dataset, examinations: Sequence[Examination] = EXAMINATIONS) 
     errors = alignment(smooth).errors if whole and any(one in RIGHTED for one in chosen) else {}
     right = without_errors(smooth, errors) if errors else smooth
 
-    def seen(examine: Examination) -> Dataset:
+    def as_seen_by(examine: Examination) -> Dataset:
         return right if examine in RIGHTED else smooth if examine is kinematics.kinematics else dataset
 
-    findings = [finding for examine in chosen for finding in examine(seen(examine))]
+    findings = [finding for examine in chosen for finding in examine(as_seen_by(examine))]
     rank = {"error": 0, "warning": 1, "note": 2, "good": 3}
     findings.sort(key=lambda finding: rank[finding.severity])
-    return Check(dataset.name, all(f.severity != "error" for f in findings), tuple(findings))
+    return Examined(dataset.name, all(f.severity != "error" for f in findings), tuple(findings))

@@ -123,10 +123,10 @@ def _axes(dataset: Dataset, findings: Sequence[Finding]) -> Iterator[AxisGrade]:
         if not response and (motors or excitation is None):
             continue
         rms = power_in_band(dataset.records(response), dataset.facts[dataset.identify[0]].dt)[1] if response else 0.0
-        yield _axis(axis, Response(response, rms, bands.get(response) is not None), excitation, findings, motors)
+        yield _axis(axis, Shown(response, rms, bands.get(response) is not None), excitation, findings, motors)
 
 
-class Response(NamedTuple):
+class Shown(NamedTuple):
     """Channel that shows what an axis does (empty: none is recorded), its rms in the band, whether it follows them."""
 
     channel: str
@@ -134,7 +134,7 @@ class Response(NamedTuple):
     follows: bool
 
 
-def _axis(axis: str, shown: Response, flown: Excitation | None, findings: Sequence[Finding], motors: bool) -> AxisGrade:
+def _axis(axis: str, shown: Shown, flown: Excitation | None, findings: Sequence[Finding], motors: bool) -> AxisGrade:
     """Grade of an axis by its response and by what its control did."""
     response, rms, follows = shown
     wrong, doubts = list[str](), list[str]()

@@ -28,7 +28,7 @@ from rotorid_torch.consistency.pairs.late_controls import (
     known_responses,
     late_controls,
 )
-from rotorid_torch.consistency.pairs.precedence import Response
+from rotorid_torch.consistency.pairs.precedence import Following
 from rotorid_torch.consistency.pairs.sensor_pairs import REACH_S, Agreement, Pair, agreement
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
@@ -178,12 +178,12 @@ def _far_off(
 ) -> Iterator[Finding]:
     """Clocks that are off by more than pairs of channels are searched for, with what these still say."""
     for unit in (unit for unit in CLOCKS.get(group, ()) if unit in by.clocks):
-        known = [a for a in forces if a.r2 > KNOWN]
-        pairs = known if unit == "accelerations" and known else agreeing
+        sure = [a for a in forces if a.r2 > KNOWN]
+        pairs = sure if unit == "accelerations" and sure else agreeing
         weights = np.array([max(a.lag_se, 1e-3) ** -2.0 for a in pairs])
         remaining_lag = float(weights @ [a.lag_s for a in pairs] / weights.sum()) if pairs else 0.0
         error = float(weights.sum() ** -0.5) if pairs else EVERY_S / 2.0
-        forward = unit in ("attitude", "velocities") or pairs is known
+        forward = unit in ("attitude", "velocities") or pairs is sure
         seconds = by.clocks[unit] + (remaining_lag if forward else -remaining_lag)
         word = "late" if seconds > 0.0 else "early"
         sentence = f"{unit} {abs(seconds):.3f} s {word} (± {max(error, 1e-3):.3f}) against the other streams:"
@@ -244,8 +244,8 @@ def _wrong_base(base: tuple[float, float], dataset: Dataset) -> Finding:
 
 
 def _off(a: Agreement) -> bool:
-    known = a.pair.exact or not a.pair.differentiate  # accelerometers
-    return abs(a.lag_s) > max(SURE_LAG * a.lag_se, 0.008 if known else 0.06)
+    exact = a.pair.exact or not a.pair.differentiate  # accelerometers
+    return abs(a.lag_s) > max(SURE_LAG * a.lag_se, 0.008 if exact else 0.06)
 
 
 def _channels(results: Sequence[Agreement]) -> str:
@@ -347,7 +347,7 @@ def _late_controls(late: LateControls, dataset: Dataset) -> Finding:
     return finding("warning", " ".join(dataset.controls), sentence, cause, advice)
 
 
-def _lags(responses: Sequence[Response], sign: float) -> str:
+def _lags(responses: Sequence[Following], sign: float) -> str:
     return ", ".join(
         f"{f'd{r.channel}/dt' if r.channel in names.RATES else r.channel} {sign * r.lag_s:.3f} s (± {r.lag_se:.3f})"
         for r in responses

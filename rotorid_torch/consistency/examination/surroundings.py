@@ -27,7 +27,7 @@ WITHOUT = 0.1
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Measured:
     """Values (n,) with their standard errors (n,), from the spread between pieces of flights."""
 
     values: Array
@@ -61,7 +61,7 @@ def surroundings(dataset: Dataset) -> Iterator[Finding]:
         yield finding("warning" if windy else "good", "airspeed", sentence, more, *([advice] if windy else []))
 
 
-def gravity(dataset: Dataset) -> Estimate | None:
+def gravity(dataset: Dataset) -> Measured | None:
     """Gravity in m/s² (1,) from how specific force and velocity change with tilt; None where it cannot be seen.
 
     A constant on every accelerometer is free in each piece, so that only tilt tells gravity.
@@ -76,7 +76,7 @@ def gravity(dataset: Dataset) -> Estimate | None:
         return None
     total = sums.sum(axis=0)
     without = [(total[1] - one[1]) / max(total[0] - one[0], np.finfo(float).tiny) for one in sums]
-    return Estimate(np.array([nominal + total[1] / total[0]]), np.array([jackknife_error(without)]))
+    return Measured(np.array([nominal + total[1] / total[0]]), np.array([jackknife_error(without)]))
 
 
 def _gravity_moments(flight: Flight, pair: Pair) -> Iterator[tuple[float, float]]:
@@ -97,7 +97,7 @@ def _gravity_moments(flight: Flight, pair: Pair) -> Iterator[tuple[float, float]
             yield float(x @ x), float(x @ y)
 
 
-def wind(dataset: Dataset) -> Estimate | None:
+def wind(dataset: Dataset) -> Measured | None:
     """Steady wind over ground (north, east) in m/s, and the airspeed's scale error (3,), from air and ground speed.
 
     Airspeed (1 + scale) = |velocity over ground - wind| at all samples once a second, by Gauss-Newton; None without
@@ -110,7 +110,7 @@ def wind(dataset: Dataset) -> Estimate | None:
         return None
     whole = _solve(parts)
     without = np.array([_solve([*parts[:i], *parts[i + 1 :]]) for i in range(len(parts))])
-    return Estimate(whole, np.array([jackknife_error(list(column)) for column in without.T]))
+    return Measured(whole, np.array([jackknife_error(list(column)) for column in without.T]))
 
 
 def _ground(flight: Flight) -> Iterator[Array]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorid_torch.consistency.pairs.precedence import Response, responses
+from rotorid_torch.consistency.pairs.precedence import Following, responses
 from rotorid_torch.consistency.pairs.sensor_pairs import Agreement, agreement, stick_pairs
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
@@ -33,7 +33,7 @@ class LateControls:
     seconds: float
     se: float
     sticks: tuple[Agreement, ...] = ()
-    accelerations: tuple[Response, ...] = ()
+    accelerations: tuple[Following, ...] = ()
 
     @property
     def clearest(self) -> str:
@@ -50,7 +50,7 @@ def followed_sticks(dataset: Dataset) -> tuple[Agreement, ...]:
     return tuple(a for a in agreements if a is not None and a.r2 > SEEN)
 
 
-def known_responses(dataset: Dataset) -> tuple[Response, ...]:
+def known_responses(dataset: Dataset) -> tuple[Following, ...]:
     """Accelerations whose lag behind the controls is known."""
     return tuple(r for r in responses(dataset) if r.r2 > 0.5 and r.gain > 0.1 and r.lag_se < 0.02)
 
@@ -80,7 +80,7 @@ def late_controls(dataset: Dataset) -> LateControls | None:
     return LateControls(-least.lag_s, least.lag_se, accelerations=felt)
 
 
-def coming_first(dataset: Dataset, responses: Sequence[Response]) -> tuple[Response, ...]:
+def coming_first(dataset: Dataset, responses: Sequence[Following]) -> tuple[Following, ...]:
     """Those of a data set's responses that precede their controls, by more than chance and more than a sample."""
     return tuple(r for r in responses if r.lag_s < -max(SURE * r.lag_se, EARLY_S, _sample(dataset)))
 

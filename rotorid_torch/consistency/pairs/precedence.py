@@ -24,7 +24,7 @@ EVERY = 3
 
 
 @dataclass(frozen=True)
-class Response:
+class Following:
     """By how many seconds an acceleration follows the controls (negative: precedes them), with its standard error.
 
     r2 : share of its variance that the controls at that lag and the states explain; gain : how much more that is than
@@ -38,7 +38,7 @@ class Response:
     gain: float
 
 
-def responses(dataset: Dataset, fast: bool = False) -> tuple[Response, ...]:
+def responses(dataset: Dataset, fast: bool = False) -> tuple[Following, ...]:
     """How each angular acceleration and the vertical specific force follow the controls in the identify flights.
 
     Sums of linear terms: all controls, shifted by one lag, and the body's rates and velocities where they are
@@ -51,7 +51,7 @@ def responses(dataset: Dataset, fast: bool = False) -> tuple[Response, ...]:
     return tuple(response for response in measured if response is not None)
 
 
-def _response(dataset: Dataset, channel: str, fast: bool) -> Response | None:
+def _response(dataset: Dataset, channel: str, fast: bool) -> Following | None:
     flights = [dataset.flights[name] for name in dataset.identify if dataset.facts[name].has(channel)]
     states = [c for c in (*names.RATES, *names.VELOCITIES) if all(f.has(c) for f in flights)]
     if channel == "az":
@@ -64,7 +64,7 @@ def _response(dataset: Dataset, channel: str, fast: bool) -> Response | None:
     error = jackknife_error([lag_of_top(_r2(total - part)) for part in parts])
     if len(parts) < 2 or r2.max() <= 0.0:
         return None
-    return Response(channel, lag_of_top(r2), error, float(r2.max()), float(r2.max() - max(r2[0], r2[-1])))
+    return Following(channel, lag_of_top(r2), error, float(r2.max()), float(r2.max() - max(r2[0], r2[-1])))
 
 
 def _moments(flight: Flight, channel: str, controls: tuple[str, ...], states: list[str], fast: bool) -> Iterator[Array]:

@@ -52,12 +52,12 @@ def steps(dataset: Dataset) -> tuple[Step, ...]:
     return tuple(step for flight in dataset.flights.values() for pair in pairs for step in _steps(flight, pair))
 
 
-def without_steps(dataset: Dataset, found: Sequence[Step]) -> Dataset:
+def without_steps(dataset: Dataset, jumps: Sequence[Step]) -> Dataset:
     """The data set with the samples around the steps missing in their channels; itself where there are none."""
-    if not found:
+    if not jumps:
         return dataset
     at: dict[str, dict[str, list[float]]] = {}
-    for step in found:
+    for step in jumps:
         at.setdefault(step.flight, {}).setdefault(step.channel, []).append(step.at)
     flights = OnDemand(dataset.flights, lambda name: _opened(dataset.flights[name], at.get(name, {})))
     return replace(dataset, flights=MappingProxyType(flights))

@@ -13,8 +13,8 @@ from rotorid_torch.consistency.sensor_errors.weighted_fit import (
     BANDS_HZ,
     Errors,
     Levels,
-    Rows,
     Setting,
+    WhiteRows,
     constant_columns,
     rows,
 )
@@ -146,7 +146,7 @@ class Search:
                 break
         return point
 
-    def _rows(self, errors: Errors, names: Sequence[str]) -> list[Rows]:
+    def _rows(self, errors: Errors, names: Sequence[str]) -> list[WhiteRows]:
         if not self.constants:
             self.constants = [constant_columns(piece, self.setting, errors) for piece in self.pieces]
         return [
@@ -155,7 +155,7 @@ class Search:
         ]
 
 
-def _sum(errors: Errors, names: Sequence[str], rows: Sequence[Rows]) -> Point:
+def _sum(errors: Errors, names: Sequence[str], rows: Sequence[WhiteRows]) -> Point:
     parts = tuple(_eliminated(piece) for piece in rows)
     matrix, gradient = np.sum([p.matrix for p in parts], axis=0), np.sum([p.gradient for p in parts], axis=0)
     return Point(dict(errors), tuple(names), parts, matrix, gradient, sum(p.cost for p in parts))
@@ -200,7 +200,7 @@ def _inverse(matrix: Array) -> Array:
     return np.linalg.pinv(matrix / np.outer(scale, scale), rcond=1e-10, hermitian=True) / np.outer(scale, scale)
 
 
-def _eliminated(piece: Rows) -> Normal:
+def _eliminated(piece: WhiteRows) -> Normal:
     """Normal equations of a piece; its constants are solved for and leave."""
     b = len(piece.biases)
     normal, slope = piece.matrix.T @ piece.matrix, piece.matrix.T @ piece.residual - piece.towards
@@ -217,7 +217,7 @@ def _eliminated(piece: Rows) -> Normal:
     )
 
 
-def _levels(rows: Sequence[Rows], step: Array, old: Levels) -> dict[str, Array]:
+def _levels(rows: Sequence[WhiteRows], step: Array, old: Levels) -> dict[str, Array]:
     """Power of what is left over that of the noise, per equation and band, where it is beyond chance; else 1."""
     bands = len(BANDS_HZ) - 1
     power: dict[str, Array] = {}
@@ -248,13 +248,13 @@ def _beyond_chance(power: Array, data: Array, old: Array) -> Array:
     return np.where(beyond, ratio, 1.0)
 
 
-def _as_spectrum(values: Array, piece: Rows) -> Array:
+def _as_spectrum(values: Array, piece: WhiteRows) -> Array:
     """White rows back to (harmonics, equations) complex of unit power."""
     equations, harmonics = len(piece.equations), len(piece.frequencies) - 1
     real, imaginary = values[equations:].reshape(2, harmonics, equations)
     return np.concatenate([values[:equations][None] + 0j, (real + 1j * imaginary) / np.sqrt(2.0)])
 
 
-def _as_power(values: Array, piece: Rows) -> Array:
+def _as_power(values: Array, piece: WhiteRows) -> Array:
     equations, harmonics = len(piece.equations), len(piece.frequencies) - 1
     return np.concatenate([values[:equations][None], values[equations:].reshape(2, harmonics, equations).mean(0)])

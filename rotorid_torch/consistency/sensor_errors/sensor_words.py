@@ -22,12 +22,12 @@ def unit(kind: str, member: str) -> str:
     return fixed.get(kind) or names.unit(member)
 
 
-def told(parameter: SensorParameter, beside: Sequence[SensorParameter] = ()) -> str:
-    """One error with its value and standard error; a filter's frequency with the damping among those beside it."""
+def size_words(parameter: SensorParameter, others: Sequence[SensorParameter] = ()) -> str:
+    """One error with its value and standard error; a filter's frequency with the damping among the others."""
     _, kind, member = parameter.name.split(".")
     value, se = parameter.value, parameter.se
     if member.endswith(PERIOD):
-        return _second_order(parameter, beside)
+        return _second_order(parameter, others)
     if member.endswith(SMOOTHED):
         where = f"{member.removesuffix(SMOOTHED)} smoothed without phase (a symmetric window, after the flight)"
         return f"{where}: half power at {half_power_hz(value):.2g} Hz" if value > 0.0 else f"{where}: none"
@@ -41,10 +41,10 @@ def told(parameter: SensorParameter, beside: Sequence[SensorParameter] = ()) -> 
     }[kind]
 
 
-def _second_order(period: SensorParameter, beside: Sequence[SensorParameter]) -> str:
+def _second_order(period: SensorParameter, others: Sequence[SensorParameter]) -> str:
     """A filter of second order: a natural frequency needs a value of the period."""
     unit = period.name.removesuffix(PERIOD)
-    damping = next((p for p in beside if p.name == f"{unit}{DAMPED}"), None)
+    damping = next((p for p in others if p.name == f"{unit}{DAMPED}"), None)
     said = f"{unit.split('.')[2]} through a filter of second order"
     if period.value <= 0.0:
         return f"{said}: none"
@@ -86,7 +86,7 @@ def verdict(
     accepted = [p for p in parameters if p.accepted]
     if accepted:
         leading = [p for p in accepted if not p.name.endswith(DAMPED)]
-        listed = "; ".join(told(p, accepted) for p in sorted(leading, key=lambda p: -p.gain))
+        listed = "; ".join(size_words(p, accepted) for p in sorted(leading, key=lambda p: -p.gain))
         if group:
             return "indistinguishable", f"{listed}; the data cannot tell it from {' or '.join(group)}"
         return "accepted", f"{listed}: the channels contradict each other without it"
@@ -95,13 +95,15 @@ def verdict(
     tried = {p.name.removeprefix("sensors."): p for p in parameters if p.name.removeprefix("sensors.") in refused}
     if tried:
         name, best = max(tried.items(), key=lambda item: item[1].gain)
-        return refused[name][0], f"{told(best)}: {refused[name][1]}"
+        return refused[name][0], f"{size_words(best)}: {refused[name][1]}"
     best = max(parameters, key=lambda p: p.gain)
     if best.gain > floor:
-        return "rejected", f"{told(best)}: its sign, range or size is not that of a constant error"
+        return "rejected", f"{size_words(best)}: its sign, range or size is not that of a constant error"
     return (
         "below floor",
-        f"the channels agree; {told(best)} is chance" if best.value > 0 or kind != "filter" else "the channels agree",
+        f"the channels agree; {size_words(best)} is chance"
+        if best.value > 0 or kind != "filter"
+        else "the channels agree",
     )
 
 

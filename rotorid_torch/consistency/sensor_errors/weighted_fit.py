@@ -59,7 +59,7 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Rows:
+class WhiteRows:
     """Whitened rows of one piece at given errors, nuisance of the equations projected out.
 
     matrix : (n, biases + names), residual : (n,), towards : (biases + names,) what noise alone adds to the gradient,
@@ -127,7 +127,7 @@ def rows(
     names: Sequence[str],
     levels: Levels,
     constants: tuple[tuple[str, ...], Array],
-) -> Rows:
+) -> WhiteRows:
     """Linearise a piece's residual about `errors` in its own constants and in the errors of these names."""
     biases, held = constants
     frequencies = _frequencies(piece)
@@ -147,7 +147,7 @@ def rows(
     constant = np.linalg.qr(real[:, : len(biases)])[0]
     freedom = 1.0 - (nuisance**2).sum(1) - (constant**2).sum(1)
     matrix, left = real[:, :-1], real[:, -1]
-    return Rows(piece.flight, biases, matrix, left, towards, freedom, piece.equations, frequencies, factor)
+    return WhiteRows(piece.flight, biases, matrix, left, towards, freedom, piece.equations, frequencies, factor)
 
 
 def residual(piece: Piece, setting: Setting, errors: Several, frequencies: Array) -> Array:

@@ -149,23 +149,23 @@ def _interval(dataset: Dataset) -> float:
     return float(np.mean([facts.dt for facts in dataset.facts.values()]))
 
 
-def _rows(flights: Sequence[Sequence[_Record]], dt: float) -> gm.Rows:
+def _rows(flights: Sequence[Sequence[_Record]], dt: float) -> gm.Series:
     """Six records of each flight side by side; shorter ones end in missing samples."""
     flat = [record for flight in flights for record in flight]
     samples = max(len(record.value) for record in flat)
     value = np.stack([np.pad(r.value, (0, samples - len(r.value)), constant_values=np.nan) for r in flat], axis=1)
-    return gm.Rows(value, np.array([r.integral for r in flat]), np.array([r.noise for r in flat]), dt)
+    return gm.Series(value, np.array([r.integral for r in flat]), np.array([r.noise for r in flat]), dt)
 
 
 def _search(
-    rows: gm.Rows, activity: Array, axis: Array, flight_of: Array, spread: Array, fitted: Array
+    rows: gm.Series, activity: Array, axis: Array, flight_of: Array, spread: Array, fitted: Array
 ) -> tuple[Array, Array]:
     """Powers [6, J] and time constants [6], from block means of the identify flights; zero power where unseen."""
     theta, tau = np.zeros((6, activity.shape[-1])), np.ones(6)
     if not fitted.any():
         return theta, tau
     block = min(max(1, round(gm.SEARCH_STEP_S / rows.dt)), max(1, len(rows.value) // 50))
-    mine = gm.Rows(rows.value[:, fitted], rows.integral[fitted], rows.noise[fitted], rows.dt).averaged(block)
+    mine = gm.Series(rows.value[:, fitted], rows.integral[fitted], rows.noise[fitted], rows.dt).averaged(block)
     group = (axis[fitted] >= 3).astype(int)
     driven = gm.block_means(activity, block)[:, flight_of[fitted]]
     sources = gm.Sources(driven, axis[fitted], group, spread[fitted])
@@ -258,7 +258,7 @@ def _level(value: Array, integral: bool, block: int, dt: float) -> tuple[float, 
     return (0.0 if integral else float(force.mean())), float(force.var())
 
 
-def _spread(rows: gm.Rows, variance: Array) -> Array:
+def _spread(rows: gm.Series, variance: Array) -> Array:
     """Standard deviation [N] of the force about its trim, given its variance [N]; not below the sensor's noise."""
     floor = (rows.noise * np.where(rows.integral, 1.0, 0.1)) ** 2
     return np.sqrt(np.maximum(variance, floor))

@@ -41,7 +41,7 @@ SIDE_BY_SIDE = 1200
 
 
 @dataclass(frozen=True)
-class Rows:
+class Series:
     """Scalar records side by side.
 
     value : [T, N] record, NaN where missing; integral : [N] whether it is the integral of f rather than f itself.
@@ -53,9 +53,9 @@ class Rows:
     noise: Array
     dt: float
 
-    def averaged(self, block: int) -> Rows:
+    def averaged(self, block: int) -> Series:
         """Means over blocks of samples; a block that misses a sample is missing."""
-        return Rows(block_means(self.value, block), self.integral, self.noise / math.sqrt(block), self.dt * block)
+        return Series(block_means(self.value, block), self.integral, self.noise / math.sqrt(block), self.dt * block)
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,9 @@ def block_means(value: Array, block: int) -> Array:
     return value[: count * block].reshape(count, block, *value.shape[1:]).mean(axis=1)
 
 
-def smooth_rows(rows: Rows, power: Array, tau: Array, trim: Array, spread: Array, engine: Engine | None = None) -> Pass:
+def smooth_rows(
+    rows: Series, power: Array, tau: Array, trim: Array, spread: Array, engine: Engine | None = None
+) -> Pass:
     """Kalman filter and adjoint (Bryson-Frazier) smoother of every row.
 
     Parameters
@@ -108,7 +110,7 @@ class _Task(ctypes.Structure):
     ]
 
 
-def _smooth_natively(rows: Rows, power: Array, tau: Array, trim: Array, spread: Array) -> Pass:
+def _smooth_natively(rows: Series, power: Array, tau: Array, trim: Array, spread: Array) -> Pass:
     """The recursion in native code, rows filled up to whole vectors with copies of the last."""
     code = library('#include "gauss_markov.h"\n')
     samples, count = rows.value.shape
@@ -143,7 +145,7 @@ def _smooth_natively(rows: Rows, power: Array, tau: Array, trim: Array, spread: 
     )
 
 
-def _smooth_in_numpy(rows: Rows, power: Array, tau: Array, trim: Array, spread: Array) -> Pass:
+def _smooth_in_numpy(rows: Series, power: Array, tau: Array, trim: Array, spread: Array) -> Pass:
     dt, h0 = rows.dt, rows.integral.astype(float)
     h1, e = 1.0 - h0, np.exp(-dt / tau)
     a = h0 * tau * (1.0 - e)
@@ -222,7 +224,7 @@ class Sources:
         return np.einsum("tnj,nj->tn", self.activity, theta[self.axis])
 
 
-def find_power(rows: Rows, sources: Sources) -> tuple[Array, Array]:
+def find_power(rows: Series, sources: Sources) -> tuple[Array, Array]:
     """Powers theta [axes, J] and time constants [groups] that make the records of all rows most likely.
 
     Multiplicative steps theta_j *= sum a_j realised / sum a_j expected: each raises the likelihood of all axes at once
@@ -249,7 +251,7 @@ def find_power(rows: Rows, sources: Sources) -> tuple[Array, Array]:
     return theta, taus
 
 
-def largest_constant(rows: Rows, sources: Sources, theta: Array, taus: Array) -> Array:
+def largest_constant(rows: Series, sources: Sources, theta: Array, taus: Array) -> Array:
     """Theta with the constant part as large as the data allow: 2 units of log-likelihood below the most likely.
 
     What forces do while the controls rest is often below the sensors' noise; "nothing" is then the most likely power,
@@ -271,19 +273,19 @@ def largest_constant(rows: Rows, sources: Sources, theta: Array, taus: Array) ->
     return raised
 
 
-def _likelihoods(rows: Rows, power: Array, added: Array, tau: Array, trim: Array, spread: Array) -> Array:
+def _likelihoods(rows: Series, power: Array, added: Array, tau: Array, trim: Array, spread: Array) -> Array:
     """Log-likelihoods [count, N] with each of the constants added [N, count] to the power, all as rows of one pass."""
     n, count = added.shape
-    many = Rows(np.tile(rows.value, (1, count)), np.tile(rows.integral, count), np.tile(rows.noise, count), rows.dt)
+    many = Series(np.tile(rows.value, (1, count)), np.tile(rows.integral, count), np.tile(rows.noise, count), rows.dt)
     more = np.concatenate([power + added[:, j] for j in range(count)], axis=1)
     got = smooth_rows(many, more, np.tile(tau, count), np.tile(trim, count), np.tile(spread, count))
     return got.log_likelihood.reshape(count, n)
 
 
-def _find_tau(rows: Rows, power: Array, group: Array, trim: Array, spread: Array) -> Array:
+def _find_tau(rows: Series, power: Array, group: Array, trim: Array, spread: Array) -> Array:
     """Time constant of each group by its likelihood over a grid, all candidates as rows of one pass."""
     n, count = len(group), len(TAUS_S)
-    many = Rows(np.tile(rows.value, (1, count)), np.tile(rows.integral, count), np.tile(rows.noise, count), rows.dt)
+    many = Series(np.tile(rows.value, (1, count)), np.tile(rows.integral, count), np.tile(rows.noise, count), rows.dt)
     got = smooth_rows(
         many, np.tile(power, (1, count)), np.repeat(TAUS_S, n), np.tile(trim, count), np.tile(spread, count)
     )

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -116,7 +117,7 @@ def left_over(
     flapping = FLAPPING if with_flapping and isinstance(model.effect("rotor"), Flapping) else ()
     listed = with_flapping if flapping else flights  # else neither the disc nor what it does to the body is known
     begun = before or dict.fromkeys(listed)
-    parts = [_thinned(model, effects, flapping, (dataset, reconstruction, name, begun[name])) for name in listed]
+    parts = [_thinned(model, effects, flapping, Source(dataset, reconstruction, name, begun[name])) for name in listed]
     signals, residual, named = (torch.cat([getattr(p, n) for p in parts]) for n in ("signals", "residual", "named"))
     samples = torch.tensor([len(part.time) for part in parts])
     constants = torch.nn.functional.one_hot(torch.repeat_interleave(samples)).to(torch.float64)
@@ -154,22 +155,25 @@ class _Thinned:
     rest: Tensor
 
 
-def _thinned(
-    model: Model,
-    effects: Sequence[str],
-    flapping: Sequence[str],
-    source: tuple[Dataset, Reconstruction, str, Before | None],
-) -> _Thinned:
-    """Of a flight by its name; flapping : angles whose equations are compared."""
-    dataset, _, name, _ = source
-    flight, dt = measured(model, *source), dataset.facts[name].dt
+class Source(NamedTuple):
+    """A flight by its name, in its data set, as step 1 reconstructed it, and as it was measured before."""
+
+    dataset: Dataset
+    reconstruction: Reconstruction
+    flight: str
+    before: Before | None
+
+
+def _thinned(model: Model, effects: Sequence[str], flapping: Sequence[str], source: Source) -> _Thinned:
+    """Of a flight; flapping : angles whose equations are compared."""
+    flight, dt = measured(model, *source), source.dataset.facts[source.flight].dt
     every, width = max(1, round(1.0 / (dt * RATE))), max(1, round(SMOOTH_S / dt))
     names = tuple(n for n in (*model.body.states, *model.body.controls) if n not in GUSTS and n in flight.signals)
     signals = torch.stack([flight.signals[n] - model.reference.get(n, 0.0) for n in names], dim=-1)
     residual = _residual(model, flight, flapping, dt)
     moved = [residual - _residual(model, measured(model, *source), flapping, dt) for _ in _moved(model, effects)]
     tilts = _stacked(flight.signals, flapping).nan_to_num(0.0) if flapping else signals[:, :0]
-    quiet = (torch.arange(len(signals)) < dataset.quiet(name)).to(torch.float64)[:, None]
+    quiet = (torch.arange(len(signals)) < source.dataset.quiet(source.flight)).to(torch.float64)[:, None]
 
     def thin(record: Tensor) -> Tensor:
         return smoothed(record, width)[::every]

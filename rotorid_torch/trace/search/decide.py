@@ -37,7 +37,7 @@ class Reason(Enum):
     HELPS = auto()
 
 
-class Estimate(Enum):
+class Interval(Enum):
     """What the interval of an effect's size says."""
 
     SIZE = auto()
@@ -63,7 +63,7 @@ class Row:
     significant: bool = True
     still: bool = True
     fitted: bool = True
-    estimate: Estimate = Estimate.SIZE
+    estimate: Interval = Interval.SIZE
     unseen_better: bool = True
     runs_worse: bool = False
     in_set: bool = True
@@ -79,8 +79,8 @@ TABLE: tuple[tuple[Mapping[str, object], Verdict, Reason], ...] = (
     ({"significant": False}, "below floor", Reason.BELOW_LEVEL),
     ({"still": False, "in_set": False}, "rejected", Reason.BETTER_EXPLAINED),
     ({"fitted": False}, "rejected", Reason.NO_BETTER_FIT),
-    ({"estimate": Estimate.ACTIVE_BOUND}, "rejected", Reason.ACTIVE_BOUND),
-    ({"estimate": Estimate.WITHIN_ERROR}, "rejected", Reason.WITHIN_ERROR),
+    ({"estimate": Interval.ACTIVE_BOUND}, "rejected", Reason.ACTIVE_BOUND),
+    ({"estimate": Interval.WITHIN_ERROR}, "rejected", Reason.WITHIN_ERROR),
     ({"unseen_better": False}, "rejected", Reason.UNSEEN_WORSE),
     ({"in_set": False}, "rejected", Reason.BETTER_EXPLAINED),
     ({"runs_worse": True}, "suspected", Reason.FREE_RUNS_WORSE),
@@ -131,7 +131,7 @@ def improves(log_ratios: Tensor) -> bool:
 class Size:
     """What the interval of an effect's size says, and the parameter that says so with its value and error."""
 
-    estimate: Estimate
+    estimate: Interval
     parameter: str = ""
     value: float = 0.0
     error: float = 0.0
@@ -157,13 +157,13 @@ def estimate(model: Model, errors: Mapping[str, float], effect: str, tests: int 
     for p in model.parameter_set.sizes(effect):
         on = [b for b in p.bounds if math.isclose(values[p.name], b, rel_tol=1e-9) and b not in (0.0, p.value)]
         if p.free and on:
-            return Size(Estimate.ACTIVE_BOUND, p.name, values[p.name])
+            return Size(Interval.ACTIVE_BOUND, p.name, values[p.name])
     nulls = {s.parameter: s.null for s in signatures(model, [effect])}
     nulls = nulls or {p.name: p.value for p in model.parameter_set.sizes(effect) if p.free}
     away = {n: abs(values[n] - null) / max(errors.get(n, math.inf), 1e-300) for n, null in nulls.items()}
     name = max(away, key=lambda n: away[n], default="")
     inside = bool(name) and away[name] <= normal_quantile(0.5 * SETTINGS.level / tests)
-    return Size(Estimate.WITHIN_ERROR if inside else Estimate.SIZE, name, values.get(name, 0.0), errors.get(name, 0.0))
+    return Size(Interval.WITHIN_ERROR if inside else Interval.SIZE, name, values.get(name, 0.0), errors.get(name, 0.0))
 
 
 def errors_of(fitted: FittedModel, effect: str, *spreads: Mapping[str, float]) -> dict[str, tuple[float, float]]:

@@ -13,7 +13,7 @@ from rotorid_torch.trace.search.decide import Reason, Row, decide, errors_of
 from rotorid_torch.trace.search.forward_selection import Search
 from rotorid_torch.trace.search.words import explained_by, reason, size_details
 from rotorid_torch.trace.terms.candidate import Candidate
-from rotorid_torch.trace.terms.finding import Finding
+from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.settings import SETTINGS
 
 
@@ -39,15 +39,15 @@ class Outcome(Generic[FittedT]):
         """Whether the names explain enough of what is missing, by laws that leave nothing of their kind."""
         return not self.other_law and (self.share is None or self.share >= SETTINGS.adequate)
 
-    def findings(self, effects: Sequence[str]) -> list[Finding]:
+    def findings(self, effects: Sequence[str]) -> list[EffectFinding]:
         """One for each of these effects."""
         return [self._finding(effect) for effect in effects]
 
-    def _finding(self, effect: str) -> Finding:
+    def _finding(self, effect: str) -> EffectFinding:
         assert self.search.first is not None
         observed, p, draws = self.search.tested.get(effect, self.search.first)
         members = [name for name in p if effect_of(name) == effect]
-        finding = Finding(effect, "undeclared", "below floor", "")
+        finding = EffectFinding(effect, "undeclared", "below floor", "")
         if members:
             best, critical = min(members, key=lambda name: p[name]), draws.critical_values(observed.statistics)
             target = max(draws.visible(effect, critical[effect]), 0.0) if effect in critical else 0.0
@@ -80,7 +80,7 @@ class Outcome(Generic[FittedT]):
         refused = [t.row for t in trials if not t.stands]
         return refused[-1] if refused else Row(still=False, in_set=False)
 
-    def _told(self, finding: Finding, row: Row) -> Finding:
+    def _told(self, finding: EffectFinding, row: Row) -> EffectFinding:
         """The finding with verdict, reason and values."""
         effect, (verdict, why) = finding.id, decide(row)
         drawn = self.search.drawn_scatter(effect)

@@ -18,7 +18,7 @@ from rotorid_torch.trace.evidence.family import Family, by_chance, effect_of
 from rotorid_torch.trace.evidence.fits import FittedT
 from rotorid_torch.trace.search.decide import (
     NO_SCATTER,
-    Estimate,
+    Interval,
     Row,
     decide,
     evidence,
@@ -278,7 +278,7 @@ class Search(Generic[FittedT]):
         size = size_of(final, candidate.effect, self.tests, self.drawn_scatter(candidate.effect))
         row = replace(self.trials[candidate].row, estimate=size.estimate)
         alone = len(self.joined) == 1
-        if row.estimate is Estimate.SIZE and (alone or candidate.effect not in self.first[2].statistics):
+        if row.estimate is Interval.SIZE and (alone or candidate.effect not in self.first[2].statistics):
             return Trial(candidate, self.trials[candidate].null, final, row)
         spec = final.spec.without([candidate.effect])
         without = self.scored.refitted(spec, final)

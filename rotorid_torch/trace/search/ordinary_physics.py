@@ -18,7 +18,7 @@ from rotorid_torch.trace.search.forward_selection import Search, observed
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.search.words import reason, size_details
 from rotorid_torch.trace.terms.candidate import Candidate
-from rotorid_torch.trace.terms.finding import Finding
+from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.significance import exceeds
 
 ORDINARY = "ordinary physics of every rotor; flights not fitted do not gain by it"
@@ -28,7 +28,7 @@ NOT_WANTED = "flights not fitted do not gain by it"
 
 def with_structure(
     search: Search[Fitted], shared: Trajectories, null: Fitted, effects: Sequence[str]
-) -> tuple[Fitted, list[Finding]]:
+) -> tuple[Fitted, list[EffectFinding]]:
     """The null with the structure that joins it, and a finding for each of these effects."""
     ordinary = [e for e in effects if registered()[e].ordinary]
     null, findings = _with_ordinary(search, shared, null, ordinary)
@@ -48,16 +48,16 @@ def with_structure(
         search.say(f"structure: {best}, gain {gain(null, fitted):.3g} per sample: {why.name.lower()}")
         values = _sizes(fitted, best)
         said = WANTED if verdict == "accepted" else reason(why, **size_details(null, fitted, best))
-        findings.append(Finding(best, "structure", verdict, said, values=values))
+        findings.append(EffectFinding(best, "structure", verdict, said, values=values))
         null = fitted if verdict == "accepted" else null
         others.remove(best)
-    findings += [Finding(e, "structure", "below floor", NOT_WANTED) for e in others]
+    findings += [EffectFinding(e, "structure", "below floor", NOT_WANTED) for e in others]
     return null, findings
 
 
 def _with_ordinary(
     search: Search[Fitted], shared: Trajectories, null: Fitted, effects: Sequence[str]
-) -> tuple[Fitted, list[Finding]]:
+) -> tuple[Fitted, list[EffectFinding]]:
     """The null with what every rotor has, where a fit gains by that at all."""
     if not effects:
         return null, []
@@ -68,9 +68,9 @@ def _with_ordinary(
     search.say(f"structure: {' and '.join(effects)}, gain {gained:.3g} per sample")
     if gained <= 0.0:
         said = "fitted in full, it explains nothing more"
-        return null, [Finding(e, "structure", "rejected", said) for e in effects]
+        return null, [EffectFinding(e, "structure", "rejected", said) for e in effects]
     said = WANTED if exceeds(unseen_evidence(null, richer)) else ORDINARY
-    return richer, [Finding(e, "structure", "accepted", said, values=_sizes(richer, e)) for e in effects]
+    return richer, [EffectFinding(e, "structure", "accepted", said, values=_sizes(richer, e)) for e in effects]
 
 
 def _over_short(search: Search[Fitted], shared: Trajectories, null: Fitted) -> Fitted:

@@ -22,12 +22,12 @@ from rotorid_torch.trace.search.screening_sizes import with_screening_sizes
 from rotorid_torch.trace.search.words import reason, size_details
 from rotorid_torch.trace.terms.candidate import Candidate
 from rotorid_torch.trace.terms.eligible import ELSEWHERE, NOT_IN_TRAJECTORIES
-from rotorid_torch.trace.terms.finding import Finding
+from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import exceeds
 
 
-def earned(scored: Scored[FittedT], whole: FittedT, effects: Sequence[str], seed: int = 0) -> list[Finding]:
+def earned(scored: Scored[FittedT], whole: FittedT, effects: Sequence[str], seed: int = 0) -> list[EffectFinding]:
     """A finding for each of these effects of a model.
 
     scored : the residual that tells. whole : the model with all of them, as identified. seed : of the residuals
@@ -39,7 +39,7 @@ def earned(scored: Scored[FittedT], whole: FittedT, effects: Sequence[str], seed
     findings = {f.id: f for f in unmoved}
     for e in effects:
         if e not in shown:
-            findings[e] = Finding(e, registered()[e].role.value, "not testable", NOT_IN_TRAJECTORIES)
+            findings[e] = EffectFinding(e, registered()[e].role.value, "not testable", NOT_IN_TRAJECTORIES)
     if tested:
         richer = msgspec.structs.replace(spec, screening_sizes=sized.screening_sizes)
         whole = scored.refitted(richer, whole)
@@ -47,7 +47,7 @@ def earned(scored: Scored[FittedT], whole: FittedT, effects: Sequence[str], seed
     return [findings[e] for e in effects]
 
 
-def _finding(scored: Scored[FittedT], whole: FittedT, effect: str, seed: int) -> Finding:
+def _finding(scored: Scored[FittedT], whole: FittedT, effect: str, seed: int) -> EffectFinding:
     """What a model without the effect, fitted with the same care, says of it."""
     role, search = registered()[effect].role, Search.alone(scored, seed)
     null = scored.refitted(whole.spec.without([effect]), whole)
@@ -56,7 +56,7 @@ def _finding(scored: Scored[FittedT], whole: FittedT, effect: str, seed: int) ->
         verdict = "accepted" if exceeds(better) else "rejected"
         why = Reason.HELPS if verdict == "accepted" else Reason.UNSEEN_WORSE
         said = reason(why, better=int((better > 0).sum()), count=len(better))
-        return Finding(effect, role.value, verdict, said)
+        return EffectFinding(effect, role.value, verdict, said)
     candidate = Candidate(effect, effect in whole.spec.each_control)
     search.consider(null, [effect])
     assert search.first is not None

@@ -23,7 +23,7 @@ from rotorid_torch.model.nominal import build
 from rotorid_torch.model.training.equilibrium import equilibrium
 from rotorid_torch.trace.evidence.screen import output_ranges, signatures
 from rotorid_torch.trace.terms.eligible import UNMOVED
-from rotorid_torch.trace.terms.finding import Finding
+from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.validate.free_run import Runs, Windows, free_run, windows
 
 WINDOW_S = 3.0
@@ -42,7 +42,7 @@ NOTHING = 1e-6
 
 def with_screening_sizes(
     spec: ModelSpec, values: Mapping[str, float], dataset: Dataset, effects: Sequence[str]
-) -> tuple[ModelSpec, list[str], list[Finding]]:
+) -> tuple[ModelSpec, list[str], list[EffectFinding]]:
     """The spec with sizes for users' effects that declare none, the effects that can be tested, findings of the others.
 
     Networks have weights and no size.
@@ -57,7 +57,7 @@ def with_screening_sizes(
     richer = msgspec.structs.replace(spec, screening_sizes=spec.screening_sizes | sizes)
     unmoved = without_sizes(richer, asked)
     roles = {e: registered()[e].role.value for e in unmoved}
-    findings = [Finding(e, role, "not testable", UNMOVED) for e, role in roles.items()]
+    findings = [EffectFinding(e, role, "not testable", UNMOVED) for e, role in roles.items()]
     return richer, [e for e in effects if e not in unmoved], findings
 
 

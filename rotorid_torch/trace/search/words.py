@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from rotorid_torch.trace.evidence.fits import FittedT
-from rotorid_torch.trace.search.decide import NO_SCATTER, TABLE, Estimate, Reason, size_of, unseen_evidence
+from rotorid_torch.trace.search.decide import NO_SCATTER, TABLE, Interval, Reason, size_of, unseen_evidence
 
 REASONS = {
     Reason.BELOW_LEVEL: "it explains no more than it does where nothing is missing",
@@ -94,7 +94,7 @@ def table_of_decisions() -> str:
 def _asked(name: str, value: object) -> str:
     """One observation in words."""
     if isinstance(value, Estimate):
-        return {Estimate.ACTIVE_BOUND: "a bound is active", Estimate.WITHIN_ERROR: "the interval holds the null"}[value]
+        return {Interval.ACTIVE_BOUND: "a bound is active", Interval.WITHIN_ERROR: "the interval holds the null"}[value]
     return OBSERVED[name] if value else NOT_OBSERVED[name]
 
 

@@ -8,7 +8,7 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.base import Role, Showing, Stage
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.trace.terms.finding import Finding
+from rotorid_torch.trace.terms.finding import EffectFinding
 
 UNMOVED = "no size of it within its bounds moves what these flights measured"
 ELSEWHERE = (Showing.KINEMATICS, Showing.INNOVATIONS)
@@ -29,7 +29,7 @@ def of_control_path(effects: Iterable[str]) -> list[str]:
     return [e for e in effects if registered()[e].stage is Stage.CONTROL]
 
 
-def candidates(spec: ModelSpec) -> tuple[list[str], list[Finding]]:
+def candidates(spec: ModelSpec) -> tuple[list[str], list[EffectFinding]]:
     """Effects that can act inside the time loop of this model, and findings for the others.
 
     Those are what the nominal model has from the start, and what cannot be tested.
@@ -41,9 +41,9 @@ def candidates(spec: ModelSpec) -> tuple[list[str], list[Finding]]:
         part, reason = effect.within(spec), effect.untestable(spec)
         if part:
             said = f"the nominal model has it from the start, as its part '{part}'"
-            settled.append(Finding(name, effect.role.value, "accepted", said, part=part))
+            settled.append(EffectFinding(name, effect.role.value, "accepted", said, part=part))
         elif reason is None:
             testable.append(name)
         else:
-            settled.append(Finding(name, effect.role.value, "not testable", reason))
+            settled.append(EffectFinding(name, effect.role.value, "not testable", reason))
     return testable, settled

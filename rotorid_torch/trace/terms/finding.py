@@ -9,7 +9,7 @@ from rotorid_torch.core.names import Verdict
 
 
 @dataclass(frozen=True)
-class Finding:
+class EffectFinding:
     """One effect: verdict with its reason in words, smallest size these flights show.
 
     gain, floor : the statistic T and its critical value. p : family-wise adjusted probability that flights with nothing

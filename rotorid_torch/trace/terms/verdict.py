@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from rotorid_torch.core.names import Kind
-from rotorid_torch.trace.terms.finding import Finding, Unknown
+from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
 
 MOST = 3
 """Sizes of one effect in a sentence, those that are surest."""
@@ -24,7 +24,7 @@ class Statement:
     sentence: str
 
 
-def statement(findings: Sequence[Finding], unknown: Unknown | None, failing: str = "") -> Statement:
+def statement(findings: Sequence[EffectFinding], unknown: Unknown | None, failing: str = "") -> Statement:
     """What the findings come to.
 
     An effect is named where it is accepted; a group where only its members fit and the data cannot tell which.
@@ -40,7 +40,7 @@ def statement(findings: Sequence[Finding], unknown: Unknown | None, failing: str
     return replace(said, sentence=" ".join(part for part in parts if part))
 
 
-def _stated(findings: Sequence[Finding], unknown: Unknown | None, failing: bool) -> Statement:
+def _stated(findings: Sequence[EffectFinding], unknown: Unknown | None, failing: bool) -> Statement:
     """The same without the model's failure and without a network, which is no undeclared effect."""
     named = [f for f in findings if f.role == "undeclared" and f.verdict == "accepted"]
     grouped = [f for f in findings if f.role == "undeclared" and f.verdict == "indistinguishable" and f.values]
@@ -68,11 +68,11 @@ def _stated(findings: Sequence[Finding], unknown: Unknown | None, failing: bool)
     return Statement("nothing undeclared", (), f"{nothing}{tested if visible else ''}.")
 
 
-def _listed(findings: Sequence[Finding]) -> str:
+def _listed(findings: Sequence[EffectFinding]) -> str:
     return " and ".join(f"{f.id}{_sizes(f)}" for f in findings)
 
 
-def _sizes(finding: Finding) -> str:
+def _sizes(finding: EffectFinding) -> str:
     """The surest parameters with their errors, where they were fitted."""
     sizes = [(n, v, e) for n, (v, e) in finding.values.items() if e > 0.0 and abs(v) > 2.0 * e]
     sizes = sorted(sizes, key=lambda one: abs(one[1]) / one[2], reverse=True) if len(sizes) > MOST else sizes

@@ -10,9 +10,9 @@ from rotorid_torch.identification.reconstruct import gauss_markov as gm
 DT, SAMPLES = 0.02, 60
 
 
-def rows(value: np.ndarray, integral: bool, noise: float) -> gm.Rows:
+def rows(value: np.ndarray, integral: bool, noise: float) -> gm.Series:
     count = value.shape[1]
-    return gm.Rows(value, np.full(count, integral), np.full(count, noise), DT)
+    return gm.Series(value, np.full(count, integral), np.full(count, noise), DT)
 
 
 def simulated(
@@ -108,7 +108,7 @@ def test_compiled_and_numpy_agree() -> None:
     value[rng.uniform(size=value.shape) < 0.1] = np.nan
     value[:7, 3] = np.nan
     integral = np.arange(count) % 2 == 0
-    many = gm.Rows(value, integral, rng.uniform(0.01, 0.1, count), DT)
+    many = gm.Series(value, integral, rng.uniform(0.01, 0.1, count), DT)
     power, tau = rng.uniform(0.1, 2.0, value.shape), rng.uniform(0.2, 3.0, count)
     trim, spread = rng.standard_normal(count), rng.uniform(0.1, 1.0, count)
     compiled, plain = (gm.smooth_rows(many, power, tau, trim, spread, engine) for engine in ("native", "reference"))

@@ -18,7 +18,7 @@ from rotorid_torch.model.model import Model
 from rotorid_torch.trace.evidence.fits import Fitted, refit
 from rotorid_torch.trace.search.decide import (
     TABLE,
-    Estimate,
+    Interval,
     Reason,
     Row,
     Size,
@@ -46,8 +46,8 @@ CASES = [
     (Row(observable=False), "accepted", Reason.NAMED),
     (Row(still=False, in_set=False), "rejected", Reason.BETTER_EXPLAINED),
     (Row(fitted=False), "rejected", Reason.NO_BETTER_FIT),
-    (Row(estimate=Estimate.ACTIVE_BOUND), "rejected", Reason.ACTIVE_BOUND),
-    (Row(estimate=Estimate.WITHIN_ERROR), "rejected", Reason.WITHIN_ERROR),
+    (Row(estimate=Interval.ACTIVE_BOUND), "rejected", Reason.ACTIVE_BOUND),
+    (Row(estimate=Interval.WITHIN_ERROR), "rejected", Reason.WITHIN_ERROR),
     (Row(unseen_better=False), "rejected", Reason.UNSEEN_WORSE),
     (Row(in_set=False), "rejected", Reason.BETTER_EXPLAINED),
     (Row(runs_worse=True), "suspected", Reason.FREE_RUNS_WORSE),
@@ -68,7 +68,7 @@ def test_no_row_of_the_table_is_left_out():
 
 def every_row() -> list[Row]:
     """All that can be observed of a candidate."""
-    values = [list(Estimate) if f.name == "estimate" else [False, True] for f in fields(Row)]
+    values = [list(Interval) if f.name == "estimate" else [False, True] for f in fields(Row)]
     return [Row(**dict(zip((f.name for f in fields(Row)), one, strict=True))) for one in product(*values)]  # pyright: ignore[reportArgumentType]
 
 
@@ -87,7 +87,7 @@ def test_a_name_is_given_only_where_everything_speaks_for_it():
             row.adequate,
             not row.runs_worse,
         )
-        assert (decide(row)[0] == "accepted") == (all(asked) and row.estimate is Estimate.SIZE)
+        assert (decide(row)[0] == "accepted") == (all(asked) and row.estimate is Interval.SIZE)
 
 
 def test_what_no_clean_aircraft_would_tell_apart_is_no_name_whatever_else_is_observed():
@@ -112,7 +112,7 @@ def test_a_size_is_one_where_its_interval_of_95_per_cent_excludes_nothing(value:
     error = 0.01
     found = estimate(late(value), {f"{DELAY}.common": error}, DELAY)
     outside = abs(value) > norm.ppf(0.975) * error
-    assert found == Size(Estimate.SIZE if outside else Estimate.WITHIN_ERROR, f"{DELAY}.common", value, error)
+    assert found == Size(Interval.SIZE if outside else Interval.WITHIN_ERROR, f"{DELAY}.common", value, error)
 
 
 @pytest.mark.parametrize("tests", [1, 4, 20])
@@ -120,13 +120,13 @@ def test_intervals_of_several_effects_hold_their_level_together(tests: int):
     """Bonferroni: each at 0.05 over their number."""
     error = 0.01
     edge = float(norm.ppf(1.0 - 0.025 / tests)) * error
-    for value, told in ((1.001 * edge, Estimate.SIZE), (0.999 * edge, Estimate.WITHIN_ERROR)):
+    for value, told in ((1.001 * edge, Interval.SIZE), (0.999 * edge, Interval.WITHIN_ERROR)):
         assert estimate(late(value), {f"{DELAY}.common": error}, DELAY, tests).estimate is told
 
 
 def test_a_size_that_was_not_estimated_is_none():
-    assert estimate(late(0.3), {}, DELAY).estimate is Estimate.WITHIN_ERROR
-    assert estimate(late(0.3), {f"{DELAY}.common": math.inf}, DELAY).estimate is Estimate.WITHIN_ERROR
+    assert estimate(late(0.3), {}, DELAY).estimate is Interval.WITHIN_ERROR
+    assert estimate(late(0.3), {f"{DELAY}.common": math.inf}, DELAY).estimate is Interval.WITHIN_ERROR
 
 
 def test_of_several_sizes_the_surest_tells():
@@ -135,8 +135,8 @@ def test_of_several_sizes_the_surest_tells():
     values = {f"{DAMPING}.L": 0.5, f"{DAMPING}.M": 5.0, f"{DAMPING}.N": 0.001}
     errors = {f"{DAMPING}.L": 0.05, f"{DAMPING}.M": 4.0, f"{DAMPING}.N": 0.1}
     found = estimate(with_values(model, values), errors, DAMPING)
-    assert found == Size(Estimate.SIZE, f"{DAMPING}.L", 0.5, 0.05)
-    assert estimate(model, {n: 20.0 * e for n, e in errors.items()}, DAMPING).estimate is Estimate.WITHIN_ERROR
+    assert found == Size(Interval.SIZE, f"{DAMPING}.L", 0.5, 0.05)
+    assert estimate(model, {n: 20.0 * e for n, e in errors.items()}, DAMPING).estimate is Interval.WITHIN_ERROR
 
 
 def bounds_of(name: str) -> Parameter:
@@ -148,9 +148,9 @@ def test_a_size_at_an_end_of_its_range_is_none_but_nothing_is_no_end():
     name = f"{DELAY}.common"
     low, high = bounds_of(name).bounds
     assert low == bounds_of(name).value == 0.0
-    assert estimate(late(high), {name: 1e-3}, DELAY) == Size(Estimate.ACTIVE_BOUND, name, high)
-    assert estimate(late(0.99 * high), {name: 1e-3}, DELAY).estimate is Estimate.SIZE
-    assert estimate(late(low), {name: 1e-3}, DELAY).estimate is Estimate.WITHIN_ERROR
+    assert estimate(late(high), {name: 1e-3}, DELAY) == Size(Interval.ACTIVE_BOUND, name, high)
+    assert estimate(late(0.99 * high), {name: 1e-3}, DELAY).estimate is Interval.SIZE
+    assert estimate(late(low), {name: 1e-3}, DELAY).estimate is Interval.WITHIN_ERROR
 
 
 def test_a_bound_of_a_parameter_that_is_held_is_not_active():
@@ -160,7 +160,7 @@ def test_a_bound_of_a_parameter_that_is_held_is_not_active():
     assert own[f"{DELAY}.common"]
     assert len(own) > 1
     held = with_values(late(0.05), {n: bounds_of(n).bounds[1] for n, free in own.items() if not free})
-    assert estimate(held, {f"{DELAY}.common": 0.001}, DELAY).estimate is Estimate.SIZE
+    assert estimate(held, {f"{DELAY}.common": 0.001}, DELAY).estimate is Interval.SIZE
 
 
 @pytest.fixture(scope="module")
@@ -209,7 +209,7 @@ def test_errors_of_a_size_are_no_smaller_than_its_scatter_over_flights(fits: tup
     null, late = fits
     name = f"{DELAY}.common"
     told = size_of(late, DELAY)
-    assert (told.estimate, told.parameter, told.value) == (Estimate.SIZE, name, late.values[name])
+    assert (told.estimate, told.parameter, told.value) == (Interval.SIZE, name, late.values[name])
     assert told.error == max(late.error(name), late.scatter(DELAY)[name]) > 0.0
     assert errors_of(late, DELAY, {name: 9.0})[name] == (late.values[name], 9.0)
     assert errors_of(late, DELAY, {})[name] == (late.values[name], late.error(name))

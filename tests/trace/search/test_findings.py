@@ -12,12 +12,12 @@ from rotorid_torch.effects.registry import registered
 from rotorid_torch.trace.evidence.critical_values import Draws
 from rotorid_torch.trace.evidence.family import Family, by_chance, family
 from rotorid_torch.trace.evidence.fits import Fitted, refit
-from rotorid_torch.trace.search.decide import Estimate, Row
+from rotorid_torch.trace.search.decide import Interval, Row
 from rotorid_torch.trace.search.findings import Outcome
 from rotorid_torch.trace.search.forward_selection import Search, Trial
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.candidate import Candidate
-from rotorid_torch.trace.terms.finding import Finding
+from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.settings import SETTINGS
 from tests.trace.hidden_flights import flights, started
 
@@ -50,7 +50,7 @@ def outcome(share: float | None = None, row: Row | None = GOOD, p: float = 0.05,
     return Outcome(search, fitted, share, (), {DELAY: "; control by control"}, {NAME: 0.5})
 
 
-def of(found: Outcome, effect: str = DELAY) -> Finding:
+def of(found: Outcome, effect: str = DELAY) -> EffectFinding:
     (one,) = found.findings([effect])
     return one
 
@@ -75,8 +75,8 @@ def test_what_joined_is_accepted_with_its_values_p_and_how_controls_differ():
     ("row", "said"),
     [
         (Row(fitted=False), "explains nothing"),
-        (Row(estimate=Estimate.WITHIN_ERROR), f"{NAME} = 0.06"),
-        (Row(estimate=Estimate.ACTIVE_BOUND), "at the edge of its range"),
+        (Row(estimate=Interval.WITHIN_ERROR), f"{NAME} = 0.06"),
+        (Row(estimate=Interval.ACTIVE_BOUND), "at the edge of its range"),
         (Row(unseen_better=False), "4 of 4 better"),
     ],
 )

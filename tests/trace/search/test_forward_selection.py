@@ -14,7 +14,7 @@ from rotorid_torch.trace.evidence.critical_values import Draws
 from rotorid_torch.trace.evidence.family import Family, by_chance, family
 from rotorid_torch.trace.evidence.fits import BEGINNING, CAREFUL, Care, Fitted, Flights, refit
 from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
-from rotorid_torch.trace.search.decide import Estimate, Row, gain
+from rotorid_torch.trace.search.decide import Interval, Row, gain
 from rotorid_torch.trace.search.forward_selection import Search, Trial, observed
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.candidate import Candidate
@@ -181,7 +181,7 @@ def test_a_size_that_clean_aircraft_show_as_well_is_none():
     search = search_of(known, replace(draws_of(True), sizes=sizes))
     assert search.forward(null, [DELAY]) is not None
     assert search.joined == []
-    assert search.trials[Candidate(DELAY)].row.estimate is Estimate.WITHIN_ERROR
+    assert search.trials[Candidate(DELAY)].row.estimate is Interval.WITHIN_ERROR
 
 
 @pytest.mark.parametrize("first", [DELAY, DAMPING])
@@ -246,7 +246,7 @@ def test_what_a_full_fit_says_of_a_candidate():
     assert observed(good, null, Candidate(DELAY)).fitted is False
     assert observed(good, null, Candidate(DELAY)).unseen_better is False
     early = refit(null.spec.with_effects(DELAY), known, {**null.values, f"{DELAY}.common": 0.0}, (f"{DELAY}.common",))
-    assert observed(null, early, Candidate(DELAY)).estimate is Estimate.WITHIN_ERROR
+    assert observed(null, early, Candidate(DELAY)).estimate is Interval.WITHIN_ERROR
 
 
 def test_two_that_explain_the_same_are_rivals_until_one_explains_more_beside_the_other(

@@ -9,7 +9,7 @@ from rotorid_torch.effects.registry import EFFECTS, registered
 from rotorid_torch.trace.evidence.fits import Fitted, refit
 from rotorid_torch.trace.search.requested import earned
 from rotorid_torch.trace.search.trajectories import Trajectories
-from rotorid_torch.trace.terms.finding import Finding
+from rotorid_torch.trace.terms.finding import EffectFinding
 from tests.effects.own_effects import OwnGain, OwnLag
 from tests.trace.hidden_flights import flights, started
 
@@ -27,7 +27,7 @@ def fitted(data: Dataset, *effects: str, **start: float) -> Fitted:
     return refit(null.spec.with_effects(*effects), known, values, near=null)
 
 
-def findings(data: Dataset, *effects: str, **start: float) -> dict[str, Finding]:
+def findings(data: Dataset, *effects: str, **start: float) -> dict[str, EffectFinding]:
     whole = fitted(data, *effects, **start)
     return {f.id: f for f in earned(Trajectories(whole.flights), whole, effects)}
 

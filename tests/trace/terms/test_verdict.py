@@ -9,17 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rotorid_torch.trace.terms.finding import Finding, Unknown, Verdict
+from rotorid_torch.trace.terms.finding import EffectFinding, Unknown, Verdict
 from rotorid_torch.trace.terms.verdict import statement
 
-DELAY = Finding("control.delay", "undeclared", "accepted", "", values={"control.delay.common": (0.06, 0.004)})
-GROUP = Finding(
+DELAY = EffectFinding("control.delay", "undeclared", "accepted", "", values={"control.delay.common": (0.06, 0.004)})
+GROUP = EffectFinding(
     "control.delay", "undeclared", "indistinguishable", "", group=("control.lag",), values={"x": (0.1, 0.01)}
 )
-MEMBER = Finding("control.lag", "undeclared", "indistinguishable", "", group=("control.delay",))
-LAG_MODE = Finding("rotor.lead_lag", "structure", "accepted", "")
-QUIET = Finding("forces.drag", "undeclared", "below floor", "", smallest_visible=(0.01, "1/m"))
-NETWORK = Finding("neural.forces", "learnt", "accepted", "")
+MEMBER = EffectFinding("control.lag", "undeclared", "indistinguishable", "", group=("control.delay",))
+LAG_MODE = EffectFinding("rotor.lead_lag", "structure", "accepted", "")
+QUIET = EffectFinding("forces.drag", "undeclared", "below floor", "", smallest_visible=(0.01, "1/m"))
+NETWORK = EffectFinding("neural.forces", "learnt", "accepted", "")
 MISSING = Unknown("L", (0.2, 2.0), "p", 6.0, "Something is missing in L.")
 
 
@@ -31,7 +31,9 @@ def test_an_accepted_effect_is_named_with_its_size():
 
 def test_of_many_sizes_the_surest_are_told():
     values = {f"control.delay.{c}": (0.005, 0.002) for c in ("lon", "lat", "col")}
-    late = Finding("control.delay", "undeclared", "accepted", "", values={**values, "control.delay.ped": (0.06, 0.002)})
+    late = EffectFinding(
+        "control.delay", "undeclared", "accepted", "", values={**values, "control.delay.ped": (0.06, 0.002)}
+    )
     assert "ped 0.06 ± 0.002" in statement([late], None).sentence
 
 
@@ -57,7 +59,7 @@ def test_structure_alone_is_nothing_undeclared():
 
 
 def test_what_the_nominal_model_has_from_the_start_joins_nothing():
-    inflow = Finding("rotor.inflow", "structure", "accepted", "", part="inflow")
+    inflow = EffectFinding("rotor.inflow", "structure", "accepted", "", part="inflow")
     assert statement([inflow, QUIET], None).kind == "nothing undeclared"
     assert statement([inflow, LAG_MODE], None).effects == ("rotor.lead_lag",)
 
@@ -76,9 +78,9 @@ def test_nothing_points_at_the_list_of_what_could_have_been_seen():
     failing=st.sampled_from(["on the validate flights the model is worse than holding trim", "x", "Üble Flüge"]),
 )
 def test_a_model_that_fails_is_said_to_fail_first_and_no_clean_bill_follows(
-    verdict: Verdict, chosen: list[Finding], unknown: Unknown | None, failing: str
+    verdict: Verdict, chosen: list[EffectFinding], unknown: Unknown | None, failing: str
 ):
-    findings = [*chosen, Finding("forces.drag", "undeclared", verdict, "")]
+    findings = [*chosen, EffectFinding("forces.drag", "undeclared", verdict, "")]
     without, told = statement(findings, unknown), statement(findings, unknown, failing)
     assert (told.kind, told.effects) == (without.kind, without.effects)
     assert told.sentence.startswith(f"{failing[0].upper()}{failing[1:]}. ")
@@ -96,12 +98,12 @@ def test_a_model_of_use_is_not_said_to_lack_anything():
 
 
 def test_a_network_that_stays_is_told_and_changes_no_verdict():
-    network = Finding("neural.forces", "learnt", "accepted", "")
+    network = EffectFinding("neural.forces", "learnt", "accepted", "")
     told, without = statement([QUIET, network], MISSING), statement([QUIET], MISSING)
     assert (told.kind, told.effects) == (without.kind, without.effects)
     assert told.sentence.startswith(without.sentence)
     assert "network" in told.sentence
-    assert statement([QUIET, Finding("neural.forces", "learnt", "rejected", "")], MISSING) == without
+    assert statement([QUIET, EffectFinding("neural.forces", "learnt", "rejected", "")], MISSING) == without
 
 
 def test_what_is_suspected_is_told_and_is_no_name():

@@ -14,7 +14,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves, tree_map
 
 from rotorid_torch.core.native.graph.operations import COMPARISONS, COMPOSITE, LOGICAL, OPERATIONS
-from rotorid_torch.core.native.graph.small_systems import LARGEST, Rows, determinant, inverse
+from rotorid_torch.core.native.graph.small_systems import LARGEST, Matrix, determinant, inverse
 from rotorid_torch.core.native.graph.symbols import Graph, Term
 from rotorid_torch.errors import Unsupported
 
@@ -258,7 +258,7 @@ class Scalars(TorchDispatchMode):
             raise Unsupported("a norm other than the Euclidean is not known to native code")
         return self._each("root", self._sum(self._each("mul", x, x), dims, keep))
 
-    def _matrices(self, matrix: Any) -> list[Rows]:
+    def _matrices(self, matrix: Any) -> list[Matrix]:
         """Square matrices [..., n, n] as terms."""
         ids = self.boxed(matrix).ids
         if ids.shape[-1] > LARGEST:

@@ -9,10 +9,10 @@ from rotorid_torch.core.native.graph.symbols import Term
 LARGEST = 3
 """Order up to which cofactors are no more work than elimination, and as accurate."""
 
-Rows = list[list[Term]]
+Matrix = list[list[Term]]
 
 
-def determinant(rows: Rows) -> Term:
+def determinant(rows: Matrix) -> Term:
     """By the first row's cofactors."""
     if len(rows) == 1:
         return rows[0][0]
@@ -20,7 +20,7 @@ def determinant(rows: Rows) -> Term:
     return functools.reduce(lambda a, b: a + b, parts)
 
 
-def inverse(rows: Rows) -> Rows:
+def inverse(rows: Matrix) -> Matrix:
     """By Cramer's rule."""
     n = len(rows)
     if n == 1:
@@ -29,5 +29,5 @@ def inverse(rows: Rows) -> Rows:
     return [[determinant(_without(rows, j, i)) * (-1.0) ** (i + j) / whole for j in range(n)] for i in range(n)]
 
 
-def _without(rows: Rows, i: int, j: int) -> Rows:
+def _without(rows: Matrix, i: int, j: int) -> Matrix:
     return [[t for k, t in enumerate(row) if k != j] for m, row in enumerate(rows) if m != i]
