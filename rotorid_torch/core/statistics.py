@@ -1,8 +1,9 @@
-"""Statistics: quantiles for few data, jackknife, autocorrelation, records without their straight lines."""
+"""Statistics: quantiles, means of values with errors, jackknife, autocorrelation, records without straight lines."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from statistics import NormalDist
 from typing import Literal, TypeVar
 
@@ -12,6 +13,7 @@ from scipy.special import ndtr, stdtrit
 from torch import Tensor
 
 Values = TypeVar("Values", Tensor, np.ndarray)
+Numbers = Sequence[float] | np.ndarray
 
 
 def normal_quantile(upper_tail: float) -> float:
@@ -33,6 +35,27 @@ def jackknife_variance(without_one: Values) -> Values:
     """
     count, moved = len(without_one), without_one - without_one.mean(0)
     return (moved * moved).sum(0) * ((count - 1) / count)  # pyright: ignore[reportReturnType]
+
+
+def weighted_mean(values: Numbers, errors: Numbers) -> tuple[float, float]:
+    """Mean of values (n,) with these standard errors (n,), each weighing by one over its square, and its own error."""
+    weights = np.asarray(errors, dtype=float) ** -2.0
+    return float(weights @ np.asarray(values) / weights.sum()), float(weights.sum() ** -0.5)
+
+
+def variance_between(values: Numbers, errors: Numbers) -> float:
+    """Variance by which values (n,) differ beyond their standard errors (n,); zero where fewer than two have one.
+
+    (Q - (n - 1)) / (W - sum w^2 / W), no less than zero; weights w = 1/error^2, W their sum, Q the weighted sum of
+    squares about their mean.
+
+    Source: DerSimonian and Laird (1986), Controlled Clinical Trials 7, eq. 8 (random effects by moments).
+    """
+    weights = np.asarray(errors, dtype=float) ** -2.0
+    away = np.asarray(values) - weighted_mean(values, errors)[0]
+    spare = weights.sum() - (weights**2).sum() / weights.sum()
+    excess = weights @ away**2 - (len(away) - 1)
+    return max(0.0, float(excess / spare)) if spare > 1e-9 * weights.sum() else 0.0
 
 
 def without_line(values: np.ndarray, along: np.ndarray | None = None) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Quantiles for few data against SciPy; autocorrelation against sums by NumPy, by hand and in closed form."""
+"""Quantiles against SciPy; means of values with errors, and autocorrelation, by NumPy, by hand, in closed form."""
 
 import math
 
@@ -8,7 +8,14 @@ import torch
 from scipy import stats
 from scipy.signal import lfilter
 
-from rotorid_torch.core.statistics import Share, autocorrelation, normal_quantile, student_quantile
+from rotorid_torch.core.statistics import (
+    Share,
+    autocorrelation,
+    normal_quantile,
+    student_quantile,
+    variance_between,
+    weighted_mean,
+)
 
 
 @pytest.mark.parametrize("tail", [0.3, 1e-2, 1e-4])
@@ -64,3 +71,18 @@ def test_white_records_stay_in_their_band():
     white = torch.randn(4000, 1, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
     inside = autocorrelation(white, 50).abs() < 1.96 / math.sqrt(4000)
     assert inside.double().mean().item() >= 0.88
+
+
+def test_a_weighted_mean_is_that_of_numpy_and_of_generalised_least_squares():
+    values, errors = np.array([1.0, 2.0, 4.0]), np.array([0.5, 1.0, 2.0])
+    mean, error = weighted_mean(values, errors)
+    assert mean == pytest.approx(np.average(values, weights=errors**-2.0))
+    assert error == pytest.approx(np.linalg.inv(np.ones((1, 3)) @ np.diag(errors**-2.0) @ np.ones((3, 1)))[0, 0] ** 0.5)
+
+
+def test_variance_between_is_what_equal_errors_leave():
+    values = np.array([0.0, 1.0, 5.0])
+    assert variance_between(values, [0.3] * 3) == pytest.approx(values.var(ddof=1) - 0.09)
+    assert variance_between(values, [9.0] * 3) == variance_between([2.0], [0.1]) == 0.0
+    rng, errors = np.random.default_rng(0), np.linspace(0.5, 2.0, 4000)
+    assert variance_between(rng.normal(1.0, np.hypot(errors, 0.7)), errors) == pytest.approx(0.49, rel=0.15)

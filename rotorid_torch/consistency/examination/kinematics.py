@@ -31,6 +31,7 @@ from rotorid_torch.consistency.pairs.late_controls import (
 from rotorid_torch.consistency.pairs.precedence import Following
 from rotorid_torch.consistency.pairs.sensor_pairs import REACH_S, Agreement, Pair, agreement
 from rotorid_torch.core import names
+from rotorid_torch.core.statistics import weighted_mean
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 
@@ -180,9 +181,9 @@ def _far_off(
     for unit in (unit for unit in CLOCKS.get(group, ()) if unit in by.clocks):
         sure = [a for a in forces if a.r2 > KNOWN]
         pairs = sure if unit == "accelerations" and sure else agreeing
-        weights = np.array([max(a.lag_se, 1e-3) ** -2.0 for a in pairs])
-        remaining_lag = float(weights @ [a.lag_s for a in pairs] / weights.sum()) if pairs else 0.0
-        error = float(weights.sum() ** -0.5) if pairs else EVERY_S / 2.0
+        remaining_lag, error = 0.0, EVERY_S / 2.0
+        if pairs:
+            remaining_lag, error = weighted_mean([a.lag_s for a in pairs], [max(a.lag_se, 1e-3) for a in pairs])
         forward = unit in ("attitude", "velocities") or pairs is sure
         seconds = by.clocks[unit] + (remaining_lag if forward else -remaining_lag)
         word = "late" if seconds > 0.0 else "early"
@@ -224,8 +225,7 @@ def time_base(agreeing: Sequence[Agreement]) -> tuple[float, float] | None:
     if len(agreeing) < 2 or min(a.r2 for a in agreeing) < 0.8:
         return None
     ratios, errors = np.array([a.scale for a in agreeing]), np.maximum([a.scale_se for a in agreeing], 0.005)
-    weights = errors**-2.0
-    mean, error = float(weights @ ratios / weights.sum()), float(weights.sum() ** -0.5)
+    mean, error = weighted_mean(ratios, errors)
     beyond = all((a.bounds[0] > 1.0 + SCALE) if mean > 1.0 else (a.bounds[1] < 1.0 - SCALE) for a in agreeing)
     alike = bool(np.all(np.abs(ratios - mean) < np.maximum(SURE * errors, 0.03)))
     return (mean, error) if mean > 0.0 and beyond and alike and abs(mean - 1.0) > SURE * error else None

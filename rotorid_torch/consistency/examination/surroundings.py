@@ -9,7 +9,7 @@ import numpy as np
 
 from rotorid_torch.consistency.equations import GRAVITY_RANGE
 from rotorid_torch.consistency.examination.finding import Finding, finding
-from rotorid_torch.consistency.pairs.sensor_pairs import Pair, jackknife_error, pieces, velocity_pairs
+from rotorid_torch.consistency.pairs.sensor_pairs import Pair, jackknife_error, minutes, velocity_pairs
 from rotorid_torch.consistency.smoothing import kernel
 from rotorid_torch.core.names import ATTITUDES, VELOCITIES
 from rotorid_torch.core.rigid import gravity_in_body, position_rates
@@ -89,7 +89,7 @@ def _gravity_moments(flight: Flight, pair: Pair) -> Iterator[tuple[float, float]
     missing = np.isnan(flight.stack(pair.channels).numpy()).any(axis=1).astype(float)
     fall = np.where(np.convolve(missing, np.ones(len(bell)), "valid") > 0.5, np.nan, fall)
     left = np.convolve(pair.left(flight), slope, "valid") - np.convolve(pair.right(flight), bell, "valid")
-    for first, last in pieces(len(left), flight.dt, 0):
+    for first, last in minutes(len(left), flight.dt, 0):
         x, y = fall[first:last], left[first:last]
         finite = np.isfinite(x) & np.isfinite(y)
         if finite.sum() > 20:
@@ -117,7 +117,7 @@ def _ground(flight: Flight) -> Iterator[Array]:
     """Per piece, rows of airspeed and velocity north, east, down (n, 4), once a second and where all are there."""
     airspeed, velocity, attitude = flight.stack(AIR)[:: max(1, round(1.0 / flight.dt))].split([1, 3, 3], dim=1)
     rows = np.concatenate([airspeed.numpy(), position_rates(velocity, attitude).numpy() * (1.0, 1.0, -1.0)], axis=1)
-    for first, last in pieces(len(rows), 1.0, 0):
+    for first, last in minutes(len(rows), 1.0, 0):
         part = rows[first:last]
         part = part[np.isfinite(part).all(axis=1)]
         if len(part) >= 5:

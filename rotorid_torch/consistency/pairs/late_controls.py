@@ -9,6 +9,7 @@ import numpy as np
 
 from rotorid_torch.consistency.pairs.precedence import Following, responses
 from rotorid_torch.consistency.pairs.sensor_pairs import Agreement, agreement, stick_pairs
+from rotorid_torch.core.statistics import weighted_mean
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 
@@ -110,6 +111,6 @@ def _commands_attitude(a: Agreement, flights: Sequence[Flight]) -> bool:
 
 
 def _mean(early: tuple[Agreement, ...]) -> LateControls:
-    weights = np.array([max(a.lag_se, SHARPEST_S) ** -2.0 for a in early])
-    mean = float(weights @ [-a.lag_s for a in early] / weights.sum())
-    return LateControls(mean, float(weights.sum() ** -0.5), sticks=early)
+    return LateControls(
+        *weighted_mean([-a.lag_s for a in early], [max(a.lag_se, SHARPEST_S) for a in early]), sticks=early
+    )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorid_torch.consistency.pairs.sensor_pairs import LAGS, REACH_S, STEP_S, jackknife_error, lag_of_top, pieces
+from rotorid_torch.consistency.pairs.sensor_pairs import LAGS, REACH_S, STEP_S, jackknife_error, lag_of_top, minutes
 from rotorid_torch.consistency.smoothing import kernel
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
@@ -80,7 +80,7 @@ def _moments(flight: Flight, channel: str, controls: tuple[str, ...], states: li
     places, count = np.arange(len(left)), len(controls)
     left, *rows = (np.interp(grid, places, row) for row in (left, *smoothed))
     moved, states_rows = np.array(rows[:count]), np.array(rows[count:]).reshape(len(states), len(grid))
-    for first, last in pieces(len(grid), STEP_S, LAGS // 2):
+    for first, last in minutes(len(grid), STEP_S, LAGS // 2):
         fixed = _centred(np.concatenate([left[None, first:last:EVERY], states_rows[:, first:last:EVERY]]))
         among = fixed @ fixed.T
         filtered = []

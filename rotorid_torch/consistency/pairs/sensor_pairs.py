@@ -156,7 +156,7 @@ def _sides(pair: Pair, flight: Flight) -> Iterator[tuple[str, Side]]:
     grid = np.arange(0.0, (len(left) - 1) * flight.dt, STEP_S) / flight.dt
     places = np.arange(len(left))
     left, right = np.interp(grid, places, left), np.interp(grid, places, right)
-    for first, last in pieces(len(grid), STEP_S, LAGS // 2):
+    for first, last in minutes(len(grid), STEP_S, LAGS // 2):
         part = left[first:last:2]
         if np.isfinite(part).sum() > 20:
             whole = last - first + LAGS == len(grid)
@@ -164,7 +164,7 @@ def _sides(pair: Pair, flight: Flight) -> Iterator[tuple[str, Side]]:
             yield where, Side(part, right[first - LAGS // 2 : last + LAGS // 2 + 1])
 
 
-def pieces(samples: int, dt: float, margin: int) -> Iterator[tuple[int, int]]:
+def minutes(samples: int, dt: float, margin: int) -> Iterator[tuple[int, int]]:
     """First and last + 1 sample of equal parts of a record, `margin` samples at both ends left out."""
     parts = max(1, round((samples - 2 * margin) * dt / PIECE_S))
     edges = np.linspace(margin, samples - margin, parts + 1).astype(int)

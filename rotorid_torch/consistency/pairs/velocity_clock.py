@@ -120,7 +120,7 @@ def _moments(dataset: Dataset, flight: Flight) -> Iterator[Array]:
         [np.interp(grid, places, np.convolve(x, k, "valid")) for x, k in zip(three, (slope, bell, bell), strict=True)]
         for three in _sides(dataset, flight)
     ]
-    for first, last in sensor_pairs.pieces(len(grid), STEP_S, LAGS // 2):
+    for first, last in sensor_pairs.minutes(len(grid), STEP_S, LAGS // 2):
         if sure[first:last].mean() > 0.5:
             yield np.array([_over_lags(axis, sure, first, last) for axis in rows])
 

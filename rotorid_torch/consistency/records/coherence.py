@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from rotorid_torch.consistency.pairs.sensor_pairs import pieces
+from rotorid_torch.consistency.pairs.sensor_pairs import minutes
 from rotorid_torch.core.statistics import without_line
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
@@ -76,7 +76,7 @@ def _lines(flight: Flight, channels: Sequence[str]) -> tuple[np.ndarray, np.ndar
     """Frequencies (n,) and Fourier lines (n, channels) of a flight's pieces, Hann-windowed and without trend."""
     values = flight.bridged(channels).nan_to_num(0.0).numpy()
     transforms, places = [], []
-    for first, last in pieces(flight.samples, flight.dt, 0):
+    for first, last in minutes(flight.samples, flight.dt, 0):
         part = without_line(values[first:last])
         hertz = np.fft.rfftfreq(len(part), flight.dt)
         keep = (hertz >= max(RANGE_HZ[0], 1.5 / (len(part) * flight.dt))) & (hertz < min(RANGE_HZ[1], 0.45 / flight.dt))

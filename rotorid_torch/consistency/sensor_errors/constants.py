@@ -11,7 +11,7 @@ import numpy as np
 from rotorid_torch.consistency.sensor_errors.normal_equations import Point
 from rotorid_torch.consistency.sensor_errors.sensor_finding import SensorParameter
 from rotorid_torch.core.names import unit
-from rotorid_torch.core.statistics import student_quantile
+from rotorid_torch.core.statistics import student_quantile, variance_between, weighted_mean
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.families.sensors import SensorBias
 
@@ -63,25 +63,18 @@ def constants(dataset: Dataset, point: Point, floor: float, least: Mapping[str, 
 
 
 def _of_flight(point: Point, flight: str, channel: str) -> tuple[float, float] | None:
-    """Value and variance of a channel's constant in a flight, pooled over its pieces."""
+    """Value and standard error of a channel's constant in a flight, pooled over its pieces."""
     parts = [p.constants[channel] for p in point.parts if p.flight == flight and channel in p.constants]
-    weights = np.array([1.0 / se**2 for _, se in parts if se > 0.0])
-    if not len(weights):
-        return None
-    return float(weights @ [value for value, se in parts if se > 0.0] / weights.sum()), float(1.0 / weights.sum())
+    sure = [(value, se) for value, se in parts if se > 0.0]
+    return weighted_mean(*zip(*sure, strict=True)) if sure else None
 
 
 def _pooled(
     dataset: Dataset, channel: str, each: Sequence[tuple[float, float]], floor: float, least: float
 ) -> Constant:
-    values, variances = np.array(each).T
-    count, weights = len(values), 1.0 / variances
-    mean = weights @ values / weights.sum()
-    scatter = weights @ (values - mean) ** 2
-    spare = weights.sum() - (weights**2).sum() / weights.sum()
-    between = max(0.0, (scatter - (count - 1)) / spare) if count > 1 else 0.0
-    weights = 1.0 / (variances + between)
-    value, se = float(weights @ values / weights.sum()), float(weights.sum() ** -0.5)
+    (values, errors), count = np.array(each).T, len(each)
+    between = variance_between(values, errors) ** 0.5
+    value, se = weighted_mean(values, np.hypot(errors, between))
     spec = dataset.channel_specs.get(channel)
     declared = spec.bias if spec is not None else None
     if declared == "none":
@@ -89,4 +82,4 @@ def _pooled(
     else:
         # the spread between flights is known from so many flights only
         quantile = student_quantile(math.sqrt(floor), count - 1) if count > 1 else math.inf
-    return Constant(channel, value, se, math.sqrt(between), quantile, least, declared == "free")
+    return Constant(channel, value, se, between, quantile, least, declared == "free")

@@ -12,6 +12,7 @@ from rotorid_torch.consistency.pairs.alignment import Alignment
 from rotorid_torch.consistency.sensor_errors import sensor_words
 from rotorid_torch.consistency.sensor_errors.normal_equations import Point, Search, limits
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES, Verdict
+from rotorid_torch.core.statistics import variance_between, weighted_mean
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.families.sensors import DAMPED, PERIOD, SMOOTHED
 
@@ -231,20 +232,15 @@ def _doubt(case: Case, point: Point, name: str) -> tuple[Verdict, str] | None:
 
 
 def spread(point: Point, name: str, held: Sequence[str]) -> float:
-    """Standard error of an error beside those held, the spread of its value between pieces included.
-
-    Source: DerSimonian and Laird, Controlled Clinical Trials 7 (1986), 177, for the spread.
-    """
+    """Standard error of an error beside those held, the spread of its value between pieces included."""
     joint = point.joining(name, held)[1]
     parts = [p for p in (point.joining(name, held, part) for part in point.parts) if p[1] > 0.0]
     if not parts or not joint:
         return float("inf")
-    values, weights = np.array(parts).T
-    total = weights.sum()
-    scatter = weights @ (values - weights @ values / total) ** 2 - (len(values) - 1)
-    spare = total - (weights**2).sum() / total
-    between = max(0.0, scatter / spare) if spare > 1e-9 * total else 0.0
-    return float(np.sqrt(max(1.0 / (1.0 / (1.0 / weights + between)).sum(), 1.0 / joint)))
+    values, information = np.array(parts).T
+    errors = information**-0.5
+    apart = np.hypot(errors, variance_between(values, errors) ** 0.5)
+    return max(weighted_mean(values, apart)[1], joint**-0.5)
 
 
 def _weigh_rivals(case: Case, point: Point) -> Point:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import msgspec
 
 from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.core.statistics import variance_between
 from rotorid_torch.trace.evidence.fits import Fitted, refit
 
 
@@ -26,28 +27,21 @@ class ByControl:
 
     @property
     def between(self) -> float:
-        """Standard deviation of the controls' own values beyond their errors; zero where no two have an error.
-
-        Source: DerSimonian and Laird (1986), Controlled Clinical Trials 7, eq. 8 (random effects by moments).
-        """
-        weights, total = self._weights, sum(self._weights)
-        if len(weights) < 2:
-            return 0.0
-        values = [v for v, _ in self.sizes.values()]
-        mean = sum(w * v for w, v in zip(weights, values, strict=True)) / total
-        excess = sum(w * (v - mean) ** 2 for w, v in zip(weights, values, strict=True)) - (len(values) - 1)
-        return math.sqrt(max(excess, 0.0) / (total - sum(w * w for w in weights) / total))
+        """Standard deviation of the controls' own values beyond their errors; zero where no two have an error."""
+        errors = self._errors
+        return math.sqrt(variance_between([v for v, _ in self.sizes.values()], errors)) if errors else 0.0
 
     @property
     def spread(self) -> float:
         """Standard error of a common value by the controls' differences, each weighing as much as it tells."""
-        return self.between * math.hypot(*self._weights) / max(sum(self._weights), 1e-300)
+        weights = [error**-2 for error in self._errors]
+        return self.between * math.hypot(*weights) / max(sum(weights), 1e-300)
 
     @property
-    def _weights(self) -> list[float]:
-        """One over the squares of the errors; a value at its bound, which has none, is known as well as the worst."""
+    def _errors(self) -> list[float]:
+        """Standard errors, empty for fewer than two; a value at its bound, which has none, is known as the worst."""
         finite = [e for _, e in self.sizes.values() if 0.0 < e < math.inf]
-        return [(e if e in finite else max(finite)) ** -2 for _, e in self.sizes.values()] if len(finite) > 1 else []
+        return [e if e in finite else max(finite) for _, e in self.sizes.values()] if len(finite) > 1 else []
 
     def __str__(self) -> str:
         """In words."""

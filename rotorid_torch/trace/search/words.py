@@ -93,7 +93,7 @@ def table_of_decisions() -> str:
 
 def _asked(name: str, value: object) -> str:
     """One observation in words."""
-    if isinstance(value, Estimate):
+    if isinstance(value, Interval):
         return {Interval.ACTIVE_BOUND: "a bound is active", Interval.WITHIN_ERROR: "the interval holds the null"}[value]
     return OBSERVED[name] if value else NOT_OBSERVED[name]
 
