@@ -1,95 +1,91 @@
-"""Scores of free runs as records: a known error gives known numbers. The model here replays the measurement."""
+"""Scores of free runs as records: a linear vehicle whose controls do a tenth too much gives known numbers."""
 
 from __future__ import annotations
 
 import dataclasses
-from types import SimpleNamespace
 
 import pytest
-import torch
-from torch import Tensor
 
+from rotorid_torch.core.names import STICKS
 from rotorid_torch.data import Dataset
-from rotorid_torch.report.records import FlightRecord
+from rotorid_torch.model.model import Model
 from rotorid_torch.run import fit_record
 from rotorid_torch.validate import windows
-from rotorid_torch.validate.free_run import Windows
-from tests.helpers import small_arrays
-
-OUTPUTS = ("v", "p", "phi", "az", "a1")
+from tests.known_models import flown, manoeuvres, rate_vehicle, with_values
 
 
 @pytest.fixture(scope="module")
 def data() -> Dataset:
-    channels = {name: {"noise": 0.001} for name in ("v", "p", "phi", "az")}
-    return Dataset.from_arrays(
-        small_arrays(), identify=["one"], validate=["two"], acid=["three"], vehicle={"mass": 1000.0}, channels=channels
-    )
+    """Flights of a linear vehicle: the same controls once, twice and three times as large; one lacks a channel."""
+    moves = manoeuvres(6.0, 0.02)["f_lat"]
+    sizes = {"one": 1.0, "two": 2.0, "three": 3.0}
+    lists = {"identify": ["one"], "validate": ["two"], "acid": ["three"]}
+    whole = flown(rate_vehicle(), {name: size * moves for name, size in sizes.items()}, lists=lists)
+    flights = {
+        name: {c: v.numpy() for c, v in flight.channels.items() if (name, c) != ("two", "r")}
+        for name, flight in whole.flights.items()
+    }
+    return Dataset.from_arrays(flights, **lists, controls={c: {"unit": "rad"} for c in STICKS})
 
 
-def judgement(data: Dataset, monkeypatch: pytest.MonkeyPatch) -> fit_record.Judged:
-    """Judgement of a model that is off by 0.1 of every channel's scale on the first flight, 0.2 and 0.3 on the next."""
-    off = {name: 0.1 * (k + 1) for k, name in enumerate(data.flights)}
+@pytest.fixture(scope="module")
+def model() -> Model:
+    """The same vehicle, its controls a tenth stronger: what it answers is a tenth too large, at every instant."""
+    true = rate_vehicle()
+    stronger = {n: 1.1 * value for n, value in true.named_values.items() if n.rpartition(".")[2] in STICKS}
+    return with_values(true, stronger)
 
-    def replayed(model: object, pieces: Windows, run: object) -> tuple[Tensor, Tensor]:
-        scale = torch.tensor([data.scales().get(name, 1.0) for name in OUTPUTS], dtype=torch.float64)
-        size = torch.tensor([off[name] for name in pieces.names], dtype=torch.float64)
-        return torch.zeros(0), pieces.measured + size[:, None, None] * scale
 
-    monkeypatch.setattr(windows, "free_run", replayed)
-    monkeypatch.setattr(fit_record.Runs, "of", lambda model: None)
-    body = SimpleNamespace(outputs=OUTPUTS, controls=("lat",))
-    model = SimpleNamespace(body=body, own_states=(), tape=lambda controls, dt: controls)
+@pytest.fixture(scope="module")
+def judged(model: Model, data: Dataset) -> fit_record.Judged:
     return fit_record.judge(model, data)
 
 
-@pytest.fixture
-def judged(data: Dataset, monkeypatch: pytest.MonkeyPatch) -> fit_record.Judged:
-    return judgement(data, monkeypatch)
-
-
-def test_a_known_error_gives_the_same_J_and_windows(judged: fit_record.Judged):
-    record: FlightRecord = judged.flights["three"]
+def test_a_known_error_gives_its_J_and_windows(judged: fit_record.Judged):
+    record = judged.flights["three"]
     assert record.list == "acid"
-    assert record.J == pytest.approx(0.3)
-    assert record.windows.median == pytest.approx(0.3)
+    assert record.J == pytest.approx(0.3, rel=1e-6)
+    assert record.windows.median == pytest.approx(0.3, rel=1e-6)
+    assert record.J_trim == pytest.approx(3.0, rel=1e-6)
     assert record.J_noise is not None
-    assert record.J_trim is not None
-    assert 0 < record.J_noise < record.J_trim
+    assert 0.0 < record.J_noise < 0.01
 
 
-def test_channels_are_those_of_the_flight_scored_or_not(judged: fit_record.Judged, data: Dataset):
-    record = judged.flights["one"]
-    assert set(record.channels) == {"v", "p", "phi", "az"}
-    assert record.channels["p"].rmse == pytest.approx(0.1 * data.scales()["p"])
-    assert record.channels["p"].theil_parts[0] == pytest.approx(1.0)
+def test_channels_are_those_of_the_flight(judged: fit_record.Judged, data: Dataset):
+    assert set(judged.flights["one"].channels) == {"p", "q", "r"}
+    assert set(judged.flights["two"].channels) == {"p", "q"}
+    p = judged.flights["one"].channels["p"]
+    assert p.rmse == pytest.approx(0.1 * data.scales()["p"], rel=1e-6)
+    bias, variance, covariance = p.theil_parts
+    assert bias + variance == pytest.approx(1.0)  # what is in proportion is no lack of correlation
+    assert covariance == pytest.approx(0.0, abs=1e-6)
 
 
 def test_lists_are_scored_by_their_own_flights(judged: fit_record.Judged):
     score = judged.scores
-    assert (score.identify, score.validate, score.acid) == tuple(pytest.approx(x) for x in (0.1, 0.2, 0.3))
+    assert (score.identify, score.validate, score.acid) == tuple(pytest.approx(x, rel=1e-6) for x in (0.1, 0.2, 0.3))
 
 
 def test_overlays_show_every_flight_from_its_start(judged: fit_record.Judged):
     shown = [(overlay.flight, overlay.list) for overlay in judged.overlays]
     assert shown == [("one", "identify"), ("two", "validate"), ("three", "acid")]
     assert judged.overlays[0].time[0] == 0.0
-    assert judged.overlays[0].common(OUTPUTS) == ["v", "p", "phi", "az"]
+    assert judged.overlays[1].common(("p", "q", "r")) == ["p", "q"]
 
 
 def test_flights_judged_in_groups_come_out_the_same(
-    judged: fit_record.Judged, data: Dataset, monkeypatch: pytest.MonkeyPatch
+    judged: fit_record.Judged, model: Model, data: Dataset, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(windows, "TOGETHER", 1)
-    apart = judgement(data, monkeypatch)
-    assert apart.flights == judged.flights
-    assert list(apart.flights) == list(data.flights)
+    apart = fit_record.judge(model, data)
     assert apart.scores == judged.scores
+    assert list(apart.flights) == list(data.flights)
+    assert apart.flights == judged.flights
 
 
-def test_of_many_flights_the_first_of_each_list_are_shown(data: Dataset, monkeypatch: pytest.MonkeyPatch):
+def test_of_many_flights_the_first_of_each_list_are_shown(model: Model, data: Dataset, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(fit_record, "SHOWN", 1)
     two = dataclasses.replace(data, identify=("one", "two"), validate=())
-    judged = judgement(two, monkeypatch)
+    judged = fit_record.judge(model, two)
     assert [overlay.flight for overlay in judged.overlays] == ["one", "three"]
     assert list(judged.flights) == ["one", "two", "three"]

@@ -156,7 +156,7 @@ class _Thinned:
 
 
 class Source(NamedTuple):
-    """A flight by its name, in its data set, as step 1 reconstructed it, and as it was measured before."""
+    """A flight by its name, in its data set and as step 1 reconstructed it; before : its signals at an effect."""
 
     dataset: Dataset
     reconstruction: Reconstruction
