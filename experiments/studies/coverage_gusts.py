@@ -23,7 +23,8 @@ from torch.utils.tensorboard import SummaryWriter
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from rotorid_torch.identification.estimate.output_error import ParameterEstimate, output_error
-from rotorid_torch.identification.filter_error.method import FilterError, filter_error
+from rotorid_torch.identification.filter_error.method import filter_error
+from rotorid_torch.identification.filter_error.result import FilterError
 from tests.identification.filter_error.gust_cases import (
     BIASES,
     LATERAL,

@@ -43,8 +43,6 @@ SEARCHES = 2
 """The spread of gusts where a flight begins follows from the search before."""
 WIDER = (4.0, 16.0, 64.0, 256.0)
 """Variances of outputs over the sensors' that are tried in turn until the filter follows the flights."""
-RATE = 25.0
-"""Hz: of what the filter sees, means over the records' samples; gusts that matter pass in a second or more."""
 FIRST, QUICK_FIRST, WHITE_FIRST = 0.4, 0.1, 1e-4
 """Spectral densities to start from: of gusts and their quick part, (m/s)2/s, of rates and flapping, per s."""
 
@@ -133,14 +131,13 @@ def find_gusts(
     ------
     Unsupported : the model cannot be compiled.
     """
-    seen = flights.averaged(_over(flights))
-    floor = torch.maximum(floor / _over(flights) ** 0.5, smallest_noise(seen)).square()
-    problem, held = _problem(model, names, doubtful, seen, floor.sqrt())
+    floor = torch.maximum(floor, smallest_noise(flights)).square()
+    problem, held = _problem(model, names, doubtful, flights, floor.sqrt())
     system = problem.system
     minimum, engine, x0 = _noises(problem, held, floor)
     psi = torch.cat([system.theta[:held], minimum.point.theta])
     engine = replace(engine, problem=_with_spread(problem, psi))
-    gusts, errors, inside = _smoothed(engine, psi, flights)
+    gusts, errors, inside = _smoothed(engine, psi)
     common = gusts.sum(dim=(0, 1)) / inside.sum()
     gusts = torch.where(inside, gusts - common, 0.0)
     seconds, before = float(flights.lengths.sum()) * flights.dt, len(system.names) - held - 3
@@ -153,9 +150,9 @@ def find_gusts(
 
 def follow(model: Model, names: Sequence[str], air: Air, flights: Records) -> Tensor:
     """Gusts [F, T, 3] of other flights, by the filter of the first; arguments as `find_gusts`."""
-    noise, seen = air.unknowns[-flights.outputs.shape[-1] :], flights.averaged(_over(flights))
-    problem, _ = _problem(model, names, air.doubtful, seen, noise.sqrt())
-    gusts, _, inside = _smoothed(_believing(problem, air.unknowns), air.unknowns, flights)
+    noise = air.unknowns[-flights.outputs.shape[-1] :]
+    problem, _ = _problem(model, names, air.doubtful, flights, noise.sqrt())
+    gusts, _, inside = _smoothed(_believing(problem, air.unknowns), air.unknowns)
     return torch.where(inside, gusts - air.common, 0.0)
 
 
@@ -164,9 +161,8 @@ def in_weather(model: Model, weather: Weather, flights: Records, floor: Tensor) 
 
     floor : [ny] sensor noise.
     """
-    seen = flights.averaged(_over(flights))
-    floor = torch.maximum(floor / _over(flights) ** 0.5, smallest_noise(seen)).square()
-    problem, _ = _problem(model, model.parameter_set.free, (), seen, floor.sqrt())
+    floor = torch.maximum(floor, smallest_noise(flights)).square()
+    problem, _ = _problem(model, model.parameter_set.free, (), flights, floor.sqrt())
     process, lengths = problem.process, torch.tensor(weather.length, dtype=torch.float64)
     densities = [weather.densities.get(process.names[i], WHITE_FIRST) for i in process.which]
     noise = torch.tensor([weather.noise.get(n, 0.0) for n in model.body.outputs], dtype=torch.float64)
@@ -174,8 +170,7 @@ def in_weather(model: Model, weather: Weather, flights: Records, floor: Tensor) 
     density = torch.tensor(densities, dtype=torch.float64)
     psi = torch.cat([problem.system.theta[:-3], weather.speed / lengths, density, noise])
     engine = _believing(problem, psi)
-    psi = _followed(engine, psi, noise, problem.records.states[:, 0])
-    gusts, _, inside = _smoothed(engine, psi, flights)
+    gusts, _, inside = _smoothed(engine, _followed(engine, psi, noise, problem.records.states[:, 0]))
     return torch.where(inside, gusts - gusts.sum(dim=(0, 1)) / inside.sum(), 0.0)
 
 
@@ -187,38 +182,27 @@ def histories(names: Sequence[str], flights: Records, gusts: Tensor) -> Historie
     }
 
 
-def _over(flights: Records) -> int:
-    """Samples of the records to one that the filter sees."""
-    return max(1, int(1.0 / (flights.dt * RATE) + 1e-6))
-
-
 def _believing(problem: FilterProblem, psi: Tensor) -> NativeFilter:
     """A filter without unknowns."""
     return NativeFilter.of(_with_spread(problem, psi), psi, len(psi))
 
 
-def _smoothed(engine: NativeFilter, psi: Tensor, flights: Records) -> tuple[Tensor, Tensor, Tensor]:
-    """Gusts and their standard errors [F, T, 3] at the samples of the flights, and where a flight is [F, T, 1]."""
+def _smoothed(engine: NativeFilter, psi: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Gusts and their standard errors [F, T, 3], and where a flight is [F, T, 1].
+
+    Where gusts begin so far apart that the filter loses the flights, with more noise of the outputs.
+    """
     problem = engine.problem
     x0 = problem.records.states[:, 0]
-    states, covariances = smoothed(problem, psi, x0, engine.filter(psi, x0))
+    run = engine.filter(psi, x0)
+    if not bool(run.cost.isfinite().all()):
+        psi = _followed(engine, psi, psi[-problem.noise.count :], x0)
+        run = engine.filter(psi, x0)
+    states, covariances = smoothed(problem, psi, x0, run)
     places = [problem.process.names.index(n) for n in GUSTS]
-    errors = covariances.diagonal(dim1=-2, dim2=-1)[..., places].clamp_min(0.0).sqrt()
-    inside = (torch.arange(flights.samples) < flights.lengths[:, None]).unsqueeze(-1)
-    each = (_at_samples(part, problem.records, flights) for part in (states[..., places], errors))
-    gusts, errors = (torch.where(inside, part, 0.0) for part in each)
-    return gusts, errors, inside
-
-
-def _at_samples(histories: Tensor, seen: Records, flights: Records) -> Tensor:
-    """Histories [F, ., n] over what the filter saw, linear in between, at the flights' samples [F, T, n]."""
-    late = seen.start - flights.start
-    place = (flights.dt * torch.arange(flights.samples, dtype=torch.float64) - late[:, None]) / seen.dt
-    place = torch.minimum(place.clamp_min(0.0), (seen.lengths - 1)[:, None].to(place))
-    before = torch.minimum(place.floor().to(torch.int64), (seen.lengths - 2).clamp_min(0)[:, None])
-    flight, share = torch.arange(len(histories))[:, None], (place - before).unsqueeze(-1)
-    after = (before + 1).clamp_max(histories.shape[1] - 1)
-    return torch.lerp(histories[flight, before], histories[flight, after], share)
+    inside = problem.segments.inside.unsqueeze(-1)
+    variances = covariances.diagonal(dim1=-2, dim2=-1)[..., places].clamp_min(0.0)
+    return torch.where(inside, states[..., places], 0.0), torch.where(inside, variances.sqrt(), 0.0), inside
 
 
 def _variances(engine: NativeFilter, psi: Tensor, x0: Tensor, model: Model, names: Sequence[str]) -> Tensor:

@@ -23,7 +23,7 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.errors import InputError, Unsupported
 from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
 from rotorid_torch.identification.estimate.progressive_fit import Estimate, Monitor, Settings, Start, fit
-from rotorid_torch.identification.estimate.segments import Records, averaged, records_from
+from rotorid_torch.identification.estimate.segments import Records, records_from
 from rotorid_torch.identification.estimate.system import System
 from rotorid_torch.identification.gusts import Air, fed_in, find_gusts, of_all, widened
 from rotorid_torch.identification.method_choice import GUSTY, sentence, velocities_colour
@@ -337,3 +337,9 @@ def _empty(one: Records, flights: int, samples: int) -> Records:
 def _biases(model: Model, reconstructed: ReconstructedFlight) -> Tensor:
     """Constants per flight that step 1 found on the sensors, [ny]; nuisance, so no score knows them."""
     return torch.tensor([reconstructed.biases.get(c, 0.0) for c in model.body.outputs], dtype=torch.float64)
+
+
+def averaged(record: Tensor, every: int) -> Tensor:
+    """Means over `every` samples of a record (T, ...), all channels alike; a missing sample counts for nothing."""
+    whole = len(record) // every * every
+    return record[:whole].unflatten(0, (-1, every)).nanmean(dim=1)

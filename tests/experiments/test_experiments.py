@@ -53,6 +53,12 @@ def test_coverage_of_single_steps_is_in_reach_of_95_percent(tmp_path: Path) -> N
     assert all(step["pooled"] > 0.8 for step in result.values())
 
 
+def test_a_textbooks_case_in_turbulence_is_within_its_errors(tmp_path: Path) -> None:
+    result = quick("studies/textbook_lateral", tmp_path)
+    assert result["converged"] == result["runs"] == 2
+    assert result["within 2.5 errors"] > 0.9
+
+
 @pytest.mark.slow
 def test_turbulence_and_what_no_method_mends(tmp_path: Path) -> None:
     ratio = quick("studies/identify_in_gusts", tmp_path)["J over calm"]

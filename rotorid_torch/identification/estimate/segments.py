@@ -54,17 +54,6 @@ class Records:
         lengths, every = (self.lengths - 1) * times + 1, self.spacing() * times
         return Records(self.dt / times, lengths, self.start, *parts, every, self.hold)
 
-    def averaged(self, over: int) -> Records:
-        """The same flights, every so many samples as their mean."""
-        if over == 1:
-            return self
-        controls, outputs, states = (
-            torch.stack([averaged(flight, over) for flight in record])
-            for record in (self.controls, self.outputs, self.states)
-        )
-        start, lengths = self.start + 0.5 * (over - 1) * self.dt, self.lengths // over
-        return Records(self.dt * over, lengths, start, controls, outputs, states, hold=self.hold)
-
     def pick(self, which: Tensor) -> Records:
         """Some of the flights."""
         lengths, start, every = self.lengths[which], self.start[which], self.spacing()[which]
@@ -92,12 +81,6 @@ class Records:
         first = self.controls[:1, :1].clone(), self.outputs[:1, :1].clone()
         one = torch.ones_like(self.lengths[:1]), self.start[:1].clone()
         return Records(self.dt, *one, *first, mean[None, None], hold=self.hold)
-
-
-def averaged(record: Tensor, every: int) -> Tensor:
-    """Means over `every` samples of a record (T, ...), all channels alike; a missing sample counts for nothing."""
-    whole = len(record) // every * every
-    return record[:whole].unflatten(0, (-1, every)).nanmean(dim=1)
 
 
 def _between(record: Tensor, times: int, hold: bool) -> Tensor:

@@ -90,17 +90,6 @@ def test_steps_that_are_short_enough_change_nothing() -> None:
     torch.testing.assert_close(three.model_error_ratio, one.model_error_ratio, rtol=1e-3, atol=0.0)
 
 
-def test_means_of_a_ramp_stand_at_their_mean_time() -> None:
-    times = [0.5 + 0.02 * np.arange(10), 2.0 + 0.02 * np.arange(7)]
-    ramps = [{"time": t, "controls": t[:, None], "outputs": 3.0 * t[:, None], "x0": np.zeros(1)} for t in times]
-    means = records_from(ramps).averaged(3)
-    assert means.dt == pytest.approx(0.06)
-    assert means.lengths.tolist() == [3, 2]
-    for k, at in enumerate(means.times()):
-        torch.testing.assert_close(means.controls[k, : len(at), 0], at)
-        torch.testing.assert_close(means.outputs[k, : len(at), 0], 3.0 * at)
-
-
 @pytest.mark.parametrize("intervals", [(0.02, 0.05), (0.04, 0.02)])
 def test_flights_may_have_several_sample_intervals(intervals: tuple[float, float]) -> None:
     flights = [loop_flight(20.0, dt, seed) for seed, dt in enumerate(intervals)]

@@ -10,7 +10,8 @@ from torch import Tensor, nn
 import rotorid_torch as rotorid
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.estimate.output_error import output_error
-from rotorid_torch.identification.filter_error.method import FilterError, filter_error
+from rotorid_torch.identification.filter_error.method import filter_error
+from rotorid_torch.identification.filter_error.result import FilterError
 from tests.identification.estimate.output_error_cases import (
     ROLL,
     SHORT_PERIOD,

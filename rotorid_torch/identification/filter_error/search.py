@@ -1,0 +1,144 @@
+"""How the maximum of the innovations' likelihood is looked for, from a start that follows the flights."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.gauss_newton import Minimum, Region, minimise
+from rotorid_torch.core.native.graph.tracing import Unsupported
+from rotorid_torch.errors import InputError
+from rotorid_torch.identification.estimate.own_models.steps import Stepped, in_steps
+from rotorid_torch.identification.estimate.progressive_fit import FINE, Monitor
+from rotorid_torch.identification.estimate.segments import Records
+from rotorid_torch.identification.filter_error.extended_kalman import Filtered, FilterProblem
+from rotorid_torch.identification.filter_error.held_gain import HeldEngine, Unknowns, alternated
+from rotorid_torch.identification.filter_error.innovations import (
+    FilterEngine,
+    FilterPlace,
+    InnovationLikelihood,
+    NativeFilter,
+    filter_engine,
+)
+from rotorid_torch.identification.filter_error.start import first
+
+LITTLE = 1e-3
+"""Part of the process noise with which a fit is tried again from where it ended."""
+LEAST_GAIN = 1e-2
+"""In the log-likelihood, for which another optimum is taken."""
+
+
+class Maximum(NamedTuple):
+    """Where a search ended."""
+
+    engine: FilterEngine
+    likelihood: InnovationLikelihood
+    minimum: Minimum[FilterPlace]
+
+
+@dataclass(frozen=True)
+class Search:
+    """How the maximum of the likelihood is looked for."""
+
+    problem: FilterProblem
+    floor: Tensor
+    free: bool
+    iterations: int
+    gain: str
+    engine: str | None
+    monitor: Monitor | None
+
+    def in_steps(self) -> Stepped[Maximum]:
+        """To the maximum, in steps that are short enough for the model."""
+        system = self.problem.system
+
+        def solve(records: Records, theta: Tensor) -> Maximum:
+            return replace(self, problem=replace(self.problem, records=records)).ended(theta)
+
+        def end(maximum: Maximum) -> tuple[Tensor, Tensor]:
+            place = maximum.minimum.point
+            return place.theta[: len(system.theta)], maximum.engine.filter(place.theta, place.x0).states
+
+        return in_steps(system, self.problem.records, solve, end)
+
+    def ended(self, theta: Tensor) -> Maximum:
+        """From where the filter follows the flights with parameters near theta, to the maximum."""
+        problem, system = self.problem, self.problem.system
+        theta, start = torch.clamp(theta, system.lower, system.upper), problem.records.states[:, 0]
+        beginning, psi, cost = first(self._engine(theta), theta, start.nan_to_num(0.0), self.floor, self.free)
+        if not math.isfinite(cost):
+            raise diverged(problem, beginning.filter(psi, start.nan_to_num(0.0)))
+        seek = self._alternating if isinstance(beginning, HeldEngine) else self._descending
+        return seek(beginning, psi, start.nan_to_num(0.0))  # pyright: ignore[reportArgumentType]
+
+    def _engine(self, theta: Tensor) -> FilterEngine:
+        ones = torch.ones(max(len(self.problem.process.names), len(self.floor)), dtype=torch.float64)
+        noises = self.problem.process.numbers(ones[: len(self.problem.process.names)])
+        psi = torch.cat([theta, noises, self.problem.noise.numbers(ones[: len(self.floor)])])
+        if self.gain == "exact" or not self.problem.process.count + self.problem.noise.count:
+            return filter_engine(self.problem, psi, self.engine)
+        try:
+            return HeldEngine(NativeFilter.of(self.problem, psi, held=len(theta)))
+        except Unsupported as error:
+            raise InputError("arguments", "gain", f"the model cannot be compiled: {error}", '"exact"') from error
+
+    @property
+    def _region(self) -> Region:
+        system, problem = self.problem.system, self.problem
+        nothing = torch.zeros(len(problem.process.names), dtype=torch.float64)
+        noises = [problem.process.lower(nothing), problem.noise.lower(self.floor.square())]
+        lower = torch.cat([system.lower, *noises])
+        more = torch.full((len(lower) - len(system.upper),), math.inf, dtype=torch.float64)
+        return Region(lower, torch.cat([system.upper, more]))
+
+    def _watch(self, iteration: int, cost: float, psi: Tensor) -> None:
+        if self.monitor is not None:
+            self.monitor(iteration, cost, psi[: len(self.problem.system.theta)])
+
+    def _descending(self, engine: FilterEngine, psi: Tensor, x0: Tensor) -> Maximum:
+        """Gauss-Newton on all unknowns, and once more from hardly any process noise."""
+        likelihood = InnovationLikelihood(engine, x0, self.free)
+        options = replace(FINE, max_iterations=self.iterations)
+        descend = lambda start: minimise(  # noqa: E731
+            likelihood.evaluate, likelihood.linearise, start, self._region, options, self._watch
+        )
+        best = descend(psi)
+        calmer = likelihood.at(_with_less(self.problem, best.point.theta), best.point.x0)
+        if self.problem.process.count and math.isfinite(calmer.cost):
+            other = descend(calmer)
+            best = other if other.point.cost < best.point.cost - LEAST_GAIN else best
+        return Maximum(engine, likelihood, best)
+
+    def _alternating(self, engine: HeldEngine, psi: Tensor, x0: Tensor) -> Maximum:
+        """Noises and parameters in turn, gains held while parameters move."""
+        rounds = max(1, self.iterations)
+        held = alternated(engine.filtering, Unknowns(psi, x0, self.free), self._region, rounds, self._watch)
+        likelihood = InnovationLikelihood(engine, held.x0, self.free)
+        place = likelihood.evaluate(held.psi)
+        said = "converged: the likelihood stands still" if held.converged else f"stopped after {rounds} rounds"
+        linear = likelihood.linearise(place)
+        ended = held.at_bound, held.blind, held.converged, said, len(held.history) - 1, held.history
+        return Maximum(engine, likelihood, Minimum(place, linear, *ended))
+
+
+def _with_less(problem: FilterProblem, psi: Tensor) -> Tensor:
+    """Unknowns with hardly any process noise: an unstable vehicle's likelihood may have a second optimum there."""
+    first, psi = len(problem.system.theta), psi.clone()
+    psi[first : first + len(problem.process.which) * (problem.process.count > 0)] *= LITTLE
+    return psi
+
+
+def diverged(problem: FilterProblem, run: Filtered) -> InputError:
+    """Where a filter that diverged did so, and with which state."""
+    expected = "parameters, x0 and process noise from which the filter follows the flight"
+    if run.lost is None:
+        return InputError("flights", "filter", "the innovations' covariance is not positive definite", expected)
+    flight, sample, state = run.lost
+    time = float(problem.records.start[flight]) + sample * problem.records.dt
+    return InputError(
+        f"flights[{flight}]", problem.process.names[state], f"the filter diverges at {time:.4g} s", expected
+    )
