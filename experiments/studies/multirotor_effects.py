@@ -6,9 +6,11 @@ named, and nothing else is named that the vehicle does not have (wind and gusts 
 Lines that the record holds for this version of the package are not run again.
 
     python multirotor_effects.py --clean 40 --draws 5 [--effects propulsion.motor_lag ...] [--size 1.0]
+    python multirotor_effects.py --balance --draws 10 --effects propulsion.unequal --seconds 8
     python multirotor_effects.py --table
 
-A case takes 1 to 4 minutes of a processor; `--quick` flies one clean vehicle in few short flights.
+A case takes 1 to 4 minutes of a processor, 4 s where the balance of thrusts alone is judged; `--quick` flies one clean
+vehicle in few short flights.
 """
 
 from __future__ import annotations
@@ -25,9 +27,16 @@ from pathlib import Path
 import tyro
 from recorded.lines import append_line, failure, read_lines, version
 
+from rotorid_torch.data import Dataset
+from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
+from rotorid_torch.identification.structure import propose
 from rotorid_torch.run.close_loop import close_loop
 from rotorid_torch.simulation import fly
 from rotorid_torch.simulation.multirotor.hidden import HIDDEN
+from rotorid_torch.trace.balance import out_of_balance
+from rotorid_torch.trace.evidence.fits import Flights
+from rotorid_torch.trace.measured.fitted import FittedAtStates
+from rotorid_torch.trace.terms.verdict import statement
 
 ROOT = Path(__file__).parents[2]
 
@@ -50,6 +59,8 @@ class Args:
     """Number of the first vehicle."""
     quick: bool = False
     """One clean vehicle in two short flights."""
+    balance: bool = False
+    """Judge the balance of thrusts alone."""
     table: bool = False
     """Run nothing; print how many cases ended how."""
     record: Path = ROOT / "experiments" / "studies" / "records" / "multirotor.jsonl"
@@ -65,11 +76,14 @@ class Case:
     size: float
     seconds: float
     flights: tuple[str, ...]
+    balance: bool = False
 
     @property
     def name(self) -> str:
         """Of the case in the record."""
-        return f"{version()}/multirotor-{self.number}/{self.effect or 'clean'}x{self.size:g}/{self.seconds:g}s"
+        judged = "/balance" if self.balance else ""
+        hidden = f"{self.effect or 'clean'}x{self.size:g}"
+        return f"{version()}/multirotor-{self.number}/{hidden}/{self.seconds:g}s{judged}"
 
 
 def cases(args: Args) -> Iterator[Case]:
@@ -78,11 +92,11 @@ def cases(args: Args) -> Iterator[Case]:
         yield Case(2, "", 0.0, 3.0, ("thrust_p", "roll_p", "pitch_p", "mixed_n", "random_a"))
         return
     for number in range(args.first, args.first + args.clean):
-        yield Case(number, "", 0.0, args.seconds, ("all",))
+        yield Case(number, "", 0.0, args.seconds, ("all",), args.balance)
     for number in range(args.first, args.first + args.draws):
         for effect in args.effects:
             flights = tuple(filter(None, ("all", HIDDEN[effect].flights)))
-            yield Case(number, effect, args.size, args.seconds, flights)
+            yield Case(number, effect, args.size, args.seconds, flights, args.balance)
 
 
 def run_case(case: Case) -> dict:
@@ -93,15 +107,34 @@ def run_case(case: Case) -> dict:
     line: dict = {"case": case.name, "vehicle": vehicle, "hidden": case.effect, "size": case.size}
     before = time.process_time()
     try:
-        with tempfile.TemporaryDirectory(prefix="rotorid-multirotor-") as folder:
-            close_loop(flown.dataset(), out=Path(folder) / "run")
-            report = json.loads((Path(folder) / "run" / "report.json").read_text(encoding="utf-8"))
+        report = balance_report(flown.dataset()) if case.balance else loop_report(flown.dataset())
     except Exception as error:  # a study goes on; the line tells
         return line | failure(error)
     verdict = report["verdict"]
     line |= {"kind": verdict["kind"], "named": verdict["effects"], "outcome": outcome(case, verdict)}
     line |= {"sizes": sizes(report, verdict["effects"]), "unknown": (report["unknown"] or {}).get("where")}
     return line | {"cpu_s": round(time.process_time() - before, 1)}
+
+
+def loop_report(dataset: Dataset) -> dict:
+    """What the closed loop reports."""
+    with tempfile.TemporaryDirectory(prefix="rotorid-multirotor-") as folder:
+        close_loop(dataset, out=Path(folder) / "run")
+        return json.loads((Path(folder) / "run" / "report.json").read_text(encoding="utf-8"))
+
+
+def balance_report(dataset: Dataset) -> dict:
+    """Of the balance of thrusts alone, by the model that the loop begins with, in the form of a report."""
+    reconstruction = reconstruct(dataset)
+    fitted = FittedAtStates.of(propose(dataset, reconstruction, ()), Flights(dataset, reconstruction))
+    finding, missing = out_of_balance(fitted.model, fitted.spec, dataset, dataset.unseen)
+    findings = [] if finding is None else [finding]
+    said = statement(findings, missing)
+    effects = [
+        {"id": f.id, "parameters": [dict(name=n, value=v, se=e) for n, (v, e) in f.values.items()]} for f in findings
+    ]
+    unknown = None if missing is None else {"where": missing.where}
+    return {"verdict": {"kind": said.kind, "effects": list(said.effects)}, "effects": effects, "unknown": unknown}
 
 
 def outcome(case: Case, verdict: dict) -> str:
