@@ -58,6 +58,12 @@ def variance_between(values: Numbers, errors: Numbers) -> float:
     return max(0.0, float(excess / spare)) if spare > 1e-9 * weights.sum() else 0.0
 
 
+def stretches(true: np.ndarray) -> list[tuple[int, int]]:
+    """First and last + 1 sample of each stretch of a record (T,) that is true throughout, in order."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], true, [False]]).astype(np.int8)))
+    return [(int(first), int(last)) for first, last in edges.reshape(-1, 2)]
+
+
 def without_line(values: np.ndarray, along: np.ndarray | None = None) -> np.ndarray:
     """Columns (T, n) without their straight lines of least squares over the samples, or along other places (T,)."""
     place = np.linspace(-1.0, 1.0, len(values)) if along is None else along - along[0]

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from rotorid_torch.core import names
+from rotorid_torch.core.statistics import stretches
 
 SLOW_S, QUICK_S = 4.0, 0.1
 """A control is active where its mean over QUICK_S leaves that over SLOW_S, which is the trim that drifts along."""
@@ -54,7 +55,7 @@ def cut(arrays: Mapping[str, np.ndarray], dt: float) -> list[Manoeuvre]:
     judged |= {name: activity(arrays[name], dt) for name in judges if name not in activities}
     size = {name: float(np.quantile(values, 0.95)) or 1.0 for name, values in judged.items()}
     before, after = round(BEFORE_S / dt), round(AFTER_S / dt)
-    spans = _merged(_runs(active), before, after, len(active))
+    spans = _merged(stretches(active), before, after, len(active))
     pieces = (part for span in spans for part in _parts(*span, round(LONGEST_S / dt)))
     kinds = {name: values / size[name] for name, values in judged.items()}
     return [Manoeuvre(a, b, _kind(kinds, a, b)) for a, b in pieces if (b - a) * dt >= SHORTEST_S]
@@ -76,11 +77,6 @@ def _mean(values: np.ndarray, width: int) -> np.ndarray:
     at = np.arange(len(values))
     low, high = np.maximum(at - half, 0), np.minimum(at + half + 1, len(values))
     return (total[high] - total[low]) / (high - low)
-
-
-def _runs(active: np.ndarray) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], active, [False]]).astype(np.int8)))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
 def _merged(runs: Sequence[tuple[int, int]], before: int, after: int, end: int) -> list[tuple[int, int]]:

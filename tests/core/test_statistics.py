@@ -5,6 +5,9 @@ import math
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from scipy import stats
 from scipy.signal import lfilter
 
@@ -12,6 +15,7 @@ from rotorid_torch.core.statistics import (
     Share,
     autocorrelation,
     normal_quantile,
+    stretches,
     student_quantile,
     variance_between,
     weighted_mean,
@@ -86,3 +90,14 @@ def test_variance_between_is_what_equal_errors_leave():
     assert variance_between(values, [9.0] * 3) == variance_between([2.0], [0.1]) == 0.0
     rng, errors = np.random.default_rng(0), np.linspace(0.5, 2.0, 4000)
     assert variance_between(rng.normal(1.0, np.hypot(errors, 0.7)), errors) == pytest.approx(0.49, rel=0.15)
+
+
+@given(arrays(bool, st.integers(0, 30)))
+def test_stretches_are_what_is_true_and_nothing_else(true: np.ndarray):
+    found = np.zeros(len(true), dtype=bool)
+    for first, last in stretches(true):
+        assert first < last
+        assert first == 0 or not true[first - 1]
+        assert last == len(true) or not true[last]
+        found[first:last] = True
+    assert (found == true).all()

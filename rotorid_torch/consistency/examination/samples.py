@@ -10,6 +10,7 @@ import numpy as np
 from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
 from rotorid_torch.consistency.records.stamps import clocks
 from rotorid_torch.core import names
+from rotorid_torch.core.statistics import stretches
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.reading.spikes import running_median
 
@@ -151,13 +152,8 @@ def examine(values: np.ndarray, dt: float) -> Samples:
     return Samples(float(same.mean()), _beyond_steps(x, same) * dt, edge, _alone(x), changes / (len(x) * dt))
 
 
-def _runs(true: np.ndarray) -> np.ndarray:
-    """First and last + 1 (n, 2) of each run of what is true."""
-    return np.flatnonzero(np.diff(np.concatenate([[0], true.astype(np.int8), [0]]))).reshape(-1, 2)
-
-
 def _longest(true: np.ndarray) -> int:
-    return int(np.diff(_runs(true)).max(initial=0))
+    return max((last - first for first, last in stretches(true)), default=0)
 
 
 def _beyond_steps(x: np.ndarray, true: np.ndarray) -> int:
@@ -170,7 +166,7 @@ def _beyond_steps(x: np.ndarray, true: np.ndarray) -> int:
     after = len(true) - len(moved)  # a run of samples is left by the change before its end
     beyond = [
         b - a
-        for a, b in _runs(true)
+        for a, b in stretches(true)
         if max(moved[a - 1] if a else 0.0, moved[b - after] if b - after < len(moved) else 0.0) > least
     ]
     return int(max(beyond, default=0))

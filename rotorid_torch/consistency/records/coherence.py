@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from rotorid_torch.consistency.pairs.sensor_pairs import minutes
-from rotorid_torch.core.statistics import without_line
+from rotorid_torch.core.statistics import stretches, without_line
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 
@@ -100,9 +100,8 @@ def _band(values: np.ndarray, edges_hz: np.ndarray) -> tuple[float, float] | Non
     good = values >= USABLE
     bridged = good.copy()
     bridged[1:-1] |= good[:-2] & good[2:]
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], bridged.astype(int), [0]])))
-    runs = edges.reshape(-1, 2)
-    if not len(runs):
+    runs = stretches(bridged)
+    if not runs:
         return None
-    first, last = max(runs.tolist(), key=lambda run: run[1] - run[0])
+    first, last = max(runs, key=lambda run: run[1] - run[0])
     return float(edges_hz[first]), float(edges_hz[last])

@@ -10,6 +10,7 @@ import numpy as np
 
 from rotorid_torch.consistency.equations import EQUATIONS, undoing, unit_of, usable
 from rotorid_torch.consistency.smoothing import advanced
+from rotorid_torch.core.statistics import stretches
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 
@@ -134,12 +135,11 @@ def _missing(flight: Flight, channels: tuple[str, ...]) -> Array:
 
 def _whole(missing: Array, bridged: int) -> Iterator[tuple[int, int]]:
     """First and last + 1 of the stretches between gaps longer than `bridged` samples."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], missing.astype(int), [0]])))
     start = 0
-    for begin, end in edges.reshape(-1, 2):
+    for begin, end in stretches(missing):
         if end - begin > bridged or begin == 0 or end == len(missing):
-            yield start, int(begin)
-            start = int(end)
+            yield start, begin
+            start = end
     yield start, len(missing)
 
 

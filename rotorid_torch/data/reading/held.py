@@ -5,11 +5,10 @@ So are rows filled after a radio stopped, or across a gap. They are taken as mis
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from rotorid_torch.core import names
+from rotorid_torch.core.statistics import stretches
 from rotorid_torch.data.reading.read import Arrays
 
 LEAST_S, LEAST = 0.5, 20
@@ -35,7 +34,7 @@ def without_held(arrays: Arrays) -> tuple[Arrays, list[str]]:
         return arrays, []
     together = np.sum([*runs.values()], axis=0) >= AT_ONCE
     result, sentences = dict(arrays), list[str]()
-    for first, last in _stretches(together, least):
+    for first, last in _long(together, least):
         inside = [channel for channel, held in runs.items() if held[first:last].mean() > 0.5]
         for channel in inside:
             result[channel] = np.where(runs[channel] & _between(len(time), first, last), np.nan, result[channel])
@@ -63,13 +62,12 @@ def _cubic(values: np.ndarray, least: int) -> np.ndarray:
     rounded = ROUNDED * float(np.nanmax(np.abs(values))) if len(finite) else 0.0
     if not len(finite) or float(np.median(finite)) <= ROUGH * rounded:
         return none
-    for first, last in _stretches(away <= rounded, least - ORDER):
+    for first, last in _long(away <= rounded, least - ORDER):
         if first > 0:
             none[first + 1 : last + ORDER] = True
     return none
 
 
-def _stretches(true: np.ndarray, least: int) -> Iterator[tuple[int, int]]:
-    """First and last + 1 of each stretch (T,) that is true for so many samples at least."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], true.astype(np.int8), [0]])))
-    yield from ((a, b) for a, b in edges.reshape(-1, 2).tolist() if b - a >= least)
+def _long(true: np.ndarray, least: int) -> list[tuple[int, int]]:
+    """Stretches of a record (T,) that are true for so many samples at least."""
+    return [(first, last) for first, last in stretches(true) if last - first >= least]
