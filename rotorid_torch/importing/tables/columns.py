@@ -13,7 +13,7 @@ from rotorid_torch.core import names
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing.signals import units
 from rotorid_torch.importing.signals.mapping import Clock, Entry, measures
-from rotorid_torch.importing.signals.plan import Plan
+from rotorid_torch.importing.signals.plan import QUATERNION, Plan
 from rotorid_torch.importing.signals.streams import TOLD, Log, Stream, header_name, joined
 
 CLOCKS = {
@@ -25,6 +25,8 @@ CLOCKS = {
 """Columns taken for the clock where no map names one, in small letters."""
 DATA = ("Data", "data", "values", "Values")
 """Column of a topic that holds one channel, named as the topic is: a time series of MATLAB's."""
+WHOLE = (QUATERNION, ("vn", "ve", "vd"))
+"""What becomes channels where all of it is there."""
 USUAL_S = (1e-5, 2.0)
 """Shortest and longest usual interval of a record; beyond them the clock has another unit."""
 
@@ -106,7 +108,7 @@ def own_plan(log: Log) -> Plan:
     entries = own_entries(log.fields)
     used = {entry.field for entry in entries.values()}
     listed = [joined(t, c) for t, columns in log.fields.items() for c in columns if not is_clock(t, c, None)]
-    left = [place for place in listed if place not in used]
+    left = [place for place in listed if place not in used and place]
     more = f" and {len(left) - TOLD} more" if len(left) > TOLD else ""
     notes = [f"left out, for no channel has such a name and unit: {', '.join(left[:TOLD])}{more}"] if left else []
     if "latitude" in entries:
@@ -118,14 +120,21 @@ def own_plan(log: Log) -> Plan:
 def own_entries(fields: Mapping[str, Sequence[str]]) -> dict[str, Entry]:
     """Map of a table whose columns are named as our channels are: `p`, `p [deg/s]`, `p_deg`, or all in capitals.
 
-    `lat` and `lon` beside motors, and without the controls of a helicopter, are a place on the globe.
+    `lat` and `lon` beside motors, and without the controls of a helicopter, are a place on the globe. Quaternions and
+    velocities north, east and down are taken whole. Where there is a `motor0`, motors are counted from 0.
     """
     entries: dict[str, Entry] = {}
     for topic, columns in fields.items():
+        bare = {header_name(column)[0] for column in columns}
+        whole = {name for some in WHOLE for name in some if bare.issuperset(some)}
+        zero = {kind for kind in ("motor", "omega") if f"{kind}0" in bare}
         capitals = all(header_name(column)[0].isupper() for column in columns)
         for column in columns:
             name, unit = _channel(topic, column, capitals)
-            if names.channel(name) is not None and name != "time" and name not in entries:
+            if name[:5] in zero and name[5:].isdigit():
+                name = f"{name[:5]}{int(name[5:]) + 1}"
+            usable = name in whole or (names.channel(name) is not None and name != "time")
+            if usable and name not in entries:
                 entries[name] = Entry(joined(topic, column), unit)
     if {"lat", "lon"} <= entries.keys() and any(map(names.is_motor, entries)) and not {"col", "ped"} & entries.keys():
         for stick, name in (("lat", "latitude"), ("lon", "longitude")):

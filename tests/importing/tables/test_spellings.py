@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import rotorid_torch as rotorid
+from tests.importing.log_writers import quaternion
 from tests.importing.tables.test_columns import KNOWN, TIME, channels, near
 
 ANGULAR = ("p", "q", "r", "phi", "theta", "psi")
@@ -89,6 +90,29 @@ def test_latitude_and_longitude_are_no_sticks(tmp_path: Path):
     assert {"north", "east"} <= found.keys()
     assert found.keys().isdisjoint(("lat", "lon"))
     assert found["north"][-1] - found["north"][0] == pytest.approx(110_574.0 * 1e-5 * TIME[-1], rel=0.01)
+
+
+def test_motors_and_speeds_that_are_counted_from_zero(tmp_path: Path):
+    columns = {n: v for n, v in plain().items() if not n.startswith("motor")}
+    columns |= {f"motor{i}": KNOWN[f"motor{i + 1}"] for i in range(4)}
+    columns |= {f"omega{i} [rpm]": 6000.0 * KNOWN[f"motor{i + 1}"] for i in range(4)}
+    (tmp_path / "t.csv").write_text(text(columns))
+    found = channels(tmp_path / "t.csv", tmp_path)
+    assert near(found, 1e-4, " ".join(MOTORS))
+    assert np.abs(found["omega4"] - 200.0 * np.pi * KNOWN["motor4"])[2:-2].max() < 0.1
+    assert "motor0" not in found
+
+
+def test_quaternions_and_velocities_to_north_need_no_map(tmp_path: Path):
+    turned = quaternion(KNOWN["phi"], KNOWN["theta"], KNOWN["psi"])
+    columns = {n: v for n, v in plain().items() if n not in ("phi", "theta", "psi")}
+    columns |= {f"q{i}": turned[i] for i in range(4)} | {n: KNOWN[n] for n in ("vn", "ve", "vd")}
+    (tmp_path / "t.csv").write_text(text(columns))
+    found = channels(tmp_path / "t.csv", tmp_path)
+    assert near(found, 1e-4, "phi theta psi")
+    speed = np.sqrt(sum(KNOWN[n] ** 2 for n in ("vn", "ve", "vd")))
+    assert np.abs(np.sqrt(sum(found[n] ** 2 for n in "uvw")) - speed)[2:-2].max() < 1e-3
+    assert found["w"].mean() != pytest.approx(0.0, abs=1e-6)
 
 
 # blackbox
