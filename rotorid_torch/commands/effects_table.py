@@ -51,7 +51,7 @@ def effects_table(rows: Iterable[EffectRow]) -> Table:
     """The rows for people."""
     table = Table("id", "role, stage", "shows in", "what", "parameters", show_lines=True)
     for row in rows:
-        parameters = _told(row.parameters)
+        parameters = _described(row.parameters)
         table.add_row(row.id, f"{row.role}, {row.stage}", row.showing, row.what.partition(": ")[0], parameters)
     return table
 
@@ -61,7 +61,7 @@ def _parameters(effect: type[Effect]) -> tuple[ParameterRow, ...]:
     return tuple(ParameterRow(p.name, p.unit, p.value, p.bounds, p.typical, p.free, p.doc) for p in declared)
 
 
-def _told(parameters: Sequence[ParameterRow]) -> str:
+def _described(parameters: Sequence[ParameterRow]) -> str:
     """Names and units, the free ones first."""
     ordered = sorted(parameters, key=lambda p: not p.free)
     shown = ", ".join(f"{p.name} ({p.unit})" for p in ordered[:SHOWN])

@@ -96,7 +96,7 @@ def air_of(fit: FitRecord) -> str:
     each = [
         f"{g.axis} {size(g.intensity, g.intensity_se)} m/s, length {size(g.length, g.length_se)} m" for g in fit.gusts
     ]
-    found = f"gusts in the identify flights: {'; '.join(each)}{_common(fit)}"
+    said = f"gusts in the identify flights: {'; '.join(each)}{_common(fit)}"
     lists = {name: [f for f in fit.flights.values() if f.list == name and f.J_gust is not None] for name in LISTS}
     scored = [
         f"{name} {_text(_rms(f.J_gust for f in flights))} and {_text(_rms(f.J_fed for f in flights))}"
@@ -104,9 +104,9 @@ def air_of(fit: FitRecord) -> str:
         if flights
     ]
     if not scored:
-        return found
+        return said
     return (
-        f"{found}. Free runs know nothing of them: J of what gusts alone would do, and J with the gusts fed in that a"
+        f"{said}. Free runs know nothing of them: J of what gusts alone would do, and J with the gusts fed in that a"
         f" smoother finds in the same flights, by which the model is judged: {', '.join(scored)}"
     )
 

@@ -194,7 +194,7 @@ def write_check(out: Path, dataset: Dataset, result: Check, seed: int, monitor: 
     grave = [one for one in result.findings if one.severity in ("error", "warning")]
     with run_folder(out, "check") as folder, monitor.recording(folder):
         for one in result.findings:
-            monitor.log(f"{one.severity}: {_told(one)}")
+            monitor.log(f"{one.severity}: {_line(one)}")
         drawn = draw_check(dataset) if examinable(dataset) else {}
         pictures = {name: png(figure) for name, figure in drawn.items()}
         (folder / "figures").mkdir(exist_ok=True)
@@ -209,7 +209,7 @@ def write_check(out: Path, dataset: Dataset, result: Check, seed: int, monitor: 
             time_s=monitor.time_record(),
             peak_memory_mb=peak_memory_mb(),
             before=None,
-            warnings=(f"{GRADED}{result.sentence}", *(_told(one) for one in grave)),
+            warnings=(f"{GRADED}{result.sentence}", *(_line(one) for one in grave)),
         )
         head = {"format": 1, "rotorid": __version__, "sha256": dataset.sha256}
         whole = msgspec.json.encode(head | msgspec.to_builtins(result))
@@ -222,6 +222,6 @@ def _where(one: Finding) -> str:
     return " ".join(part for part in (one.flight, one.channel) if part)
 
 
-def _told(one: Finding) -> str:
+def _line(one: Finding) -> str:
     where = _where(one)
     return f"{where}: {one.sentence}" if where else one.sentence

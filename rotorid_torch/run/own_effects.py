@@ -30,7 +30,7 @@ POINTS, SAMPLES, DT = 5, 40, 0.02
 """Points of the state space, samples of a record, and their interval, s, that an effect is tried on."""
 EXACT = 1e-9
 """Share of the size of rates and outputs that rounding may change."""
-REST = 1e-3
+SETTLED = 1e-3
 """Rate of a state at rest over its rate where it starts: what four steps of Newton's method may leave."""
 
 
@@ -47,14 +47,14 @@ def refuse_faulty(effects: Iterable[str], spec: ModelSpec) -> None:
     for name in effects:
         effect = registered()[name]
         _refuse_class(name, effect)
-        with _told(name, "untestable and within"):
+        with _blamed(name, "untestable and within"):
             if effect.untestable(spec) is not None or effect.within(spec):
                 continue
         without = without or _somewhere(build(spec))
-        with _told(name, "from_spec"):
+        with _blamed(name, "from_spec"):
             returned = effect.from_spec(spec)
         _refuse_declaration(name, returned)
-        with _told(name, "from_spec"):
+        with _blamed(name, "from_spec"):
             model = build(spec.with_effects(name))
         model.start_from(without.named_values)
         _refuse_behaviour(name, model, without)
@@ -65,7 +65,7 @@ def _refuse(name: str, where: str, wrong: str, expected: str) -> NoReturn:
 
 
 @contextmanager
-def _told(name: str, where: str, signals: Iterable[str] = ()) -> Iterator[None]:
+def _blamed(name: str, where: str, signals: Iterable[str] = ()) -> Iterator[None]:
     """Any error of a block as one of the effect."""
     try:
         yield
@@ -100,9 +100,9 @@ def _refuse_declaration(name: str, returned: Any) -> None:
         entries = getattr(returned, key)
         if not isinstance(entries, tuple) or not all(isinstance(one, kind) for one in entries):
             _refuse(name, key, f"is {entries!r}", f"a tuple of {kind.__name__}")
-    with _told(name, "parameters"):
+    with _blamed(name, "parameters"):
         ParameterSet(returned.declared)
-    with _told(name, "states"):
+    with _blamed(name, "states"):
         StateLayout(returned.states)
     if not returned.declared:
         _refuse(name, "parameters", "none is declared", "a parameter whose declared value changes nothing")
@@ -137,7 +137,7 @@ def _refuse_behaviour(name: str, model: Model, without: Model) -> None:
 
     effect, theta = model.chain[place], model.theta.detach()
     where = "tape" if effect.stage is Stage.CONTROL else "forward"
-    with _told(name, where, signals), torch.no_grad():
+    with _blamed(name, where, signals), torch.no_grad():
         originals = x.clone(), u.clone()
         now, before = everything(model, x), everything(without, x[..., model.layout.places(names)])
         if not (torch.equal(originals[0], x) and torch.equal(originals[1], u)):
@@ -153,7 +153,7 @@ def _refuse_behaviour(name: str, model: Model, without: Model) -> None:
         if change > EXACT * max(1.0, float(usual.nan_to_num(0.0).abs().max())):
             wrong = f"changes {what} by {change:.2g} at its declared values"
             _refuse(name, where, wrong, "declared values at which it changes nothing")
-    with _told(name, where, signals):
+    with _blamed(name, where, signals):
         slopes = torch.func.jacfwd(lambda th: torch.cat([model.rates(th, x, u), model.outputs_at(th, x, u)], -1))(theta)
     for i, parameter in enumerate(model.parameter_set.names):
         if parameter.startswith(f"{name}.") and not bool(slopes[..., i].isfinite().all()):
@@ -191,14 +191,14 @@ def _refuse_untrained(name: str, model: Model, x: Tensor, u: Tensor) -> None:
 def _refuse_restless(name: str, model: Model, x: Tensor, u: Tensor) -> None:
     """Refuse a state that rests nowhere and starts at no channel."""
     body = x[:, : len(model.body.states)]
-    with _told(name, "states"), torch.no_grad():
+    with _blamed(name, "states"), torch.no_grad():
         nowhere = torch.tensor([model.reference.get(n, 0.0) for n in model.layout.names], dtype=torch.float64)
         start = torch.cat([body, nowhere[len(model.body.states) :].expand(len(x), -1)], dim=-1)
         before, after = (model.rates(model.theta, at, u).abs() for at in (start, equilibrium(model, body, u)))
     for k, state in enumerate(model.layout.states):
         if not state.name.startswith(f"{name}.") or state.channel is not None:
             continue
-        if not float(after[:, k].max()) <= REST * max(1.0, float(before[:, k].max())):
+        if not float(after[:, k].max()) <= SETTLED * max(1.0, float(before[:, k].max())):
             wrong = "rests at no value: its rate does not vanish"
             _refuse(name, state.name, wrong, "a rate that depends on the state, or the channel that it starts at")
 

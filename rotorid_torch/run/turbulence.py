@@ -29,7 +29,7 @@ UNTOLD = "step 3 by output error: no quiet moments before the pilot acts could s
 """How it was chosen where there are no such moments, and coloured residuals alone do not do."""
 
 
-def method_by_quiet_moments(asked: str, where_untold: str, seen: Dataset, spec: ModelSpec) -> tuple[str, str]:
+def method_by_quiet_moments(asked: str, where_untold: str, dataset: Dataset, spec: ModelSpec) -> tuple[str, str]:
     """The method that step 3 is asked for after a look at the flights' quiet moments, and why, if these decide.
 
     Where no gusts show in them, coloured residuals are of the model. Not asked where no velocities are measured, for
@@ -42,7 +42,7 @@ def method_by_quiet_moments(asked: str, where_untold: str, seen: Dataset, spec: 
     """
     if asked != "auto" or not set(VELOCITIES) & set(spec.outputs):
         return asked, ""
-    verdict = next(f for f in stochastic_findings(seen, spec, {}) if f.id == TURBULENCE).verdict
+    verdict = next(f for f in stochastic_findings(dataset, spec, {}) if f.id == TURBULENCE).verdict
     if verdict == "not testable":
         return where_untold, "" if where_untold == "auto" else UNTOLD
     return ("auto", "") if verdict == "accepted" else ("output-error", ALIKE)
@@ -70,19 +70,19 @@ def _size(air: Air) -> tuple[tuple[float, float], tuple[float, float] | None]:
     count = len(air.axes)
     intensity = (sum(a.intensity**2 for a in air.axes) / count) ** 0.5
     slopes = [a.intensity / (count * max(intensity, 1e-12)) * a.intensity_se for a in air.axes]
-    told = [(a.length, a.length_se / a.length) for a in air.axes if a.length_se < a.length]
+    lengths = [(a.length, a.length_se / a.length) for a in air.axes if a.length_se < a.length]
     both = intensity, sum(s * s for s in slopes) ** 0.5
-    if not told:
+    if not lengths:
         return both, None
-    weights = [1.0 / max(relative, 1e-3) ** 2 for _, relative in told]
+    weights = [1.0 / max(relative, 1e-3) ** 2 for _, relative in lengths]
     length = 1.0
-    for (one, _), weight in zip(told, weights, strict=True):
+    for (one, _), weight in zip(lengths, weights, strict=True):
         length *= one ** (weight / sum(weights))
     return both, (length, length / sum(weights) ** 0.5)
 
 
 def smoothed(
-    follower: Model, step3: ModelEstimate, seen: Dataset, reconstruction: Reconstruction, ranks: Ranks
+    follower: Model, step3: ModelEstimate, dataset: Dataset, reconstruction: Reconstruction, ranks: Ranks
 ) -> Histories:
     """Gusts of all flights by the filter that came to the air; none where output error was the method.
 
@@ -90,7 +90,7 @@ def smoothed(
     """
     if step3.air is None:
         return {}
-    whole = replace(seen, identify=tuple(seen.flights))
+    whole = replace(dataset, identify=tuple(dataset.flights))
     names = [n for part in ranks.gather(ranks.mine(whole.identify)) for n in part]
     batch = of_all(records(follower, whole, reconstruction, ranks), ranks)
     gusts = batch.outputs.new_zeros(*batch.outputs.shape[:2], len(VELOCITIES))
@@ -115,11 +115,11 @@ def with_gusts(
     }
 
 
-def without_clean_bill(told: Statement, failing: str) -> Statement:
+def without_clean_bill(verdict: Statement, failing: str) -> Statement:
     """The statement; where no effect is named and the model is worse than holding trim, that there is no model.
 
     failing : as `report.summary.failing` says it.
     """
-    if told.kind != "nothing undeclared" or WORSE_THAN_TRIM not in failing:
-        return told
-    return replace(told, kind="unknown", sentence=f"No model could be identified from these flights: {failing}.")
+    if verdict.kind != "nothing undeclared" or WORSE_THAN_TRIM not in failing:
+        return verdict
+    return replace(verdict, kind="unknown", sentence=f"No model could be identified from these flights: {failing}.")

@@ -78,14 +78,14 @@ def fits_of(report: Report) -> list[tuple[str, FitRecord]]:
 @cache
 def environment() -> Environment:
     """The templates, with what they write numbers and words by."""
-    made = Environment(
+    templates = Environment(
         loader=PackageLoader("rotorid_torch.report.page", "templates"),
         autoescape=select_autoescape(["html", "j2"]),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.filters.update(
+    templates.filters.update(
         number=number,
         share=share,
         percent=percent,
@@ -97,8 +97,8 @@ def environment() -> Environment:
         visible=tables.visible,
         unit=lambda unit: sizes.PLAIN_UNITS.get(unit, unit),
     )
-    made.globals.update(static=static, term=term, glossary=GLOSSARY, step_names=STEP_NAMES)
-    return made
+    templates.globals.update(static=static, term=term, glossary=GLOSSARY, step_names=STEP_NAMES)
+    return templates
 
 
 @cache

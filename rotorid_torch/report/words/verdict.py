@@ -26,6 +26,7 @@ from rotorid_torch.validate.lists import described
 
 STEPS = 5
 """Steps that a report names, at most."""
+CLOSE_LOOP = "Ask by name what the model lacks: rotorid close-loop."
 ALIKE = 0.02
 """Relative change of a score below which two models describe flights alike."""
 KINDS_OF_ERROR = ("an offset", "a wrong amplitude", "a wrong shape")
@@ -115,7 +116,8 @@ def steps(report: Report) -> list[str]:
         if first.startswith(GRADED)
         else []
     )
-    return list(dict.fromkeys([*data, *_of_discovery(report), *next_steps(report)]))[:STEPS]
+    ask = [CLOSE_LOOP] if report.command == "identify" and report.fit is not None and not failing(report.fit) else []
+    return list(dict.fromkeys([*data, *_of_discovery(report), *ask, *next_steps(report)]))[:STEPS]
 
 
 def worst_of(fit: FitRecord) -> str:
@@ -153,10 +155,10 @@ def _grade(title: str, fit: FitRecord, last: FitRecord) -> Grade:
     decides = next((scored[name] for name in ("validate", "acid", "identify") if name in scored), None)
     if decides is None:
         return Grade(title, None, "not scored", "no flight is scored", worst_of(fit))
-    seen = (
+    motion = (
         "of the motion of flights it was made from" if decides.name == "identify" else "of the motion of unseen flights"
     )
-    return Grade(title, decides.explained, decides.grade, seen, worst_of(fit))
+    return Grade(title, decides.explained, decides.grade, motion, worst_of(fit))
 
 
 def _changed(before: ListSummary, after: ListSummary, fits: tuple[FitRecord, FitRecord]) -> str:

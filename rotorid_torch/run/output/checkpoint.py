@@ -73,7 +73,7 @@ class Checkpoint:
             why = reason(error) if isinstance(error, OSError) else error
             say_once(f"{self.folder}: the file of a finished step {why}; the step is done once more")
             return None
-        return _made(torch.load(io.BytesIO(content), weights_only=True))
+        return _from_plain(torch.load(io.BytesIO(content), weights_only=True))
 
     def write(self, name: str, result: object, say: Callable[[str], None]) -> bool:
         """Keep the result of a step; the file is whole or absent. Where it cannot be written, `say` gets a line."""
@@ -232,10 +232,10 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _made(plain: Any) -> Any:
+def _from_plain(plain: Any) -> Any:
     """The result again."""
     if isinstance(plain, list | tuple):
-        return type(plain)(_made(item) for item in plain)
+        return type(plain)(_from_plain(item) for item in plain)
     if not isinstance(plain, dict):
         return plain
     kind = plain["is"]
@@ -244,7 +244,7 @@ def _made(plain: Any) -> Any:
     if kind == "ModelSpec":
         return ModelSpec.from_plain(plain["plain"])
     if kind == "Linear":
-        return Linear(*map(_made, plain["values"]))
+        return Linear(*map(_from_plain, plain["values"]))
     if kind == "dict":
-        return dict(zip(plain["keys"], map(_made, plain["values"]), strict=True))
-    return KINDS[kind](**{name: _made(item) for name, item in plain.items() if name != "is"})
+        return dict(zip(plain["keys"], map(_from_plain, plain["values"]), strict=True))
+    return KINDS[kind](**{name: _from_plain(item) for name, item in plain.items() if name != "is"})

@@ -59,8 +59,8 @@ class Curves:
         """Record the standard errors [P] of the parameters where the fit ended, and the damping of its last steps."""
         for iteration, damping in enumerate(dampings, self._iteration - len(dampings) + 1):
             self._record({"ml/damping": damping}, iteration)
-        told = zip(self._names, errors.tolist(), strict=True)
-        self._record({f"standard errors/{name}": error for name, error in told}, self._iteration)
+        pairs = zip(self._names, errors.tolist(), strict=True)
+        self._record({f"standard errors/{name}": error for name, error in pairs}, self._iteration)
 
     def _judged(self, theta: Tensor) -> dict[str, float]:
         """J of validate flights, where the fit has gone on for long enough since the last one."""
