@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -262,7 +263,7 @@ def _one_by_one(effect: Effect, frame: Frame, x: Tensor, p: Values) -> tuple[Fra
     vector = p.vector
     if len(vector) == 1:
         return effect(frame, x, replace(p, vector=vector[0]))
-    lead = torch.broadcast_shapes(vector.shape[:-1], x.shape[:-1], *(s.shape for s in frame.signals.values()))
+    lead = np.broadcast_shapes(vector.shape[:-1], x.shape[:-1], *(s.shape for s in frame.signals.values()))
     place = len(lead) - (vector.dim() - 1)
     inside = (*lead[:place], *lead[place + 1 :])
 
