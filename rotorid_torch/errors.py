@@ -55,7 +55,10 @@ class ReportedElsewhere(Exception):
 
 
 class Unsupported(Exception):
-    """A model that cannot become native code, or not on this machine; the text says why, and torch does the work."""
+    """A model that cannot become native code, or not on this machine; the text says why.
+
+    Torch does the work, but where native code was asked for or nothing else can (filter error of a model, exports).
+    """
 
 
 @functools.cache

@@ -37,7 +37,7 @@ from rotorid_torch.identification.filter_error.smoother import smoothed
 from rotorid_torch.model.gusts import GUSTS, QUICK, QUICK_GUSTS, in_gusts, noisy_states, passing_speed
 from rotorid_torch.model.model import Model
 
-ENOUGH = Options(max_iterations=4, absolute=0.5)
+GUST_SEARCH = Options(max_iterations=4, absolute=0.5)
 """Of one search for the noises' sizes."""
 SEARCHES = 2
 """The spread of gusts where a flight begins follows from the search before."""
@@ -294,7 +294,7 @@ def _noises(problem: FilterProblem, held: int, floor: Tensor) -> tuple[Minimum[F
         psi = _followed(engine, psi, floor, x0) if minimum is None else psi
         likelihood = InnovationLikelihood(Noises(engine, psi[:held]), x0, free=False)
         noises = Region(lower[held:], upper[held:])
-        minimum = minimise(likelihood.evaluate, likelihood.linearise, psi[held:], noises, ENOUGH)
+        minimum = minimise(likelihood.evaluate, likelihood.linearise, psi[held:], noises, GUST_SEARCH)
         psi = torch.cat([psi[:held], minimum.point.theta])
     assert minimum is not None
     return minimum, engine, x0

@@ -35,7 +35,7 @@ from rotorid_torch.model.model import Model
 
 RATE = 50.0
 """Hz: records are averaged down to no less than this; body, flapping and inflow are slower than a fifth of it."""
-ENOUGH = Options(tolerance=1e-5, absolute=0.05)
+STEP_3 = Options(tolerance=1e-5, absolute=0.05)
 """The search ends where a step could change the log-likelihood by no more than this: less than a standard error."""
 CLEARLY_BETTER = 4.5
 """Fall of minus log-likelihood by which a size must be better than none: three standard errors of one number."""
@@ -137,7 +137,7 @@ def _settings(model: Model, dataset: Dataset, names: Sequence[str], device: str)
         prior_mean=model.parameter_set.values[places],
         prior_sd=model.parameter_set.prior_sd[places],
         x0_sd=initial_spread(model, dataset),
-        options=ENOUGH,
+        options=STEP_3,
         engine=None if device == "cpu" else "reference",
     )
 

@@ -50,7 +50,7 @@ class Log:
 
     Attributes
     ----------
-    system : "PX4", "ArduPilot" or "" where the file says nothing of its maker.
+    system : "PX4", "ArduPilot", "blackbox", "SIDPAC", or "" where the file says nothing of its maker.
     about : for people: what recorded this, where it is known.
     streams : by topic and instance; those with samples only.
     fields : all topics with all their fields, also those not kept.

@@ -69,10 +69,10 @@ def opening(report: Report) -> str:
         return f"{either} which. {sentences}{more}".strip()
     if verdict.kind == "structure":
         joined = named([words_of(e.id).noun for e in accepted])
-        bare = "Nothing undeclared was found" in verdict.sentence
-        nothing = "These flights show nothing undeclared" if bare else "Something without a name is missing"
+        poor = failing(report.fit)
+        nothing = "Something without a name is missing" if poor else "These flights show nothing undeclared"
         return f"{nothing}; ordinary physics joins the model: {joined}."
-    if verdict.kind == "nothing undeclared" and "Nothing undeclared was found" in verdict.sentence:
+    if verdict.kind == "nothing undeclared" and not failing(report.fit):
         return "These flights show nothing that is not declared."
     return verdict.sentence
 

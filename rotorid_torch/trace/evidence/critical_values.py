@@ -1,4 +1,4 @@
-"""Critical values and p-values: the statistic of each candidate on flights with nothing missing.
+"""Critical values, the "floors" of a report, and p-values: statistics of candidates where nothing is missing.
 
 The statistic of a candidate is T = sum over flights of the evidence d_f. Clean aircraft are drawn in the likeness of
 the data, and their flights go through the same fit and the same evidence; where none can be drawn, the data's own
@@ -131,12 +131,12 @@ def adjusted_p(
     """
     if not observed:
         return {}
-    family, adjusted, floor = _Family.of(observed, clean, least), {}, 0.0
+    family, adjusted, largest = _Family.of(observed, clean, least), {}, 0.0
     for k, place in enumerate(family.order):
         reached = int((family.largest(k) >= family.data[place]).sum())
         p = (1.0 + reached) / (1.0 + family.table.shape[1])
-        floor = max(floor, p if float(family.data[place]) > 0.0 else 1.0)
-        adjusted[family.names[place]] = floor
+        largest = max(largest, p if float(family.data[place]) > 0.0 else 1.0)
+        adjusted[family.names[place]] = largest
     return {e: adjusted[e] for e in observed}
 
 
