@@ -43,7 +43,7 @@ from rotorid_torch.run.pipeline import identified, pictured, refuse, remarks_on
 from rotorid_torch.run.result import Run, facts_of, write_model
 from rotorid_torch.run.turbulence import in_turbulence, smoothed, with_gusts, without_clean_bill
 from rotorid_torch.trace.air import in_moving_air
-from rotorid_torch.trace.clean_aircraft import Request, clean_draws
+from rotorid_torch.trace.clean_aircraft import MULTIROTOR, Request, clean_draws
 from rotorid_torch.trace.evidence.critical_values import Draws, Null
 from rotorid_torch.trace.evidence.family import Family
 from rotorid_torch.trace.evidence.fits import Flights, refit
@@ -70,9 +70,9 @@ class Loop(Run):
 
 
 def _refuse_a_single_flight(dataset: Dataset) -> None:
-    """Evidence is how well flights are predicted with estimates of other flights."""
+    """Evidence is how well flights are predicted with estimates of other flights; of a multirotor's halves of one."""
     first, *others = (*dataset.identify, *dataset.validate)
-    if not others:
+    if not others and dataset.kind != MULTIROTOR:
         wrong = f"there is one flight to judge effects by, {first}"
         expected = "two at least in identify and validate: fly another, or cut a long one (rotorid import --split)"
         raise InputError(dataset.file(first), "flights", wrong, expected)

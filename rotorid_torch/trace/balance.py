@@ -201,16 +201,19 @@ class Standing:
     remaining: Tensor
 
 
+def _full(spec: ModelSpec) -> bool:
+    """Whether thrusts make lift and all three moments: not those of two or three rotors."""
+    levers = torch.cat([torch.ones(len(spec.motors), 1, dtype=torch.float64), _levers(spec)], dim=1)
+    return int(torch.linalg.matrix_rank(levers)) == levers.shape[1]
+
+
 def standing(spec: ModelSpec, identify: Sequence[Balance], unseen: Sequence[Balance], clean: Tensor) -> Standing | None:
     """How balance stands out on flights; None where clean vehicles do that, or unseen flights do not bear it out.
 
-    clean : [D, 3] balance of clean vehicles. None too where the rotors' places leave a moment that no thrust makes, as
-    for two rotors.
+    clean : [D, 3] balance of clean vehicles.
     """
     flights = torch.stack([b.centre.mean(dim=0) for b in identify])
     centre, levers = flights.mean(dim=0), _levers(spec) / len(spec.motors)
-    if int(torch.linalg.matrix_rank(levers)) < len(ROWS):
-        return None
     vehicles = torch.cat([centre[None], _with_scatter(clean, flights)])
     inverse = torch.linalg.inv(vehicles.mT @ vehicles / len(vehicles))
     p = _p(vehicles, inverse)
@@ -270,7 +273,7 @@ def out_of_balance(
     if not identified or not new:
         return None, None
     going, off = going_with(identified, new), None
-    if undrawable_multirotor(dataset) is None:
+    if _full(spec) and undrawable_multirotor(dataset) is None:
         off = standing(spec, identified, new, torch.from_numpy(clean_balances(dataset, seed, range(DRAWS))))
     finding = None
     if off is not None and off.rotor is not None:

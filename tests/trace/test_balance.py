@@ -216,9 +216,12 @@ def test_a_moved_centre_of_gravity_comes_with_its_rivals(monkeypatch: pytest.Mon
     assert (value, error) == (pytest.approx(0.006, abs=1e-4), pytest.approx(UNLIKE * ARM / 2.0, rel=0.2))
 
 
-def test_two_rotors_leave_a_moment_that_no_thrust_makes():
-    two = replace(SPEC, motors=tuple(MotorSpec(position=(0.0, y, 0.0), spin=1.0) for y in (0.1, -0.1)))
-    assert standing(two, flights(1, centre=AHEAD), flights(4, centre=AHEAD), clean()) is None
+@pytest.mark.parametrize("count", [2, 3])
+def test_rotors_too_few_for_all_moments_say_nothing_of_a_rotor(count: int, monkeypatch: pytest.MonkeyPatch):
+    """No clean vehicle of two or three rotors hovers by thrusts alone, so none is drawn."""
+    monkeypatch.setattr("rotorid_torch.trace.balance.balances", lambda model, spec, data, names: flights(*names))
+    few, data, none = replace(SPEC, motors=SPEC.motors[:count]), SimpleNamespace(identify=(1, 2, 3)), None
+    assert out_of_balance(none, few, data, [4, 5]) == (None, None)  # pyright: ignore[reportArgumentType]
 
 
 def test_seconds_on_the_ground_do_not_count():

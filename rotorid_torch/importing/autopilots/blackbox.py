@@ -129,11 +129,12 @@ def _sensors(log: Log, full_names: Mapping[str, str]) -> Chosen:
 
 
 def _voltage(log: Log, full_names: Mapping[str, str]) -> Chosen:
-    """Voltage of the battery; without a unit in 0.01 V, in 0.1 V by firmware before 4.0, none before 3.1."""
+    """Voltage of the battery; without a unit in 0.01 V, in 0.1 V by Betaflight before 4.0, none before 3.1."""
     name = next((name for bare, name in full_names.items() if bare.lower() in ("vbatlatest", "vbat")), "")
     if not name:
         return Chosen()
-    version = re.search(r"firmware\D*(\d+)\.(\d+)", log.about, re.IGNORECASE)
+    others = re.search("inav|rotorflight", log.about, re.IGNORECASE)  # with versions of their own
+    version = None if others else re.search(r"firmware\D*(\d+)\.(\d+)", log.about, re.IGNORECASE)
     recorded = (int(version[1]), int(version[2])) if version else NEWER
     if recorded < TENTHS and not _unit(name):
         return Chosen(missing=f"voltage ({name}: firmware before 3.1 logs counts of its converter)")

@@ -136,9 +136,11 @@ def own_entries(fields: Mapping[str, Sequence[str]]) -> dict[str, Entry]:
             usable = name in whole or (names.channel(name) is not None and name != "time")
             if usable and name not in entries:
                 entries[name] = Entry(joined(topic, column), unit)
-    if {"lat", "lon"} <= entries.keys() and any(map(names.is_motor, entries)) and not {"col", "ped"} & entries.keys():
+    angles = all(name in entries and entries[name].unit in ("", "deg", "rad") for name in ("lat", "lon"))
+    if angles and any(map(names.is_motor, entries)) and not {"col", "ped"} & entries.keys():
         for stick, name in (("lat", "latitude"), ("lon", "longitude")):
-            entries[name] = structs.replace(entries.pop(stick), unit="deg")
+            entry = entries.pop(stick)
+            entries[name] = structs.replace(entry, unit=entry.unit or "deg")
     return entries
 
 

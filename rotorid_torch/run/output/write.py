@@ -79,7 +79,8 @@ def _tell_spectra(title: str, overlays: Sequence[Overlay], monitor: Monitor) -> 
     """Amplitudes of the residual by frequency, on flights that no fit has seen; steps are hundredths of a hertz."""
     spectra = {f"spectrum/{title}/{channel}": spectrum for channel, spectrum in mean_spectra(overlays).items()}
     for name, (hertz, amplitude) in spectra.items():
-        for place, size in zip((100.0 * hertz).round().astype(int).tolist(), amplitude.tolist(), strict=True):
+        steps = dict(zip((100.0 * hertz).round().astype(int).tolist(), amplitude.tolist(), strict=True))
+        for place, size in steps.items():
             monitor.board({name: size}, place)
 
 

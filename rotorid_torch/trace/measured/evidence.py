@@ -53,7 +53,8 @@ def measured_family(
     theta = torch.linalg.lstsq(*_estimating(sides[0], prior, count)).solution
     fitted, unseen = ([_with_shuffled(one, theta, turns, chance) for one in side] for side in sides)
     by_row = torch.stack([_products(one, rows) for one in fitted])
-    counted = [rows.index(row) for row in rows if row not in _unexplained(probe, rows, by_row.sum(0), 1 + turns)]
+    unexplained = _unexplained(probe, rows, by_row.sum(0), 1 + turns)
+    counted = [k for k, row in enumerate(rows) if row not in unexplained or len(unexplained) == len(rows)]
     products = by_row[:, counted].sum(1)
     none = products.new_zeros(0, *products.shape[1:])
     before = torch.cat([prior[:, :-1], prior.new_zeros(len(prior), len(probe.chosen)), prior[:, -1:]], dim=1)
@@ -115,8 +116,8 @@ class _Probe:
         for one in (self.chosen[places[0]] for places in self.variants if len(places) == 1):
             if earlier := self._earlier(one):
                 chosen.append(replace(one, others=(*one.others, *earlier)))
-            if origin is not None and one.effect in origin.spec.effects and origin.values[one.parameter] != one.null:
-                values = tuple((name, origin.values[name]) for name in self.names)
+            if origin is not None and origin.values.get(one.parameter, one.null) != one.null:
+                values = tuple((name, origin.values[name]) for name in self.names if name in origin.values)
                 chosen.append(replace(one, typical=origin.values[one.parameter], others=(*one.others, *values)))
         return replace(self, chosen=tuple(replace(one, size=-1 - k) for k, one in enumerate(chosen)))
 

@@ -83,8 +83,10 @@ def test_columns_that_are_no_channels_are_told(tmp_path: Path):
     assert told.endswith("left out, for no channel has such a name and unit: rollrate, q [furlong], phi_m")
 
 
-def test_latitude_and_longitude_are_no_sticks(tmp_path: Path):
-    place = {"time": TIME, "lat": 0.8 + 1e-5 * TIME, "lon": 0.1 + 1e-6 * TIME}
+@pytest.mark.parametrize(("unit", "of_a_degree"), [("", 1.0), (" [deg]", 1.0), (" [rad]", np.pi / 180.0)])
+def test_latitude_and_longitude_are_no_sticks(unit: str, of_a_degree: float, tmp_path: Path):
+    degrees = {"lat": 0.8 + 1e-5 * TIME, "lon": 0.1 + 1e-6 * TIME}
+    place = {"time": TIME, **{f"{name}{unit}": of_a_degree * values for name, values in degrees.items()}}
     (tmp_path / "t.csv").write_text(text(place | plain()))
     found = channels(tmp_path / "t.csv", tmp_path)
     assert {"north", "east"} <= found.keys()
@@ -156,7 +158,13 @@ def test_gyros_of_older_firmware_are_counts_of_a_scale(line: str, tmp_path: Path
 
 @pytest.mark.parametrize(
     ("name", "version", "counts"),
-    [("vbat (mV)", "", 1e3), ("vbatLatest (V)", "", 1.0), ("vbatLatest", "4.4.0", 1e2), ("vbatLatest", "3.5.2", 1e1)],
+    [
+        ("vbat (mV)", "", 1e3),
+        ("vbatLatest (V)", "", 1.0),
+        ("vbatLatest", "4.4.0", 1e2),
+        ("vbatLatest", "3.5.2", 1e1),
+        ("vbatLatest", "INAV 2.6.1", 1e2),
+    ],
 )
 def test_voltage_of_a_blackbox(name: str, version: str, counts: float, tmp_path: Path):
     before = f'"Product","Blackbox"\n"firmwareVersion","{version}"\n' if version else ""
