@@ -225,7 +225,7 @@ def lagged(signal: Tensor, samples: float) -> Tensor:
     """A first-order lag of so many samples over records (T, ...), in equilibrium at their start."""
     if samples <= 0:
         return signal
-    decay, records = math.exp(-1.0 / samples), signal.flatten(1)
+    decay, records = math.exp(-1.0 / samples), signal.reshape(len(signal), -1)
     return followed(linear, records[0], records.new_full((1, 1), decay), (1.0 - decay) * records).view_as(signal)
 
 

@@ -6,6 +6,7 @@ and what is read back are equal.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
@@ -239,7 +240,7 @@ def _refuse_no_run(place: Path) -> None:
         raise InputError(place, "", "is a file", f"{expected}, as '{around}' is" if around else expected)
     if not place.is_dir():
         raise InputError(place, "", f"there is no such folder{nearest_path(place)}", expected)
-    if (place / "report.json").exists():
+    if os.path.lexists(place / "report.json"):  # what is wrong with a link is said where it is read
         return
     if (place / "dataset.toml").exists():
         raise InputError(place, "", "is a data set, not a run", expected)
