@@ -13,8 +13,8 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.report.records import FlightRecord
 from rotorid_torch.report.summary import list_summaries
 from rotorid_torch.run.result import Run
-from rotorid_torch.trace.loop import Tracing
-from rotorid_torch.trace.search.decide import Row, decide
+from rotorid_torch.trace.loop import Bare, Tracing
+from rotorid_torch.trace.search.decide import Interval, Row, Size, decide, estimate
 from rotorid_torch.trace.search.words import reason
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import exceeds
@@ -70,7 +70,8 @@ def before_and_after(
     first : the nominal model. sensors : whether sensors err. wrong, right : the three steps again for a spec from
     values, on records as they are and on those without the sensors' errors. Structure stays where free runs of unseen
     flights are better with it; beside a named effect unless they are clearly worse, for its size takes up what
-    structure explains. A multirotor's free runs decide nothing.
+    structure explains. Names whose interval holds nothing in the model that is reported go first. A multirotor's free
+    runs decide nothing.
     """
 
     def shapes(spec: ModelSpec, values: Mapping[str, float]) -> list[Run]:
@@ -84,6 +85,9 @@ def before_and_after(
         whole, *bare = shapes(final.spec, final.values)
         if first.spec.motors:
             return plain, whole, tracing
+        idle = _within_error(whole, tracing)
+        if idle:
+            return before_and_after(first, _rejected(tracing, idle), sensors, wrong, right)
         after = next((run for run in bare if worse(run, whole)), whole)
         without = best_of(shapes(null.spec, null.values)) if sensors else plain
         if not worse(without, after):
@@ -92,6 +96,29 @@ def before_and_after(
     if sensors:
         return plain, best_of(shapes(null.spec, null.values)), tracing
     return first, None if plain is first else plain, tracing
+
+
+def _within_error(run: Run, tracing: Tracing) -> dict[str, Size]:
+    """Names of which all 95 % intervals of a fit hold nothing, by the errors that are reported, and their sizes."""
+    errors = {p.name: max(p.se, tracing.spread.get(p.name, 0.0)) for p in run.fit.parameters if p.se is not None}
+    fitted = [e for e in tracing.accepted if any(name.startswith(f"{e}.") for name in errors)]
+    sizes = {effect: estimate(run.model, errors, effect) for effect in fitted}
+    return {e: one for e, one in sizes.items() if one.estimate is Interval.WITHIN_ERROR and math.isfinite(one.error)}
+
+
+def _rejected(tracing: Tracing, idle: Mapping[str, Size]) -> Tracing:
+    """The tracing without these names, whose intervals hold nothing."""
+    verdict, why = decide(Row(estimate=Interval.WITHIN_ERROR))
+    said = {e: reason(why, parameter=s.parameter, value=s.value, error=s.error) for e, s in idle.items()}
+    return replace(
+        tracing,
+        final=Bare(tracing.final.spec.without(idle), tracing.final.values),
+        accepted=tuple(e for e in tracing.accepted if e not in idle),
+        groups={e: others for e, others in tracing.groups.items() if e not in idle},
+        findings=tuple(
+            replace(f, verdict=verdict, reason=said[f.id], group=()) if f.id in idle else f for f in tracing.findings
+        ),
+    )
 
 
 def _suspected(tracing: Tracing, runs: Tensor) -> Tracing:

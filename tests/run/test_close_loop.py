@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.stats import ttest_1samp
@@ -19,7 +20,14 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.nominal import build
 from rotorid_torch.model.save import load
 from rotorid_torch.report import limits
-from rotorid_torch.report.records import FitRecord, FlightRecord, ScoresRecord, WindowsRecord, read_report
+from rotorid_torch.report.records import (
+    FitRecord,
+    FlightRecord,
+    ParameterRecord,
+    ScoresRecord,
+    WindowsRecord,
+    read_report,
+)
 from rotorid_torch.run.close_loop import _in_gusts, _loop
 from rotorid_torch.run.free_runs import before_and_after, best_of, free_run_gain, worse
 from rotorid_torch.run.output.monitor import Monitor
@@ -157,6 +165,21 @@ def test_a_network_stays_where_something_is_left_that_no_candidate_explains(monk
     assert before is not None
     assert after is not None
     assert after < 0.8 * before
+
+
+@pytest.mark.parametrize(("error", "accepted"), [(0.02, ()), (0.002, ("control.delay",))])
+def test_a_name_whose_interval_holds_nothing_in_the_reported_model_is_rejected(error: float, accepted: tuple[str, ...]):
+    model = build(HELICOPTER.with_effects("control.delay"))
+    model.start_from({"control.delay.common": 0.01})
+    size = ParameterRecord(name="control.delay.common", value=0.01, se=error, unit="s", status="free")
+    first, run = run_with(0.12), run_with(0.11)
+    run = replace(run, model=model, fit=msgspec.structs.replace(run.fit, parameters=(size,)))
+    findings = (EffectFinding("control.delay", "undeclared", "accepted", ""),)
+    tracing = replace(tracing_of("control.delay"), findings=findings)
+    _, after, stands = before_and_after(first, tracing, False, pytest.fail, lambda spec, values: run)
+    assert stands.accepted == accepted
+    assert (after is run) == bool(accepted)
+    assert ("the interval holds the size of nothing" in stands.findings[0].reason) == (not accepted)
 
 
 def test_names_with_which_free_runs_are_worse_are_suspected_and_do_not_join():
