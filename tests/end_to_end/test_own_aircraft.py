@@ -39,7 +39,7 @@ def run(
     with pytest.MonkeyPatch.context() as patch:
         if request.param == "hurried":
             patch.setattr(model_estimation, "LENGTHS", (2.0,))
-            patch.setattr(model_estimation, "ENOUGH", replace(model_estimation.ENOUGH, max_iterations=4))
+            patch.setattr(model_estimation, "STEP_3", replace(model_estimation.STEP_3, max_iterations=4))
         begin = time.process_time()
         made = identify(data, out=out)
         return made, out, time.process_time() - begin
