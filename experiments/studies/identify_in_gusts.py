@@ -36,7 +36,7 @@ from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
 from rotorid_torch.identification.estimate.progressive_fit import Settings, fit
 from rotorid_torch.identification.estimate.system import System
 from rotorid_torch.identification.model_estimation import (
-    ENOUGH,
+    STEP_3,
     averaged,
     initial_spread,
     lengths,
@@ -96,7 +96,7 @@ def with_true_gusts(run: Run, data: Dataset, gusts: Tensor) -> Model:
         prior_mean=model.parameter_set.values[places],
         prior_sd=model.parameter_set.prior_sd[places],
         x0_sd=initial_spread(model, data),
-        options=ENOUGH,
+        options=STEP_3,
     )
     flights = records(model, data, run.reconstruction)
     flights = replace(flights, controls=torch.cat([flights.controls, gusts], dim=-1))
