@@ -58,6 +58,12 @@ def undrawable_multirotor(dataset: Dataset) -> str | None:
     return f"flights lack {', '.join(missing)}" if missing else None
 
 
+def _refuse_undrawable(dataset: Dataset) -> None:
+    why = undrawable_multirotor(dataset)
+    if why is not None:
+        raise ValueError(why)
+
+
 def clean_multirotors(
     dataset: Dataset, seed: int, draws: Sequence[int], having: Mapping[str, float] | None = None
 ) -> Iterator[DrawnMultirotor]:
@@ -74,9 +80,7 @@ def clean_multirotors(
     ------
     ValueError : `undrawable_multirotor`.
     """
-    why = undrawable_multirotor(dataset)
-    if why is not None:
-        raise ValueError(why)
+    _refuse_undrawable(dataset)
     dt = min(facts.dt for facts in dataset.facts.values())
     courses = [_Course.of(flight, name, dt) for name, flight in dataset.flights.items()]
     hover = hovering(dataset)
@@ -92,9 +96,7 @@ def clean_balances(dataset: Dataset, seed: int, draws: Sequence[int]) -> Array:
     ------
     ValueError : `undrawable_multirotor`.
     """
-    why = undrawable_multirotor(dataset)
-    if why is not None:
-        raise ValueError(why)
+    _refuse_undrawable(dataset)
     hover = hovering(dataset)
     return np.stack(
         [hover_balance(draw(dataset, hover, np.random.default_rng([seed, number]), {})) for number in draws]

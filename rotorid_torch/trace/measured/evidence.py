@@ -8,7 +8,7 @@ moment that the null holds at zero counts where a candidate lets the rotors expl
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -42,14 +42,7 @@ def measured_family(
     probe = _Probe.of(null, effects)
     dataset, chance = null.flights.dataset, torch.Generator().manual_seed(seed)
     rows, prior, count = tuple(null.sigma), probe.prior, len(probe.names)
-    pieces = [probe.pieces(dataset.identify), probe.pieces(dataset.validate)]
-    sides = [[_matrix(probe, one) for one in side] for side in pieces]
-    followed = probe.followed()
-    sides = [
-        [_with_signatures(matrix, followed, one) for matrix, one in zip(*side, strict=True)]
-        for side in zip(sides, pieces, strict=True)
-    ]
-    probe = replace(probe, chosen=(*probe.chosen, *followed.chosen))
+    sides = [[_matrix(probe, one) for one in probe.pieces(side)] for side in (dataset.identify, dataset.validate)]
     theta = torch.linalg.lstsq(*_estimating(sides[0], prior, count)).solution
     fitted, unseen = ([_with_shuffled(one, theta, turns, chance) for one in side] for side in sides)
     by_row = torch.stack([_products(one, rows) for one in fitted])
@@ -84,7 +77,8 @@ class _Probe:
         """Of effects that join the null's spec."""
         spec = null.started(null.spec)
         model = build(spec.with_effects(*effects))
-        return cls(null, model, build(spec).parameter_set.free, signatures(model, effects))
+        probe = cls(null, model, build(spec).parameter_set.free, signatures(model, effects))
+        return replace(probe, chosen=(*probe.chosen, *probe._followed()))
 
     @property
     def variants(self) -> list[list[int]]:
@@ -101,13 +95,14 @@ class _Probe:
         left = weight * (parameters.values[places] - self.model.theta.detach()[places])
         return torch.cat([weight.diag(), left[:, None]], dim=1)
 
-    def pieces(self, listed: Sequence[str]) -> list[MeasuredStates]:
+    def pieces(self, listed: Sequence[str]) -> Iterator[MeasuredStates]:
         """Each flight's equations; one flight alone in halves, each of which tests what the other says."""
         seen = list(seen_flights(self.model, self.null.flights.records(self.model, listed))) if listed else []
-        return [MeasuredStates.of(self.model, [one]) for one in (_halves(seen[0]) if len(seen) == 1 else seen)]
+        for one in _halves(seen[0]) if len(seen) == 1 else seen:
+            yield MeasuredStates.of(self.model, [one])
 
-    def followed(self) -> _Probe:
-        """With the signatures that the null follows, of effects with a single size.
+    def _followed(self) -> list[Signature]:
+        """Signatures that the null follows, of effects with a single size.
 
         What makes controls later takes the place of what does so in the null. And the null may have begun from a fit
         that has the effect: at the values of that fit.
@@ -119,7 +114,7 @@ class _Probe:
             if origin is not None and origin.values.get(one.parameter, one.null) != one.null:
                 values = tuple((name, origin.values[name]) for name in self.names if name in origin.values)
                 chosen.append(replace(one, typical=origin.values[one.parameter], others=(*one.others, *values)))
-        return replace(self, chosen=tuple(replace(one, size=-1 - k) for k, one in enumerate(chosen)))
+        return [replace(one, size=-1 - k) for k, one in enumerate(chosen)]
 
     def _earlier(self, one: Signature) -> tuple[tuple[str, float], ...]:
         """By what controls are late in the null, less by as much as the signature makes them later."""
@@ -162,29 +157,11 @@ def _matrix(probe: _Probe, states: MeasuredStates) -> _Matrix:
     changes, values, lines = probe.changes(states), [], []
     for row, measured in states.measured[0].items():
         parts = [*(columns[n][0][row] for n in probe.names), *(c[row] for c in changes), measured - base[0][row]]
-        weighed = _weighed(probe, states, row, parts)
+        weighed = states.weighed(torch.stack(parts).nan_to_num(0.0), row, probe.null.sigma[row]).mT
         values.append(weighed[:-2])
         lines.append(weighed[-2:])
     step = states.equations.flights[0].step
     return _Matrix(tuple(states.measured[0]), torch.stack(values), torch.stack(lines), max(1, round(BLOCK_S / step)))
-
-
-def _weighed(probe: _Probe, states: MeasuredStates, row: str, parts: Sequence[Tensor]) -> Tensor:
-    """Records [T] of a row as columns in units of what is left [T + 2, n]."""
-    return states.weighed(torch.stack([*parts]).nan_to_num(0.0), row, probe.null.sigma[row]).mT
-
-
-def _with_signatures(matrix: _Matrix, probe: _Probe, states: MeasuredStates) -> _Matrix:
-    """With the probe's signatures before the residual."""
-    if not probe.chosen:
-        return matrix
-    changes = probe.changes(states)
-    more = torch.stack([_weighed(probe, states, row, [c[row] for c in changes]) for row in matrix.rows])
-
-    def joined(columns: Tensor, others: Tensor) -> Tensor:
-        return torch.cat([columns[..., :-1], others, columns[..., -1:]], dim=-1)
-
-    return replace(matrix, values=joined(matrix.values, more[:, :-2]), lines=joined(matrix.lines, more[:, -2:]))
 
 
 def _estimating(matrices: Sequence[_Matrix], prior: Tensor, count: int) -> tuple[Tensor, Tensor]:
@@ -235,23 +212,25 @@ def _unexplained(probe: _Probe, rows: Sequence[str], products: Tensor, residuals
 
     products : of the identify flights by row [rows, n, n], residuals in the last columns.
     """
-    values, count = probe.model.named_values, len(probe.names)
-    last, unexplained = products.shape[-1] - residuals, set()
-    for moment in probe.null.silent:
-        row = ANGULAR_ACCELERATIONS[MOMENTS.index(moment)]
-        one, power = products[rows.index(row)], probe.names.index(f"rotors.power.{moment}")
-        silent = one.new_zeros(len(one))
-        silent[last] = 1.0
-        for name in of_moments(probe.null.spec, [moment]):
-            silent[probe.names.index(name)] = values[name]
-        moved = float(silent @ one @ silent)
-        for places in probe.variants:
-            columns = [*range(count), *(count + k for k in places)]
-            size = torch.linalg.pinv(one[columns][:, columns], hermitian=True) @ one[columns, last]
-            left = float(one[last, last] - one[columns, last] @ size)
-            believed = believable(probe.null.spec, moment, values[probe.names[power]] + float(size[power]))
-            if believed and left <= (1.0 - EXPLAINED) * moved:
-                break
-        else:
-            unexplained.add(row)
-    return unexplained
+    last = products.shape[-1] - residuals
+    own = products[:, : last + 1, : last + 1]  # without residuals by chance
+    moments = {ANGULAR_ACCELERATIONS[MOMENTS.index(moment)]: moment for moment in probe.null.silent}
+    return {row for row, moment in moments.items() if not _explained(probe, moment, own[rows.index(row)])}
+
+
+def _explained(probe: _Probe, moment: str, products: Tensor) -> bool:
+    """Whether a candidate lets the rotors explain a moment's row, of which these are the products [n, n]."""
+    values, count, power = probe.model.named_values, len(probe.names), f"rotors.power.{moment}"
+    silent = torch.zeros(len(products), dtype=products.dtype)
+    silent[-1] = 1.0
+    for name in of_moments(probe.null.spec, [moment]):
+        silent[probe.names.index(name)] = values[name]
+    moved = float(silent @ products @ silent)
+    for places in probe.variants:
+        columns = [*range(count), *(count + k for k in places)]
+        size = torch.linalg.pinv(products[columns][:, columns], hermitian=True) @ products[columns, -1]
+        left = float(products[-1, -1] - products[columns, -1] @ size)
+        believed = believable(probe.null.spec, moment, values[power] + float(size[probe.names.index(power)]))
+        if believed and left <= (1.0 - EXPLAINED) * moved:
+            return True
+    return False
