@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -151,11 +151,10 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
     rerun = partial(again, _Basis(base, right, sensors.values))
     before, after, tracing = before_and_after(first, tracing, bool(sensors.effects), wrong, rerun)
     stays = after is not None and set(tracing.structure) <= set(after.spec.effects)
-    traced = tracing.findings if stays else _dropped(tracing)
-    findings = [*map(of_sensors, sensors.findings), *_replaced(traced, shaken)]
+    tracing = tracing if stays else _bare(tracing)
+    findings = [*map(of_sensors, sensors.findings), *_replaced(tracing.findings, shaken)]
     if hybrid:
-        spec = tracing.final.spec if stays else tracing.final.spec.without(tracing.structure)
-        held = base.regressions.held
+        spec, held = tracing.final.spec, base.regressions.held
 
         def learning() -> Learnt:
             return learn(refit(spec, flights, tracing.final.values, held), held, seed, monitor.say)
@@ -243,16 +242,11 @@ def _with_network(
     return None, replace(finding, verdict="rejected", reason=said)
 
 
-def _dropped(tracing: Tracing) -> list[EffectFinding]:
-    """Findings where the structure that was traced beside other effects does not stay in the model."""
+def _bare(tracing: Tracing) -> Tracing:
+    """The tracing without the structure that was traced beside other effects, where that does not stay in the model."""
     than = "clearly worse with it" if tracing.accepted else "no better by it"
     said = f"it describes the motion that was fitted, but free runs of flights that no fit has seen are {than}"
-    return _rejected(tracing.findings, tracing.structure, said)
-
-
-def _rejected(findings: Sequence[EffectFinding], effects: Collection[str], said: str) -> list[EffectFinding]:
-    """The findings, those of some effects rejected with a reason."""
-    return [replace(f, verdict="rejected", reason=said, group=()) if f.id in effects else f for f in findings]
+    return tracing.without("rejected", dict.fromkeys(tracing.structure, said))
 
 
 def _replaced(findings: Sequence[EffectFinding], others: Sequence[EffectFinding]) -> list[EffectFinding]:

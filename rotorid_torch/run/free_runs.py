@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -13,7 +12,7 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.report.records import FlightRecord
 from rotorid_torch.report.summary import list_summaries
 from rotorid_torch.run.result import Run
-from rotorid_torch.trace.loop import Bare, Tracing
+from rotorid_torch.trace.loop import Tracing
 from rotorid_torch.trace.search.decide import Interval, Row, Size, decide, estimate
 from rotorid_torch.trace.search.words import reason
 from rotorid_torch.trace.terms.settings import SETTINGS
@@ -87,12 +86,17 @@ def before_and_after(
             return plain, whole, tracing
         idle = _within_error(whole, tracing)
         if idle:
-            return before_and_after(first, _rejected(tracing, idle), sensors, wrong, right)
+            verdict, why = decide(Row(estimate=Interval.WITHIN_ERROR))
+            said = {e: reason(why, parameter=s.parameter, value=s.value, error=s.error) for e, s in idle.items()}
+            return before_and_after(first, tracing.without(verdict, said), sensors, wrong, right)
         after = next((run for run in bare if worse(run, whole)), whole)
         without = best_of(shapes(null.spec, null.values)) if sensors else plain
         if not worse(without, after):
             return plain, after, tracing
-        tracing = _suspected(tracing, free_run_gain(without, after))
+        verdict, why = decide(Row(runs_worse=True))
+        gains = free_run_gain(without, after)
+        said = reason(why, worse=int((gains < 0.0).sum()), count=len(gains))
+        tracing = tracing.without(verdict, dict.fromkeys(tracing.accepted, said))
     if sensors:
         return plain, best_of(shapes(null.spec, null.values)), tracing
     return first, None if plain is first else plain, tracing
@@ -104,26 +108,3 @@ def _within_error(run: Run, tracing: Tracing) -> dict[str, Size]:
     fitted = [e for e in tracing.accepted if any(name.startswith(f"{e}.") for name in errors)]
     sizes = {effect: estimate(run.model, errors, effect) for effect in fitted}
     return {e: one for e, one in sizes.items() if one.estimate is Interval.WITHIN_ERROR and math.isfinite(one.error)}
-
-
-def _rejected(tracing: Tracing, idle: Mapping[str, Size]) -> Tracing:
-    """The tracing without these names, whose intervals hold nothing."""
-    verdict, why = decide(Row(estimate=Interval.WITHIN_ERROR))
-    said = {e: reason(why, parameter=s.parameter, value=s.value, error=s.error) for e, s in idle.items()}
-    return replace(
-        tracing,
-        final=Bare(tracing.final.spec.without(idle), tracing.final.values),
-        accepted=tuple(e for e in tracing.accepted if e not in idle),
-        groups={e: others for e, others in tracing.groups.items() if e not in idle},
-        findings=tuple(
-            replace(f, verdict=verdict, reason=said[f.id], group=()) if f.id in idle else f for f in tracing.findings
-        ),
-    )
-
-
-def _suspected(tracing: Tracing, runs: Tensor) -> Tracing:
-    """The tracing without its names, for free runs are worse with them, by log ratios of J [F]."""
-    verdict, why = decide(Row(runs_worse=True))
-    said = reason(why, worse=int((runs < 0.0).sum()), count=len(runs))
-    findings = (replace(f, verdict=verdict, reason=said) if f.id in tracing.accepted else f for f in tracing.findings)
-    return replace(tracing, final=tracing.null, accepted=(), groups={}, findings=tuple(findings))

@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
+from rotorid_torch.core.names import Verdict
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import registered
@@ -76,6 +77,20 @@ class Tracing:
     notes: tuple[str, ...] = ()
     unknown: Unknown | None = None
     spread: Mapping[str, float] = field(default_factory=dict)
+
+    def without(self, verdict: Verdict, said: Mapping[str, str]) -> Tracing:
+        """The tracing with effects taken back, by the reason of each."""
+        findings = (
+            replace(f, verdict=verdict, reason=said[f.id], group=()) if f.id in said else f for f in self.findings
+        )
+        return replace(
+            self,
+            final=Bare(self.final.spec.without(said), self.final.values),
+            structure=tuple(e for e in self.structure if e not in said),
+            accepted=tuple(e for e in self.accepted if e not in said),
+            groups={e: others for e, others in self.groups.items() if e not in said},
+            findings=tuple(findings),
+        )
 
 
 def trace(
