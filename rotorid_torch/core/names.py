@@ -93,8 +93,6 @@ INDUCED_SHARE = "induced.share"
 FORCES, MOMENTS = ("X", "Y", "Z"), ("L", "M", "N")
 """Axes of force (N) and moment (N m) about the centre of gravity, body axes, without gravity."""
 
-KINDS = ("helicopter", "multirotor")
-
 _FAMILIES = {
     "motor": Channel("motor", "norm", "motor command, 0…1", "control"),
     "omega": Channel("omega", "rad/s", "rotor speed", "rotor"),

@@ -1,6 +1,6 @@
 """What an aircraft and its sensors can be: the one table of ranges, from a drone of a gram to a helicopter of 100 t.
 
-`import`, `check` and `identify` read it, and `page()` is what docs/data-set.md prints. The Mil V-12 (105 t, two rotors
+`import`, `check` and `identify` read it, and docs/data-set.md prints it. The Mil V-12 (105 t, two rotors
 of 35 m) is the largest rotorcraft that has flown; its numbers bound the large end.
 
 Source: Leishman, Principles of Helicopter Aerodynamics, 2nd ed., appendix (rotorcraft data); ISO 2533 (atmosphere); WGS
@@ -10,7 +10,6 @@ Source: Leishman, Principles of Helicopter Aerodynamics, 2nd ed., appendix (roto
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 
@@ -117,26 +116,3 @@ def of_channel(name: str, unit: str = "") -> ChannelRange:
     family = re.sub(r"^(motor|omega)[1-9][0-9]?$", r"\1N", name)
     rows = [row for row in CHANNELS if family in row.names]
     return next((row for row in rows if row.samples.unit == unit), rows[0] if rows else OTHER)
-
-
-def page() -> str:
-    """The table as Markdown: channels with samples and noise, then what is declared and what follows from it."""
-    return "\n".join((*_channels_page(), "", *_declared_page()))
-
-
-def _channels_page() -> Iterator[str]:
-    yield "| channel | samples | noise | what bounds the samples |"
-    yield "|---|---|---|---|"
-    for row in CHANNELS:
-        noise = str(row.noise) if row.noise else "-"
-        yield f"| {' '.join(f'`{name}`' for name in row.names)} | {row.samples} | {noise} | {row.samples.bound} |"
-    yield f"| another name | {OTHER.samples} | {OTHER.noise} | {OTHER.samples.bound} |"
-
-
-def _declared_page() -> Iterator[str]:
-    yield "| declared | range | what bounds it |"
-    yield "|---|---|---|"
-    for key, allowed in DECLARED.items():
-        yield f"| `{key}` | {allowed} | {allowed.bound} |"
-    for what, allowed in DERIVED.items():
-        yield f"| {what} | {allowed} | {allowed.bound} |"

@@ -1,10 +1,12 @@
 """The table of ranges: every channel and declared quantity has one, real vehicles and sensors fit, the page agrees."""
 
+from collections.abc import Iterator
+
 import msgspec
 import pytest
 
 from rotorid_torch.core import names
-from rotorid_torch.core.ranges import CHANNELS, DECLARED, DERIVED, OTHER, of_channel, page
+from rotorid_torch.core.ranges import CHANNELS, DECLARED, DERIVED, OTHER, of_channel
 from rotorid_torch.data.schema import Motor, Rotor, Vehicle
 from rotorid_torch.importing.signals.mapping import DERIVED as FROM_LOGS
 from tests.helpers import ROOT
@@ -96,6 +98,29 @@ def test_a_range_holds_its_ends_and_nothing_beyond(allowed):
 )
 def test_other_planets_and_units_do_not_fit(key, value):
     assert not DECLARED[f"vehicle.{key}"].holds(value)
+
+
+def page() -> str:
+    """The table as Markdown: channels with samples and noise, then what is declared and what follows from it."""
+    return "\n".join((*_channels_page(), "", *_declared_page()))
+
+
+def _channels_page() -> Iterator[str]:
+    yield "| channel | samples | noise | what bounds the samples |"
+    yield "|---|---|---|---|"
+    for row in CHANNELS:
+        noise = str(row.noise) if row.noise else "-"
+        yield f"| {' '.join(f'`{name}`' for name in row.names)} | {row.samples} | {noise} | {row.samples.bound} |"
+    yield f"| another name | {OTHER.samples} | {OTHER.noise} | {OTHER.samples.bound} |"
+
+
+def _declared_page() -> Iterator[str]:
+    yield "| declared | range | what bounds it |"
+    yield "|---|---|---|"
+    for key, allowed in DECLARED.items():
+        yield f"| `{key}` | {allowed} | {allowed.bound} |"
+    for what, allowed in DERIVED.items():
+        yield f"| {what} | {allowed} | {allowed.bound} |"
 
 
 def test_the_page_prints_the_table():

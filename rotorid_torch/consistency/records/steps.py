@@ -18,8 +18,6 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.on_demand import OnDemand
 
-Array = np.ndarray
-
 LEAST = {"rad/s": 0.04, "m/s²": 0.3, "m/s": 0.5}
 """Least step by the unit of the channel's rate: rad, m/s, m."""
 SURE = 12.0

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -66,28 +66,21 @@ class ParameterEstimate:
     se_white: float = math.nan
 
 
-@dataclass(frozen=True, repr=False)
-class OutputError(ParameterTable):
-    """What `output_error` found.
+@dataclass(frozen=True, repr=False, kw_only=True)
+class ModuleEstimate(ParameterTable):
+    """What maximum likelihood says of a module.
 
     Attributes
     ----------
     model : a copy of the module with the fitted parameters, in float64.
     parameters : one record each, in the order of `covariance`.
-    covariance : [P, P], corrected for coloured residuals; NaN for parameters on a bound or not identifiable.
-    noise : [ny, ny] covariance of the residuals.
+    covariance : [P, P], corrected for what is coloured; NaN for parameters on a bound or not identifiable.
+    noise : [ny, ny] covariance of the outputs' noise: of the residuals of output error.
     initial_states : [F, nx] at each flight's first sample.
-    converged, message : whether the optimum was reached, and a sentence that also names parameters in doubt, and says
-        where residuals are coloured as gusts colour them,
-        and which parameters `x0="fixed"` would move by more than a standard error.
+    converged, message : whether the optimum was reached, and a sentence that also names parameters in doubt.
     history : cost after each accepted step of the last stage.
-    residuals : per flight (T, ny) measured minus model, NaN = missing.
-    model_error_ratio : [ny] residual over sensor noise (declared, or the white part of the residual).
     uncertainty : Cramer-Rao, coloured and jackknife apart.
-    stages : what each stage did.
-    segment_seconds : length of the longest segments that the estimate rests on, infinite where these are whole flights.
     times : per flight (T,) s of the samples.
-    whole : how the model flies whole flights from their first samples: residuals, rms, ratio to those of the segments.
     """
 
     model: nn.Module
@@ -98,14 +91,11 @@ class OutputError(ParameterTable):
     converged: bool
     message: str
     history: list[float]
-    residuals: list[Tensor]
-    model_error_ratio: Tensor
     uncertainty: Uncertainty
-    stages: tuple[str, ...]
-    segment_seconds: float
-    whole: WholeFlights
+    times: list[Tensor]
 
-    times: list[Tensor] = field(default_factory=list)
+    LEFT: ClassVar[str]
+    """What is left of the measurement: its attribute's name is this with an s."""
 
     @property
     def title(self) -> str:
@@ -113,16 +103,37 @@ class OutputError(ParameterTable):
         return f"{type(self).__name__}: {self.message}"
 
     def plot(self) -> list[Figure]:
-        """Residuals of each flight over time, as matplotlib figures."""
-        return drawn("residual", self.times, self.residuals)
+        """What is left of each flight's outputs over time, as matplotlib figures."""
+        records = zip(self.times, getattr(self, f"{self.LEFT}s"), strict=True)
+        return [
+            over(f"flight {k}", ("time, s", time), {f"{self.LEFT} {i}": column for i, column in enumerate(record.mT)})
+            for k, (time, record) in enumerate(records)
+        ]
 
 
-def drawn(noun: str, times: Sequence[Tensor], records: Sequence[Tensor]) -> list[Figure]:
-    """Records (T, ny) of each flight over its times (T,), one picture per output."""
-    return [
-        over(f"flight {k}", ("time, s", time), {f"{noun} {i}": column for i, column in enumerate(record.mT)})
-        for k, (time, record) in enumerate(zip(times, records, strict=True))
-    ]
+@dataclass(frozen=True, repr=False, kw_only=True)
+class OutputError(ModuleEstimate):
+    """What `output_error` found: `ModuleEstimate`, and this.
+
+    The message also says where residuals are coloured as gusts colour them, and which parameters `x0="fixed"` would
+    move by more than a standard error.
+
+    Attributes
+    ----------
+    residuals : per flight (T, ny) measured minus model, NaN = missing.
+    model_error_ratio : [ny] residual over sensor noise (declared, or the white part of the residual).
+    stages : what each stage did.
+    segment_seconds : length of the longest segments that the estimate rests on, infinite where these are whole flights.
+    whole : how the model flies whole flights from their first samples: residuals, rms, ratio to those of the segments.
+    """
+
+    residuals: list[Tensor]
+    model_error_ratio: Tensor
+    stages: tuple[str, ...]
+    segment_seconds: float
+    whole: WholeFlights
+
+    LEFT = "residual"
 
 
 def output_error(

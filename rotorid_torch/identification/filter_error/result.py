@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, fields
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
-from rotorid_torch.core.parameters import ParameterTable
-from rotorid_torch.identification.estimate.output_error import ParameterEstimate, drawn, estimates, sentence
+from rotorid_torch.identification.estimate.output_error import ModuleEstimate, ParameterEstimate, estimates, sentence
 from rotorid_torch.identification.estimate.output_error import result_of as calm_result
 from rotorid_torch.identification.estimate.own_models.steps import Stepped
 from rotorid_torch.identification.estimate.progressive_fit import Fit
@@ -22,62 +20,34 @@ from rotorid_torch.identification.filter_error.search import Maximum
 from rotorid_torch.identification.filter_error.smoother import smoothed
 from rotorid_torch.identification.filter_error.uncertainty import uncertainty
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
-
-@dataclass(frozen=True, repr=False)
-class FilterError(ParameterTable):
-    """What `filter_error` found; what has a name of `OutputError` is the same.
+@dataclass(frozen=True, repr=False, kw_only=True)
+class FilterError(ModuleEstimate):
+    """What `filter_error` found: `ModuleEstimate`, and this.
 
     Attributes
     ----------
-    model : a copy of the module with the fitted parameters, in float64.
-    parameters : one record each, in the order of `covariance`.
-    covariance : [P, P], corrected for coloured innovations; NaN for parameters on a bound or not identifiable.
     process_noise : standard deviations of the noise in the states' rates, per square root of a second, by state; for
         "full" also correlations. Empty where it was held.
     process_covariance : [nx, nx] its spectral density, covariance per second.
-    measurement_noise : the same of the outputs' noise, by output. noise : [ny, ny] its covariance.
-    initial_states : [F, nx] at each flight's first sample.
-    converged, message : whether the optimum was reached, and a sentence that also names parameters in doubt.
-    history : cost after each accepted step.
+    measurement_noise : the same of the outputs' noise, by output.
     innovations : per flight (T, ny) measured minus predicted from all samples before, NaN = missing.
     states, state_errors : per flight (T, nx) by all samples of the flight (smoothed), and their standard errors, with
         parameters and initial states believed.
-    log_likelihood : of all innovations. times : per flight (T,) s of the samples.
+    log_likelihood : of all innovations.
     whiteness : of the innovations in units of their own covariance.
-    uncertainty : Cramer-Rao, coloured and jackknife apart.
     """
 
-    model: nn.Module
-    parameters: list[ParameterEstimate]
-    covariance: Tensor
     process_noise: list[ParameterEstimate]
     process_covariance: Tensor
     measurement_noise: list[ParameterEstimate]
-    noise: Tensor
-    initial_states: Tensor
-    converged: bool
-    message: str
-    history: list[float]
     innovations: list[Tensor]
     states: list[Tensor]
     state_errors: list[Tensor]
     log_likelihood: float
     whiteness: Whiteness
-    uncertainty: Uncertainty
 
-    times: list[Tensor] = field(default_factory=list)
-
-    @property
-    def title(self) -> str:
-        """Kind of the estimate, and what is to be said of its end."""
-        return f"{type(self).__name__}: {self.message}"
-
-    def plot(self) -> list[Figure]:
-        """Innovations of each flight over time, as matplotlib figures."""
-        return drawn("innovation", self.times, self.innovations)
+    LEFT = "innovation"
 
 
 def result_of(stepped: Stepped[Maximum]) -> FilterError:
@@ -192,25 +162,16 @@ def without_gusts(problem: FilterProblem, stepped: Stepped[Fit]) -> FilterError:
     sd = calm.noise.diagonal().sqrt().tolist()
     names = problem.noise.names if problem.noise.count else ()
     return FilterError(
-        model=calm.model,
-        parameters=calm.parameters,
-        covariance=calm.covariance,
+        **{one.name: getattr(calm, one.name) for one in fields(ModuleEstimate)},
         process_noise=[],
         process_covariance=torch.zeros(states.shape[-1], states.shape[-1], dtype=torch.float64),
         measurement_noise=[
             ParameterEstimate(name, sd[i], sd[i] / (2.0 * max(count[i], 1)) ** 0.5, "", (0.0, math.inf), False, "free")
             for i, name in enumerate(names)
         ],
-        noise=calm.noise,
-        initial_states=calm.initial_states,
-        converged=calm.converged,
-        message=calm.message,
-        history=calm.history,
         innovations=calm.residuals,
         states=records.measured(states),
         state_errors=[torch.zeros_like(one) for one in records.measured(states)],
         log_likelihood=-float(cost) - 0.5 * sum(count) * math.log(2.0 * math.pi),
         whiteness=whiteness(_padded(records.measured(residual), math.nan), _padded(records.measured(spreads), 0.0)),
-        uncertainty=calm.uncertainty,
-        times=calm.times,
     )

@@ -7,8 +7,6 @@ from functools import cache
 
 from rotorid_torch.effects.registry import registered
 
-OTHERS = "control other than declared"
-
 
 @dataclass(frozen=True)
 class Words:

@@ -48,7 +48,7 @@ class Evidence:
 
     `table`, `tolerance` [7, 10]: in-band derivatives and what counts as alike (infinite: not asked for); `motion`
     [frequency, 10] and `frequency` [frequency] rad/s of all flights; `project` [10, 2 frequency]: least squares on it;
-    `trim` [6] and its tolerance: phi, theta, controls; `excursions` [10]: rms of the columns.
+    `trim` [6] and its tolerance: phi, theta, controls.
     """
 
     table: Array
@@ -58,7 +58,6 @@ class Evidence:
     project: Array
     trim: Array
     trim_tolerance: Array
-    excursions: Array
 
     def tabulate(self, loads: Complex) -> Array:
         """Table [..., 7, 10] of loads [..., frequency, 7] at these frequencies."""
@@ -129,7 +128,6 @@ def look(dataset: Dataset, most: int = 30) -> Evidence:
         project[:10],
         np.where(usable, level, 0.0),
         np.where(usable, loose, np.inf),
-        excursions,
     )
 
 

@@ -23,14 +23,13 @@ BODY_STATES = ("u", "v", "w", "p", "q", "r", "phi", "theta")
 class LinearAircraft:
     """dx/dt = a x + b u about trim.
 
-    `a` [8, 8] and `b` [8, 4] are of the `BODY_STATES`, `full_a` and `full_b` with rotor and inflow. Controls are lon,
+    `a` [8, 8] and `b` [8, 4] are of the `BODY_STATES`, `full_a` with rotor and inflow. Controls are lon,
     lat, col, ped at the blades, rad. Gravity and kinematic terms are in `a`.
     """
 
     a: Array
     b: Array
     full_a: Array
-    full_b: Array
 
     def modes(self) -> NDArray[np.complex128]:
         """Eigenvalues of the eight-state model, 1/s."""
@@ -61,7 +60,7 @@ def linearise(aircraft: Aircraft, trim: Trim) -> LinearAircraft:
     across = np.linalg.solve(full_a[rotor, rotor], np.hstack([full_a[rotor, body], full_b[rotor]]))
     a = full_a[body, body] - full_a[body, rotor] @ across[:, : len(BODY_STATES)]
     b = full_b[body] - full_a[body, rotor] @ across[:, len(BODY_STATES) :]
-    return LinearAircraft(a, b, full_a, full_b)
+    return LinearAircraft(a, b, full_a)
 
 
 def derivatives(linear: LinearAircraft, trim: Trim) -> Array:

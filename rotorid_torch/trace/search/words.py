@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from rotorid_torch.trace.evidence.fits import FittedT
-from rotorid_torch.trace.search.decide import NO_SCATTER, TABLE, Interval, Reason, size_of, unseen_evidence
+from rotorid_torch.trace.search.decide import NO_SCATTER, Reason, size_of, unseen_evidence
 
 REASONS = {
     Reason.BELOW_LEVEL: "it explains no more than it does where nothing is missing",
@@ -80,34 +80,3 @@ def path_words(band: tuple[float, float]) -> str:
         f"Something is missing between the recorded controls and the rotor, at {band[0]:.2g} to {band[1]:.2g} Hz;"
         " no effect of the library explains it."
     )
-
-
-def table_of_decisions() -> str:
-    """The table of decisions for the documentation, as Markdown."""
-    rows = ["| where | verdict | reason |", "|---|---|---|"]
-    for asked, verdict, why in TABLE:
-        where = ", ".join(_asked(name, value) for name, value in asked.items()) or "otherwise"
-        rows.append(f"| {where} | {verdict} | {REASONS[why]} |")
-    return "\n".join(rows)
-
-
-def _asked(name: str, value: object) -> str:
-    """One observation in words."""
-    if isinstance(value, Interval):
-        return {Interval.ACTIVE_BOUND: "a bound is active", Interval.WITHIN_ERROR: "the interval holds the null"}[value]
-    return OBSERVED[name] if value else NOT_OBSERVED[name]
-
-
-OBSERVED = {"runs_worse": "free runs of unseen flights are worse by more than chance"}
-NOT_OBSERVED = {
-    "observable": "the usual size would not be visible",
-    "significant": "p > 0.05",
-    "still": "p > 0.05 beside the names",
-    "fitted": "the full fit explains nothing",
-    "unseen_better": "unseen flights are not better described",
-    "in_set": "not in the set of explanations",
-    "alone": "others are in the set of explanations",
-    "law": "of the control path, and p <= 0.05 of what is left there",
-    "adequate": "the names explain too little of what has no name",
-}
-"""What the table of decisions asks for, in words."""

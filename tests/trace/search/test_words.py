@@ -5,11 +5,40 @@ from __future__ import annotations
 from dataclasses import fields
 from pathlib import Path
 
-from rotorid_torch.trace.search.decide import TABLE, Reason, Row
-from rotorid_torch.trace.search.words import NOT_OBSERVED, OBSERVED, REASONS, table_of_decisions
+from rotorid_torch.trace.search.decide import TABLE, Interval, Reason, Row
+from rotorid_torch.trace.search.words import REASONS
 from rotorid_torch.trace.terms.settings import Settings
 
 PAGE = Path(__file__).parents[3] / "docs" / "closed-loop.md"
+OBSERVED = {"runs_worse": "free runs of unseen flights are worse by more than chance"}
+NOT_OBSERVED = {
+    "observable": "the usual size would not be visible",
+    "significant": "p > 0.05",
+    "still": "p > 0.05 beside the names",
+    "fitted": "the full fit explains nothing",
+    "unseen_better": "unseen flights are not better described",
+    "in_set": "not in the set of explanations",
+    "alone": "others are in the set of explanations",
+    "law": "of the control path, and p <= 0.05 of what is left there",
+    "adequate": "the names explain too little of what has no name",
+}
+"""What the table of decisions asks for, in words."""
+
+
+def table_of_decisions() -> str:
+    """The table of decisions as Markdown."""
+    rows = ["| where | verdict | reason |", "|---|---|---|"]
+    for asked, verdict, why in TABLE:
+        where = ", ".join(_asked(name, value) for name, value in asked.items()) or "otherwise"
+        rows.append(f"| {where} | {verdict} | {REASONS[why]} |")
+    return "\n".join(rows)
+
+
+def _asked(name: str, value: object) -> str:
+    """One observation in words."""
+    if isinstance(value, Interval):
+        return {Interval.ACTIVE_BOUND: "a bound is active", Interval.WITHIN_ERROR: "the interval holds the null"}[value]
+    return OBSERVED[name] if value else NOT_OBSERVED[name]
 
 
 def test_every_reason_has_words():
