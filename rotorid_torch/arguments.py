@@ -1,5 +1,7 @@
 """What callers hand to functions of the package, checked: one line says which argument, what is wrong, what to write.
 
+Every check raises InputError with that line where the value is anything else than it says.
+
 Arrays are declared by their shape ("T nu", "... T ny"): a letter stands for a size that the first array with it fixes.
 Lists, tuples, NumPy arrays, tensors and tables of pandas are all taken as arrays, of whole or real numbers.
 """
@@ -125,9 +127,7 @@ def described(value: Any) -> str:
 def numbers(argument: Argument, value: Any, missing: bool = False) -> Tensor:
     """Any array of numbers in float64: lists, NumPy, tensors, pandas. `missing`: NaN is allowed.
 
-    Raises
-    ------
-    InputError : None, text, complex numbers, rows of different lengths, infinity, or NaN where none is allowed.
+    Raises InputError: None, text, complex numbers, rows of different lengths, infinity, or NaN where none is allowed.
     """
     expected = "an array of numbers" + (", NaN where one is missing" if missing else "")
     tensor = _tensor(argument, value, expected)
@@ -177,9 +177,7 @@ def _foreign(array: np.ndarray) -> str:
 def shaped(argument: Argument, value: Any, shape: str, sizes: Sizes, missing: bool = False) -> Tensor:
     """Numbers of a declared shape; letters that are not yet fixed are fixed by it.
 
-    Raises
-    ------
-    InputError : as `numbers`, or another shape.
+    Raises InputError: as `numbers`, or another shape.
     """
     if value is None:
         raise argument.wrong("is None", f"an array {sizes.words(shape)}")
@@ -206,9 +204,8 @@ def _repair(tensor: Tensor, shape: str, sizes: Sizes) -> str:
 def arrays(of: str, table: Sequence[Array], mapping: Any, sizes: Sizes) -> dict[str, Tensor]:
     """The arrays of a mapping, as a table declares them; entries of other names are left alone.
 
-    Raises
-    ------
-    InputError : no mapping, an array that is absent (with the nearest name that is there), or one that does not fit.
+    Raises InputError: no mapping, an array that is absent (with the nearest name that is there), or one that does not
+    fit.
     """
     if not isinstance(mapping, Mapping):
         keys = listed(array.key for array in table)
@@ -240,9 +237,7 @@ def number(
 ) -> float:
     """One real (or whole) number; `what` it is, for the message.
 
-    Raises
-    ------
-    InputError : an array, text, None, NaN or infinity, or a number that is too small.
+    Raises InputError: an array, text, None, NaN or infinity, or a number that is too small.
     """
     noun = "a whole number" if whole else "a number"
     limit = f" above {above:g}" if above > -math.inf else f", at least {least:g}" if least > -math.inf else ""
@@ -261,9 +256,7 @@ def number(
 def word(argument: Argument, value: Any, allowed: Sequence[str], other: str = "") -> str:
     """One of some words; `other` is what else might have been given.
 
-    Raises
-    ------
-    InputError : anything else, with the nearest word.
+    Raises InputError: anything else, with the nearest word.
     """
     if isinstance(value, str) and value in allowed:
         return value
@@ -272,24 +265,14 @@ def word(argument: Argument, value: Any, allowed: Sequence[str], other: str = ""
 
 
 def flag(argument: Argument, value: Any) -> bool:
-    """True or False.
-
-    Raises
-    ------
-    InputError : anything else.
-    """
+    """True or False."""
     if isinstance(value, bool | np.bool_):
         return bool(value)
     raise argument.wrong(f"is {described(value)}", "True or False")
 
 
 def instance(argument: Argument, value: Any, kind: type | tuple[type, ...], expected: str) -> Any:
-    """An object of a class.
-
-    Raises
-    ------
-    InputError : anything else.
-    """
+    """An object of a class."""
     if isinstance(value, kind):
         return value
     raise argument.wrong(f"is {described(value)}", expected)
@@ -303,9 +286,7 @@ def optional(check: Callable[[Argument, Any], Any]) -> Callable[[Argument, Any],
 def place(argument: Argument, value: Any) -> Path:
     """A path of a file or folder.
 
-    Raises
-    ------
-    InputError : no text and no path.
+    Raises InputError: no text and no path.
     """
     if isinstance(value, str | os.PathLike) and isinstance(os.fspath(value), str) and os.fspath(value):
         return Path(value)
@@ -313,12 +294,7 @@ def place(argument: Argument, value: Any) -> Path:
 
 
 def sequence(argument: Argument, value: Any, expected: str) -> list[Any]:
-    """A list or tuple (or any iterable that is no mapping and no text) as a list.
-
-    Raises
-    ------
-    InputError : anything else.
-    """
+    """A list or tuple (or any iterable that is no mapping and no text) as a list."""
     if isinstance(value, str | bytes | Mapping) or not isinstance(value, Iterable) or isinstance(value, Tensor):
         raise argument.wrong(f"is {described(value)}", expected)
     return list(value)
@@ -327,9 +303,7 @@ def sequence(argument: Argument, value: Any, expected: str) -> list[Any]:
 def names(argument: Argument, value: Any, allowed: Sequence[str], noun: str) -> tuple[str, ...]:
     """A list of names that exist, each once.
 
-    Raises
-    ------
-    InputError : a single word, a name that there is not (with the nearest one), or one that is given twice.
+    Raises InputError: a single word, a name that there is not (with the nearest one), or one that is given twice.
     """
     chosen = sequence(argument, value, f'a list of names of {noun}s: ["..."]')
     for name in chosen:
@@ -345,12 +319,7 @@ def names(argument: Argument, value: Any, allowed: Sequence[str], noun: str) -> 
 
 
 def covariance(argument: Argument, value: Any, shape: str, sizes: Sizes, definite: bool = False) -> Tensor:
-    """A covariance [..., n, n]: symmetric, no eigenvalue below zero; `definite`: none that is zero.
-
-    Raises
-    ------
-    InputError : any other matrix.
-    """
+    """A covariance [..., n, n]: symmetric, no eigenvalue below zero; `definite`: none that is zero."""
     matrix = shaped(argument, value, shape, sizes)
     n = matrix.shape[-1]
     if matrix.shape[-2] != n:
@@ -370,13 +339,9 @@ def evaluated(
 ) -> Tensor:
     """What a caller's function gives at some inputs, which ask for derivatives: it must stay within torch.
 
-    Parameters
-    ----------
     wanted : shape of the result. form : how the function is to be written, "f(x, u) -> dx/dt".
 
-    Raises
-    ------
-    InputError : it takes other arguments, fails, leaves torch, or gives another shape.
+    Raises InputError: it takes other arguments, fails, leaves torch, or gives another shape.
     """
     _refuse_signature(argument, function, len(inputs), form)
     watched = [value.detach().clone().requires_grad_() for value in inputs]

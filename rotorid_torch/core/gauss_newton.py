@@ -144,16 +144,12 @@ def minimise(
 ) -> Minimum[P]:
     """Minimum of half a sum of squares within bounds.
 
-    Parameters
-    ----------
     evaluate : the point at theta [n]; must not fail, a cost of infinity or NaN rejects the step.
     linearise : linear model of the residual at an accepted point.
     start : parameters [n], or a point already evaluated.
     monitor : called after each accepted step with iteration, cost, theta.
 
-    Raises
-    ------
-    InfiniteCost : the start has none that is finite.
+    Raises InfiniteCost: the start has none that is finite.
 
     Source: Levenberg (1944), Marquardt (1963); projected active set: Bertsekas (1982), SIAM J. Control Optim. 20(2);
     held directions: Jategaonkar, Flight Vehicle System Identification, sec. 4.

@@ -22,8 +22,6 @@ NODES = (0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0)
 def step(rates: Rates, t: Tensor, x: Tensor, u0: Tensor, u1: Tensor, dt: float) -> Tensor:
     """One step of the 3/8 rule from t to t + dt, controls linear in between.
 
-    Parameters
-    ----------
     rates : right-hand side.
     t : time at the start of the step, s; broadcasts against the leading dimensions of x.
     x : [..., nx] state at t.
@@ -51,14 +49,10 @@ def step_stages(rates: Rates, t: Tensor, x: Tensor, u0: Tensor, u1: Tensor, dt: 
 def step_jacobian(by_state: Tensor, by_other: Tensor, dt: float) -> tuple[Tensor, Tensor]:
     """Exact derivatives of one step by its start and by anything else, from those of the rates at its four stages.
 
-    Parameters
-    ----------
     by_state : [4, ..., nx, nx] derivatives of the rates by the state at the stages.
     by_other : [4, ..., nx, n] derivatives by n other quantities, the state held.
 
-    Returns
-    -------
-    [..., nx, nx] and [..., nx, n].
+    Returns [..., nx, nx] and [..., nx, n].
     """
     nx = by_state.shape[-1]
     both = torch.cat([by_state, by_other], dim=-1)

@@ -146,9 +146,7 @@ class ParameterTable:
     def __getitem__(self, name: str) -> Any:
         """The parameter of a name, or of the last parts of one: "M.q" is "forces.M.q" where no other name ends so.
 
-        Raises
-        ------
-        KeyError : there is none, or several; with the nearest names.
+        Raises KeyError: there is none, or several; with the nearest names.
         """
         names = [p.name for p in self._estimates]
         ends = [n for n in names if n == name] or [n for n in names if n.endswith(f".{name}")]

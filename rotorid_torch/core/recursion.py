@@ -22,8 +22,6 @@ def followed(step: Step, start: Tensor, *inputs: Tensor) -> Tensor:
     First derivatives are exact, forward and in reverse: dy[k] = a[k] dy[k-1] + b[k] du[k], with a and b the derivatives
     of the step; they are recursions of the same kind.
 
-    Parameters
-    ----------
     step : torch function of y[k-1] and of each input at k, entry by entry, without branches on values; a function of a
         module, not one made for the call, is compiled once.
     start : [..., n]. inputs : [..., T, n], or [..., 1, n] for what is the same at all samples; dimensions broadcast.

@@ -40,8 +40,6 @@ def gravity_in_body(attitude: Tensor, gravity: float | Tensor) -> Tensor:
 def velocity_rates(velocity: Tensor, rates: Tensor, attitude: Tensor, specific_force: Tensor, gravity: float) -> Tensor:
     """d(u, v, w)/dt, m/s2 [..., 3].
 
-    Parameters
-    ----------
     velocity : [..., 3] m/s, body; rates : [..., 3] rad/s; attitude : [..., >= 2] phi, theta (rad).
     specific_force : [..., 3] m/s2, external force without gravity over mass, at the centre of gravity.
     """

@@ -26,8 +26,6 @@ class OnDemand(Mapping[str, Item], Generic[Item]):
     What leaves the memory is made again when it is wanted again, or, where that is costly, read from a temporary file
     that ends with this mapping, however the process dies. What fits into the budget is made once and stays.
 
-    Parameters
-    ----------
     names : of the items, in order.
     make : gives the item of a name; None where `keep` hands over all of them.
     costly : write what leaves the memory to disk; items are then dataclasses, with float64 tensors, also in dicts.

@@ -197,9 +197,7 @@ def without_impossible(
 
     `file` and `key` are named in errors.
 
-    Raises
-    ------
-    InputError : where more than one, and more than `FEW` of the samples, lie outside, or half of them.
+    Raises InputError where more than one, and more than `FEW` of the samples, lie outside, or half of them.
     """
     measured = int((~np.isnan(values)).sum())
     outside = (values < allowed.low) | (values > allowed.high)

@@ -40,17 +40,14 @@ def write_dataset(
 
     float32 stays float32, all else is written as float64. An earlier data set at this place is replaced whole.
 
-    Parameters
-    ----------
     flights, declared : as for `Dataset.from_arrays`, which validates them before anything is written. Without a name
         the data set has that of the folder.
     truth : arrays by flight and channel.
     texts : more files, by path in the folder; those that say what the data set declares anyway are left out.
     comment : lines that begin with #, for the table [vehicle], after its keys.
 
-    Raises
-    ------
-    InputError : the data are bad, something that is not a data set is in the way, or the place cannot be written to.
+    Raises InputError: the data are bad, something that is not a data set is in the way, or the place cannot be written
+    to.
     """
     place = absolute(folder)
     refuse_unless_free(place)
@@ -96,8 +93,6 @@ def refuse_unless_free(out: str | Path, written: str = "", inputs: Iterable[Path
     Something that is not a data set is in the way, or a data set that holds other files, or files that are read; or
     the place cannot be written to.
 
-    Parameters
-    ----------
     written : what the description of a data set that may be replaced begins with: flights that were measured cannot be
         made again.
     inputs : files that are read.

@@ -44,9 +44,7 @@ def register(effect: E) -> E:
 def registered() -> dict[str, type[Effect]]:
     """All effects by id, those of other packages included.
 
-    Raises
-    ------
-    InputError : a module of another package cannot be imported, or registers an id that is taken.
+    Raises InputError: a module of another package cannot be imported, or registers an id that is taken.
     """
     _import()
     return EFFECTS

@@ -159,9 +159,7 @@ def usual_arm(mass: float | None) -> float:
 def read_spec(plain: Any, file: str | Path) -> ModelSpec:
     """Spec of a file, as plain data: of the right form, and of a vehicle that can be.
 
-    Raises
-    ------
-    InputError : with the key that is at fault.
+    Raises InputError with the key that is at fault.
     """
     spec = convert(plain, ModelSpec, file, "spec")
     plausible.check_finite({"spec": spec.plain()}, file)

@@ -44,9 +44,7 @@ def taken(effect: nn.Module, who: str, sd: float | Mapping[str, float]) -> tuple
     who : what messages call the effect. sd : prior's standard deviation about the values drawn, by the beginning of a
     weight's name where several are told.
 
-    Raises
-    ------
-    InputError : a module's weights would not be trained, or nothing is told of their size.
+    Raises InputError: a module's weights would not be trained, or nothing is told of their size.
     """
     refuse_hidden(effect, who)
     effect.double()

@@ -69,9 +69,7 @@ def identifier(title: str) -> str:
 def c_source(model: Model, title: str, step: float) -> ModelSource:
     """The model as C; `step` is the longest step of its integration, s.
 
-    Raises
-    ------
-    InputError : the model holds an operation that has no C, or an effect that looks ahead.
+    Raises InputError: the model holds an operation that has no C, or an effect that looks ahead.
     """
     x, u = reference_point(model)
     theta = model.theta.detach()

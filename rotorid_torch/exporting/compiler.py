@@ -18,9 +18,7 @@ FLAGS = ("-O2", "-std=c99", "-fPIC", "-shared", "-fvisibility=hidden")
 def c_compiler() -> list[str]:
     """The command that compiles C: CC, else cc or gcc on PATH.
 
-    Raises
-    ------
-    InputError : there is none.
+    Raises InputError: there is none.
     """
     for wanted in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
         program, *options = shlex.split(wanted)
@@ -33,9 +31,7 @@ def c_compiler() -> list[str]:
 def library(sources: list[Path], out: Path) -> None:
     """Compile sources into a shared library.
 
-    Raises
-    ------
-    InputError : there is no compiler, or it refuses them.
+    Raises InputError: there is no compiler, or it refuses them.
     """
     command = [*c_compiler(), *FLAGS, *map(str, sources), "-o", str(out), "-lm"]
     done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=LIMIT_S, check=False)

@@ -26,9 +26,7 @@ FACTS = "resources/model.json"
 def write_fmu(subject: Subject, path: Path, fmi: Fmi = Fmi.TWO) -> None:
     """Write the FMU.
 
-    Raises
-    ------
-    InputError : there is no C compiler, or the model has no form in C.
+    Raises InputError: there is no C compiler, or the model has no form in C.
     """
     source = c_source(subject.model, subject.title, subject.step)
     guid = hashlib.sha256(f"{fmi.value}{source.header}{source.source}".encode()).hexdigest()[:32]

@@ -55,9 +55,7 @@ class FmuFacts(msgspec.Struct, frozen=True):
 def read_facts(path: str | Path) -> FmuFacts:
     """What an FMU says of itself.
 
-    Raises
-    ------
-    InputError : it is not there, or is no FMU that rotorid wrote.
+    Raises InputError: it is not there, or is no FMU that rotorid wrote.
     """
     read_file(path, EXPECTED, LARGEST)
     try:
@@ -78,9 +76,7 @@ class Span:
 def fly_fmu(path: str | Path, facts: FmuFacts, dataset: Dataset, flight: str, span: Span) -> dict[str, np.ndarray]:
     """Free run by name: "time" (T,) s, states and outputs (T,), SI; as `run.saved_model.simulate` gives of a model.
 
-    Raises
-    ------
-    InputError : fmpy is not installed, or the FMU is for another system.
+    Raises InputError: fmpy is not installed, or the FMU is for another system.
     """
     record = dataset.flights[flight]
     inside = slice(span.first, span.first + span.samples)

@@ -32,9 +32,7 @@ def write_onnx(subject: Subject, path: Path) -> None:
 
     u are the controls behind their way: delays and lags are the caller's. Names and units are the file's metadata.
 
-    Raises
-    ------
-    InputError : the package onnx is not installed, or an operation of the model has no operator.
+    Raises InputError: the package onnx is not installed, or an operation of the model has no operator.
     """
     try:
         import onnx

@@ -77,9 +77,7 @@ OUTPUTS: Mapping[str, tuple[str, Sizes]] = {
 def control_path(model: Model, graph: Graph) -> list[Element]:
     """Elements between the recorded controls and the rotor, in order.
 
-    Raises
-    ------
-    InputError : an effect looks ahead in the record, or knows whole records alone.
+    Raises InputError: an effect looks ahead in the record, or knows whole records alone.
     """
     for k, effect in enumerate(model.chain):
         p = model.values(model.theta.detach(), k)

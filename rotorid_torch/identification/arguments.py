@@ -1,4 +1,4 @@
-"""What estimators on anybody's model take: flights, a model that fits them, noises; each checked before any work."""
+"""What estimators on anybody's model take: flights, a model that fits them, noises; all else raises InputError."""
 
 from __future__ import annotations
 
@@ -32,9 +32,7 @@ SOLVERS = ("rk4", "euler", "midpoint", "heun3", "dopri5", "dopri8", "bosh3", "fe
 def flights_of(flights: Any) -> list[dict[str, Tensor]]:
     """The arrays of each flight: sizes of controls, outputs and states are those of the first flight.
 
-    Raises
-    ------
-    InputError : no list of dicts, an array that is absent or does not fit, or time that does not run evenly.
+    Raises InputError: no list of dicts, an array that is absent or does not fit, or time that does not run evenly.
     """
     listed = arguments.sequence(
         Argument("arguments", "flights"), flights, "a list of dicts with time, controls, outputs, x0: [flight]"
@@ -69,9 +67,7 @@ def _refuse_uneven(argument: Argument, time: Tensor) -> None:
 def refuse_unmeasured(outputs: Tensor) -> None:
     """Outputs of all flights [F, T, ny] of which one has no value anywhere.
 
-    Raises
-    ------
-    InputError : naming the column.
+    Raises InputError naming the column.
     """
     nothing = outputs.isnan().flatten(0, -2).all(dim=0).nonzero()[:, 0].tolist()
     if nothing:
@@ -80,12 +76,7 @@ def refuse_unmeasured(outputs: Tensor) -> None:
 
 
 def refuse_too_few(outputs: Tensor, parameters: int, states: int) -> None:
-    """Fewer measured outputs [F, T, ny] than unknowns: parameters, and initial states of each flight.
-
-    Raises
-    ------
-    InputError : with both numbers.
-    """
+    """Fewer measured outputs [F, T, ny] than unknowns: parameters, and initial states of each flight."""
     values, unknowns = int((~outputs.isnan()).sum()), parameters + states * len(outputs)
     if values <= unknowns:
         wrong = f"hold {values} values for {unknowns} unknowns ({parameters} parameters, the others initial states)"
@@ -93,12 +84,7 @@ def refuse_too_few(outputs: Tensor, parameters: int, states: int) -> None:
 
 
 def module(model: Any) -> nn.Module:
-    """A module of torch with real parameters, a forward and an output.
-
-    Raises
-    ------
-    InputError : anything else.
-    """
+    """A module of torch with real parameters, a forward and an output."""
     argument = Argument("arguments", "model")
     if not isinstance(model, nn.Module):
         call = f": {model.__name__}()" if isinstance(model, type) else ""
@@ -126,9 +112,7 @@ def state_names(model: nn.Module, nx: int) -> tuple[tuple[str, ...], tuple[str, 
 def refuse_unfit(model: nn.Module, start: Tensor, x: Tensor, u: Tensor, ny: int) -> None:
     """A model that does not take the flights' states [F, nx] and controls [F, nu], or gives something else.
 
-    Raises
-    ------
-    InputError : naming the method.
+    Raises InputError naming the method.
     """
     count = sum((x.shape[-1], u.shape[-1], ny, 2))
     rows = torch.arange(max(len(x), count)) % len(x)
@@ -140,12 +124,7 @@ def refuse_unfit(model: nn.Module, start: Tensor, x: Tensor, u: Tensor, ny: int)
 
 
 def noise_of(noise: Any, ny: int) -> tuple[str, Tensor | None]:
-    """How the outputs' noise comes about: "diagonal" or "full", or "held" with a matrix [ny, ny].
-
-    Raises
-    ------
-    InputError : anything else.
-    """
+    """How the outputs' noise comes about: "diagonal" or "full", or "held" with a matrix [ny, ny]."""
     argument = Argument("arguments", "noise")
     if noise is None or isinstance(noise, str):
         return arguments.word(argument, noise, ("diagonal", "full"), f" or a covariance ({ny}, {ny})"), None
@@ -155,9 +134,7 @@ def noise_of(noise: Any, ny: int) -> tuple[str, Tensor | None]:
 def floor_of(noise_floor: Any, ny: int) -> Tensor | None:
     """Standard deviations [ny] below which no noise is believed, or None.
 
-    Raises
-    ------
-    InputError : another number of them, or a negative one.
+    Raises InputError: another number of them, or a negative one.
     """
     if noise_floor is None:
         return None
@@ -171,9 +148,7 @@ def floor_of(noise_floor: Any, ny: int) -> Tensor | None:
 def lengths_of(segment_lengths: Any, dt: float) -> tuple[float, ...] | None:
     """Lengths of segments in seconds, stage by stage; infinite for whole flights.
 
-    Raises
-    ------
-    InputError : none, or one that is no number or holds fewer than two samples.
+    Raises InputError: none, or one that is no number or holds fewer than two samples.
     """
     if segment_lengths is None:
         return None
@@ -196,9 +171,7 @@ def _long_enough(value: Any, dt: float) -> bool:
 def angles_of(of: str, angles: Any, ny: int) -> tuple[int, ...]:
     """Places of outputs that are angles.
 
-    Raises
-    ------
-    InputError : no list of places that there are.
+    Raises InputError: no list of places that there are.
     """
     argument = Argument(of, "angles")
     expected = f"a list of places of outputs, 0 to {ny - 1}"
@@ -208,9 +181,7 @@ def angles_of(of: str, angles: Any, ny: int) -> tuple[int, ...]:
 def delays_of(delays: Any, nu: int) -> dict[int, float]:
     """Where pure delays start, s, by place of the control.
 
-    Raises
-    ------
-    InputError : no dict of delays by places that there are, or one below zero.
+    Raises InputError: no dict of delays by places that there are, or one below zero.
     """
     argument, expected = Argument("arguments", "delays"), f"a dict of seconds by place of the control, 0 to {nu - 1}"
     if delays is None:
@@ -239,9 +210,7 @@ class InitialStates:
 def initial_states_of(x0: Any, names: Sequence[str]) -> InitialStates:
     """What `x0` asks for: a word, or by place or name of a state "free", "fixed" or (lower, upper).
 
-    Raises
-    ------
-    InputError : a state that there is not, or another wish.
+    Raises InputError: a state that there is not, or another wish.
     """
     argument = Argument("arguments", "x0")
     if not isinstance(x0, Mapping):
@@ -262,12 +231,7 @@ def initial_states_of(x0: Any, names: Sequence[str]) -> InitialStates:
 
 
 def refuse_search(max_iterations: Any, monitor: Any) -> None:
-    """Iterations that are no number of them, or a monitor that cannot be called.
-
-    Raises
-    ------
-    InputError : naming the argument.
-    """
+    """Iterations that are no number of them, or a monitor that cannot be called."""
     arguments.number(Argument("arguments", "max_iterations"), max_iterations, least=0, whole=True)
     if monitor is not None and not callable(monitor):
         raise Argument("arguments", "monitor").wrong(
@@ -278,9 +242,7 @@ def refuse_search(max_iterations: Any, monitor: Any) -> None:
 def bounds_of(bounds: Any, free: Sequence[str]) -> Mapping[str, tuple[float, float]]:
     """Lower and upper bound by name of a free parameter.
 
-    Raises
-    ------
-    InputError : a name that is not free, or no pair with the lower bound first.
+    Raises InputError: a name that is not free, or no pair with the lower bound first.
     """
     argument = Argument("arguments", "bounds")
     if bounds is None:

@@ -122,14 +122,10 @@ def find_gusts(
 ) -> Air:
     """The air of flights, by a model that is believed but for its trims and what is doubtful.
 
-    Parameters
-    ----------
     names : of its parameters that are estimated. floor : [ny] sensor noise. doubtful : those of them that are
         estimated together with the air.
 
-    Raises
-    ------
-    Unsupported : the model cannot be compiled.
+    Raises Unsupported: the model cannot be compiled.
     """
     floor = torch.maximum(floor, smallest_noise(flights)).square()
     problem, held = _problem(model, names, doubtful, flights, floor.sqrt())

@@ -42,8 +42,6 @@ def velocities_colour(outputs: Sequence[str], problem: Likelihood, place: Place)
 def sentence(asked: str, chosen: str, colour: float, why_not: str) -> str:
     """How the method of step 3 was chosen.
 
-    Parameters
-    ----------
     asked : one of `METHODS`. colour : as `velocities_colour`. why_not : why the filter error method cannot be taken.
     """
     by = f"step 3 by {NAMES[chosen]}"

@@ -97,9 +97,7 @@ def estimate_model(
 
     The identify flights are spread over the ranks; each comes to the same estimate.
 
-    Raises
-    ------
-    InputError : "filter-error" where gusts have nothing to act through, or the model cannot be compiled.
+    Raises InputError: "filter-error" where gusts have nothing to act through, or the model cannot be compiled.
     """
     method, ranks, why_not = means.method, means.ranks, lacks(model)
     if method == "filter-error" and why_not:

@@ -122,9 +122,7 @@ def trims_of_flights(
 ) -> tuple[tuple[str, ...], Tensor]:
     """What each equation has as a constant in each identify flight, its derivatives and the physics as in theta.
 
-    Returns
-    -------
-    Names of the equations, and their constants [rows, flights] in the rows' units. The model is set to theta.
+    Returns names of the equations, and their constants [rows, flights] in the rows' units. The model is set to theta.
     """
     with torch.no_grad():
         model.theta.copy_(theta)

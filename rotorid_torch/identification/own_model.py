@@ -58,8 +58,6 @@ class OwnModel(nn.Module):
 
     Its controls are the model's and behind them the measured angles [..., nu + len(angles)].
 
-    Parameters
-    ----------
     model : with forward(t, x, u), output(x, u) and, if it likes, tape(controls, dt).
     controls : number of the model's controls. angles : places of outputs. delays : start in s by place of the control.
     """

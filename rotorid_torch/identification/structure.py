@@ -49,9 +49,7 @@ def propose(dataset: Dataset, reconstruction: Reconstruction | None, effects: Se
 
     reconstruction : None before step 1; the sizes of forces and moments are one then.
 
-    Raises
-    ------
-    InputError : a flight lacks a body rate.
+    Raises InputError: a flight lacks a body rate.
     """
     dataset.require_rates()
     moving = have(dataset, (*VELOCITIES, *ATTITUDE))

@@ -37,8 +37,6 @@ class Manoeuvre:
 def cut(arrays: Mapping[str, np.ndarray], dt: float) -> list[Manoeuvre]:
     """Manoeuvres of a flight on a uniform grid, in order and apart from each other; empty where nothing moves.
 
-    Parameters
-    ----------
     arrays : controls and, where known, body rates (T,), NaN where missing.
     dt : s between samples.
     """

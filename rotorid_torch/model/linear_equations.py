@@ -14,8 +14,6 @@ from rotorid_torch.effects.base import Values
 class LinearBlock(nn.Module):
     """rows = trim + D z, with z the perturbations of `columns` from the reference; D has entries only where declared.
 
-    Parameters
-    ----------
     rows : names of the equations.
     columns : names of all regressors, in the order of z.
     pattern : for each row the regressors that it has.

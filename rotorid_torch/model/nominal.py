@@ -46,9 +46,7 @@ def build(spec: ModelSpec) -> Model:
 
     A start moves theta, kept within its bounds; the parameter's declared value stays what its prior is about.
 
-    Raises
-    ------
-    InputError : an effect's id is unknown, or `free` or `values` name no parameter of the model.
+    Raises InputError: an effect's id is unknown, or `free` or `values` name no parameter of the model.
     """
     body = Body(spec.states, (*spec.controls, *spec.inputs), spec.outputs, spec.gravity, spec.inertia, spec.imu)
     nominal = _multirotor(spec) if spec.motors else [*_rotor(spec), _forces(spec), *_physics(spec)]

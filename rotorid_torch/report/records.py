@@ -213,9 +213,7 @@ def encode_report(report: Report) -> bytes:
 def read_report(run: str | Path) -> Report:
     """Read RUN/report.json.
 
-    Raises
-    ------
-    InputError : no such file, or not a report of this format.
+    Raises InputError: no such file, or not a report of this format.
     """
     restore(Path(run))
     file = Path(run) / "report.json"

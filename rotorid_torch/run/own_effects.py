@@ -39,9 +39,7 @@ def refuse_faulty(effects: Iterable[str], spec: ModelSpec) -> None:
 
     Effects that say that they cannot be tested on the vehicle, or that the model has them already, pass.
 
-    Raises
-    ------
-    InputError : an effect's class, its parameters or states, its null, its shapes, or an error that it raises.
+    Raises InputError: an effect's class, its parameters or states, its null, its shapes, or an error that it raises.
     """
     without: Model | None = None
     for name in effects:

@@ -222,15 +222,11 @@ def write_free_run(
 ) -> dict[str, np.ndarray]:
     """Free run of a saved model on a flight, as NAME.npz or NAME.csv: time, outputs, states; warns outside the range.
 
-    Parameters
-    ----------
     model : a RUN, a model.pt or an FMU.
     overwrite : replace a file at `out` that is no earlier free run; files of the model and the data set never.
 
-    Raises
-    ------
-    InputError : no such model or flight, a control is missing, start and seconds leave the flight, or `out` is in the
-        way.
+    Raises InputError: no such model or flight, a control is missing, start and seconds leave the flight, or `out` is in
+    the way.
     """
     how = {"overwrite": overwrite, "inputs": (_file(Path(model)), *dataset.files())}
     refuse_unless_free_run(out, **how)

@@ -35,8 +35,6 @@ def method_by_quiet_moments(asked: str, where_untold: str, dataset: Dataset, spe
     Where no gusts show in them, coloured residuals are of the model. Not asked where no velocities are measured, for
     gusts have nothing to act through.
 
-    Parameters
-    ----------
     asked : of `METHODS`. where_untold : what "auto" becomes where flights have no such moments: "auto", then coloured
         residuals decide alone, or "output-error".
     """

@@ -44,8 +44,6 @@ def turned(matrix: Array, vector: Array) -> Array:
 def body_rates(x: Array, specific_force: Array, angular: Array, gravity: float) -> Array:
     """Rates of velocity, body rates, Euler angles and position (north, east, height), [12, ...], of these rows x.
 
-    Parameters
-    ----------
     specific_force : [3, ...] m/s^2, body axes. angular : [3, ...] rad/s^2.
 
     Source: Etkin and Reid, Dynamics of Flight, 3rd ed., section 4.7.

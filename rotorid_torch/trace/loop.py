@@ -103,8 +103,6 @@ def trace(
 ) -> Tracing:
     """Which effects a model lacks.
 
-    Parameters
-    ----------
     start : the model with its parameters as identified.
     draw : statistics of effects on clean aircraft, for the model with its structural effects.
     say : told what happens, a line at a time. seed : of the residuals turned in time.

@@ -33,8 +33,6 @@ def trace_rotors(
 ) -> Tracing:
     """Which undeclared effects the model of a multirotor lacks.
 
-    Parameters
-    ----------
     draw : statistics of effects on clean multirotors. say : told what happens, a line at a time.
     seed : of the residuals turned in time. ranks : processes that share the candidates; each calls this.
     """

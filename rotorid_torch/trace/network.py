@@ -84,8 +84,6 @@ def learn(
 ) -> Learnt:
     """A network trained on what a traced model leaves over, and what it is worth.
 
-    Parameters
-    ----------
     null : the model with everything that was traced. held : parameters that no fit moves.
     seed : of the hidden layers that training begins from, and of the turned residuals.
     say : told what happens, a line at a time.

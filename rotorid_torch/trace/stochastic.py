@@ -43,8 +43,6 @@ Spectra = Mapping[str, Sequence[float]]
 def stochastic_findings(dataset: Dataset, spec: ModelSpec, response: Mapping[str, float]) -> list[EffectFinding]:
     """Findings of turbulence and vibration.
 
-    Parameters
-    ----------
     response : what a gust of 1 m/s along its axis does to each accelerometer, m/s2; turns accelerations into gusts.
     """
     return [_turbulence(dataset, spec, response), _vibration(dataset, spec)]

@@ -27,13 +27,9 @@ def free_run_bands(
 
     The body's initial state is that of the model itself, for all draws. All flights have one sample interval.
 
-    Parameters
-    ----------
     names, covariance : parameters of the model that were estimated, and their covariance [P, P].
 
-    Returns
-    -------
-    Nothing where the model cannot be compiled: a picture is not worth the time.
+    Returns Nothing where the model cannot be compiled: a picture is not worth the time.
     """
     run, samples = Runs.of(model), horizon_samples(dataset.facts[flights[0]].dt)
     if run.compiled is None:

@@ -48,8 +48,6 @@ def least_slow_error(signal: Tensor, noise: Callable[[Tensor], Tensor], dt: floa
     the best of several window lengths. No smoother knows as much, so this flatters; only what is known beforehand about
     how components hang together, or follow from controls, can do better.
 
-    Parameters
-    ----------
     signal : [..., T, n] the truth. noise : variance [m, n] of the measurements' error at frequencies [m] in Hz, as the
         variance per sample of white noise with that density; infinite where nothing is measured. dt : s.
 

@@ -43,14 +43,10 @@ def horizon_samples(dt: float, seconds: float = HORIZON_S) -> int:
 def flight_J(error: Tensor, scale: Tensor) -> Tensor:
     """Score J: root mean square over channels and samples of error / scale.
 
-    Parameters
-    ----------
     error : [..., T, n], free run minus measured, already cut to the horizon.
     scale : [n], the data set's scale of each channel, in the channel's unit.
 
-    Returns
-    -------
-    [...], without unit; NaN where no sample is valid.
+    Returns [...], without unit; NaN where no sample is valid.
     """
     return torch.nanmean((error / scale).square(), dim=(-2, -1)).sqrt()
 

@@ -44,9 +44,7 @@ class Adjoint:
     def build(self) -> None:
         """Compile the code of trajectories and derivatives now.
 
-        Raises
-        ------
-        Unsupported : there is no compiler, or it refuses the model.
+        Raises Unsupported: there is no compiler, or it refuses the model.
         """
         with ThreadPoolExecutor() as side_by_side:
             list(side_by_side.map(library, (self.dynamics.simulation[0], self.code[0])))
@@ -97,9 +95,7 @@ def trajectories(adjoint: Adjoint, theta: Tensor, x0: Tensor, controls: Tensor, 
 
     Torch differentiates them once, by parameters theta [P], x0 and controls.
 
-    Raises
-    ------
-    Unsupported : there is no compiler, or it refuses the model.
+    Raises Unsupported: there is no compiler, or it refuses the model.
 
     Source: Hager (2000), Numer. Math. 87 (Runge-Kutta methods and their discrete adjoint).
     """

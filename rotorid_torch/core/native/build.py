@@ -40,9 +40,7 @@ NO_COMPILER = "no C++ compiler was found (g++ on PATH, or CXX=...)"
 def compiler() -> tuple[str, ...]:
     """The command that compiles C++: path of its program, and what stands behind it in CXX ("ccache g++").
 
-    Raises
-    ------
-    Unsupported : there is none.
+    Raises Unsupported: there is none.
     """
     wanted = os.environ.get("CXX", "g++")
     program, *options = [wanted] if shutil.which(wanted) else shlex.split(wanted) or [wanted]
@@ -95,9 +93,7 @@ def _loops() -> str:
 def library(source: str) -> ctypes.CDLL:
     """The compiled source, from the cache where it was built before; safe for processes that build at once.
 
-    Raises
-    ------
-    Unsupported : there is no compiler, it refuses the source, or the system loads nothing that it has compiled.
+    Raises Unsupported: there is no compiler, it refuses the source, or the system loads nothing that it has compiled.
     """
     program = compiler()
     key = hashlib.sha256("\n".join([source, _loops(), _target(program), *FLAGS]).encode()).hexdigest()[:24]

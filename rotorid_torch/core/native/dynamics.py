@@ -45,8 +45,6 @@ def sizes(**numbers: int) -> str:
 class Dynamics:
     """dx/dt = rates(x, u, theta), y = outputs(x, u, theta) in native code; libraries are built when first asked for.
 
-    Parameters
-    ----------
     nx, nu, ny, count : numbers of states, controls, outputs, parameters.
     path : parameters that the controls depend on (their derivatives come with the controls).
     biased : outputs with a constant of their own as further unknowns.
@@ -70,9 +68,7 @@ class Dynamics:
     def of(cls, motion: Motion, x: Tensor, u: Tensor, theta: Tensor) -> Dynamics:
         """Trace rates and outputs at a point; what both need is traced once. `replace` gives the other settings.
 
-        Raises
-        ------
-        Unsupported : an operation in the function is not known to native code.
+        Raises Unsupported: an operation in the function is not known to native code.
         """
         graph = Graph()
         nodes = traced(graph, lambda *point: torch.cat(motion(*point)), x, u, theta)
@@ -111,9 +107,7 @@ class Dynamics:
     def build(self, derivatives: bool = False) -> None:
         """Compile the trajectories' code now, and that of the derivatives beside it.
 
-        Raises
-        ------
-        Unsupported : there is no compiler, or it refuses the model.
+        Raises Unsupported: there is no compiler, or it refuses the model.
         """
         sources = [self.simulation[0]] + ([self.sensitivity[0]] if derivatives else [])
         with ThreadPoolExecutor() as side_by_side:

@@ -88,13 +88,9 @@ class CompiledFilter:
     def of(cls, f: Function, h: Function, x: Tensor, u: Tensor, ny: int) -> CompiledFilter:
         """Trace both functions at a point.
 
-        Parameters
-        ----------
         x, u : [F, nx], [F, nu] a state and controls of each flight, where the functions are tried. ny : outputs.
 
-        Raises
-        ------
-        Unsupported : native code does not know an operation in them, or they are not the same for every flight.
+        Raises Unsupported: native code does not know an operation in them, or they are not the same for every flight.
         """
         graph, bodies = Graph(), []
         constants = Constants(graph, 0)
@@ -113,9 +109,7 @@ class CompiledFilter:
 
         spreads : write down the innovations' covariances.
 
-        Raises
-        ------
-        Unsupported : it cannot be compiled here. MemoryError : the smoother's memory does not suffice.
+        Raises Unsupported: it cannot be compiled here; MemoryError: the smoother's memory does not suffice.
         """
         ready_arrays = {
             name: ready(getattr(problem, name)) for name in ("controls", "outputs", "mean", "covariance", "R")

@@ -90,9 +90,7 @@ class Innovations:
     def of(cls, parts: Parts, x: Tensor, u: Tensor, psi: Tensor, held: int = 0) -> Innovations:
         """Trace a model and its noise at a point.
 
-        Raises
-        ------
-        Unsupported : an operation in the functions is not known to native code.
+        Raises Unsupported: an operation in the functions is not known to native code.
         """
         graph, nx = Graph(), len(x)
         nodes = traced(graph, lambda *point: torch.cat([p.reshape(-1) for p in parts(*point)]), x, u, psi)
@@ -144,9 +142,7 @@ class Innovations:
     def build(self) -> None:
         """Compile now.
 
-        Raises
-        ------
-        Unsupported : there is no compiler, or it refuses the model.
+        Raises Unsupported: there is no compiler, or it refuses the model.
         """
         library(self.code[0])
 

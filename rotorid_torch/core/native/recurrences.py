@@ -40,9 +40,7 @@ class CompiledRecursion:
     def of(cls, step: Step, count: int) -> CompiledRecursion:
         """Trace a step with this many inputs.
 
-        Raises
-        ------
-        Unsupported : native code does not know an operation in the step.
+        Raises Unsupported: native code does not know an operation in the step.
         """
         graph = Graph()
         last, inputs = torch.tensor([0.3], dtype=torch.float64), torch.linspace(0.5, 1.0, count, dtype=torch.float64)
@@ -59,9 +57,7 @@ class CompiledRecursion:
 
         start : [..., n] y before the first sample. inputs : [..., T or 1, n], float64; dimensions broadcast.
 
-        Raises
-        ------
-        Unsupported : there is no compiler, or it refuses the step.
+        Raises Unsupported: there is no compiler, or it refuses the step.
         """
         code = library(self.source)
         lead = np.broadcast_shapes(start.shape[:-1], *(u.shape[:-2] for u in inputs))

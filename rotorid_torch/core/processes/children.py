@@ -26,8 +26,6 @@ exit $ended
 def child(command: Sequence[str], **options: Any) -> Iterator[subprocess.Popen[str]]:
     """Give a running command; it and all that it has started are killed when the block ends, or with this process.
 
-    Parameters
-    ----------
     command : program and arguments. options : of `subprocess.Popen`, but for stdin, which is empty.
     """
     read, write = os.pipe()

@@ -36,8 +36,6 @@ PATIENCE_FOR_FITS_S = 3600.0
 class Ranks:
     """One process of the several of a run, alone by default; every rank calls the same methods in the same order.
 
-    Parameters
-    ----------
     rank, size : this process' number from 0 on, and how many there are.
     """
 
@@ -156,8 +154,6 @@ def ranks_of_torchrun(patience: float = PATIENCE_S) -> Iterator[Ranks]:
     One process alone without them; InputError where only some are set. Where the block fails at several ranks, all but
     the first to fail raise `ReportedElsewhere`.
 
-    Parameters
-    ----------
     patience : s until a rank that does not answer counts as lost.
     """
     if int(os.environ.get("WORLD_SIZE", "1")) == 1:

@@ -41,13 +41,9 @@ def atomic_folder(place: Path, refuse: Callable[[], None]) -> Iterator[Path]:
     What lies at the place stays as it is until then, and is exchanged in one step. On an exception (Ctrl-C too) what
     was written is removed.
 
-    Parameters
-    ----------
     place : absolute path. refuse : raises where something lies there that is not to be replaced; asked at both ends.
 
-    Raises
-    ------
-    Unwritable : the place cannot be written to.
+    Raises Unwritable: the place cannot be written to.
     """
     refuse()
     with suppress(OSError):
@@ -62,9 +58,7 @@ def atomic_folder(place: Path, refuse: Callable[[], None]) -> Iterator[Path]:
 def atomic_file(place: Path, refuse: Callable[[], None] = lambda: None) -> Iterator[Path]:
     """The same for a file, which is empty first.
 
-    Raises
-    ------
-    Unwritable : the place cannot be written to.
+    Raises Unwritable: the place cannot be written to.
     """
     refuse()
     with writing(place), partial(place, _make_file) as path:
@@ -77,9 +71,7 @@ def atomic_file(place: Path, refuse: Callable[[], None] = lambda: None) -> Itera
 def scratch_folder() -> Iterator[Path]:
     """Give a folder in the temporary folder that only this user can read; removed when the block ends.
 
-    Raises
-    ------
-    Unwritable : the temporary folder cannot be written to.
+    Raises Unwritable: the temporary folder cannot be written to.
     """
     with writing_temporary(), partial(Path(tempfile.gettempdir()) / "scratch", _make_private_folder) as path:
         yield path
@@ -240,8 +232,6 @@ def _exchange(one: Path, other: Path) -> bool:
 def refuse_unless_writable(place: Path, parents: bool = False) -> None:
     """Raise Unwritable where nothing can be written at a place; tried with an empty folder beside it.
 
-    Parameters
-    ----------
     place : absolute path. parents : folders above the place that are missing will be made.
     """
     parent = place.parent

@@ -29,13 +29,9 @@ _KINDS = {
 def open_file(path: str | Path, expected: str, limit: int = LARGEST) -> BinaryIO:
     """Open a regular file of at most `limit` bytes for reading.
 
-    Parameters
-    ----------
     expected : what the file should have been, for the message.
 
-    Raises
-    ------
-    InputError : there is no such file, it cannot be read, is no regular file or is too large.
+    Raises InputError: there is no such file, it cannot be read, is no regular file or is too large.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)  # a pipe does not block

@@ -28,9 +28,7 @@ _mapped: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
 def empty(*shape: int) -> Tensor:
     """An uninitialised float64 tensor of this shape; where another device is the default, in that device's memory.
 
-    Raises
-    ------
-    Unwritable : the temporary folder has no room for it.
+    Raises Unwritable: the temporary folder has no room for it.
     """
     size = 8 * math.prod(shape)
     if size == 0 or size < LARGE or sys.platform != "linux" or torch.get_default_device().type != "cpu":

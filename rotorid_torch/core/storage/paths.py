@@ -41,8 +41,6 @@ def nearest_path(path: str | Path) -> str:
 def refuse_foreign(folder: Path, patterns: Sequence[str], kind: str) -> None:
     """Raise InputError where a folder that is to be replaced holds files that no command writes there.
 
-    Parameters
-    ----------
     patterns : of the files of such a folder, by their path in it; `*` stands for any characters.
     kind : what the folder is, for the message.
     """

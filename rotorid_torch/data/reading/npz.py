@@ -37,10 +37,8 @@ class ArrayHeader:
 def opened(file: Path, stream: BinaryIO | IO[bytes], most: int) -> Iterator[Npz]:
     """Headers and arrays of an npz of at most so many arrays.
 
-    Raises
-    ------
-    InputError : where the file is no npz, has too many arrays, one of them twice, or a pickled one; whatever fails in
-        a damaged archive while the block works is told as that.
+    Raises InputError where the file is no npz, has too many arrays, one of them twice, or a pickled one; whatever
+    fails in a damaged archive while the block works is told as that.
     """
     try:
         with zipfile.ZipFile(stream) as archive:

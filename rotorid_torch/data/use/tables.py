@@ -12,9 +12,7 @@ from rotorid_torch.errors import InputError
 def frame(columns: Mapping[str, Any], index: str | None = None) -> Any:
     """A DataFrame of columns by name, with one of them as index.
 
-    Raises
-    ------
-    InputError : pandas is not installed.
+    Raises InputError: pandas is not installed.
     """
     try:
         pandas = import_module("pandas")

@@ -79,9 +79,7 @@ def windows_of(
 ) -> Windows:
     """Windows of `seconds`, one beginning every `every` seconds; controls bridged, outputs NaN where missing.
 
-    Raises
-    ------
-    InputError : no flight, flights of several sample intervals, or none as long as a window.
+    Raises InputError: no flight, flights of several sample intervals, or none as long as a window.
     """
     flights = list(flights)
     if not flights:

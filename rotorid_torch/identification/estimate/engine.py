@@ -215,9 +215,7 @@ class NativeEngine:
     def of(cls, system: System, states: Tensor, controls: Tensor, hold: bool = False) -> NativeEngine:
         """Trace the system at a state [nx] and controls [nu]; `hold`: controls are held within a step.
 
-        Raises
-        ------
-        Unsupported : it holds an operation that native code does not know, or there is no compiler.
+        Raises Unsupported: it holds an operation that native code does not know, or there is no compiler.
         """
         nu = len(controls)
         example = torch.cat([controls, controls.new_zeros(1)])

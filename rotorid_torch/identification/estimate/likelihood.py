@@ -86,8 +86,6 @@ class Place:
 class Likelihood:
     """Minus log-likelihood of the segments (up to a constant), the noise's covariance being its best value throughout.
 
-    Parameters
-    ----------
     prior_mean, prior_sd : [P] Gaussian prior of the parameters, infinite sd where there is none.
     states : [F, T, nx] trajectories to start from, NaN where nothing is known.
     x0 : [S, nx] where initial states start from; they are held there where `x0_sd` is None.

@@ -287,9 +287,7 @@ def prepared(
 ) -> tuple[System, Records]:
     """What is estimated and from what, a model that fits the flights.
 
-    Raises
-    ------
-    InputError : a flight, a name or the model does not fit.
+    Raises InputError: a flight, a name or the model does not fit.
     """
     arguments.word(Argument("arguments", "controls"), between.controls, ("linear", "held"))
     records, model = records_from(flights, hold=between.controls == "held"), module(model)

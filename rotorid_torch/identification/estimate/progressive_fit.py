@@ -193,8 +193,6 @@ def fit(
     Short segments with initial states of their own converge from poor starts and for unstable vehicles; each later
     stage starts from the parameters and states of the one before and is kept where it converges and fits as well.
 
-    Parameters
-    ----------
     monitor : called after each accepted step of every stage with iteration (counted through), cost, theta.
     ranks : among which the flights are spread; `records` are this rank's, the rest is the same at each.
     """

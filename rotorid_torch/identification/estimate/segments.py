@@ -151,10 +151,8 @@ def records_from(flights: Sequence[Mapping[str, Any]], states: int | None = None
 
     Flights of several sample intervals share a step of which each is a multiple.
 
-    Raises
-    ------
-    InputError
-        Where an array is missing, has another shape than the others, time is not uniform, or there is no such step.
+    Raises InputError where an array is missing, has another shape than the others, time is not uniform, or there is no
+    such step.
     """
     rows = flights_of(flights)
     dt, every = _common_step([float(row["time"][-1] - row["time"][0]) / (len(row["time"]) - 1) for row in rows])
@@ -187,9 +185,7 @@ def records_from(flights: Sequence[Mapping[str, Any]], states: int | None = None
 def _common_step(intervals: Sequence[float]) -> tuple[float, list[int]]:
     """The longest step, s, of which every sample interval is a multiple, and the multiples.
 
-    Raises
-    ------
-    InputError : the step would have to be shorter than a `FINEST`th of the shortest interval.
+    Raises InputError: the step would have to be shorter than a `FINEST`th of the shortest interval.
     """
     shortest = min(intervals)
     for parts in range(1, FINEST + 1):

@@ -49,18 +49,13 @@ class _Surface(nn.Module):
 class System:
     """A copy of a module in float64, its free numbers as a vector theta [P].
 
-    Parameters
-    ----------
     model : module with forward(t, x, u) -> dx/dt, output(x, u) -> y and, if it likes, tape(controls, dt) -> controls.
     free : names of nn.Parameters (whole tensors, or one entry as "name[i]") or, where the module has a `parameter_set`,
         of entries of its `theta`. None: all.
     bounds : lower and upper bound by name; a parameter set brings its own.
     around : what stands between the module and the records; its delays are free as well.
 
-    Raises
-    ------
-    InputError
-        Where a name is unknown or given twice.
+    Raises InputError where a name is unknown or given twice.
     """
 
     def __init__(

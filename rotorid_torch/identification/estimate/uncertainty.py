@@ -54,8 +54,6 @@ def uncertainty(likelihood: Likelihood, place: Place, linear: Linear, identifiab
     in turn judges it without any assumption on the noise within a flight, but with few flights it scatters by
     sqrt(1/(2 (F - 1))): it replaces the other estimate only where it is larger by more than chance.
 
-    Parameters
-    ----------
     linear : linear model at the place, as `Likelihood.linearise` gives it.
     identifiable : [P] mask of the parameters estimated (not held, not on a bound, identifiable).
     loss : samples over samples minus estimated numbers, by which residuals are too small.

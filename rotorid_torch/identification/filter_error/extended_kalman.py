@@ -94,10 +94,7 @@ class CovarianceForm:
 def form(key: str, wanted: str | Sequence[str] | Tensor, names: Sequence[str], units: Sequence[str]) -> CovarianceForm:
     """The form that "diagonal", "full", names of rows, or a matrix to hold asks for.
 
-    Raises
-    ------
-    InputError
-        Where a name is unknown, or the matrix is no covariance.
+    Raises InputError where a name is unknown, or the matrix is no covariance.
     """
     names, units = tuple(names), tuple(units)
     everything, argument = tuple(range(len(names))), Argument("arguments", key)
@@ -189,9 +186,7 @@ def rows(problem: FilterProblem, psi: Tensor, x0: Tensor) -> tuple[Tensor, Tenso
     Of each sample: the whitened innovation's ny rows, and ny (ny + 1) / 2 rows of the whitened covariance V of its
     derivative. Half of the squared length of A is Fisher's information, -A'b the cost's exact gradient.
 
-    Returns
-    -------
-    [F, T, ny, nx + n + 1] and [F, T, ny (ny + 1) / 2, nx + n + 1]: columns of x0, psi and b.
+    Returns [F, T, ny, nx + n + 1] and [F, T, ny (ny + 1) / 2, nx + n + 1]: columns of x0, psi and b.
     """
     nx, n = x0.shape[-1], len(psi)
     run = lambda psi, x0: _run(problem, psi, x0)[:2]  # noqa: E731

@@ -178,8 +178,6 @@ def alternated(
 ) -> Held:
     """Noises and parameters in turn until the likelihood stands still.
 
-    Parameters
-    ----------
     filter : of which the parameters from `filter.compiled.held` on belong to the noises.
     start : the filter must not diverge there. region : of psi.
     monitor : called after each round with round, cost, theta.

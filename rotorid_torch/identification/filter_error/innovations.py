@@ -104,9 +104,7 @@ class NativeFilter:
     def of(cls, problem: FilterProblem, psi: Tensor, held: int = 0) -> NativeFilter:
         """Trace the problem at the mean of the known states; the first `held` of psi are no unknowns.
 
-        Raises
-        ------
-        Unsupported : it holds an operation that native code does not know, or there is no compiler.
+        Raises Unsupported: it holds an operation that native code does not know, or there is no compiler.
         """
         records = problem.records
         x = records.states.flatten(0, 1).nan_to_num(0.0).mean(dim=0)

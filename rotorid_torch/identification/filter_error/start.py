@@ -30,8 +30,6 @@ def first(
     Psi has the most likely among several sizes of process noise. Initial states that are to be estimated are as
     uncertain about their mean as one sample of the outputs leaves them, which keeps the likelihood bounded.
 
-    Parameters
-    ----------
     x0 : [F, nx] initial states to start from. floor : [ny] smallest standard deviation of the outputs' noise.
     free : whether they are to be estimated.
     """

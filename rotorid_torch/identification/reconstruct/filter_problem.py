@@ -98,9 +98,8 @@ class Filtered:
 def checked(problem: Problem) -> Problem:
     """What the caller hands in, arrays of any kind, as a problem in float64.
 
-    Raises
-    ------
-    InputError : shapes that do not fit, functions that do not broadcast or leave torch, NaN or infinity, no covariance.
+    Raises InputError: shapes that do not fit, functions that do not broadcast or leave torch, NaN or infinity, no
+    covariance.
     """
     sizes, of = Sizes(), "unscented_filter"
     x0 = arguments.shaped(Argument(of, "x0"), problem.x0, "... nx", sizes)

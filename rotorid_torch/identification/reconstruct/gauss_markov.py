@@ -83,8 +83,6 @@ def smooth_rows(
 ) -> Pass:
     """Kalman filter and adjoint (Bryson-Frazier) smoother of every row.
 
-    Parameters
-    ----------
     power : [T, N] spectral density of w, unit of f squared per s.
     tau, trim, spread : [N] time constant (s), f0, and standard deviation of f about f0 at the first sample.
     engine : compiled or in numpy; by default compiled where there is a compiler.

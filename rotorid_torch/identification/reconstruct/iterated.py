@@ -109,8 +109,6 @@ def _straight(function: Dynamics, x: Tensor, away: Tensor, u: Tensor) -> bool:
 def iterated(problem: Problem, single_pass: Callable[[Tensor], Filtered]) -> Filtered:
     """Filter and smoother, repeated until what they say of every sample stays.
 
-    Parameters
-    ----------
     problem : the problem.
     single_pass : filter and smoother from x0 and the covariance handed in: where the first linearisation is made.
 

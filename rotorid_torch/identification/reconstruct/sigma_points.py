@@ -30,10 +30,8 @@ class SigmaPoints:
     def weights(self, nx: int) -> Weights:
         """Reach and weights for nx states.
 
-        Raises
-        ------
-        InputError : a reach that is not above zero, or a negative weight of the mean in covariances, with which they
-            could become indefinite.
+        Raises InputError: a reach that is not above zero, or a negative weight of the mean in covariances, with which
+        they could become indefinite.
         """
         size = self.alpha**2 * (nx + self.kappa)
         if not size > 0.0:

@@ -101,9 +101,7 @@ def columns_of(rows: Rows, columns: Sequence[int]) -> Rows:
 def fit_equation(equation: Equation, columns: Sequence[str] | None = None) -> Regression:
     """Regress an equation on all its regressors or on the named ones, in its band or one chosen from the data.
 
-    Returns
-    -------
-    Regression whose coefficients are in the order of `.selected`.
+    Returns Regression whose coefficients are in the order of `.selected`.
     """
     notes: list[str] = []
     band = equation.band or choose_band(equation, notes)
@@ -130,9 +128,7 @@ def choose_band(equation: Equation, notes: list[str] | None = None) -> tuple[flo
     regressors (multiple coherence) and one set of coefficients for the whole band leaves little but noise.
     It ends where either fails twice in a row: by noise, or by dynamics that the equation does not have.
 
-    Returns
-    -------
-    Lowest and highest frequency, Hz; notes says where an equation does not hold even in the smallest band.
+    Returns lowest and highest frequency, Hz; notes says where an equation does not hold even in the smallest band.
 
     Source: Tischler and Remple, Aircraft and Rotorcraft System Identification, ch. 9 (multiple coherence).
     """

@@ -68,8 +68,6 @@ def acting_back(flights: Sequence[Spectra], regression: Regressed) -> Iterator[s
 def followers(residual: Tensor, others: Tensor, frequencies: Tensor) -> Iterator[Follower]:
     """Which of some records follow a residual.
 
-    Parameters
-    ----------
     residual : (M,) complex spectrum. others : (M, n) spectra. frequencies : (M,) Hz, flight after flight.
 
     Source: Ljung, System Identification (2nd ed.), sec. 16.6 (correlation of residuals and inputs at negative lags).

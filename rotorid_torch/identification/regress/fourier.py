@@ -26,13 +26,9 @@ def end_weights(theta: Tensor, order: int = END_ORDER) -> Tensor:
     must be smooth on the sample grid and not its product with a high frequency. At theta = 0 this is Gregory's
     rule, whose first weight is the familiar 1/2. The last samples take the conjugate weights in reverse order.
 
-    Parameters
-    ----------
     theta : (M,) rad per sample.
 
-    Returns
-    -------
-    (M, order + 1) complex, in sample intervals.
+    Returns (M, order + 1) complex, in sample intervals.
 
     Source: Gregory (1670) as in Hamming, Numerical Methods for Scientists and Engineers, ch. 18, with the operator
     E = 1 + Delta replaced by exp(-j theta) E; Morelli and Klein, Aircraft System Identification, ch. 7 (Filon).
@@ -66,15 +62,11 @@ def kinks(x: Tensor, floor: Tensor) -> Tensor:
 def chirp_z(x: Tensor, start: float, step: float, count: int) -> Tensor:
     """Sum of x[n] exp(-2j pi (start + k step) n) for k = 0 ... count - 1, by Bluestein's three FFTs.
 
-    Parameters
-    ----------
     x : (..., T) samples.
     start, step : cycles per sample.
     count : number of frequencies.
 
-    Returns
-    -------
-    (..., count) complex.
+    Returns (..., count) complex.
 
     Source: Rabiner, Schafer, Rader, The chirp z-transform algorithm, IEEE Trans. Audio 17 (1969).
     """
@@ -95,8 +87,6 @@ def finite_transform(
 ) -> Tensor:
     """Finite Fourier transform, the integral of x exp(-j w t) over the record, at frequencies k / (oversample T).
 
-    Parameters
-    ----------
     x : (..., T) samples, the first at t = 0; the record lasts T = (samples - 1) dt.
     dt : sample interval, s.
     first, count : the first k and how many.
@@ -104,9 +94,7 @@ def finite_transform(
     kink : (..., T) second differences where the record is straight lines and not smooth (edges of a manoeuvre), zero
         elsewhere; see `kinks`.
 
-    Returns
-    -------
-    (..., count) complex, in units of x times s.
+    Returns (..., count) complex, in units of x times s.
 
     Source: Morelli and Klein, Aircraft System Identification, 2nd ed., ch. 7 (finite transform, chirp-z).
     """
@@ -145,8 +133,6 @@ def _weights(intervals: int, grid: int, first: int, count: int, order: int) -> t
 def derivative_transform(x: Tensor, transform: Tensor, frequencies: Tensor, duration: float) -> Tensor:
     """Transform of dx/dt from that of x: j w x(w) + x(T) exp(-j w T) - x(0).
 
-    Parameters
-    ----------
     x : (..., T) samples, transform : (..., M) their finite transform.
     frequencies : (M,) Hz. duration : T, s.
 
@@ -161,8 +147,6 @@ def nuisance_basis(frequencies: Tensor, duration: float, ends: bool, trend: bool
 
     At the harmonics the constant vanishes and both end terms are one column; such columns drop out.
 
-    Parameters
-    ----------
     frequencies : (M,) Hz. duration : T, s.
     ends : whether x(0) and x(T) exp(-j w T) of a derivative are left free, as their samples are noisy.
     trend : whether a trend in time joins the constant.
@@ -191,13 +175,9 @@ def noise_floor(x: Tensor, order: int = NOISE_ORDER) -> Tensor:
     Differences of high order leave the noise and remove what is smooth; what jumps (edges of a manoeuvre) touches few
     samples and is cut at four robust deviations.
 
-    Parameters
-    ----------
     x : (..., T) samples without gaps.
 
-    Returns
-    -------
-    (...) standard deviation of a sample, in units of x; zero where the record is too short to tell.
+    Returns (...) standard deviation of a sample, in units of x; zero where the record is too short to tell.
     """
     if x.shape[-1] < 4 * order:
         return torch.zeros(x.shape[:-1], dtype=x.dtype, device=x.device)
@@ -219,8 +199,6 @@ def smoothed(x: Tensor, noise: Tensor) -> Tensor:
 
     The record goes on beyond its ends as its own mirror image, so that its ends are kept.
 
-    Parameters
-    ----------
     x : (..., T) samples without gaps. noise : (...) standard deviation of a sample's noise, in units of x.
 
     Source: Morelli (1995), Journal of Aircraft 32(4), 689 (optimal Fourier smoothing).
@@ -238,13 +216,9 @@ def smoothed(x: Tensor, noise: Tensor) -> Tensor:
 def fill_gaps(x: Tensor) -> tuple[Tensor, int, int]:
     """Fill missing samples (NaN) by straight lines, beyond the first and last good sample by holding them.
 
-    Parameters
-    ----------
     x : (..., T).
 
-    Returns
-    -------
-    The filled record, the number of samples filled and the longest gap in samples.
+    Returns the filled record, the number of samples filled and the longest gap in samples.
     """
     missing = torch.isnan(x)
     if not bool(missing.any()):

@@ -39,8 +39,6 @@ def noisy_least_squares(z: Tensor, y: Tensor, noise: Tensor, prior: tuple[Tensor
     In the orthonormal coordinates of the rows the noise is a matrix with eigenvalues between 0 (clean) and 1 (nothing
     but noise); each is limited, so the corrected normal matrix stays positive definite whatever the noise.
 
-    Parameters
-    ----------
     z : (..., m, n) rows. y : (..., m). noise : (..., n) noise power of each column, summed over the rows.
     prior : mean (..., n) and weight (..., n), the residual variance over the prior variance; zero weight is no prior.
 
@@ -80,15 +78,11 @@ def noisy_least_squares(z: Tensor, y: Tensor, noise: Tensor, prior: tuple[Tensor
 def smooth_variance(power: Tensor, freedom: Tensor, reach: int) -> Tensor:
     """Variance at each frequency, a moving mean over its neighbours.
 
-    Parameters
-    ----------
     power : (..., 2 M) squared residuals, real over imaginary parts.
     freedom : (..., 2 M) share of each row left after the fit.
     reach : neighbours on each side.
 
-    Returns
-    -------
-    (..., 2 M), the same for the real and the imaginary part.
+    Returns (..., 2 M), the same for the real and the imaginary part.
     """
     both, free = (a.unflatten(-1, (2, -1)).sum(-2) for a in (power, freedom))
     index = torch.arange(both.shape[-1], device=power.device)

@@ -59,9 +59,7 @@ class _Kind:
 def read_dataflash(file: Path, choose: Choose, block: int = BLOCK) -> Log:
     """Read a DataFlash or sdlog2 log; `choose` says which fields are kept. A cut end is told in the warnings.
 
-    Raises
-    ------
-    InputError : where the file is no such log.
+    Raises InputError where the file is no such log.
     """
     walk = _Walk(choose)
     with open_file(file, "a log") as stream:

@@ -52,9 +52,7 @@ _Layout = list[tuple[str, int, np.dtype]]
 def read_ulog(file: Path, choose: Choose, block: int = BLOCK) -> Log:
     """Read a ULog; `choose` says which fields are kept. A cut or damaged end is told in the warnings.
 
-    Raises
-    ------
-    InputError : where the file is no ULog, or needs what this reader does not know.
+    Raises InputError where the file is no ULog, or needs what this reader does not know.
     """
     with open_file(file, "a log") as stream:
         head = stream.read(HEADER)

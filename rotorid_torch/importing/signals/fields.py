@@ -54,9 +54,8 @@ def signals(log: Log, entries: Mapping[str, Entry], key: str) -> tuple[dict[str,
     `key` is where the entries stand, for messages. A channel whose clock cannot be used is left out with a sentence,
     but for a control or a body rate, without which there is nothing to import.
 
-    Raises
-    ------
-    InputError : for a field that is not there, a unit that does not fit, a control or rate without a usable clock.
+    Raises InputError: for a field that is not there, a unit that does not fit, a control or rate without a usable
+    clock.
     """
     extracted, notes, clocks = dict[str, Signal](), list[str](), dict[tuple[str, int], np.ndarray | BadClock]()
     for name, entry in entries.items():
@@ -103,9 +102,7 @@ def increasing(time: np.ndarray) -> np.ndarray:
 
     What was written a little late is sorted in; a stamp that is far astray or repeats is given up.
 
-    Raises
-    ------
-    BadClock : where time stands still or repeats, or runs back so far that there are two clocks.
+    Raises BadClock: where time stands still or repeats, or runs back so far that there are two clocks.
     """
     finite = np.isfinite(time)
     if len(time) < 2:
@@ -147,9 +144,7 @@ def astray(time: np.ndarray) -> np.ndarray:
 def _in_si(name: str, values: np.ndarray, entry: Entry, log: Log, source: Source) -> np.ndarray:
     """Convert to SI as the entry says; a pulse of a motor at rest is 0, one that no servo takes stays as it is.
 
-    Raises
-    ------
-    InputError : for a motor's pulses whose range is another one, so that clipping would flatten them.
+    Raises InputError: for a motor's pulses whose range is another one, so that clipping would flatten them.
     """
     unit = units.find_unit(entry.unit) or units.Unit("")
     factor, offset = unit.factor, unit.offset
@@ -172,9 +167,7 @@ def possible(signal: Signal, unit: str, file: object) -> tuple[Signal, str]:
 
     `unit` is that of a stick, in SI.
 
-    Raises
-    ------
-    InputError : where so many are impossible that the unit is another.
+    Raises InputError where so many are impossible that the unit is another.
     """
     allowed = of_channel(signal.name, unit).samples
     key = f"{signal.source} ({signal.name})"

@@ -64,9 +64,7 @@ def beyond(values: np.ndarray, low: float, high: float) -> int:
 def range_of(file: object, key: str, values: np.ndarray, allowed: Sequence[OutputRange]) -> OutputRange:
     """The first of the ranges that settings allow which holds all outputs.
 
-    Raises
-    ------
-    InputError : where none does, with the range of the outputs.
+    Raises InputError where none does, with the range of the outputs.
     """
     finite = values[np.isfinite(values)]
     fitting = next((one for one in allowed if one.holds(finite)), None)

@@ -45,9 +45,7 @@ def need(package: str, extra: str, file: Path) -> Any:
 def read_npz(file: Path, choose: Choose, clock: Clock | None = None) -> Log:
     """Read the wanted arrays of an npz: one dimension each, or columns, which become `name[0]`, `name[1]`, ...
 
-    Raises
-    ------
-    InputError : where the file is no whole npz, its headers say other than its bytes, or it unpacks to too much.
+    Raises InputError where the file is no whole npz, its headers say other than its bytes, or it unpacks to too much.
     """
     with open_file(file, "a log") as stream, npz.opened(file, stream, CHANNELS) as archive:
         columns = {n: [*_columns_of(n, h.shape)] for n, h in archive.headers.items() if _is_numbers(h.dtype)}
@@ -66,9 +64,7 @@ HDF5 = 2
 def read_matlab(file: Path, choose: Choose, clock: Clock | None = None) -> Log:
     """Read the variables of a .mat up to version 7; a struct is a topic, a matrix becomes columns `name[0]`, ...
 
-    Raises
-    ------
-    InputError : where the file is of version 7.3, damaged, or claims more than can be.
+    Raises InputError where the file is of version 7.3, damaged, or claims more than can be.
     """
     from scipy.io import loadmat, matlab, whosmat  # slow to import
 
@@ -235,9 +231,7 @@ def _is_numbers(dtype: np.dtype[Any]) -> bool:
 def read_parquet(file: Path, choose: Choose, clock: Clock | None = None) -> Log:
     """Read the wanted numeric columns of a Parquet file; a column of dates is a clock in s.
 
-    Raises
-    ------
-    InputError : where pyarrow is missing, or the file is damaged.
+    Raises InputError where pyarrow is missing, or the file is damaged.
     """
     parquet = need("pyarrow.parquet", "parquet", file)
     arrow = need("pyarrow", "parquet", file)

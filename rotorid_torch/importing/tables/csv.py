@@ -34,9 +34,7 @@ def read_csv(
     Rows before the names, a row of units after them and units in brackets are understood; `form` says what a map does:
     how many rows to skip, and names by position.
 
-    Raises
-    ------
-    InputError : where a wanted field is no number, a row has another number of fields, or no column is the clock.
+    Raises InputError where a wanted field is no number, a row has another number of fields, or no column is the clock.
     """
     form, lines = form or Form(), _lines(file, block)
     number, first = next(lines, (1, []))

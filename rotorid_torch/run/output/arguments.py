@@ -14,9 +14,7 @@ from rotorid_torch.run.output.monitor import Monitor
 def of_data(argument: Argument, value: Any) -> Dataset:
     """A data set that was loaded.
 
-    Raises
-    ------
-    InputError : anything else.
+    Raises InputError: anything else.
     """
     hint = "a Dataset: rotorid.load(path)" if isinstance(value, str) else "a Dataset: load or Dataset.from_arrays"
     return arguments.instance(argument, value, Dataset, hint)
@@ -41,9 +39,7 @@ CHECKS = {
 def refuse_arguments(of: str, **values: Any) -> None:
     """Check arguments of a function by their names.
 
-    Raises
-    ------
-    InputError : the first one that does not fit.
+    Raises InputError: the first one that does not fit.
     """
     for key, value in values.items():
         CHECKS[key](Argument(of, key), value)

@@ -22,8 +22,6 @@ interface, content = cast(Any, _interface), cast(Any, _content)
 class Board:
     """Scalars and pictures of a run.
 
-    Parameters
-    ----------
     folder : where TensorBoard looks; made if it is missing.
     """
 

@@ -94,14 +94,10 @@ class Checkpoint:
 def checkpoint(out: str | Path, key: Mapping[str, str], *, resume: bool, keep: bool) -> Iterator[Checkpoint]:
     """The checkpoint of a run to `out`, new or (with `resume`) that of an interrupted run; removed when the block ends.
 
-    Parameters
-    ----------
     key : what the results depend on, by words for people.
     keep : leave it where the block ends by an exception other than bad input; a kill leaves it in any case.
 
-    Raises
-    ------
-    InputError : `resume`, and the interrupted run had another key, or a run works there now.
+    Raises InputError: `resume`, and the interrupted run had another key, or a run works there now.
     """
     refuse_unless_free(out, "identify")
     place = absolute(out)

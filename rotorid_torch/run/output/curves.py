@@ -24,8 +24,6 @@ SHARE = 0.02
 class Curves:
     """Called after each accepted step of a fit with iteration, cost, theta.
 
-    Parameters
-    ----------
     record : takes numbers of an iteration by name.
     model : a model of the same structure, which takes every theta.
     names : parameters of theta, in order.

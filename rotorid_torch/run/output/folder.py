@@ -39,10 +39,8 @@ def run_folder(out: str | Path, command: str) -> Iterator[Path]:
 
     Until then an earlier run at `out` stays as it is; on an exception (Ctrl-C too) what was written is removed.
 
-    Raises
-    ------
-    InputError : at once, where `out` is in the way and no run that `command` replaces, or its parent is missing or
-        cannot be written to.
+    Raises InputError: at once, where `out` is in the way and no run that `command` replaces, or its parent is missing
+    or cannot be written to.
     """
     place = absolute(out)
     with atomic_folder(place, lambda: refuse_unless_free(place, command)) as folder:
@@ -53,13 +51,9 @@ def run_folder(out: str | Path, command: str) -> Iterator[Path]:
 def free_run_file(out: str | Path, *, overwrite: bool = False, inputs: Iterable[Path] = ()) -> Iterator[Path]:
     """Give a file name beside `out` to write to; an npz is marked as a free run. It is renamed when the block ends.
 
-    Parameters
-    ----------
     overwrite, inputs : as `refuse_unless_free_run`.
 
-    Raises
-    ------
-    InputError : as `refuse_unless_free_run`, at once and again before the file is renamed.
+    Raises InputError: as `refuse_unless_free_run`, at once and again before the file is renamed.
     """
     place, inputs = absolute(out), tuple(inputs)
     refuse = partial(refuse_unless_free_run, place, overwrite=overwrite, inputs=inputs)
@@ -76,8 +70,6 @@ def refuse_unless_free_run(out: str | Path, *, overwrite: bool = False, inputs: 
 
     Another file lies there, or it would be a file of a run or a data set; or the parent is no use.
 
-    Parameters
-    ----------
     overwrite : replace other files too.
     inputs : files that are read, which nothing replaces, whatever their names.
     """

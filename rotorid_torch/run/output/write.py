@@ -24,8 +24,6 @@ DPI = 130
 def write_report(folder: Path, report: Report, shown: Shown | None = None, monitor: Monitor | None = None) -> None:
     """Write figures/NAME.png, report.html and report.json into a run's folder; the figures also for TensorBoard.
 
-    Parameters
-    ----------
     folder : the folder that `run_folder` gave.
     shown : flights and model that the page shows.
     monitor : where TensorBoard records; None records nothing.

@@ -84,13 +84,9 @@ def clean_flights(dataset: Dataset, seed: int, draws: Sequence[int], air: Air | 
     Controls are the recorded ones about the drawn aircraft's trim, with a feedback of its deviation from the measured
     motion; what controller and pilot did is in the recorded controls, so they go with the motion as they did in flight.
 
-    Parameters
-    ----------
     air : gusts that they fly in, each draw and flight in its own; still air without.
 
-    Raises
-    ------
-    InputError : `undrawable`. Untrimmable : no drawn aircraft can be trimmed where the data set flies.
+    Raises InputError: `undrawable`. Untrimmable : no drawn aircraft can be trimmed where the data set flies.
     """
     why = undrawable(dataset)
     if why is not None:

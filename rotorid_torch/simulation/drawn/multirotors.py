@@ -71,14 +71,10 @@ def clean_multirotors(
 
     Every number has random streams of its own. A vehicle that does not stay near the measured motion is left out.
 
-    Parameters
-    ----------
     having : what the data's model already holds, by parameters of the library (full names) and their values, SI; the
         drawn vehicles have it too.
 
-    Raises
-    ------
-    ValueError : `undrawable_multirotor`.
+    Raises ValueError: `undrawable_multirotor`.
     """
     _refuse_undrawable(dataset)
     dt = min(facts.dt for facts in dataset.facts.values())
@@ -92,9 +88,7 @@ def clean_multirotors(
 def clean_balances(dataset: Dataset, seed: int, draws: Sequence[int]) -> Array:
     """How clean vehicles of the data set's frame balance in hover (`hover_balance`), [draws, 3].
 
-    Raises
-    ------
-    ValueError : `undrawable_multirotor`.
+    Raises ValueError: `undrawable_multirotor`.
     """
     _refuse_undrawable(dataset)
     hover = hovering(dataset)

@@ -16,8 +16,6 @@ def hidden_signals(aircraft: Aircraft, x: Array, dx: Array, outside: Outside) ->
     `effect_curvature_c`, `_s`: curvature of the wake (aft, right); `effect_swing_x`, `_y`: angle of the cable forward
     and to the right of the vertical, rad; `effect_ground`: part of the induced velocity that the ground takes away.
 
-    Parameters
-    ----------
     x, dx : [states, flight] and their rates.
     """
     out: dict[str, Array] = {}

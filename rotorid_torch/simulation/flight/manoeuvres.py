@@ -75,9 +75,7 @@ def chosen(flights: Sequence[str] | None, speed: float = 0.0) -> tuple[str, ...]
 
     `flights` may name `groups`, and `speed` (m/s) is the data set's own.
 
-    Raises
-    ------
-    InputError : a name that does not exist, or none at all.
+    Raises InputError: a name that does not exist, or none at all.
     """
     if flights is None:
         return FLIGHTS

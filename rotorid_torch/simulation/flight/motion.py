@@ -75,8 +75,6 @@ STILL = Outside()
 def rates(aircraft: Aircraft, x: Array, command: Array, outside: Outside = STILL) -> tuple[Array, Motion]:
     """Rates of all states, and the motion that goes with them.
 
-    Parameters
-    ----------
     x : [states, flight].
     command : [4, flight] commanded lon, lat, col, ped, rad; the actuators follow.
     outside : gusts and delayed controls; without it the air carries no gusts and no control is late.

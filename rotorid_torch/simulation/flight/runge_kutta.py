@@ -17,8 +17,6 @@ Slope = Callable[[Array, Array], Array]
 def runge_kutta(slope: Slope, x: Array, first: Array, inputs: tuple[Array, Array, Array], dt: float) -> Array:
     """One step of the classical fourth-order method.
 
-    Parameters
-    ----------
     first : slope at the start (the caller has it already, or wants its by-products).
     inputs : at the start, in the middle and at the end of the step.
 

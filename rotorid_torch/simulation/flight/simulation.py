@@ -42,8 +42,6 @@ class FlightHistory:
 class Programme:
     """What is flown in one batch.
 
-    Parameters
-    ----------
     flights : names of manoeuvres. seconds : length of each. seed : of the gusts.
     substeps : integration steps per sample; by default so many that the rotor turns at most 5.1 degrees in each.
     """
@@ -68,8 +66,6 @@ def fly_batch(
 ) -> FlightHistory:
     """Fly manoeuvres from trim, all in one batch.
 
-    Parameters
-    ----------
     trim, augmentation : of all flights, or one for each.
     progress : called about a hundred times.
     """

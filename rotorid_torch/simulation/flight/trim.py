@@ -54,8 +54,6 @@ def passage_time(aircraft: Aircraft) -> float:
 def passage(aircraft: Aircraft, x: Array) -> Array:
     """State after one blade passage with held controls, each blade's states handed to the place it has reached.
 
-    Parameters
-    ----------
     x : [states, flight].
     """
     duration, controls, blades = passage_time(aircraft), x[CONTROLS].copy(), aircraft.rotor.blades
@@ -86,9 +84,7 @@ def unknown_rows(aircraft: Aircraft) -> list[int]:
 def find_trim(aircraft: Aircraft, speed: float, height: float = 27.4, heading: float = 0.0) -> Trim:
     """Level flight along a heading (rad) at a speed over ground, without drift.
 
-    Raises
-    ------
-    InputError : no trim at this speed (too heavy for its rotor, too fast, an impossible vehicle).
+    Raises InputError: no trim at this speed (too heavy for its rotor, too fast, an impossible vehicle).
     """
     free = not aircraft.governor.held
     aircraft = with_held_speed(aircraft)

@@ -57,15 +57,11 @@ def downwash(radius: float, places: Array, sweep: Array, mean: Array) -> Array:
     A swept cylinder with a soft edge: inside it the wake blows with the mean induced velocity, outside it does not.
     Distance and radius are taken across the wake, which gets flat where it is swept far.
 
-    Parameters
-    ----------
     places : [3, point, 1] positions from the hub, (aft, right, up), m.
     sweep : [2, flight] `inflow.wake_sweep`.
     mean : [flight] mean induced velocity, m/s.
 
-    Returns
-    -------
-    [point, flight].
+    Returns [point, flight].
     """
     aft, right, up = places
     square = (sweep * sweep).sum(0)
@@ -80,8 +76,6 @@ WAKE_RADIUS, WAKE_EDGE = 0.8, 0.35  # of the rotor's radius: contracted wake, wi
 def fuselage_loads(fuselage: Fuselage, velocity: Array, wash: Array, density: float) -> tuple[Array, Array]:
     """Force (N) and moment about the fuselage's own point (N m), body axes, [3, flight].
 
-    Parameters
-    ----------
     velocity : [3, flight] of that point through the free air.
     wash : [flight] downwash, m/s.
 
@@ -104,8 +98,6 @@ def fuselage_loads(fuselage: Fuselage, velocity: Array, wash: Array, density: fl
 def surface_force(surface: Surface, velocity: Array, wash: Array, density: float) -> Array:
     """Force of a fin or tailplane, N, body axes, [3, flight].
 
-    Parameters
-    ----------
     velocity : [3, flight] of the surface through the free air.
     wash : [flight] downwash, m/s.
     """

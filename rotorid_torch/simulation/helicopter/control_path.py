@@ -33,14 +33,10 @@ class ControlPath:
 def follow(path: ControlPath, inside: Array, value: Array, rate: Array) -> tuple[Array, Array]:
     """Angles at the swashplate and the rates of the path's states.
 
-    Parameters
-    ----------
     inside : [path.states, flight] output minus input of each piece, rad.
     value, rate : [4, flight] the control behind the delay, rad, and its rate, rad/s.
 
-    Returns
-    -------
-    [4, flight] rad, and [path.states, flight] rad/s.
+    Returns [4, flight] rad, and [path.states, flight] rad/s.
 
     Source: Krasnosel'skii and Pokrovskii, Systems with Hysteresis, chapter 1 (the play operator).
     """

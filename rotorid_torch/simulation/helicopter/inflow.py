@@ -36,14 +36,10 @@ PLAIN = Wake()
 def wake_sweep(advance: Array, through: Array) -> Array:
     """How far the wake is swept: vector with the length tan(half the skew angle) along the wake's drift.
 
-    Parameters
-    ----------
     advance : (2, ...) hub velocity over tip speed along (aft, right).
     through : (...) flow through the disc over tip speed, positive down through the rotor.
 
-    Returns
-    -------
-    (2, ...) along (aft, right).
+    Returns (2, ...) along (aft, right).
     """
     total = np.sqrt((advance * advance).sum(0) + through * through)
     return -advance / np.maximum(total + through, 0.02)
@@ -57,8 +53,6 @@ def inflow_rates(
     The inflow ratio at radius r and azimuth psi (0 aft, in the direction of rotation) is
     lambda0 + (r/R) (lambda_c cos psi + lambda_s sin psi), positive down.
 
-    Parameters
-    ----------
     inflow : (3, ...) lambda0, lambda_c (along aft), lambda_s (along right).
     loading : (3, ...) thrust coefficient and its first moments along (aft, right), aerodynamic only.
     over_tip : (3, ...) hub velocity over tip speed along (aft, right), and along the shaft, positive up.
@@ -66,9 +60,7 @@ def inflow_rates(
     wake : its apparent mass and distortion count here.
     curvature : (2, ...) of the wake along (aft, right), see `curvature_rates`; None for a straight wake.
 
-    Returns
-    -------
-    (3, ...) rates, 1/s, and (2, ...) `wake_sweep`.
+    Returns (3, ...) rates, 1/s, and (2, ...) `wake_sweep`.
 
     Source: Pitt and Peters, Vertica 5 (1981); Peters and HaQuang, J. AHS 33(4) (1988): L and mass-flow matrices;
     Zhao, Prasad, Peters, AHS Forum 60 (2004): gradient by a curved wake, which fades as the wake is swept away.
@@ -100,8 +92,6 @@ CURVATURE_LAG = 32.0 / (15.0 * np.pi)
 def curvature_rates(curvature: Array, tilting: Array, mean: Array, advance: Array, climb: Array, speed: Array) -> Array:
     """Rates of the wake's curvature, which follows the tilting of the disc as fast as the flow carries the wake away.
 
-    Parameters
-    ----------
     curvature, tilting : (2, ...) along (aft, right), positive where the disc's edge goes down; tilting in rad/s.
     mean : (...) mean inflow ratio; advance, climb, speed as in `inflow_rates`.
 
@@ -114,8 +104,6 @@ def curvature_rates(curvature: Array, tilting: Array, mean: Array, advance: Arra
 def ground_factor(strength: float, radius: float, above: Array, ahead: Array, induced: Array) -> Array:
     """Part of the induced velocity that the ground's image of the rotor takes away, at most a half.
 
-    Parameters
-    ----------
     strength : one for the image source.
     radius, above : of the rotor, and its height above ground, m.
     ahead, induced : speed along the ground and mean induced velocity, m/s.

@@ -136,8 +136,6 @@ def skew(position: tuple[float, float, float]) -> Array:
 def blade_motion(rotor: Rotor, blades: Array, rates: Array, azimuth: Array, speed: Array) -> BladeMotion:
     """Geometry and velocities of the blades.
 
-    Parameters
-    ----------
     blades : [4, blade, flight] flap, flap rate, lag, lag rate.
     rates : [3, flight] angular velocity of the body, shaft frame.
     azimuth, speed : [flight] of the first blade, rad; of the rotor, rad/s.
@@ -162,8 +160,6 @@ def blade_motion(rotor: Rotor, blades: Array, rates: Array, azimuth: Array, spee
 def tilting(motion: BladeMotion, rates: Array) -> Array:
     """How fast the tip-path plane's edge goes down at (aft, right) in space, rad/s, [2, flight].
 
-    Parameters
-    ----------
     rates : [3, flight] angular velocity of the body, shaft frame.
 
     Source: Johnson, Helicopter Theory, section 8.2 (rates of multi-blade coordinates).
@@ -190,8 +186,6 @@ def air_loads(
 ) -> AirLoads:
     """Blade elements: velocities, angle of attack, lift and drag, integrated over each blade.
 
-    Parameters
-    ----------
     velocity : [3, flight] of the hub through the air, shaft frame.
     inflow : [3, flight] lambda0, lambda_c, lambda_s.
     controls : [3, flight] lon, lat, col, rad.
@@ -253,8 +247,6 @@ class RootLoads:
 def root_loads(rotor: Rotor, motion: BladeMotion, air: AirLoads, centripetal: Array) -> RootLoads:
     """Root force of each blade for a hub that does not accelerate beyond what its velocities bring.
 
-    Parameters
-    ----------
     centripetal : [3, flight] omega x (omega x hub), shaft frame, m/s^2.
     """
     mass, first, inertia = rotor.blade_mass, rotor.first_moment, rotor.flap_inertia
@@ -298,14 +290,10 @@ def blade_rates(
 ) -> Array:
     """Rates of flap, flap rate, lag, lag rate, once the accelerations of the hub are known.
 
-    Parameters
-    ----------
     linear : [3, flight] specific force of the hub beyond the centripetal part, shaft frame, m/s^2.
     angular : [3, flight] angular acceleration of body plus rotor speed, shaft frame, rad/s^2.
 
-    Returns
-    -------
-    [4, blade, flight].
+    Returns [4, blade, flight].
     """
     first, inertia, offset = rotor.first_moment, rotor.flap_inertia, rotor.hinge_offset
     wd, wn, wt = motion.spin_dnt

@@ -13,8 +13,6 @@ from rotorid_torch.simulation.rigid import Array
 class Section:
     """A section or a low-aspect wing: linear lift up to stall, flat plate beyond, blended smoothly.
 
-    Parameters
-    ----------
     lift_slope : 1/rad.
     stall : angle of attack at which half of the linear lift has gone, rad.
     drag : profile drag coefficient at zero lift.

@@ -54,8 +54,6 @@ class SensorErrors:
 def readings(errors: SensorErrors, truth: Mapping[str, Array], azimuth: Array) -> dict[str, Array]:
     """What the sensors would read without noise, for the channels [T] that differ from the truth.
 
-    Parameters
-    ----------
     truth : true channels of a flight, with time, rates and angular accelerations.
     azimuth : [T] of the rotor, rad.
     """

@@ -59,8 +59,6 @@ class Surroundings(NamedTuple):
 def cable_pull(load: SlungLoad, swing: Array, velocity: Array, omega: Array, surroundings: Surroundings) -> Pull:
     """What the cable does to the hook, but for the part that the unknown accelerations bring.
 
-    Parameters
-    ----------
     swing : [4, flight] north and east component of the cable's direction, and their rates, 1/s.
     velocity, omega : [3, flight] of the centre of gravity through the air (m/s) and of the body (rad/s), body axes.
     """

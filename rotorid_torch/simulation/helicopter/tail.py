@@ -47,16 +47,12 @@ def tail_rotor(
 ) -> tuple[Array, Array]:
     """Force of the tail rotor and the rate of its inflow.
 
-    Parameters
-    ----------
     velocity : [3, flight] of the tail rotor through the air, body axes.
     inflow : [flight] induced inflow ratio.
     pitch : [flight] collective, rad.
     rotor_speed : [flight] of the main rotor, rad/s.
 
-    Returns
-    -------
-    [3, flight] N, body axes, and [flight] 1/s.
+    Returns [3, flight] N, body axes, and [flight] 1/s.
 
     Source: Bailey, NACA Report 716 (thrust with tip loss); Pitt and Peters (1981), uniform component.
     """

@@ -15,8 +15,6 @@ STALL = 0.3  # tangent of the angle of attack at which half of a surface's flow 
 def airframe_loads(craft: Craft, x: Array, pedal: Array, sweep: Array) -> tuple[Array, Array, Array]:
     """Force (N) and moment (N m) of all but the main rotor, body axes, and the rate of the tail rotor's inflow.
 
-    Parameters
-    ----------
     x : [31, aircraft, flight] states; pedal : [aircraft, flight] rad; sweep : [2, aircraft, flight] of the wake.
     """
     velocity, omega, speed = x[0:3], x[3:6], x[28]

@@ -204,8 +204,6 @@ def _loading(craft: Craft, blades: Blades, force: Array, moment: Array, speed: A
 def respond(craft: Craft, setting: Setting, x: Array, u: Array, gust: Array | float = 0.0) -> tuple[Array, Response]:
     """Rates of all states, and what the accelerometers feel.
 
-    Parameters
-    ----------
     x : [31, aircraft, flight].
     u : [4, aircraft, flight] lon, lat, col, ped at the blades, rad.
     gust : [3, aircraft, flight] velocity of the air, body axes, m/s.

@@ -45,8 +45,6 @@ def reference() -> Aircraft:
 def numbers(vehicle: Vehicle, speed: float) -> dict[str, Number]:
     """All drawn numbers of helicopters such as this one, which declares mass, inertia and rotor radius.
 
-    Parameters
-    ----------
     vehicle : a rotor that turns counter-clockwise (mirrored before, if need be).
     speed : of the trimmed flight, m/s.
     """

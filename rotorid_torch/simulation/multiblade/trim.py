@@ -95,8 +95,6 @@ class Linears:
     def loads(self, frequency: Array, motion: Complex) -> Complex:
         """X Y Z (m/s^2), L M N (rad/s^2), rotor speed (rad/s) that go with a motion, [aircraft, frequency, 7].
 
-        Parameters
-        ----------
         frequency : [frequency] rad/s.
         motion : [aircraft, frequency, 10] transforms of u v w p q r lon lat col ped.
         """
@@ -182,8 +180,6 @@ def settle(craft: Craft, x: Array, controls: Array) -> Setting:
 def find_trims(craft: Craft, velocity: Array, guess: Trims | None = None, close: float = CLOSE) -> Trims:
     """Steady straight flight of every aircraft, by Newton's method with differences.
 
-    Parameters
-    ----------
     velocity : [3] m/s level ahead, to the side, and down.
     guess : trims of similar aircraft.
     close : residual acceleration that counts as trimmed, m/s^2 and rad/s^2.

@@ -88,8 +88,6 @@ class Controller:
     def of(cls, clean: Sequence[Multirotor], flown: Sequence[Multirotor], curve: Array, ratio: Array) -> Controller:
         """For vehicles as their makers know them, gains tuned for the lag and delay of those that fly.
 
-        Parameters
-        ----------
         curve : thrust of each rotor over the square of its speed, N s^2, [rotor, column]. ratio : torque over thrust,
             m, [rotor, column].
         """

@@ -139,8 +139,6 @@ class Task:
 def fly_fleet(fleet: Fleet, task: Task, seed: int, progress: Progress | None = None) -> FleetHistory:
     """Fly all columns at once.
 
-    Parameters
-    ----------
     seed : of wakes, gusts, gyros and charge. progress : called with samples done and in all.
     """
     windy = any(any(one.air.wind) or one.air.gusts for one in fleet.craft)

@@ -27,8 +27,6 @@ def fly_craft(
 ) -> tuple[dict[str, Channels], dict[str, Channels]]:
     """True and measured channels by flight of a vehicle, whose controller knows the clean one.
 
-    Parameters
-    ----------
     names : of flights, see `manoeuvres`. progress : called with samples done and in all.
     """
     fleet = Fleet.of([craft] * len(names), [clean] * len(names))

@@ -235,9 +235,7 @@ FORM = re.compile(rf"({'|'.join(NAMES)})(?:-([0-9]{{1,3}})deg)?")
 def chosen(flights: Sequence[str]) -> tuple[str, ...]:
     """Names of the flights to fly, of names and of `GROUPS`, in the order of the groups.
 
-    Raises
-    ------
-    InputError : a name that does not exist, or none at all.
+    Raises InputError: a name that does not exist, or none at all.
     """
     if not flights:
         raise InputError("usage", "flights", "the list is empty", "some of " + ", ".join(FLIGHTS))
@@ -265,8 +263,6 @@ def heading(name: str, usual: float) -> float:
 def targets_of(name: str, craft: Multirotor, time: Array, usual: float) -> Array:
     """What the controller is asked for in a flight, packed, [ROWS, T]; see `control.Targets`.
 
-    Parameters
-    ----------
     time : s, [T], from the beginning of the record; before it the vehicle hovers. usual : heading of the data set, rad.
     """
     manoeuvre = name.split("-")[0]

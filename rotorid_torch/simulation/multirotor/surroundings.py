@@ -23,8 +23,6 @@ def ground_share(height: Array, spacing: Array, radius: Array, ratio: Array) -> 
     Each rotor is a source on its disc, its image an equal one as far below the ground; the wake is swept away from
     below by motion through the air.
 
-    Parameters
-    ----------
     height : of the rotors, m, [rotor, column]. spacing : squares of the distances between rotors, m^2, [rotor, rotor,
         column]. radius : m, [column]. ratio : velocity in the disc over the induced velocity, [rotor, column].
 

@@ -88,9 +88,7 @@ def is_multirotor(name: object) -> bool:
 def multirotor(name: str) -> Multirotor:
     """The built-in vehicle, "quad", or one drawn at random by number, "multirotor-N".
 
-    Raises
-    ------
-    InputError : another name.
+    Raises InputError: another name.
     """
     if name == "quad":
         return built("quad", QUAD)

@@ -18,9 +18,7 @@ from rotorid_torch.simulation.vehicles.vehicle_file import ControlTable, Vehicle
 def load_aircraft(path: Path | None = None) -> Aircraft:
     """Aircraft of a vehicle file; without one the UH-60.
 
-    Raises
-    ------
-    InputError : the file cannot be read, has an unknown key, or declares what no helicopter can be.
+    Raises InputError: the file cannot be read, has an unknown key, or declares what no helicopter can be.
     """
     reference = read_vehicle(Path(str(resources.files("rotorid_torch.simulation.vehicles") / "uh60.toml")))
     if path is None:

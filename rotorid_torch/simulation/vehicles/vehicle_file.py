@@ -154,9 +154,7 @@ class VehicleFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 def read_vehicle(path: Path) -> VehicleFile:
     """Parse a vehicle file and check its form.
 
-    Raises
-    ------
-    InputError : it cannot be read, is not toml, or has a key or a type that does not belong there.
+    Raises InputError: it cannot be read, is not toml, or has a key or a type that does not belong there.
     """
     expected = "a vehicle file in toml with the tables [vehicle] and [vehicle.rotor]"
     content = read_file(path, expected, TOML_LIMIT)

@@ -122,8 +122,6 @@ def adjusted_p(
     and the data and the draws stay exchangeable: the level holds for any distribution. Step-down: a member is compared
     with the largest of those that are no more extreme. What predicts flights worse is no evidence: p is one.
 
-    Parameters
-    ----------
     observed : statistic of each member, large where it is missing. clean : the same of n draws [n].
     least : mean size of a member below which its statistic is no more than that of any one more parameter.
 

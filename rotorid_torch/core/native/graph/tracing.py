@@ -30,10 +30,8 @@ NATIVE = "rotorid_torch.core.native"
 def scalarise(graph: Graph, function: Callable[..., Tensor], examples: Mapping[str, Tensor]) -> list[int]:
     """Nodes of all entries of function(*examples), in order; the examples' names become those of the inputs.
 
-    Raises
-    ------
-    Unsupported : an operation that is not known here, a branch that depends on an input, or results that are not
-        torch's, such as random ones.
+    Raises Unsupported: an operation that is not known here, a branch that depends on an input, or results that are not
+    torch's, such as random ones.
     """
     watch = Scalars(graph)
     inputs = [example.detach().clone() for example in examples.values()]

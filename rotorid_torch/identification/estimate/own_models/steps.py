@@ -49,9 +49,7 @@ def in_steps(
 
     solve : the fit of flights from a start theta [P]. end : theta [P] and states [F, T, nx] that it found.
 
-    Raises
-    ------
-    InputError : the start has a pole that is too fast, or no run of it is finite.
+    Raises InputError: the start has a pole that is too fast, or no run of it is finite.
 
     Source: Hairer and Wanner, Solving Ordinary Differential Equations II, sec. IV.2 (regions of stability).
     """
