@@ -15,7 +15,7 @@ class Response(Record, frozen=True, kw_only=True):
 
     Nothing is integrated. constant : mean of measured minus model over the flight; r2_without_constant : R2 with it
     taken out of the error. moved : whether the flight moves it clearly, without which R2 means nothing; described :
-    whether anything of the model moves it.
+    whether anything of the model moves it. seconds : length of what is compared.
     """
 
     rmse: Size
@@ -25,6 +25,7 @@ class Response(Record, frozen=True, kw_only=True):
     r2_without_constant: AtMostOne = None
     moved: bool = True
     described: bool = True
+    seconds: Annotated[float, msgspec.Meta(gt=0)] = 1.0
 
 
 class Prediction(Record, frozen=True, kw_only=True):

@@ -90,14 +90,17 @@ def described(horizon: ShortHorizon, after: ShortHorizon) -> float:
 
 
 def _pooled(responses: Sequence[Response], about: bool) -> float:
-    """R2 over all flights: their errors over their deviations. about : with each flight's constant taken out."""
+    """R2 over all flights, as if they were one record: their errors over their deviations, each over its length.
+
+    about : with each flight's constant taken out.
+    """
     error, spread = 0.0, 0.0
     for r in responses:
         if r.rmse is not None and r.r2 is not None and math.isfinite(r.r2) and r.r2 < 1.0:
             deviation = r.rmse**2 / (1.0 - r.r2)
             without = r.r2 if r.r2_without_constant is None or not about else r.r2_without_constant
-            error += deviation * (1.0 - without)
-            spread += deviation
+            error += r.seconds * deviation * (1.0 - without)
+            spread += r.seconds * deviation
     return 1.0 - error / spread if spread else math.nan
 
 

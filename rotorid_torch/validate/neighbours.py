@@ -10,7 +10,7 @@ from torch import Tensor
 
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.model.model import Model
-from rotorid_torch.validate.free_run import Runs, free_run, windows
+from rotorid_torch.validate.free_run import Runs, Windows, free_run, windows
 from rotorid_torch.validate.responses import compared
 from rotorid_torch.validate.scores import horizon_samples
 
@@ -31,16 +31,17 @@ def free_run_bands(
 
     Returns Nothing where the model cannot be compiled: a picture is not worth the time.
     """
-    run, samples = Runs.of(model), horizon_samples(dataset.facts[flights[0]].dt)
+    run = Runs.of(model)
     if run.compiled is None:
         return {}
-    pieces = windows(model, dataset, [(name, 0) for name in flights], samples)
+    pieces = _pieces(model, dataset, flights)
     starts, theta = free_run(model, pieces, run)[0][:, 0], model.theta.detach().clone()
     places = torch.tensor([model.parameter_set.index(name) for name in names])
     outputs = []
     for step in _steps(covariance):
         with _at(model, model.parameter_set.clamp(theta.index_add(0, places, step))):
-            outputs.append(model.recorded(run(starts, pieces.controls, pieces.dt)[1], pieces.dt))
+            controls = _pieces(model, dataset, flights).controls  # behind the control path of this draw
+            outputs.append(model.recorded(run(starts, controls, pieces.dt)[1], pieces.dt))
     edges = torch.tensor([0.5 - CENTRAL / 2.0, 0.5 + CENTRAL / 2.0], dtype=torch.float64)
     low, high = torch.quantile(torch.stack(outputs), edges, dim=0)
     deviation = 0.5 * (high - low)
@@ -61,9 +62,13 @@ def without(model: Model, dataset: Dataset, flights: Sequence[str], effect: str)
         if dataset.kind == "multirotor":
             pairs = {name: compared(model, dataset.flights[name]) for name in flights}
             return {name: {c: m + (z - m).mean() for c, (z, m) in of.items()} for name, of in pairs.items()}
-        samples = horizon_samples(dataset.facts[flights[0]].dt)
-        outputs = free_run(model, windows(model, dataset, [(name, 0) for name in flights], samples))[1]
+        outputs = free_run(model, _pieces(model, dataset, flights))[1]
     return _by_flight(model, dataset, flights, outputs)
+
+
+def _pieces(model: Model, dataset: Dataset, flights: Sequence[str]) -> Windows:
+    """The starts of these flights, with controls behind the model's control path."""
+    return windows(model, dataset, [(name, 0) for name in flights], horizon_samples(dataset.facts[flights[0]].dt))
 
 
 def _by_flight(model: Model, dataset: Dataset, flights: Sequence[str], records: Tensor) -> dict[str, dict[str, Tensor]]:

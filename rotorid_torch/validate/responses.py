@@ -41,7 +41,7 @@ def responses(
     least : standard deviation by response from which on a flight moves it (`least_motion`); none: all are moved.
     """
     pairs = compared(model, flight, smoothed)
-    return {name: _judged(name, pair, (least or {}).get(name, 0.0)) for name, pair in pairs.items()}
+    return {name: _judged(name, pair, (least or {}).get(name, 0.0), flight.dt) for name, pair in pairs.items()}
 
 
 def least_motion(dataset: Dataset, smoothed: float = SMOOTHED_S) -> dict[str, float]:
@@ -107,7 +107,7 @@ def compared(model: Model, flight: Flight, smoothed: float = SMOOTHED_S) -> dict
     }
 
 
-def _judged(name: str, pair: tuple[Tensor, Tensor], least: float) -> Response:
+def _judged(name: str, pair: tuple[Tensor, Tensor], least: float, dt: float) -> Response:
     measured, model = pair
     error = measured - model
     deviation = measured - measured.mean()
@@ -123,6 +123,7 @@ def _judged(name: str, pair: tuple[Tensor, Tensor], least: float) -> Response:
         r2_without_constant=explained[1],
         moved=moved,
         described=described,
+        seconds=len(error) * dt,
     )
 
 

@@ -83,6 +83,18 @@ def test_a_constant_of_each_flight_is_taken_out_and_both_scores_are_told(flown: 
     assert f"ax {told.responses['ax']:.2f} ({told.measured['ax']:.2f})" in explained(told)
 
 
+def test_a_long_flight_counts_for_its_length(flown: records.Report):
+    """Flights of 30 and 10 s count as four of 10 s, three of which are one flight."""
+    assert flown.before is not None
+    acid, pieces = flown.before.flights["sweep"], (response(0.5, 0.75), response(3.0, 0.1))
+    long, short = (msgspec.structs.replace(r, seconds=t) for r, t in zip(pieces, (30.0, 10.0), strict=True))
+    each = [long, short], [*[msgspec.structs.replace(long, seconds=10.0)] * 3, short]
+    of = [{str(k): msgspec.structs.replace(acid, responses={"ax": r}) for k, r in enumerate(some)} for some in each]
+    pooled = [short_horizon(msgspec.structs.replace(flown.before, flights=f))[-1].responses["ax"] for f in of]
+    assert pooled[0] == pytest.approx(pooled[1])
+    assert pooled[0] == pytest.approx(1.0 - (3 * 0.25 + 9.0) / (3 * 1.0 + 10.0))
+
+
 def test_a_model_that_predicts_worse_than_holding_is_said_to_first(flown: records.Report):
     fit = flown.before
     assert fit is not None
