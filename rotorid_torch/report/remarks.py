@@ -71,7 +71,8 @@ def of_clocks(dataset: Dataset) -> tuple[str, ...]:
         return ()
     return (
         f"controls are recorded at least {late.seconds * 1e3:.0f} ± {late.se * 1e3:.1f} ms late: {late.clearest}"
-        " comes first, which no vehicle does; lags and damping are biased by it; `rotorid close-loop` takes it out",
+        " comes first, which no vehicle does; lags and damping are biased by that time; rotorid"
+        " close-loop takes that time out",
     )
 
 
@@ -80,8 +81,8 @@ def of_controls(dataset: Dataset, own_share: Mapping[str, float]) -> Iterator[st
     still = [control for control, movement in moves(dataset, dataset.controls).items() if not movement.flights]
     if still:
         yield (
-            f"{listed(still)} hardly moves in any identify flight: what it does stays unknown; fly a doublet or a"
-            " 3-2-1-1 on it"
+            f"{listed(still)} hardly moves in any identify flight: what that control does stays unknown; fly a"
+            " doublet or a 3-2-1-1"
         )
     low = {control: share for control, share in own_share.items() if share < OWN_SHARE and control not in still}
     if low:
@@ -115,7 +116,7 @@ def of_estimate(estimate: ModelEstimate, fit: FitRecord) -> Iterator[str]:
         if summary.grade == WORSE_THAN_TRIM:
             yield (
                 f"on the {summary.name} flights the model is {WORSE_THAN_TRIM} (J {summary.judged:.3g} against"
-                f" {summary.J_trim:.3g}): do not use it; look at the data with rotorid check first"
+                f" {summary.J_trim:.3g}): do not use the model; look at the data with rotorid check first"
             )
     bound = at_an_edge(fit.parameters)
     if bound:
@@ -125,7 +126,7 @@ def of_estimate(estimate: ModelEstimate, fit: FitRecord) -> Iterator[str]:
         )
     fast = at_once(fit.parameters)
     if fast:
-        yield f"shorter than these records resolve: {listed(fast)}; what it stands for acts as good as at once"
+        yield f"shorter than these records resolve: {listed(fast)}; what stands behind acts as good as at once"
     blind = [p.name for p in fit.parameters if p.status == "not identifiable"]
     if blind:
         yield (

@@ -36,7 +36,7 @@ def cell(horizon: ShortHorizon, name: str) -> str:
 
 def explained(horizon: ShortHorizon) -> str:
     """What the model explains and predicts on a list of flights, as a sentence; first where holding is better."""
-    unseen = "" if horizon.name == "identify" else ", which it has not seen"
+    unseen = "" if horizon.name == "identify" else ", which no fit has seen"
     where = f"On the {horizon.name} flights{unseen}, the model"
     measured = _named({name: horizon.measured[name] for name in horizon.counted})
     parts = [f"{name} {_text(r2)} ({_text(measured[name])})" for name, r2 in _named(horizon.counted).items()]
@@ -48,7 +48,7 @@ def explained(horizon: ShortHorizon) -> str:
         if p.seconds == horizon.predictions[-1].seconds
     ]
     errors = f"; errors after {horizon.predictions[-1].seconds:g} s: {', '.join(ahead)}" if ahead else ""
-    first = f"predicts {worse_than_holding(horizon)}; it " if horizon.worse else ""
+    first = f"predicts {worse_than_holding(horizon)}; the model " if horizon.worse else ""
     return f"{where} {first}{said}{errors}.{_left_out(horizon)}"
 
 

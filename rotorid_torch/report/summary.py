@@ -146,15 +146,15 @@ def headline(report: Report) -> str:
         return explained(short[-1])
     unseen = _unseen(report.fit)
     if not unseen:
-        return "No flight was kept back, so nothing is known about flights the model has not seen."
+        return "No flight was kept back, so nothing is known about flights that no fit has seen."
     decides, also = unseen[0], unseen[1:]
     share, grade = decides.explained, decides.grade
     more = "".join(f"; on the {a.name} flights {_share(a)}" for a in also)
     if share is None or share < 0.0:
-        return f"On the {decides.name} flights the model is {WORSE_THAN_TRIM}: do not use it yet{more}."
+        return f"On the {decides.name} flights the model is {WORSE_THAN_TRIM}: do not use the model yet{more}."
     fed = "alone" if decides.J_fed is None else "and the gusts that a smoother finds in them"
     return (
-        f"On the {decides.name} flights, which it has not seen, the model explains {100 * share:.0f} % of the motion"
+        f"On the {decides.name} flights, which no fit has seen, the model explains {100 * share:.0f} % of the motion"
         f" over 8 s from the controls {fed} ({grade}){more}."
     )
 
@@ -214,7 +214,7 @@ def next_steps(report: Report) -> list[str]:
     traced = report.verdict is not None
     scores = partial(_steps_of_responses, traced=traced) if short_horizon(report.fit) else _steps_of_scores
     steps = [*scores(report.fit), *_steps_of_parameters(report.fit.parameters)]
-    return steps or ["Nothing stands out. Use the model within the range of motion that its flights covered."]
+    return steps or ["Nothing stands out. Use the model within the range of motion that the flights covered."]
 
 
 def weakest_channel(fit: FitRecord) -> tuple[str, str, float] | None:
@@ -256,14 +256,15 @@ def _steps_of_scores(fit: FitRecord) -> Iterator[str]:
         if summary.grade == WORSE_THAN_TRIM:
             yield (
                 f"The model is {WORSE_THAN_TRIM} on the {summary.name} flights (J {_text(summary.judged)} against"
-                f" {_text(summary.J_trim)}). Do not use it: run rotorid check, then look at the error over time below."
+                f" {_text(summary.J_trim)}). Do not use the model: run rotorid check, then look at the"
+                " error over time below."
             )
     fitted, judged = lists.get("identify"), lists.get("validate")
     if fitted and judged and fitted.explained is not None and judged.explained is not None:
         if judged.explained < 0.9 and 1.0 - judged.explained > 3.0 * (1.0 - fitted.explained):
             yield (
-                "The model follows the flights it was made from much better than the others: it has more freedom than"
-                " the data support. Add identify flights, or free fewer parameters."
+                "The model follows the flights it was made from much better than the others: the model has more"
+                " freedom than the data support. Add identify flights, or free fewer parameters."
             )
     weakest = weakest_channel(fit)
     if weakest and weakest[2] > 0.3:
@@ -296,7 +297,7 @@ def _steps_of_responses(fit: FitRecord, traced: bool) -> Iterator[str]:
         yield f"Of {_listed(weak)} less than {100 * MOSTLY:.0f} % is explained on the {last.name} flights: {look}."
     poor = dict.fromkeys(p.quantity for p in last.predictions if p.error > p.held)
     if poor:
-        yield f"Do not predict {_listed(list(poor))} with it: held values are nearer than the model's predictions."
+        yield f"Do not predict {_listed(list(poor))} with the model: held values are nearer than the predictions."
 
 
 def at_an_edge(parameters: Iterable[ParameterRecord]) -> list[str]:
@@ -325,7 +326,7 @@ def _steps_of_parameters(parameters: Iterable[ParameterRecord]) -> Iterator[str]
         )
     silent = [p.name for p in parameters if p.status == "not identifiable"]
     if silent:
-        yield f"The data do not tell {_listed(silent)}: fly a manoeuvre that moves what it multiplies, or leave it out."
+        yield f"The data do not tell {_listed(silent)}: fly a manoeuvre that moves what they multiply."
     vague = [p.name for p in parameters if p.status == "free" and p.se and p.value is not None and p.se > abs(p.value)]
     if vague:
         yield (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from rotorid_torch.report import figures, records, summary
 from rotorid_torch.report.figures import Overlay
 from rotorid_torch.report.page import tables
 from rotorid_torch.report.page.document import Shown, render
+from rotorid_torch.report.page.pictures import main_picture
 from rotorid_torch.report.scorecard import scorecard
 from rotorid_torch.run.output.write import write_report
 
@@ -255,3 +257,15 @@ def test_of_many_flights_the_page_shows_the_first_of_each_list(report: records.R
     assert "36 of the 60 flights" in page
     assert '<th scope="row">f59</th>' in page
     assert len(figures.scores(many).axes[0].get_yticks()) == 36
+
+
+def test_the_picture_claims_no_gain_where_there_is_none(overlays: list[Overlay]):
+    """Before and after are the same flights; then the model before is off by a constant."""
+    same = main_picture(overlays, overlays)
+    assert same is not None
+    assert "is described worst; none gains" in same.caption
+    assert "the error falls" not in same.caption
+    worse = [replace(o, model={c: m + 1.0 for c, m in o.model.items()}) for o in overlays]
+    better = main_picture(worse, overlays)
+    assert better is not None
+    assert "gains most: the error falls from" in better.caption

@@ -45,7 +45,7 @@ def test_late_controls_are_told_with_their_time_and_who_mends_them():
 
     (said,) = remarks.of_clocks(recorded(0.06))
     assert said.startswith("controls are recorded at least 60 ± ")
-    assert said.endswith("`rotorid close-loop` takes it out")
+    assert said.endswith("rotorid close-loop takes that time out")
     assert remarks.of_clocks(recorded(0.0)) == ()
 
 

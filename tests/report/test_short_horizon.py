@@ -101,7 +101,7 @@ def test_a_model_that_predicts_worse_than_holding_is_said_to_first(flown: record
     flights = {n: msgspec.structs.replace(f, predictions=(ahead(2.5),)) for n, f in fit.flights.items() if f.responses}
     worse = msgspec.structs.replace(fit, flights=flights)
     said = explained(short_horizon(worse)[-1])
-    assert said.startswith("On the acid flights, which it has not seen, the model predicts rates worse than holding")
+    assert said.startswith("On the acid flights, which no fit has seen, the model predicts rates worse than holding")
     later = {n: msgspec.structs.replace(f, predictions=(ahead(0.3, 0.1), ahead(2.5))) for n, f in flights.items()}
     said = explained(short_horizon(msgspec.structs.replace(fit, flights=later))[-1])
     assert "the model predicts rates after 0.5 s worse than holding what was measured" in said
@@ -110,7 +110,7 @@ def test_a_model_that_predicts_worse_than_holding_is_said_to_first(flown: record
 
 def test_free_runs_do_not_appear(flown: records.Report):
     assert flown.before is not None
-    assert headline(flown).startswith("On the acid flights, which it has not seen, the model explains roll")
+    assert headline(flown).startswith("On the acid flights, which no fit has seen, the model explains roll")
     assert failing(flown.before) == ""
     assert not any("worse than holding trim" in step for step in next_steps(flown))
     console = Console(width=200, record=True)

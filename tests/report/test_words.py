@@ -82,7 +82,9 @@ def test_members_of_a_group_are_named_as_things_and_what_would_tell_them_apart(r
     assert "a delay in the control path or a lag of the actuators. These flights cannot tell which." in opening(loop)
     assert any("fly faster" in step for step in steps(loop))
     bare = [msgspec.structs.replace(one, reason="these flights cannot tell it from the other") for one in members]
-    assert steps(closed(report, "group", *bare))[1].startswith("If it is a lag of the actuators: record the actuators'")
+    assert steps(closed(report, "group", *bare))[1].startswith(
+        "If a lag of the actuators is the cause: record the actuators'"
+    )
     sized = an_effect("control.delay", "indistinguishable", common=(0.0571, 0.0062, "s"))
     assert "a delay in the control path (57 ± 6 ms) or a lag" in opening(closed(report, "group", sized, members[1]))
 
@@ -100,7 +102,7 @@ def test_an_unknown_says_where_to_look(report: records.Report):
         where="L", band_hz=(0.2, 2.0), goes_with="p", since_s=None, sentence="Something is missing from L."
     )
     named = opening(msgspec.structs.replace(closed(report, "undeclared", after=False), unknown=unknown))
-    assert named.endswith("Something more is missing in the rolling moment, where p moves; it has no name.")
+    assert named.endswith("Something more is missing in the rolling moment, where p moves; no effect explains that.")
     loop = msgspec.structs.replace(closed(report, "unknown", after=False), unknown=unknown)
     assert steps(loop)[0].startswith("What is missing acts on the rolling moment between 0.2 and 2 Hz, where p moves")
 

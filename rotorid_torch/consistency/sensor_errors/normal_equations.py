@@ -122,6 +122,19 @@ class Search:
         self._points.clear()
         return self.at(errors, names)
 
+    def raised(self, errors: Errors) -> bool:
+        """Raise the levels to what these errors leave over, where that is more; whether anything was raised.
+
+        Errors that shrink both sides of an equation seem to explain any misfit while its level is unknown.
+        """
+        left = _levels(self._rows(errors, ()), np.zeros(0), self.levels)
+        higher = {name: np.maximum(level, self.levels.get(name, 1.0)) for name, level in left.items()}
+        if all(np.array_equal(level, self.levels.get(name, np.ones_like(level))) for name, level in higher.items()):
+            return False
+        self.levels = higher
+        self._points.clear()
+        return True
+
     @property
     def misfit(self) -> float:
         """Largest level of what is left over, in powers of the noise."""

@@ -75,6 +75,8 @@ def select(case: Case, largest: float) -> Point | None:
     if case.search.misfit > largest:
         return None
     point = _forward(case, point)
+    if case.search.raised(point.errors):
+        point = _refit(case, point, case.fitted)
     point = _keep_what_holds(case, point)
     point = _weigh_rivals(case, point)
     return case.search.at(point.errors, case.candidates)

@@ -19,6 +19,8 @@ from rotorid_torch.report.words.effects import words_of
 WINDOW_S = 5.0
 """Length of what is shown of a long record: there the lines can be told apart."""
 CHANNELS_OF_AN_EFFECT = 2
+NOTHING = 0.003
+"""Part of a channel's motion by which its error must fall to be called a gain."""
 SIGNS = {
     "accepted": "✔ accepted",
     "indistinguishable": "≈ cannot be told apart",
@@ -41,12 +43,15 @@ class Picture:
 
 
 def main_picture(before: Sequence[Overlay], after: Sequence[Overlay]) -> Picture | None:
-    """The flight and channel, not used to fit, that gain most; without a second model those that it describes worst."""
-    earlier = {overlay.flight: overlay for overlay in before}
-    candidates = [(_gain(overlay, earlier.get(overlay.flight), c), overlay, c) for overlay, c in _judged(after)]
-    if not candidates:
+    """The flight and channel, not used to fit, that gain most; those described worst where none gains."""
+    earlier, judged = {overlay.flight: overlay for overlay in before}, list(_judged(after))
+    if not judged:
         return None
-    _, overlay, channel = max(candidates, key=lambda c: c[0])
+    gains = [_gain(overlay, earlier.get(overlay.flight), channel) for overlay, channel in judged]
+    gained = bool(earlier) and max(gains) > NOTHING
+    if earlier and not gained:
+        gains = [_gain(overlay, None, channel) for overlay, channel in judged]
+    overlay, channel = judged[gains.index(max(gains))]
     other, part = earlier.get(overlay.flight), _window(overlay, channel)
     time, measured = overlay.time.numpy()[part], overlay.measured[channel].numpy()[part]
     models = [("after", overlay), *([("before", other)] if other is not None else [])]
@@ -63,10 +68,10 @@ def main_picture(before: Sequence[Overlay], after: Sequence[Overlay]) -> Picture
     ]
     how = "free run" if overlay.integrated else "at measured states"
     words = [("measured", "measured"), *([("before", "before")] if other is not None else []), ("after", "model")]
-    change = f": the error falls from {_rms(errors[0].y):.2g} to {_rms(errors[-1].y):.2g} {unit} rms" if other else ""
-    why = "gains most" if other else "is described worst"
+    change = f": the error falls from {_rms(errors[0].y):.2g} to {_rms(errors[-1].y):.2g} {unit} rms" if gained else ""
+    why = "gains most" if gained else "is described worst; none gains" if other else "is described worst"
     caption = (
-        f"{_about(channel)} on {overlay.flight}, a flight that the model has not seen ({how}). Of all channels this one"
+        f"{_about(channel)} on {overlay.flight}, a flight that no fit has seen ({how}). Of all channels this one"
         f" {why}{change}. Top: the control that moves most. Bottom: what the model leaves over."
     )
     alt = f"{channel} of {overlay.flight} over time, measured and modelled{change}"
@@ -130,7 +135,7 @@ def spectra(before: Sequence[Overlay], after: Sequence[Overlay]) -> Picture | No
         return None
     words = [("before", "before"), ("after", "after")] if before else [("after", "measured - model")]
     caption = (
-        "What the model leaves over by frequency, on flights that it has not seen. A hump is missing dynamics, a"
+        "What the model leaves over by frequency, on flights that no fit has seen. A hump is missing dynamics, a"
         " line is vibration, a rise to the left a slow drift."
     )
     return Picture(stacked(panels, "frequency, Hz", caption, words), caption)

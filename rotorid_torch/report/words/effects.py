@@ -33,7 +33,7 @@ EFFECTS = {
         "The controls reach the rotor later than recorded: {}.",
         "a delay in the control path",
         "Look for the delay between the recorded controls and the actuators: filters, buses, time stamps. Step a"
-        " control on the ground and record the actuator. Where nobody can take it out, use the model with it.",
+        " control on the ground and record the actuator. Where nobody can take the delay out, model the delay.",
         _EACH,
     ),
     "control.lag": Words(
@@ -55,7 +55,7 @@ EFFECTS = {
         {"width": "{}", **_EACH},
     ),
     "control.slip": Words(
-        "A control slips in flight: from one moment on it stands elsewhere than recorded, {}.",
+        "A control slips in flight: from one moment on the control stands elsewhere than recorded, {}.",
         "a control that slips in flight",
         "Inspect linkages, servo arms and trims before the next flight.",
     ),
@@ -65,13 +65,13 @@ EFFECTS = {
     "rotor.wake_distortion": Words(
         "The wake bends as the disc turns, and makes the response off the axis: {}.",
         "wake distortion",
-        "Keep it in the model where responses off the axis matter.",
+        "Keep the wake's distortion in the model where responses off the axis matter.",
     ),
     "rotor.speed": Words("The rotor's speed gives way and the governor brings it back: {}.", "rotor speed", ""),
     "rotor.stall": Words(
         "The retreating blade stalls: {}.",
         "stall of the retreating blade",
-        "Use the model below that blade loading, and do not extrapolate it beyond.",
+        "Use the model below that blade loading, and do not extrapolate beyond.",
         {"loss": "it loses {} of the lift", "limit": "above a blade loading of {}"},
     ),
     "forces.drag": Words(
@@ -123,7 +123,7 @@ EFFECTS = {
         {"extra": "{} beyond it"},
     ),
     "mass.cg": Words(
-        "The centre of gravity is not where it is declared: {}.",
+        "The centre of gravity is not where the declaration says: {}.",
         "centre of gravity elsewhere than declared",
         _DECLARE,
         _AXES,
@@ -149,9 +149,9 @@ EFFECTS = {
         {a: f"{{}} about {a}" for a in "xyz"},
     ),
     "sensors.lever_arm": Words(
-        "The IMU is not where it is declared: {}.",
+        "The IMU is not where the declaration says: {}.",
         "an IMU elsewhere than declared",
-        "Measure where the IMU is, from the centre of gravity, and declare it (vehicle.imu).",
+        "Measure where the IMU is, from the centre of gravity, and declare the place (vehicle.imu).",
         {a: f"{{}} along {a}" for a in "xyz"},
     ),
     "sensors.delay": Words(
@@ -162,40 +162,42 @@ EFFECTS = {
     "sensors.filter": Words(
         "Sensors of one unit stand behind a filter: {}.",
         "a filter of a sensor",
-        f"Widen the unit's filter, or record before it. {_RECORDS}",
+        f"Widen the unit's filter, or record before the filter. {_RECORDS}",
     ),
     "propulsion.motor_lag": Words(
         "The motors follow their commands late: {}.",
         "a lag of the motors",
-        "Keep it in the model: a controller that is designed without it oscillates. Rotor speeds in the log tell more.",
+        "Keep the motors' lag in the model: a controller that is designed without the lag oscillates. Rotor speeds in"
+        " the log tell more.",
         {"tau": "time constant {}"},
     ),
     "propulsion.voltage": Words(
         "Thrust falls with the battery's voltage: {}.",
         "battery voltage",
-        "Record the voltage, and divide commands by it in the mixer.",
+        "Record the voltage, and divide commands by the voltage in the mixer.",
         {"exponent": "exponent {}"},
     ),
     "propulsion.rotor_inertia": Words(
         "Rotors that speed up turn the body about the yaw axis: {}.",
         "angular momentum of the rotors",
-        "Keep it in the model where yaw matters: it is the fast part of the response to a yaw command.",
+        "Keep the rotors' angular momentum in the model where yaw matters: the fast part of the response to a yaw"
+        " command comes from there.",
     ),
     "propulsion.rotor_drag": Words(
         "The rotors have drag in their own plane: {}.",
         "drag of the rotors",
-        "Keep it in the model for fast flight; a controller may feed it forward.",
+        "Keep the rotors' drag in the model for fast flight; a controller may feed the drag forward.",
         {"xy": "{} in the plane", "z": "{} along the axes"},
     ),
     "propulsion.axial_inflow": Words(
         "Thrust changes as the vehicle climbs or sinks: {}.",
         "thrust by axial speed",
-        "Keep it for climbs and descents.",
+        "Keep the thrust by axial speed in the model for climbs and descents.",
     ),
     "propulsion.flapping": Words(
         "The rotors turn the body as it moves sideways, for their blades flap back: {}.",
         "moments of flapping blades",
-        "Keep it in the model for fast flight.",
+        "Keep the moments of flapping blades in the model for fast flight.",
     ),
     "propulsion.unequal": Words(
         "One rotor gives less than the others: {}.",

@@ -112,9 +112,7 @@ def steps(report: Report) -> list[str]:
     """What to do next, the discovery first; never empty."""
     first = next(iter(report.warnings), "")
     data = (
-        [f"Mend the data first. `rotorid check` says: {first.removeprefix(GRADED)}."]
-        if first.startswith(GRADED)
-        else []
+        [f"Mend the data first. rotorid check says: {first.removeprefix(GRADED)}."] if first.startswith(GRADED) else []
     )
     ask = [CLOSE_LOOP] if report.command == "identify" and report.fit is not None and not failing(report.fit) else []
     return list(dict.fromkeys([*data, *_of_discovery(report), *ask, *next_steps(report)]))[:STEPS]
@@ -128,7 +126,7 @@ def worst_of(fit: FitRecord) -> str:
         if not responses:
             return ""
         worst = min(responses, key=lambda name: responses[name])
-        share = f"{_percent(max(responses[worst], 0.0))} of it described"
+        share = f"{_percent(max(responses[worst], 0.0))} described"
         return f"{_meaning(worst)} on the {short[-1].name} flights, {share}"
     weakest = weakest_channel(fit)
     if weakest is None:
@@ -208,15 +206,15 @@ def _of_discovery(report: Report) -> Iterator[str]:
     if report.unknown is not None:
         yield _look_for(report)
     if verdict.kind in ("nothing undeclared", "structure") and not verdict.effects:
-        yield "Use the model within the range of motion that its flights covered; export it with rotorid export."
+        yield "Use the model within the range of motion that the flights covered; export the model with rotorid export."
 
 
 def _to_tell(record: EffectRecord) -> str:
     """What would tell a member of a group: what its reason says last, else what to do if it is this one."""
     words, (_, mark, last) = words_of(record.id), record.reason.rpartition(";")
     if not mark and words.then:
-        return f"If it is {words.noun}: {words.then[0].lower()}{words.then[1:]}"
-    advice = last.strip() if mark else "fly it at another speed, height or mass"
+        return f"If {words.noun} is the cause: {words.then[0].lower()}{words.then[1:]}"
+    advice = last.strip() if mark else "fly at another speed, height or mass"
     return f"To tell {words.noun} from what takes its place: {advice}."
 
 
@@ -225,7 +223,7 @@ def _unnamed(report: Report) -> str:
     unknown = report.unknown
     assert unknown is not None
     follows = f", where {unknown.goes_with} moves" if unknown.goes_with else ""
-    return f"Something more is missing in {AXES.get(unknown.where, unknown.where)}{follows}; it has no name."
+    return f"Something more is missing in {AXES.get(unknown.where, unknown.where)}{follows}; no effect explains that."
 
 
 def _look_for(report: Report) -> str:
@@ -236,8 +234,8 @@ def _look_for(report: Report) -> str:
     follows = f", where {unknown.goes_with} moves" if unknown.goes_with else ""
     where = AXES.get(unknown.where, unknown.where)
     return (
-        f"What is missing acts on {where}{band}{follows}: compare flights with and without it, look for what was"
-        " changed on the vehicle, and add a channel that shows it."
+        f"What is missing acts on {where}{band}{follows}: compare flights with and without that, look for what was"
+        " changed on the vehicle, and add a channel that shows the cause."
     )
 
 

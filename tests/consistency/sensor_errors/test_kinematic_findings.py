@@ -6,9 +6,10 @@ import re
 import numpy as np
 import pytest
 
+from rotorid_torch import fly
 from rotorid_torch.consistency.correction import without_errors
 from rotorid_torch.consistency.sensor_errors.kinematic_findings import kinematic_findings
-from rotorid_torch.data.dataset import load
+from rotorid_torch.data.dataset import Dataset, load
 from tests.consistency.sensor_errors.kinematic_cases import data
 from tests.helpers import shared
 
@@ -112,6 +113,23 @@ def test_noise_declared_too_small_raises_no_alarm() -> None:
     found = kinematic_findings(data({}, 1, flights=5, channels=wrong))
     assert found.effects == ()
     assert found.levels["phi"] > 4.0
+
+
+def test_attitudes_of_which_half_are_drawn_between_have_no_wrong_scale() -> None:
+    """The drawn samples hide the noise, and a scale of both sides shrinks what is left, on one axis at a time."""
+    names = ["thrust_p", "roll_p", "pitch_p", "yaw_p"]
+    flown = fly(None, vehicle="quad", flights=names).dataset()
+    turning = ("time", "p", "q", "r", "phi", "theta", "psi", *flown.controls)
+    flights = {n: {c: flown[n][c].numpy() for c in turning} for n in names}
+    for channels in flights.values():
+        time = channels["time"]
+        channels |= {c: np.interp(time, time[::2], channels[c][::2]) for c in ("phi", "theta", "psi")}
+    drawn = Dataset.from_arrays(
+        flights, identify=names, kind="multirotor", controls={c: {"unit": "norm"} for c in flown.controls}
+    )
+    found = kinematic_findings(drawn)
+    assert found.effects == ()
+    assert max(found.levels.values()) > 10.0
 
 
 @pytest.mark.slow
