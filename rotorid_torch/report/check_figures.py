@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from rotorid_torch.consistency.examination.band import RESPONSES
+from rotorid_torch.consistency.examination.controls import RESPONSES
 from rotorid_torch.consistency.pairs import sensor_pairs
 from rotorid_torch.consistency.pairs.sensor_pairs import Agreement, agreement
 from rotorid_torch.consistency.records.coherence import USABLE, coherences

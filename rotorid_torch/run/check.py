@@ -13,7 +13,7 @@ from rich.text import Text
 
 from rotorid_torch.consistency.equations import UNITS
 from rotorid_torch.consistency.examination import check as records
-from rotorid_torch.consistency.examination.band import RESPONSES
+from rotorid_torch.consistency.examination.controls import RESPONSES
 from rotorid_torch.consistency.examination.finding import Finding, finding
 from rotorid_torch.consistency.examination.grade import AxisGrade, Grade, graded, head
 from rotorid_torch.consistency.examination.needs import examinable

@@ -6,8 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from rotorid_torch.consistency.correction import without_errors
-from rotorid_torch.consistency.examination import breaks, controls, kinematics, records, samples
-from rotorid_torch.consistency.examination.band import band
+from rotorid_torch.consistency.examination import breaks, controls, frames, kinematics, records, samples
 from rotorid_torch.consistency.examination.finding import Finding, Severity
 from rotorid_torch.consistency.examination.needs import examinable, needs
 from rotorid_torch.consistency.examination.surroundings import surroundings
@@ -43,6 +42,7 @@ EXAMINATIONS: tuple[Examination, ...] = (
     records.units,
     records.gravity,
     kinematics.kinematics,
+    frames.frames,
     kinematics.precedence,
     surroundings,
     records.noise,
@@ -50,7 +50,7 @@ EXAMINATIONS: tuple[Examination, ...] = (
     records.supply,
     controls.controls,
     controls.rotor_speeds,
-    band,
+    controls.band,
     controls.trim,
     controls.length,
 )
@@ -58,7 +58,7 @@ EXAMINATIONS: tuple[Examination, ...] = (
 
 ALWAYS = (needs, records.dead, records.reading, records.gaps, records.units)
 """Those that hold of records on which nothing else can be said."""
-RIGHTED = (records.gravity, kinematics.precedence, surroundings)
+RIGHTED = (records.gravity, frames.frames, kinematics.precedence, surroundings)
 """Those that look at the records with large turns and clock errors taken out: these have one cause, told once."""
 
 

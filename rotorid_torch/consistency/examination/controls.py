@@ -1,4 +1,4 @@
-"""Controls: limits, excitation, feedback, folded commands, how the flights begin and whether they last long enough."""
+"""Controls: limits, excitation, feedback, folded commands, the band of the responses, how flights begin and end."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from rotorid_torch.consistency.examination.finding import Finding, finding
+from rotorid_torch.consistency.records.coherence import Coherence, coherences
 from rotorid_torch.consistency.records.excitation import BAND_HZ, Excitation, excitations, share_at
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
@@ -37,6 +38,7 @@ LEAST_MOTORS = 3
 FREE_RUN_S = 8.0
 PERIODS = 2.0
 """A mode needs so many of its periods in a flight."""
+RESPONSES = (*names.RATES, *names.SPECIFIC_FORCES, *names.VELOCITIES)
 
 
 def controls(dataset: Dataset) -> Iterator[Finding]:
@@ -254,3 +256,25 @@ def _following(
     correlation = (total / np.outer(size, size))[len(motors) :, : len(motors)]
     rows, columns = linear_sum_assignment(-correlation)
     return float(correlation[rows, columns].mean()), float(np.diag(correlation).mean()), columns.tolist()
+
+
+def band(dataset: Dataset) -> Iterator[Finding]:
+    """Rates and specific forces (else velocities) that follow the controls, and those that nowhere do."""
+    measured = coherences(dataset, RESPONSES)
+    good = [c for c in measured if c.band is not None]
+    forces = set(names.SPECIFIC_FORCES) <= {c.channel for c in measured}
+    lost = [c for c in measured if c.band is None and not (forces and c.channel in names.VELOCITIES)]
+    if good:
+        sentence = f"follow the controls with coherence above 0.6: {', '.join(map(_stretch, good))}."
+        yield finding(
+            "good", " ".join(c.channel for c in good), sentence, "Outside that fits and scores see other causes."
+        )
+    if lost:
+        sentence = "nowhere follow the controls with coherence above 0.6: noise, air or a controller moves them."
+        advice = "Models of them rest on little: fly larger inputs, in calm air, on one control at a time."
+        yield finding("warning", " ".join(c.channel for c in lost), sentence, advice)
+
+
+def _stretch(c: Coherence) -> str:
+    low, high = c.band or (0.0, 0.0)
+    return f"{c.channel} {low:.1g} to {high:.2g} Hz"

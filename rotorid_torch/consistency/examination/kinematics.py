@@ -11,7 +11,6 @@ from rotorid_torch.consistency.equations import UNITS
 from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
 from rotorid_torch.consistency.pairs import sensor_pairs
 from rotorid_torch.consistency.pairs.alignment import (
-    EVERY_S,
     MOVES,
     Alignment,
     alignment,
@@ -30,6 +29,7 @@ from rotorid_torch.consistency.pairs.late_controls import (
 )
 from rotorid_torch.consistency.pairs.precedence import Following
 from rotorid_torch.consistency.pairs.sensor_pairs import REACH_S, Agreement, Pair, agreement
+from rotorid_torch.consistency.smoothing import EVERY_S
 from rotorid_torch.core import names
 from rotorid_torch.core.statistics import weighted_mean
 from rotorid_torch.data.dataset import Dataset

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from rotorid_torch.consistency.correction import without_errors_of_flight
-from rotorid_torch.consistency.smoothing import kernel
+from rotorid_torch.consistency.smoothing import EVERY_S, centred, kernel, smoothed
 from rotorid_torch.core import names
 from rotorid_torch.core.rigid import gravity_in_body
 from rotorid_torch.core.storage.once import once
@@ -25,8 +25,6 @@ from rotorid_torch.data.flight import Flight
 
 Array = np.ndarray
 
-EVERY_S = 0.04
-"""Interval of the samples that are compared: what has passed the Gaussian of 0.08 s loses little."""
 REACH_S, LONGEST_S = 0.2, 30.0
 """Lags that other examinations look for, and the longest that is looked for here."""
 FLIGHTS = 16
@@ -150,50 +148,21 @@ class _Sides:
         return _Sides(self.left[:count], self.right[-lag:])
 
 
-def _smooth(values: Array, taps: Array) -> Array:
-    return np.stack([np.convolve(column, taps, "valid") for column in values.T], axis=1)
-
-
-def _grid(flight: Flight, channels: Sequence[str]) -> tuple[Array, Array, Array]:
-    """Channels (T, n) and their rates of change, smoothed, every `EVERY_S`; and where nothing was missing (T,)."""
-    bell, slope = kernel(flight.dt)
-    if flight.samples < 2 * len(bell):
-        none = np.zeros((0, len(channels)))
-        return none, none, np.zeros(0, bool)
-    raw = flight.bridged(channels).numpy()
-    missing = flight.stack(channels).isnan().any(dim=1).numpy().astype(float)
-    whole = np.convolve(missing, np.ones(len(bell)), "valid") < 0.5
-    at = np.arange(0.0, len(whole) - 1, EVERY_S / flight.dt)
-    places = np.arange(len(whole))
-
-    def picked(values: Array) -> Array:
-        return np.stack([np.interp(at, places, column) for column in values.T], axis=1)
-
-    return picked(_smooth(raw, bell)), picked(_smooth(raw, slope)), whole[np.round(at).astype(int)]
-
-
-def _centred(values: Array, present: Array) -> Array:
-    """Deviations (T, n) from the mean of what is known, zero where nothing is."""
-    present = present & np.isfinite(values).all(axis=1)
-    mean = values[present].mean(axis=0) if present.any() else 0.0
-    return np.where(present[:, None], values - mean, 0.0)
-
-
 def _sides(flight: Flight) -> _Sides:
     """Body rates by the attitude's rates of change, and as recorded.
 
     Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 3.21.
     """
-    values, changes, present = _grid(flight, names.ATTITUDES)
-    rates, _, known_rates = _grid(flight, names.RATES)
+    values, changes, present = smoothed(flight, names.ATTITUDES)
+    rates, _, known_rates = smoothed(flight, names.RATES)
     if not len(values):
         return _Sides(values, rates)
     (phi, theta, _), (dphi, dtheta, dpsi) = values.T, changes.T
     p = dphi - np.sin(theta) * dpsi
     q = np.cos(phi) * dtheta + np.sin(phi) * np.cos(theta) * dpsi
     r = -np.sin(phi) * dtheta + np.cos(phi) * np.cos(theta) * dpsi
-    by_attitude = _centred(np.stack([p, q, r], axis=1), present & (np.abs(theta) < STEEP))
-    return _Sides(by_attitude, _centred(rates, known_rates))
+    by_attitude = centred(np.stack([p, q, r], axis=1), present & (np.abs(theta) < STEEP))
+    return _Sides(by_attitude, centred(rates, known_rates))
 
 
 def _covariances(sides: Sequence[_Sides], most: int) -> tuple[Array, Array]:
@@ -337,8 +306,8 @@ def _motion(flights: Sequence[Flight], turn: Array, clocks: Mapping[str, float])
     every = [e for e in every if len(e.present)]
     if not every:
         return _Motion()
-    velocities = [_Sides(_centred(e.pushed, e.present), _centred(e.felt - e.fallen, e.present)) for e in every]
-    forces = [_Sides(_centred(e.felt, e.present), _centred(e.pushed + e.fallen, e.present)) for e in every]
+    velocities = [_Sides(centred(e.pushed, e.present), centred(e.felt - e.fallen, e.present)) for e in every]
+    forces = [_Sides(centred(e.felt, e.present), centred(e.pushed + e.fallen, e.present)) for e in every]
     agreed, shifts = 0.0, list[tuple[float, str, float]]()
     for unit, sides in (("velocities", velocities), ("accelerations", forces)):
         covariances, power = _covariances(sides, _most(sides))
@@ -400,10 +369,10 @@ class _Forces:
 
 def _forces(flight: Flight) -> _Forces:
     """Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 3.35."""
-    velocity, change, present = _grid(flight, names.VELOCITIES)
-    rates, _, whole = _grid(flight, names.RATES)
-    angles, _, turned = _grid(flight, names.ATTITUDES)
-    felt, _, measured = _grid(flight, names.SPECIFIC_FORCES)
+    velocity, change, present = smoothed(flight, names.VELOCITIES)
+    rates, _, whole = smoothed(flight, names.RATES)
+    angles, _, turned = smoothed(flight, names.ATTITUDES)
+    felt, _, measured = smoothed(flight, names.SPECIFIC_FORCES)
     if not len(velocity):
         return _Forces(velocity, velocity, velocity, present)
     fallen = -gravity_in_body(torch.from_numpy(angles), 9.80665).numpy()

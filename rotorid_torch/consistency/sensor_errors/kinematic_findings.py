@@ -13,7 +13,7 @@ import numpy as np
 
 from rotorid_torch.consistency.correction import without_errors
 from rotorid_torch.consistency.equations import GRAVITY_RANGE, UNITS, unit_of
-from rotorid_torch.consistency.pairs.alignment import EVERY_S, alignment
+from rotorid_torch.consistency.pairs.alignment import alignment
 from rotorid_torch.consistency.sensor_errors import sensor_words
 from rotorid_torch.consistency.sensor_errors.constants import Constant, constants
 from rotorid_torch.consistency.sensor_errors.normal_equations import Point, Search
@@ -21,6 +21,7 @@ from rotorid_torch.consistency.sensor_errors.pieces import HIGHEST_HZ, Piece, pi
 from rotorid_torch.consistency.sensor_errors.selection import Case, kind_of, least, select, spread
 from rotorid_torch.consistency.sensor_errors.sensor_finding import KinematicFinding, KinematicFindings, SensorParameter
 from rotorid_torch.consistency.sensor_errors.weighted_fit import DRIFTING, Setting
+from rotorid_torch.consistency.smoothing import EVERY_S
 from rotorid_torch.core.names import RATES
 from rotorid_torch.core.statistics import normal_quantile
 from rotorid_torch.data.dataset import Dataset

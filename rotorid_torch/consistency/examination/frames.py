@@ -1,0 +1,80 @@
+"""Axes and units of velocities and positions, against what gravity, specific force and the path say."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from rotorid_torch.consistency.examination.finding import Finding, finding
+from rotorid_torch.consistency.pairs.frames import LEAST_TURN, Frame, feels, height_frame, path_frame, velocity_frame
+from rotorid_torch.data.dataset import Dataset
+
+SURE = 4.0
+"""Standard errors."""
+LEAST_SCALE = 1.2
+"""Factor, or one over it, from which on a unit is another one; less is a scale error, which pairs of sensors tell."""
+UNITS = {
+    "u v": {"knots": 3600.0 / 1852.0, "ft/s": 1.0 / 0.3048, "km/h": 3.6, "mph": 3600.0 / 1609.344, "cm/s": 100.0},
+    "position": {"ft": 1.0 / 0.3048, "cm": 100.0, "mm": 1000.0, "km": 0.001},
+}
+"""What one m/s and one m are in other units."""
+NEAR = 0.05
+"""Share by which a factor may differ from that of a unit whose name is guessed."""
+
+
+def frames(dataset: Dataset) -> Iterator[Finding]:
+    """Velocities, then positions against them: another unit, axes that are turned, exchanged or of the wrong sign."""
+    velocity = velocity_frame(dataset, feels(dataset))
+    if velocity is not None and _wrong("u v", velocity) and not _accelerometers_alone(dataset):
+        by = "attitude, gravity and specific force" if feels(dataset) else "attitude and gravity"
+        advice = "Correct them before anything else: every derivative by them is wrong."
+        yield finding("error", "u v", f"by {by} {_wrong('u v', velocity)}.", advice)
+        return  # positions are compared with the path of these velocities
+    sure = {"north east": velocity is not None, "height": all(facts.has("w", "az") for facts in dataset.facts.values())}
+    for channels, frame in (("north east", path_frame(dataset)), ("height", height_frame(dataset))):
+        if frame is not None and (words := _wrong(channels, frame)):
+            who = "" if sure[channels] else " Or the velocities are."
+            turned = not _scaled(frame) and frame.form == "plain" and channels != "height"
+            advice = "Correct the positions." if not turned else "Is the heading magnetic, or the map turned?"
+            yield finding("warning" if turned else "error", channels, f"by velocity and attitude {words}.{who}", advice)
+
+
+def _accelerometers_alone(dataset: Dataset) -> bool:
+    """Whether gravity alone says that the velocities are right: then it is the accelerometers that are not."""
+    by_gravity = velocity_frame(dataset, felt=False) if feels(dataset) else None
+    return by_gravity is not None and not _wrong("u v", by_gravity)
+
+
+def _scaled(frame: Frame) -> bool:
+    return abs(np.log(frame.scale)) > max(np.log(LEAST_SCALE), SURE * frame.errors[0])
+
+
+def _wrong(channels: str, frame: Frame) -> str:
+    """What is wrong with a record of this frame, in words; empty where nothing is."""
+    parts = list[str]()
+    degrees, error = np.degrees(frame.turn), np.degrees(frame.errors[1])
+    turned = abs(frame.turn) > max(LEAST_TURN, SURE * frame.errors[1])
+    if frame.form == "earth":
+        parts.append("u v are velocities north and east, not in body axes")
+    elif channels == "height":
+        parts += ["height is positive down"] if turned else []
+    elif frame.form == "mirrored":
+        exchanged = abs(abs(degrees) - 90.0) < 45.0
+        first, second = channels.split()
+        sign = first if abs(degrees) > 135.0 else second
+        parts.append(f"{first} and {second} are exchanged" if exchanged else f"{sign} has the wrong sign")
+    elif turned:
+        parts.append(f"{channels} are turned by {degrees:+.1f}° (± {error:.1g}) about the vertical")
+    if _scaled(frame):
+        plural = "are" if " " in channels else "is"
+        size = f"{frame.scale:.3g} (± {frame.scale * frame.errors[0]:.1g}) times too large"
+        parts.append(f"{channels} {plural} {size}{_unit(channels, frame.scale)}")
+    return " and ".join(parts)
+
+
+def _unit(channels: str, scale: float) -> str:
+    """Unit that is so many times as small as it should be, as a question; empty where none is."""
+    units = UNITS["u v" if channels == "u v" else "position"]
+    near = [name for name, factor in units.items() if abs(scale / factor - 1.0) < NEAR]
+    return f" ({near[0]}?)" if near else ""
