@@ -127,6 +127,19 @@ def test_wind_blows_in_body_axes_and_leaves_the_ground_alone():
     assert outputs(model, u=5.0)["u"] == 5.0
 
 
+def test_wind_drags_a_hovering_multirotor_along_and_more_of_it_with_faster_rotors():
+    """A drag that grows with the rotors' speed grows with all of the wind, whatever the flights' mean heading is."""
+    effects = ("environment.wind", "propulsion.rotor_drag")
+    spec = msgspec.structs.replace(MULTIROTOR, effects=effects, reference={**MULTIROTOR.reference, "psi": 0.7})
+    wind = {"environment.wind.north": 6.0, "environment.wind.east": -2.0}
+    model = with_values(build(spec), {**wind, "propulsion.rotor_drag.x": 0.4, "propulsion.rotor_drag.y": 0.4})
+    faster = {name: 1.2 * spec.reference[name] for name in spec.driven}
+    for heading, forward in ((0.0, 6.0), (math.pi / 2, -2.0), (math.pi, -6.0)):
+        at = {"environment.wind.psi": heading}
+        assert outputs(model, **at)["ax"] == pytest.approx(0.4 * forward, abs=1e-6)
+        assert outputs(model, **at, **faster)["ax"] == pytest.approx(1.2 * 0.4 * forward, abs=1e-6)
+
+
 def test_a_pendulum_swings_at_its_frequency():
     model = made("mass.slung_load", ratio=0.2, length=6.0, damping=0.0, hook=0.0)
     x0 = torch.zeros(len(model.layout), dtype=torch.float64)

@@ -166,8 +166,9 @@ class Wind(Effect):
     """Steady wind: the air moves, so velocities through it change with the heading.
 
     (u, v, w)_air = (u, v, w) - W(psi, theta, phi) + W_ref with W the wind in body axes; W_ref, at the reference's
-    attitude and mean heading, belongs to the trims. `north` and `east` say where the air goes. The heading is a state
-    that starts at its channel.
+    attitude and mean heading, belongs to the trims. A multirotor's drag is no derivative about a reference: it is all
+    that the air does, and grows with the rotors' speed, so that W_ref is zero. `north` and `east` say where the air
+    goes. The heading is a state that starts at its channel.
 
     Source: Etkin, Dynamics of Atmospheric Flight, sec. 5.4 (moving atmosphere).
     """
@@ -177,7 +178,7 @@ class Wind(Effect):
     separated_by = "flights on several headings"
     showing = Showing.OTHER_FLIGHTS
 
-    def __init__(self, attitude: tuple[float, float, float]) -> None:
+    def __init__(self, attitude: tuple[float, float, float] | None) -> None:
         super().__init__(
             tuple(
                 Parameter(n, 0.0, "m/s", (-30.0, 30.0), doc=f"speed of the air to the {n}", typical=t)
@@ -189,16 +190,17 @@ class Wind(Effect):
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> Wind:
-        """About the reference's attitude and heading."""
+        """About the reference's attitude and heading; of a multirotor as it is."""
         at = spec.reference
-        return cls((at.get("phi", 0.0), at.get("theta", 0.0), at["psi"]))
+        return cls(None if spec.motors else (at.get("phi", 0.0), at.get("theta", 0.0), at["psi"]))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Velocities through the air; the rate of the heading."""
         phi, theta, psi = frame.signals["phi"], frame.signals["theta"], x[..., 0]
-        here = self._in_body(p, phi, theta, psi)
-        reference = self._in_body(p, *(torch.as_tensor(a, dtype=x.dtype) for a in self.attitude))
-        air = frame.stack(VELOCITIES) - (here - reference)
+        wind = self._in_body(p, phi, theta, psi)
+        if self.attitude is not None:
+            wind = wind - self._in_body(p, *(torch.as_tensor(a, dtype=x.dtype) for a in self.attitude))
+        air = frame.stack(VELOCITIES) - wind
         turn = (frame.signals["q"] * torch.sin(phi) + frame.signals["r"] * torch.cos(phi)) / torch.cos(theta)
         return frame.with_air(*air.unbind(-1)), turn.unsqueeze(-1)
 
