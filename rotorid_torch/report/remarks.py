@@ -51,11 +51,16 @@ def of_reading(dataset: Dataset) -> Iterator[str]:
 
 
 @once
-def of_check(dataset: Dataset) -> tuple[str, ...]:
-    """The grade of the data set where it is not ready, and what `check` calls an error, by the first flights."""
+def _first_flights(dataset: Dataset) -> Dataset:
     names = dataset.identify[:COMPARED]
     flights, facts = ({n: whole[n] for n in names} for whole in (dataset.flights, dataset.facts))
-    few = replace(dataset, flights=flights, facts=facts, identify=names, validate=(), acid=())
+    return replace(dataset, flights=flights, facts=facts, identify=names, validate=(), acid=())
+
+
+@once
+def of_check(dataset: Dataset) -> tuple[str, ...]:
+    """The grade of the data set where it is not ready, and what `check` calls an error, by the first flights."""
+    few = _first_flights(dataset)
     findings = check(few).findings
     grade = graded(few, findings)
     errors = [one for one in findings if one.severity == "error"]
@@ -66,7 +71,7 @@ def of_check(dataset: Dataset) -> tuple[str, ...]:
 @once
 def of_clocks(dataset: Dataset) -> tuple[str, ...]:
     """Controls whose record is late, by the first identify flights."""
-    late = late_controls(replace(dataset, identify=dataset.identify[:COMPARED]))
+    late = late_controls(_first_flights(dataset))
     if late is None:
         return ()
     return (

@@ -185,7 +185,8 @@ def _placed(
         spec = null.spec.with_effects(effect)
         fitted = refit(spec, shared.flights, {**null.values, **start}, shared.held, near=null)
         row = observed(null, fitted, Candidate(effect))
-        errors = {n: max(fitted.error(n), one.scatter.get(n, 0.0)) for n in fitted.names}
+        names = [n for n in fitted.names if n.startswith(f"{effect}.")]
+        errors = {n: max(fitted.error(n), one.scatter.get(n, 0.0)) for n in names}
         row = replace(row, estimate=estimate(fitted.model, errors, effect).estimate)
         search.trials[Candidate(effect)] = Trial(Candidate(effect), null, fitted, row)
         share = f"{effect} explains {100.0 * one.share:.0f} % of what trims of unseen flights differ by"

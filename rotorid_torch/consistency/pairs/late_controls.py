@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorid_torch.consistency.pairs.precedence import Following, responses
+from rotorid_torch.consistency.pairs.precedence import Following, fast_responses, responses
 from rotorid_torch.consistency.pairs.sensor_pairs import Agreement, agreement, stick_pairs
 from rotorid_torch.core.statistics import weighted_mean
 from rotorid_torch.data.dataset import Dataset
@@ -73,7 +73,7 @@ def late_controls(dataset: Dataset) -> LateControls | None:
         early = tuple(a for a in first if a.pair.left_name not in answered and not _commands_attitude(a, flights))
         return _mean(early) if early else None
     first = [r for r in coming_first(dataset, known_responses(dataset)) if r.r2 > FOLLOWED]
-    fast = {r.channel: r for r in coming_first(dataset, responses(dataset, fast=True))} if first else {}
+    fast = {r.channel: r for r in coming_first(dataset, fast_responses(dataset))} if first else {}
     felt = tuple(max(r, fast[r.channel], key=lambda one: one.lag_s) for r in first if r.channel in fast)
     if not felt:
         return None

@@ -10,6 +10,7 @@ import numpy as np
 from rotorid_torch.consistency.pairs.sensor_pairs import LAGS, REACH_S, STEP_S, jackknife_error, lag_of_top, minutes
 from rotorid_torch.consistency.smoothing import kernel
 from rotorid_torch.core import names
+from rotorid_torch.core.storage.once import once
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 
@@ -38,15 +39,24 @@ class Following:
     gain: float
 
 
-def responses(dataset: Dataset, fast: bool = False) -> tuple[Following, ...]:
+@once
+def responses(dataset: Dataset) -> tuple[Following, ...]:
     """How each angular acceleration and the vertical specific force follow the controls in the identify flights.
 
     Sums of linear terms: all controls, shifted by one lag, and the body's rates and velocities where they are
     measured. The states stand for what feeds back into blade angles and motor commands; without them a controller's
     answer to the rate would count as its cause.
-
-    fast : compare what is left of all signals without slow motion, which other causes than the controls make too.
     """
+    return _responses(dataset, fast=False)
+
+
+@once
+def fast_responses(dataset: Dataset) -> tuple[Following, ...]:
+    """The same of what is left of all signals without slow motion, which other causes than the controls make too."""
+    return _responses(dataset, fast=True)
+
+
+def _responses(dataset: Dataset, fast: bool) -> tuple[Following, ...]:
     measured = (_response(dataset, channel, fast) for channel in (*names.RATES, "az"))
     return tuple(response for response in measured if response is not None)
 

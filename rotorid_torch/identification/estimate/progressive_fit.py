@@ -19,7 +19,7 @@ from rotorid_torch.identification.estimate.likelihood import HELD, Likelihood, P
 from rotorid_torch.identification.estimate.residuals import Noise
 from rotorid_torch.identification.estimate.segments import Records, cut
 from rotorid_torch.identification.estimate.system import System
-from rotorid_torch.identification.estimate.uncertainty import Uncertainty, uncertainty
+from rotorid_torch.identification.estimate.uncertainty import Uncertainty, errors_of, jackknife, uncertainty
 
 LENGTHS = (2.0, 5.0, 10.0, math.inf)
 """Segment lengths that the stages choose from where nobody says otherwise, s."""
@@ -137,6 +137,21 @@ class Fit:
     def errors(self) -> Tensor:
         """Standard errors [P], infinite where a parameter lies on a bound or cannot be told."""
         return _errors(self)
+
+    def errors_of(self, asked: Tensor) -> Tensor:
+        """The same of the parameters in a mask [P] alone: of few of them many times cheaper."""
+        if self.computed is not None or "uncertainty" in self.__dict__:
+            return self.errors[asked]
+        minimum = self.minimum
+        return errors_of(self.likelihood, minimum.point, minimum.linear, _estimated(minimum), asked)
+
+    @cached_property
+    def jackknife(self) -> Tensor:
+        """Variances [P] by leaving out one flight in turn, NaN with fewer than three or where nothing was estimated."""
+        if self.computed is not None or "uncertainty" in self.__dict__:
+            return self.uncertainty.jackknife
+        place, problem = self.minimum.point, self.likelihood
+        return jackknife(place.blocks, problem.prior_rows(place), _estimated(self.minimum), problem.ranks)
 
     def estimate(self) -> Estimate:
         """The fit without its flights."""

@@ -67,12 +67,31 @@ def uncertainty(likelihood: Likelihood, place: Place, linear: Linear, identifiab
     inverse = inverse_triangle(linear, identifiable)
     plain[identifiable[:, None] & identifiable] = loss * (inverse @ inverse.mT).flatten()
     coloured = torch.zeros_like(plain)
-    lines, pieces = fast(2 * -(-likelihood.longest // _apart(likelihood))), likelihood.pieces
-    flights = lambda directions: _flights(likelihood, place, directions)  # noqa: E731
-    covariance = coloured_covariance(flights, lines, pieces, inverse, identifiable, likelihood.ranks)
+    covariance = colour_of(likelihood, place, inverse, identifiable).covariance()
     coloured[identifiable[:, None] & identifiable] = covariance.flatten()
     variances = jackknife(place.blocks, likelihood.prior_rows(place), identifiable, likelihood.ranks)
     return larger_of(plain, coloured, variances, len(place.blocks))
+
+
+def errors_of(likelihood: Likelihood, place: Place, linear: Linear, identifiable: Tensor, asked: Tensor) -> Tensor:
+    """Standard errors [n] of the parameters in the mask `asked` [P], as `uncertainty` has them, without all others.
+
+    Infinite where a parameter is not estimated.
+    """
+    errors, which = torch.full(identifiable.shape, torch.inf, dtype=torch.float64), identifiable & asked
+    if bool(which.any()):
+        colour = colour_of(likelihood, place, inverse_triangle(linear, identifiable), identifiable)
+        coloured = colour.covariance(asked[identifiable])
+        variances = jackknife(place.blocks, likelihood.prior_rows(place), identifiable, likelihood.ranks)
+        errors[which] = larger_of(coloured, coloured, variances[which], len(place.blocks)).standard_errors
+    return errors[asked]
+
+
+def colour_of(likelihood: Likelihood, place: Place, inverse: Tensor, identifiable: Tensor) -> Colour:
+    """The residuals' colour at a place; inverse and identifiable as `Colour` has them."""
+    lines = fast(2 * -(-likelihood.longest // _apart(likelihood)))
+    flights = lambda directions: _flights(likelihood, place, directions)  # noqa: E731
+    return Colour.of(flights, lines, likelihood.pieces, inverse, identifiable, likelihood.ranks)
 
 
 def larger_of(plain: Tensor, coloured: Tensor, variances: Tensor, flights: int) -> Uncertainty:
@@ -113,44 +132,85 @@ Flights = Callable[[Tensor], Iterator["FlightRows"]]
 """Flights one after the other, their derivatives in some directions [P, n] of the parameters."""
 
 
-def coloured_covariance(
-    flights: Flights, lines: int, pieces: int, inverse: Tensor, identifiable: Tensor, ranks: Ranks = ALONE
-) -> Tensor:
-    """Covariance [n, n] of the estimate of the told parameters, the residuals being coloured.
+@dataclass(frozen=True, eq=False)
+class Colour:
+    """How residuals are coloured, and what they so make of the estimate of the told parameters.
 
-    lines : of the Fourier transforms. pieces : segments of all ranks. inverse : [n, n] times its transpose is the
-    covariance for white residuals.
+    root : [lines, 2 ny, 2 ny] factors of the residuals' spectrum S, real above imaginary parts, each with the weight of
+    its line. lines : of the Fourier transforms. pieces : segments of all ranks. inverse : [n, n] times its transpose is
+    the covariance for white residuals. identifiable : [P] mask of the told parameters.
 
-    In the frequency domain: the sum over lines of K^H S K, K the transform of how each sample moves the estimate, S the
-    residuals' spectrum. The fit has taken its share out of the residuals, most where the derivatives have their power:
-    each line is divided by the share left to it (one minus its leverage). The spectrum rests on few lines and scatters;
-    the covariance is widened so that 1.96 standard errors hold 95 % as Student's t would.
+    In the frequency domain the covariance is the sum over lines of K^H S K, K the transform of how each sample moves
+    the estimate.
     """
-    reach = max(LEAST_SMOOTHING, round(SMOOTHING / pieces))
-    n, gain = int(identifiable.sum()), inverse @ inverse.mT
-    directions = inverse.new_zeros(len(identifiable), n)
-    power, left = _powers(flights(directions.masked_scatter(identifiable[:, None], inverse)), lines)
-    power = torch.view_as_complex(ranks.sum(torch.view_as_real(power)))
-    spectrum = _spectrum(power, ranks.sum(left), lines, reach)
-    weights = torch.full((lines // 2 + 1,), 2.0 / lines, dtype=torch.float64)
-    weights[0] = weights[-1] = 1.0 / lines
-    value, vector = torch.linalg.eigh(spectrum)
-    root = _real((vector * (value.clamp_min(0.0) * weights[:, None]).sqrt()[:, None, :]).mH)
-    covariance, squares = gain.new_zeros(n, n), gain.new_zeros(len(root), root.shape[-1], n)
-    parts, moves = torch.empty_like(squares), torch.empty_like(squares)
-    directions.masked_scatter_(identifiable[:, None], gain)
-    for flight in flights(directions):  # once more, for all of them need not fit the memory
-        for piece in flight.derivatives:
-            transform = torch.fft.rfft(piece, n=lines, dim=0)
-            torch.cat([transform.real, transform.imag], dim=1, out=parts)
-            torch.bmm(root, parts, out=moves)  # in units of the noise
-            squares.addcmul_(moves, moves)
-            flat = moves.flatten(0, 1)
-            covariance.addmm_(flat.mT, flat)
-    covariance, share = ranks.sum(covariance), ranks.sum(squares.sum(dim=1))
-    freedom = pieces / _smoothed(share / share.sum(dim=0), reach).square().sum(dim=0)
-    widened = 1.0 + STUDENT / freedom
-    return covariance * widened * widened[:, None]
+
+    flights: Flights
+    root: Tensor
+    lines: int
+    pieces: int
+    inverse: Tensor
+    identifiable: Tensor
+    ranks: Ranks
+
+    @classmethod
+    def of(
+        cls,
+        flights: Flights,
+        lines: int,
+        pieces: int,
+        inverse: Tensor,
+        identifiable: Tensor,
+        ranks: Ranks = ALONE,
+    ) -> Colour:
+        """From the residuals' spectrum.
+
+        The fit has taken its share out of the residuals, most where the derivatives have their power: each line is
+        divided by the share left to it (one minus its leverage).
+        """
+        power, left = _powers(flights(_directions(inverse, identifiable)), lines)
+        power = torch.view_as_complex(ranks.sum(torch.view_as_real(power)))
+        spectrum = _spectrum(power, ranks.sum(left), lines, _reach(pieces))
+        weights = torch.full((lines // 2 + 1,), 2.0 / lines, dtype=torch.float64)
+        weights[0] = weights[-1] = 1.0 / lines
+        value, vector = torch.linalg.eigh(spectrum)
+        root = _real((vector * (value.clamp_min(0.0) * weights[:, None]).sqrt()[:, None, :]).mH)
+        return cls(flights, root, lines, pieces, inverse, identifiable, ranks)
+
+    def covariance(self, asked: Tensor | None = None) -> Tensor:
+        """Covariance [m, m] of the told parameters, or of those of them in the mask `asked` [n].
+
+        The spectrum rests on few lines and scatters; the covariance is widened so that 1.96 standard errors hold 95 %
+        as Student's t would.
+        """
+        gain = self.inverse @ self.inverse.mT
+        gain = gain if asked is None else gain[:, asked]
+        covariance = gain.new_zeros(gain.shape[1], gain.shape[1])
+        squares = gain.new_zeros(*self.root.shape[::2], gain.shape[1])
+        parts, moves = torch.empty_like(squares), torch.empty_like(squares)
+        for flight in self.flights(_directions(gain, self.identifiable)):  # once more: all need not fit the memory
+            for piece in flight.derivatives:
+                transform = torch.fft.rfft(piece, n=self.lines, dim=0)
+                torch.cat([transform.real, transform.imag], dim=1, out=parts)
+                torch.bmm(self.root, parts, out=moves)  # in units of the noise
+                squares.addcmul_(moves, moves)
+                flat = moves.flatten(0, 1)
+                covariance.addmm_(flat.mT, flat)
+        covariance, share = self.ranks.sum(covariance), self.ranks.sum(squares.sum(dim=1))
+        freedom = self.pieces / _smoothed(share / share.sum(dim=0), _reach(self.pieces)).square().sum(dim=0)
+        widened = 1.0 + STUDENT / freedom
+        return covariance * widened * widened[:, None]
+
+
+def _reach(pieces: int) -> int:
+    """Lines to each side over which the spectrum is averaged."""
+    return max(LEAST_SMOOTHING, round(SMOOTHING / pieces))
+
+
+def _directions(columns: Tensor, identifiable: Tensor) -> Tensor:
+    """Columns [n, m] of the told parameters as directions [P, m] of all."""
+    directions = columns.new_zeros(len(identifiable), columns.shape[1])
+    directions[identifiable] = columns
+    return directions
 
 
 def fast(samples: int) -> int:

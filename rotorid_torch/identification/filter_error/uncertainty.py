@@ -10,10 +10,10 @@ from torch import Tensor
 
 from rotorid_torch.core.gauss_newton import Minimum
 from rotorid_torch.identification.estimate.uncertainty import (
+    Colour,
     FlightRows,
     Uncertainty,
     basis_of,
-    coloured_covariance,
     fast,
     inverse_triangle,
     jackknife,
@@ -44,7 +44,7 @@ def uncertainty(
             basis = basis_of(starts.flatten(0, 1)[None], sd).unflatten(1, present.shape)
             yield FlightRows((derivatives @ directions)[None], basis, white[None], present[None])
 
-    covariance = coloured_covariance(flights, fast(2 * segments.samples), len(rows), inverse, identifiable)
+    covariance = Colour.of(flights, fast(2 * segments.samples), len(rows), inverse, identifiable).covariance()
     gain, coloured = inverse @ inverse.mT, torch.zeros_like(plain)
     coloured[square] = (covariance + gain @ information[identifiable][:, identifiable] @ gain).flatten()
     nothing = plain.new_zeros(0, len(identifiable)), plain.new_zeros(0)

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import compress
 from typing import Protocol, Self, TypeVar
 
 import torch
@@ -132,6 +133,7 @@ class Fitted:
     names: tuple[str, ...]
     fit: progressive_fit.Fit
     flights: Flights
+    _errors: dict[str, dict[str, float]] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def values(self) -> dict[str, float]:
@@ -165,13 +167,17 @@ class Fitted:
 
     def error(self, name: str) -> float:
         """Standard error of a parameter, infinite where it was not estimated or cannot be told."""
-        if name not in self.names:
-            return math.inf
-        return float(self.fit.errors[self.names.index(name)])
+        group = f"{name.rpartition('.')[0]}."
+        if name in self.names and group not in self._errors:
+            alike = [n.startswith(group) for n in self.names]
+            self._errors[group] = dict(
+                zip(compress(self.names, alike), self.fit.errors_of(torch.tensor(alike)).tolist(), strict=True)
+            )
+        return self._errors.get(group, {}).get(name, math.inf)
 
     def scatter(self, effect: str) -> dict[str, float]:
         """Standard errors of an effect's free parameters by leaving out one flight in turn; zero where none is told."""
-        variances = zip(self.names, self.fit.uncertainty.jackknife.nan_to_num(0.0).tolist(), strict=True)
+        variances = zip(self.names, self.fit.jackknife.nan_to_num(0.0).tolist(), strict=True)
         return {name: math.sqrt(v) for name, v in variances if name.startswith(f"{effect}.")}
 
     @cached_property

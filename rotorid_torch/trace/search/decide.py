@@ -143,7 +143,8 @@ def size_of(fitted: FittedModel, effect: str, tests: int = 1, drawn: Mapping[str
     tests : effects whose sizes are looked at. drawn : scatter over clean aircraft, by full name.
     """
     scatter = fitted.scatter(effect)
-    errors = {n: max(fitted.error(n), scatter.get(n, 0.0), drawn.get(n, 0.0)) for n in fitted.names}
+    names = [n for n in fitted.names if n.startswith(f"{effect}.")]
+    errors = {n: max(fitted.error(n), scatter.get(n, 0.0), drawn.get(n, 0.0)) for n in names}
     return estimate(fitted.model, errors, effect, tests)
 
 

@@ -66,3 +66,14 @@ def test_a_parameter_that_cannot_be_told_has_no_finite_error(null: Fitted):
         twice, fit=replace(twice.fit, minimum=replace(twice.fit.minimum, not_identifiable=torch.ones(1) > 0))
     )
     assert blind.error("forces.L.p") == math.inf
+
+
+def test_errors_of_an_effect_alone_are_those_of_the_whole_covariance(null: Fitted):
+    spec = msgspec.structs.replace(null.spec, effects=("control.lag",))
+    fitted = refit(spec, null.flights, null.values, near=null)
+    alone = {name: fitted.error(name) for name in fitted.names}
+    scatter = fitted.scatter("control.lag")
+    whole = dict(zip(fitted.names, fitted.fit.errors.tolist(), strict=True))
+    assert alone == pytest.approx(whole, rel=1e-10)
+    assert fitted.error("control.lag.nothing") == math.inf
+    assert refit(spec, null.flights, null.values, near=null).scatter("control.lag") == scatter
