@@ -22,6 +22,7 @@ from rotorid_torch.importing.signals.derive import (
     angles_on_grid,
     before_resampling,
     body_velocity,
+    by_rates,
     wrapped,
 )
 from rotorid_torch.importing.signals.fields import Signal, possible, signals
@@ -71,6 +72,9 @@ def record_of(log: Log, user_map: Map | None) -> Record:
         unit = find_unit(entries[name].unit)
         clean[name], sentence = possible(signal, unit.measures if unit else "", log.file)
         notes += [sentence] if sentence else []
+    clean, turned = _turning_one_way(clean)
+    clean, order = (clean, "") if log.system else by_rates(clean)
+    notes += [*turned, *filter(None, (order,))]
     chosen = {*user_map.channels} if user_map else set[str]()
     slow, dead = _slow_speeds(clean), _dead(clean)
     for left, why in ((slow, "recorded less often than the motor commands"), (dead, "never changes")):
@@ -95,6 +99,15 @@ def _within_half_a_turn(extracted: dict[str, Signal]) -> dict[str, Signal]:
     if phi is None or p is None or not unwrapped_roll(phi.time, phi.values, p.time, p.values):
         return extracted
     return extracted | {"phi": replace(phi, values=wrapped(phi.values))}
+
+
+def _turning_one_way(extracted: dict[str, Signal]) -> tuple[dict[str, Signal], list[str]]:
+    """Signals with speeds of rotors that are logged negative, by their way round, taken positive; and a sentence."""
+    speeds = {name: signal for name, signal in extracted.items() if names.is_rotor_speed(name)}
+    back = [n for n, s in speeds.items() if np.nanmax(s.values, initial=-np.inf) <= 0.0 and moving(s.values)]
+    positive = {name: replace(speeds[name], values=-speeds[name].values) for name in back}
+    note = f"{', '.join(back)} are logged negative, by the way that the rotors turn: taken positive"
+    return {**extracted, **positive}, [note] if back else []
 
 
 def _dead(extracted: Mapping[str, Signal]) -> list[str]:

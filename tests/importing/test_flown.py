@@ -505,3 +505,35 @@ def test_rotor_speeds_are_the_controls_where_no_commands_are_logged(tmp_path: Pa
     largest = max(float(flight.channels[f"omega{i}"].max()) for i in range(1, 5))
     for i in range(1, 5):
         np.testing.assert_allclose(flight.channels[f"motor{i}"], flight.channels[f"omega{i}"] / largest, atol=1e-12)
+
+
+def two_ways(time: np.ndarray, low: float, high: float) -> dict[str, tuple]:
+    return {"vehicle_angular_velocity": gyro(time), "actuator_outputs": (time, outputs(time, low, high, 0.0))}
+
+
+def test_motors_that_turn_both_ways_are_refused(tmp_path: Path):
+    time = clock()
+    with pytest.raises(InputError, match=r"motor1.: turns both ways, by DSHOT_3D_ENABLE"):
+        px4(tmp_path, two_ways(time, 1.0, 1999.0), {"DSHOT_CONFIG": 600, "DSHOT_3D_ENABLE": 1})
+    asked = 2.0 * commands(time) - 1.0
+    topics = {
+        "vehicle_angular_velocity": gyro(time),
+        "actuator_motors": (time, floats({f"control[{i}]": asked[i] for i in range(4)})),
+    }
+    with pytest.raises(InputError, match=r"control.0. .motor1.: runs from -1 to .*turns both ways"):
+        px4(tmp_path, topics)
+
+
+def test_speeds_that_are_logged_with_the_way_round_are_positive(tmp_path: Path):
+    time = clock()
+    asked = commands(time)
+    turns = {f"esc[{i}].esc_rpm": (9000.0 * s * asked[i]).astype("<i4") for i, s in enumerate((1, -1, 1, -1))}
+    topics = {
+        "vehicle_angular_velocity": gyro(time),
+        "actuator_motors": (time, floats({f"control[{i}]": asked[i] for i in range(4)})),
+        "esc_status": (time, turns),
+    }
+    done, channels = px4(tmp_path, topics)
+    assert any("omega2, omega4 are logged negative" in said for said in done.warnings)
+    for i in range(4):
+        assert np.abs(channels[f"omega{i + 1}"] - 300.0 * np.pi * asked[i]).max() < 0.5

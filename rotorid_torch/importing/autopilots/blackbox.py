@@ -18,9 +18,10 @@ from typing import Literal
 
 import numpy as np
 
+from rotorid_torch.errors import InputError
 from rotorid_torch.importing.signals import units
 from rotorid_torch.importing.signals.mapping import Clock, Entry
-from rotorid_torch.importing.signals.outputs import DSHOT_RAW, PULSE, OutputRange, range_of
+from rotorid_torch.importing.signals.outputs import DSHOT_RAW, PULSE, TWO_WAYS, OutputRange, range_of
 from rotorid_torch.importing.signals.plan import Chosen, Plan, merged, moving
 from rotorid_torch.importing.signals.streams import Log
 
@@ -33,11 +34,15 @@ ACC_1G, POLES = 2048.0, 14.0
 """What the header says unless it says otherwise: counts of an accelerometer at 1 g, magnets of a motor."""
 TENTHS, NEWER = (3, 1), (4, 0)
 """Firmware from which the battery is logged in 0.1 V, in 0.01 V."""
+TURNS_BOTH_WAYS = 1 << 12
+"""Bit of `features` of motors that turn both ways (3D)."""
 STICK = 1000.0
 """Full travel of what Rotorflight's mixer is asked."""
 CONTROLS = {"lat": ("mixer[0]", 1), "lon": ("mixer[1]", -1), "ped": ("mixer[2]", -1), "col": ("mixer[3]", 1)}
 ASKED = {"lat": ("setpoint[0]", 1), "lon": ("setpoint[1]", -1), "ped": ("setpoint[2]", -1), "col": ("setpoint[3]", 1)}
 _NAME = re.compile(r"\s*([A-Za-z]\w*(?:\[\d\])?)\s*(?:\(([^)]*)\))?\s*")
+_HUNDREDS = "(/100)"
+"""What some decoders write into the name of electrical revolutions, which are in hundreds a minute by any name."""
 
 
 def is_blackbox(names: Sequence[str]) -> bool:
@@ -92,7 +97,7 @@ def plan(log: Log) -> Plan:
 
 def _bare(name: str) -> str:
     """`gyroADC[0] (deg/s)` as gyroADC[0]."""
-    match = _NAME.fullmatch(name)
+    match = _NAME.fullmatch(name.replace(_HUNDREDS, ""))
     return match[1] if match else name
 
 
@@ -152,6 +157,8 @@ def _sticks(full_names: Mapping[str, str], columns: Mapping[str, np.ndarray]) ->
 def _motors(log: Log, full_names: Mapping[str, str]) -> Chosen:
     """Motor commands by the range that the header names, else the only one that holds the outputs."""
     parameters, columns = log.parameters, log.streams["", 0].columns
+    if int(parameters.get("features", 0)) & TURNS_BOTH_WAYS:
+        raise InputError(log.file, f"{MOTORS}[0] (motor1)", "turns both ways, by features (3D)", TWO_WAYS)
     low, high = parameters.get("motorOutput[0]"), parameters.get("motorOutput[1]")
     if low is not None and high is not None and low < high:
         allowed = [OutputRange(low, high, "motorOutput")]

@@ -13,7 +13,7 @@ import numpy as np
 
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing.signals.mapping import Entry
-from rotorid_torch.importing.signals.outputs import of_px4, range_of
+from rotorid_torch.importing.signals.outputs import TWO_WAYS, of_px4, range_of
 from rotorid_torch.importing.signals.plan import FASTER, Chosen, Group, moving, named, rate_of
 from rotorid_torch.importing.signals.streams import Log, Stream, is_numbers
 
@@ -145,6 +145,8 @@ def _of_group(log: Log, topic: str, instance: int, group: Wiring, number: int) -
         if int(log.parameters.get(f"{prefix}_REV", 0)) >> (output - 1) & 1:
             raise InputError(log.file, key, f"is reversed by {prefix}_REV", "a map (--map) with scale and offset")
         fitting = range_of(log.file, key, outputs[output - 1], of_px4(log.parameters, prefix, output, raw))
+        if fitting.about.startswith("DShot") and log.parameters.get("DSHOT_3D_ENABLE"):
+            raise InputError(log.file, key, "turns both ways, by DSHOT_3D_ENABLE", TWO_WAYS)
         entries[f"motor{motor}"] = fitting.entry(name)
     return Chosen(named(Group(topic, entries), instance), rate_of(log.streams[topic, instance].time))
 

@@ -12,6 +12,10 @@ from rotorid_torch.importing.signals.streams import Log, Stream
 
 LEAST = 50
 """Samples of a stream that has a say in how many boots there are."""
+PERIODS_S = (65.536, 4294.967296, 4294967.296, 3600.0, 86400.0, 604800.0)
+"""What clocks count to: 16 bits of ms, 32 bits of us and of ms, an hour, a day, the week of satellites."""
+SPAN = 5.0
+"""Usual intervals within which the next stamp comes where a clock runs on."""
 MOST = 20
 """Boots of a log; a clock that begins again more often is none."""
 
@@ -22,6 +26,12 @@ def boots(log: Log) -> list[Log]:
     Streams that do not begin again as often as those with most samples are left out, for nothing says to which boot
     they belong.
     """
+    runs = {place: _running_on(stream.time) for place, stream in log.streams.items()}
+    if wrapped := {period for _, period in runs.values() if period}:
+        listed = ", ".join(f"{period:.10g} s" for period in sorted(wrapped))
+        streams = {place: replace(stream, time=runs[place][0]) for place, stream in log.streams.items()}
+        note = f"the clock begins again after {listed}, all that it counts to: it runs on"
+        log = replace(log, streams=streams, warnings=(*log.warnings, note))
     begun = {place: _beginnings(stream.time) for place, stream in log.streams.items()}
     samples: dict[int, int] = {}
     for place, starts in begun.items():
@@ -38,6 +48,23 @@ def boots(log: Log) -> list[Log]:
         replace(log, streams=_part(log, whole, i), warnings=(*log.warnings, *([note] if i == 0 else [])))
         for i in range(count)
     ]
+
+
+def _running_on(time: np.ndarray) -> tuple[np.ndarray, float]:
+    """A clock (T,) in s that runs on where it came to the end of what it counts, and its period; 0 where it never did.
+
+    At such an end the next stamp, a period later, is where it belongs: a usual interval after the last one.
+    """
+    steps = np.diff(time)
+    back = np.flatnonzero(steps < -ASTRAY_S)
+    forward = steps[steps > 0.0]
+    if not 0 < len(back) <= MOST or not len(forward):
+        return time, 0.0
+    most = SPAN * float(np.median(forward))
+    period = next((p for p in PERIODS_S if ((steps[back] + p > 0.0) & (steps[back] + p < most)).all()), 0.0)
+    turns = np.zeros(len(time))
+    turns[back + 1] = period
+    return time + np.cumsum(turns), period
 
 
 def _part(log: Log, begun: Mapping[tuple[str, int], list[int]], number: int) -> dict[tuple[str, int], Stream]:

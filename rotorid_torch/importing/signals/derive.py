@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from rotorid_torch.core.names import RATES
 from rotorid_torch.importing.signals.fields import Signal
-from rotorid_torch.importing.signals.plan import QUATERNION
+from rotorid_torch.importing.signals.plan import QUATERNION, rate_of
 
 Signals = dict[str, Signal]
 ANGLES = ("phi", "theta", "psi")
@@ -42,6 +43,67 @@ def before_resampling(signals: Signals) -> Signals:
         if name in derived:
             derived[name] = replace(derived[name], values=unwrapped(derived[name].values))
     return derived
+
+
+ORDERS = {
+    "": ((0, 1, 2, 3), 1.0),
+    "vector first, scalar last": ((3, 0, 1, 2), 1.0),
+    "from north-east-down to body axes": ((0, 1, 2, 3), -1.0),
+    "from north-east-down to body axes, scalar last": ((3, 0, 1, 2), -1.0),
+}
+"""How a quaternion may be written: places of scalar and vector, and the sign of the vector."""
+TURN_S = 0.1
+"""Time over which a quaternion's turn is compared with the body rates."""
+AGREES, DISAGREES = 0.3, 0.7
+"""Share of the rates' power that the right way may leave, and that the usual one must leave to be given up."""
+
+
+def by_rates(signals: Signals) -> tuple[Signals, str]:
+    """Signals with a quaternion in the usual order, and a sentence where the body rates say that it was in another.
+
+    The turn between two samples is compared with the rates between them, which no convention changes.
+    """
+    if not all(name in signals for name in (*QUATERNION, *RATES)):
+        return signals, ""
+    q = np.stack([signals[name].values for name in QUATERNION])
+    left = {order: _left(signals, q[[*places]], sign) for order, (places, sign) in ORDERS.items()}
+    best = min(left, key=lambda order: left[order])
+    if not (left[best] < AGREES and left[""] > DISAGREES):
+        return signals, ""
+    places, sign = ORDERS[best]
+    usual = q[[*places]] * np.array([1.0, sign, sign, sign])[:, None]
+    moved = {name: replace(signals[name], values=row) for name, row in zip(QUATERNION, usual, strict=True)}
+    return {**signals, **moved}, f"the quaternion is {best}, by the body rates"
+
+
+def _left(signals: Signals, q: np.ndarray, sign: float) -> float:
+    """Share of the body rates' power that the turns of a quaternion (4, T) leave; infinite where nothing turns.
+
+    Source: Stevens and Lewis, Aircraft Control and Simulation (3rd ed.), eq. 1.8-15: q(t)* q(t + dt) is half the turn.
+    """
+    time = signals[QUATERNION[0]].time
+    every = max(1, round(TURN_S * rate_of(time)))
+    first, later, span = q[:, :-every], q[:, every:], time[every:] - time[:-every]
+    scalar = (first * later).sum(axis=0)
+    a, b = sign * first[1:], sign * later[1:]
+    vector = first[0] * b - later[0] * a - np.cross(a, b, axis=0)
+    turned = 2.0 * np.where(scalar < 0.0, -vector, vector) / span
+    means = [_integral(signals[name], time)[every:] - _integral(signals[name], time)[:-every] for name in RATES]
+    rates = np.stack(means) / span
+    whole = np.isfinite(turned).all(axis=0) & np.isfinite(rates).all(axis=0) & (span < 5.0 * TURN_S)
+    away = turned - rates
+    power = float((rates[:, whole] ** 2).sum())
+    return float((away[:, whole] ** 2).sum()) / power if power > 0.0 else np.inf
+
+
+def _integral(signal: Signal, time: np.ndarray) -> np.ndarray:
+    """Integral of a signal, bridged where it is missing, at these times (T,)."""
+    finite = np.isfinite(signal.values)
+    at, values = signal.time[finite], signal.values[finite]
+    if len(at) < 2:
+        return np.full(len(time), np.nan)
+    total = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(at))])
+    return np.interp(time, at, total, left=np.nan, right=np.nan)
 
 
 def _turns_over(signals: Signals) -> bool:

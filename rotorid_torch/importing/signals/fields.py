@@ -144,21 +144,22 @@ def astray(time: np.ndarray) -> np.ndarray:
 def _in_si(name: str, values: np.ndarray, entry: Entry, log: Log, source: Source) -> np.ndarray:
     """Convert to SI as the entry says; a pulse of a motor at rest is 0, one that no servo takes stays as it is.
 
-    Raises InputError: for a motor's pulses whose range is another one, so that clipping would flatten them.
+    Raises InputError: for a motor's commands whose range is another one, so that clipping would flatten them.
     """
     unit = units.find_unit(entry.unit) or units.Unit("")
     factor, offset = unit.factor, unit.offset
     with np.errstate(all="ignore"):  # whatever bytes a damaged log holds
         result = entry.sign * (entry.scale * values.astype(np.float64) + entry.offset) * factor + offset
-    if names.is_motor(name) and (entry.unit == "us" or entry.offset):
+    if names.is_motor(name):
         near = np.abs(result - 0.5) <= PULSE_SPANS
         if beyond(result[near], 0.0, 1.0) > STRAY * max(int(near.sum()), 1):
             low, high = float(np.nanmin(values[near])), float(np.nanmax(values[near]))
             wrong = f"runs from {low:g} to {high:g}, beyond what stands for commands 0 to 1"
-            raise InputError(
-                log.file, f"{source} ({name})", wrong, "the range of its protocol: scale and offset in a map"
-            )
-        result = np.where(near, np.clip(result, 0.0, 1.0), result)
+            both = " (a motor that turns both ways?)" if low < 0.0 else ""
+            wanted = "the range of its protocol: scale and offset in a map"
+            raise InputError(log.file, f"{source} ({name})", f"{wrong}{both}", wanted)
+        if entry.unit == "us" or entry.offset:
+            result = np.where(near, np.clip(result, 0.0, 1.0), result)
     return result
 
 

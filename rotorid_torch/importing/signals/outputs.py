@@ -43,6 +43,8 @@ class OutputRange:
         return Entry(field, "norm", 1, 1.0 / span, -self.low / span)
 
 
+TWO_WAYS = "motors that turn one way, or a map (--map) with scale and offset of each motor"
+"""What is expected where a protocol has two halves, one for each way: its counts do not grow with the thrust."""
 OF_THE_SERVO = 8
 """MOT_PWM_TYPE of motors with the range of their servo output."""
 UNIT = OutputRange(0.0, 1.0, "commands 0 to 1")

@@ -268,6 +268,16 @@ def _values(arrow: Any, column: Any) -> np.ndarray:
     return np.asarray(column.cast(arrow.float64()).to_numpy(), np.float64)
 
 
+def _clock_above(topic: str, samples: int, tables: Tables, clock: Clock | None) -> dict[str, np.ndarray]:
+    """Clock of the nearest struct around a topic that has one of as many samples; nothing where none has."""
+    while topic:
+        topic = topic.rpartition(".")[0]
+        for name, values in tables.get(topic, {}).items():
+            if is_clock(topic, name, clock) and len(values) == samples:
+                return {name: values}
+    return {}
+
+
 def _log(file: Path, tables: Tables, fields: Mapping[str, Sequence[str]], choose: Choose, clock: Clock | None) -> Log:
     """Log of tables in memory: the wanted columns, and of those only what is as long as its clock."""
     same_length: Tables = {}
@@ -275,6 +285,8 @@ def _log(file: Path, tables: Tables, fields: Mapping[str, Sequence[str]], choose
         wanted = {*choose(topic, list(columns))}
         named = {n: v for n, v in columns.items() if n in wanted or is_clock(topic, n, clock)}
         stamps = next((v for n, v in named.items() if is_clock(topic, n, clock)), None)
+        if stamps is None and named:
+            named |= _clock_above(topic, len(next(iter(named.values()))), tables, clock)
         odd = [n for n, v in named.items() if stamps is not None and len(v) != len(stamps)]
         if odd:
             wrong = f"has {len(named[odd[0]])} samples, its clock {len(stamps) if stamps is not None else 0}"

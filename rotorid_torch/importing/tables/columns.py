@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +27,9 @@ CLOCKS = {
 """Columns taken for the clock where no map names one, in small letters."""
 DATA = ("Data", "data", "values", "Values")
 """Column of a topic that holds one channel, named as the topic is: a time series of MATLAB's."""
+_OF_DAY = re.compile(r"(\d{1,2}):([0-5]\d):([0-5]\d(?:[.,]\d+)?)")
+_LETTERED = re.compile(r"(?:q|quat|quaternion|orientation)[_.]?([wxyz])", re.IGNORECASE)
+_COLUMN = re.compile(r"(q|quat|quaternion|motor|omega)\[(\d{1,2})\]")
 WHOLE = (QUATERNION, ("vn", "ve", "vd"))
 """What becomes channels where all of it is there."""
 USUAL_S = (1e-5, 2.0)
@@ -53,7 +58,7 @@ def table_log(
         name = next((column for column in columns if is_clock(topic, column, clock)), None)
         if name is None:
             continue
-        stamps = np.asarray(columns[name], np.float64) * _seconds(name, clock)
+        stamps = np.asarray(columns[name], np.float64) * seconds_of(name, clock)
         _refuse_other_unit(file, name, stamps)
         others = {column: values for column, values in columns.items() if column != name or len(columns) == 1}
         streams[topic, 0] = Stream(stamps, others)
@@ -66,11 +71,22 @@ def table_log(
     return Log(file, "", "", streams, fields, warnings=tuple(warnings))
 
 
-def _seconds(column: str, clock: Clock | None) -> float:
+def seconds_of(column: str, clock: Clock | None) -> float:
     """Seconds of one unit of the clock."""
     name, bracketed = header_name(column)
     unit = clock.unit if clock else CLOCKS[name.lower()]
     return units.clock_unit(bracketed if bracketed and not (clock and clock.unit) else unit) or 1.0
+
+
+def time_of_day(text: str) -> float | None:
+    """Seconds of a date and time as ISO 8601 writes them, or of a time of day (12:30:15.25); None for other texts."""
+    if match := _OF_DAY.fullmatch(text):
+        return 3600.0 * float(match[1]) + 60.0 * float(match[2]) + float(match[3].replace(",", "."))
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        return None
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
 def _refuse_other_unit(file: Path, name: str, stamps: np.ndarray) -> None:
@@ -121,16 +137,22 @@ def own_entries(fields: Mapping[str, Sequence[str]]) -> dict[str, Entry]:
     """Map of a table whose columns are named as our channels are: `p`, `p [deg/s]`, `p_deg`, or all in capitals.
 
     `lat` and `lon` beside motors, and without the controls of a helicopter, are a place on the globe. Quaternions and
-    velocities north, east and down are taken whole. Where there is a `motor0`, motors are counted from 0.
+    velocities north, east and down are taken whole, quaternions also as `qw qx qy qz`, as `q1` to `q4` or as columns of
+    a matrix. Where there is a `motor0`, motors are counted from 0.
     """
     entries: dict[str, Entry] = {}
     for topic, columns in fields.items():
-        bare = {header_name(column)[0] for column in columns}
-        whole = {name for some in WHOLE for name in some if bare.issuperset(some)}
+        usual = {header_name(column)[0]: _usual(header_name(column)[0]) for column in columns}
+        bare = {*usual.values()}
+        one = {f"q{i}" for i in range(1, 5)} <= bare and "q0" not in bare
+        whole = {n for some in WHOLE for n in some if bare.issuperset(some) or (one and some == QUATERNION)}
         zero = {kind for kind in ("motor", "omega") if f"{kind}0" in bare}
         capitals = all(header_name(column)[0].isupper() for column in columns)
         for column in columns:
             name, unit = _channel(topic, column, capitals)
+            name = usual.get(name, name)
+            if one and name in (*QUATERNION, "q4"):
+                name = f"q{int(name[1]) - 1}"
             if name[:5] in zero and name[5:].isdigit():
                 name = f"{name[:5]}{int(name[5:]) + 1}"
             usable = name in whole or (names.channel(name) is not None and name != "time")
@@ -142,6 +164,16 @@ def own_entries(fields: Mapping[str, Sequence[str]]) -> dict[str, Entry]:
             entry = entries.pop(stick)
             entries[name] = structs.replace(entry, unit=entry.unit or "deg")
     return entries
+
+
+def _usual(name: str) -> str:
+    """`qw`, `quat_x`, `q[0]` as q0, q1, q0, and `motor[0]` as motor1, for columns of a matrix count from 0."""
+    if lettered := _LETTERED.fullmatch(name):
+        return f"q{'wxyz'.index(lettered[1].lower())}"
+    if column := _COLUMN.fullmatch(name):
+        first = column[1] in ("motor", "omega")
+        return f"{column[1]}{int(column[2]) + 1}" if first else f"q{column[2]}"
+    return name
 
 
 def _channel(topic: str, column: str, capitals: bool) -> tuple[str, str]:

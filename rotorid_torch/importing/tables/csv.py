@@ -17,7 +17,7 @@ from rotorid_torch.errors import InputError
 from rotorid_torch.importing.autopilots import blackbox
 from rotorid_torch.importing.signals.mapping import Clock, Form
 from rotorid_torch.importing.signals.streams import Choose, Log
-from rotorid_torch.importing.tables.columns import is_clock, table_log
+from rotorid_torch.importing.tables.columns import is_clock, seconds_of, table_log, time_of_day
 from rotorid_torch.importing.tables.header import MISSING, Header, find_header, is_number, numeric
 
 BLOCK = 4 * 2**20
@@ -95,7 +95,7 @@ class _Table:
     """The wanted columns as they come in."""
 
     def __init__(self, file: Path, head: Header, choose: Choose, clock: Clock | None) -> None:
-        self.file, self.mark = file, head.mark
+        self.file, self.mark, self.clock = file, head.mark, clock
         self.header = [name.strip().strip('"') for name in head.names]
         self.marks = len(self.header) - 1
         if len(self.header) > CHANNELS:
@@ -154,6 +154,9 @@ class _Table:
         try:
             return number_of(field)
         except ValueError:
+            name = self.header[column]
+            if is_clock("", name, self.clock) and (moment := time_of_day(field)) is not None:
+                return moment / seconds_of(name, self.clock)
             wrong = f"is '{field[:40]}' in line {line}"
             raise InputError(self.file, self.header[column], wrong, "a number, or nothing for a missing one") from None
 

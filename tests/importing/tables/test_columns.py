@@ -138,6 +138,21 @@ def test_a_blackbox_beyond_its_header_is_refused(tmp_path: Path):
         channels(written(tmp_path / "t.csv", *parts[:2], parts[2]), tmp_path)
 
 
+def test_a_blackbox_of_motors_that_turn_both_ways_is_refused(tmp_path: Path):
+    parts = box(EXPLORER + '"features","4104"\n', 48.0, 2047.0)
+    with pytest.raises(InputError, match="turns both ways, by features"):
+        channels(written(tmp_path / "t.csv", *parts[:2], parts[2]), tmp_path)
+
+
+@pytest.mark.parametrize("name", ["eRPM[{}]", "eRPM(/100)[{}]"])
+def test_speeds_of_a_blackbox_by_either_name(name: str, tmp_path: Path):
+    before, header, columns = box(EXPLORER + '"motor_poles","12"\n', 48.0, 2047.0)
+    header += "".join(f',"{name.format(i)}"' for i in range(4))
+    turns = [60.0 * (1.0 + KNOWN[f"motor{i}"]) for i in range(1, 5)]
+    speeds = channels(written(tmp_path / "t.csv", before, header, [*columns, *turns]), tmp_path)
+    assert np.abs(speeds["omega2"] - turns[1] * 100.0 / 6.0 * np.pi / 30.0)[2:-2].max() < 0.1
+
+
 # MATLAB
 
 

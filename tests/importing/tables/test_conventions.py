@@ -1,0 +1,95 @@
+"""What tables leave to convention: order of quaternions, matrices of motors, clocks that wrap or are dates."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rotorid_torch as rotorid
+from rotorid_torch.errors import InputError
+from tests.importing.log_writers import quaternion
+from tests.importing.tables.test_columns import KNOWN, TIME, channels, near
+from tests.importing.tables.test_spellings import ANGULAR, MOTORS, NAMES, plain, text
+
+ANGLES = ("phi", "theta", "psi")
+Q = quaternion(*(KNOWN[name] for name in ANGLES))
+WITHOUT = {name: values for name, values in plain().items() if name not in ANGLES}
+LETTERS = ("qw", "qx", "qy", "qz")
+QUATERNIONS = {
+    "letters": dict(zip(LETTERS, Q, strict=True)),
+    "letters, scalar last": {name: Q[i] for name, i in zip(LETTERS[1:] + LETTERS[:1], (1, 2, 3, 0), strict=True)},
+    "counted from one": {f"q{i + 1}": Q[i] for i in range(4)},
+    "columns": {f"q[{i}]": Q[i] for i in range(4)},
+    "vector first": {f"q{i}": Q[(1, 2, 3, 0)[i]] for i in range(4)},
+    "the other way": {f"q{i}": Q[i] * (1.0 if i == 0 else -1.0) for i in range(4)},
+    "sign that changes": {f"q{i}": Q[i] * np.where(TIME > 3.0, -1.0, 1.0) for i in range(4)},
+}
+
+
+@pytest.mark.parametrize("form", QUATERNIONS)
+def test_quaternions_are_read_in_the_order_that_the_rates_say(form: str, tmp_path: Path):
+    (tmp_path / "t.csv").write_text(text({**WITHOUT, **QUATERNIONS[form]}))
+    done = rotorid.import_log(tmp_path / "t.csv", tmp_path / "other")
+    assert any("by the body rates" in said for said in done.warnings) == (form in ("vector first", "the other way"))
+    assert near(channels(tmp_path / "t.csv", tmp_path), 1e-3, " ".join(NAMES))
+
+
+def test_a_quaternion_of_noise_keeps_its_order(tmp_path: Path):
+    noise = np.random.default_rng(0).standard_normal((4, len(TIME)))
+    noise /= np.linalg.norm(noise, axis=0)
+    (tmp_path / "t.csv").write_text(text({**WITHOUT, **{f"q{i}": noise[i] for i in range(4)}}))
+    done = rotorid.import_log(tmp_path / "t.csv", tmp_path / "s")
+    assert not any("by the body rates" in said for said in done.warnings)
+
+
+def test_columns_of_a_matrix_are_motors(tmp_path: Path):
+    rates = {name: KNOWN[name] for name in "pqr"}
+    np.savez(tmp_path / "m.npz", time=TIME, motor=np.stack([KNOWN[m] for m in MOTORS], 1), quaternion=Q.T, **rates)
+    assert near(channels(tmp_path / "m.npz", tmp_path), 1e-6, " ".join(NAMES))
+
+
+def test_structs_have_the_clock_of_the_struct_around_them(tmp_path: Path):
+    import scipy.io
+
+    parts = {"rates": ("p", "q", "r"), "attitude": ANGLES, "out": tuple(MOTORS)}
+    content = {"time": TIME, **{part: {n: KNOWN[n] for n in some} for part, some in parts.items()}}
+    scipy.io.savemat(tmp_path / "s.mat", {"log": content})
+    assert near(channels(tmp_path / "s.mat", tmp_path), 1e-6, " ".join(NAMES))
+
+
+def written(form: str) -> tuple[str, list[str]]:
+    """Name of the clock's column and its stamps, half of the flight before the clock ends and half after."""
+    end, half = {"us": 2.0**32, "ms": 2.0**16, "week": 604800.0, "day": 86400.0}[form], TIME[len(TIME) // 2]
+    count = {"us": 1e6, "ms": 1e3, "week": 1.0, "day": 1.0}[form]
+    stamps = [(end + count * (t - half)) % end for t in TIME]
+    if form == "day":
+        return "time", [f"{int(s // 3600):02d}:{int(s // 60) % 60:02d}:{s % 60:06.3f}" for s in stamps]
+    return {"us": "time_us", "ms": "time_ms", "week": "time"}[form], [f"{stamp:.6f}" for stamp in stamps]
+
+
+@pytest.mark.parametrize("form", ["us", "ms", "week", "day"])
+def test_a_clock_that_ends_what_it_counts_to_runs_on(form: str, tmp_path: Path):
+    name, stamps = written(form)
+    others = {n: v for n, v in plain().items() if n != "time"}
+    (tmp_path / "t.csv").write_text(text({name: stamps, **others}))
+    assert near(channels(tmp_path / "t.csv", tmp_path), 1e-3, " ".join((*ANGULAR, *MOTORS)))
+
+
+@pytest.mark.parametrize("form", ["T", " ", "Z"])
+def test_dates_are_a_clock(form: str, tmp_path: Path):
+    begun = datetime(2024, 2, 29, 23, 59, 56, tzinfo=UTC)
+    mark, zone = form.replace("Z", "T"), "Z" if form == "Z" else ""
+    moments = [(begun + timedelta(seconds=float(t))).replace(tzinfo=None) for t in TIME]
+    others = {n: v for n, v in plain().items() if n != "time"}
+    (tmp_path / "t.csv").write_text(text({"timestamp": [m.isoformat(mark) + zone for m in moments], **others}))
+    assert near(channels(tmp_path / "t.csv", tmp_path), 1e-3, " ".join(NAMES))
+
+
+def test_a_clock_of_words_is_refused(tmp_path: Path):
+    others = {n: v for n, v in plain().items() if n != "time"}
+    (tmp_path / "t.csv").write_text(text({"time": ["25 o'clock"] * len(TIME), **others}))
+    with pytest.raises(InputError, match="time: is '25 o'clock' in line 2"):
+        rotorid.import_log(tmp_path / "t.csv", tmp_path / "s")
