@@ -7,9 +7,23 @@ helicopters at once, in multi-blade coordinates), `multirotor/` (multirotors, wh
 of a data set). No equation is shared with `model` or `effects`.
 """
 
-from rotorid_torch.simulation.effects import EFFECT_CLASSES as EFFECT_CLASSES
-from rotorid_torch.simulation.effects import EFFECTS as EFFECTS
-from rotorid_torch.simulation.flight_test import FlightTest as FlightTest
-from rotorid_torch.simulation.flight_test import FlownSet as FlownSet
-from rotorid_torch.simulation.flight_test import MultirotorTest as MultirotorTest
-from rotorid_torch.simulation.flight_test import fly as fly
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rotorid_torch.simulation.effects import EFFECT_CLASSES as EFFECT_CLASSES
+    from rotorid_torch.simulation.effects import EFFECTS as EFFECTS
+    from rotorid_torch.simulation.flight_test import FlightTest as FlightTest
+    from rotorid_torch.simulation.flight_test import FlownSet as FlownSet
+    from rotorid_torch.simulation.flight_test import MultirotorTest as MultirotorTest
+    from rotorid_torch.simulation.flight_test import fly as fly
+
+
+def __getattr__(name: str) -> Any:
+    # loaded when first used: who draws clean aircraft needs no flight test
+    for module in ("effects", "flight_test"):
+        if name in (place := vars(import_module(f"{__name__}.{module}"))):
+            return place[name]
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -25,7 +25,6 @@ from rotorid_torch.effects.signal_operations import lagged
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.rotors import hover_thrust
-from rotorid_torch.simulation.drawn.multirotors import clean_balances, undrawable_multirotor
 from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import exceeds
@@ -272,6 +271,8 @@ def out_of_balance(
     identified, new = balances(model, spec, dataset, dataset.identify), balances(model, spec, dataset, unseen)
     if not identified or not new:
         return None, None
+    from rotorid_torch.simulation.drawn.multirotors import clean_balances, undrawable_multirotor  # slow to import
+
     going, off = going_with(identified, new), None
     if _full(spec) and undrawable_multirotor(dataset) is None:
         off = standing(spec, identified, new, torch.from_numpy(clean_balances(dataset, seed, range(DRAWS))))

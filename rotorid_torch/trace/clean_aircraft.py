@@ -115,13 +115,13 @@ def clean_draws(request: Request, observed: Family[FittedT]) -> Draws | str:
 
     observed : the data's statistics; draws stop when they are clearly no larger than those of clean aircraft.
     """
-    why = _undrawable(request.dataset)
-    if why is not None:
-        return why
     key = f"floors/{_fingerprint(request.dataset, request.null, request.seed)}"
     cached = request.ranks.from_first(_read(key, NUMBERS))
     drawn = {number: draw for number, draw in cached.items() if set(request.effects) <= set(draw["effects"])}
     if _chosen(drawn, observed) is None:
+        why = _undrawable(request.dataset)
+        if why is not None:
+            return why
         missing = [n for n in NUMBERS if n not in drawn]
         request.say(f"at most {SETTINGS.draws} clean aircraft are flown and identified; they are kept for next time")
         drawn |= _fly(request, missing, key, lambda new: _chosen({**drawn, **new}, observed))

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from rotorid_torch.core.names import POSITIONS, RATES, VELOCITIES
 from rotorid_torch.data import Dataset
@@ -251,6 +250,8 @@ def _smooth(columns: Array, cutoff: float, dt: float) -> Array:
     share = 2.0 * cutoff * dt
     if share >= 0.9 or len(columns) < 30:
         return columns
+    from scipy.signal import butter, sosfiltfilt  # slow to import
+
     return np.asarray(sosfiltfilt(butter(2, share, output="sos"), columns, axis=0), dtype=np.float64)
 
 

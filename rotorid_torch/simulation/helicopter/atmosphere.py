@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import bilinear, lfilter
 
 from rotorid_torch.simulation.rigid import Array
 
@@ -80,4 +79,6 @@ def _shaped(white: Array, lag: float, dt: float, *, first_order: bool) -> Array:
         above, below = [np.sqrt(2.0 * lag)], [lag, 1.0]
     else:
         above, below = [np.sqrt(3.0 * lag) * lag, np.sqrt(lag)], [lag * lag, 2.0 * lag, 1.0]
+    from scipy.signal import bilinear, lfilter  # slow to import
+
     return np.asarray(lfilter(*bilinear(above, below, 1.0 / dt), white), dtype=np.float64)

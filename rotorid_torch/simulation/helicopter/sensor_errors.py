@@ -11,9 +11,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.signal import cont2discrete, lfilter, lfilter_zi
-from scipy.spatial.transform import Rotation
 
 from rotorid_torch.simulation.rigid import Array
 
@@ -68,6 +65,8 @@ def readings(errors: SensorErrors, truth: Mapping[str, Array], azimuth: Array) -
         for name, size, phase in zip((*ACCELEROMETERS, *GYROS), sizes, line.phases, strict=True):
             read[name] = read[name] + size * np.cos(line.harmonic * azimuth + phase)
     if any(errors.rotation):
+        from scipy.spatial.transform import Rotation  # slow to import
+
         matrix = Rotation.from_rotvec(errors.rotation).as_matrix().T
         for names in (ACCELEROMETERS, GYROS):
             read |= dict(zip(names, matrix @ _rows(read, names).T, strict=True))
@@ -89,12 +88,16 @@ def _instrument(errors: SensorErrors, name: str, values: Array, time: Array) -> 
     if low_pass := errors.low_pass.get(name):
         out = _low_passed(out, *low_pass, dt=time[1] - time[0])
     if delay := errors.delay.get(name, 0.0):
+        from scipy.interpolate import CubicSpline  # slow to import
+
         out = np.asarray(CubicSpline(time, out)(np.maximum(time - delay, time[0])))
     return out
 
 
 def _lagged(values: Array, lag: float, dt: float) -> Array:
     """First-order lag, exact for an input that is linear between samples, from its steady state."""
+    from scipy.signal import lfilter  # slow to import
+
     decay = np.exp(-dt / lag)
     mean = lag / dt * (1.0 - decay)
     out, _ = lfilter([1.0 - mean, mean - decay], [1.0, -decay], values, zi=[mean * values[0]])
@@ -103,6 +106,8 @@ def _lagged(values: Array, lag: float, dt: float) -> Array:
 
 def _low_passed(values: Array, frequency: float, damping: float, dt: float) -> Array:
     """Second-order low-pass, exact for an input that is linear between samples, from its steady state."""
+    from scipy.signal import cont2discrete, lfilter, lfilter_zi  # slow to import
+
     denominator = [1.0, 2.0 * damping * frequency, frequency**2]
     discrete: Any = cont2discrete(([frequency**2], denominator), dt, method="foh")
     b, a = np.ravel(discrete[0]), np.ravel(discrete[1])
