@@ -86,6 +86,11 @@ class TwoOutputs(Lag):
         return torch.cat([x, u], dim=-1)
 
 
+class PlainNumber(Lag):
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Any:
+        return self.a.item() * x + self.b * u
+
+
 class Complex(nn.Module):
     def __init__(self) -> None:
         super().__init__()
@@ -147,6 +152,7 @@ MODELS: list[tuple[str, dict[str, Any], str]] = [
     ("first entry for last", {"model": FirstEntry()}, "forward"),
     ("an attribute that is not there", {"model": Broken()}, "output"),
     ("more outputs than measured", {"model": TwoOutputs()}, "output"),
+    ("a parameter as a plain number", {"model": PlainNumber()}, "forward"),
     ("complex parameters", {"model": Complex()}, "a"),
     ("a class", {"model": Lag}, "model"),
     ("a function", {"model": lambda t, x, u: x}, "model"),
@@ -368,6 +374,10 @@ UNSCENTED: list[tuple[str, dict[str, Any], str]] = [
     ("f gives NumPy", {"f": lambda x, u: x.detach().numpy()}, "f"),
     ("f does not broadcast", {"f": lambda x, u: torch.stack([x[1], u[0]])}, "f"),
     ("f fails", {"f": lambda x, u: x @ torch.eye(3, dtype=torch.float64)}, "f"),
+    ("f gives NaN", {"f": lambda x, u: x * math.nan}, "f"),
+    ("f gives NaN on the way", {"f": lambda x, u: torch.where(x > 0.1, math.nan, rates(x, u))}, "f"),
+    ("f grows beyond all numbers", {"f": lambda x, u: 1e9 * (1.0 + x**3)}, "f"),
+    ("h gives infinity", {"h": lambda x, u: x[..., :1] / 0.0}, "h"),
     ("h gives two rows", {"h": lambda x, u: x}, "h"),
     ("h gives a list", {"h": lambda x, u: [x[..., 0]]}, "h"),
     ("None for h", {"h": None}, "h"),
@@ -380,3 +390,48 @@ UNSCENTED: list[tuple[str, dict[str, Any], str]] = [
 @pytest.mark.parametrize("row", UNSCENTED, ids=ids(UNSCENTED))
 def test_unscented_filter(row: tuple[str, dict[str, Any], str]) -> None:
     one_line(lambda: rotorid.unscented_filter(**(FILTER | row[1])), row[2])
+
+
+def test_a_result_is_asked_for_what_it_has_not() -> None:
+    result = rotorid.output_error(Lag(), [FLIGHT], x0="fixed")
+    for name in ("c", "aa", 0, None):
+        with pytest.raises(KeyError, match=r"no parameter .*; (did you mean|there are) a"):
+            result[name]  # pyright: ignore[reportArgumentType]
+
+
+PARAMETER: dict[str, Any] = {"name": "x", "value": 0.0, "unit": "1/s", "bounds": (0.0, 5.0)}
+PARAMETERS: list[tuple[str, dict[str, Any], str]] = [
+    ("None for a name", {"name": None}, "name"),
+    ("no name", {"name": ""}, "name"),
+    ("None for a unit", {"unit": None}, "x"),
+    ("a value in words", {"value": "0.1"}, "x"),
+    ("None for a value", {"value": None}, "x"),
+    ("NaN for a value", {"value": math.nan}, "x"),
+    ("a value beyond the bounds", {"value": 9.0}, "x"),
+    ("a usual size beyond the bounds", {"typical": 9.0}, "x"),
+    ("a number for bounds", {"bounds": 5.0}, "x"),
+    ("None for bounds", {"bounds": None}, "x"),
+    ("three bounds", {"bounds": (0.0, 1.0, 2.0)}, "x"),
+    ("bounds in words", {"bounds": ("0", "5")}, "x"),
+    ("NaN in bounds", {"bounds": (math.nan, 5.0)}, "x"),
+    ("bounds reversed", {"bounds": (5.0, 0.0)}, "x"),
+]
+
+
+@pytest.mark.parametrize("row", PARAMETERS, ids=ids(PARAMETERS))
+def test_parameter(row: tuple[str, dict[str, Any], str]) -> None:
+    one_line(lambda: rotorid.Parameter(**(PARAMETER | row[1])), row[2])
+
+
+@pytest.mark.parametrize(("name", "unit"), [(None, "rad"), ("", "rad"), (1, "rad"), ("lag", None)])
+def test_state(name: Any, unit: Any) -> None:
+    one_line(lambda: rotorid.State(name, unit), "State")
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [None, "my.drag", object(), nn.Linear, type("Bare", (rotorid.Effect,), {})]
+    + [type("Named", (rotorid.Effect,), {"id": name}) for name in (None, 3, "forces.drag")],
+)
+def test_register(effect: Any) -> None:
+    one_line(lambda: rotorid.register(effect), "register")

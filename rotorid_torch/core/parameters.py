@@ -8,10 +8,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from importlib import import_module
+from numbers import Real
 from typing import Any
 
 import torch
 from torch import Tensor
+
+from rotorid_torch.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -24,6 +27,10 @@ class Parameter:
     twice as much is not twice the change (a rate limit). `tried`: values that it starts from, where one start does not
     lead to another (the length of a pendulum). `nuisance`: how flights begin, no size of anything; any value within
     the bounds is physics.
+
+    Raises
+    ------
+    InputError : no name, bounds that are no pair of numbers in this order, a value outside of them.
     """
 
     name: str
@@ -39,15 +46,27 @@ class Parameter:
     nuisance: bool = False
 
     def __post_init__(self) -> None:
-        low, high = self.bounds
+        if not isinstance(self.name, str) or not self.name:
+            raise InputError("Parameter", "name", f"is {self.name!r}", "a word, as 'drag' or 'drag.x'")
+        if not isinstance(self.unit, str):
+            raise self._wrong(f"unit is {self.unit!r}", "SI units in words, as '1/s', or ''")
+        pair = tuple(self.bounds) if isinstance(self.bounds, Sequence) else ()
+        if len(pair) != 2 or not all(isinstance(edge, Real) for edge in pair):
+            raise self._wrong(f"bounds are {self.bounds!r}", "two numbers, the lower one first")
+        low, high = pair
         if not low <= high:
-            raise ValueError(f"{self.name}: bounds {low} to {high} are reversed, or no numbers")
+            raise self._wrong(f"bounds {low} to {high} are reversed, or no numbers", "the lower one first")
         sizes = {"value": self.value, "typical": self.typical or self.value}
         sizes |= {f"met[{k}]": size for k, size in enumerate(self.met)}
         sizes |= {f"tried[{k}]": size for k, size in enumerate(self.tried)}
         for what, size in sizes.items():
+            if not isinstance(size, Real):
+                raise self._wrong(f"{what} is {size!r}", "a number")
             if not low <= size <= high:
-                raise ValueError(f"{self.name}: {what} {size} lies outside its bounds {low} to {high}")
+                raise self._wrong(f"{what} {size} lies outside its bounds {low} to {high}", "a number within them")
+
+    def _wrong(self, wrong: str, expected: str) -> InputError:
+        return InputError("Parameter", self.name, wrong, expected)
 
 
 @dataclass(frozen=True)
@@ -152,8 +171,9 @@ class ParameterTable:
         ends = [n for n in names if n == name] or [n for n in names if n.endswith(f".{name}")]
         if len(ends) == 1:
             return self._estimates[names.index(ends[0])]
-        near = ends or get_close_matches(name, names, n=3, cutoff=0.4)
-        raise KeyError(f"no parameter '{name}'" + (f"; did you mean {', '.join(near[:5])}?" if near else ""))
+        near = ends or get_close_matches(str(name), names, n=3, cutoff=0.4)
+        hint = f"did you mean {', '.join(near[:5])}?" if near else f"there are {', '.join(names[:12])}"
+        raise KeyError(f"no parameter {name!r}; {hint}")
 
     def table(self) -> Any:
         """The parameters one a line: a DataFrame where pandas is installed, else text."""

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
+from rotorid_torch.errors import InputError
+
 
 @dataclass(frozen=True)
 class State:
@@ -16,6 +18,10 @@ class State:
     `channel`: the measured channel at whose value it starts (height, psi); None starts it at rest in equilibrium.
     `spread`: standard deviation of its value where a segment begins, about what it follows from the motion before;
     infinite where the segment alone tells.
+
+    Raises
+    ------
+    InputError : no name, or a unit that is no text.
     """
 
     name: str
@@ -23,6 +29,12 @@ class State:
     doc: str = ""
     channel: str | None = None
     spread: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not self.name:
+            raise InputError("State", "name", f"is {self.name!r}", "a word, as 'lag'")
+        if not isinstance(self.unit, str):
+            raise InputError("State", self.name, f"unit is {self.unit!r}", "SI units in words, as 'rad', or ''")
 
 
 @dataclass(frozen=True)

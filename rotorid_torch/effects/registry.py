@@ -30,13 +30,18 @@ def register(effect: E) -> E:
 
     Raises
     ------
-    ValueError : the class has no id, or another class has it.
+    InputError : no class of an effect, without an id, or with an id that another class has.
     """
-    if not effect.id:
-        raise ValueError(f"{effect.__name__} has no id")
+    if not (isinstance(effect, type) and issubclass(effect, Effect)):
+        raise InputError("register", "effect", f"{effect!r} is no class of an effect", "a subclass of rotorid.Effect")
+    if not isinstance(effect.id, str) or not effect.id:
+        raise InputError("register", effect.__name__, f"has no id, but {effect.id!r}", "id = 'my.drag' in the class")
+    if effect.__module__.partition(".")[0] != LIBRARY_PACKAGE:
+        _import_library()  # its ids are taken
     other = EFFECTS.get(effect.id, effect)
     if (other.__module__, other.__qualname__) != (effect.__module__, effect.__qualname__):
-        raise ValueError(f"{effect.__name__}: the id {effect.id!r} is taken by {other.__module__}.{other.__qualname__}")
+        taken = f"the id {effect.id!r} is taken by {other.__module__}.{other.__qualname__}"
+        raise InputError("register", effect.__name__, taken, "an id that no other effect has, as 'my.drag'")
     EFFECTS[effect.id] = effect
     return effect
 
@@ -53,8 +58,7 @@ def registered() -> dict[str, type[Effect]]:
 @cache
 def _import() -> None:
     """Modules register their effects when they are imported; which there are does not change while a process runs."""
-    for name in LIBRARY:
-        import_module(f"rotorid_torch.effects.families.{name}")
+    _import_library()
     for point in entry_points(group=ENTRY_POINTS):
         try:
             point.load()
@@ -63,6 +67,11 @@ def _import() -> None:
             raise InputError(
                 f"effects of {point.name}", point.value, wrong, "a module that registers effects"
             ) from error
+
+
+def _import_library() -> None:
+    for name in LIBRARY:
+        import_module(f"rotorid_torch.effects.families.{name}")
 
 
 def of_others() -> list[str]:

@@ -21,6 +21,10 @@ from rotorid_torch.model.model import Model
 T = TypeVar("T")
 SAMPLE_POINTS = 128
 """Points at which it is first looked which parameter reaches which row."""
+PROBE = 1e-4
+"""Part of a parameter by which it is moved to see whether a function depends on it."""
+NEAR = 0.1
+"""Distance of points about those that are handed in, where states that are not measured stand at zero."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +86,7 @@ class System:
         self._whole = {name: p.detach() for name, p in tensors.items()}
         self._places = {name: [i for i, e in enumerate(self.entries) if e.tensor == name] for name in tensors}
         self.has_tape = callable(getattr(self.model, "tape", None))
-        self._rates_structure, self._output_structure = _Structure(), _Structure()
+        self._rates_structure, self._output_structure = (_Structure(of, self.names) for of in ("forward", "output"))
 
     def at(self, theta: Tensor, use: Callable[[nn.Module], T]) -> T:
         """What `use(model)` gives with the free numbers at theta [P]."""
@@ -154,6 +158,12 @@ class System:
         by_x, by_u = by_inputs(lambda x, u: self.rates(theta, t, x, u), x, u)
         return by_x, by_u, self._rates_structure.jacobian(self.rates, theta, t, x, u)
 
+    def refuse_numbers(self, theta: Tensor, t: Tensor, x: Tensor, u: Tensor) -> None:
+        """Refuse a model that uses a parameter without a derivative, as autograd shows it about n points."""
+        near = x + NEAR * _random(x.shape, 2).to(x)
+        self.rates_jacobian(theta, t, near, u)
+        self.output_jacobian(theta, near, u)
+
     def output_jacobian(self, theta: Tensor, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Derivatives of the outputs by x [n, ny, nx], u [n, ny, nu] and theta [n, ny, P] at n points."""
         by_x, by_u = by_inputs(lambda x, u: self.output(theta, x, u), x, u)
@@ -190,7 +200,8 @@ class _Structure:
     Source: Curtis, Powell and Reid (1974), J. Inst. Maths Applics 13.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, method: str, names: Sequence[str]) -> None:
+        self.method, self.names = method, names
         self.pattern: Tensor | None = None
         self.group = torch.zeros(0, dtype=torch.long)
 
@@ -199,13 +210,28 @@ class _Structure:
         if self.pattern is None:
             n = len(points[-1])
             pick = torch.linspace(0, n - 1, min(n, SAMPLE_POINTS)).long()
-            self._learn(_passes(function, theta, torch.eye(len(theta), dtype=theta.dtype), *(p[pick] for p in points)))
+            picked = [p[pick] for p in points]
+            self._learn(_passes(function, theta, torch.eye(len(theta), dtype=theta.dtype), *picked))
+            self._refuse_numbers(function, theta, *picked)
         result = self._grouped(function, theta, *points)
         if not self._agrees(result, function, theta, *points):
             dense = _passes(function, theta, torch.eye(len(theta), dtype=theta.dtype), *points)
             self._learn(dense)
             result = dense.permute(1, 2, 0)
         return result
+
+    @torch.no_grad()
+    def _refuse_numbers(self, function: Callable[..., Tensor], theta: Tensor, *points: Tensor) -> None:
+        """Refuse a function that depends on a parameter without a derivative: it took the number out of the tensor."""
+        assert self.pattern is not None
+        at = function(theta, *points)
+        for j in (~self.pattern.any(dim=0)).nonzero()[:, 0].tolist():
+            moved = theta.clone()
+            moved[j] += PROBE * (1.0 + moved[j].abs())
+            if bool((function(moved, *points) != at).any() & at.isfinite().all()):
+                wrong = f"uses {self.names[j]} as a plain number, and has no derivative by it"
+                expected = "the tensor: no float(), .item(), .detach(), torch.tensor() or NumPy of a parameter"
+                raise Argument("model", self.method).wrong(wrong, expected)
 
     def _learn(self, dense: Tensor) -> None:
         """Take nonzero entries of [P, n, rows] into the pattern and group the parameters anew."""

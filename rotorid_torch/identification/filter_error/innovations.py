@@ -190,6 +190,9 @@ def filter_engine(problem: FilterProblem, psi: Tensor, wanted: str | None = None
     except Unsupported as error:
         if wanted == "native":
             raise
+        records = problem.records
+        first = records.start, records.states[:, 0].nan_to_num(0.0), records.controls[:, 0]
+        problem.system.refuse_numbers(problem.split(psi)[0], *first)
         say_once(f"the filter runs in torch, many times slower than compiled: {error}")
         return TorchFilter(problem)
 

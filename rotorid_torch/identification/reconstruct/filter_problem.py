@@ -128,5 +128,7 @@ def checked(problem: Problem) -> Problem:
     ):
         # sigma points are one more dimension; their number here is nobody's size by chance
         points = (a.unsqueeze(-2).expand(*batch, x.shape[-1] + n + 1, a.shape[-1]) for a in (x, u))
-        arguments.evaluated(Argument(of, key), function, tuple(points), (*batch, x.shape[-1] + n + 1, n), form)
+        wanted = (*batch, x.shape[-1] + n + 1, n)
+        if not bool(arguments.evaluated(Argument(of, key), function, tuple(points), wanted, form).isfinite().all()):
+            raise Argument(of, key).wrong("gives NaN or infinity at x0 and the first controls", f"numbers; {form}")
     return problem

@@ -122,10 +122,15 @@ def unscented_filter(
         system = SampledSystem(near.f, near.h, (near.x0, cov), noise, near.R, near.controls, near.outputs, near.dt)
         return filter_and_smooth(system, smooth)
 
-    with torch.no_grad():
-        if not learns_constants(problem):
-            return single_pass(problem.P0, smooth)
-        got = iterated(near, single_pass)
+    try:
+        with torch.no_grad():
+            if not learns_constants(problem):
+                return single_pass(problem.P0, smooth)
+            got = iterated(near, single_pass)
+    except torch.linalg.LinAlgError as error:  # pyright: ignore[reportPrivateImportUsage]
+        wrong = "give NaN, or let the covariance of the state grow beyond all numbers, on the way through the record"
+        expected = "functions that stay finite near the outputs; a shorter dt, a smaller P0, or other signs in f"
+        raise Argument("unscented_filter", "f, h").wrong(wrong, expected) from error
     return got if smooth else replace(got, smoothed_means=None, smoothed_covariances=None)
 
 
