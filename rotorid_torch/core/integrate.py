@@ -19,6 +19,12 @@ NODES = (0.0, 1.0 / 3.0, 2.0 / 3.0, 1.0)
 """Places of the four stages within a step."""
 
 
+def integral(record: Tensor, dt: float, dim: int = 0) -> Tensor:
+    """Trapezoidal integral of a record along its samples, which stand dt (s) apart; zero at the first one."""
+    start = torch.zeros_like(record.narrow(dim, 0, 1))
+    return torch.cat([start, torch.cumulative_trapezoid(record, dx=dt, dim=dim)], dim=dim)
+
+
 def step(rates: Rates, t: Tensor, x: Tensor, u0: Tensor, u1: Tensor, dt: float) -> Tensor:
     """One step of the 3/8 rule from t to t + dt, controls linear in between.
 

@@ -49,7 +49,7 @@ def check_vehicle(vehicle: Vehicle, file: str | Path) -> None:
         if not key.startswith("vehicle.inertia"):
             _require(DECLARED[re.sub(r"\[\d+\]", "", key)], value, key, file)
     if vehicle.inertia is not None:
-        _check_inertia(np.array(vehicle.inertia), file)
+        check_inertia(np.array(vehicle.inertia), file)
         _check_gyration(vehicle, file)
     rotor = vehicle.rotor or Rotor()
     for key in ("chord", "hinge_offset"):
@@ -70,7 +70,7 @@ def _require(allowed: Range, value: float, key: str, file: str | Path) -> None:
         raise InputError(file, key, f"is {shown(value)}", str(allowed))
 
 
-def _check_inertia(inertia: np.ndarray, file: str | Path) -> None:
+def check_inertia(inertia: np.ndarray, file: str | Path) -> None:
     """A tensor that some body has: symmetric, positive definite, no principal moment above the sum of the others.
 
     A slack of 0.1 % allows for rounded digits.

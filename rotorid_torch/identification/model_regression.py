@@ -13,15 +13,15 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.integrate import integral
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.core.rigid import cross, gravity_in_body, gyroscopic
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.effects.base import Effect, Frame, Stage, Values
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
-from rotorid_torch.identification.regress.equation import START, Equation, fit_equation
+from rotorid_torch.identification.regress.equation import START, Equation, fit_equation, independent_shares
 from rotorid_torch.identification.regress.ftr import Regression
-from rotorid_torch.identification.regress.independence import beyond
 from rotorid_torch.identification.structure import ATTITUDE, have
 from rotorid_torch.model.derivatives import LinearForces
 from rotorid_torch.model.flapping import AlgebraicFlapping, Flapping
@@ -152,7 +152,7 @@ def _own_shares(equation: Equation, model: Model) -> dict[str, float]:
     states = [n for n in equation.names if n in model.body.states]
     if not states:
         return dict.fromkeys(model.body.controls, 1.0)
-    return {b.name: b.share for b in beyond(equation, model.body.controls, states)}
+    return independent_shares(equation, model.body.controls, states)
 
 
 def _own_state(model: Model, row: str) -> str | None:
@@ -406,9 +406,3 @@ def _velocity_response(model: Model, flight: Measured, axis: int, dt: float) -> 
     velocity = Frame(flight.signals).over_ground()
     other = gravity_in_body(attitude, model.body.gravity) - cross(rates, velocity) + flight.physics[:, :3]
     return velocity[:, axis] - integral(other[:, axis], dt)
-
-
-def integral(signal: Tensor, dt: float) -> Tensor:
-    """Trapezoidal integral from the first sample, (T,)."""
-    steps = 0.5 * dt * (signal[1:] + signal[:-1])
-    return torch.cat([torch.zeros_like(signal[:1]), steps.cumsum(0)])

@@ -13,13 +13,13 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.integrate import integral
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.core.rigid import cross, gravity_in_body
 from rotorid_torch.data.flight import bridged
 from rotorid_torch.effects.base import Stage
 from rotorid_torch.effects.signal_operations import averaged
 from rotorid_torch.identification.estimate.segments import Records
-from rotorid_torch.identification.model_regression import integral
 from rotorid_torch.identification.regress.equation import Equation, fit_equation
 from rotorid_torch.identification.regress.ftr import Regression
 from rotorid_torch.identification.structure import ATTITUDE

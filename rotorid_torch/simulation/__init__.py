@@ -1,10 +1,10 @@
 """The flight-test aircraft: a simulator with equations of its own that flies manoeuvres and writes data sets.
 
-Read `flight_test` (what `rotorid fly` does, from an aircraft to a data set), `effects` (what can be hidden in the
-aircraft) and `rigid` (kinematics that all share), then the chapters: `vehicles/` (the file that describes an aircraft),
-`helicopter/` (its parts), `flight/` (how it moves, is trimmed, steered and measured), `multiblade/` (many different
-helicopters at once, in multi-blade coordinates), `multirotor/` (multirotors, whole), `drawn/` (clean aircraft like that
-of a data set). No equation is shared with `model` or `effects`.
+Read `flight_test` (what `rotorid fly` does, from an aircraft to a data set), `changes` and `effects` (what can be
+hidden in the aircraft) and `rigid` (kinematics that all share), then the chapters: `vehicles/` (the file that describes
+an aircraft), `helicopter/` (its parts), `flight/` (how it moves, is trimmed, steered and measured), `multiblade/` (many
+different helicopters at once, in multi-blade coordinates), `multirotor/` (multirotors, whole), `drawn/` (clean aircraft
+like that of a data set). No equation is shared with `model` or `effects`.
 """
 
 from __future__ import annotations
@@ -13,8 +13,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rotorid_torch.simulation.effects import EFFECT_CLASSES as EFFECT_CLASSES
-    from rotorid_torch.simulation.effects import EFFECTS as EFFECTS
     from rotorid_torch.simulation.flight_test import FlightTest as FlightTest
     from rotorid_torch.simulation.flight_test import FlownSet as FlownSet
     from rotorid_torch.simulation.flight_test import MultirotorTest as MultirotorTest
@@ -23,7 +21,7 @@ if TYPE_CHECKING:
 
 def __getattr__(name: str) -> Any:
     # loaded when first used: who draws clean aircraft needs no flight test
-    for module in ("effects", "flight_test"):
-        if name in (place := vars(import_module(f"{__name__}.{module}"))):
-            return place[name]
+    place = vars(import_module(f"{__name__}.flight_test"))
+    if name in place:
+        return place[name]
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

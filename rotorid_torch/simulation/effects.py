@@ -7,43 +7,19 @@ can be told apart or not stands in docs/flight-test.md.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
+from rotorid_torch.simulation.changes import Change, Hidden, more_inertia, raised, sensor_error
 from rotorid_torch.simulation.helicopter.aircraft import Aircraft
 from rotorid_torch.simulation.helicopter.atmosphere import Turbulence
 from rotorid_torch.simulation.helicopter.control_path import ControlPath
 from rotorid_torch.simulation.helicopter.sensor_errors import GYROS, VibrationLine
 from rotorid_torch.simulation.helicopter.slung_load import SlungLoad
 from rotorid_torch.simulation.rigid import three
-
-EffectClass = Literal["identifiable", "absorbed"]
-
-
-@dataclass(frozen=True)
-class Hidden:
-    """One effect: the change at a factor of its typical size, its class in hover with its flights, and those flights.
-
-    "identifiable": leaves something that free derivatives, trims and initial states cannot explain; "absorbed": not.
-    `flights`: group of further flights without which it would not show, see `manoeuvres.GROUPS`.
-    """
-
-    change: Callable[[Aircraft, float], Aircraft]
-    kind: EffectClass
-    flights: str = ""
-
-
-def _path(**typical: float) -> Callable[[Aircraft, float], Aircraft]:
-    """A piece of the control path, its value in proportion to the size."""
-
-    def change(aircraft: Aircraft, size: float) -> Aircraft:
-        values = {name: value * size for name, value in typical.items()}
-        return replace(aircraft, path=replace(aircraft.path or ControlPath(), **values))
-
-    return change
 
 
 def _rate_limit(aircraft: Aircraft, size: float) -> Aircraft:
@@ -53,15 +29,6 @@ def _rate_limit(aircraft: Aircraft, size: float) -> Aircraft:
 
 
 RATE_LIMIT = 0.25  # rad/s
-
-
-def _wake(name: str, more: float) -> Callable[[Aircraft, float], Aircraft]:
-    """A property of the wake, raised in proportion to the size."""
-
-    def change(aircraft: Aircraft, size: float) -> Aircraft:
-        return replace(aircraft, wake=replace(aircraft.wake, **{name: getattr(aircraft.wake, name) + more * size}))
-
-    return change
 
 
 def _flap(aircraft: Aircraft, size: float) -> Aircraft:
@@ -140,7 +107,8 @@ def _vibration(aircraft: Aircraft, size: float) -> Aircraft:
         return aircraft
     once = VibrationLine(1, three(size * np.array([0.12, 0.18, 0.15])), three(size * np.array([0.006, 0.004, 0.003])))
     passing = three(size * np.array([0.35, 0.45, 0.7])), three(size * np.array([0.010, 0.007, 0.006]))
-    return _sensors(aircraft, vibration=(once, VibrationLine(aircraft.rotor.blades, *passing)))
+    lines = (*aircraft.sensors.vibration, once, VibrationLine(aircraft.rotor.blades, *passing))
+    return replace(aircraft, sensors=replace(aircraft.sensors, vibration=lines))
 
 
 def all_mass(aircraft: Aircraft) -> float:
@@ -167,11 +135,6 @@ def _cg(aircraft: Aircraft, size: float) -> Aircraft:
     return moved(moved(replace(aircraft, **parts), "imu"), "reference")
 
 
-def _inertia(aircraft: Aircraft, size: float) -> Aircraft:
-    """15 % more inertia about all axes."""
-    return replace(aircraft, inertia=tuple(three((1.0 + 0.15 * size) * row) for row in aircraft.inertia_matrix))
-
-
 def _slung_load(aircraft: Aircraft, size: float) -> Aircraft:
     """8 % of the mass on a cable as long as the rotor's radius, hooked on below the declared centre of gravity."""
     if not size:
@@ -182,91 +145,56 @@ def _slung_load(aircraft: Aircraft, size: float) -> Aircraft:
     return replace(aircraft, load=load)
 
 
-def _sensors(aircraft: Aircraft, **changes: Any) -> Aircraft:
-    """Sensor errors added to those that are there: values by channel join, vectors add up."""
-    errors = aircraft.sensors
-    joined: dict[str, Any] = {}
-    for name, change in changes.items():
-        earlier = getattr(errors, name)
-        if isinstance(change, Mapping):
-            joined[name] = {**earlier, **change}
-        else:
-            joined[name] = earlier + change if name == "vibration" else three(np.asarray(earlier) + change)
-    return replace(aircraft, sensors=replace(errors, **joined))
-
-
-def _sensor(name: str, **typical: float) -> Callable[[Aircraft, float], Aircraft]:
-    """An error by channel, in proportion to the size."""
-
-    def change(aircraft: Aircraft, size: float) -> Aircraft:
-        return _sensors(aircraft, **{name: {channel: value * size for channel, value in typical.items()}})
-
-    return change
-
-
 def _low_pass(aircraft: Aircraft, size: float) -> Aircraft:
     """Gyros behind a filter of second order: the larger, the lower its natural frequency."""
     if not size:
         return aircraft
     frequency, damping = LOW_PASS
-    return _sensors(aircraft, low_pass=dict.fromkeys(GYROS, (frequency / size, damping)))
-
-
-def _sensor_vector(name: str, typical: tuple[float, float, float]) -> Callable[[Aircraft, float], Aircraft]:
-    """An error that is a vector, in proportion to the size."""
-
-    def change(aircraft: Aircraft, size: float) -> Aircraft:
-        return _sensors(aircraft, **{name: np.asarray(typical) * size})
-
-    return change
+    low_pass = {**aircraft.sensors.low_pass, **dict.fromkeys(GYROS, (frequency / size, damping))}
+    return replace(aircraft, sensors=replace(aircraft.sensors, low_pass=low_pass))
 
 
 LOW_PASS = (25.0, 0.7)  # rad/s and damping: 56 ms late at low frequencies
 TILT = 0.035  # rad: 2 degrees
 
 HIDDEN: dict[str, Hidden] = {
-    "control.delay": Hidden(_path(delay=0.06), "identifiable"),
-    "control.lag": Hidden(_path(lag=0.08), "identifiable"),
-    "control.rate_limit": Hidden(_rate_limit, "identifiable"),
-    "control.backlash": Hidden(_path(play=0.007), "identifiable"),
-    "rotor.inflow": Hidden(_wake("apparent_mass", 1.0), "identifiable"),
-    "rotor.flap_second_order": Hidden(_flap, "identifiable"),
-    "rotor.lead_lag": Hidden(_lead_lag, "identifiable"),
-    "rotor.wake_distortion": Hidden(_wake("distortion", 1.5), "absorbed"),
-    "rotor.speed": Hidden(_speed, "identifiable"),
+    "control.delay": Hidden(raised("path", ControlPath(), delay=0.06)),
+    "control.lag": Hidden(raised("path", ControlPath(), lag=0.08)),
+    "control.rate_limit": Hidden(_rate_limit),
+    "control.backlash": Hidden(raised("path", ControlPath(), play=0.007)),
+    "rotor.inflow": Hidden(raised("wake", apparent_mass=1.0)),
+    "rotor.flap_second_order": Hidden(_flap),
+    "rotor.lead_lag": Hidden(_lead_lag),
+    "rotor.wake_distortion": Hidden(raised("wake", distortion=1.5), "absorbed"),
+    "rotor.speed": Hidden(_speed),
     "rotor.stall": Hidden(_stall, "absorbed", "speeds"),
     "forces.drag": Hidden(_drag, "absorbed", "speeds"),
     "forces.quadratic_damping": Hidden(_quadratic_damping, "absorbed"),
-    "forces.translational_lift": Hidden(_wake("translation", 0.5), "absorbed", "speeds"),
+    "forces.translational_lift": Hidden(raised("wake", translation=0.5), "absorbed", "speeds"),
     "forces.tail_interference": Hidden(_tail_interference, "absorbed", "speeds"),
-    "environment.ground": Hidden(_wake("ground", 1.0), "identifiable", "heights"),
-    "environment.wind": Hidden(_wind, "identifiable", "headings"),
-    "environment.turbulence": Hidden(_turbulence, "identifiable"),
-    "environment.vibration": Hidden(_vibration, "identifiable"),
+    "environment.ground": Hidden(raised("wake", ground=1.0), flights="heights"),
+    "environment.wind": Hidden(_wind, flights="headings"),
+    "environment.turbulence": Hidden(_turbulence),
+    "environment.vibration": Hidden(_vibration),
     "mass.payload": Hidden(_payload, "absorbed"),
     "mass.cg": Hidden(_cg, "absorbed"),
-    "mass.inertia": Hidden(_inertia, "absorbed"),
-    "mass.slung_load": Hidden(_slung_load, "identifiable"),
-    "sensors.bias": Hidden(_sensor("bias", p=0.01, q=-0.007, r=0.005), "identifiable"),
-    "sensors.scale": Hidden(_sensor("scale", p=0.05, q=0.05, r=0.05), "identifiable"),
-    "sensors.misalignment": Hidden(_sensor_vector("rotation", (TILT / 3, 2 * TILT / 3, 2 * TILT / 3)), "identifiable"),
-    "sensors.lever_arm": Hidden(_sensor_vector("lever_arm", (0.3, 0.1, -0.25)), "identifiable"),
-    "sensors.delay": Hidden(_sensor("delay", **dict.fromkeys(GYROS, 0.06)), "identifiable"),
-    "sensors.filter": Hidden(_sensor("lag", **dict.fromkeys(GYROS, 0.05)), "identifiable"),
+    "mass.inertia": Hidden(more_inertia(0.15), "absorbed"),
+    "mass.slung_load": Hidden(_slung_load),
+    "sensors.bias": Hidden(sensor_error("bias", {"p": 0.01, "q": -0.007, "r": 0.005})),
+    "sensors.scale": Hidden(sensor_error("scale", dict.fromkeys(GYROS, 0.05))),
+    "sensors.misalignment": Hidden(sensor_error("rotation", (TILT / 3, 2 * TILT / 3, 2 * TILT / 3))),
+    "sensors.lever_arm": Hidden(sensor_error("lever_arm", (0.3, 0.1, -0.25))),
+    "sensors.delay": Hidden(sensor_error("delay", dict.fromkeys(GYROS, 0.06))),
+    "sensors.filter": Hidden(sensor_error("lag", dict.fromkeys(GYROS, 0.05))),
 }
-
-
-EFFECTS: dict[str, Callable[[Aircraft, float], Aircraft]] = {name: hidden.change for name, hidden in HIDDEN.items()}
-"""Physics that can be switched on: id -> a changed copy of the aircraft, at a factor of the typical size."""
-
+"""Physics that can be switched on, by id."""
 FORMS = {"sensors.filter.second_order": "sensors.filter"}
 """Further forms of an effect: name -> the effect."""
-
-EVERY_FORM = {**EFFECTS, "sensors.filter.second_order": _low_pass}
+EVERY_FORM: dict[str, Change] = {
+    **{name: hidden.change for name, hidden in HIDDEN.items()},
+    "sensors.filter.second_order": _low_pass,
+}
 """All that can be switched on."""
-
-EFFECT_CLASSES: dict[str, EffectClass] = {name: hidden.kind for name, hidden in HIDDEN.items()}
-"""Whether the effect's usual flights, at typical size and in hover, can tell it from free derivatives and trims."""
 
 
 def differences(clean: Any, altered: Any, place: str = "") -> dict[str, tuple[Any, Any]]:

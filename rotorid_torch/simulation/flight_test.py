@@ -16,7 +16,8 @@ from rotorid_torch.core.names import nearest
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.write import declarations, refuse_unless_free, write_dataset
 from rotorid_torch.errors import InputError
-from rotorid_torch.simulation.effects import EVERY_FORM, FORMS, HIDDEN, Hidden, differences
+from rotorid_torch.simulation.changes import Hidden
+from rotorid_torch.simulation.effects import EVERY_FORM, FORMS, HIDDEN, differences
 from rotorid_torch.simulation.flight.augmentation import Augmentation, design
 from rotorid_torch.simulation.flight.linear import linearise
 from rotorid_torch.simulation.flight.manoeuvres import Condition, chosen, conditioned, lists
@@ -29,7 +30,6 @@ from rotorid_torch.simulation.multirotor import channels, manoeuvres
 from rotorid_torch.simulation.multirotor.craft import Multirotor
 from rotorid_torch.simulation.multirotor.flown import FlightPlan, fly_craft
 from rotorid_torch.simulation.multirotor.hidden import HIDDEN as MULTIROTOR
-from rotorid_torch.simulation.multirotor.hidden import Hidden as HiddenInMultirotor
 from rotorid_torch.simulation.multirotor.vehicles import is_multirotor, multirotor
 from rotorid_torch.simulation.vehicles.vehicle import load_aircraft
 
@@ -156,7 +156,7 @@ class _Order:
             effects=_pairs(self.effects),
         )
 
-    def names(self, hidden: Sequence[dict[str, Any]], library: Mapping[str, Hidden | HiddenInMultirotor]) -> list[str]:
+    def names(self, hidden: Sequence[dict[str, Any]], library: Mapping[str, Hidden]) -> list[str]:
         """Flights that are asked for; without them all, and the groups that show what is hidden."""
         if self.flights is not None:
             return list(self.flights)

@@ -24,6 +24,11 @@ def cross(a: Array, b: Array) -> Array:
     return out
 
 
+def skew(vectors: Array) -> Array:
+    """Matrices of the vector product from the left, [..., 3, 3] of [..., 3]: skew(r) @ v = r x v."""
+    return np.cross(vectors[..., None, :], np.eye(3)).swapaxes(-1, -2)
+
+
 def to_earth(euler: Array) -> Array:
     """Matrices from body axes to (north, east, down), [3, 3, flight], of phi theta psi [3, flight]."""
     (cp, ct, cs), (sp, st, ss) = np.cos(euler), np.sin(euler)
@@ -62,6 +67,14 @@ def body_rates(x: Array, specific_force: Array, angular: Array, gravity: float) 
     level, side = u * ct + (v * sp + w * cp) * st, v * cp - w * sp
     out[9], out[10], out[11] = level * cs - side * ss, level * ss + side * cs, u * st - (v * sp + w * cp) * ct
     return out
+
+
+def at_place(specific_force: Array, rates: Array, angular: Array, place: Array) -> Array:
+    """Specific force [T, 3] at a place of the body [3], from that at the centre of gravity, body rates and their rates.
+
+    Source: Etkin and Reid, Dynamics of Flight, 3rd ed., section 4.5 (acceleration of a point of a turning body).
+    """
+    return specific_force + np.cross(angular, place) + np.cross(rates, np.cross(rates, place))
 
 
 def three(values: Any) -> tuple[float, float, float]:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.integrate import integral
 from rotorid_torch.core.names import ATTITUDES, MOMENTS, POSITIONS, RATES, VELOCITIES
 from rotorid_torch.core.rigid import euler_rates, position_rates
 from rotorid_torch.data.flight import Flight
@@ -127,19 +128,13 @@ def _motion(path: Mapping[str, Tensor], measured: Mapping[str, Tensor], places: 
     if "attitude" not in measured or not set(ATTITUDES[:2]) <= set(path):
         return moved
     level = stack(ATTITUDES[:2])
-    psi = _integrated(euler_rates(rates, level)[..., 2:], measured["attitude"][places, 2:], dt)
+    psi = measured["attitude"][places, 2:][:, None] + integral(euler_rates(rates, level)[..., 2:], dt, 1)
     moved["attitude"] = torch.cat([level, psi], dim=-1)
     if "velocity" in measured and set(VELOCITIES) <= set(path):
         moved["velocity"] = position_rates(stack(VELOCITIES), moved["attitude"])
         if "position" in measured:
-            moved["position"] = _integrated(moved["velocity"], measured["position"][places], dt)
+            moved["position"] = measured["position"][places][:, None] + integral(moved["velocity"], dt, 1)
     return moved
-
-
-def _integrated(rate: Tensor, start: Tensor, dt: float) -> Tensor:
-    """Trapezoidal integral [starts, T, n] of a rate from the values at the start [starts, n]."""
-    steps = 0.5 * dt * (rate[:, 1:] + rate[:, :-1])
-    return start[:, None] + torch.cat([torch.zeros_like(rate[:, :1]), steps.cumsum(1)], dim=1)
 
 
 def _distance(quantity: str, value: Tensor, truth: Tensor) -> Tensor:

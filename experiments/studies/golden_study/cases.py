@@ -20,7 +20,7 @@ from hidden.outside_causes import CAUSES
 from hidden.true_parameters import true_parameters
 
 import rotorid_torch as rotorid
-from rotorid_torch.simulation.effects import EFFECT_CLASSES, HIDDEN
+from rotorid_torch.simulation.effects import HIDDEN
 
 
 class Kind(StrEnum):
@@ -177,7 +177,7 @@ def drawn_cases(half: Half, aircraft: int, clean: int, rounds: int) -> Iterator[
 
 def _pairs(half: Half, repeat: int) -> list[tuple[str, str]]:
     """Two identifiable effects each, drawn."""
-    pairs = list(combinations((effect for effect, kind in EFFECT_CLASSES.items() if kind == "identifiable"), 2))
+    pairs = list(combinations((effect for effect, hidden in HIDDEN.items() if hidden.kind == "identifiable"), 2))
     rng = np.random.default_rng([SEEDS[half], repeat, PAIRS])
     return [pairs[k] for k in rng.choice(len(pairs), PAIRS, replace=False)]
 

@@ -10,7 +10,7 @@ from hidden.outside_causes import CAUSES
 from recorded.tables import markdown, number, share
 
 from golden_study.cases import SIZES, Kind
-from rotorid_torch.simulation.effects import EFFECT_CLASSES
+from rotorid_torch.simulation.effects import HIDDEN
 
 Column = tuple[str, str]
 UNNAMED = "unattributed"
@@ -88,7 +88,7 @@ def _column(lines: Sequence[dict]) -> dict[str, str]:
         return [line for line in answered if line["kind"] == kind]
 
     def of_class(kind: str, *sizes: float) -> list[dict]:
-        return [e for e in of(Kind.EFFECT) if EFFECT_CLASSES[e["hidden"][0]] == kind and e["size"] in sizes]
+        return [e for e in of(Kind.EFFECT) if HIDDEN[e["hidden"][0]].kind == kind and e["size"] in sizes]
 
     def named(line: dict) -> bool:
         return outcome(line) == "named"

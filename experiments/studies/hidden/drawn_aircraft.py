@@ -18,7 +18,7 @@ import numpy as np
 from hidden.outside_causes import CAUSES, fly_with
 from rotorid_torch.data.write import to_toml, write_dataset
 from rotorid_torch.errors import InputError
-from rotorid_torch.simulation.effects import EFFECTS, HIDDEN
+from rotorid_torch.simulation.effects import HIDDEN
 from rotorid_torch.simulation.flight.augmentation import Augmentation, design
 from rotorid_torch.simulation.flight.linear import linearise
 from rotorid_torch.simulation.flight.manoeuvres import Condition, chosen, conditioned, groups
@@ -157,7 +157,7 @@ def fly_drawn(
     clean = _built(drawn, place)
     aircraft = clean
     for effect in hidden:
-        aircraft = EFFECTS[effect](aircraft, size) if effect in EFFECTS else aircraft
+        aircraft = HIDDEN[effect].change(aircraft, size) if effect in HIDDEN else aircraft
     names = chosen(flights, drawn.speed)
     usual = Condition(0.0, HEIGHT, drawn.speed)
     trims, gains = _prepared(aircraft, [conditioned(n, usual)[1] for n in names], drawn.augmentation)

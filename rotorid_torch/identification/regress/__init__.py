@@ -2,5 +2,5 @@
 
 `fourier` (transforms of sampled records), `rows` (one flight as rows), `noisy_least_squares` (regressors with noise),
 `feedback` (whether a residual acts back on regressors), `ftr` (the regression, for anybody's arrays), `equation` (an
-equation of the model as data), `independence` (what a regressor carries beyond others).
+equation of the model as data).
 """

@@ -154,6 +154,27 @@ def choose_band(equation: Equation, notes: list[str] | None = None) -> tuple[flo
     return lowest, edge
 
 
+def independent_shares(equation: Equation, targets: Sequence[str], others: Sequence[str]) -> dict[str, float]:
+    """Share of each target's in-band power, without noise, that other regressors of the equation do not explain.
+
+    Controls against states show how much of a control is not feedback; flapping against what drives it, whether both
+    can be held in one equation.
+    """
+    flights = equation_rows(equation, equation.band or choose_band(equation))
+    information = sum(f.information for f in flights)
+    explaining = [columns_of(f, equation.index(others)) for f in flights]
+    z, noise = torch.cat([f.regressors for f in explaining], dim=-2), total_noise(explaining)
+    shares = {}
+    for name, column in zip(targets, equation.index(targets), strict=True):
+        y = torch.cat([f.regressors[..., column] for f in flights], dim=-1)
+        own_noise = sum(f.noise[..., column] for f in flights)
+        gains = noisy_least_squares(z, y, noise).coefficients
+        chance = (own_noise + (gains.square() * noise).sum()) * (information - len(others)) / information
+        excess = (y - z @ gains).square().sum() - chance
+        shares[name] = float((excess / (y.square().sum() - own_noise).clamp(min=1e-300)).clamp(0.0, 1.0))
+    return shares
+
+
 def _top_of_band(flights: Sequence[Rows], edge: float) -> tuple[float, float]:
     """Look at the top harmonics of a band that ends at edge.
 

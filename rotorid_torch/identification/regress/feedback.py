@@ -7,7 +7,7 @@ correlation is large where the regressor comes later, and larger than where it c
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -22,29 +22,6 @@ LATER = 1.2
 """How many times larger it is where the regressor comes later than where it comes first."""
 
 
-class Regressed(Protocol):
-    """What of a regression is asked for: its residual spectrum (..., M), its frequencies (M,)."""
-
-    @property
-    def residual(self) -> Tensor:
-        """(..., M) complex."""
-        ...
-
-    @property
-    def frequencies(self) -> Tensor:
-        """(M,) Hz."""
-        ...
-
-
-class Spectra(Protocol):
-    """Rows (..., 2 M, n) of the regressors of a flight, real over imaginary."""
-
-    @property
-    def regressors(self) -> Tensor:
-        """(..., 2 M, n)."""
-        ...
-
-
 class Follower(NamedTuple):
     """A record that follows another: its place, the correlation, and after how long, s."""
 
@@ -53,12 +30,15 @@ class Follower(NamedTuple):
     seconds: float
 
 
-def acting_back(flights: Sequence[Spectra], regression: Regressed) -> Iterator[str]:
-    """A sentence on the regressors that follow the residual of the regression; nothing for a batch."""
-    if regression.residual.dim() > 1:
+def acting_back(residual: Tensor, regressors: Sequence[Tensor], frequencies: Tensor) -> Iterator[str]:
+    """A sentence on the regressors that follow the residual of a regression; nothing for a batch.
+
+    residual : (M,) complex spectrum. regressors : of each flight (2 M', n), real over imaginary. frequencies : (M,) Hz.
+    """
+    if residual.dim() > 1:
         return
-    spectra = torch.cat([torch.complex(*flight.regressors.chunk(2, dim=-2)) for flight in flights])
-    for one in followers(regression.residual, spectra, regression.frequencies):
+    spectra = torch.cat([torch.complex(*rows.chunk(2, dim=-2)) for rows in regressors])
+    for one in followers(residual, spectra, frequencies):
         yield (
             f"regressor {one.place} follows the residual (correlation {one.correlation:.2f} after {one.seconds:.2g} s):"
             " what is not explained acts back on it, through feedback or in moving air; its coefficient may be biased"

@@ -8,6 +8,8 @@ from math import comb
 import torch
 from torch import Tensor
 
+from rotorid_torch.data.flight import bridged
+
 END_ORDER = 8
 """Degree of the polynomial at each end of the quadrature; more than 8 would amplify the noise of the end samples."""
 NOISE_ORDER = 8
@@ -223,18 +225,7 @@ def fill_gaps(x: Tensor) -> tuple[Tensor, int, int]:
     missing = torch.isnan(x)
     if not bool(missing.any()):
         return x, 0, 0
-    rows, holes = x.reshape(-1, x.shape[-1]).clone(), missing.reshape(-1, x.shape[-1])
-    index, longest = torch.arange(x.shape[-1], device=x.device), 0
-    for row, hole in zip(rows, holes, strict=True):
-        good = index[~hole]
-        if len(good) == 0 or len(good) == len(index):
-            continue
-        right = torch.searchsorted(good, index).clamp(max=len(good) - 1)
-        left = (torch.searchsorted(good, index, right=True) - 1).clamp(min=0)
-        a, b = good[left], good[right]
-        share = torch.where(b > a, (index - a) / (b - a).clamp(min=1), torch.zeros_like(row))
-        values = row[a] + share * (row[b] - row[a])
-        row[hole] = values[hole]
-        edges = torch.cat((good.new_tensor([-1]), good, good.new_tensor([len(index)])))
-        longest = max(longest, int(edges.diff().max()) - 1)
-    return rows.reshape(x.shape), int(missing.sum()), longest
+    gaps = torch.nn.functional.pad(missing, (1, 1)).to(torch.int8).diff(dim=-1)  # 1 where one begins, -1 behind it
+    begins, ends = (gaps == 1).nonzero()[:, -1], (gaps == -1).nonzero()[:, -1]
+    filled = bridged(x.reshape(-1, x.shape[-1]).mT.cpu()).mT.to(x).reshape(x.shape)
+    return filled, int(missing.sum()), int((ends - begins).max())

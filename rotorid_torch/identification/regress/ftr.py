@@ -43,7 +43,6 @@ class Regression:
     reliability : (..., n) share of each regressor's in-band power that is not noise.
     reliability_beyond : (..., n) the same for the part that the other regressors do not explain.
     condition : (...) condition number on unit columns. vif : (..., n) variance inflation factors.
-    residual_ratio : (...) residual over what the noise alone would leave (1: nothing but noise; inf: no noise known).
     information : independent real data, two per 1/T of band, less nuisance columns. band : Hz.
     names, selected : of the candidates, and of those held.
     notes : what the user must know.
@@ -60,7 +59,6 @@ class Regression:
     reliability_beyond: Tensor
     condition: Tensor
     vif: Tensor
-    residual_ratio: Tensor
     information: float
     band: tuple[float, float]
     names: tuple[str, ...] = ()
@@ -160,11 +158,9 @@ def regress(
     regression = solve(rows, band, notes=notes)
     identifiable = regression.standard_errors.isfinite()
     coefficients = torch.where(identifiable, regression.coefficients, 0.0)
-    return replace(
-        regression,
-        coefficients=coefficients,
-        notes=(*regression.notes, *_unidentifiable(identifiable), *acting_back(rows, regression)),
-    )
+    acting = acting_back(regression.residual, [row.regressors for row in rows], regression.frequencies)
+    notes = [*regression.notes, *_unidentifiable(identifiable), *acting]
+    return replace(regression, coefficients=coefficients, notes=tuple(notes))
 
 
 def _unidentifiable(identifiable: Tensor) -> list[str]:
@@ -199,9 +195,7 @@ def solve(
     covariance = solution.inverse @ _scatter(flights, solution, prior_power) @ solution.inverse.mT
     covariance = covariance + torch.diag_embed(torch.where(solution.unknown, torch.inf, 0.0))
     residual = _residual(z, y, solution)
-    expected = _expected_power(flights, noise, solution)
     error, signal = residual.square().sum(-1), y.square().sum(-1)
-    freedom = (information - z.shape[-1]) / information
     if bool(solution.noise_filled.any()):
         notes = [*notes, "noise fills a combination of the regressors; leave one of them out"]
     return Regression(
@@ -216,7 +210,6 @@ def solve(
         reliability_beyond=plain.reliability_beyond,
         condition=plain.condition,
         vif=plain.vif,
-        residual_ratio=(error / (expected * freedom)).sqrt(),
         information=information,
         band=band,
         names=names,
@@ -235,14 +228,6 @@ def _with_prior(
         weight = _variance(z, y, solution, information).unsqueeze(-1) / sd.square()
         solution = noisy_least_squares(z, y, noise, (mean, weight))
     return solution, torch.where(weight > 0.0, weight.square() * sd.square(), 0.0)
-
-
-def _expected_power(flights: Sequence[Rows], noise: Tensor, solution: Solution) -> Tensor:
-    """Power (...) of the residual that noise alone would leave."""
-    expected = (noise * solution.coefficients.square()).sum(-1)
-    for flight in flights:
-        expected = expected + (flight.response_noise * (1.0 - flight.leverage)).sum(-1)
-    return expected
 
 
 def _residual(z: Tensor, y: Tensor, solution: Solution) -> Tensor:

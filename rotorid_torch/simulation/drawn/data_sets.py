@@ -24,7 +24,7 @@ from rotorid_torch.simulation.drawn.tracking import Followed, Tapes, follow, tap
 from rotorid_torch.simulation.flight.sensors import MIRRORED, Channels
 from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES
 from rotorid_torch.simulation.helicopter.atmosphere import Air, gusts_of
-from rotorid_torch.simulation.multiblade.priors import KINDS, pick_kind
+from rotorid_torch.simulation.multiblade.priors import KINDS
 from rotorid_torch.simulation.rigid import Array
 
 TRIES = 6  # aircraft drawn for one number, at most
@@ -133,11 +133,10 @@ def _gusts(dataset: Dataset, tape: Tapes, streams: Sequence[Sequence[int]], air:
 
 def _rotor(aircraft: DrawnAircraft, k: int) -> str:
     """Which rotor a drawn aircraft has."""
-    if aircraft.kind.uniform[k]:
-        return "quasi-steady flapping, uniform inflow"
-    if aircraft.kind.steady_flap[k]:
-        return "quasi-steady flapping, dynamic inflow"
-    return "flapping, dynamic inflow" if aircraft.kind.stiff_lag[k] else "flapping, lead-lag, dynamic inflow"
+    steady, stiff, uniform = aircraft.kind[k]
+    if steady:
+        return f"quasi-steady flapping, {'uniform' if uniform else 'dynamic'} inflow"
+    return "flapping, dynamic inflow" if stiff else "flapping, lead-lag, dynamic inflow"
 
 
 def _aircraft(
@@ -146,20 +145,19 @@ def _aircraft(
     """An aircraft for every number, drawn again where it does not resemble the data; and how many were drawn."""
     # Every number goes through the kinds of rotor in an order of its own until one of them suits.
     orders = [np.random.default_rng([seed, number]).permutation(len(KINDS)) for number in draws]
-    kind = pick_kind([int(order[0]) for order in orders])
+    kind = KINDS[[order[0] for order in orders]]
     normal, misfit = np.empty((len(draws), len(prior.numbers))), np.full(len(draws), np.inf)
     tried = [0] * len(draws)
     for attempt in range(TRIES):
         again = [k for k in range(len(draws)) if misfit[k] > ALIKE]
         if not again:
             break
-        kinds = pick_kind([int(orders[k][attempt % len(KINDS)]) for k in again])
+        kinds = KINDS[[orders[k][attempt % len(KINDS)] for k in again]]
         other = draw(prior, evidence, kinds, [np.random.default_rng([seed, draws[k], attempt]) for k in again])
         tried = [times + (k in again) for k, times in enumerate(tried)]
         nearer = np.flatnonzero(other.misfit < misfit[again])
         places = np.array(again, dtype=np.intp)[nearer]
-        normal[places], misfit[places] = other.normal[nearer], other.misfit[nearer]
-        kind = kind.replaced(places, other.kind.pick(nearer))
+        normal[places], misfit[places], kind[places] = other.normal[nearer], other.misfit[nearer], other.kind[nearer]
     if not np.isfinite(misfit).all():
         what = "no drawn helicopter can be trimmed, with a rotor speed that settles, where the data set flies"
         raise Untrimmable(dataset.path or "arrays", "vehicle", what, "mass, rotor and speed of one helicopter")

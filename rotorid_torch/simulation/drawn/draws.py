@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from rotorid_torch.data import Dataset
@@ -21,7 +22,7 @@ from rotorid_torch.simulation.drawn.resemblance import Evidence, mirrored, rotor
 from rotorid_torch.simulation.drawn.resemblance import reference as trim_of
 from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES
 from rotorid_torch.simulation.multiblade.craft import Craft
-from rotorid_torch.simulation.multiblade.priors import Kind, Number, build, numbers, reference
+from rotorid_torch.simulation.multiblade.priors import Kinds, Number, build, numbers, reference
 from rotorid_torch.simulation.multiblade.trim import Trims, find_trims, linearise
 from rotorid_torch.simulation.rigid import Array
 
@@ -49,7 +50,7 @@ class Prior:
         """Numbers [aircraft] for standard normal deviates [aircraft, number]."""
         return {name: number.at(normal[:, k]) for k, (name, number) in enumerate(self.numbers.items())}
 
-    def craft(self, normal: Array, kind: Kind) -> Craft:
+    def craft(self, normal: Array, kind: Kinds) -> Craft:
         """The batch of aircraft."""
         return build(self.values(normal), kind, self.vehicle, self.held, self.relaxation)
 
@@ -91,16 +92,7 @@ def _mirror(vehicle: Vehicle) -> Vehicle:
 
     tensor = np.asarray(vehicle.inertia) * np.outer(flip, flip)
     inertia = tuple((float(row[0]), float(row[1]), float(row[2])) for row in tensor)
-    return Vehicle(
-        mass=vehicle.mass,
-        inertia=inertia,  # pyright: ignore[reportArgumentType]
-        mass_excludes=vehicle.mass_excludes,
-        gravity=vehicle.gravity,
-        air_density=vehicle.air_density,
-        hub=point(vehicle.hub),
-        imu=point(vehicle.imu),
-        rotor=vehicle.rotor,
-    )
+    return msgspec.structs.replace(vehicle, inertia=inertia, hub=point(vehicle.hub), imu=point(vehicle.imu))
 
 
 def level_velocity(trim: Mapping[str, float]) -> Array:
@@ -119,7 +111,7 @@ class DrawnAircraft:
     """
 
     normal: Array
-    kind: Kind
+    kind: Kinds
     craft: Craft
     trims: Trims
     table: Array
@@ -127,7 +119,7 @@ class DrawnAircraft:
     gearing: Array
 
 
-def draw(prior: Prior, evidence: Evidence, kind: Kind, streams: list[np.random.Generator]) -> DrawnAircraft:
+def draw(prior: Prior, evidence: Evidence, kind: Kinds, streams: list[np.random.Generator]) -> DrawnAircraft:
     """One aircraft per rotor and random stream, corrected towards the evidence."""
     size = len(prior.numbers)
     start = np.stack([stream.standard_normal(size) for stream in streams])
@@ -145,13 +137,13 @@ def draw(prior: Prior, evidence: Evidence, kind: Kind, streams: list[np.random.G
         best = np.minimum(cost, best)
         for k in np.flatnonzero(going):
             one = slice(k, k + 1)
-            iterate = Iterate(normal[k], kind.pick(one), trims.pick(one), deviation[k], left[k], start[k])
+            iterate = Iterate(normal[k], kind[one], trims.pick(one), deviation[k], left[k], start[k])
             step = _step(prior, evidence, iterate)
             normal[k] += step if trims.converged[k] else -0.5 * normal[k]
     return finish(prior, evidence, closest, kind)
 
 
-def finish(prior: Prior, evidence: Evidence, normal: Array, kind: Kind) -> DrawnAircraft:
+def finish(prior: Prior, evidence: Evidence, normal: Array, kind: Kinds) -> DrawnAircraft:
     """Trim and derivatives of given aircraft."""
     craft = prior.craft(normal, kind)
     trims, gearing = find_trims(craft, prior.velocity), prior.gearing(normal)
@@ -188,7 +180,7 @@ class Iterate(NamedTuple):
     """One aircraft on its way to the evidence: deviates, rotor, trim, deviation, what is left of it, where it began."""
 
     normal: Array
-    kind: Kind
+    kind: Kinds
     trims: Trims
     deviation: Array
     left: Array
@@ -200,7 +192,7 @@ def _step(prior: Prior, evidence: Evidence, iterate: Iterate) -> Array:
     normal, kind, trims, deviation, left, start = iterate
     size = len(normal)
     bumped = normal + BUMP * np.eye(size)
-    craft = prior.craft(bumped, kind.repeat(size))
+    craft = prior.craft(bumped, np.repeat(kind, size, axis=0))
     moved = find_trims(craft, prior.velocity, trims.pick(np.zeros(size, dtype=np.intp)), ROUGH)
     bumped_deviation = _compare(prior, evidence, craft, moved, prior.gearing(bumped))
     slope = np.where(moved.converged[:, None], (bumped_deviation - deviation) / BUMP, 0.0)

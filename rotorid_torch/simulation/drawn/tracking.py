@@ -17,7 +17,7 @@ from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES
 from rotorid_torch.simulation.multiblade.craft import BODY, EULER, FLAP, PLACE, SPEED, TORQUE
 from rotorid_torch.simulation.multiblade.dynamics import respond
 from rotorid_torch.simulation.multiblade.trim import find_trims, linearise
-from rotorid_torch.simulation.rigid import Array
+from rotorid_torch.simulation.rigid import Array, at_place
 
 FED = ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi")
 VELOCITY, RATES = slice(0, 3), slice(3, 6)
@@ -153,8 +153,7 @@ class Followed:
         rows = self.record[: int(self.samples[flight]), :, aircraft, flight].astype(np.float64)
         names = ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi", "north", "east", "height")
         out = dict(zip(names, rows.T, strict=False))
-        velocity, omega, angular, arm = rows[:, :3], rows[:, 3:6], rows[:, 15:18], self.imu[:, aircraft]
-        felt = rows[:, 12:15] + np.cross(angular, arm) + np.cross(omega, np.cross(omega, arm))
+        velocity, felt = rows[:, :3], at_place(rows[:, 12:15], rows[:, 3:6], rows[:, 15:18], self.imu[:, aircraft])
         out |= dict(zip(("ax", "ay", "az"), felt.T, strict=True))
         out |= dict(zip(("pdot", "qdot", "rdot", "a0", "a1", "b1", "omega", "torque"), rows[:, 15:23].T, strict=True))
         moved = (rows[:, 23:] - self.neutral[:, aircraft, 0]) / self.gearing[aircraft]

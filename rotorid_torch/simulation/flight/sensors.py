@@ -9,7 +9,7 @@ import numpy as np
 from rotorid_torch.simulation.flight.simulation import FlightHistory
 from rotorid_torch.simulation.helicopter.aircraft import AZIMUTH, BLADES, CONTROL_NAMES, CONTROLS, SPEED, Aircraft
 from rotorid_torch.simulation.helicopter.sensor_errors import readings
-from rotorid_torch.simulation.rigid import Array, to_earth
+from rotorid_torch.simulation.rigid import Array, at_place, to_earth
 
 Channels = dict[str, Array]
 
@@ -48,11 +48,12 @@ def true_channels(aircraft: Aircraft, record: FlightHistory, flight: int) -> Cha
     names = ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi", "north", "east", "height")
     out |= dict(zip(("lon", "lat", "col", "ped"), x[:, CONTROLS].T, strict=True))
     out |= dict(zip(names, x[:, :12].T, strict=True))
-    imu = _at_imu(aircraft, record, flight)
-    out |= dict(zip(("ax", "ay", "az"), imu.T, strict=True))
+    force, angular = record.specific_force[:, :, flight], record.angular[:, :, flight]
+    felt = at_place(force, x[:, 3:6], angular, np.asarray(aircraft.imu))
+    out |= dict(zip(("ax", "ay", "az"), felt.T, strict=True))
     out |= dict(zip(("a0", "a1", "b1"), flapping(aircraft, x), strict=True))
     out["omega"] = x[:, SPEED]
-    out |= dict(zip(("pdot", "qdot", "rdot"), record.angular[:, :, flight].T, strict=True))
+    out |= dict(zip(("pdot", "qdot", "rdot"), angular.T, strict=True))
     out |= dict(zip("XYZ", record.force[:, :, flight].T, strict=True))
     out |= dict(zip("LMN", record.moment[:, :, flight].T, strict=True))
     out |= {name: signal[:, flight] for name, signal in record.hidden.items()}
@@ -90,13 +91,6 @@ def flapping(aircraft: Aircraft, x: Array) -> tuple[Array, Array, Array]:
         return mean, -2.0 * (flap * cosine).mean(1), -2.0 * (flap * sine).mean(1)
     turned, swing = (rate - rate.mean(1, keepdims=True)) / x[:, [SPEED]], flap - mean[:, None]
     return mean, (turned * sine - swing * cosine).mean(1), -(turned * cosine + swing * sine).mean(1)
-
-
-def _at_imu(aircraft: Aircraft, record: FlightHistory, flight: int) -> Array:
-    """Specific force at the IMU, m/s^2, [T, 3]."""
-    arm, omega = np.asarray(aircraft.imu), record.states[:, 3:6, flight]
-    force, angular = record.specific_force[:, :, flight], record.angular[:, :, flight]
-    return force + np.cross(angular, arm) + np.cross(omega, np.cross(omega, arm))
 
 
 def measured_channels(truth: Channels, names: tuple[str, ...], flight: str, seed: int) -> Channels:

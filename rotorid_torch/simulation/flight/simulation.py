@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -203,4 +203,4 @@ def with_height(trim: Trim, height: float) -> Trim:
 def _with_row(trim: Trim, row: int, value: float) -> Trim:
     state = trim.state.copy()
     state[row] = value
-    return Trim(state, trim.controls, trim.speed, trim.residual)
+    return replace(trim, state=state)

@@ -14,11 +14,11 @@ from rotorid_torch.simulation.helicopter.airframe import Fuselage, Surface
 from rotorid_torch.simulation.helicopter.atmosphere import Turbulence
 from rotorid_torch.simulation.helicopter.control_path import ControlPath
 from rotorid_torch.simulation.helicopter.inflow import PLAIN, Wake
-from rotorid_torch.simulation.helicopter.rotor import Rotor, skew
+from rotorid_torch.simulation.helicopter.rotor import Rotor
 from rotorid_torch.simulation.helicopter.sensor_errors import SensorErrors
 from rotorid_torch.simulation.helicopter.slung_load import SlungLoad
 from rotorid_torch.simulation.helicopter.tail import TailRotor
-from rotorid_torch.simulation.rigid import Array
+from rotorid_torch.simulation.rigid import Array, skew
 
 BODY, RATES, EULER, PLACE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 CONTROLS, INFLOW, TAIL_INFLOW = slice(12, 16), slice(16, 19), 19
@@ -140,14 +140,8 @@ class Aircraft:
     @cached_property
     def levers(self) -> Array:
         """[3 x 5, 3]: matrices r x for hub, tail rotor, fuselage, fin, tailplane."""
-        points = (
-            self.rotor.hub,
-            self.tail.position,
-            self.fuselage.position,
-            self.fin.position,
-            self.tailplane.position,
-        )
-        return np.concatenate([skew(point) for point in points])
+        parts = (self.tail, self.fuselage, self.fin, self.tailplane)
+        return skew(np.array([self.rotor.hub, *(part.position for part in parts)])).reshape(15, 3)
 
     @cached_property
     def loads_to_moment(self) -> Array:

@@ -51,7 +51,7 @@ class Surface:
         return np.array([0.0, 1.0, 0.0] if self.upright else [0.0, 0.0, 1.0])
 
 
-def downwash(radius: float, places: Array, sweep: Array, mean: Array) -> Array:
+def downwash(radius: float | Array, places: Array, sweep: Array, mean: Array) -> Array:
     """Downwash of the main rotor at points of the airframe, m/s.
 
     A swept cylinder with a soft edge: inside it the wake blows with the mean induced velocity, outside it does not.

@@ -127,12 +127,6 @@ def turn_back(vector: Array, cosine: Array, sine: Array) -> Array:
     return out
 
 
-def skew(position: tuple[float, float, float]) -> Array:
-    """Matrix of the vector product from the left: skew(r) @ v = r x v."""
-    x, y, z = position
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
 def blade_motion(rotor: Rotor, blades: Array, rates: Array, azimuth: Array, speed: Array) -> BladeMotion:
     """Geometry and velocities of the blades.
 

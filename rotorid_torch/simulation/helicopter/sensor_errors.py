@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from rotorid_torch.simulation.rigid import Array
+from rotorid_torch.simulation.rigid import Array, at_place
 
 Three = tuple[float, float, float]
 ACCELEROMETERS, GYROS = ("ax", "ay", "az"), ("p", "q", "r")
@@ -56,10 +56,9 @@ def readings(errors: SensorErrors, truth: Mapping[str, Array], azimuth: Array) -
     """
     read = {name: truth[name] for name in (*ACCELEROMETERS, *GYROS)}
     if any(errors.lever_arm):
-        arm, omega = np.asarray(errors.lever_arm), _rows(truth, GYROS)
-        angular = _rows(truth, ("pdot", "qdot", "rdot"))
-        extra = np.cross(angular, arm) + np.cross(omega, np.cross(omega, arm))
-        read |= dict(zip(ACCELEROMETERS, (_rows(read, ACCELEROMETERS) + extra).T, strict=True))
+        turning = _rows(truth, GYROS), _rows(truth, ("pdot", "qdot", "rdot"))
+        felt = at_place(_rows(read, ACCELEROMETERS), *turning, np.asarray(errors.lever_arm))
+        read |= dict(zip(ACCELEROMETERS, felt.T, strict=True))
     for line in errors.vibration:
         sizes = (*line.acceleration, *line.rate)
         for name, size, phase in zip((*ACCELEROMETERS, *GYROS), sizes, line.phases, strict=True):

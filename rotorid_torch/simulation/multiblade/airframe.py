@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from rotorid_torch.simulation.helicopter.airframe import downwash
 from rotorid_torch.simulation.helicopter.inflow import MASS
-from rotorid_torch.simulation.multiblade.craft import Craft
+from rotorid_torch.simulation.multiblade.craft import Craft, to_shaft
 from rotorid_torch.simulation.rigid import Array, cross
 
-WAKE_RADIUS, WAKE_EDGE = 0.8, 0.35  # of the rotor's radius: contracted wake, width of its edge
 STALL = 0.3  # tangent of the angle of attack at which half of a surface's flow is separated
 
 
@@ -38,14 +38,8 @@ def _at(place: Array, velocity: Array, omega: Array) -> Array:
 
 
 def _wash(craft: Craft, place: Array, sweep: Array, mean: Array) -> Array:
-    """Downwash at a point, m/s: a swept, contracted cylinder with a soft edge."""
-    c, s = np.cos(craft.tilt), np.sin(craft.tilt)
-    x, y, z = place - craft.hub
-    aft, right, up = -c * x - s * z, y, s * x - c * z
-    square = (sweep * sweep).sum(0)
-    cosine, sine = (1.0 - square) / (1.0 + square), sweep * (2.0 / (1.0 + square))
-    away = np.hypot(aft * cosine + up * sine[0], right * cosine + up * sine[1])
-    return mean * (0.5 - 0.5 * np.tanh((away / craft.radius - WAKE_RADIUS * cosine) / WAKE_EDGE))
+    """Downwash at a point, m/s."""
+    return downwash(craft.radius, to_shaft(craft.tilt, place - craft.hub), sweep, mean)
 
 
 def _tail(craft: Craft, velocity: Array, inflow: Array, pitch: Array, rotor_speed: Array) -> tuple[Array, Array]:

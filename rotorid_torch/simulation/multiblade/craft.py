@@ -141,3 +141,15 @@ class Response:
     angular: Array
     flap_moment: Array
     shaft: Array
+
+
+def to_shaft(tilt: Array, vector: Array) -> Array:
+    """Body axes to (aft, right, up)."""
+    c, s = np.cos(tilt), np.sin(tilt)
+    return np.stack([-c * vector[0] - s * vector[2], vector[1], s * vector[0] - c * vector[2]])
+
+
+def to_body(tilt: Array, vector: Array) -> Array:
+    """(aft, right, up) to body axes."""
+    c, s = np.cos(tilt), np.sin(tilt)
+    return np.stack([-c * vector[0] + s * vector[2], vector[1], -s * vector[0] - c * vector[2]])

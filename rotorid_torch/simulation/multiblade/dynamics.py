@@ -36,6 +36,8 @@ from rotorid_torch.simulation.multiblade.craft import (
     Craft,
     Response,
     Setting,
+    to_body,
+    to_shaft,
 )
 from rotorid_torch.simulation.rigid import Array, body_rates, cross, dot
 
@@ -49,18 +51,6 @@ COSINE, SINE = np.cos(_ANGLES)[:, None, None], np.sin(_ANGLES)[:, None, None]
 FLAP_SHAPES = np.stack([np.ones_like(COSINE), -COSINE, -SINE])
 LAG_SHAPES = np.stack([np.ones_like(COSINE), COSINE, SINE])
 """[3, azimuth, 1, 1]: blade flap and lag by their coordinates."""
-
-
-def to_shaft(tilt: Array, vector: Array) -> Array:
-    """Body axes to (aft, right, up)."""
-    c, s = np.cos(tilt), np.sin(tilt)
-    return np.stack([-c * vector[0] - s * vector[2], vector[1], s * vector[0] - c * vector[2]])
-
-
-def to_body(tilt: Array, vector: Array) -> Array:
-    """(aft, right, up) to body axes."""
-    c, s = np.cos(tilt), np.sin(tilt)
-    return np.stack([-c * vector[0] + s * vector[2], vector[1], -s * vector[0] - c * vector[2]])
 
 
 def blade_elements(craft: Craft) -> tuple[Array, tuple[Array, Array]]:

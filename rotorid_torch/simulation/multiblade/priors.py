@@ -7,16 +7,17 @@ it does not declare is drawn as widely as helicopters of one size differ.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rotorid_torch.data.schema import Vehicle
 from rotorid_torch.simulation.helicopter.aircraft import Aircraft
 from rotorid_torch.simulation.helicopter.rotor import LOCK_SLOPE
-from rotorid_torch.simulation.multiblade.craft import Choice, Craft, Mask
+from rotorid_torch.simulation.multiblade.craft import Craft
 from rotorid_torch.simulation.rigid import Array
 from rotorid_torch.simulation.vehicles.vehicle import load_aircraft
 
@@ -202,44 +203,14 @@ def _drive(base: Aircraft, length: float, weight: float) -> dict[str, Number]:
     }
 
 
-@dataclass(frozen=True)
-class Kind:
-    """Which rotor each aircraft of a batch has, [aircraft] of bool.
-
-    `steady_flap`: quasi-steady flapping (no lag then); `stiff_lag`; `uniform`: inflow without gradients.
-    """
-
-    steady_flap: Mask
-    stiff_lag: Mask
-    uniform: Mask
-
-    def repeat(self, times: int) -> Kind:
-        """Every aircraft so many times, one after the other."""
-        return Kind(*(np.repeat(part, times) for part in (self.steady_flap, self.stiff_lag, self.uniform)))
-
-    def pick(self, which: Choice) -> Kind:
-        """Some of the aircraft."""
-        return Kind(self.steady_flap[which], self.stiff_lag[which], self.uniform[which])
-
-    def replaced(self, places: Choice, others: Kind) -> Kind:
-        """The batch with other aircraft in some places."""
-        out = Kind(self.steady_flap.copy(), self.stiff_lag.copy(), self.uniform.copy())
-        out.steady_flap[places], out.stiff_lag[places] = others.steady_flap, others.stiff_lag
-        out.uniform[places] = others.uniform
-        return out
-
-
-KINDS = ((False, False, False), (False, True, False), (True, True, False), (True, True, True))
+Kinds = NDArray[np.bool_]
+"""Which rotor each aircraft of a batch has, [aircraft, 3]: quasi-steady flapping (no lag then), blades that do not lag,
+inflow without gradients."""
+KINDS: Kinds = np.array([(False, False, False), (False, True, False), (True, True, False), (True, True, True)])
 """Flap and lag; flap alone; quasi-steady flapping, in a dynamic inflow and in a uniform one."""
 
 
-def pick_kind(places: Sequence[int]) -> Kind:
-    """Rotors of some of the `KINDS`, one per aircraft."""
-    flags = np.array([KINDS[place] for place in places], dtype=bool)
-    return Kind(flags[:, 0], flags[:, 1], flags[:, 2])
-
-
-def build(values: Mapping[str, Array], kind: Kind, vehicle: Vehicle, held: bool, relaxation: float) -> Craft:
+def build(values: Mapping[str, Array], kind: Kinds, vehicle: Vehicle, held: bool, relaxation: float) -> Craft:
     """Batch of helicopters of drawn values, each [aircraft]."""
     one = {name: value[:, None] for name, value in values.items()}
 
@@ -250,7 +221,7 @@ def build(values: Mapping[str, Array], kind: Kind, vehicle: Vehicle, held: bool,
     reach = one["radius"] - one["hinge_offset"]
     inertia = LOCK_SLOPE * one["density"] * one["chord"] * one["radius"] ** 4 / one["lock"]
     stiffness = inertia * one["speed"] ** 2
-    uniform = np.where(kind.uniform[:, None], 0.0, 1.0)
+    uniform = np.where(kind[:, 2:], 0.0, 1.0)
     full: dict[str, Array] = {
         "inertia": tensor,
         "hub": three("hub"),
@@ -275,7 +246,7 @@ def build(values: Mapping[str, Array], kind: Kind, vehicle: Vehicle, held: bool,
         held=held,
         relaxation=relaxation,
         gravity=vehicle.gravity,
-        steady_flap=kind.steady_flap,
-        stiff_lag=kind.stiff_lag,
+        steady_flap=kind[:, 0],
+        stiff_lag=kind[:, 1],
         **full,
     )

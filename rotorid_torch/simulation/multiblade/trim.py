@@ -26,6 +26,7 @@ from rotorid_torch.simulation.multiblade.craft import (
     Craft,
     Mask,
     Setting,
+    to_body,
 )
 from rotorid_torch.simulation.multiblade.dynamics import (
     AZIMUTHS,
@@ -38,9 +39,8 @@ from rotorid_torch.simulation.multiblade.dynamics import (
     blade_motion,
     body_inertia,
     respond,
-    to_body,
 )
-from rotorid_torch.simulation.rigid import Array
+from rotorid_torch.simulation.rigid import Array, skew
 
 Complex = NDArray[np.complex128]
 
@@ -110,7 +110,7 @@ def mass_matrix(craft: Craft, x: Array) -> Array:
     mass, first, inertia = body_inertia(craft)
     out = np.zeros((craft.count, UNKNOWNS, UNKNOWNS))
     out[:, :3, :3] = mass[:, :, None] * np.eye(3)
-    out[:, 3:6, :3], out[:, :3, 3:6] = _skew(first[..., 0].T), -_skew(first[..., 0].T)
+    out[:, 3:6, :3], out[:, :3, 3:6] = skew(first[..., 0].T), -skew(first[..., 0].T)
     out[:, 3:6, 3:6] = inertia[..., 0].transpose(2, 0, 1)
     out[:, 6, 6] = craft.drive_inertia[:, 0]
     moving = _blade_matrix(craft, x)
@@ -138,7 +138,7 @@ def _blade_matrix(craft: Craft, x: Array) -> Array:
     at_hinge = np.zeros((AZIMUTHS, craft.count, 3, UNKNOWNS))
     along = np.zeros_like(at_hinge)
     at_hinge[..., :3] = np.eye(3)
-    at_hinge[..., 3:6], along[..., 3:6] = -_skew(craft.hub[..., 0].T + radial), -_skew(d)
+    at_hinge[..., 3:6], along[..., 3:6] = -skew(craft.hub[..., 0].T + radial), -skew(d)
     at_hinge[..., 6], along[..., 6] = np.cross(up, radial), np.cross(up, d)
     along[..., 7:10] = n[..., None] * FLAP_SHAPES[..., 0].transpose(1, 2, 0)[:, :, None]
     cosine = np.cos(blades.flap)[..., 0]
@@ -147,13 +147,6 @@ def _blade_matrix(craft: Craft, x: Array) -> Array:
     both = at_hinge.swapaxes(-1, -2) @ along
     square = mass * (at_hinge.swapaxes(-1, -2) @ at_hinge) + second * (along.swapaxes(-1, -2) @ along)
     return (craft.blades / AZIMUTHS) * (square + first * (both + both.swapaxes(-1, -2))).sum(0)
-
-
-def _skew(vector: Array) -> Array:
-    """Matrices of the vector product from the left, [..., 3, 3]."""
-    x, y, z = np.moveaxis(vector, -1, 0)
-    zero = np.zeros_like(x)
-    return np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], -2)
 
 
 def settle(craft: Craft, x: Array, controls: Array) -> Setting:

@@ -12,7 +12,7 @@ from rotorid_torch.simulation.multirotor.craft import Multirotor
 from rotorid_torch.simulation.multirotor.flight import FleetHistory, Hover
 from rotorid_torch.simulation.multirotor.manoeuvres import lists
 from rotorid_torch.simulation.multirotor.rotor import Blades
-from rotorid_torch.simulation.rigid import Array, to_earth
+from rotorid_torch.simulation.rigid import Array, at_place, to_earth
 
 Channels = dict[str, Array]
 BODY = ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi", "north", "east", "height", "ax", "ay", "az")
@@ -37,8 +37,7 @@ def true_channels(craft: Multirotor, record: FleetHistory, flight: int) -> Chann
     arm = np.asarray(craft.reference)
     place = record.place[:, :, flight] + np.einsum("ijt,j->ti", earth, arm)
     velocity = np.einsum("jit,tj->ti", earth, record.velocity[:, :, flight]) + np.cross(rates, arm)
-    imu = np.asarray(craft.imu)
-    felt = force + np.cross(angular, imu) + np.cross(rates, np.cross(rates, imu))
+    felt = at_place(force, rates, angular, np.asarray(craft.imu))
     out: Channels = {"time": record.time, "voltage": record.voltage[:, flight]}
     for k in range(craft.count):
         out[f"motor{k + 1}"] = record.commands[:, k, flight]

@@ -6,12 +6,11 @@ docs/flight-test.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
+from rotorid_torch.simulation.changes import Hidden, more_inertia, raised, sensor_error
 from rotorid_torch.simulation.helicopter.sensor_errors import GYROS
 from rotorid_torch.simulation.helicopter.slung_load import SlungLoad
 from rotorid_torch.simulation.multirotor.craft import Multirotor
@@ -37,18 +36,6 @@ DRAG = 0.02
 """1/m: what the body's drag decelerates by at 1 m/s."""
 
 
-@dataclass(frozen=True)
-class Hidden:
-    """One effect: the change at a factor of its typical size, and the group of flights without which it hides.
-
-    `brings` : what else the change makes the vehicle feel, by id.
-    """
-
-    change: Callable[[Multirotor, float], Multirotor]
-    flights: str = ""
-    brings: tuple[str, ...] = ()
-
-
 def felt_per_speed(craft: Multirotor) -> tuple[float, float]:
     """Deceleration across and along the rotors' axes that one m/s through the air makes in hover, 1/s.
 
@@ -66,26 +53,6 @@ def felt_per_speed(craft: Multirotor) -> tuple[float, float]:
             induced = blades.inflow_step(hover.speed, induced, flow, strength, 0.01)
         thrusts.append(float(blades.loads(hover.speed, induced, flow, strength, spins).thrust.sum()))
     return drag, (thrusts[0] - thrusts[1]) / craft.mass
-
-
-def _drive(**typical: float) -> Callable[[Multirotor, float], Multirotor]:
-    """A number of the drive, in proportion to the size."""
-
-    def change(craft: Multirotor, size: float) -> Multirotor:
-        more = {name: getattr(craft.drive, name) + value * size for name, value in typical.items()}
-        return replace(craft, drive=replace(craft.drive, **more))
-
-    return change
-
-
-def _air(**typical: float) -> Callable[[Multirotor, float], Multirotor]:
-    """A share of what the air does, in proportion to the size."""
-
-    def change(craft: Multirotor, size: float) -> Multirotor:
-        more = {name: getattr(craft.air, name) + value * size for name, value in typical.items()}
-        return replace(craft, air=replace(craft.air, **more))
-
-    return change
 
 
 def _rotor_inertia(craft: Multirotor, size: float) -> Multirotor:
@@ -155,11 +122,6 @@ def _cg(craft: Multirotor, size: float) -> Multirotor:
     )
 
 
-def _inertia(craft: Multirotor, size: float) -> Multirotor:
-    """More inertia about all axes."""
-    return replace(craft, inertia=tuple(three((1.0 + HEAVIER * size) * row) for row in craft.inertia_matrix))
-
-
 def _slung_load(craft: Multirotor, size: float) -> Multirotor:
     """A weight on a rope below the declared centre of gravity."""
     if not size:
@@ -171,24 +133,10 @@ def _slung_load(craft: Multirotor, size: float) -> Multirotor:
     return replace(craft, load=load)
 
 
-def _sensors(name: str, typical: Mapping[str, float] | tuple[float, ...]) -> Callable[[Multirotor, float], Multirotor]:
-    """An error of the sensors in proportion to the size: values by channel join, vectors add up."""
-
-    def change(craft: Multirotor, size: float) -> Multirotor:
-        earlier = getattr(craft.sensors, name)
-        if isinstance(typical, Mapping):
-            joined: Any = {**earlier, **{channel: value * size for channel, value in typical.items()}}
-        else:
-            joined = three(np.asarray(earlier) + np.asarray(typical) * size)
-        return replace(craft, sensors=replace(craft.sensors, **{name: joined}))
-
-    return change
-
-
 def _lever_arm(craft: Multirotor, size: float) -> Multirotor:
     """An IMU that is not where it is declared to be."""
     arm = three(np.array([0.3, 0.15, -0.2]) * _arm(craft))
-    return _sensors("lever_arm", arm)(craft, size)
+    return sensor_error("lever_arm", arm)(craft, size)
 
 
 def _arm(craft: Multirotor) -> float:
@@ -200,27 +148,27 @@ FELT = ("propulsion.rotor_drag", "propulsion.axial_inflow", "forces.translationa
 """What a vehicle that feels the air has."""
 
 HIDDEN: dict[str, Hidden] = {
-    "propulsion.motor_lag": Hidden(_drive(lag=LAG)),
-    "propulsion.voltage": Hidden(_drive(voltage_power=1.0)),
-    "propulsion.rotor_inertia": Hidden(_rotor_inertia, "", ("propulsion.motor_lag",)),
-    "propulsion.rotor_drag": Hidden(_air(drag=DISC, flap=1.0)),
-    "propulsion.axial_inflow": Hidden(_air(axial=1.0)),
+    "propulsion.motor_lag": Hidden(raised("drive", lag=LAG)),
+    "propulsion.voltage": Hidden(raised("drive", voltage_power=1.0)),
+    "propulsion.rotor_inertia": Hidden(_rotor_inertia, brings=("propulsion.motor_lag",)),
+    "propulsion.rotor_drag": Hidden(raised("air", drag=DISC, flap=1.0)),
+    "propulsion.axial_inflow": Hidden(raised("air", axial=1.0)),
     "propulsion.unequal": Hidden(_unequal),
-    "control.delay": Hidden(_drive(delay=DELAY)),
-    "forces.drag": Hidden(_drag, "speeds"),
-    "forces.translational_lift": Hidden(_air(lift=1.0), "speeds"),
-    "environment.ground": Hidden(_air(ground=1.0), "heights"),
-    "environment.wind": Hidden(_wind, "headings", FELT),
-    "environment.turbulence": Hidden(_turbulence, "", FELT),
+    "control.delay": Hidden(raised("drive", delay=DELAY)),
+    "forces.drag": Hidden(_drag, flights="speeds"),
+    "forces.translational_lift": Hidden(raised("air", lift=1.0), flights="speeds"),
+    "environment.ground": Hidden(raised("air", ground=1.0), flights="heights"),
+    "environment.wind": Hidden(_wind, flights="headings", brings=FELT),
+    "environment.turbulence": Hidden(_turbulence, brings=FELT),
     "mass.payload": Hidden(_payload),
     "mass.cg": Hidden(_cg),
-    "mass.inertia": Hidden(_inertia),
+    "mass.inertia": Hidden(more_inertia(HEAVIER)),
     "mass.slung_load": Hidden(_slung_load),
-    "sensors.bias": Hidden(_sensors("bias", {"p": 0.02, "q": -0.014, "r": 0.01})),
-    "sensors.scale": Hidden(_sensors("scale", dict.fromkeys(GYROS, 0.05))),
-    "sensors.misalignment": Hidden(_sensors("rotation", (TILT / 3, 2 * TILT / 3, 2 * TILT / 3))),
+    "sensors.bias": Hidden(sensor_error("bias", {"p": 0.02, "q": -0.014, "r": 0.01})),
+    "sensors.scale": Hidden(sensor_error("scale", dict.fromkeys(GYROS, 0.05))),
+    "sensors.misalignment": Hidden(sensor_error("rotation", (TILT / 3, 2 * TILT / 3, 2 * TILT / 3))),
     "sensors.lever_arm": Hidden(_lever_arm),
-    "sensors.delay": Hidden(_sensors("delay", dict.fromkeys(GYROS, 0.03))),
-    "sensors.filter": Hidden(_sensors("lag", dict.fromkeys(GYROS, 0.03))),
+    "sensors.delay": Hidden(sensor_error("delay", dict.fromkeys(GYROS, 0.03))),
+    "sensors.filter": Hidden(sensor_error("lag", dict.fromkeys(GYROS, 0.03))),
 }
 """Physics that can be switched on, by id."""

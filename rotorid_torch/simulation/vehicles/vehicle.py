@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from rotorid_torch.data.plausible import check_inertia
 from rotorid_torch.errors import InputError
 from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES, Aircraft
 from rotorid_torch.simulation.helicopter.rotor import LOCK_SLOPE
@@ -150,7 +151,7 @@ def _check(values: Values, path: Path) -> None:
     for name, pair in values["limits"].items():
         if not pair[0] < pair[1]:
             raise InputError(path, f"controls.{name}.limits", f"are {list(pair)}", "two numbers, the lower one first")
-    _check_inertia(np.asarray(vehicle["inertia"], dtype=float), path)
+    check_inertia(np.asarray(vehicle["inertia"], dtype=float), path)
 
 
 POSITIVE = (
@@ -158,18 +159,6 @@ POSITIVE = (
     *("lift_slope", "gear", "lag", "proportional", "integral", "area", "tip_loss"),
 )
 PLACES = {"rotor": "vehicle.rotor", "limits": "controls"}
-
-
-def _check_inertia(inertia: np.ndarray, path: Path) -> None:
-    """A tensor is one of a body if it is symmetric and no principal moment exceeds the sum of the others."""
-    expected = "a symmetric tensor whose principal moments are positive and obey the triangle inequality"
-    if not np.allclose(inertia, inertia.T, rtol=1e-9, atol=1e-9 * np.abs(inertia).max()):
-        raise InputError(path, "vehicle.inertia", "is not symmetric", expected)
-    moments = np.linalg.eigvalsh(inertia)
-    if moments[0] <= 0.0 or moments[2] > moments[0] + moments[1]:
-        raise InputError(
-            path, "vehicle.inertia", f"has the principal moments {np.round(moments, 2).tolist()}", expected
-        )
 
 
 def _build(values: Values, file: str, name: str) -> Aircraft:
@@ -230,5 +219,5 @@ def _without_blades(values: Values, file: str) -> tuple[float, np.ndarray, np.nd
         return m * (r @ r * np.eye(3) - np.outer(r, r))
 
     inertia = inertia - point(blades, hub) - point(body, shift)
-    _check_inertia(inertia, Path(file))
+    check_inertia(inertia, file)
     return body, shift, inertia

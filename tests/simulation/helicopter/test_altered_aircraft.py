@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rotorid_torch.simulation import EFFECTS
+from rotorid_torch.simulation.effects import HIDDEN
 from rotorid_torch.simulation.flight.augmentation import design
 from rotorid_torch.simulation.flight.linear import derivatives, linearise
 from rotorid_torch.simulation.flight.motion import rates
@@ -19,7 +19,7 @@ AIRCRAFT = load_aircraft()
 
 def altered(effect: str, size: float = 1.0):
     """The UH-60 with an effect."""
-    return EFFECTS[effect](AIRCRAFT, size)
+    return HIDDEN[effect].change(AIRCRAFT, size)
 
 
 def test_wake_distortion_turns_the_off_axis_response_and_leaves_the_damping(hover):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from rotorid_torch.simulation.effects import EFFECTS
+from rotorid_torch.simulation.effects import HIDDEN
 from rotorid_torch.simulation.helicopter.sensor_errors import GYROS, SensorErrors, readings
 from rotorid_torch.simulation.vehicles.vehicle import load_aircraft
 
@@ -73,7 +73,7 @@ def test_misaligned_axes_keep_lengths():
 
 def test_vibration_has_its_lines_and_nothing_else():
     """Amplitudes at 1/rev and 4/rev, by fitting sines."""
-    errors = EFFECTS["environment.vibration"](load_aircraft(), 1.0).sensors
+    errors = HIDDEN["environment.vibration"].change(load_aircraft(), 1.0).sensors
     out = readings(errors, TRUTH, 27.0 * TIME)
     for name, once, passing in (("az", 0.15, 0.7), ("p", 0.006, 0.010)):
         shaken = out[name] - TRUTH[name]
@@ -88,8 +88,8 @@ def test_several_errors_join():
     """One effect after the other: none is lost."""
     aircraft = load_aircraft()
     for effect in ("bias", "delay", "lever_arm", "misalignment"):
-        aircraft = EFFECTS[f"sensors.{effect}"](aircraft, 0.5)
-    aircraft = EFFECTS["environment.vibration"](aircraft, 0.5)
+        aircraft = HIDDEN[f"sensors.{effect}"].change(aircraft, 0.5)
+    aircraft = HIDDEN["environment.vibration"].change(aircraft, 0.5)
     errors = aircraft.sensors
     assert errors.bias["p"] == pytest.approx(0.005)
     assert errors.delay["q"] == pytest.approx(0.03)

@@ -13,7 +13,7 @@ from rotorid_torch.simulation.flight.trim import find_trim
 from rotorid_torch.simulation.helicopter.rotor import LOCK_SLOPE
 from rotorid_torch.simulation.multiblade.craft import FLAP, INFLOW, LAG, SPEED, TAIL_INFLOW
 from rotorid_torch.simulation.multiblade.dynamics import respond
-from rotorid_torch.simulation.multiblade.priors import Kind, build, numbers
+from rotorid_torch.simulation.multiblade.priors import build, numbers
 from rotorid_torch.simulation.multiblade.trim import find_trims, linearise, settle
 
 EXCURSIONS = np.array([0.56, 0.74, 0.48, 0.064, 0.041, 0.033, 0.0122, 0.0058, 0.0071, 0.0138])
@@ -22,7 +22,7 @@ EXCURSIONS = np.array([0.56, 0.74, 0.48, 0.064, 0.041, 0.033, 0.0122, 0.0058, 0.
 
 def kind(steady=False, stiff=False, uniform=False, count=1):
     """One kind of rotor."""
-    return Kind(*(np.full(count, flag) for flag in (steady, stiff, uniform)))
+    return np.tile([steady, stiff, uniform], (count, 1))
 
 
 def twin(aircraft, speed=0.0, rotor=None, held=True, **changed):

@@ -1,0 +1,62 @@
+"""How an effect changes a vehicle of any kind: at a factor of its typical size, not at all at zero."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from rotorid_torch.simulation.rigid import three
+
+EffectClass = Literal["identifiable", "absorbed"]
+Change = Callable[[Any, float], Any]
+"""A changed copy of a vehicle, at a factor of the typical size."""
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """One effect: its change, its class (of a helicopter in hover, with these flights), and the flights it needs.
+
+    "identifiable": leaves something that free derivatives, trims and initial states cannot explain; "absorbed": not.
+    `flights`: group of further flights without which it would not show. `brings`: what else the change makes the
+    vehicle feel, by id.
+    """
+
+    change: Change
+    kind: EffectClass = "identifiable"
+    flights: str = ""
+    brings: tuple[str, ...] = ()
+
+
+def raised(part: str, empty: Any = None, **typical: float) -> Change:
+    """Numbers of a part of the vehicle, raised in proportion to the size; `empty`: the part of one that has none."""
+
+    def change(vehicle: Any, size: float) -> Any:
+        whole = getattr(vehicle, part) or empty
+        more = {name: getattr(whole, name) + value * size for name, value in typical.items()}
+        return replace(vehicle, **{part: replace(whole, **more)})
+
+    return change
+
+
+def more_inertia(share: float) -> Change:
+    """More inertia about all axes, by a share of it."""
+    return lambda vehicle, size: replace(
+        vehicle, inertia=tuple(three((1.0 + share * size) * row) for row in vehicle.inertia_matrix)
+    )
+
+
+def sensor_error(name: str, typical: Mapping[str, float] | tuple[float, ...]) -> Change:
+    """An error of the sensors in proportion to the size: values by channel join, vectors add up."""
+
+    def change(vehicle: Any, size: float) -> Any:
+        earlier = getattr(vehicle.sensors, name)
+        if isinstance(typical, Mapping):
+            joined: Any = {**earlier, **{channel: value * size for channel, value in typical.items()}}
+        else:
+            joined = three(np.asarray(earlier) + np.asarray(typical) * size)
+        return replace(vehicle, sensors=replace(vehicle.sensors, **{name: joined}))
+
+    return change
