@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from importlib import import_module
@@ -67,6 +67,11 @@ class Parameter:
 
     def _wrong(self, wrong: str, expected: str) -> InputError:
         return InputError("Parameter", self.name, wrong, expected)
+
+
+def alike(names: Iterable[str], unit: str, bounds: tuple[float, float], doc: str, **more: Any) -> tuple[Parameter, ...]:
+    """Parameters that begin at zero and differ by their names, which stand for {} in `doc`."""
+    return tuple(Parameter(name, 0.0, unit, bounds, doc=doc.format(name), **more) for name in names)
 
 
 @dataclass(frozen=True)

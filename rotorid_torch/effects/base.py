@@ -158,8 +158,8 @@ class Effect(nn.Module):
     with `weight_sd` for prior_sd, one number or one for each beginning of a name ("net.0").
     `proportional` : whether twice the size does about twice as much. `separated_by` are the flights that tell it from
     derivatives which absorb it. `swings` : whether it has a motion of its own that no channel tells. `delays` : the
-    parameter by which controls act later, s. `needs` : what the data must have, each a function of the spec that says
-    what is lacking, or None (see `testable`).
+    parameter by which controls act later, s. `rotors_absorb` : what of a multirotor's model takes up all of it. `needs` :
+    what the data must have, each a function of the spec that says what is lacking, or None (see `testable`).
     """
 
     id: str = ""
@@ -173,6 +173,7 @@ class Effect(nn.Module):
     delays: str = ""
     separated_by: str = "larger or longer inputs on every control"
     weight_sd: float | Mapping[str, float] = 1.0
+    rotors_absorb: str = ""
     needs: tuple[Need, ...] = ()
 
     def __init__(self, declared: tuple[Parameter, ...] = (), states: tuple[State, ...] = ()) -> None:
@@ -240,7 +241,7 @@ class Effect(nn.Module):
     @classmethod
     def absorbed_by(cls, spec: ModelSpec) -> str:
         """Id of the part of the nominal model that takes up all of the effect; empty where none does."""
-        return ""
+        return cls.rotors_absorb if spec.motors else ""
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Frame after this effect, and the rates [..., n] of its own states x [..., n]; without states, x itself.

@@ -67,8 +67,31 @@ def _each(common: Parameter, single: Mapping[str, Parameter], alone: bool, least
     return (replace(common, free=not alone), *added)
 
 
+class _Late(Effect):
+    """By a time; of the vehicle's controls."""
+
+    stage, role, delays = Stage.CONTROL, Role.UNDECLARED, "common"
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> Effect:
+        """With the controls of the vehicle."""
+        return cls(spec.controls, cls.id in spec.each_control)  # pyright: ignore[reportArgumentType]
+
+
+class _Sized(Effect):
+    """By a size that goes with how far the vehicle's controls move."""
+
+    stage, role, proportional = Stage.CONTROL, Role.UNDECLARED, False
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> Effect:
+        """With the controls of the vehicle; scaled by their excursions."""
+        made_of = excursions(spec), spec.control_units.get(spec.controls[0], "rad"), cls.id in spec.each_control
+        return cls(*made_of)  # pyright: ignore[reportArgumentType, reportCallIssue]
+
+
 @register
-class ControlDelay(Effect):
+class ControlDelay(_Late):
     """Pure delay of the controls: what is recorded reaches the rotor later.
 
     u_rotor(t) = u(t - delay), by cubic interpolation of the record; before its beginning the record is held.
@@ -76,18 +99,12 @@ class ControlDelay(Effect):
     Source: Tischler and Remple, Aircraft and Rotorcraft System Identification, sec. 11.2 (equivalent time delay).
     """
 
-    id, stage, role = "control.delay", Stage.CONTROL, Role.UNDECLARED
-    delays = "common"
+    id = "control.delay"
 
     def __init__(self, controls: tuple[str, ...] = (), alone: bool = False) -> None:
         common = Parameter("common", 0.0, "s", (0.0, LONGEST), doc="delay of every control", typical=0.06)
         # a control may be less late than the others, or in a model that lacks something lead
         super().__init__(_each(common, dict.fromkeys(controls, common), alone, -LONGEST))
-
-    @classmethod
-    def from_spec(cls, spec: ModelSpec) -> ControlDelay:
-        """With the controls of the vehicle."""
-        return cls(spec.controls, cls.id in spec.each_control)
 
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Controls [..., T, nu], each later by its delay."""
@@ -95,7 +112,7 @@ class ControlDelay(Effect):
 
 
 @register
-class ControlLag(Effect):
+class ControlLag(_Late):
     """First-order lag of the controls: an actuator that is not in the model.
 
     tau du_rotor/dt = u - u_rotor, exact for controls linear between samples; tau = 0 is no lag.
@@ -103,18 +120,12 @@ class ControlLag(Effect):
     Source: Padfield, Helicopter Flight Dynamics, sec. 3.2.4 (actuation).
     """
 
-    id, stage, role = "control.lag", Stage.CONTROL, Role.UNDECLARED
-    delays = "common"
+    id = "control.lag"
     needs = (not_for_motors("motor commands lag by propulsion.motor_lag"),)
 
     def __init__(self, controls: tuple[str, ...] = (), alone: bool = False) -> None:
         common = Parameter("common", 0.0, "s", (0.0, 2 * LONGEST), doc="time constant of every control", typical=0.06)
         super().__init__(_each(common, dict.fromkeys(controls, common), alone))
-
-    @classmethod
-    def from_spec(cls, spec: ModelSpec) -> ControlLag:
-        """With the controls of the vehicle."""
-        return cls(spec.controls, cls.id in spec.each_control)
 
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Controls [..., T, nu], each behind its lag."""
@@ -122,7 +133,7 @@ class ControlLag(Effect):
 
 
 @register
-class RateLimit(Effect):
+class RateLimit(_Sized):
     """Actuators that move no faster than a limit; the parameter is one over it, zero for no limit.
 
     |du_rotor/dt| <= 1/inverse, smoothly: at the limit the rate is cut to 0.92 of it.
@@ -130,9 +141,8 @@ class RateLimit(Effect):
     Source: Klyde and Mitchell (2004), J. Guidance 27, Investigating the role of rate limiting.
     """
 
-    id, stage, role = "control.rate_limit", Stage.CONTROL, Role.UNDECLARED
+    id = "control.rate_limit"
     needs = (not_for_motors("motor commands pass no actuator with a limit"),)
-    proportional = False
 
     def __init__(self, sizes: Mapping[str, float] = NONE, unit: str = "rad", alone: bool = False) -> None:
         per, doc = {"rad": "s/rad", "m": "s/m"}.get(unit, "s"), "one over the greatest rate of every control"
@@ -143,19 +153,13 @@ class RateLimit(Effect):
 
         super().__init__(_each(at(_mean(sizes)), {c: at(size) for c, size in sizes.items()}, alone))
 
-    @classmethod
-    def from_spec(cls, spec: ModelSpec) -> RateLimit:
-        """With the controls of the vehicle; scaled by their excursions."""
-        unit = spec.control_units.get(spec.controls[0], "rad")
-        return cls(excursions(spec), unit, cls.id in spec.each_control)
-
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Controls [..., T, nu], each followed no faster than its limit."""
         return rate_limited(record, per_control(p, "inverse", names), dt)
 
 
 @register
-class Backlash(Effect):
+class Backlash(_Sized):
     """Play in the control linkages: a control that turns round must first cross it.
 
     u_rotor stays within width/2 of u, and moves only when pushed. Where in the play each control stands when a flight
@@ -165,9 +169,8 @@ class Backlash(Effect):
     Source: Nordin and Gutman (2002), Automatica 38, Controlling mechanical systems with backlash.
     """
 
-    id, stage, role = "control.backlash", Stage.CONTROL, Role.UNDECLARED
+    id = "control.backlash"
     needs = (not_for_motors("motor commands pass no linkage"),)
-    proportional = False
 
     def __init__(self, sizes: Mapping[str, float] = NONE, unit: str = "rad", alone: bool = False) -> None:
         unit_of_play = unit if unit in ("rad", "m") else "1"
@@ -182,12 +185,6 @@ class Backlash(Effect):
             for c in sizes
         )
         super().__init__((*_each(at(_mean(sizes)), {c: at(size) for c, size in sizes.items()}, alone), *places))
-
-    @classmethod
-    def from_spec(cls, spec: ModelSpec) -> Backlash:
-        """With the controls of the vehicle; scaled by their excursions."""
-        unit = spec.control_units.get(spec.controls[0], "rad")
-        return cls(excursions(spec), unit, cls.id in spec.each_control)
 
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Controls [..., T, nu], each through its play."""

@@ -8,7 +8,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.core.parameters import Parameter, alike
 from rotorid_torch.core.rigid import cross, vec
 from rotorid_torch.core.state import State
 from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Values
@@ -55,6 +55,7 @@ class Payload(Effect):
     """
 
     id, stage, role, showing = "mass.payload", Stage.MASS, Role.UNDECLARED, Showing.ABSORBED
+    rotors_absorb = "rotors.thrust"
     needs = (no_mass, excluded, no_forces)
     separated_by = "flights before and after a known load is moved"
     trim: Tensor
@@ -70,11 +71,6 @@ class Payload(Effect):
         """From the declared mass."""
         assert spec.mass is not None
         return cls(spec.mass, trim_force(spec))
-
-    @classmethod
-    def absorbed_by(cls, spec: ModelSpec) -> str:
-        """Of a multirotor."""
-        return "rotors.thrust" if spec.motors else ""
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Takes from the force beyond trim what the extra mass swallows."""
@@ -94,6 +90,7 @@ class CentreOfGravity(Effect):
     """
 
     id, stage, role, showing = "mass.cg", Stage.MASS, Role.UNDECLARED, Showing.ABSORBED
+    rotors_absorb = "rotors.trim"
     needs = (no_inertia, excluded, no_forces)
     separated_by = "flights before and after a known load is moved"
     inverse: Tensor
@@ -116,11 +113,6 @@ class CentreOfGravity(Effect):
         assert spec.mass is not None
         return cls(spec.mass, inertia_of(spec), trim_force(spec))
 
-    @classmethod
-    def absorbed_by(cls, spec: ModelSpec) -> str:
-        """Of a multirotor."""
-        return "rotors.trim" if spec.motors else ""
-
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds the moment of the other lever; says where the centre of gravity is."""
         assert frame.force is not None
@@ -139,15 +131,14 @@ class Inertia(Effect):
     """
 
     id, stage, role, showing = "mass.inertia", Stage.MASS, Role.UNDECLARED, Showing.ABSORBED
+    rotors_absorb = "rotors.power"
     needs = (no_inertia, excluded)
     separated_by = "flights before and after a known load is moved"
     inertia: Tensor
     entries: Tensor
 
     def __init__(self, inertia: Tensor) -> None:
-        super().__init__(
-            tuple(Parameter(n, 0.0, "1", (-0.4, 1.0), doc=f"relative error of {n}", typical=0.15) for n in PRODUCTS)
-        )
+        super().__init__(alike(PRODUCTS, "1", (-0.4, 1.0), "relative error of {}", typical=0.15))
         entries = torch.zeros(len(PRODUCTS), 3, 3, dtype=torch.float64)
         for k, places in enumerate(PRODUCTS.values()):
             for i, j in places:
@@ -159,11 +150,6 @@ class Inertia(Effect):
     def from_spec(cls, spec: ModelSpec) -> Inertia:
         """From the declared inertia."""
         return cls(inertia_of(spec))
-
-    @classmethod
-    def absorbed_by(cls, spec: ModelSpec) -> str:
-        """Of a multirotor."""
-        return "rotors.power" if spec.motors else ""
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds what the other inertia does to moments and gyroscopic moments; the model adds those of the declared."""

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.names import VELOCITIES, is_motor, thrust_share
-from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.core.parameters import Parameter, alike
 from rotorid_torch.core.rigid import vec
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
 from rotorid_torch.effects.registry import register
@@ -146,12 +146,7 @@ class RotorDrag(Effect):
     needs = (no_motors, no_velocities, no_forces)
 
     def __init__(self, driven: tuple[str, ...], total: float) -> None:
-        super().__init__(
-            tuple(
-                Parameter(n, 0.0, "1/s", (0.0, 5.0), doc=f"drag in the rotors' plane along {n}", typical=0.3)
-                for n in "xy"
-            )
-        )
+        super().__init__(alike("xy", "1/s", (0.0, 5.0), "drag in the rotors' plane along {}", typical=0.3))
         self.driven, self.total = driven, total
 
     @classmethod
@@ -247,12 +242,7 @@ class Unequal(Effect):
     separated_by = "flights before and after a propeller is changed"
 
     def __init__(self, driven: tuple[str, ...]) -> None:
-        super().__init__(
-            tuple(
-                Parameter(n, 0.0, "1", (-0.5, 0.9), doc="share of its thrust that the rotor lacks", typical=0.1)
-                for n in driven
-            )
-        )
+        super().__init__(alike(driven, "1", (-0.5, 0.9), "share of its thrust that the rotor lacks", typical=0.1))
         self.driven = driven
 
     @classmethod

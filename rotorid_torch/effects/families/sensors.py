@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.names import ATTITUDES, FLAPPING, RATES, SPECIFIC_FORCES, VELOCITIES, is_control, unit
-from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.core.parameters import Parameter, alike
 from rotorid_torch.core.rigid import cross, specific_force_at
 from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Values
 from rotorid_torch.effects.registry import register
@@ -43,13 +43,17 @@ def _unit(channel: str) -> str:
 
 class _Sensor(Effect):
     stage, role, showing = Stage.SENSORS, Role.UNDECLARED, Showing.KINEMATICS
+    needs_imu = False
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> Effect:
+        """Of the outputs."""
+        return cls(spec.outputs)  # pyright: ignore[reportArgumentType]
 
     @classmethod
     def untestable(cls, spec: ModelSpec) -> str | None:
         """Without accelerometers."""
         return None if not cls.needs_imu or set(SPECIFIC_FORCES) <= set(spec.outputs) else "no accelerometers"
-
-    needs_imu = False
 
 
 @register
@@ -69,11 +73,6 @@ class SensorBias(_Sensor):
             declared.append(Parameter(c, 0.0, _unit(c), (-most, most), free=False, doc=f"bias of {c}", typical=typical))
         super().__init__(tuple(declared))
 
-    @classmethod
-    def from_spec(cls, spec: ModelSpec) -> SensorBias:
-        """One bias per output."""
-        return cls(spec.outputs)
-
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """The outputs with their biases."""
         return frame.with_signals(**{n: frame.signals[n] + p[n] for n in p.names}), x
@@ -89,17 +88,8 @@ class SensorScale(_Sensor):
     id = "sensors.scale"
 
     def __init__(self, channels: tuple[str, ...]) -> None:
-        super().__init__(
-            tuple(
-                Parameter(c, 0.0, "1", (-0.3, 0.3), free=False, doc=f"relative error of {c}'s scale", typical=0.03)
-                for c in channels
-            )
-        )
-
-    @classmethod
-    def from_spec(cls, spec: ModelSpec) -> SensorScale:
-        """One scale per output."""
-        return cls(spec.outputs)
+        doc = "relative error of {}'s scale"
+        super().__init__(alike(channels, "1", (-0.3, 0.3), doc, free=False, typical=0.03))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """The outputs in their sensors' scales."""
@@ -117,18 +107,8 @@ class Misalignment(_Sensor):
     id = "sensors.misalignment"
 
     def __init__(self, channels: tuple[str, ...]) -> None:
-        super().__init__(
-            tuple(
-                Parameter(a, 0.0, "rad", (-3.2, 3.2), free=False, doc=f"rotation of the IMU about {a}", typical=0.015)
-                for a in "xyz"
-            )
-        )
+        super().__init__(alike("xyz", "rad", (-3.2, 3.2), "rotation of the IMU about {}", free=False, typical=0.015))
         self.triads = [t for t in (RATES, SPECIFIC_FORCES) if set(t) <= set(channels)]
-
-    @classmethod
-    def from_spec(cls, spec: ModelSpec) -> Misalignment:
-        """For the triads among the outputs."""
-        return cls(spec.outputs)
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Rates and specific forces in the axes of the turned IMU."""
@@ -155,13 +135,8 @@ class LeverArm(_Sensor):
 
     id, needs_imu = "sensors.lever_arm", True
 
-    def __init__(self) -> None:
-        super().__init__(
-            tuple(
-                Parameter(a, 0.0, "m", (-5.0, 5.0), free=False, doc=f"place of the IMU along {a} beyond", typical=0.5)
-                for a in "xyz"
-            )
-        )
+    def __init__(self, channels: tuple[str, ...] = ()) -> None:
+        super().__init__(alike("xyz", "m", (-5.0, 5.0), "place of the IMU along {} beyond", free=False, typical=0.5))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Specific forces where the IMU really is."""
@@ -173,7 +148,7 @@ class LeverArm(_Sensor):
 def _of_units(channels: tuple[str, ...], low: float, high: float, typical: float, what: str) -> tuple[Parameter, ...]:
     """One time per unit that has channels among the outputs."""
     units = [u for u, members in UNITS.items() if set(members) & set(channels)]
-    return tuple(Parameter(u, 0.0, "s", (low, high), free=False, doc=f"{what} of {u}", typical=typical) for u in units)
+    return alike(units, "s", (low, high), f"{what} of {{}}", free=False, typical=typical)
 
 
 def per_channel(p: Values, names: tuple[str, ...], ending: str = "") -> Tensor:
@@ -199,11 +174,6 @@ class SensorDelay(_Sensor):
         late = "time by which the record of the controls is late"
         common = Parameter("controls", 0.0, "s", (0.0, 0.5), free=False, doc=late, typical=0.05)
         super().__init__((*_of_units(channels, -30.0, 30.0, 0.05, "delay"), common))
-
-    @classmethod
-    def from_spec(cls, spec: ModelSpec) -> SensorDelay:
-        """One delay per unit among the outputs, and that of the controls' record."""
-        return cls(spec.outputs)
 
     def read(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Controls [..., T, nu] earlier by their delay; the record's end is held."""
@@ -241,11 +211,6 @@ class SensorFilter(_Sensor):
             Parameter(damping, usual, "1", (low, high), free=False, doc=f"damping of {unit}'s filter", typical=usual),
             Parameter(smoothing, 0.0, "s2", (0.0, 0.1), free=False, doc=f"variance of {unit}'s window", typical=0.003),
         )
-
-    @classmethod
-    def from_spec(cls, spec: ModelSpec) -> SensorFilter:
-        """The filters of each unit among the outputs."""
-        return cls(spec.outputs)
 
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Outputs [..., T, ny], each unit's behind its filters."""
