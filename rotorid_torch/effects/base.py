@@ -158,8 +158,8 @@ class Effect(nn.Module):
     with `weight_sd` for prior_sd, one number or one for each beginning of a name ("net.0").
     `proportional` : whether twice the size does about twice as much. `separated_by` are the flights that tell it from
     derivatives which absorb it. `swings` : whether it has a motion of its own that no channel tells. `delays` : the
-    parameter by which controls act later, s. `rotors_absorb` : what of a multirotor's model takes up all of it. `needs` :
-    what the data must have, each a function of the spec that says what is lacking, or None (see `testable`).
+    parameter by which controls act later, s. `rotors_absorb` : what of a multirotor's model takes up all of it.
+    `needs` : what the data must have, each a function of the spec that says what is lacking, or None (see `testable`).
     """
 
     id: str = ""

@@ -16,7 +16,7 @@ from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.core.rigid import cross, vec
 from rotorid_torch.core.state import State
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
-from rotorid_torch.model.linear_equations import LinearBlock
+from rotorid_torch.model.linear_equations import LinearBlock, LinearEffect
 
 TAIL_UNITS = {
     "Y": {"pedal_speed": "1/(s rad)", "speed_speed": "1/m", "pedal_pedal": "m/(s2 rad2)"},
@@ -30,25 +30,22 @@ LATE = 0.2
 """What the motion before does not tell of a followed pedal where a segment begins, over the pedal's rms excursion."""
 
 
-class LinearForces(Effect):
+class LinearForces(LinearEffect):
     """Stability and control derivatives: rows X Y Z (m/s2) and L M N (rad/s2), about the reference.
 
     Source: Etkin and Reid, Dynamics of Flight (3rd ed.), sec. 4.
     """
 
     id, stage, role = "forces", Stage.FORCES, Role.NOMINAL
-    reference: Tensor
 
     def __init__(self, block: LinearBlock, reference: Tensor) -> None:
-        super().__init__(block.declared)
-        self.block = block
+        super().__init__(block, reference)
         self.forces = [i for i, r in enumerate(block.rows) if r in FORCES]
-        self.register_buffer("reference", reference)
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds the linear forces and moments."""
         felt = frame.with_signals(ped=frame.signals[FELT]) if FELT in frame.signals else frame
-        rows = self.block(felt.stack(self.block.columns) - self.reference, p)
+        rows = self.values(felt, p)
         n = len(self.forces)
         return frame.add(rows[..., :n] if n else None, rows[..., n:] if n < rows.shape[-1] else None), x
 

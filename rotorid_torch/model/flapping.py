@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-import torch
 from torch import Tensor
 
 from rotorid_torch.core.names import FLAPPING
 from rotorid_torch.core.state import State
-from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
-from rotorid_torch.model.linear_equations import LinearBlock
+from rotorid_torch.effects.base import Frame, Role, Stage, Values
+from rotorid_torch.model.linear_equations import LinearBlock, LinearEffect
 
 
-class Flapping(Effect):
+class Flapping(LinearEffect):
     """First-order coupled flapping: d(a0, a1, b1)/dt = trim + D (a0, a1, b1, u v w, p q r, controls).
 
     beta(psi) = a0 - a1 cos(psi) - b1 sin(psi), psi = 0 aft; rad. Rows in rad/s.
@@ -23,20 +20,17 @@ class Flapping(Effect):
     """
 
     id, stage, role = "rotor", Stage.ROTOR, Role.NOMINAL
-    reference: Tensor
 
     def __init__(self, block: LinearBlock, reference: Tensor) -> None:
-        super().__init__(block.declared, tuple(State(n, "rad") for n in FLAPPING))
-        self.block = block
-        self.register_buffer("reference", reference)
+        super().__init__(block, reference, tuple(State(n, "rad") for n in FLAPPING))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Publishes the flapping states; returns their rates."""
         frame = frame.with_signals(**dict(zip(FLAPPING, x.unbind(-1), strict=True)))
-        return frame, self.block(frame.stack(self.block.columns) - self.reference, p)
+        return frame, self.values(frame, p)
 
 
-class AlgebraicFlapping(Effect):
+class AlgebraicFlapping(LinearEffect):
     """Flapping that follows its drivers without lag: (a0, a1, b1) = trim + D (u v w, p q r, controls), rad.
 
     For rotors whose data show no lag of flapping behind its drivers: there a state would be an artefact.
@@ -45,19 +39,7 @@ class AlgebraicFlapping(Effect):
     """
 
     id, stage, role = "rotor", Stage.ROTOR, Role.NOMINAL
-    reference: Tensor
-
-    def __init__(self, block: LinearBlock, reference: Tensor) -> None:
-        super().__init__(block.declared)
-        self.block = block
-        self.register_buffer("reference", reference)
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Publishes the flapping that the drivers demand."""
-        flapping = self.block(frame.stack(self.block.columns) - self.reference, p)
-        return frame.with_signals(**dict(zip(FLAPPING, flapping.unbind(-1), strict=True))), x
-
-
-def reference_vector(columns: Sequence[str], reference: dict[str, float]) -> Tensor:
-    """Reference values of these signals [n]; what the reference does not know is taken as zero."""
-    return torch.tensor([reference.get(c, 0.0) for c in columns], dtype=torch.float64)
+        return frame.with_signals(**dict(zip(FLAPPING, self.values(frame, p).unbind(-1), strict=True))), x

@@ -8,7 +8,8 @@ import torch
 from torch import Tensor, nn
 
 from rotorid_torch.core.parameters import Parameter
-from rotorid_torch.effects.base import Values
+from rotorid_torch.core.state import State
+from rotorid_torch.effects.base import Effect, Frame, Values
 
 
 class LinearBlock(nn.Module):
@@ -49,3 +50,18 @@ class LinearBlock(nn.Module):
         if matrix.dim() == 2:
             return trim + z @ matrix.mT
         return trim + (matrix @ z.unsqueeze(-1)).squeeze(-1)
+
+
+class LinearEffect(Effect):
+    """An effect that is a block of equations, linear about the reference [columns]."""
+
+    reference: Tensor
+
+    def __init__(self, block: LinearBlock, reference: Tensor, states: tuple[State, ...] = ()) -> None:
+        super().__init__(block.declared, states)
+        self.block = block
+        self.register_buffer("reference", reference)
+
+    def values(self, frame: Frame, p: Values) -> Tensor:
+        """Values of the rows [..., rows]."""
+        return self.block(frame.stack(self.block.columns) - self.reference, p)

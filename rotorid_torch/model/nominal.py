@@ -11,11 +11,12 @@ import torch
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES, VELOCITIES
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.effects.base import Effect
+from rotorid_torch.effects.reference import reference_of
 from rotorid_torch.effects.registry import make
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError
 from rotorid_torch.model.derivatives import LinearForces, TailInflow, Tailplane, TailRotor, ThrustTilt
-from rotorid_torch.model.flapping import AlgebraicFlapping, Flapping, reference_vector
+from rotorid_torch.model.flapping import AlgebraicFlapping, Flapping
 from rotorid_torch.model.gusts import GUSTS, FedGusts
 from rotorid_torch.model.inflow import CYCLIC, INDUCED, CyclicInflow, Inflow
 from rotorid_torch.model.linear_equations import LinearBlock
@@ -93,13 +94,13 @@ def _rotor(spec: ModelSpec) -> list[Effect]:
         return []
     lagged = spec.flapping == "first order"
     block = _block(spec, FLAPPING, "rad/s" if lagged else "rad")
-    reference = reference_vector(block.columns, spec.reference)
+    reference = reference_of(spec, block.columns)
     return [Flapping(block, reference) if lagged else AlgebraicFlapping(block, reference)]
 
 
 def _forces(spec: ModelSpec) -> LinearForces:
     block = _block(spec, rows(spec), "")
-    return LinearForces(block, reference_vector(block.columns, spec.reference))
+    return LinearForces(block, reference_of(spec, block.columns))
 
 
 def _block(spec: ModelSpec, names: Sequence[str], unit: str) -> LinearBlock:

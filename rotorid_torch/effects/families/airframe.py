@@ -11,6 +11,7 @@ from rotorid_torch.core.names import RATES, VELOCITIES
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.core.rigid import vec
 from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Values
+from rotorid_torch.effects.reference import reference_of
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.effects.testable import first, no_forces, no_rates, no_velocities, not_for_motors
@@ -23,11 +24,6 @@ TAIL = 1.1
 """Distance of the tail behind the centre of gravity in rotor radii; usual, where none is declared."""
 STILL = 1e-6
 """m2/s2 that keep a speed's derivative finite at rest."""
-
-
-def reference_of(spec: ModelSpec, names: tuple[str, ...]) -> Tensor:
-    """Reference values of these signals [n]."""
-    return torch.tensor([spec.reference.get(n, 0.0) for n in names], dtype=torch.float64)
 
 
 @register

@@ -12,6 +12,7 @@ from rotorid_torch.core.parameters import Parameter, alike
 from rotorid_torch.core.rigid import cross, vec
 from rotorid_torch.core.state import State
 from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Values
+from rotorid_torch.effects.reference import trim_force
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.effects.testable import excluded, no_forces, no_inertia, no_mass, no_velocities
@@ -23,13 +24,6 @@ def inertia_of(spec: ModelSpec) -> Tensor:
     """Declared inertia [3, 3]."""
     assert spec.inertia is not None
     return torch.tensor(spec.inertia, dtype=torch.float64)
-
-
-def trim_force(spec: ModelSpec) -> Tensor:
-    """Specific force at the reference [3], which carries the weight."""
-    phi, theta = spec.reference.get("phi", 0.0), spec.reference.get("theta", 0.0)
-    down = (-math.sin(theta), math.cos(theta) * math.sin(phi), math.cos(theta) * math.cos(phi))
-    return torch.tensor([-spec.gravity * d for d in down], dtype=torch.float64)
 
 
 def times(matrix: Tensor, vector: Tensor) -> Tensor:

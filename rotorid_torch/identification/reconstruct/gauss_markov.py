@@ -15,8 +15,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import torch
 
 from rotorid_torch.core.native.build import lanes, library, threads
+from rotorid_torch.core.recursion import followed, linear
 from rotorid_torch.errors import Unsupported, say_once
 
 Array = np.ndarray
@@ -28,8 +30,6 @@ SWEEPS = 14
 TAUS_S = np.geomspace(0.125, 8.0, 7)
 MEMORIES_S = (0.0, 0.1, 0.5)
 """How long a moved control keeps shaking the forces: at once, the rotor's flapping, its lead-lag and the body."""
-BLOCK = 64
-"""Samples of a lag that are computed at once."""
 SMEAR_S = 0.5
 """Width over which realised and expected process noise are compared."""
 LARGEST_SCALE = 30.0
@@ -343,13 +343,7 @@ def control_activity(controls: Array, noise: Array, dt: float) -> Array:
 
 def _remembered(square: Array, memory: float, dt: float, lead: int) -> Array:
     """First-order lag, moved forward by the half width of the rate's window."""
-    e, index = math.exp(-dt / memory), np.arange(BLOCK)
-    within = np.tril((1.0 - e) * e ** np.maximum(index[:, None] - index, 0))  # what a block's samples leave within it
-    fading = (e ** (index + 1.0))[:, None]
-    blocks = np.pad(square, ((0, -len(square) % BLOCK), (0, 0))).reshape(-1, BLOCK, square.shape[1])
-    out, state = within @ blocks, np.zeros(square.shape[1])
-    for block in out:
-        block += fading * state
-        state = block[-1]
-    passed = out.reshape(-1, square.shape[1])[: len(square)]
+    e, driven = math.exp(-dt / memory), torch.from_numpy(square)
+    decay = driven.new_full((1, 1), e)
+    passed = followed(linear, torch.zeros_like(driven[0]), decay, (1.0 - e) * driven).numpy()
     return np.concatenate([passed[lead:], np.repeat(passed[-1:], lead, axis=0)])[: len(passed)]
