@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from rotorid_torch.data.plausible import check_inertia
 from rotorid_torch.errors import InputError
 from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES, Aircraft
 from rotorid_torch.simulation.helicopter.rotor import LOCK_SLOPE
-from rotorid_torch.simulation.vehicles.vehicle_file import ControlTable, VehicleFile, read_vehicle
+from rotorid_torch.simulation.vehicles.vehicle_file import REFERENCE, ControlTable, read_vehicle
 
 
 def load_aircraft(path: Path | None = None) -> Aircraft:
@@ -21,7 +20,7 @@ def load_aircraft(path: Path | None = None) -> Aircraft:
 
     Raises InputError: the file cannot be read, has an unknown key, or declares what no helicopter can be.
     """
-    reference = read_vehicle(Path(str(resources.files("rotorid_torch.simulation.vehicles") / "uh60.toml")))
+    reference = read_vehicle(REFERENCE)
     if path is None:
         return _build(_values(reference), "uh60.toml", reference.name)
     declared = read_vehicle(path)
@@ -34,7 +33,7 @@ def load_aircraft(path: Path | None = None) -> Aircraft:
 Values = dict[str, dict[str, Any]]
 
 
-def _values(file: VehicleFile) -> Values:
+def _values(file: Any) -> Values:
     """Tables as plain dictionaries, silent keys left out."""
     tables: dict[str, Any] = {name: getattr(file, name) for name in SCALES if name != "rotor"}
     tables["rotor"] = file.vehicle.rotor
@@ -87,7 +86,7 @@ SCALES: dict[str, dict[str, tuple[float, float]]] = {
 }
 
 
-def _complete(declared: Values, reference: Values, file: VehicleFile) -> Values:
+def _complete(declared: Values, reference: Values, file: Any) -> Values:
     """What the file declares, and for the rest the UH-60 scaled by radius and mass, blades by Lock number and count."""
     base = reference["vehicle"]["mass"], reference["rotor"]["radius"]
     radius = declared["rotor"].get("radius")
