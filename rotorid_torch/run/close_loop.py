@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -25,8 +25,6 @@ from rotorid_torch.model.gusts import without_gust_inputs
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.modes import gust_response
 from rotorid_torch.model.nominal import build
-from rotorid_torch.report.figures import Overlay
-from rotorid_torch.report.page.document import Shown
 from rotorid_torch.report.records import FitRecord, ParameterRecord, Report, VerdictRecord
 from rotorid_torch.report.short_horizon import short_horizon
 from rotorid_torch.report.summary import failing
@@ -38,9 +36,8 @@ from rotorid_torch.run.output.arguments import refuse_arguments
 from rotorid_torch.run.output.checkpoint import Checkpoint, Steps
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
-from rotorid_torch.run.output.write import write_report
 from rotorid_torch.run.pipeline import identified, pictured, refuse, remarks_on
-from rotorid_torch.run.result import Run, facts_of, write_model
+from rotorid_torch.run.result import Run
 from rotorid_torch.run.turbulence import in_turbulence, smoothed, with_gusts, without_clean_bill
 from rotorid_torch.trace.air import in_moving_air
 from rotorid_torch.trace.clean_aircraft import MULTIROTOR, Request, clean_draws
@@ -61,12 +58,6 @@ class Loop(Run):
     """A run whose loop was closed: model and fit are those after, or where nothing was added, those before."""
 
     tracing: Tracing | None = None
-    earlier: tuple[Overlay, ...] = field(default=(), repr=False)
-
-    def write(self, folder: Path, monitor: Monitor | None = None) -> None:
-        """Write everything but log and TensorBoard records into an open run folder."""
-        write_model(self, folder)
-        write_report(folder, self.record, Shown(self.overlays, self.earlier, facts_of(self.model)), monitor)
 
 
 def _refuse_a_single_flight(dataset: Dataset) -> None:
@@ -144,8 +135,8 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
     flights = Flights(right, base.reconstruction)
     with monitor.step("trace"):
         tracing = (_rotors_traced if base.spec.motors else _traced)(base, flights, seed, steps)
-    if base.estimate.air is None:
-        tracing = _in_gusts(tracing, shaken)
+    if base.estimate.air is None and any(f.id == TURBULENCE and f.verdict == "accepted" for f in shaken):
+        tracing = replace(tracing, unknown=None)  # gusts are left over too, and clean aircraft fly in none
     again = partial(_again, recorded=dataset, steps=steps)
     wrong = partial(again, _Basis(first, at_one_rate(dataset), {}))
     rerun = partial(again, _Basis(base, right, sensors.values))
@@ -176,16 +167,6 @@ def _shaken(dataset: Dataset, base: Run) -> list[EffectFinding]:
     findings = stochastic_findings(dataset, base.spec, gust_response(base.model))
     air, why = base.estimate.air, base.estimate.why
     return [in_turbulence(f, air, why) if f.id == TURBULENCE and f.verdict == "accepted" else f for f in findings]
-
-
-def _rough(shaken: Sequence[EffectFinding]) -> bool:
-    """Whether gusts are in the records."""
-    return any(f.id == TURBULENCE and f.verdict == "accepted" for f in shaken)
-
-
-def _in_gusts(tracing: Tracing, shaken: Sequence[EffectFinding]) -> Tracing:
-    """The tracing without what has no name where gusts are left over too: clean aircraft fly in none."""
-    return replace(tracing, unknown=None) if _rough(shaken) else tracing
 
 
 def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
@@ -343,4 +324,5 @@ def _loop(
         warnings=(*run.record.warnings, *tracing.notes),
     )
     fields = {name: getattr(run, name) for name in Run.__dataclass_fields__}
-    return Loop(**{**fields, "record": record}, tracing=tracing, earlier=before.overlays if after else ())
+    fields |= {"record": record, "earlier": before.overlays if after else ()}
+    return Loop(**fields, tracing=tracing)

@@ -116,6 +116,7 @@ class Run(Result):
     regressions: ModelRegression
     estimate: ModelEstimate
     overlays: tuple[Overlay, ...] = field(repr=False)
+    earlier: tuple[Overlay, ...] = field(default=(), repr=False)  # of a loop: before effects were added
 
     @property
     def step(self) -> float:
@@ -136,7 +137,7 @@ class Run(Result):
     def write(self, folder: Path, monitor: Monitor | None = None) -> None:
         """Write everything but log and TensorBoard records into an open run folder."""
         write_model(self, folder)
-        write_report(folder, self.record, Shown(self.overlays, (), facts_of(self.model)), monitor)
+        write_report(folder, self.record, Shown(self.overlays, self.earlier, facts_of(self.model)), monitor)
 
 
 def facts_of(model: Model) -> ModelFacts:

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument, Sizes
+from rotorid_torch.core.native.filtering import FilteredFlights
 from rotorid_torch.data.use.pictures import over
 from rotorid_torch.identification.own_model import near
 
@@ -53,7 +54,7 @@ def with_angles(problem: Problem, angles: Sequence[int]) -> Problem:
 
 
 @dataclass(frozen=True, repr=False)
-class Filtered:
+class Filtered(FilteredFlights):
     """What filter and smoother know, sample by sample.
 
     means, covariances : [..., T, nx], [..., T, nx, nx] state, given the outputs up to and with each sample.
@@ -63,13 +64,7 @@ class Filtered:
     smoothed_means, smoothed_covariances : the same as means and covariances given all outputs; None without smoothing.
     """
 
-    means: Tensor
-    covariances: Tensor
-    innovations: Tensor
-    innovation_covariances: Tensor
-    log_likelihood: Tensor
-    smoothed_means: Tensor | None
-    smoothed_covariances: Tensor | None
+    innovation_covariances: Tensor  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def plot(self) -> list[Figure]:
         """States and innovations of each member of a batch by sample, as matplotlib figures."""
