@@ -28,6 +28,8 @@ RESOLVED_S = 0.02
 """Interval of the records that trajectories are fitted to: what is faster acts at once there."""
 MOSTLY = 0.7
 """R² of a response below which something is missing from the model."""
+NOTHING = "Nothing stands out. Use the model within the range of motion that the flights covered."
+"""What is to be done where nothing is."""
 DECIDING = ("validate", "acid", "identify")
 """Lists of flights in the order in which they say whether a model is of use: unseen before fitted."""
 SHOWN = 12
@@ -214,7 +216,7 @@ def next_steps(report: Report) -> list[str]:
     traced = report.verdict is not None
     scores = partial(_steps_of_responses, traced=traced) if short_horizon(report.fit) else _steps_of_scores
     steps = [*scores(report.fit), *_steps_of_parameters(report.fit.parameters)]
-    return steps or ["Nothing stands out. Use the model within the range of motion that the flights covered."]
+    return steps or [NOTHING]
 
 
 def weakest_channel(fit: FitRecord) -> tuple[str, str, float] | None:

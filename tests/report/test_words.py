@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import msgspec
 import pytest
 
@@ -95,6 +97,20 @@ def test_nothing_undeclared_comes_with_how_good_the_model_is(report: records.Rep
     loop = msgspec.structs.replace(closed(report, "nothing undeclared", after=False), verdict=verdict)
     assert opening(loop) == "These flights show nothing that is not declared."
     assert "On the validate flights" in consequence(loop)
+
+
+@pytest.mark.parametrize("kind", ["nothing undeclared", "structure"])
+def test_a_model_of_use_is_used_first(kind: str, report: records.Report):
+    effects = (an_effect("rotor.lead_lag"),) if kind == "structure" else ()
+    first, *others = steps(closed(report, kind, *effects))
+    assert first.startswith("Use the model within the range of motion that the flights covered; export")
+    assert not any("Nothing stands out" in step for step in others)
+
+
+@pytest.mark.parametrize("effect", sorted(EFFECTS))
+def test_what_to_do_names_its_thing(effect: str):
+    """Steps stand in a list, each by itself: "it" would be anything."""
+    assert not re.search(r"\bit\b", words_of(effect).then)
 
 
 def test_an_unknown_says_where_to_look(report: records.Report):

@@ -60,7 +60,7 @@ def signals(log: Log, entries: Mapping[str, Entry], key: str) -> tuple[dict[str,
     extracted, notes, clocks = dict[str, Signal](), list[str](), dict[tuple[str, int], np.ndarray | BadClock]()
     for name, entry in entries.items():
         source = log.source(entry.field, f"{key}.{name}")
-        check_unit(name, entry, log.file)
+        check_unit(name, entry, log.file, key=f"'{entry.field}'")
         place = (source.topic, source.instance)
         if place not in clocks:
             clocks[place] = _usable(log.streams[place], source, notes)

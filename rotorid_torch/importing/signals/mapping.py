@@ -132,11 +132,14 @@ def measures(name: str) -> str:
     return DERIVED.get(name) or ("norm" if names.is_motor(name) else names.unit(name))
 
 
-def check_unit(name: str, entry: Entry, file: str | Path) -> None:
-    """Raise InputError where an entry's unit is unknown or does not measure what the channel is."""
+def check_unit(name: str, entry: Entry, file: str | Path, key: str = "") -> None:
+    """Raise InputError where an entry's unit is unknown or does not measure what the channel is.
+
+    key : what of the file has the unit; by default the channel's entry of a map.
+    """
     if not entry.unit:
         return
-    unit, key = units.find_unit(entry.unit), f"channels.{name}.unit"
+    unit, key = units.find_unit(entry.unit), key or f"channels.{name}.unit"
     quantity = measures(name)
     allowed = ("rad", "m", "norm") if name in names.STICKS else (quantity,) if quantity else ()
     fitting = [n for measure in allowed for n in units.names_of(measure)] or list(units.UNITS)

@@ -12,6 +12,7 @@ from importlib.resources import files
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup
 
+from rotorid_torch.core import names
 from rotorid_torch.printable import printable
 from rotorid_torch.report.figures import Overlay
 from rotorid_torch.report.page import pictures, plots, tables
@@ -95,7 +96,8 @@ def environment() -> Environment:
         modes=lambda fit: list(tables.mode_rows(fit.modes)),
         meaning=tables.meaning_of,
         visible=tables.visible,
-        unit=lambda unit: sizes.PLAIN_UNITS.get(unit, unit),
+        unit=unit,
+        unit_of=lambda channel: unit(names.unit(channel)),
     )
     templates.globals.update(static=static, term=term, glossary=GLOSSARY, step_names=STEP_NAMES)
     return templates
@@ -125,6 +127,11 @@ def share(value: float | None) -> str:
 def percent(value: float | None, digits: int = 0) -> str:
     """Render a share in percent; a dash for none."""
     return "–" if value is None else f"{100 * value:.{digits}f} %"
+
+
+def unit(written: str) -> str:
+    """A unit as people write it."""
+    return sizes.PLAIN_UNITS.get(written, written)
 
 
 def unbroken(words: str) -> str:

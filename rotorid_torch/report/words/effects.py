@@ -26,7 +26,7 @@ class Words:
 _EACH = {"common": "{}", **{c: f"{c} {{}}" for c in ("lon", "lat", "col", "ped")}}
 _AXES = {axis: f"{axis} {{}}" for axis in "xyz"}
 _RECORDS = "Correct the records with these values, or let every later run of close-loop do so."
-_DECLARE = "Weigh and measure the vehicle as it flew, and declare that in dataset.toml."
+_DECLARE = "Weigh and measure the vehicle as flown, and declare that in dataset.toml."
 
 EFFECTS = {
     "control.delay": Words(
@@ -207,7 +207,7 @@ EFFECTS = {
     "neural.forces": Words(
         "A small network describes what no named effect explains.",
         "a network",
-        "Do not extrapolate: the network is held to the range of the flights that it has learnt from.",
+        "Do not extrapolate: the network is held to the range of the flights that taught the network.",
     ),
 }
 """Words of the library's effects by their ids."""

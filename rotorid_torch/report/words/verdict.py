@@ -12,6 +12,7 @@ from rotorid_torch.report.short_horizon import NAMES, short_horizon
 from rotorid_torch.report.summary import (
     GRADED,
     GRADES,
+    NOTHING,
     ListSummary,
     failing,
     headline,
@@ -115,7 +116,8 @@ def steps(report: Report) -> list[str]:
         [f"Mend the data first. rotorid check says: {first.removeprefix(GRADED)}."] if first.startswith(GRADED) else []
     )
     ask = [CLOSE_LOOP] if report.command == "identify" and report.fit is not None and not failing(report.fit) else []
-    return list(dict.fromkeys([*data, *_of_discovery(report), *ask, *next_steps(report)]))[:STEPS]
+    said = list(dict.fromkeys([*data, *_of_discovery(report), *ask, *next_steps(report)]))
+    return [step for step in said if step != NOTHING or len(said) == 1][:STEPS]
 
 
 def worst_of(fit: FitRecord) -> str:
@@ -205,7 +207,7 @@ def _of_discovery(report: Report) -> Iterator[str]:
             yield _to_tell(record)
     if report.unknown is not None:
         yield _look_for(report)
-    if verdict.kind in ("nothing undeclared", "structure") and not verdict.effects:
+    if verdict.kind in ("nothing undeclared", "structure") and report.fit is not None and not failing(report.fit):
         yield "Use the model within the range of motion that the flights covered; export the model with rotorid export."
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -67,6 +68,13 @@ def test_units_in_the_header_are_believed(header: str, mark: str, tmp_path: Path
     assert near(channels(file, tmp_path))
     mapped = {"time": "time", "channels": {n: n for n in ("lat", "p", "q", "phi")}}
     assert near(channels(file, tmp_path, mapped))
+
+
+@pytest.mark.parametrize("column", ["p/s", "p (deg)"])
+def test_a_unit_in_a_header_that_does_not_fit_is_told_with_the_column(column: str, tmp_path: Path):
+    file = written(tmp_path / "t.csv", "", NAMES.replace(",p,", f",{column},"), ROWS)
+    with pytest.raises(InputError, match=re.escape(f"t.csv: '{column}': ") + r"'.*' does not measure p"):
+        channels(file, tmp_path)
 
 
 @pytest.mark.parametrize(
