@@ -20,6 +20,7 @@ from rotorid_torch.consistency.pairs.alignment import (
     rotation,
     rotation_vector,
 )
+from rotorid_torch.consistency.pairs.clock_rate import ClockRate, clock_rate
 from rotorid_torch.consistency.pairs.late_controls import (
     LateControls,
     coming_first,
@@ -77,6 +78,9 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
         yield _mirrored(by)
     elif by.angle > 0.0:
         yield _turned(by)
+    rate = None if by.mirror else clock_rate(list(dataset.flights.values()), by)
+    if rate is not None:
+        yield _unequal(rate)
     lags: dict[str, list[Agreement]] = {}
     by_forces = None if by.mirror else _forces_turned(flights)
     if by_forces is not None:
@@ -89,7 +93,8 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
         forces = _forces(dataset, flights) if left == "velocity" else []
         about = _forces_late(forces, results) if not lags.get("attitude") else []
         yield from _far_off(left, by, agreeing, forces)
-        lags[left] = [a for a in agreeing if _off(a) and not _moved(left, by)] if not about else []
+        constant = not about and not (left == "attitude" and rate)
+        lags[left] = [a for a in agreeing if _off(a) and not _moved(left, by)] if constant else []
         base = time_base(agreeing) if left == "attitude" else None
         if base is not None:
             yield _wrong_base(base, dataset)
@@ -97,7 +102,7 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
             yield _late("specific force", "velocity and attitude", {"specific force": about})
         elif lags[left]:
             yield _late(left, right, lags)
-        elif agreeing and not _moved(left, by):
+        elif agreeing and not _moved(left, by) and (constant or about):
             lag_words = ", ".join(f"{a.pair.left_name} {a.lag_s:+.3f} s" for a in agreeing)
             yield finding("good", _channels(agreeing), f"{left} keeps time with {right} ({lag_words}).")
         for result in agreeing if left == "attitude" or not (about or lags["attitude"]) else []:
@@ -156,6 +161,18 @@ def _forces_turned(flights: Sequence[Flight]) -> Finding | None:
     sentence = f"the accelerometers alone are not in body axes: {what}{nearest}."
     left = f"So taken, they leave {by.left:.2g} (m/s²)² instead of {by.by_bias:.2g} with biases."
     return finding("error", "ax ay az", sentence, left, "Correct their signs, order or mounting.")
+
+
+def _unequal(rate: ClockRate) -> Finding:
+    """Stamps of one stream run faster than those of the other."""
+    faster = "slower" if rate.drift > 0.0 else "faster"
+    return finding(
+        "error",
+        "p q r phi theta psi",
+        f"the clock of the body rates runs {abs(rate.drift):.2%} (± {rate.se:.2%}) {faster} than that of the attitude:",
+        f"their lag changes by {abs(rate.grown_s):.2f} s within a flight, and no constant delay is it.",
+        "Put both on one clock before anything else.",
+    )
 
 
 def _mirrored(by: Alignment) -> Finding:

@@ -99,7 +99,7 @@ def alignment(dataset: Dataset) -> Alignment:
     flights = [f for f in flights if f.has(*names.RATES, *names.ATTITUDES)]
     if not flights:
         return Alignment()
-    sides = [s for s in (_sides(f) for f in flights) if len(s.left) > 50]
+    sides = [s for s in (rates_by_attitude(f) for f in flights) if len(s.left) > 50]
     if not sides:
         return Alignment()
     late = _lag(sides)
@@ -134,21 +134,21 @@ def right_angles() -> list[Array]:
 
 
 @dataclass(frozen=True)
-class _Sides:
+class Sides:
     """Two vectors (T, 3) every `EVERY_S`, zero where unknown, and where both are known (T,)."""
 
     left: Array
     right: Array
 
-    def moved(self, lag: int) -> _Sides:
+    def moved(self, lag: int) -> Sides:
         """With the left side taken so many samples later."""
         count = len(self.left) - abs(lag)
         if lag >= 0:
-            return _Sides(self.left[lag:], self.right[:count])
-        return _Sides(self.left[:count], self.right[-lag:])
+            return Sides(self.left[lag:], self.right[:count])
+        return Sides(self.left[:count], self.right[-lag:])
 
 
-def _sides(flight: Flight) -> _Sides:
+def rates_by_attitude(flight: Flight) -> Sides:
     """Body rates by the attitude's rates of change, and as recorded.
 
     Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 3.21.
@@ -156,16 +156,16 @@ def _sides(flight: Flight) -> _Sides:
     values, changes, present = smoothed(flight, names.ATTITUDES)
     rates, _, known_rates = smoothed(flight, names.RATES)
     if not len(values):
-        return _Sides(values, rates)
+        return Sides(values, rates)
     (phi, theta, _), (dphi, dtheta, dpsi) = values.T, changes.T
     p = dphi - np.sin(theta) * dpsi
     q = np.cos(phi) * dtheta + np.sin(phi) * np.cos(theta) * dpsi
     r = -np.sin(phi) * dtheta + np.cos(phi) * np.cos(theta) * dpsi
     by_attitude = centred(np.stack([p, q, r], axis=1), present & (np.abs(theta) < STEEP))
-    return _Sides(by_attitude, centred(rates, known_rates))
+    return Sides(by_attitude, centred(rates, known_rates))
 
 
-def _covariances(sides: Sequence[_Sides], most: int) -> tuple[Array, Array]:
+def _covariances(sides: Sequence[Sides], most: int) -> tuple[Array, Array]:
     """Covariance (lags, 3, 3) of left, so many samples later, with right, from -most to most, and both sides' power.
 
     The power (lags,) is that of the samples that meet. Sums over flights.
@@ -182,7 +182,7 @@ def _covariances(sides: Sequence[_Sides], most: int) -> tuple[Array, Array]:
     return total, np.sqrt(np.maximum(power[0] * power[1], np.finfo(float).tiny))
 
 
-def _meeting(side: _Sides, reach: int) -> Array:
+def _meeting(side: Sides, reach: int) -> Array:
     """Power (2, lags) of the samples of left and right that meet at lags from -reach to reach."""
     left, right = ((x**2).sum(axis=1) for x in (side.left, side.right))
     lags = np.arange(1, reach + 1)
@@ -205,25 +205,25 @@ def _best(scores: Array, agrees: float = AGREES, halved: float = HALVED) -> int:
     return best - middle if far and clear else 0
 
 
-def _most(sides: Sequence[_Sides]) -> int:
+def _most(sides: Sequence[Sides]) -> int:
     return min(round(LONGEST_S / EVERY_S), int(REACHED * max(len(s.left) for s in sides)))
 
 
-def _lag(sides: Sequence[_Sides]) -> int:
+def _lag(sides: Sequence[Sides]) -> int:
     """Samples by which the attitude comes after the rates, whatever turns the one against the other."""
     covariances, power = _covariances(sides, _most(sides))
     scores = np.linalg.svd(covariances, compute_uv=False).sum(axis=1) / power
     return _best(scores)
 
 
-def _share(sides: Sequence[_Sides], matrix: Array | None = None) -> float:
+def _share(sides: Sequence[Sides], matrix: Array | None = None) -> float:
     """Share of the rates' variance that the attitude, turned by a matrix (3, 3), does not explain."""
     turn = np.eye(3) if matrix is None else matrix
     left = sum(float(((s.right - s.left @ turn.T) ** 2).sum()) for s in sides)
     return left / max(sum(float((s.right**2).sum()) for s in sides), np.finfo(float).tiny)
 
 
-def _turned(dataset: Dataset, sides: Sequence[_Sides]) -> Alignment:
+def _turned(dataset: Dataset, sides: Sequence[Sides]) -> Alignment:
     """The turn of the rates against the attitude, or a mirror, where one is beyond doubt."""
     covariance = sum((s.right.T @ s.left for s in sides), np.zeros((3, 3)))
     u, sizes, vt = np.linalg.svd(covariance)
@@ -246,7 +246,7 @@ def _turned(dataset: Dataset, sides: Sequence[_Sides]) -> Alignment:
     return Alignment(vector, error, before=straight, after=after, strength=strength)
 
 
-def _strength(dataset: Dataset, sides: Sequence[_Sides]) -> float:
+def _strength(dataset: Dataset, sides: Sequence[Sides]) -> float:
     """Power of rates and of the attitude's rates over that of their noise, the smaller."""
     dt = float(np.median([dataset.facts[name].dt for name in dataset.identify]))
     bell, slope = kernel(dt)
@@ -306,8 +306,8 @@ def _motion(flights: Sequence[Flight], turn: Array, clocks: Mapping[str, float])
     every = [e for e in every if len(e.present)]
     if not every:
         return _Motion()
-    velocities = [_Sides(centred(e.pushed, e.present), centred(e.felt - e.fallen, e.present)) for e in every]
-    forces = [_Sides(centred(e.felt, e.present), centred(e.pushed + e.fallen, e.present)) for e in every]
+    velocities = [Sides(centred(e.pushed, e.present), centred(e.felt - e.fallen, e.present)) for e in every]
+    forces = [Sides(centred(e.felt, e.present), centred(e.pushed + e.fallen, e.present)) for e in every]
     agreed, shifts = 0.0, list[tuple[float, str, float]]()
     for unit, sides in (("velocities", velocities), ("accelerations", forces)):
         covariances, power = _covariances(sides, _most(sides))
