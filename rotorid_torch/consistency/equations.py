@@ -26,6 +26,8 @@ UNITS: dict[str, tuple[str, ...]] = {
 GRAVITY_RANGE = 0.0053
 """Gravity at the poles over that at the equator, less 1: what a declaration may leave open."""
 
+TRIADS = (RATES, SPECIFIC_FORCES, tuple(f"{rate}dot" for rate in RATES))
+"""Vectors that an IMU reads."""
 _TURN = ("p", "q", "r", "phi", "theta")
 _MOVE = ("u", "v", "w", *_TURN)
 EQUATIONS: dict[str, tuple[str, ...]] = {
@@ -43,6 +45,11 @@ EQUATIONS: dict[str, tuple[str, ...]] = {
     "r": ("r", "rdot"),
 }
 """Channel whose rate is compared, and the channels that this takes."""
+
+
+def of_part_of_a_vector(channels: Collection[str]) -> set[str]:
+    """Channels of the IMU that read a vector of which another axis is not there: they cannot be turned."""
+    return {name for triad in TRIADS for name in triad if name in channels and not set(triad) <= set(channels)}
 
 
 def usable(channels: Collection[str]) -> tuple[str, ...]:
@@ -125,6 +132,7 @@ def without_static_errors(readings: Mapping[str, Array], errors: Mapping[str, Ar
 
     What a sensor reads is (1 + scale) times the truth plus the bias; an IMU turned by a small rotation vector e reads
     R(e)' times the truth, to first order truth - e x truth. Errors are numbers, or arrays that broadcast with channels.
+    What reads a vector of which an axis is not recorded cannot be turned back, and is missing then.
     """
     x = dict(readings)
     for name, value in errors.items():
@@ -137,10 +145,10 @@ def without_static_errors(readings: Mapping[str, Array], errors: Mapping[str, Ar
             x[channel] = x[channel] / (1.0 + value)
     turn = [errors.get(f"misalignment.{axis}", 0.0) for axis in "xyz"]
     if any(np.any(part) for part in turn):
-        for triad in (RATES, SPECIFIC_FORCES, tuple(f"{rate}dot" for rate in RATES)):
+        for triad in TRIADS:
             present = [name for name in triad if name in x]
             if present:
-                missing = np.zeros_like(x[present[0]])
+                missing = np.full_like(x[present[0]], np.nan)
                 turned = rotated([x.get(name, missing) for name in triad], turn)
                 x |= {name: turned[triad.index(name)] for name in present}
     return x

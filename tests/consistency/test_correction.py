@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from rotorid_torch.consistency.correction import without_errors
+from rotorid_torch.consistency.examination.check import check
 from rotorid_torch.consistency.sensor_errors.kinematic_findings import kinematic_findings
 from tests.consistency.sensor_errors.kinematic_cases import data
 
 INNER = slice(30, -30)
+CHANNELS = ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi", "ax", "ay", "az")
 
 
 @pytest.mark.parametrize(
@@ -56,3 +58,24 @@ def test_what_was_found_is_gone_after_correction() -> None:
     found = kinematic_findings(dataset)
     assert set(found.effects) == {"sensors.delay", "sensors.scale"}
     assert kinematic_findings(found.corrected(dataset)).effects == ()
+
+
+def test_a_vector_of_which_an_axis_is_missing_is_not_turned_with_a_zero() -> None:
+    turned = data({"misalignment.y": 0.3}, 0, flights=1, keep=[c for c in CHANNELS if c != "ay"])
+    channels = without_errors(turned, {"misalignment.y": 0.3}).flights["f0"].channels
+    assert channels["ax"].isnan().all()
+    assert channels["az"].isnan().all()
+    assert not channels["p"].isnan().any()
+    kept = without_errors(turned, {"scale.ax": 0.1}).flights["f0"].channels["ax"]
+    assert not kept.isnan().any()
+
+
+def test_a_turned_unit_without_an_axis_is_known_by_its_rates_alone() -> None:
+    turned = data({"misalignment.y": 0.3}, 0, flights=4, keep=[c for c in CHANNELS if c != "ay"])
+    said = [f for f in check(turned).findings if f.severity == "error"]
+    assert any("turned by 17" in f.sentence for f in said)
+    assert any(f.channel == "ax az" and "cannot be turned back" in f.sentence for f in said)
+    found = kinematic_findings(turned)
+    assert set(found.effects) == {"sensors.misalignment"}
+    straight = data({}, 0, flights=4, keep=[c for c in CHANNELS if c != "ay"])
+    assert kinematic_findings(straight).effects == ()

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from rotorid_torch.consistency.correction import without_errors_of_flight
-from rotorid_torch.consistency.equations import UNITS
+from rotorid_torch.consistency.equations import UNITS, of_part_of_a_vector
 from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
 from rotorid_torch.consistency.pairs import sensor_pairs
 from rotorid_torch.consistency.pairs.alignment import (
@@ -78,6 +78,7 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
         yield _mirrored(by)
     elif by.angle > 0.0:
         yield _turned(by)
+        yield from _not_turned_back(dataset)
     rate = None if by.mirror else clock_rate(list(dataset.flights.values()), by)
     if rate is not None:
         yield _unequal(rate)
@@ -144,6 +145,16 @@ def _turned(by: Alignment) -> Finding:
         f"leaves {by.after:.1%} of the rates' variance instead of {min(by.before, 9.99):.0%}. Turn p q r and ax ay az",
         "back; close-loop names it as sensors.misalignment.",
     )
+
+
+def _not_turned_back(dataset: Dataset) -> Iterator[Finding]:
+    """Channels of a turned IMU that read a vector of which an axis is not recorded."""
+    recorded = {name for facts in dataset.facts.values() for name in facts.spreads}
+    if partial := sorted(of_part_of_a_vector(recorded)):
+        sentence = (
+            f"{', '.join(partial)} cannot be turned back, for the other axes of the same vector are not recorded:"
+        )
+        yield finding("error", " ".join(partial), sentence, "record it, or leave these out.")
 
 
 def _forces_turned(flights: Sequence[Flight]) -> Finding | None:

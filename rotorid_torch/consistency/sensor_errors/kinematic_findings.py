@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from rotorid_torch.consistency.correction import without_errors
-from rotorid_torch.consistency.equations import GRAVITY_RANGE, UNITS, unit_of
+from rotorid_torch.consistency.equations import GRAVITY_RANGE, UNITS, of_part_of_a_vector, unit_of
 from rotorid_torch.consistency.pairs.alignment import alignment
 from rotorid_torch.consistency.sensor_errors import sensor_words
 from rotorid_torch.consistency.sensor_errors.constants import Constant, constants
@@ -51,7 +51,7 @@ def kinematic_findings(dataset: Dataset, largest: float = math.inf) -> Kinematic
     """
     by = alignment(dataset)
     dataset = without_errors(dataset, by.delays) if by.clocks else dataset
-    cut = pieces(dataset)
+    cut = pieces(dataset, turned=by.angle > 0.0)
     candidates = _candidates(dataset, cut)
     search = Search(cut, Setting(dataset.vehicle.gravity, np.array(dataset.vehicle.imu or (0.0, 0.0, 0.0))))
     tests = len(candidates) + sum(any(c in piece.channels for piece in cut) for c in DRIFTING)
@@ -77,7 +77,7 @@ def _candidates(dataset: Dataset, cut: Sequence[Piece]) -> tuple[str, ...]:
     effects += [f"scale.{c}" for c in channels if c in moving and (unit_of(c) or c.endswith("dot"))]
     level: list[str] = ["psi"] if {"north", "east"} <= equations else []
     if moving & set(RATES) and equations & {"phi", "u", "v", "w"}:
-        effects += [f"misalignment.{axis}" for axis in "xyz"]
+        effects += [f"misalignment.{axis}" for axis in "xyz" if not of_part_of_a_vector(channels)]
         level += ["phi", "theta"]
         if equations & {"u", "v", "w"}:
             effects += [f"lever_arm.{axis}" for axis in "xyz"]

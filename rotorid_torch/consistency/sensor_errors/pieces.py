@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 
-from rotorid_torch.consistency.equations import EQUATIONS, undoing, unit_of, usable
+from rotorid_torch.consistency.equations import EQUATIONS, of_part_of_a_vector, undoing, unit_of, usable
 from rotorid_torch.consistency.smoothing import advanced
 from rotorid_torch.core.statistics import stretches
 from rotorid_torch.data.dataset import Dataset
@@ -78,17 +78,21 @@ class Piece:
         return advanced(values, delay / self.dt, self.margin)
 
 
-def pieces(dataset: Dataset) -> list[Piece]:
-    """Pieces of the identify flights, long ones cut, at most `PIECES` of them, spread over the list."""
+def pieces(dataset: Dataset, turned: bool = False) -> list[Piece]:
+    """Pieces of the identify flights, long ones cut, at most `PIECES` of them, spread over the list.
+
+    turned : the IMU is; what reads a vector of which an axis is not recorded is left out then.
+    """
     cut: list[Piece] = []
     for name in dataset.some(PIECES):
-        cut += _cut(dataset, dataset.flights[name])
+        cut += _cut(dataset, dataset.flights[name], turned)
     step = max(1.0, len(cut) / PIECES)
     return [cut[int(i * step)] for i in range(min(len(cut), PIECES))]
 
 
-def _cut(dataset: Dataset, flight: Flight) -> Iterator[Piece]:
-    equations = usable([name for name in flight.channels if flight.has(name)])
+def _cut(dataset: Dataset, flight: Flight, turned: bool) -> Iterator[Piece]:
+    recorded = {name for name in flight.channels if flight.has(name)}
+    equations = usable(recorded - of_part_of_a_vector(recorded) if turned else recorded)
     if not equations:
         return
     channels = tuple(dict.fromkeys(c for name in equations for c in EQUATIONS[name]))
