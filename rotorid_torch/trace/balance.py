@@ -185,8 +185,8 @@ class Standing:
 
     centre, errors : [3] thrust centre along x and y, m, and yaw balance. p : probability that a clean vehicle shows as
     much. moved : whether a centre of gravity elsewhere explains it, which leaves yaw alone. rotor : the rotor that
-    explains it if it gives `less` of its thrust than its input says; None where no single one does. without,
-    remaining : [3] rms on unseen flights from the declared balance and from this one.
+    explains it if it gives `less` of its thrust than its input says; None where no single one does, or another does so
+    nearly as well. without, remaining : [3] rms on unseen flights from the declared balance and from this one.
     """
 
     centre: Tensor
@@ -225,12 +225,14 @@ def standing(spec: ModelSpec, identify: Sequence[Balance], unseen: Sequence[Bala
     information = (levers.mT * weighed).sum(dim=0)
     beyond = centre @ weighed / information  # a rotor that gives less is asked for more
     remainders = torch.cat([_remainders(centre[None], inverse, lever[:, None]) for lever in levers])
-    rotor = int(torch.where(beyond > 0.0, _misfits(remainders, inverse), math.inf).argmin())
+    misfits = torch.where(beyond > 0.0, _misfits(remainders, inverse), math.inf)
+    rotor = int(misfits.argmin())
+    alone = int((misfits - misfits[rotor] < normal_quantile(0.5 * SETTINGS.level) ** 2).sum()) == 1
     explained = _p(_remainders(vehicles, inverse, levers[rotor][:, None]), inverse) > SETTINGS.level
     moved = _p(_remainders(vehicles, inverse, torch.eye(3, 2, dtype=torch.float64)), inverse) > SETTINGS.level
     # its share of all thrusts is larger than the others' by this over their number, and its true thrust is theirs
     less = float(beyond[rotor] / (1.0 + beyond[rotor] * (1.0 - 1.0 / len(levers))))
-    one = rotor if explained and less > 0.0 else None
+    one = rotor if explained and alone and less > 0.0 else None
     return Standing(centre, errors, p, moved, one, less, float(information[rotor].rsqrt()), without, after)
 
 
@@ -314,7 +316,7 @@ def _where(off: Standing) -> str:
 
 def _stands(off: Standing) -> str:
     elsewhere = "a centre of gravity elsewhere would leave yaw alone"
-    return f"L, M and N: {_where(off)}; {elsewhere}, and no single rotor that gives less explains it"
+    return f"L, M and N: {_where(off)}; {elsewhere}, and no rotor that gives less explains it alone"
 
 
 def _unequal(off: Standing, rotor: str) -> EffectFinding:

@@ -135,6 +135,20 @@ def test_one_weak_rotor_stands_out_from_a_centre_of_gravity_elsewhere(rotor: int
         assert abs(off.less - less) < 2.0 * off.less_error < 0.08
 
 
+def test_of_two_rotors_that_may_be_the_weak_one_none_is_named():
+    """Two rotors of one arm turn against each other, and yaw of ordinary vehicles hides which of them gives less."""
+    places = tuple((x, y, z, s) for x, y, _ in PLACES for z, s in ((-0.01, 1), (0.01, -1)))
+    motors = tuple(MotorSpec(position=(ARM * x, ARM * y, z), spin=s) for x, y, z, s in places)
+    spec = replace(SPEC, motors=motors, spins=tuple(float(s) for *_, s in places))
+    levers = torch.tensor([[ARM * x, ARM * y, s] for x, y, _, s in places], dtype=torch.float64)
+    chance = torch.Generator().manual_seed(3)
+    vehicles = UNLIKE * torch.randn(199, 8, generator=chance, dtype=torch.float64) @ levers / 8
+    vehicles[:, 2] += YAW * torch.randn(199, generator=chance, dtype=torch.float64)
+    off = standing(spec, flights(1, 2, centre=0.2 * levers[2] / 8), flights(3, 4, centre=0.2 * levers[2] / 8), vehicles)
+    assert off is not None
+    assert (off.moved, off.rotor) == (True, None)
+
+
 def test_a_rotor_that_gives_more_is_no_weak_rotor_opposite():
     """Its opposite one gives less by the thrust centre; yaw by half of all thrust decides."""
     off = stood(1, 2, 3, centre=of_weak(0, -3.0))
