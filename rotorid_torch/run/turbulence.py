@@ -8,6 +8,7 @@ from dataclasses import replace
 import msgspec
 import torch
 
+from rotorid_torch.consistency.pairs.velocity_clock import velocity_clock
 from rotorid_torch.core.names import VELOCITIES
 from rotorid_torch.core.processes.ranks import Ranks
 from rotorid_torch.data.dataset import Dataset
@@ -29,11 +30,16 @@ UNTOLD = "step 3 by output error: no quiet moments before the pilot acts could s
 """How it was chosen where there are no such moments, and coloured residuals alone do not do."""
 
 
+LATE = "step 3 by output error: u and v are {seconds:.2g} s {way} against attitude and rates, which looks like gusts"
+"""How it was chosen where residuals of velocities are coloured by their clock."""
+
+
 def method_by_quiet_moments(asked: str, where_untold: str, dataset: Dataset, spec: ModelSpec) -> tuple[str, str]:
     """The method that step 3 is asked for after a look at the flights' quiet moments, and why, if these decide.
 
-    Where no gusts show in them, coloured residuals are of the model. Not asked where no velocities are measured, for
-    gusts have nothing to act through.
+    Where no gusts show in them, coloured residuals are of the model; where the velocities have another clock than
+    attitude and rates, they are of the clock. Not asked where no velocities are measured, for gusts have nothing to act
+    through.
 
     asked : of `METHODS`. where_untold : what "auto" becomes where flights have no such moments: "auto", then coloured
         residuals decide alone, or "output-error".
@@ -42,8 +48,15 @@ def method_by_quiet_moments(asked: str, where_untold: str, dataset: Dataset, spe
         return asked, ""
     verdict = next(f for f in stochastic_findings(dataset, spec, {}) if f.id == TURBULENCE).verdict
     if verdict == "not testable":
-        return where_untold, "" if where_untold == "auto" else UNTOLD
+        if where_untold != "auto":
+            return where_untold, UNTOLD
+        clock = velocity_clock(dataset)
+        return ("auto", "") if clock is None else ("output-error", _late(clock.seconds))
     return ("auto", "") if verdict == "accepted" else ("output-error", ALIKE)
+
+
+def _late(seconds: float) -> str:
+    return LATE.format(seconds=abs(seconds), way="late" if seconds > 0.0 else "early")
 
 
 def in_turbulence(finding: EffectFinding, air: Air | None, why: str) -> EffectFinding:

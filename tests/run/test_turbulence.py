@@ -23,6 +23,7 @@ from rotorid_torch.run.turbulence import (
 )
 from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.verdict import statement
+from tests.consistency.pairs.test_velocity_clock import gliding
 from tests.helpers import shared
 from tests.known_models import flown, linear_vehicle, manoeuvres, rate_vehicle
 
@@ -82,6 +83,15 @@ def test_flights_without_quiet_moments():
     assert method_by_quiet_moments("auto", "auto", data, spec) == ("auto", "")
     assert method_by_quiet_moments("auto", "output-error", data, spec) == ("output-error", UNTOLD)
     assert method_by_quiet_moments("filter-error", "output-error", data, spec) == ("filter-error", "")
+
+
+def test_velocities_that_are_late_against_the_attitude_are_no_moving_air():
+    """What a wrong clock leaves of the velocities is coloured as gusts colour it; with right clocks nothing decides."""
+    for late, method in ((0.15, "output-error"), (-0.15, "output-error"), (0.0, "auto")):
+        data = gliding(late)
+        chosen, why = method_by_quiet_moments("auto", "auto", data, propose(data, reconstruct(data), ()))
+        assert chosen == method
+        assert ("late" in why, "early" in why) == (late > 0.0, late < 0.0)
 
 
 def test_without_gusts_no_model_in_moving_air_is_made(caplog: pytest.LogCaptureFixture):
