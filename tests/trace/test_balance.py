@@ -181,8 +181,9 @@ def verdict(monkeypatch: pytest.MonkeyPatch, **what: Any) -> Any:
     monkeypatch.setattr(
         "rotorid_torch.trace.balance.balances", lambda model, spec, data, names: flights(*names, **what)
     )
-    monkeypatch.setattr("rotorid_torch.trace.balance.undrawable_multirotor", lambda data: None)
-    monkeypatch.setattr("rotorid_torch.trace.balance.clean_balances", lambda data, seed, draws: clean().numpy())
+    monkeypatch.setattr("rotorid_torch.simulation.drawn.multirotors.undrawable_multirotor", lambda data: None)
+    drawn = "rotorid_torch.simulation.drawn.multirotors.clean_balances"
+    monkeypatch.setattr(drawn, lambda data, seed, draws: clean().numpy())
     data: Any = SimpleNamespace(identify=(1, 2, 3))
     none: Any = None
     return out_of_balance(none, SPEC, data, [4, 5])  # pyright: ignore[reportArgumentType]
