@@ -56,7 +56,7 @@ class Imported:
     folder : the data set.
     kind : "helicopter" or "multirotor".
     rate : of the grid, Hz.
-    flights : by name the seconds and the kind of manoeuvre ("" where it was not cut).
+    flights : by name the seconds and what moves most: the control, or body rate, of a manoeuvre; several of a flight.
     lists : names of flights in identify, validate, acid.
     channels : where each came from.
     units : of the controls, as dataset.toml declares them.
@@ -108,9 +108,12 @@ def import_log(
         notes += [f"{record.file.name}: {sentence}" for sentence in (*record.warnings, *more)]
         flights |= {name: arrays for name, (arrays, _) in cut.items()}
         kinds |= {name: kind for name, (_, kind) in cut.items()}
-    durations = {name: (float(arrays["time"][-1]), kinds[name]) for name, arrays in flights.items()}
     whole = manoeuvres.moved({name: flights[name] for name, kind in kinds.items() if not kind}, 1.0 / grid_hz)
     of_kinds = {name: whole.get(name) or frozenset(filter(None, (kind,))) for name, kind in kinds.items()}
+    durations = {
+        name: (float(arrays["time"][-1]), " ".join(n for n in arrays if n in of_kinds[name]))
+        for name, arrays in flights.items()
+    }
     lists = manoeuvres.share_out([(name, of_kinds[name], seconds) for name, (seconds, _) in durations.items()])
     kind, controls = _vehicle_kind(records, asked.map), _controls(records, flights)
     vehicle = (asked.map.vehicle if asked.map else None) or dict(records[0].plan.vehicle) or None

@@ -283,7 +283,9 @@ def test_whole_flights_of_every_axis_are_in_identify(tmp_path: Path):
         columns = {"time": time, **{stick: 1e-3 * np.sin(0.3 * time) for stick in ("lat", "lon", "ped")}}
         columns[axis] = 0.1 * np.sign(np.sin(time))
         files.append(csv(tmp_path / f"f{number}.csv", columns | {"p": np.sin(time)}))
-    lists = rotorid.import_log(files, tmp_path / "set").lists
+    done = rotorid.import_log(files, tmp_path / "set")
+    assert [moves for _, moves in done.flights.values()] == ["lat", "lat", "lat", "ped", "lon"]
+    lists = done.lists
     assert {"f0", "f3", "f4"} <= {*lists["identify"]}
     assert sorted([*lists["validate"], *lists["acid"]]) == ["f1", "f2"]
 

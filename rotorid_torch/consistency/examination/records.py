@@ -155,7 +155,8 @@ def noise(dataset: Dataset) -> Iterator[Finding]:
         sentence = f"almost no noise: filtered before recording ({ends}), or simulated."
         yield finding("note", " ".join(c for c, _ in smooth), sentence, "A filter's lag will count as the aircraft's.")
     if estimated:
-        sentence = f"noise estimated from the spectra: {', '.join(estimated)} (standard deviation of a sample)."
+        how = "standard deviation of a sample, in the channel's unit"
+        sentence = f"noise estimated from the spectra: {', '.join(estimated)} ({how})."
         yield finding("note", "", sentence, "Declare it in dataset.toml if the sensors' data sheets say otherwise.")
 
 
