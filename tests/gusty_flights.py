@@ -17,11 +17,11 @@ INTENSITY, LENGTH = 1.0, 60.0
 
 def gust(samples: int, rng: np.random.Generator) -> np.ndarray:
     """Gusts [T, 3] of first order, stationary from the start."""
-    kept = np.exp(-DT * DRIFT / LENGTH)
+    decay = np.exp(-DT * DRIFT / LENGTH)
     g = np.zeros((samples, 3))
     g[0] = INTENSITY * rng.standard_normal(3)
     for k in range(1, samples):
-        g[k] = kept * g[k - 1] + INTENSITY * np.sqrt(1.0 - kept**2) * rng.standard_normal(3)
+        g[k] = decay * g[k - 1] + INTENSITY * np.sqrt(1.0 - decay**2) * rng.standard_normal(3)
     return g
 
 

@@ -34,7 +34,7 @@ from rotorid_torch.identification.filter_error.innovations import (
     linear_model,
 )
 from rotorid_torch.identification.filter_error.smoother import smoothed
-from rotorid_torch.model.gusts import GUSTS, QUICK, QUICK_GUSTS, in_gusts, noisy_states, passing_speed
+from rotorid_torch.model.gusts import GUSTS, QUICK, QUICK_FORCES, in_gusts, noisy_states, passing_speed
 from rotorid_torch.model.model import Model
 
 GUST_SEARCH = Options(max_iterations=4, absolute=0.5)
@@ -43,7 +43,7 @@ SEARCHES = 2
 """The spread of gusts where a flight begins follows from the search before."""
 WIDER = (4.0, 16.0, 64.0, 256.0)
 """Variances of outputs over the sensors' that are tried in turn until the filter follows the flights."""
-FIRST, QUICK_FIRST, WHITE_FIRST = 0.4, 0.1, 1e-4
+FIRST, QUICK_FIRST, WHITE_FIRST = 0.4, 0.05, 1e-4
 """Spectral densities to start from: of gusts and their quick part, (m/s)2/s, of rates and flapping, per s."""
 
 
@@ -242,7 +242,7 @@ def _problem(
     rates = [f"gusts.rate_{n}" for n in VELOCITIES]
     model = in_gusts(model)
     system = System(model, [*held, *free, *rates])
-    names, nothing = model.layout.names, (*GUSTS, *QUICK_GUSTS)
+    names, nothing = model.layout.names, (*GUSTS, *QUICK_FORCES)
     measured = iter(flights.states.unbind(-1))
     zero = torch.zeros_like(flights.states[..., 0])
     states = torch.stack([zero if n in nothing else next(measured) for n in names], dim=-1)
@@ -268,8 +268,8 @@ def _with_spread(problem: FilterProblem, psi: Tensor) -> FilterProblem:
     density = psi[count : count + problem.process.count]
     rates = torch.cat([psi[count - 3 : count], torch.full((3,), QUICK, dtype=torch.float64)])
     names = problem.process.names
-    which = [problem.process.which.index(names.index(n)) for n in (*GUSTS, *QUICK_GUSTS)]
-    for name, variance in zip((*GUSTS, *QUICK_GUSTS), density[which] / (2.0 * rates), strict=True):
+    which = [problem.process.which.index(names.index(n)) for n in (*GUSTS, *QUICK_FORCES)]
+    for name, variance in zip((*GUSTS, *QUICK_FORCES), density[which] / (2.0 * rates), strict=True):
         P0[names.index(name), names.index(name)] = variance
     return replace(problem, P0=P0)
 
@@ -278,7 +278,7 @@ def _noises(problem: FilterProblem, held: int, floor: Tensor) -> tuple[Minimum[F
     """Trims, rates of gusts and sizes of noise [n] of the largest likelihood; the filter, initial states [F, nx]."""
     system, x0 = problem.system, problem.records.states[:, 0]
     wanted = [problem.process.names[i] for i in problem.process.which]
-    first = [FIRST if n in GUSTS else QUICK_FIRST if n in QUICK_GUSTS else WHITE_FIRST for n in wanted]
+    first = [FIRST if n in GUSTS else QUICK_FIRST if n in QUICK_FORCES else WHITE_FIRST for n in wanted]
     theta, density = system.theta, torch.tensor(first, dtype=torch.float64)
     psi = torch.cat([theta, density, floor])
     lower = torch.cat([system.lower, torch.full_like(density, 1e-12), floor])

@@ -6,10 +6,9 @@ import math
 from dataclasses import replace
 
 import msgspec
-import torch
 from torch import Tensor
 
-from rotorid_torch.core.names import FLAPPING, FORCES, RATES, VELOCITIES
+from rotorid_torch.core.names import FLAPPING, FORCES, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.core.state import State
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
@@ -24,7 +23,7 @@ longer than 1750 ft (MIL-F-8785C, sec. 3.7.2, medium and high altitude)."""
 QUICK = 20.0
 """1/s: rate of what the air does beside gusts of these lengths, and of what the model lacks there."""
 GUSTS = tuple(f"gust_{n}" for n in VELOCITIES)
-QUICK_GUSTS = tuple(f"quick_gust_{n}" for n in VELOCITIES)
+QUICK_FORCES = tuple(f"quick_force_{n}" for n in SPECIFIC_FORCES)
 
 
 def passing_speed(model: Model) -> float:
@@ -48,9 +47,6 @@ def lacks(model: Model) -> str:
 class Gusts(Effect):
     """Gusts with Dryden's form, first order per axis: dg/dt = -(V/L) g + noise, subtracted from the velocities.
 
-    A second, quick part takes what is faster than any gust that matters: without it what the model lacks would be taken
-    for gusts of no length.
-
     Source: MIL-F-8785C, sec. 3.7 (Dryden form).
     """
 
@@ -60,15 +56,26 @@ class Gusts(Effect):
         bounds = speed / LENGTHS[1], speed / LENGTHS[0]
         super().__init__(
             tuple(Parameter(f"rate_{n}", speed / 100.0, "1/s", bounds, doc="speed over length") for n in VELOCITIES),
-            tuple(State(n, "m/s") for n in (*GUSTS, *QUICK_GUSTS)),
+            tuple(State(n, "m/s") for n in GUSTS),
         )
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
-        """Velocities through the air; the rates of both parts."""
-        slow, quick = x[..., :3], x[..., 3:]
-        air = frame.stack(VELOCITIES) - slow - quick
-        rate = p.stack(*(f"rate_{n}" for n in VELOCITIES))
-        return frame.with_air(*air.unbind(-1)), torch.cat([-rate * slow, -QUICK * quick], dim=-1)
+        """Velocities through the air; the rates of the gusts."""
+        air = frame.stack(VELOCITIES) - x
+        return frame.with_air(*air.unbind(-1)), -p.stack(*(f"rate_{n}" for n in VELOCITIES)) * x
+
+
+class QuickForces(Effect):
+    """Specific forces that last a twentieth of a second: what a model lacks, which would be taken for short gusts."""
+
+    id, stage, role = "quick", Stage.MASS, Role.NOMINAL
+
+    def __init__(self) -> None:
+        super().__init__((), tuple(State(n, "m/s2") for n in QUICK_FORCES))
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """The forces, and their rates."""
+        return frame.add(force=x), -QUICK * x
 
 
 class FedGusts(Effect):
@@ -84,7 +91,7 @@ class FedGusts(Effect):
 
 def in_gusts(model: Model) -> Model:
     """The model with gusts as states, its parameters where they are."""
-    return _with(model, model.body.controls, Gusts(passing_speed(model)))
+    return _with(model, model.body.controls, Gusts(passing_speed(model)), QuickForces())
 
 
 def fed(model: Model) -> Model:
@@ -106,11 +113,11 @@ def without_gust_inputs(spec: ModelSpec) -> ModelSpec:
 
 def noisy_states(model: Model) -> tuple[str, ...]:
     """States of a model in gusts whose rates have noise: of the air, and for what it lacks of rates and flapping."""
-    return *GUSTS, *QUICK_GUSTS, *RATES, *(n for n in FLAPPING if model.layout.has(n))
+    return *GUSTS, *QUICK_FORCES, *RATES, *(n for n in FLAPPING if model.layout.has(n))
 
 
-def _with(model: Model, controls: tuple[str, ...], effect: Effect) -> Model:
-    reference = {**model.reference, **dict.fromkeys((*GUSTS, *QUICK_GUSTS), 0.0)}
-    model_in_gusts = Model(replace(model.body, controls=controls), [*model.chain, effect], reference)
+def _with(model: Model, controls: tuple[str, ...], *effects: Effect) -> Model:
+    reference = {**model.reference, **dict.fromkeys((*GUSTS, *QUICK_FORCES), 0.0)}
+    model_in_gusts = Model(replace(model.body, controls=controls), [*model.chain, *effects], reference)
     model_in_gusts.start_from(model.named_values)
     return model_in_gusts

@@ -40,23 +40,23 @@ def case() -> tuple[Dataset, Tensor]:
 @pytest.mark.slow
 def test_gusts_and_derivatives_come_back(case: tuple[Dataset, Tensor]):
     data, gusts = case
-    found, model = estimated(data, "auto")
-    assert found.method == "filter-error"
-    assert found.air is not None
-    assert found.flights == data.identify
-    assert "the air moves" in found.why
-    for axis in found.air.axes:
+    answer, model = estimated(data, "auto")
+    assert answer.method == "filter-error"
+    assert answer.air is not None
+    assert answer.flights == data.identify
+    assert "the air moves" in answer.why
+    for axis in answer.air.axes:
         assert abs(axis.intensity - INTENSITY) < 3.0 * axis.intensity_se
         assert abs(np.log(axis.length / LENGTH)) < 3.0 * axis.length_se / axis.length
     for k in range(3):
-        both = torch.stack([found.air.velocities[..., k].flatten(), gusts[..., k].flatten()])
+        both = torch.stack([answer.air.velocities[..., k].flatten(), gusts[..., k].flatten()])
         assert float(torch.corrcoef(both)[0, 1]) > 0.8
     by_output_error = estimated(data, "output-error")[1]
     for name in ("L.p", "M.q", "N.r", "N.ped", "M.u"):
         off, other = (abs(m.named_values[f"forces.{name}"] / DERIVATIVES[name] - 1.0) for m in (model, by_output_error))
         assert off < 0.06
         assert off < max(other, 0.02)
-    errors = dict(zip(found.names, found.fit.errors.tolist(), strict=True))
+    errors = dict(zip(answer.names, answer.fit.errors.tolist(), strict=True))
     off = [abs(model.named_values[n := f"forces.{k}"] - v) / errors[n] for k, v in DERIVATIVES.items()]
     assert float(np.median(off)) < 1.5
     assert max(off) < 4.5
@@ -82,17 +82,20 @@ def test_rates_alone_have_nothing_that_gusts_act_through():
 def test_gusts_act_as_the_same_velocity_the_other_way():
     model = linear_vehicle()
     gusty, (x, u) = in_gusts(model), points(model, 5)
-    g = torch.randn(5, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
-    states = torch.cat([x, g], dim=-1)
+    g, force = torch.randn(2, 5, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    states = torch.cat([x, g, torch.zeros_like(g)], dim=-1)
     air = x.clone()
-    air[:, :3] -= g[:, :3] + g[:, 3:]
+    air[:, :3] -= g
     through_air = model.outputs_at(model.theta, air, u)[:, 8:]  # specific forces: where the air alone matters
     assert torch.allclose(gusty.outputs_at(gusty.theta, states, u)[:, 8:], through_air, atol=1e-12)
     assert torch.allclose(gusty.outputs_at(gusty.theta, states, u)[:, :3], x[:, :3])
-    known = fed(model)
-    inputs = torch.cat([u, g[:, :3] + g[:, 3:]], dim=-1)
-    assert known.body.controls[-3:] == GUSTS
-    assert torch.allclose(known.rates(known.theta, x, inputs), gusty.rates(gusty.theta, states, u)[:, :8], atol=1e-12)
+    fed_model, inputs = fed(model), torch.cat([u, g], dim=-1)
+    assert fed_model.body.controls[-3:] == GUSTS
+    still = gusty.rates(gusty.theta, states, u)
+    assert torch.allclose(fed_model.rates(fed_model.theta, x, inputs), still[:, :8], atol=1e-12)
+    pushed = gusty.rates(gusty.theta, torch.cat([x, g, force], dim=-1), u)
+    assert torch.allclose((pushed - still)[:, :3], force, atol=1e-12)
+    assert torch.allclose((pushed - still)[:, 3:11], torch.zeros(5, 8, dtype=torch.float64))
 
 
 @pytest.mark.slow
@@ -100,10 +103,10 @@ def test_the_same_flights_have_the_same_gusts(case: tuple[Dataset, Tensor]):
     data = case[0]
     step1 = reconstruct(data)
     model = build(propose(data, step1, ()))
-    found = estimate_model(model, data, step1, regress_model(model, data, step1), Means(method="filter-error"))
-    assert found.air is not None
-    again = follow(model, found.names, found.air, records(model, data, step1))
-    assert torch.allclose(again, found.air.velocities, atol=0.02)
+    answer = estimate_model(model, data, step1, regress_model(model, data, step1), Means(method="filter-error"))
+    assert answer.air is not None
+    again = follow(model, answer.names, answer.air, records(model, data, step1))
+    assert torch.allclose(again, answer.air.velocities, atol=0.02)
     scored = dict(in_free_runs(model, data, {"f_lat": (data.flights["f_lat"].time, case[1][1])}))["f_lat"]
     assert scored.J_fed < 0.5 * scored.J_gust
 
@@ -113,12 +116,12 @@ def test_rows_that_gusts_keep_regression_from_telling_are_doubtful(case: tuple[D
     data = case[0]
     step1 = reconstruct(data)
     model = build(propose(data, step1, ()))
-    found = regress_model(model, data, step1)
-    weak = {row for row, r in found.by_row.items() if r.band[1] <= START}
-    doubtful = found.doubtful(model.parameter_set.free)
+    answer = regress_model(model, data, step1)
+    weak = {row for row, r in answer.by_row.items() if r.band[1] <= START}
+    doubtful = answer.doubtful(model.parameter_set.free)
     assert {n.split(".")[1] for n in doubtful} == weak
     assert not [n for n in doubtful if n.endswith((".trim", "L.p", "M.q", "N.r"))]
-    poor = replace(found, by_row={"L": replace(found.by_row["L"], band=(0.1, START))})
+    poor = replace(answer, by_row={"L": replace(answer.by_row["L"], band=(0.1, START))})
     assert "forces.L.v" in poor.doubtful(model.parameter_set.free)
     assert "forces.L.p" not in poor.doubtful(model.parameter_set.free)
 

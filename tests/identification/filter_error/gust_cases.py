@@ -98,9 +98,9 @@ def lateral_flight(
     truth = Lateral(**LATERAL, **BIASES)
     with torch.no_grad():
         x, one = torch.eye(2, dtype=torch.float64), torch.eye(3, dtype=torch.float64)
-        rest = truth.moments(0.0 * x[0], 0.0 * one[0])
-        A = (truth.moments(x, torch.zeros(2, 3)) - rest).T.numpy()
-        B = torch.cat([truth.moments(torch.zeros(3, 2), one) - rest, rest[None]]).T.numpy()
+        still = truth.moments(0.0 * x[0], 0.0 * one[0])
+        A = (truth.moments(x, torch.zeros(2, 3)) - still).T.numpy()
+        B = torch.cat([truth.moments(torch.zeros(3, 2), one) - still, still[None]]).T.numpy()
         constant = np.concatenate([u, np.ones((len(time), 1))], axis=1)
         states = linear_motion(A, B, np.diag(np.square(gusts)), constant, dt, rng)
         outputs = truth.output(torch.as_tensor(states), torch.as_tensor(u)).numpy()

@@ -55,13 +55,13 @@ def log_likelihood(psi: NDArray, flight: dict[str, NDArray], x: NDArray, P: NDAr
     Ad, Qd = pair[2:, 2:].T, pair[2:, 2:].T @ pair[:2, 2:]
     total = 0.0
     for k, (u, y) in enumerate(zip(flight["controls"][:, 0], flight["outputs"], strict=True)):
-        there = ~np.isnan(y)
-        if there.any():
-            H = np.eye(2)[there]
-            e, S = y[there] - H @ x, H @ P @ H.T + R[np.ix_(there, there)]
+        measured = ~np.isnan(y)
+        if measured.any():
+            H = np.eye(2)[measured]
+            e, S = y[measured] - H @ x, H @ P @ H.T + R[np.ix_(measured, measured)]
             K = P @ H.T @ np.linalg.inv(S)
             x, P = x + K @ e, P - K @ S @ K.T
-            total = total - 0.5 * (e @ np.linalg.solve(S, e) + np.log(2 * np.pi) * there.sum())
+            total = total - 0.5 * (e @ np.linalg.solve(S, e) + np.log(2 * np.pi) * measured.sum())
             total = total - 0.5 * np.log(np.linalg.det(S))
         if k + 1 < len(flight["time"]):
             x = whole[:2] @ np.concatenate([x, [u, flight["controls"][k + 1, 0] - u]])
@@ -169,11 +169,11 @@ def test_smoothed_states_are_the_conditional_means_given_all_samples() -> None:
             block = Ad @ block
         spread = Ad @ spread @ Ad.T + Qd
     y = torch.as_tensor(outputs).flatten()
-    there, expected = ~y.isnan(), torch.cat(mean)
-    S = (joint + torch.block_diag(*[R] * samples))[there][:, there]
-    gain = joint[:, there] @ torch.linalg.inv(S)
-    torch.testing.assert_close(states[0].flatten(), expected + gain @ (y - expected)[there], rtol=1e-9, atol=1e-12)
-    after = joint - gain @ joint[there]
+    measured, expected = ~y.isnan(), torch.cat(mean)
+    S = (joint + torch.block_diag(*[R] * samples))[measured][:, measured]
+    gain = joint[:, measured] @ torch.linalg.inv(S)
+    torch.testing.assert_close(states[0].flatten(), expected + gain @ (y - expected)[measured], rtol=1e-9, atol=1e-12)
+    after = joint - gain @ joint[measured]
     blocks = torch.stack([after[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(samples)])
     torch.testing.assert_close(covariances[0], blocks, rtol=1e-7, atol=1e-14)
 

@@ -70,11 +70,11 @@ def test_gains_that_are_held_lead_to_the_same_parameters_and_errors(lateral: Fil
 @pytest.mark.parametrize("start", [(0.0, 0.0, 0.0), (2.0, 3.0, -4.0), (-9.0, -20.0, 30.0)])
 def test_any_start_leads_to_the_same_optimum(start: tuple[float, ...]) -> None:
     flights = [gusty_roll(np.random.default_rng(k), shift=0.5 * k) for k in range(3)]
-    best, found = filter_error(Roll(), flights), filter_error(Roll(start), flights)
-    assert found.converged
-    for p, q in zip(found.parameters + found.process_noise, best.parameters + best.process_noise, strict=True):
+    best, result = filter_error(Roll(), flights), filter_error(Roll(start), flights)
+    assert result.converged
+    for p, q in zip(result.parameters + result.process_noise, best.parameters + best.process_noise, strict=True):
         assert abs(p.value - q.value) < 0.05 * q.se
-    for p, truth in zip(found.parameters, ROLL, strict=True):
+    for p, truth in zip(result.parameters, ROLL, strict=True):
         assert abs(p.value - truth) < 3.0 * p.se
 
 
@@ -82,35 +82,35 @@ def test_any_start_leads_to_the_same_optimum(start: tuple[float, ...]) -> None:
 def test_without_process_noise_it_is_output_error(x0: str) -> None:
     flights = [roll_flight(np.random.default_rng(k)) for k in range(2)]
     calm = output_error(Roll((-0.5, -1.0, 1.0)), flights, x0=x0)
-    found = filter_error(Roll((-0.5, -1.0, 1.0)), flights, process_noise=torch.zeros(2, 2), x0=x0)
-    assert [p.value for p in found.parameters] == [p.value for p in calm.parameters]
-    assert torch.equal(found.covariance, calm.covariance)
-    assert torch.equal(found.innovations[0], calm.residuals[0])
-    assert found.process_noise == []
+    result = filter_error(Roll((-0.5, -1.0, 1.0)), flights, process_noise=torch.zeros(2, 2), x0=x0)
+    assert [p.value for p in result.parameters] == [p.value for p in calm.parameters]
+    assert torch.equal(result.covariance, calm.covariance)
+    assert torch.equal(result.innovations[0], calm.residuals[0])
+    assert result.process_noise == []
     assert "filter_error" not in calm.message
     residual = np.concatenate([r.numpy() for r in calm.residuals])
     sd = np.sqrt((residual**2).mean(axis=0))
     expected = -np.log(sd * np.sqrt(2 * np.pi)).sum() * len(residual) - len(residual)
-    assert abs(found.log_likelihood - expected) < 0.5
+    assert abs(result.log_likelihood - expected) < 0.5
 
 
 def test_calm_air_has_no_process_noise_and_the_same_parameters() -> None:
     flights = [roll_flight(np.random.default_rng(k)) for k in range(2)]
-    calm, found = output_error(Roll(), flights), filter_error(Roll((-0.5, -1.0, 1.0)), flights)
-    for p, q in zip(found.parameters, calm.parameters, strict=True):
+    calm, result = output_error(Roll(), flights), filter_error(Roll((-0.5, -1.0, 1.0)), flights)
+    for p, q in zip(result.parameters, calm.parameters, strict=True):
         assert abs(p.value - q.value) < 0.1 * q.se
         assert 0.9 < p.se / q.se < 1.1
-    for p in found.process_noise:
+    for p in result.process_noise:
         assert p.value < 0.002
-    np.testing.assert_allclose(found.noise.diagonal().sqrt(), [0.01, 0.02], rtol=0.1)
+    np.testing.assert_allclose(result.noise.diagonal().sqrt(), [0.01, 0.02], rtol=0.1)
 
 
 def test_an_unstable_vehicle_needs_no_care() -> None:
     flight = unstable_flight(20.0, noise=(0.003, 0.00015, 0.003), seed=3)
     for factor in (3.0, -1.0, 0.0):
-        found = filter_error(ShortPeriod(**{n: factor * v for n, v in SHORT_PERIOD.items()}), [flight])
-        assert found.converged
-        for p in found.parameters:
+        result = filter_error(ShortPeriod(**{n: factor * v for n, v in SHORT_PERIOD.items()}), [flight])
+        assert result.converged
+        for p in result.parameters:
             assert abs(p.value - SHORT_PERIOD[p.name]) < 3.5 * p.se, (p.name, p.value)
 
 
@@ -118,24 +118,24 @@ def test_missing_samples_full_noises_bounds_and_what_comes_back() -> None:
     flights = [gusty_roll(np.random.default_rng(k), seconds=12.0 + k) for k in range(3)]
     flights[1]["outputs"][40:80, 0] = np.nan
     flights[1]["outputs"][::5, 1] = np.nan
-    found = filter_error(
+    result = filter_error(
         Roll((-0.5, -1.0, 1.0)),
         flights,
         process_noise="full",
         noise="full",
         bounds={"theta[0]": (-0.9, 0.0)},
     )
-    by_name = {p.name: p for p in found.parameters}
+    by_name = {p.name: p for p in result.parameters}
     assert by_name["theta[0]"].at_bound
     assert by_name["theta[0]"].value == -0.9
-    assert float(torch.linalg.eigvalsh(found.process_covariance).min()) > -1e-15
-    assert [p.name for p in found.process_noise] == ["x[0]", "x[1]", "x[1], x[0]"]
-    assert [p.name for p in found.measurement_noise] == ["y[0]", "y[1]", "y[1], y[0]"]
-    assert [p.unit for p in found.process_noise] == ["/sqrt(s)", "/sqrt(s)", ""]
-    assert [tuple(e.shape) for e in found.innovations] == [(240, 2), (260, 2), (280, 2)]
-    assert [tuple(e.shape) for e in found.states] == [(240, 2), (260, 2), (280, 2)]
-    assert bool(found.innovations[1][40:80, 0].isnan().all())
-    assert bool(torch.stack([e.isfinite().all() for e in found.states + found.state_errors]).all())
+    assert float(torch.linalg.eigvalsh(result.process_covariance).min()) > -1e-15
+    assert [p.name for p in result.process_noise] == ["x[0]", "x[1]", "x[1], x[0]"]
+    assert [p.name for p in result.measurement_noise] == ["y[0]", "y[1]", "y[1], y[0]"]
+    assert [p.unit for p in result.process_noise] == ["/sqrt(s)", "/sqrt(s)", ""]
+    assert [tuple(e.shape) for e in result.innovations] == [(240, 2), (260, 2), (280, 2)]
+    assert [tuple(e.shape) for e in result.states] == [(240, 2), (260, 2), (280, 2)]
+    assert bool(result.innovations[1][40:80, 0].isnan().all())
+    assert bool(torch.stack([e.isfinite().all() for e in result.states + result.state_errors]).all())
 
 
 def test_smoothed_states_lie_nearer_to_the_truth_than_what_is_measured() -> None:
@@ -143,10 +143,10 @@ def test_smoothed_states_lie_nearer_to_the_truth_than_what_is_measured() -> None
     flight = gusty_roll(rng, noise=(0.0, 0.0))
     truth = flight["outputs"]
     flight |= {"outputs": truth + rng.standard_normal(truth.shape) * (0.01, 0.02)}
-    found = filter_error(Roll(), [flight], process_noise=["x[1]"])
-    wrong = (found.states[0] - torch.as_tensor(truth)) / found.state_errors[0]
+    result = filter_error(Roll(), [flight], process_noise=["x[1]"])
+    wrong = (result.states[0] - torch.as_tensor(truth)) / result.state_errors[0]
     assert float((wrong.abs() < 1.96).double().mean()) > 0.85
-    rms = (found.states[0] - torch.as_tensor(truth)).square().mean(dim=0).sqrt()
+    rms = (result.states[0] - torch.as_tensor(truth)).square().mean(dim=0).sqrt()
     assert bool((rms < torch.tensor([0.004, 0.016])).all())
 
 
