@@ -24,9 +24,8 @@ from rotorid_torch.identification.regress.equation import START, Equation, fit_e
 from rotorid_torch.identification.regress.ftr import Regression
 from rotorid_torch.identification.structure import ATTITUDE, have
 from rotorid_torch.model.derivatives import LinearForces
-from rotorid_torch.model.flapping import AlgebraicFlapping, Flapping
 from rotorid_torch.model.inflow import CYCLIC
-from rotorid_torch.model.linear_equations import LinearBlock
+from rotorid_torch.model.linear_equations import AlgebraicFlapping, Flapping, LinearBlock
 from rotorid_torch.model.model import Model
 
 HIGHEST = {**dict.fromkeys(FLAPPING, 8.0), **dict.fromkeys((*FORCES, *MOMENTS), 4.0)}

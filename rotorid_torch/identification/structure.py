@@ -48,10 +48,7 @@ def propose(dataset: Dataset, reconstruction: Reconstruction | None, effects: Se
     velocity is a state where the rotor is declared.
 
     reconstruction : None before step 1; the sizes of forces and moments are one then.
-
-    Raises InputError: a flight lacks a body rate.
     """
-    dataset.require_rates()
     moving = have(dataset, (*VELOCITIES, *ATTITUDE))
     rotor = _rotor(dataset) if moving else None
     inflow = rotor is not None and dataset.vehicle.mass is not None and dataset.vehicle.inertia is not None

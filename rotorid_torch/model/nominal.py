@@ -16,10 +16,9 @@ from rotorid_torch.effects.registry import make
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError
 from rotorid_torch.model.derivatives import LinearForces, TailInflow, Tailplane, TailRotor, ThrustTilt
-from rotorid_torch.model.flapping import AlgebraicFlapping, Flapping
 from rotorid_torch.model.gusts import GUSTS, FedGusts
 from rotorid_torch.model.inflow import CYCLIC, INDUCED, CyclicInflow, Inflow
-from rotorid_torch.model.linear_equations import LinearBlock
+from rotorid_torch.model.linear_equations import AlgebraicFlapping, Flapping, LinearBlock
 from rotorid_torch.model.model import Body, Model
 from rotorid_torch.model.rotors import Disturbance, Rotors, RotorSpeed, Surfaces, Telemetry, hover_input
 

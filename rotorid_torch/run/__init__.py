@@ -3,6 +3,6 @@
 Read `pipeline` first: it alone knows the order of `identify`; `estimate` is its middle, `result` what comes out.
 `close_loop` traces what the model lacks, adds it and identifies again (`free_runs` says which model is better);
 `check` examines a data set, `saved_model` flies a model again. `fit_record` and `loop_record` turn models and findings
-into records of the report; `own_effects` tries what a user's effect promises; `turbulence` is what moving air does to
-findings and scores. `output/` is the folder that all of them write.
+into records of the report; `turbulence` is what moving air does to findings and scores. `output/` is the folder that
+all of them write.
 """

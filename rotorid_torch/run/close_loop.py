@@ -111,7 +111,7 @@ def close_loop(
             stack.enter_context(monitor.recording(folder))
         run = _closed(dataset, seed, Steps(monitor, ranks, Checkpoint(), device), hybrid)
         if folder is not None:
-            pictured(run, dataset).write(folder, monitor)
+            pictured(run, with_velocities(dataset)).write(folder, monitor)
     return run
 
 
@@ -119,8 +119,8 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
     """Sensors against each other first, then what acts on the vehicle, on records without the sensors' errors."""
     monitor = steps.monitor
     whole = partial(identified, effects=(), seed=seed, where_untold="output-error")
-    first = whole(dataset, steps=steps)
     recorded, dataset = at_one_rate(dataset), with_velocities(dataset)
+    first = whole(dataset, steps=steps)
     with monitor.step("trace"):
         sensors = sensor_findings(recorded)
     right = with_velocities(sensors.corrected(recorded)) if sensors.effects else at_one_rate(dataset)

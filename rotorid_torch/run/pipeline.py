@@ -28,6 +28,7 @@ from rotorid_torch.identification.reconstruct.reconstruction import Reconstructi
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct as motion_and_forces
 from rotorid_torch.identification.structure import propose, rival
 from rotorid_torch.model.model import Model
+from rotorid_torch.model.own_effects import refuse_faulty
 from rotorid_torch.report import limits, remarks
 from rotorid_torch.report.records import DatasetRecord, FitRecord, Report
 from rotorid_torch.run.estimate import estimated
@@ -38,7 +39,6 @@ from rotorid_torch.run.output.checkpoint import Checkpoint, Steps, checkpoint
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
 from rotorid_torch.run.output.write import write_report
-from rotorid_torch.run.own_effects import refuse_faulty
 from rotorid_torch.run.result import Run, write_reconstruction
 from rotorid_torch.run.turbulence import method_by_quiet_moments, smoothed, with_gusts
 from rotorid_torch.version import __version__
@@ -107,7 +107,7 @@ def identify(
     refuse(dataset, effects, device, method)
     ranks.refuse_more_than(len(dataset.identify))
     torch.manual_seed(seed)
-    steps = Steps(monitor, ranks, Checkpoint(), device, method)
+    dataset, steps = with_velocities(dataset), Steps(monitor, ranks, Checkpoint(), device, method)
     if out is None or not ranks.first:
         return identified(dataset, effects, seed, steps)
     with ExitStack() as stack:
@@ -124,7 +124,7 @@ def pictured(run: AnyRun, dataset: Dataset) -> AnyRun:
     """The run with what its pictures show besides: errors of the model, and what each named effect does."""
     sizes = run.model.parameter_set.sizes
     named = [e.id for e in run.record.effects if e.verdict in ("accepted", "indistinguishable") and sizes(e.id)]
-    overlays = for_pictures(run.overlays, run.model, with_velocities(dataset), run.estimate, named)
+    overlays = for_pictures(run.overlays, run.model, dataset, run.estimate, named)
     return replace(run, overlays=overlays)
 
 
@@ -145,7 +145,6 @@ def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps
 
     where_untold : as `method_by_quiet_moments`.
     """
-    dataset = with_velocities(dataset)
     uniform, monitor = at_one_rate(dataset), steps.monitor
     reconstruction = steps.reconstruct(
         tuple(uniform.flights), lambda: motion_and_forces(uniform, None, steps.ranks, steps.device)

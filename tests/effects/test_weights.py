@@ -17,8 +17,8 @@ from rotorid_torch.errors import InputError
 from rotorid_torch.identification.estimate.output_error import output_error
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
+from rotorid_torch.model.own_effects import refuse_faulty
 from rotorid_torch.model.save import load, save
-from rotorid_torch.run.own_effects import refuse_faulty
 from tests.known_models import DERIVATIVES, body_spec, flown, linear_vehicle, manoeuvres, points, with_values
 
 DT = 0.02

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from rotorid_torch.effects.examples import HELICOPTER
-from rotorid_torch.run.own_effects import refuse_faulty
+from rotorid_torch.model.own_effects import refuse_faulty
 from tests.experiments.test_experiments import quick
 
 pytest.importorskip("tyro", reason="experiments need the extra 'experiments'")

@@ -12,7 +12,6 @@ import torch
 
 from rotorid_torch.data import Dataset
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.errors import InputError
 from rotorid_torch.identification import structure
 from rotorid_torch.identification.structure import lagged, propose
 from rotorid_torch.model.inflow import INDUCED
@@ -115,12 +114,6 @@ def test_sticks_of_an_undeclared_helicopter_command_its_rates_one_by_one():
         data = Dataset.from_arrays(flights, identify=["one", "two"], controls=sticks, vehicle=vehicle)
         spec = propose(data, Loads(data))  # pyright: ignore[reportArgumentType]
         assert spec.patterns == patterns
-
-
-def test_a_body_rate_that_no_flight_has_is_told():
-    data = a_dataset(("p", "q"))
-    with pytest.raises(InputError, match=r"r: is missing; expected body rates p q r"):
-        propose(data, Loads(data))  # pyright: ignore[reportArgumentType]
 
 
 def test_a_multirotor_has_its_motors():

@@ -23,8 +23,8 @@ from rotorid_torch.effects.families.main_rotor import FlapSecondOrder
 from rotorid_torch.effects.signal_operations import smoothed
 from rotorid_torch.identification.model_regression import Before, Measured, measured
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
-from rotorid_torch.model.flapping import Flapping
 from rotorid_torch.model.gusts import GUSTS
+from rotorid_torch.model.linear_equations import Flapping
 from rotorid_torch.model.model import Model
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import turned

@@ -12,7 +12,7 @@ from rotorid_torch.effects.registry import EFFECTS
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
-from rotorid_torch.run.own_effects import refuse_faulty
+from rotorid_torch.model.own_effects import refuse_faulty
 from tests.known_models import DERIVATIVES, body_spec, flown, linear_vehicle, manoeuvres, with_values
 
 PAGE = (Path(__file__).parents[3] / "docs" / "own-network.md").read_text(encoding="utf-8")

@@ -67,8 +67,10 @@ def _blamed(name: str, where: str, signals: Iterable[str] = ()) -> Iterator[None
     """Any error of a block as one of the effect."""
     try:
         yield
-    except InputError:
-        raise
+    except InputError as error:
+        if error.file not in ("Parameter", "State"):
+            raise
+        _refuse(name, where, f"{error.key}: {error.wrong}", error.expected)
     except KeyError as error:
         _refuse(name, where, f"asks for {error}, which is no signal of this model", f"one of {', '.join(signals)}")
     except Exception as error:  # the effect is somebody else's code, and may fail in any way
