@@ -52,8 +52,13 @@ def equilibrium(model: Flown, body: Tensor, controls: Tensor, starts_at: Tensor 
     start = torch.tensor(start, dtype=body.dtype, device=body.device)
     start = start if starts_at is None else torch.where(starts_at.isnan(), start, starts_at)
     x = torch.cat([body, start.expand(*body.shape[:-1], len(effect_states))], dim=-1)
-    places = resting(model)
-    for _ in range(STEPS if places else 0):
+    return settled(model, x, controls, resting(model))
+
+
+@torch.no_grad()
+def settled(model: Flown, x: Tensor, controls: Tensor, places: list[int], steps: int = STEPS) -> Tensor:
+    """States [..., nx] with those in some places at rest under the others and controls, by steps of Newton's method."""
+    for _ in range(steps if places else 0):
         rates, slopes = _slopes(model, x, controls, places)
         change = least_squares(slopes, rates.unsqueeze(-1)).squeeze(-1)
         x = x.clone()
@@ -80,19 +85,18 @@ def at_rest(model: Flown, body: Tensor, controls: Tensor, starts_at: Tensor) -> 
 
     Source: implicit function theorem, as one more step of Newton's method with slopes that are held.
     """
-    settled, places = equilibrium(model, body.detach(), controls.detach(), starts_at.detach()), resting(model)
+    still, places = equilibrium(model, body.detach(), controls.detach(), starts_at.detach()), resting(model)
     if not model.own_states:
         return body
     n = body.shape[-1]
-    x = torch.cat([body, torch.where(starts_at.isnan(), settled[..., n:], starts_at)], dim=-1)
+    x = torch.cat([body, torch.where(starts_at.isnan(), still[..., n:], starts_at)], dim=-1)
     if not places:
         return x
     with torch.no_grad():
-        _, slopes = _slopes(model, settled, controls, places)
+        _, slopes = _slopes(model, still, controls, places)
         inverse = least_squares(slopes, torch.eye(len(places)).to(slopes).expand_as(slopes)).nan_to_num(0.0)
     picked = torch.eye(x.shape[-1], dtype=x.dtype, device=x.device)[places]
-    still = torch.cat(
-        [body, x[..., n:].index_copy(-1, torch.tensor(places, device=x.device) - n, settled[..., places])], -1
-    )
+    resting_at = x[..., n:].index_copy(-1, torch.tensor(places, device=x.device) - n, still[..., places])
+    still = torch.cat([body, resting_at], dim=-1)
     change = (inverse @ model.rates(model.theta, still, controls)[..., places].unsqueeze(-1)).squeeze(-1)
     return still - change @ picked

@@ -19,7 +19,7 @@ import msgspec
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.least_squares import bounded_least_squares, least_squares
+from rotorid_torch.core.least_squares import bounded_least_squares
 from rotorid_torch.effects.base import Stage
 from rotorid_torch.effects.signal_operations import smoothed
 from rotorid_torch.effects.spec import ModelSpec
@@ -29,14 +29,13 @@ from rotorid_torch.identification.estimate.segments import Records, Segments
 from rotorid_torch.model.gusts import GUSTS
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
+from rotorid_torch.model.training.equilibrium import settled
 from rotorid_torch.trace.evidence.fits import Fitted
 from rotorid_torch.trace.evidence.held_out import FlightEquations, eliminating
 from rotorid_torch.trace.terms.eligible import of_control_path
 from rotorid_torch.trace.terms.significance import turned
 from rotorid_torch.validate.free_run import Runs
 
-PROBE = 1e-4
-"""Perturbation of a state for its derivative, in the state's unit."""
 IMITATORS = 3
 """Parameters named as those that take an effect's place."""
 HALVINGS = 6
@@ -490,14 +489,8 @@ def _starts(
             remaining.append(i)
         else:
             x[:, i] = _measured(null, listed, segments, state.channel)
-    controls = segments.first(records.controls)
-    probes = PROBE * torch.eye(len(names), dtype=torch.float64)[remaining]
-    for _ in range(2 if remaining else 0):  # linear in these states, or nearly
-        rates = model.rates(model.theta, torch.cat([x[None], x + probes[:, None]]), controls)[..., remaining]
-        slopes = ((rates[1:] - rates[0]) / PROBE).movedim(0, -1)
-        change = least_squares(slopes, rates[0].unsqueeze(-1)).squeeze(-1)
-        x[:, remaining] = x[:, remaining] - change.nan_to_num(0.0)
-    return x
+    # linear in these states, or nearly
+    return settled(model, x, segments.first(records.controls), remaining, steps=2)
 
 
 def _measured(null: Fitted, listed: Sequence[str], segments: Segments, channel: str) -> Tensor:
