@@ -13,6 +13,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from rotorid_torch.simulation.effects import EFFECT_CLASSES as EFFECT_CLASSES
     from rotorid_torch.simulation.flight_test import FlightTest as FlightTest
     from rotorid_torch.simulation.flight_test import FlownSet as FlownSet
     from rotorid_torch.simulation.flight_test import MultirotorTest as MultirotorTest

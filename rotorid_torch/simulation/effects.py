@@ -188,6 +188,8 @@ HIDDEN: dict[str, Hidden] = {
     "sensors.filter": Hidden(sensor_error("lag", dict.fromkeys(GYROS, 0.05))),
 }
 """Physics that can be switched on, by id."""
+EFFECT_CLASSES = {name: hidden.kind for name, hidden in HIDDEN.items()}
+"""What flights of each leave to be found (see `Hidden`)."""
 FORMS = {"sensors.filter.second_order": "sensors.filter"}
 """Further forms of an effect: name -> the effect."""
 EVERY_FORM: dict[str, Change] = {

@@ -17,6 +17,7 @@ from rotorid_torch.data import Dataset
 from rotorid_torch.data.write import declarations, refuse_unless_free, write_dataset
 from rotorid_torch.errors import InputError
 from rotorid_torch.simulation.changes import Hidden
+from rotorid_torch.simulation.effects import EFFECT_CLASSES as EFFECT_CLASSES
 from rotorid_torch.simulation.effects import EVERY_FORM, FORMS, HIDDEN, differences
 from rotorid_torch.simulation.flight.augmentation import Augmentation, design
 from rotorid_torch.simulation.flight.linear import linearise
