@@ -7,6 +7,7 @@ else, one line and a log.
 from __future__ import annotations
 
 import argparse
+import gc
 import io
 import json
 import math
@@ -333,10 +334,11 @@ def import_logs(options: Options) -> None:
 
 def check(options: Options) -> int:
     """Grade a data set: ready, limited or not usable; exit code 3 for the last."""
-    from rotorid_torch.data import load
-    from rotorid_torch.run.check import check as examine
-    from rotorid_torch.run.check import check_table, write_check
-    from rotorid_torch.run.output.folder import refuse_unless_free
+    with _loading():
+        from rotorid_torch.data import load
+        from rotorid_torch.run.check import check as examine
+        from rotorid_torch.run.check import check_table, write_check
+        from rotorid_torch.run.output.folder import refuse_unless_free
 
     if options.out:
         refuse_unless_free(options.out, "check")
@@ -350,10 +352,11 @@ def check(options: Options) -> int:
 
 def reconstruct(options: Options) -> None:
     """Step 1 alone."""
-    from rotorid_torch.data import load
-    from rotorid_torch.report.records import read_report
-    from rotorid_torch.run import pipeline
-    from rotorid_torch.run.output.folder import refuse_unless_free
+    with _loading():
+        from rotorid_torch.data import load
+        from rotorid_torch.report.records import read_report
+        from rotorid_torch.run import pipeline
+        from rotorid_torch.run.output.folder import refuse_unless_free
 
     refuse_unless_free(options.out, "reconstruct")
     pipeline.reconstruct(load(options.dataset), options.out, seed=options.seed, monitor=_monitor(options))
@@ -362,11 +365,12 @@ def reconstruct(options: Options) -> None:
 
 def identify(options: Options) -> None:
     """The three steps, validation and report; under torchrun, by all processes together."""
-    from rotorid_torch.core.processes.ranks import ranks_of_torchrun
-    from rotorid_torch.data import load
-    from rotorid_torch.report.records import read_report
-    from rotorid_torch.run import pipeline
-    from rotorid_torch.run.output.folder import refuse_unless_free
+    with _loading():
+        from rotorid_torch.core.processes.ranks import ranks_of_torchrun
+        from rotorid_torch.data import load
+        from rotorid_torch.report.records import read_report
+        from rotorid_torch.run import pipeline
+        from rotorid_torch.run.output.folder import refuse_unless_free
 
     with ranks_of_torchrun() as ranks:
         refuse_unless_free(options.out, "identify")
@@ -381,11 +385,12 @@ def identify(options: Options) -> None:
 
 def close_loop(options: Options) -> None:
     """Find what the model lacks, name it, add it, identify again; under torchrun, by all processes together."""
-    from rotorid_torch.core.processes.ranks import PATIENCE_FOR_FITS_S, ranks_of_torchrun
-    from rotorid_torch.data import load
-    from rotorid_torch.report.records import read_report
-    from rotorid_torch.run.close_loop import close_loop as close
-    from rotorid_torch.run.output.folder import refuse_unless_free
+    with _loading():
+        from rotorid_torch.core.processes.ranks import PATIENCE_FOR_FITS_S, ranks_of_torchrun
+        from rotorid_torch.data import load
+        from rotorid_torch.report.records import read_report
+        from rotorid_torch.run.close_loop import close_loop as close
+        from rotorid_torch.run.output.folder import refuse_unless_free
 
     with ranks_of_torchrun(PATIENCE_FOR_FITS_S) as ranks:
         refuse_unless_free(options.out, "close-loop")
@@ -518,6 +523,20 @@ def _interrupted_by(*signals: signal.Signals) -> Iterator[None]:
     finally:
         for number, handler in earlier.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def _loading() -> Iterator[None]:
+    """A block of imports, whose million objects stay: Python does not look among them for what nobody uses any more."""
+    if "torch" in sys.modules:  # a command in somebody's process
+        yield
+        return
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @contextmanager

@@ -55,6 +55,14 @@ def test_help_of_every_command_names_what_all_share(command: str, capsys: pytest
     assert all(option in text for option in ("--quiet", "--json", "--seed", "--device"))
 
 
+def test_what_a_command_has_loaded_is_looked_through_no_more_and_all_else_is():
+    asked = "print(cli.main(['check', 'nowhere']), gc.isenabled(), gc.get_freeze_count())"
+    asked = f"import gc; from rotorid_torch import cli; {asked}"
+    said = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True).stdout.split()
+    assert said[:2] == ["2", "True"]
+    assert int(said[2]) > 100_000
+
+
 def test_help_lists_exactly_the_commands_that_exist(capsys: pytest.CaptureFixture[str]):
     with pytest.raises(SystemExit) as leaving:
         cli.main(["--help"])
