@@ -65,7 +65,9 @@ class Graded:
             return f"ready: a model can be identified on {_listed(usable) or 'what is recorded'}"
         if self.grade == "limited":
             some = len(usable) < len(self.axes)
-            how = f" to {_listed(usable)}" if some else f": {_listed(usable) or 'what is recorded'} with care"
+            ready = bool(self.axes) and all(one.grade == "ready" for one in self.axes)
+            care = "ready, other channels with care" if ready else "with care"
+            how = f" to {_listed(usable)}" if some else f": {_listed(usable) or 'what is recorded'} {care}"
             return f"limited{how} ({why})"
         whole = (re.sub(r"^([\w, ]+) not usable: (.*)$", r"\2 (\1)", one) for one in self.because[:TOLD])
         return f"not usable, because {'; '.join(whole)}{more}"

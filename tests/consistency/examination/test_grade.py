@@ -59,6 +59,13 @@ def test_an_axis_that_follows_nothing_limits():
     assert found.sentence == "limited to roll, pitch, vertical (yaw not usable: r nowhere follows the controls)"
 
 
+def test_a_channel_of_no_axis_limits_and_leaves_the_axes_ready():
+    """The first two lines of `check` do not contradict each other."""
+    found = grade(flown(ay=0.5 * np.random.default_rng(7).standard_normal(round(SECONDS / DT))))
+    assert (found.grade, {*axes(found).values()}) == ("limited", {"ready"})
+    assert found.sentence.startswith("limited: roll, pitch, yaw, vertical ready, other channels with care (ay: ")
+
+
 def test_a_control_that_rests_limits():
     found = grade(flown(ped=1e-4 * np.random.default_rng(8).standard_normal(round(SECONDS / DT))))
     assert axes(found)["yaw"] == "not usable"
