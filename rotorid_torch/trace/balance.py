@@ -49,8 +49,9 @@ class Balance:
     """Means over a second of one flight, those on the ground left out.
 
     centre : [B, 3] thrust centre x, y in m from the declared centre of gravity, and yaw balance: the share by which
-    thrusts of rotors turning one way exceed those of the others. turning : [B, 3] angular accelerations of the same
-    rows. signals : what it may go with, [B] each, by name and by how late it follows.
+    thrusts of rotors turning one way exceed those of the others. turning : [B, 6] angular accelerations and rates of
+    the same rows: whatever turns has inertia, and rotors in the air damp. signals : what it may go with, [B] each, by
+    name and by how late it follows.
     """
 
     centre: Tensor
@@ -63,7 +64,7 @@ class Going:
     """What a row goes with, and how late it follows, s.
 
     evidence : t over the t that chance reaches. without, remaining : rms of the row on unseen flights without and with
-    it. slopes : of a constant, the three angular accelerations and the signal.
+    it. slopes : of a constant, `turning` and the signal.
     """
 
     row: str
@@ -92,18 +93,19 @@ def _balance(model: Model, spec: ModelSpec, flight: Flight) -> Balance:
     s = taped[:, [model.body.controls.index(c) for c in spec.driven]]
     c0, c1, c2 = (model.named_values[f"rotors.thrust.c{k}"] for k in range(3))
     thrust = c0 + s * (c1 + s * c2)
-    signals = {c: flight.bridged([c])[:, 0] for c in (*VELOCITIES, *RATES) if flight.has(c)}
+    signals = {c: flight.bridged([c])[:, 0] for c in VELOCITIES if flight.has(c)}
     if "u" not in signals:
         moved = [c for c in POSITIONS if flight.has(c)]
         signals |= {POSITIONS[c]: torch.gradient(flight.bridged([c])[:, 0], spacing=flight.dt)[0] for c in moved}
-    turning = [torch.gradient(signals[c], spacing=flight.dt)[0] for c in ("q", "p", "r")]
+    rates = flight.bridged(["q", "p", "r"])
+    turning = torch.cat([torch.gradient(rates, spacing=flight.dt, dim=0)[0], rates], dim=1)
     every = max(1, round(AVERAGED_S / flight.dt))
     mean = _means(thrust, every)
     total = mean.sum(dim=1)
     flown = total > AIRBORNE * hover_thrust(spec) * len(spec.motors)
     return Balance(
         mean[flown] @ _levers(spec) / total[flown, None],
-        _means(torch.stack(turning, dim=-1), every)[flown],
+        _means(turning, every)[flown],
         {(n, late): _means(_late(v, late, flight.dt), every)[flown] for n, v in signals.items() for late in LATE_S},
     )
 
@@ -125,7 +127,7 @@ def _means(record: Tensor, every: int) -> Tensor:
 def going_with(identify: Sequence[Balance], unseen: Sequence[Balance]) -> list[Going]:
     """Rows that go with a signal beyond chance, on flights that no fit has seen too; the surest first.
 
-    Angular accelerations and a constant are taken out of both sides. Means that resemble their neighbours
+    Angular accelerations, rates and a constant are taken out of both sides. Means that resemble their neighbours
     count for less (first-order autocorrelation).
     """
     names = [n for n in identify[0].signals if all(n in b.signals for b in (*identify, *unseen))]
@@ -161,7 +163,7 @@ def _going(
 
 
 def _columns(balance: Balance, signal: tuple[str, float] | None) -> Tensor:
-    """Constant, angular accelerations (of all axes, for rotors that differ turn about all of them), and the signal."""
+    """Constant, accelerations and rates (of all axes: rotors that differ turn about all of them), and the signal."""
     columns = torch.cat([torch.ones(len(balance.centre), 1, dtype=torch.float64), balance.turning], dim=1)
     return columns if signal is None else torch.cat([columns, balance.signals[signal][:, None]], dim=1)
 

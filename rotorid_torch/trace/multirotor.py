@@ -49,7 +49,7 @@ def trace_rotors(
     search = Search(shared, lambda observed, effects: draws_of(search, observed, effects, (), draw, seed), say, ranks)
     final = search.back(search.forward(null, tested), tested)
     accepted = tuple(c.effect for c in search.joined)
-    outcome = Outcome(search, final, None, (), {}, search.spread(final))
+    outcome = Outcome(search, final, None, {}, search.spread(final))
     balanced = bool(spec.motors) and spec.found_places is None  # of arms that are not known nothing balances
     dataset = flights.dataset
     centre, missing = (

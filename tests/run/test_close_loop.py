@@ -28,7 +28,7 @@ from rotorid_torch.report.records import (
     WindowsRecord,
     read_report,
 )
-from rotorid_torch.run.close_loop import _in_gusts, _loop
+from rotorid_torch.run.close_loop import _loop
 from rotorid_torch.run.free_runs import before_and_after, best_of, free_run_gain, worse
 from rotorid_torch.run.output.monitor import Monitor
 from rotorid_torch.trace.loop import Tracing
@@ -204,14 +204,6 @@ def test_names_with_which_free_runs_are_worse_are_suspected_and_do_not_join():
         told = statement(refused.findings, unknown)
         assert (told.kind, told.effects) == ("unknown", ())
         assert "control.delay (common 0.05 ± 0.01)" in told.sentence
-
-
-@pytest.mark.parametrize(("verdict", "told"), [("accepted", False), ("below floor", True)])
-def test_what_gusts_leave_over_is_not_told_as_something_missing(verdict: Any, told: bool):
-    missing = Unknown("M", (0.1, 2.0), "v", None, "Something is missing in M.")
-    tracing = replace(tracing_of(), unknown=missing)
-    found = _in_gusts(tracing, [EffectFinding("environment.turbulence", "undeclared", verdict, "")])
-    assert (found.unknown == missing) is told
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,9 @@ DRAG_AREA = 0.01
 """Drag area of a fuselage over the rotor's disc; usual for helicopters."""
 USUAL_DRAG = 2e-4
 """1/m: air density times drag area over twice the mass, where rotor and mass are not declared."""
+MULTIROTOR_DRAG = 5e-3
+"""1/m: the same of a multirotor, whatever its size: 0.01 along x and y, 0.02 along z for 0.5 kg (Hummingbird; Folk et
+al., RotorPy, 2023); at 1.2 kg drag areas are some 0.02 m2 (Russell et al., NASA TM-2018-219758)."""
 TAIL = 1.1
 """Distance of the tail behind the centre of gravity in rotor radii; usual, where none is declared."""
 STILL = 1e-6
@@ -52,7 +55,7 @@ class Drag(Effect):
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> Drag:
         """Scaled by the declared rotor's disc and the mass."""
-        base = USUAL_DRAG
+        base = MULTIROTOR_DRAG if spec.commands else USUAL_DRAG
         if spec.rotor is not None and spec.mass is not None:
             base = 0.5 * spec.air_density * DRAG_AREA * math.pi * spec.rotor.radius**2 / spec.mass
         return cls(base, reference_of(spec, VELOCITIES))

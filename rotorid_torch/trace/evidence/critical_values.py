@@ -41,8 +41,8 @@ class Draws:
     """Statistics T [D] of each member of the family on flights with nothing missing.
 
     note : what was drawn, for the report. clean : whether clean aircraft were flown; else residuals were turned in
-    time. sizes : of each effect's parameters by the straight line of the screen [D], by full name. least : smallest
-    mean size of members, see `adjusted_p`.
+    time. sizes : of each effect's parameters by the straight line of the screen [D], by full name. least : size of
+    members by any one more parameter, see `adjusted_p`.
     """
 
     statistics: Mapping[str, Tensor]
@@ -72,9 +72,9 @@ def critical_values(
 ) -> dict[str, float]:
     """The statistic of each member above which p of `adjusted_p` is at most the level; none below zero.
 
-    In the same units, mean sizes over data and draws: with q the quantile 1 - level of the draws' largest statistics, n
-    draws and S the sum of the sizes of a member's draws, T (n + 1) / (S + T) = q. Step-down: the largest are those of
-    the members that are no more extreme; members whose p is larger than the level share one q.
+    In the same units: with q the quantile 1 - level of the draws' largest statistics, n draws, S the sum of the sizes
+    of a member's draws and s0 the size of the usual member, T = q ((S + T)/(n + 1) + s0). Step-down: the largest are
+    those of the members that are no more extreme; members whose p is larger than the level share one q.
     """
     if not drawn:
         return {}
@@ -84,8 +84,9 @@ def critical_values(
         if exceeds:
             q = float(torch.quantile(family.largest(k), 1.0 - SETTINGS.level, interpolation="higher"))
             exceeds = float(family.data[place]) > q
-        name, total = family.names[place], float((family.table[place] * family.size[place]).abs().sum())
-        critical[name] = max(q * total / max(count + 1.0 - q, 1e-300), q * least.get(name, 0.0), 0.0)
+        name, s0 = family.names[place], float(family.usual[place])
+        total = float((family.table[place] * family.unit[place]).abs().sum())
+        critical[name] = max(q * (total + (count + 1.0) * s0) / max(count + 1.0 - q, 1e-300), 0.0)
     return {name: critical[name] for name in drawn}
 
 
@@ -140,13 +141,15 @@ def adjusted_p(
 
 @dataclass(frozen=True, eq=False)
 class _Family:
-    """Statistics of members in units of their mean sizes [members], those of the data [members] and of draws [.., n].
+    """Statistics of members in units of their sizes [members], those of the data [members] and of draws [members, n].
 
-    A statistic that is not finite is no evidence. order : of the members, the most extreme first.
+    A statistic that is not finite is no evidence. usual : the part s0 of the units. order : of the members, the most
+    extreme first.
     """
 
     names: list[str]
-    size: Tensor
+    unit: Tensor
+    usual: Tensor
     data: Tensor
     table: Tensor
 
@@ -157,10 +160,13 @@ class _Family:
         data = torch.tensor([[observed[name]] for name in names], dtype=torch.float64)
         whole = torch.cat([data, torch.stack([drawn[name] for name in names])], dim=1)
         whole = torch.where(whole.isfinite(), whole, 0.0)
-        smallest = torch.tensor([max(least.get(name, 0.0), 1e-300) for name in names], dtype=torch.float64)
-        size = torch.maximum(whole.abs().mean(dim=1), smallest)
-        scaled = whole / size[:, None]
-        return cls(names, size, scaled[:, 0], scaled[:, 1:])
+        size, usual = whole.abs().mean(dim=1), whole.new_tensor([least.get(name, 0.0) for name in names])
+        in_motion = usual > 0.0
+        for kind in (k for k in (in_motion, ~in_motion) if k.any()):
+            usual[kind] = torch.maximum(usual[kind], size[kind].median())
+        unit = (size + usual).clamp_min(1e-300)
+        scaled = whole / unit[:, None]
+        return cls(names, unit, usual, scaled[:, 0], scaled[:, 1:])
 
     @cached_property
     def order(self) -> list[int]:

@@ -64,10 +64,11 @@ class Family(Generic[FittedT]):
 
     @property
     def least(self) -> dict[str, float]:
-        """T of any one more parameter, by member of the library: half a unit of log-likelihood in each flight."""
+        """T of any one more parameter, by member that acts on motion: half a unit of log-likelihood in each flight."""
         flights = len(self.common.equations.fitted)
         one = 0.5 * flights**2 / self.null.per_sample
-        return {name: one for name in self.statistics if not name.startswith(UNATTRIBUTED)}
+        described = {f"{UNATTRIBUTED}{key}" for key in self.descriptions}
+        return {name: one for name in self.statistics if name not in described}
 
     @property
     def candidates(self) -> list[Candidate]:

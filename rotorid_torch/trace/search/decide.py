@@ -29,7 +29,6 @@ class Reason(Enum):
     WITHIN_ERROR = auto()
     UNSEEN_WORSE = auto()
     FREE_RUNS_WORSE = auto()
-    OTHER_LAW = auto()
     NOT_ADEQUATE = auto()
     GROUP = auto()
     OTHER_NAMED = auto()
@@ -54,9 +53,8 @@ class Row:
     still : significant beside the effects that joined. fitted : whether a full fit explains more than the null.
     estimate : of its size. unseen_better : whether flights that no fit has seen are better described in the mean.
     runs_worse : whether their free runs are worse by more than chance. in_set : whether it joined, or flights cannot
-    tell it from the one that did. alone : whether the set holds no other. law : whether what is left in the control
-    path beside a name of the control path is chance. adequate : whether the names explain enough of what stays without
-    a name.
+    tell it from the one that did. alone : whether the set holds no other. adequate : whether the names explain enough
+    of what stays without a name.
     """
 
     observable: bool = True
@@ -68,7 +66,6 @@ class Row:
     runs_worse: bool = False
     in_set: bool = True
     alone: bool = True
-    law: bool = True
     adequate: bool = True
 
 
@@ -84,7 +81,6 @@ TABLE: tuple[tuple[Mapping[str, object], Verdict, Reason], ...] = (
     ({"unseen_better": False}, "rejected", Reason.UNSEEN_WORSE),
     ({"in_set": False}, "rejected", Reason.BETTER_EXPLAINED),
     ({"runs_worse": True}, "suspected", Reason.FREE_RUNS_WORSE),
-    ({"law": False}, "suspected", Reason.OTHER_LAW),
     ({"adequate": False}, "suspected", Reason.NOT_ADEQUATE),
     ({"alone": False}, "indistinguishable", Reason.GROUP),
     ({}, "accepted", Reason.NAMED),
@@ -152,18 +148,20 @@ def estimate(model: Model, errors: Mapping[str, float], effect: str, tests: int 
     """Whether a bound that is not the null is active; else whether all intervals hold the null.
 
     Intervals have the level 0.95 together for so many effects (Bonferroni). Zero is a limit of physics, not of a range:
-    a pendulum may have no damping. errors : standard errors by full name.
+    a pendulum may have no damping. Nor is a bound active where the interval holds the null: flights tell nothing of
+    that parameter then. errors : standard errors by full name, infinite where a bound left none.
     """
-    values = model.named_values
+    values, wide = model.named_values, normal_quantile(0.5 * SETTINGS.level / tests)
     for p in model.parameter_set.sizes(effect):
         on = [b for b in p.bounds if math.isclose(values[p.name], b, rel_tol=1e-9) and b not in (0.0, p.value)]
-        if p.free and on:
+        error = errors.get(p.name, math.inf)
+        if p.free and on and not abs(values[p.name] - p.value) <= wide * error < math.inf:
             return Size(Interval.ACTIVE_BOUND, p.name, values[p.name])
     nulls = {s.parameter: s.null for s in signatures(model, [effect])}
     nulls = nulls or {p.name: p.value for p in model.parameter_set.sizes(effect) if p.free}
     away = {n: abs(values[n] - null) / max(errors.get(n, math.inf), 1e-300) for n, null in nulls.items()}
     name = max(away, key=lambda n: away[n], default="")
-    inside = bool(name) and away[name] <= normal_quantile(0.5 * SETTINGS.level / tests)
+    inside = bool(name) and away[name] <= wide
     return Size(Interval.WITHIN_ERROR if inside else Interval.SIZE, name, values.get(name, 0.0), errors.get(name, 0.0))
 
 

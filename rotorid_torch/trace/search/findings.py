@@ -22,22 +22,20 @@ class Outcome(Generic[FittedT]):
     """How a search ended.
 
     final : the model with what joined. share : of what is missing that the names explain; None where nothing without a
-    name is significant. other_law : names of the control path beside which something significant is left there.
-    by_control : words on how controls differ, by effect. spread : standard errors of parameters by
+    name is significant. by_control : words on how controls differ, by effect. spread : standard errors of parameters by
     their scatter over flights, controls and draws.
     """
 
     search: Search[FittedT]
     final: FittedT
     share: float | None
-    other_law: tuple[str, ...]
     by_control: Mapping[str, str]
     spread: Mapping[str, float]
 
     @property
     def adequate(self) -> bool:
-        """Whether the names explain enough of what is missing, by laws that leave nothing of their kind."""
-        return not self.other_law and (self.share is None or self.share >= SETTINGS.adequate)
+        """Whether the names explain enough of what is missing."""
+        return self.share is None or self.share >= SETTINGS.adequate
 
     def findings(self, effects: Sequence[str]) -> list[EffectFinding]:
         """One for each of these effects."""
@@ -73,8 +71,7 @@ class Outcome(Generic[FittedT]):
         joined = self._joined(effect)
         if joined is not None:
             rivals = self.search.rivals.get(effect, ())
-            law = effect not in self.other_law
-            return replace(self.search.trials[joined].row, alone=not rivals, law=law, adequate=self.adequate)
+            return replace(self.search.trials[joined].row, alone=not rivals, adequate=self.adequate)
         if any(effect in others for others in self.search.rivals.values()):
             return Row(alone=False)
         refused = [t.row for t in trials if not t.stands]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 from rotorid_torch.trace.evidence.critical_values import Draws, adjusted_p
@@ -18,10 +18,11 @@ from rotorid_torch.trace.search.findings import Outcome
 from rotorid_torch.trace.search.forward_selection import Search
 from rotorid_torch.trace.search.localisation import in_control_path, localised
 from rotorid_torch.trace.terms.candidate import UNATTRIBUTED
-from rotorid_torch.trace.terms.eligible import of_control_path
 from rotorid_torch.trace.terms.finding import Unknown
 from rotorid_torch.trace.terms.settings import SETTINGS
 
+IN_PATH = f"{UNATTRIBUTED}{PATH}"
+"""Whatever filter lies between recorded controls and rotor; asked beside names of the control path alone."""
 UNJUDGED = "No clean aircraft tells how much of this is ordinary."
 UNCONFIRMED = "No flight was kept back that could confirm it."
 
@@ -36,13 +37,14 @@ def how_it_ended(
     first, _, draws = search.first
     low = [n for n, one in p.items() if n.startswith(UNATTRIBUTED) and one <= SETTINGS.level]
     curves = _extreme_curves(observed, draws) if names and draws.clean else []
-    of_motion = of_curves = None
-    if names and draws.clean:
+    shares, of_motion = list[float](), None
+    if names and draws.clean and low:
         explained = total(evidence(search.null or first.null, final))
-        of_motion = explained / max(explained + observed.nameless(low), 1e-300) if low else None
-        of_curves = _share_of_curves(first, observed, curves, draws) if curves else None
-    share = min((one for one in (of_motion, of_curves) if one is not None), default=None)
-    outcome = Outcome(search, final, share, _other_law(names, low, draws), *_spread(search, held, final))
+        of_motion = explained / max(explained + observed.nameless(low), 1e-300)
+        shares = [of_motion, *([_share(first, observed, [IN_PATH], draws)] if IN_PATH in low else [])]
+    if curves:
+        shares.append(_share(first, observed, {*curves, *_extreme_curves(first, draws)}, draws))
+    outcome = Outcome(search, final, min(shares, default=None), *_spread(search, held, final))
     next_to_nothing = of_motion is not None and of_motion > 1.0 - SETTINGS.level
     unknown = None
     if (low and not next_to_nothing) or not outcome.adequate:
@@ -59,21 +61,15 @@ def _extreme_curves(observed: Family[Fitted], draws: Draws) -> list[str]:
     return [n for n, one in p.items() if one <= SETTINGS.level]
 
 
-def _share_of_curves(before: Family[Fitted], after: Family[Fitted], extreme: Sequence[str], draws: Draws) -> float:
-    """Share that names explain of the curves beside a null.
+def _share(before: Family[Fitted], after: Family[Fitted], members: Collection[str], draws: Draws) -> float:
+    """Share that names explain of members without a name that are extreme beside a null, or beside the names.
 
-    With T_k the statistic of the curves of an equation and m_k its mean size over the draws, the share is
-    1 - max_k(T_k / m_k beside the names) / max_k(T_k / m_k beside the null), over the curves that are extreme beside
-    either.
+    With T_k the statistic of a member and m_k its mean size over the draws, the share is
+    1 - max_k(T_k / m_k beside the names) / max_k(T_k / m_k beside the null).
     """
-    usual = {n: float(draws.statistics[n].abs().mean()) + 1e-300 for n in {*extreme, *_extreme_curves(before, draws)}}
+    usual = {n: float(draws.statistics[n].abs().mean()) + 1e-300 for n in members}
     first, last = (max(one.statistics.get(n, 0.0) / size for n, size in usual.items()) for one in (before, after))
     return 1.0 - last / max(first, 1e-300)
-
-
-def _other_law(names: Sequence[str], low: Sequence[str], draws: Draws) -> tuple[str, ...]:
-    """Names of the control path beside which what is left there is no chance."""
-    return tuple(of_control_path(names)) if draws.clean and f"{UNATTRIBUTED}{PATH}" in low else ()
 
 
 def _nameless(observed: Family[Fitted], members: Sequence[str], draws: Draws) -> Unknown:

@@ -65,7 +65,7 @@ def _finding(scored: Scored[FittedT], whole: FittedT, effect: str, seed: int) ->
     row = replace(observed(null, whole, candidate), significant=significant)
     search.trials[candidate] = Trial(candidate, null, whole, row)
     search.joined += [candidate] if search.trials[candidate].stands else []
-    finding = Outcome(search, whole, None, (), {}, {}).findings([effect])[0]
+    finding = Outcome(search, whole, None, {}, {}).findings([effect])[0]
     if finding.verdict == "accepted":
         finding = replace(finding, reason=reason(Reason.HELPS, **size_details(null, whole, effect)))
     return replace(finding, role=role.value, values=errors_of(whole, effect, whole.scatter(effect)))

@@ -17,7 +17,6 @@ REASONS = {
     Reason.WITHIN_ERROR: "{parameter} = {value:.3g} ± {error:.1g}: the interval holds the size of nothing",
     Reason.UNSEEN_WORSE: "it does not help on flights that no fit has seen ({better} of {count} better)",
     Reason.FREE_RUNS_WORSE: "free runs of flights that no fit has seen are worse with it ({worse} of {count})",
-    Reason.OTHER_LAW: "what stays beside it acts in the control path too: the law of the control path is another one",
     Reason.NOT_ADEQUATE: "it explains {share:.0f} % of what is missing; the larger part stays without a name",
     Reason.GROUP: "something of this kind acts, but these flights cannot tell it from {others}",
     Reason.NAMED: "no other effect explains it, and flights that no fit has seen are better described",

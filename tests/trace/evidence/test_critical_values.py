@@ -60,16 +60,28 @@ def test_no_p_is_smaller_than_one_in_all_draws_and_the_data():
 
 
 def test_p_is_that_of_the_largest_statistics_by_the_textbook():
-    """Westfall and Young's free step-down, written out, in units of the mean sizes over the data and the draws."""
+    """Westfall and Young's free step-down, written out, in units of mean sizes over data and draws, and the median."""
     for observed, drawn in families(20, 19, 5, shift=1.0):
         everything = {e: np.array([observed[e], *drawn[e].tolist()]) for e in NAMES}
-        scaled = {e: t / np.abs(t).mean() for e, t in everything.items()}
+        sizes = {e: np.abs(t).mean() for e, t in everything.items()}
+        usual = sorted(sizes.values())[(len(sizes) - 1) // 2]
+        scaled = {e: t / (sizes[e] + usual) for e, t in everything.items()}
         order, p, least = sorted(NAMES, key=lambda e: -scaled[e][0]), {}, 0.0
         for k, e in enumerate(order):
             largest = [max(scaled[o][1 + d] for o in order[k:]) for d in range(19)]
             least = max(least, (1 + sum(one >= scaled[e][0] for one in largest)) / 20)
             p[e] = least
         assert adjusted_p(observed, drawn) == pytest.approx(p)
+
+
+def test_a_member_that_is_nothing_in_all_draws_but_one_hides_no_cause():
+    """In units of its own mean alone that draw, 0.1 / (0.1 / 20), would be as extreme as a statistic can be."""
+    drawn = {name: torch.zeros(19, dtype=torch.float64) for name in ("cause", "never", "once")}
+    drawn |= {f"ordinary {k}": torch.linspace(0.01, 0.02 * k, 19).double() for k in range(1, 5)}
+    drawn["cause"][3], drawn["once"][7] = 0.001, 0.1
+    observed = dict.fromkeys(drawn, 0.0) | {"cause": 0.5}
+    least = dict.fromkeys(drawn, 1e-4)
+    assert adjusted_p(observed, drawn, least)["cause"] == pytest.approx(1 / 20)
 
 
 def test_a_statistic_smaller_than_that_of_any_parameter_is_not_magnified():

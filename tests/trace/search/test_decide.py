@@ -51,7 +51,6 @@ CASES = [
     (Row(unseen_better=False), "rejected", Reason.UNSEEN_WORSE),
     (Row(in_set=False), "rejected", Reason.BETTER_EXPLAINED),
     (Row(runs_worse=True), "suspected", Reason.FREE_RUNS_WORSE),
-    (Row(law=False, adequate=False), "suspected", Reason.OTHER_LAW),
     (Row(adequate=False), "suspected", Reason.NOT_ADEQUATE),
     (Row(alone=False), "indistinguishable", Reason.GROUP),
 ]
@@ -83,7 +82,6 @@ def test_a_name_is_given_only_where_everything_speaks_for_it():
             row.unseen_better,
             row.in_set,
             row.alone,
-            row.law,
             row.adequate,
             not row.runs_worse,
         )

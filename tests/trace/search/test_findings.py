@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 
 import pytest
@@ -47,7 +46,7 @@ def outcome(share: float | None = None, row: Row | None = GOOD, p: float = 0.05,
         search.trials[Candidate(DELAY)] = trial
         search.joined += [Candidate(DELAY)] if trial.stands else []
     search.rivals = {name.replace("__", "."): others for name, others in rivals.items()}
-    return Outcome(search, fitted, share, (), {DELAY: "; control by control"}, {NAME: 0.5})
+    return Outcome(search, fitted, share, {DELAY: "; control by control"}, {NAME: 0.5})
 
 
 def of(found: Outcome, effect: str = DELAY) -> EffectFinding:
@@ -111,18 +110,11 @@ def test_what_these_flights_would_not_show_at_its_usual_size_is_told_with_what_t
     loud.statistics[DELAY][0] = 3e6  # type: ignore[index]
     search = Search.alone(Trajectories(null.flights), 0)
     search.first = beside, dict.fromkeys(loud.statistics, 0.9), loud
-    told = of(Outcome(search, null, None, (), {}, {}))
+    told = of(Outcome(search, null, None, {}, {}))
     assert told.verdict == "indistinguishable"
     assert told.group == beside.common.imitators(DELAY)
     assert told.reason.endswith(f"{registered()[DELAY].separated_by} would tell")
     assert told.smallest_visible is None
-
-
-def test_a_name_of_the_control_path_beside_which_the_path_asks_for_more_is_suspected():
-    found = replace(outcome(share=0.9), other_law=(DELAY,))
-    assert not found.adequate
-    assert of(found).verdict == "suspected"
-    assert "another one" in of(found).reason
 
 
 def test_what_the_one_that_joined_explains_better_is_rejected():
@@ -184,6 +176,6 @@ def test_an_effect_that_was_placed_before_the_family_has_a_finding_too():
     search.first = beside, dict.fromkeys(drawn.statistics, 0.9), drawn
     search.trials[Candidate(DELAY)] = Trial(Candidate(DELAY), null, fitted, Row())
     search.joined = [Candidate(DELAY)]
-    told = of(Outcome(search, fitted, None, (), {}, {}))
+    told = of(Outcome(search, fitted, None, {}, {}))
     assert (told.verdict, told.p) == ("accepted", None)
     assert told.values[NAME][0] == fitted.values[NAME]

@@ -19,7 +19,6 @@ NOT_OBSERVED = {
     "unseen_better": "unseen flights are not better described",
     "in_set": "not in the set of explanations",
     "alone": "others are in the set of explanations",
-    "law": "of the control path, and p <= 0.05 of what is left there",
     "adequate": "the names explain too little of what has no name",
 }
 """What the table of decisions asks for, in words."""
