@@ -22,6 +22,7 @@ from rotorid_torch.report.page.document import Shown, render
 from rotorid_torch.report.page.pictures import main_picture
 from rotorid_torch.report.scorecard import scorecard
 from rotorid_torch.run.output.write import write_report
+from rotorid_torch.validate.judged import Response
 
 VOID = {"meta", "img", "br", "link", "input"}
 IN_SVG = {"path", "rect"}
@@ -269,3 +270,19 @@ def test_the_picture_claims_no_gain_where_there_is_none(overlays: list[Overlay])
     better = main_picture(worse, overlays)
     assert better is not None
     assert "gains most: the error falls from" in better.caption
+
+
+def test_the_picture_shows_no_response_that_does_not_count(report: records.Report, overlays: list[Overlay]):
+    """A flight leaves alone what noise alone moves, and noise is described worst."""
+    assert report.before is not None
+    worst = main_picture([], overlays)
+    assert worst is not None
+    found = re.search(r"\((\w+)\) on (\w+),", worst.caption)
+    assert found is not None
+    channel, flight = found.groups()
+    left = Response(rmse=1.0, r2=0.0, unit="rad/s2", moved=False)
+    one = msgspec.structs.replace(next(iter(report.before.flights.values())), responses={channel: left})
+    flights = report.before.flights | {flight: one}
+    other = main_picture([], overlays, msgspec.structs.replace(report.before, flights=flights))
+    assert other is not None
+    assert f"({channel}) on {flight}," not in other.caption

@@ -107,6 +107,17 @@ def test_a_model_of_use_is_used_first(kind: str, report: records.Report):
     assert not any("Nothing stands out" in step for step in others)
 
 
+def test_data_are_mended_first_where_they_are_of_no_use_and_else_after_what_was_found(report: records.Report):
+    loop = closed(report, "nothing undeclared")
+    poor, limited = (
+        steps(msgspec.structs.replace(loop, warnings=(f"the data set is {grade}",)))
+        for grade in ("not usable, because r is dead", "limited to roll (yaw limited)")
+    )
+    assert poor[0] == "Mend the data first. rotorid check says: not usable, because r is dead."
+    assert limited[0].startswith("Use the model")
+    assert limited[2] == "Better data would tell more. rotorid check says: limited to roll (yaw limited)."
+
+
 @pytest.mark.parametrize("effect", sorted(EFFECTS))
 def test_what_to_do_names_its_thing(effect: str):
     """Steps stand in a list, each by itself: "it" would be anything."""

@@ -13,7 +13,7 @@ from rotorid_torch.core import names
 from rotorid_torch.report.figures import Overlay
 from rotorid_torch.report.loop_figures import spectrum
 from rotorid_torch.report.page.svg import Bar, Line, Panel, chart, stacked
-from rotorid_torch.report.records import EffectRecord
+from rotorid_torch.report.records import EffectRecord, FitRecord
 from rotorid_torch.report.words.effects import words_of
 
 WINDOW_S = 5.0
@@ -42,9 +42,13 @@ class Picture:
     caption: str
 
 
-def main_picture(before: Sequence[Overlay], after: Sequence[Overlay]) -> Picture | None:
-    """The flight and channel, not used to fit, that gain most; those described worst where none gains."""
-    earlier, judged = {overlay.flight: overlay for overlay in before}, list(_judged(after))
+def main_picture(before: Sequence[Overlay], after: Sequence[Overlay], fit: FitRecord | None = None) -> Picture | None:
+    """The flight and channel, not used to fit, that gain most; those described worst where none gains.
+
+    fit : says which responses of a multirotor do not count, for a flight leaves them alone or the model has none.
+    """
+    earlier = {overlay.flight: overlay for overlay in before}
+    judged = [(overlay, channel) for overlay, channel in _judged(after) if _counts(fit, overlay.flight, channel)]
     if not judged:
         return None
     gains = [_gain(overlay, earlier.get(overlay.flight), channel) for overlay, channel in judged]
@@ -76,6 +80,11 @@ def main_picture(before: Sequence[Overlay], after: Sequence[Overlay]) -> Picture
     )
     alt = f"{channel} of {overlay.flight} over time, measured and modelled{change}"
     return Picture(stacked(panels, "time, s", alt, words), caption)
+
+
+def _counts(fit: FitRecord | None, flight: str, channel: str) -> bool:
+    response = fit.flights[flight].responses.get(channel) if fit and flight in fit.flights else None
+    return response is None or (response.moved and response.described)
 
 
 def effect_pictures(after: Sequence[Overlay], effects: Sequence[EffectRecord]) -> dict[str, Picture]:

@@ -12,6 +12,7 @@ from rotorid_torch.report.short_horizon import NAMES, short_horizon
 from rotorid_torch.report.summary import (
     GRADED,
     GRADES,
+    NOT_USABLE,
     NOTHING,
     ListSummary,
     failing,
@@ -112,11 +113,11 @@ def grades(report: Report) -> tuple[Grade, ...]:
 def steps(report: Report) -> list[str]:
     """What to do next, the discovery first; never empty."""
     first = next(iter(report.warnings), "")
-    data = (
-        [f"Mend the data first. rotorid check says: {first.removeprefix(GRADED)}."] if first.startswith(GRADED) else []
-    )
+    graded = f"rotorid check says: {first.removeprefix(GRADED)}." if first.startswith(GRADED) else ""
+    mend = [f"Mend the data first. {graded}"] if first.startswith(NOT_USABLE) else []
+    care = [f"Better data would tell more. {graded}"] if graded and not mend else []
     ask = [CLOSE_LOOP] if report.command == "identify" and report.fit is not None and not failing(report.fit) else []
-    said = list(dict.fromkeys([*data, *_of_discovery(report), *ask, *next_steps(report)]))
+    said = list(dict.fromkeys([*mend, *_of_discovery(report), *ask, *care, *next_steps(report)]))
     return [step for step in said if step != NOTHING or len(said) == 1][:STEPS]
 
 
