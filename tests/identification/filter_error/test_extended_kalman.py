@@ -204,3 +204,4 @@ def test_bad_noises_are_named(wanted: object) -> None:
     with pytest.raises(InputError) as caught:
         form("process_noise", wanted, ("a", "b", "c"), ("", "", ""))  # pyright: ignore[reportArgumentType]
     assert caught.value.key == "process_noise"
+    assert "\n" not in str(caught.value)

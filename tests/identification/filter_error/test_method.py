@@ -191,3 +191,4 @@ def test_bad_arguments_are_named(more: dict[str, Any], key: str) -> None:
     with pytest.raises(InputError) as caught:
         filter_error(Roll(), [roll_flight(np.random.default_rng(0))], **more)  # pyright: ignore[reportArgumentType]
     assert caught.value.key == key
+    assert "\n" not in str(caught.value)
