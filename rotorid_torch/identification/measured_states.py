@@ -212,11 +212,10 @@ class MeasuredStates:
         if len(self.measured) < 2:
             return ()
         places = [self.equations.model.parameter_set.index(name) for name in names]
-        known = (1.0 / prior[1]).nan_to_num(0.0)
         columns = self._columns(theta, names, self._sigma(theta))
         parts = [torch.cat([torch.cat([z, y[:, None]], dim=1) for z, y in one.values()]) for one in columns]
         triangles = [torch.linalg.qr(part, mode="r").R for part in parts]
-        expected = torch.cat([known.diag(), (known * (prior[0] - theta[places]))[:, None]], dim=1)
+        expected = prior_rows(theta[places], *prior)
         thetas = []
         for k in range(len(triangles)):
             others = torch.cat([expected, *(one for i, one in enumerate(triangles) if i != k)])
@@ -230,8 +229,7 @@ class MeasuredStates:
     ) -> Linear:
         """Triangle of the weighed columns, with the prior's rows."""
         places = [self.equations.model.parameter_set.index(name) for name in names]
-        known = (1.0 / prior[1]).nan_to_num(0.0)
-        stacked = [torch.cat([known.diag(), (known * (prior[0] - theta[places]))[:, None]], dim=1)]
+        stacked = [prior_rows(theta[places], *prior)]
         for one in self._columns(theta, names, sigma):
             stacked += [torch.cat([z, y[:, None]], dim=1) for z, y in one.values()]
         triangle = torch.linalg.qr(torch.cat(stacked), mode="r").R
@@ -243,8 +241,8 @@ class MeasuredStates:
         Source: Liang and Zeger (1986), Biometrika 73 (robust covariance by clusters).
         """
         sigma = self._sigma(theta)
-        known = (1.0 / sd).nan_to_num(0.0)
-        bread, scores = known.square().diag(), []
+        prior = (1.0 / sd).nan_to_num(0.0).square().diag()
+        bread, scores = prior, []
         for one, flight in zip(self._columns(theta, names, sigma), self.equations.flights, strict=True):
             length = max(1, round(BLOCK_S / flight.step))
             bread = bread + sum(z.mT @ z for z, _ in one.values())
@@ -254,7 +252,7 @@ class MeasuredStates:
         scale = bread.diagonal().sqrt().clamp(min=1e-300)
         inverse = torch.linalg.pinv(bread / scale / scale[:, None], hermitian=True) / scale / scale[:, None]
         score = torch.stack(scores)
-        covariance = inverse @ (score.mT @ score + known.square().diag()) @ inverse
+        covariance = inverse @ (score.mT @ score + prior) @ inverse
         return dict(zip(names, covariance.diagonal().clamp(min=0.0).sqrt().tolist(), strict=True))
 
 
@@ -275,6 +273,12 @@ def _shapes(values: Tensor) -> Tensor:
     """One, and a straight line about zero of rms 1 [2, T], along values [..., T]."""
     line = torch.linspace(-1.0, 1.0, values.shape[-1], dtype=values.dtype)
     return torch.stack([torch.ones_like(line), line / line.square().mean().sqrt().clamp(min=1e-300)])
+
+
+def prior_rows(theta: Tensor, values: Tensor, sd: Tensor) -> Tensor:
+    """Rows of what is known of parameters beforehand, and what is left of them [P, P + 1]."""
+    weight = (1.0 / sd).nan_to_num(0.0)
+    return torch.cat([weight.diag(), (weight * (values - theta))[:, None]], dim=1)
 
 
 def centred(values: Tensor) -> Tensor:

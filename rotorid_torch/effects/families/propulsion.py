@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar, Self
+
 import torch
 from torch import Tensor
 
@@ -12,7 +14,7 @@ from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.signal_operations import lagged
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.effects.testable import first, no_forces, no_motors, no_rates, no_velocities
+from rotorid_torch.effects.testable import no_forces, no_motors, no_rates, no_velocities
 
 LARGE_SPEED = 1e3
 """rad/s: speeds of small rotors are thousands, where commands are one."""
@@ -46,6 +48,10 @@ class MotorLag(Effect):
         return lagged(record, tau, dt)
 
 
+def _no_voltage(spec: ModelSpec) -> str | None:
+    return None if "voltage" in spec.inputs else "the channel voltage is missing"
+
+
 @register
 class Voltage(Effect):
     """Battery voltage at the motors: commands, or the speeds that follow from them, count times (V/V_ref)^exponent.
@@ -56,6 +62,7 @@ class Voltage(Effect):
     """
 
     id, stage, role = "propulsion.voltage", Stage.CONTROL, Role.UNDECLARED
+    needs = (no_motors, _no_voltage)
 
     def __init__(self, motors: tuple[str, ...], voltage: float) -> None:
         super().__init__(
@@ -68,18 +75,16 @@ class Voltage(Effect):
         """About the reference voltage."""
         return cls(spec.commands, spec.reference["voltage"])
 
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Without motors or voltage."""
-        unmeasured = None if "voltage" in spec.inputs else "the channel voltage is missing"
-        return first(no_motors(spec), unmeasured)
-
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Controls [..., T, nu], motor commands as the voltage lets them count."""
         share = record[..., names.index("voltage"), None].clamp(min=LEAST_VOLTAGE * self.voltage) / self.voltage
         factor = torch.exp(p["exponent"][..., None, None] * torch.log(share))
         counted = torch.tensor([n in self.motors for n in names], device=record.device)
         return torch.where(counted, record * factor, record)
+
+
+def _no_spins(spec: ModelSpec) -> str | None:
+    return None if len(spec.spins) == len(spec.commands) else "the spins of the motors are not declared"
 
 
 @register
@@ -93,21 +98,12 @@ class RotorInertia(Effect):
     """
 
     id, stage, role = "propulsion.rotor_inertia", Stage.ENVIRONMENT, Role.UNDECLARED
+    needs = (no_motors, _no_spins)
 
     def __init__(self, driven: tuple[str, ...], spins: tuple[float, ...], reference: dict[str, float]) -> None:
         size = 1.0 if driven[0] in reference and is_motor(driven[0]) else LARGE_SPEED
-        super().__init__(
-            (
-                Parameter(
-                    "N",
-                    0.0,
-                    "rad/s" if size == 1.0 else "1",
-                    (0.0, 20.0 / size),
-                    doc="yaw rate by the sum of spin times command or speed",
-                    typical=2.0 / size,
-                ),
-            )
-        )
+        unit, doc = "rad/s" if size == 1.0 else "1", "yaw rate by the sum of spin times command or speed"
+        super().__init__((Parameter("N", 0.0, unit, (0.0, 20.0 / size), doc=doc, typical=2.0 / size),))
         self.driven, self.spins = driven, spins
         self.at = sum(s * reference.get(n, 0.0) for s, n in zip(spins, driven, strict=True))
 
@@ -116,25 +112,30 @@ class RotorInertia(Effect):
         """With the declared spins."""
         return cls(spec.driven, spec.spins, spec.reference)
 
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Without motors or their spins."""
-        spins = None if len(spec.spins) == len(spec.commands) else "the spins of the motors are not declared"
-        return first(no_motors(spec), spins)
-
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """The rate of the body behind what the rotors have taken of the momentum."""
         total = sum((s * frame.signals[n] for s, n in zip(self.spins, self.driven, strict=True)), -self.at)
         return frame.with_signals(r=frame.signals["r"] + p["N"] * total), x
 
 
-def _total(spec: ModelSpec) -> float:
-    """Sum of the commands or speeds at the reference."""
-    return sum(spec.reference.get(n, 0.0) for n in spec.driven) or 1.0
+class _WithThrust(Effect):
+    """Forces and moments by speed that grow with the rotors: with the sum of commands or speeds, 1 at the reference."""
+
+    stage, role = Stage.FORCES, Role.UNDECLARED
+    coefficients: ClassVar[tuple[Parameter, ...]]
+
+    def __init__(self, driven: tuple[str, ...], total: float) -> None:
+        super().__init__(self.coefficients)
+        self.driven, self.total = driven, total
+
+    @classmethod
+    def from_spec(cls, spec: ModelSpec) -> Self:
+        """About the reference's commands or speeds."""
+        return cls(spec.driven, sum(spec.reference.get(n, 0.0) for n in spec.driven) or 1.0)
 
 
 @register
-class RotorDrag(Effect):
+class RotorDrag(_WithThrust):
     """Drag of the rotors in their own plane, linear in speed, growing with the rotors' speed.
 
     X -= x s u, Y -= y s v with s the sum of the commands or speeds over that at the reference.
@@ -142,17 +143,9 @@ class RotorDrag(Effect):
     Source: Faessler, Franchi and Scaramuzza, IEEE Robotics and Automation Letters 3 (2018); Foerster (2015), sec. 3.4.
     """
 
-    id, stage, role = "propulsion.rotor_drag", Stage.FORCES, Role.UNDECLARED
+    id = "propulsion.rotor_drag"
+    coefficients = alike("xy", "1/s", (0.0, 5.0), "drag in the rotors' plane along {}", typical=0.3)
     needs = (no_motors, no_velocities, no_forces)
-
-    def __init__(self, driven: tuple[str, ...], total: float) -> None:
-        super().__init__(alike("xy", "1/s", (0.0, 5.0), "drag in the rotors' plane along {}", typical=0.3))
-        self.driven, self.total = driven, total
-
-    @classmethod
-    def from_spec(cls, spec: ModelSpec) -> RotorDrag:
-        """About the reference's commands or speeds."""
-        return cls(spec.driven, _total(spec))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds the drag."""
@@ -162,7 +155,7 @@ class RotorDrag(Effect):
 
 
 @register
-class AxialInflow(Effect):
+class AxialInflow(_WithThrust):
     """Thrust lost by climbing and gained by sinking, linear in the speed along the rotors' axes.
 
     Z -= z s w with s the sum of the commands or speeds over that at the reference: air that meets the blades from above
@@ -172,17 +165,9 @@ class AxialInflow(Effect):
     Nonlinear dynamic modelling for high performance control of a quadrotor, eq. 15.
     """
 
-    id, stage, role = "propulsion.axial_inflow", Stage.FORCES, Role.UNDECLARED
+    id = "propulsion.axial_inflow"
+    coefficients = (Parameter("z", 0.0, "1/s", (0.0, 5.0), doc="thrust lost by climbing", typical=0.3),)
     needs = (no_motors, no_velocities, no_forces)
-
-    def __init__(self, driven: tuple[str, ...], total: float) -> None:
-        super().__init__((Parameter("z", 0.0, "1/s", (0.0, 5.0), doc="thrust lost by climbing", typical=0.3),))
-        self.driven, self.total = driven, total
-
-    @classmethod
-    def from_spec(cls, spec: ModelSpec) -> AxialInflow:
-        """About the reference's commands or speeds."""
-        return cls(spec.driven, _total(spec))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Takes from the thrust."""
@@ -192,7 +177,7 @@ class AxialInflow(Effect):
 
 
 @register
-class Flapping(Effect):
+class Flapping(_WithThrust):
     """Blades that flap back turn the body: moments by the speed across the rotors' axes, alike about both axes.
 
     M += k s u, L -= k s v with s the sum of the commands or speeds over that at the reference: an advancing blade rises
@@ -202,30 +187,30 @@ class Flapping(Effect):
     IEEE Robotics and Automation Magazine 19 (2012), eq. 8.
     """
 
-    id, stage, role = "propulsion.flapping", Stage.FORCES, Role.UNDECLARED
+    id = "propulsion.flapping"
     separated_by = "flights with the controller off, or a wind tunnel"
+    rotors_absorb = "rotors.power"  # a controller's commands answer the velocity as flapping does, late as they are
+    coefficients = (
+        Parameter(
+            "k",
+            0.0,
+            "rad/(s m)",
+            (-100.0, 100.0),
+            doc="pitch by speed ahead, roll by speed to the left",
+            typical=1.0,
+        ),
+    )
     needs = (no_motors, no_velocities, no_rates)
-
-    def __init__(self, driven: tuple[str, ...], total: float) -> None:
-        doc = "pitch by speed ahead, roll by speed to the left"
-        super().__init__((Parameter("k", 0.0, "rad/(s m)", (-100.0, 100.0), doc=doc, typical=1.0),))
-        self.driven, self.total = driven, total
-
-    @classmethod
-    def from_spec(cls, spec: ModelSpec) -> Flapping:
-        """About the reference's commands or speeds."""
-        return cls(spec.driven, _total(spec))
-
-    @classmethod
-    def absorbed_by(cls, spec: ModelSpec) -> str:
-        """By the control powers: a controller's commands answer the velocity as flapping does, late as they are."""
-        return "rotors.power"
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds the moments."""
         turning = p["k"] * frame.stack(self.driven).sum(-1) / self.total
         u, v = frame.signals["u"], frame.signals["v"]
         return frame.add(moment=vec(-turning * v, turning * u, torch.zeros_like(turning * u))), x
+
+
+def _no_places(spec: ModelSpec) -> str | None:
+    return None if spec.motors and spec.found_places is None else "the motors' places are not declared"
 
 
 @register
@@ -240,6 +225,8 @@ class Unequal(Effect):
 
     id, stage, role = "propulsion.unequal", Stage.ROTOR, Role.UNDECLARED
     separated_by = "flights before and after a propeller is changed"
+    rotors_absorb = "rotors.trim"  # it is there whatever the rotors do
+    needs = (no_motors, _no_places)
 
     def __init__(self, driven: tuple[str, ...]) -> None:
         super().__init__(alike(driven, "1", (-0.5, 0.9), "share of its thrust that the rotor lacks", typical=0.1))
@@ -249,17 +236,6 @@ class Unequal(Effect):
     def from_spec(cls, spec: ModelSpec) -> Unequal:
         """Of each rotor."""
         return cls(spec.driven)
-
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Without motors whose places are declared."""
-        places = None if spec.motors and spec.found_places is None else "the motors' places are not declared"
-        return first(no_motors(spec), places)
-
-    @classmethod
-    def absorbed_by(cls, spec: ModelSpec) -> str:
-        """By what is there whatever the rotors do."""
-        return "rotors.trim"
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Says what each rotor gives of its thrust."""

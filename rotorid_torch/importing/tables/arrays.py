@@ -157,17 +157,17 @@ def _unfolded(content: Mapping[str, Any]) -> dict[str, Any]:
             columns[_text(one.get("label")) or f"signal{number + 1}"] = one["values"]
     properties = columns.get("Properties")
     about = columns | (properties if isinstance(properties, dict) else {})
-    names = next((found for key in LISTS if (found := _texts(about.get(key)))), [])
+    names = next(filter(None, (_texts(about.get(key)) for key in LISTS)), [])
     columns = _named(columns, names)
     clock = next((np.ravel(about[key]) for key in OF_ROWS if isinstance(about.get(key), np.ndarray)), None)
     if clock is not None:
         columns = {name: value for name, value in columns.items() if name not in (*OF_ROWS, "Properties")}
         columns["Time"] = clock
-    unit = [_text(info.get("Units")) if isinstance(info := columns.get("DataInfo"), dict) else ""]
+    of_data = _text(info.get("Units")) if isinstance(info := columns.get("DataInfo"), dict) else ""
     listed = zip(names, _texts(about.get("VariableUnits")), strict=False)
-    for name, known in (*listed, *(zip(("Data",), unit, strict=True))):
-        if known and name in columns and header_name(f"{name} [{known}]")[1]:
-            columns[f"{name} [{known}]"] = columns.pop(name)
+    for name, unit in (*listed, ("Data", of_data)):
+        if unit and name in columns and header_name(f"{name} [{unit}]")[1]:
+            columns[f"{name} [{unit}]"] = columns.pop(name)
     return columns
 
 

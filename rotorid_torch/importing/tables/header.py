@@ -136,10 +136,10 @@ def _with_units(names: Sequence[str], row: Sequence[str]) -> tuple[list[str], bo
     A row is of units where at least half of its fields are, else there is none; a unit in the name itself comes first.
     """
     stripped = [field.strip("[]() ") for field in row]
-    known = [field if units.find_unit(field) or units.clock_unit(field) else "" for field in stripped]
+    fitting = [field if units.find_unit(field) or units.clock_unit(field) else "" for field in stripped]
     present = [field for field in stripped if field and field != "-"]
-    if len(row) != len(names) or not present or 2 * len([*filter(None, known)]) < len(present):
+    if len(row) != len(names) or not present or 2 * sum(map(bool, fitting)) < len(present):
         return [], False
     bare = [name if "[" in name or "(" in name else "" for name in names]
-    full = [b or (f"{name} [{unit}]" if unit else name) for b, name, unit in zip(bare, names, known, strict=True)]
-    return full, len([*filter(None, known)]) == len(present)
+    full = [b or (f"{name} [{unit}]" if unit else name) for b, name, unit in zip(bare, names, fitting, strict=True)]
+    return full, sum(map(bool, fitting)) == len(present)

@@ -162,11 +162,10 @@ class _Course:
     @classmethod
     def of(cls, flight: Flight, name: str, dt: float) -> _Course:
         """On a common grid from the flight's beginning to its end."""
-        own = flight.time.numpy() - float(flight.time[0])
-        samples = int(np.floor(own[-1] / dt + 1e-6)) + 1
+        samples = int(np.floor(_seconds(flight)[-1] / dt + 1e-6)) + 1
         time = dt * np.arange(samples, dtype=np.float64)
-        rates = _smooth(_columns(flight, RATES, own, time), QUICK, dt)
-        voltage = _columns(flight, ("voltage",), own, time)[:, 0] if flight.has("voltage") else None
+        rates = _smooth(_columns(flight, RATES, time), QUICK, dt)
+        voltage = _columns(flight, ("voltage",), time)[:, 0] if flight.has("voltage") else None
         return cls(name, dt, samples, flight, time, rates, voltage)
 
     def targets(self, craft: Multirotor, step: float, every: int) -> Array:
@@ -194,8 +193,7 @@ class _Course:
         return np.interp(at, np.arange(self.samples), self.voltage if self.voltage is not None else np.ones(1))
 
     def _read(self, names: tuple[str, ...]) -> Array:
-        own = self.flight.time.numpy() - float(self.flight.time[0])
-        return _columns(self.flight, names, own, self.time)
+        return _columns(self.flight, names, self.time)
 
     def _euler(self) -> Array:
         """Attitude, [3, T]; where it is not measured, what the rates integrate to, bank and pitch about level."""
@@ -239,10 +237,14 @@ class _Course:
         return (_smooth(felt, QUICK, self.dt) - _smooth(felt, cutoff, self.dt))[:, 0]
 
 
-def _columns(flight: Flight, names: tuple[str, ...], own: Array, time: Array) -> Array:
-    """Channels [T, n] of a flight on another grid, gaps bridged."""
+def _seconds(flight: Flight) -> Array:
+    return flight.time.numpy() - float(flight.time[0])
+
+
+def _columns(flight: Flight, names: tuple[str, ...], time: Array) -> Array:
+    """Channels [T, n] of a flight at other times since its beginning, gaps bridged."""
     columns = flight.bridged(names).numpy()
-    return np.stack([np.interp(time, own, column) for column in columns.T], axis=1)
+    return np.stack([np.interp(time, _seconds(flight), column) for column in columns.T], axis=1)
 
 
 def _smooth(columns: Array, cutoff: float, dt: float) -> Array:
@@ -283,7 +285,6 @@ def _measured(
 ) -> Channels:
     """The channels that the flight has, with its noise and gaps, at its own times, float64 of float32's digits."""
     flight, truth = course.flight, true_channels(craft, record, at)
-    own = flight.time.numpy() - float(flight.time[0])
     out: Channels = {"time": flight.time.numpy()}
     offsets = dict(zip((*RATES, "ax", "ay", "az", "phi", "theta"), chance.standard_normal(8), strict=True))
     scales = {**dict.fromkeys(RATES, craft.offsets[0]), **dict.fromkeys(("ax", "ay", "az"), craft.offsets[1])}
@@ -292,9 +293,9 @@ def _measured(
         if channel not in truth or channel == "time":
             continue
         stream = np.random.default_rng([zlib.crc32(channel.encode()), int(chance.integers(2**31))])
-        read = np.interp(own, record.time[: course.samples], truth[channel][: course.samples])
+        read = np.interp(_seconds(flight), record.time[: course.samples], truth[channel][: course.samples])
         read = read + scales.get(channel, 0.0) * offsets.get(channel, 0.0)
-        read = read + noise.get(channel, 0.0) * stream.standard_normal(len(own))
+        read = read + noise.get(channel, 0.0) * stream.standard_normal(len(read))
         gaps = values.isnan().numpy()
         out[channel] = np.where(gaps, np.nan, read).astype(np.float32).astype(np.float64)
     return out
@@ -302,12 +303,11 @@ def _measured(
 
 def _declared(vehicle: Vehicle, craft: Multirotor) -> Vehicle:
     """The declared vehicle with the drawn one's thrust curves and torque ratios, where such are declared at all."""
-    own = declared_motors(craft)
 
     def motor(declared: Motor, drawn: Mapping[str, object]) -> Motor:
         curve = tuple(drawn["thrust"]) if declared.thrust is not None else None  # pyright: ignore[reportArgumentType]
         ratio = drawn["torque_ratio"] if declared.torque_ratio is not None else None
         return msgspec.structs.replace(declared, thrust=curve, torque_ratio=ratio)
 
-    motors = tuple(motor(*pair) for pair in zip(vehicle.motors, own, strict=True))
+    motors = tuple(motor(*pair) for pair in zip(vehicle.motors, declared_motors(craft), strict=True))
     return msgspec.structs.replace(vehicle, motors=motors)

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.names import MOMENTS
-from rotorid_torch.identification.measured_states import MeasuredStates
+from rotorid_torch.identification.measured_states import MeasuredStates, prior_rows
 from rotorid_torch.identification.rotor_equations import Seen, seen_flights
 from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
 from rotorid_torch.model.nominal import build
@@ -88,17 +88,15 @@ class _Probe:
 
     @property
     def prior(self) -> Tensor:
-        """Rows of the prior of the null's parameters, and what is left of them [P, P + 1]."""
+        """Rows of the prior of the null's parameters [P, P + 1]."""
         parameters = self.model.parameter_set
         places = [parameters.index(name) for name in self.names]
-        weight = (1.0 / parameters.prior_sd[places]).nan_to_num(0.0)
-        left = weight * (parameters.values[places] - self.model.theta.detach()[places])
-        return torch.cat([weight.diag(), left[:, None]], dim=1)
+        return prior_rows(self.model.theta.detach()[places], parameters.values[places], parameters.prior_sd[places])
 
     def pieces(self, listed: Sequence[str]) -> Iterator[MeasuredStates]:
         """Each flight's equations; one flight alone in halves, each of which tests what the other says."""
-        seen = list(seen_flights(self.model, self.null.flights.records(self.model, listed))) if listed else []
-        for one in _halves(seen[0]) if len(seen) == 1 else seen:
+        flights = list(seen_flights(self.model, self.null.flights.records(self.model, listed))) if listed else []
+        for one in _halves(flights[0]) if len(flights) == 1 else flights:
             yield MeasuredStates.of(self.model, [one])
 
     def _followed(self) -> list[Signature]:
@@ -199,9 +197,9 @@ def _shuffled(records: Tensor, block: int, count: int, chance: torch.Generator) 
 
 def _products(matrix: _Matrix, rows: Sequence[str]) -> Tensor:
     """Normal equations by row [rows, n, n], zeros of a row that the flight has not measured."""
-    own = matrix.values.mT @ matrix.values + matrix.lines.mT @ matrix.lines
-    products = own.new_zeros(len(rows), *own.shape[1:])
-    products[[rows.index(row) for row in matrix.rows]] = own
+    squares = matrix.values.mT @ matrix.values + matrix.lines.mT @ matrix.lines
+    products = squares.new_zeros(len(rows), *squares.shape[1:])
+    products[[rows.index(row) for row in matrix.rows]] = squares
     return products
 
 
@@ -213,9 +211,9 @@ def _unexplained(probe: _Probe, rows: Sequence[str], products: Tensor, residuals
     products : of the identify flights by row [rows, n, n], residuals in the last columns.
     """
     last = products.shape[-1] - residuals
-    own = products[:, : last + 1, : last + 1]  # without residuals by chance
+    certain = products[:, : last + 1, : last + 1]  # without residuals by chance
     moments = {ANGULAR_ACCELERATIONS[MOMENTS.index(moment)]: moment for moment in probe.null.silent}
-    return {row for row, moment in moments.items() if not _explained(probe, moment, own[rows.index(row)])}
+    return {row for row, moment in moments.items() if not _explained(probe, moment, certain[rows.index(row)])}
 
 
 def _explained(probe: _Probe, moment: str, products: Tensor) -> bool:
