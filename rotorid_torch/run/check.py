@@ -135,7 +135,7 @@ def sensor_errors(dataset: Dataset) -> tuple[tuple[KinematicFinding, ...], tuple
 
 def _sentence(error: KinematicFinding) -> Finding:
     members = dict.fromkeys(c for p in error.parameters if p.accepted for c in _channels(p.name.split(".")[2]))
-    sentence = f"all channels together: {error.reason}."
+    sentence = f"{error.reason} (all channels together)."
     advice = f"Correct the records, or let {error.id} be estimated by close-loop."
     return finding("warning", " ".join(members), sentence, advice)
 

@@ -43,7 +43,9 @@ def test_a_late_stream_has_its_delay_and_standard_error():
     (delay,) = (p for sensor in found.sensors for p in sensor.parameters if p.accepted)
     assert delay.se < 0.001
     assert verdicts(found)["phi"] == "with care"
-    assert any("all channels together: attitude" in one.sentence for one in found.findings)
+    (told,) = (one.sentence for one in found.findings if "(all channels together)." in one.sentence)
+    assert told.startswith("attitude")
+    assert any("attitude" in why and "together" not in why for why in found.because)  # what it is, not how it was seen
 
 
 def test_measured_defects_are_told_with_what_to_do():
