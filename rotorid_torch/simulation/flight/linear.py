@@ -1,4 +1,4 @@
-"""Linear model of the trimmed aircraft from its passage map: modes, and derivatives with rotor and inflow residualised.
+"""Linear model of the trimmed aircraft from its passage map, rotor and inflow residualised.
 
 The matrix logarithm of the map's Jacobian is the constant system that passes through the same points (Floquet's
 theorem); with the blades' exchange of places it is at the same time the change to the fixed frame.
@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import logm
 
 from rotorid_torch.simulation.flight.trim import Trim, passage, passage_time, unknown_rows, with_held_speed
@@ -30,10 +29,6 @@ class LinearAircraft:
     a: Array
     b: Array
     full_a: Array
-
-    def modes(self) -> NDArray[np.complex128]:
-        """Eigenvalues of the eight-state model, 1/s."""
-        return np.linalg.eigvals(self.a).astype(np.complex128)
 
 
 SHIFT = 1e-4
@@ -61,15 +56,3 @@ def linearise(aircraft: Aircraft, trim: Trim) -> LinearAircraft:
     a = full_a[body, body] - full_a[body, rotor] @ across[:, : len(BODY_STATES)]
     b = full_b[body] - full_a[body, rotor] @ across[:, len(BODY_STATES) :]
     return LinearAircraft(a, b, full_a)
-
-
-def derivatives(linear: LinearAircraft, trim: Trim) -> Array:
-    """Table of derivatives: rows X Y Z (m/s^2) L M N (rad/s^2) per u v w p q r (SI) and lon lat col ped (rad), 6 x 10.
-
-    The terms of the turning axes are taken out of the rates, gravity is left aside; the rest belongs to the forces.
-    """
-    u, v, w = trim.state[:3]
-    out = np.hstack([linear.a[:6, :6], linear.b[:6]])
-    turning = np.array([[0.0, -w, v], [w, 0.0, -u], [-v, u, 0.0]])
-    out[:3, 3:6] -= turning
-    return out

@@ -15,6 +15,7 @@ from rotorid_torch.simulation.multiblade.craft import FLAP, INFLOW, LAG, SPEED, 
 from rotorid_torch.simulation.multiblade.dynamics import respond
 from rotorid_torch.simulation.multiblade.priors import build, numbers
 from rotorid_torch.simulation.multiblade.trim import find_trims, linearise, settle
+from tests.simulation.derivatives import derivatives
 
 EXCURSIONS = np.array([0.56, 0.74, 0.48, 0.064, 0.041, 0.033, 0.0122, 0.0058, 0.0071, 0.0138])
 """Usual ones of u v w p q r lon lat col ped in the flights of the UH-60."""
@@ -74,7 +75,7 @@ def test_derivatives_are_the_flight_test_aircrafts(hover, speed):
     trims = find_trims(craft, np.array([speed, 0.0, 0.0]))
     ours = linearise(craft, trims).derivatives()[0] * EXCURSIONS
     trim = find_trim(hover.aircraft, speed)
-    full = linear.derivatives(linear.linearise(hover.aircraft, trim), trim) * EXCURSIONS
+    full = derivatives(linear.linearise(hover.aircraft, trim), trim) * EXCURSIONS
     largest = np.abs(full).max(1, keepdims=True)
     assert np.all(np.abs(ours - full) < 0.06 * largest), np.round((ours - full) / largest, 3)
     main = np.abs(full) == largest
