@@ -57,7 +57,9 @@ def with_typical(effect: type[Effect]) -> Model:
     return with_values(model, {p.name: p.typical for p in model.parameter_set.sizes(effect.id) if p.typical})
 
 
-@pytest.mark.parametrize("name", sorted(set(registered()) - MEMORY - {"sensors.delay", "sensors.filter"}))
+@pytest.mark.parametrize(
+    "name", sorted(set(registered()) - MEMORY - {"sensors.delay", "sensors.filter", "propulsion.voltage"})
+)
 def test_every_effect_is_the_same_in_c(name: str, tmp_path: Path):
     assert differs(with_typical(registered()[name]), tmp_path) < AGREE
 
@@ -88,6 +90,16 @@ def test_a_helicopter_with_and_without_a_rotor(flapping, tmp_path: Path):
 
 def test_a_multirotor(tmp_path: Path):
     assert differs(scattered(build(MULTIROTOR)), tmp_path) < AGREE
+
+
+def test_a_voltage_counts_as_it_comes(tmp_path: Path):
+    """A record's voltage counts by means over a second; what runs sample by sample is given a smooth one."""
+    model = with_typical(registered()["propulsion.voltage"])
+    controls, place = moved(model), model.body.controls.index("voltage")
+    controls[:, place] = 0.9 * model.reference["voltage"]
+    x = reference_point(model)[0].tolist()
+    c = fly_c(c_source(model, "a model", DT), tmp_path, x, controls, DT)
+    assert np.allclose(c, fly_torch(model, x, controls, DT), rtol=AGREE, atol=AGREE)
 
 
 def behind(effect: str, values: dict[str, float]) -> Model:

@@ -170,6 +170,20 @@ def test_motors_that_warm_are_not_taken_for_a_battery():
     assert abs(level) < 0.3
 
 
+def test_a_voltage_that_its_sensor_shakes_is_a_voltage_all_the_same():
+    """What shakes it for tenths of a second is as large as what the battery does, and would hide half of that."""
+    time, flights, chance = np.linspace(-0.5, 0.5, 1600), {}, np.random.default_rng(5)
+    for k, name in enumerate(("one", "two", "three")):
+        share = 1.0 - 0.01 * k + 0.03 * np.sin((20.0 + k) * time)
+        shaken = np.asarray(lfilter([0.01], [1.0, -0.95], chance.standard_normal(1600)))
+        flights[name] = flown(k, voltage=share) | {"voltage": 4.0 * (share + shaken)}
+    data = recorded(flights)
+    reconstruction = reconstruct(data)
+    model = build(propose(data, reconstruction, (*EFFECTS, "propulsion.voltage")))
+    theta = regress_rotors(model, data, reconstruction).theta
+    assert float(theta[model.parameter_set.index("propulsion.voltage.exponent")]) == pytest.approx(1.0, abs=0.15)
+
+
 def test_what_is_missing_for_a_moment_is_missing_for_a_moment():
     flights = {name: flown(k) for k, name in enumerate(("one", "two", "three"))}
     for channels in flights.values():

@@ -12,12 +12,14 @@ from rotorid_torch.core.parameters import Parameter, alike
 from rotorid_torch.core.rigid import vec
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
 from rotorid_torch.effects.registry import register
-from rotorid_torch.effects.signal_operations import lagged
+from rotorid_torch.effects.signal_operations import averaged, half_of, lagged
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.effects.testable import no_forces, no_motors, no_rates, no_velocities
 
 LARGE_SPEED = 1e3
 """rad/s: speeds of small rotors are thousands, where commands are one."""
+VOLTAGE_S = 1.0
+"""s: mean of a recorded voltage. A sensor's noise would hide the exponent, and a load's sag is late in many records."""
 LEAST_VOLTAGE = 0.05
 """Share of the reference below which a voltage is a fault of its sensor."""
 
@@ -56,7 +58,9 @@ def _no_voltage(spec: ModelSpec) -> str | None:
 class Voltage(Effect):
     """Battery voltage at the motors: commands, or the speeds that follow from them, count times (V/V_ref)^exponent.
 
-    The voltage is the measured one, so that its sag under load is in it.
+    The voltage is the measured one, so that its sag under load is in it; of its record, means over a second: faster
+    changes are mostly of the sensor, and load that goes with the commands is in the curve of the rotors. A model that
+    runs sample by sample takes the voltage as it comes.
 
     Source: Foerster, System Identification of the Crazyflie 2.0 (ETH, 2015), sec. 3.2 (thrust and battery).
     """
@@ -77,7 +81,8 @@ class Voltage(Effect):
 
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Controls [..., T, nu], motor commands as the voltage lets them count."""
-        share = record[..., names.index("voltage"), None].clamp(min=LEAST_VOLTAGE * self.voltage) / self.voltage
+        slow = averaged(record[..., names.index("voltage")], half_of(VOLTAGE_S, dt))
+        share = slow.clamp(min=LEAST_VOLTAGE * self.voltage)[..., None] / self.voltage
         factor = torch.exp(p["exponent"][..., None, None] * torch.log(share))
         counted = torch.tensor([n in self.motors for n in names], device=record.device)
         return torch.where(counted, record * factor, record)
