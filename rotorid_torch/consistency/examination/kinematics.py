@@ -21,6 +21,7 @@ from rotorid_torch.consistency.pairs.alignment import (
     rotation_vector,
 )
 from rotorid_torch.consistency.pairs.clock_rate import ClockRate, clock_rate
+from rotorid_torch.consistency.pairs.far_lags import FarLag, lag_of_controls, lag_of_velocities
 from rotorid_torch.consistency.pairs.late_controls import (
     LateControls,
     coming_first,
@@ -30,6 +31,7 @@ from rotorid_torch.consistency.pairs.late_controls import (
 )
 from rotorid_torch.consistency.pairs.precedence import Following
 from rotorid_torch.consistency.pairs.sensor_pairs import REACH_S, Agreement, Pair, agreement
+from rotorid_torch.consistency.pairs.velocity_clock import IMITATED_S
 from rotorid_torch.consistency.smoothing import EVERY_S
 from rotorid_torch.core import names
 from rotorid_torch.core.statistics import weighted_mean
@@ -61,6 +63,11 @@ LEAST_RMS = {"rad/s": 0.02, "m/s²": 0.2}
 """Motion that both sides must show besides, rms: what an estimator has smoothed seems to have no noise."""
 CLOCKS = {"attitude": ("attitude", "rates"), "velocity": ("velocities", "accelerations")}
 """Units whose clock a group of pairs compares."""
+ANSWERED_S, PRECEDING_S, FAR_S = 1.0, 0.1, 0.2
+"""Longest delay of a vehicle's answer to its controls, and by how much it may seem to come first, in s; controls late
+by `FAR_S` more are on another clock, for pairs of records do not reach so far."""
+FAR = 0.5
+"""Share of what those lags leave that a far lag of the controls may leave."""
 MOUNTED = 3.0
 """Degrees within which a turn is a mounting by right angles."""
 TURNED = 0.7
@@ -90,8 +97,9 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
         if left == "velocity" and by_forces is not None:
             continue  # one cause, told once
         results = [a for pair in pairs(dataset) if (a := agreement(pair, flights)) is not None]
-        agreeing = [a for a in results if a.r2 > KNOWN]
+        agreeing = [a for a in results if a.r2 > KNOWN and a.pair.exact]
         forces = _forces(dataset, flights) if left == "velocity" else []
+        yield from _velocities_late(dataset, flights) if left == "velocity" and not forces else ()
         about = _forces_late(forces, results) if not lags.get("attitude") else []
         yield from _far_off(left, by, agreeing, forces)
         constant = not about and not (left == "attitude" and rate)
@@ -120,6 +128,20 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
 def _forces(dataset: Dataset, flights: Sequence[Flight]) -> list[Agreement]:
     """Accelerometers against velocity and attitude."""
     return [a for pair in sensor_pairs.force_pairs(dataset) if (a := agreement(pair, flights)) is not None]
+
+
+def _velocities_late(dataset: Dataset, flights: Sequence[Flight]) -> Iterator[Finding]:
+    """Velocities that gravity by the attitude and drag explain best at another time."""
+    listed = [flight for flight in flights if flight.name in dataset.identify]
+    lag = lag_of_velocities(listed, dataset.vehicle.gravity)
+    if lag is None or lag.left > BETTER * lag.left_near or abs(lag.seconds) < IMITATED_S + SURE_LAG * lag.se:
+        return
+    word = "late" if lag.seconds > 0.0 else "early"
+    sentence = (
+        f"{abs(lag.seconds):.3f} s {word} (± {max(lag.se, IMITATED_S / SURE_LAG):.3f}) against attitude and rates,"
+    )
+    how = "by gravity and drag, for no accelerometer says what pushed the aircraft. Shift the stream,"
+    yield finding("warning", "u v w", sentence, how, "or let sensors.delay be estimated.")
 
 
 def _forces_late(forces: Sequence[Agreement], moved: Sequence[Agreement]) -> list[Agreement]:
@@ -338,6 +360,11 @@ def _bias(a: Agreement, dataset: Dataset) -> Iterator[Finding]:
 
 def precedence(dataset: Dataset) -> Iterator[Finding]:
     """Responses that seem to come before their controls, delays that differ between flights, and right ones."""
+    flights = [dataset.flights[name] for name in dataset.identify]
+    far = lag_of_controls(flights, dataset.controls, (-ANSWERED_S, PRECEDING_S))
+    if far and far.left < FAR * far.left_near and not -ANSWERED_S < far.seconds < PRECEDING_S + FAR_S:
+        yield _far_controls(far, dataset)
+        return
     sticks = followed_sticks(dataset)
     for a in sticks:
         yield from _drift(a)
@@ -352,6 +379,17 @@ def precedence(dataset: Dataset) -> Iterator[Finding]:
         lags = _lags(responses, 1.0)
         sentence = f"the accelerations follow the controls: {lags} (delay and lag of the whole path together)."
         yield finding("good", " ".join(r.channel for r in responses), sentence)
+
+
+def _far_controls(far: FarLag, dataset: Dataset) -> Finding:
+    word, more = ("late", "more") if far.seconds > 0.0 else ("early", "less")
+    return finding(
+        "error",
+        " ".join(dataset.controls),
+        f"the controls are {abs(far.seconds):.2f} s {word} (± {far.se:.2f}) against the angular accelerations,",
+        f"{more} by the delay of the vehicle: there they explain {1.0 - far.left:.0%} of these, as recorded",
+        f"{max(1.0 - far.left_near, 0.0):.0%} at most. Shift the stream; nothing else can be told before.",
+    )
 
 
 def _late_sticks(late: LateControls) -> Finding:

@@ -16,6 +16,7 @@ import numpy as np
 import torch
 
 from rotorid_torch.consistency.correction import without_errors_of_flight
+from rotorid_torch.consistency.pairs.far_lags import FarLag, lag_of_velocities
 from rotorid_torch.consistency.smoothing import EVERY_S, centred, kernel, smoothed
 from rotorid_torch.core import names
 from rotorid_torch.core.rigid import gravity_in_body
@@ -105,7 +106,7 @@ def alignment(dataset: Dataset) -> Alignment:
     late = _lag(sides)
     turn = _turned(dataset, [s.moved(late) for s in sides])
     before = _share(sides)
-    clocks = _clocks(flights, turn.turn, late)
+    clocks = _clocks(dataset, flights, turn.turn, late)
     return Alignment(turn.turn, turn.turn_se, clocks, turn.mirror, before, turn.after, turn.strength)
 
 
@@ -266,13 +267,13 @@ def axes_of(matrix: Array) -> str:
     return " ".join(f"{'+' if size > 0.0 else '-'}{name}" for name, size in nearest)
 
 
-def _clocks(flights: Sequence[Flight], turn: Array, late: int) -> dict[str, float]:
+def _clocks(dataset: Dataset, flights: Sequence[Flight], turn: Array, late: int) -> dict[str, float]:
     """Which streams are late, in s: attitude or rates, then velocities or accelerometers against what they are with."""
     seconds = late * EVERY_S
     shifts = {"attitude": seconds} if late else {}
     felt = [f for f in flights if f.has(*names.VELOCITIES, *names.SPECIFIC_FORCES)]
     if not felt:
-        return shifts
+        return _without_forces(dataset, flights, turn, seconds)
     tried = [shifts, {"rates": -seconds}, {"rates": -seconds, "accelerations": -seconds}] if late else [{}]
     scored = [(_motion(felt, turn, clocks), clocks) for clocks in tried]
     best, clocks = max(scored, key=lambda one: one[0].agreed)
@@ -285,6 +286,25 @@ def _clocks(flights: Sequence[Flight], turn: Array, late: int) -> dict[str, floa
     if _motion(felt, turn, further).agreed < AGREES:
         return clocks
     return {name: value for name, value in further.items() if abs(value) > ALIKE_S}
+
+
+def _without_forces(dataset: Dataset, flights: Sequence[Flight], turn: Array, seconds: float) -> dict[str, float]:
+    """The same where no accelerometer says what pushed the aircraft: gravity by the attitude does.
+
+    Of attitude and rates that one is moved with which the velocities are on time, or nearly so.
+    """
+    tried = [{"attitude": seconds}, {"rates": -seconds}] if seconds else [dict[str, float]()]
+    lags = list[tuple[float, FarLag, dict[str, float]]]()
+    for clocks in tried:
+        errors = Alignment(turn=turn, clocks=clocks).errors
+        righted = [without_errors_of_flight(flight, errors) for flight in flights]
+        lag = lag_of_velocities(righted, dataset.vehicle.gravity)
+        lags += [(abs(lag.seconds), lag, clocks)] if lag else []
+    if not lags:
+        return tried[0]
+    off, lag, clocks = min(lags, key=lambda one: one[0])
+    far = off > REACH_S and lag.left < HALVED * lag.left_near
+    return {**clocks, "velocities": lag.seconds} if far else clocks
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,148 @@
+"""Streams that are far off against others which only a model ties to them: linear regression at every lag.
+
+Velocities without accelerometers follow gravity and drag; angular accelerations follow
+controls and motion. The lag is where least is left, over the whole record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from rotorid_torch.consistency.smoothing import EVERY_S, smoothed
+from rotorid_torch.core import names
+from rotorid_torch.core.rigid import gravity_in_body
+from rotorid_torch.core.statistics import jackknife_variance, without_line
+from rotorid_torch.data.flight import Flight
+
+Array = np.ndarray
+Blocks = tuple[Array, Array]
+"""Columns of a flight (T, n), NaN where unknown: of the stream that is moved, and of the others."""
+Columns = Callable[[Array, Array], Array]
+"""Regression of two blocks at the same times: what is explained, then what explains it, (T, n)."""
+
+LONGEST_S, REACHED = 6.0, 0.65
+"""Largest lag, in s, and as a share of the shortest flight that is looked at."""
+FLIGHTS, SAMPLES = 8, 3000
+"""Flights that are looked at, at most, and samples of each, every `EVERY_S`: two minutes."""
+LEAST = 100
+"""Samples of a flight that is used."""
+EXPLAINED = 0.5
+"""Share of a response that is explained at its best lag, at least, for it to count."""
+
+
+@dataclass(frozen=True)
+class FarLag:
+    """Time in s by which a stream comes after the others, its standard error, the share that is left there.
+
+    left_near : the least share that is left at the lags that need no other clock.
+    """
+
+    seconds: float
+    se: float
+    left: float
+    left_near: float
+
+
+def lag_of_velocities(flights: Sequence[Flight], gravity: float) -> FarLag | None:
+    """Lag of u v w against attitude and rates, drag beside; None where it cannot be known.
+
+    Rates and controls are no terms: with them the tilt a moment ago is a sum of theirs, and any lag fits.
+
+    Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 3.35.
+    """
+    needs = (*names.VELOCITIES, *names.RATES, *names.ATTITUDES[:2])
+
+    def blocks(flight: Flight) -> Blocks:
+        velocity, change, known = smoothed(flight, names.VELOCITIES)
+        others, _, others_known = smoothed(flight, names.RATES)
+        tilt, _, tilt_known = smoothed(flight, names.ATTITUDES[:2])
+        fall = gravity_in_body(torch.from_numpy(tilt), gravity).numpy()[:, :2] if len(tilt) else tilt
+        moved = np.where(known[:, None], np.concatenate([velocity, change[:, :2]], axis=1), np.nan)
+        whole = (others_known & tilt_known)[:, None]
+        return moved, np.where(whole, np.concatenate([fall, others], axis=1), np.nan)
+
+    def columns(moved: Array, fixed: Array) -> Array:
+        z, changed, w = moved[:, 0] + 1j * moved[:, 1], moved[:, 3] + 1j * moved[:, 4], moved[:, 2]
+        fall, (p, q, r) = fixed[:, 0] + 1j * fixed[:, 1], fixed[:, 2:5].T
+        terms = [fall, 1j * w * (p + 1j * q), z, z.conj(), w]
+        return np.stack([changed + 1j * r * z, *terms], axis=1)
+
+    return _scanned([blocks(f) for f in flights[:FLIGHTS] if f.has(*needs)], columns, 1, (0.0, 0.0))
+
+
+def lag_of_controls(flights: Sequence[Flight], controls: Sequence[str], near: tuple[float, float]) -> FarLag | None:
+    """Lag of the controls against the angular accelerations that follow them, motion beside; None without these.
+
+    near : lags in s that a vehicle's answer, or what other examinations find, may have.
+    """
+    flights = [flight for flight in flights[:FLIGHTS] if flight.has(*names.RATES, *controls)]
+    motion = [
+        c for c in (*names.RATES, *names.ATTITUDES[:2], *names.VELOCITIES) if all(flight.has(c) for flight in flights)
+    ]
+
+    def blocks(flight: Flight) -> Blocks:
+        moved, _, known = smoothed(flight, controls)
+        _, turning, rates_known = smoothed(flight, names.RATES)
+        states, _, states_known = smoothed(flight, motion)
+        whole = (rates_known & states_known)[:, None]
+        fixed = np.concatenate([turning, states], axis=1)
+        return np.where(known[:, None], moved, np.nan), np.where(whole, fixed, np.nan)
+
+    def columns(moved: Array, fixed: Array) -> Array:
+        return np.concatenate([fixed[:, :3], moved, fixed[:, 3:]], axis=1)
+
+    return _scanned([blocks(flight) for flight in flights], columns, len(names.RATES), near)
+
+
+def _scanned(flights: Sequence[Blocks], columns: Columns, responses: int, near: tuple[float, float]) -> FarLag | None:
+    """The lag of least misfit; None where it is at the end of the range, or too little is explained."""
+    flights = [(moved[:SAMPLES], fixed[:SAMPLES]) for moved, fixed in flights if len(moved) >= LEAST]
+    if not flights:
+        return None
+    most = int(min(LONGEST_S / EVERY_S, REACHED * min(len(moved) for moved, _ in flights)))
+    lags = np.arange(-most, most + 1)
+    products = np.array([[_products(*flight, int(lag), columns) for flight in flights] for lag in lags])
+    each = np.array([_left(whole, responses) for whole in products.sum(axis=1)])
+    shown = each.min(axis=0) < 1.0 - EXPLAINED  # what nothing explains has no lag
+    if not shown.any():
+        return None
+    left = each[:, shown].mean(axis=1)
+    inside = (lags * EVERY_S >= near[0] - 0.5 * EVERY_S) & (lags * EVERY_S <= near[1] + 0.5 * EVERY_S)
+    best = int(np.argmin(left))
+    if best in (0, len(lags) - 1) or not inside.any():
+        return None
+
+    def peak(around: Array) -> float:
+        below, at, above = around
+        bend = below - 2.0 * at + above
+        return float(lags[best] + (0.5 * (below - above) / bend if bend > 0.0 else 0.0)) * EVERY_S
+
+    three = products[best - 1 : best + 2]
+    others = [
+        np.array([_left(p.sum(axis=0) - p[k], responses)[shown].mean() for p in three]) for k in range(len(flights))
+    ]
+    spread = float(np.sqrt(jackknife_variance(np.array([peak(o) for o in others])))) if len(flights) > 1 else EVERY_S
+    se = max(spread, 0.1 * EVERY_S)
+    return FarLag(peak(left[best - 1 : best + 2]), se, float(left[best]), float(left[inside].min()))
+
+
+def _products(moved: Array, fixed: Array, lag: int, columns: Columns) -> Array:
+    """Products (n, n) of the columns of a flight, the moved stream taken so many samples later."""
+    count = len(moved) - abs(lag)
+    first, second = moved[max(lag, 0) :][:count], fixed[max(-lag, 0) :][:count]
+    whole = np.isfinite(first.sum(axis=1)) & np.isfinite(second.sum(axis=1))
+    both = without_line(columns(first[whole], second[whole]))
+    return both.conj().T @ both / max(len(both), 1)
+
+
+def _left(products: Array, responses: int) -> Array:
+    """Share of the power of each response (n,) that the other columns do not explain."""
+    size = np.sqrt(np.maximum(np.real(np.diag(products)), np.finfo(float).tiny))
+    scaled = products / np.outer(size, size)
+    inner, outer = scaled[responses:, responses:], scaled[responses:, :responses]
+    x = np.linalg.lstsq(inner, outer, rcond=1e-9)[0]
+    return 1.0 - np.real((outer.conj() * x).sum(axis=0))

@@ -1,0 +1,86 @@
+"""Far clocks that only a model ties to the others: velocities without accelerometers, and controls."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rotorid_torch.consistency.examination.check import check
+from rotorid_torch.consistency.pairs.alignment import alignment
+from rotorid_torch.consistency.pairs.far_lags import lag_of_controls, lag_of_velocities
+from rotorid_torch.data import Dataset
+from tests.consistency.pairs.test_alignment import late
+
+DT, SAMPLES = 0.01, 3000
+CONTROLS, VELOCITIES, ATTITUDE, RATES = ("lon", "lat"), ("u", "v", "w"), ("phi", "theta", "psi"), ("p", "q", "r")
+
+
+def flown(seed: int) -> dict[str, np.ndarray]:
+    """A helicopter near hover: controls make roll and pitch accelerations, gravity and drag the velocities."""
+    rng = np.random.default_rng(seed)
+    time = DT * np.arange(SAMPLES)
+    hertz, phase = np.exp(rng.uniform(np.log(0.1), np.log(1.2), (2, 7))), rng.uniform(0.0, 2.0 * np.pi, (2, 7))
+    lon, lat = 0.02 * np.sin(2.0 * np.pi * hertz[..., None] * time + phase[..., None]).sum(axis=1)
+    x = np.zeros((6, SAMPLES))
+    for i in range(1, SAMPLES):
+        u, v, p, q, phi, theta = x[:, i - 1]
+        rates = (
+            -9.8 * theta - 0.05 * u + 0.5 * q,
+            9.8 * phi - 0.08 * v - 0.5 * p,
+            12.0 * lat[i] - 3.0 * p - 2.0 * phi,
+            10.0 * lon[i] - 2.0 * q - 1.5 * theta,
+            p,
+            q,
+        )
+        x[:, i] = x[:, i - 1] + DT * np.array(rates)
+    made = dict(zip(("u", "v", "p", "q", "phi", "theta"), x, strict=True))
+    made |= {"w": np.zeros(SAMPLES), "r": np.zeros(SAMPLES), "psi": np.zeros(SAMPLES), "lon": lon, "lat": lat}
+    noise = {**dict.fromkeys(VELOCITIES, 0.05), **dict.fromkeys(RATES + ATTITUDE, 0.002)}
+    return {"time": time} | {n: v + noise.get(n, 1e-4) * rng.standard_normal(SAMPLES) for n, v in made.items()}
+
+
+FLOWN = {f"f{seed}": flown(seed) for seed in range(3)}
+
+
+def dataset(made: dict) -> Dataset:
+    return Dataset.from_arrays(made, identify=[*made], controls={c: {"unit": "rad"} for c in CONTROLS})
+
+
+@pytest.mark.parametrize("seconds", [-3.0, -0.5, 0.4, 1.0, 5.0])
+def test_velocities_without_accelerometers_have_their_time_and_are_the_only_error(seconds: float):
+    data = dataset(late(FLOWN, VELOCITIES, seconds))
+    assert alignment(data).clocks["velocities"] == pytest.approx(seconds, abs=0.06)
+    (only,) = (f for f in check(data).findings if f.severity == "error")
+    assert only.channel == "u v w"
+
+
+@pytest.mark.parametrize(("channels", "unit"), [(ATTITUDE, "attitude"), (RATES, "rates")])
+def test_velocities_say_which_of_attitude_and_rates_is_late(channels: tuple[str, ...], unit: str):
+    clocks = alignment(dataset(late(FLOWN, channels, 0.6))).clocks
+    assert clocks == {unit: pytest.approx(0.6, abs=0.03)}
+
+
+@pytest.mark.parametrize("seconds", [-2.0, 0.4, 1.0, 5.0])
+def test_far_controls_have_their_time_and_are_the_only_error(seconds: float):
+    data = dataset(late(FLOWN, CONTROLS, seconds))
+    lag = lag_of_controls(list(data.flights.values()), data.controls, (-1.0, 0.1))
+    assert lag is not None
+    assert lag.seconds == pytest.approx(seconds, abs=0.05)
+    (only,) = (f for f in check(data).findings if f.severity == "error")
+    assert "the controls are" in only.sentence
+
+
+def test_records_of_one_clock_have_no_lag():
+    data = dataset(FLOWN)
+    assert not [f for f in check(data).findings if f.severity == "error" or " late (" in f.sentence]
+    velocities = lag_of_velocities(list(data.flights.values()), 9.80665)
+    assert velocities is not None
+    assert abs(velocities.seconds) < 0.06
+
+
+def test_controls_that_explain_nothing_have_no_lag():
+    noise = 0.1 * np.random.default_rng(0).standard_normal((2, SAMPLES))
+    made = {name: flight | dict(zip(CONTROLS, noise, strict=True)) for name, flight in FLOWN.items()}
+    data = dataset(made)
+    lag = lag_of_controls(list(data.flights.values()), data.controls, (-1.0, 0.1))
+    assert lag is None or lag.left > 0.5 * lag.left_near
