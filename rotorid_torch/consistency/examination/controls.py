@@ -264,6 +264,8 @@ def band(dataset: Dataset) -> Iterator[Finding]:
     good = [c for c in measured if c.band is not None]
     forces = set(names.SPECIFIC_FORCES) <= {c.channel for c in measured}
     lost = [c for c in measured if c.band is None and not (forces and c.channel in names.VELOCITIES)]
+    if all(map(names.is_motor, dataset.controls)):  # thrust is along z: drag alone pushes a multirotor along x and y
+        lost = [c for c in lost if c.channel not in names.SPECIFIC_FORCES[:2]]
     if good:
         sentence = f"follow the controls with coherence above 0.6: {', '.join(map(_stretch, good))}."
         yield finding(

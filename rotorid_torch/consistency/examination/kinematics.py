@@ -22,6 +22,7 @@ from rotorid_torch.consistency.pairs.alignment import (
 )
 from rotorid_torch.consistency.pairs.clock_rate import ClockRate, clock_rate
 from rotorid_torch.consistency.pairs.far_lags import FarLag, lag_of_controls, lag_of_velocities
+from rotorid_torch.consistency.pairs.frames import feels
 from rotorid_torch.consistency.pairs.late_controls import (
     LateControls,
     coming_first,
@@ -66,8 +67,10 @@ CLOCKS = {"attitude": ("attitude", "rates"), "velocity": ("velocities", "acceler
 ANSWERED_S, PRECEDING_S, FAR_S = 1.0, 0.1, 0.2
 """Longest delay of a vehicle's answer to its controls, and by how much it may seem to come first, in s; controls late
 by `FAR_S` more are on another clock, for pairs of records do not reach so far."""
-FAR = 0.5
-"""Share of what those lags leave that a far lag of the controls may leave."""
+LITTLE = 0.1
+"""Share of the response that the controls as recorded must leave for their clock to be far off."""
+FAR, KNOWN_S = 0.4, 0.25
+"""Share of what those lags leave that a far lag of the controls may leave, and its largest standard error, s."""
 MOUNTED = 3.0
 """Degrees within which a turn is a mounting by right angles."""
 TURNED = 0.7
@@ -99,7 +102,7 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
         results = [a for pair in pairs(dataset) if (a := agreement(pair, flights)) is not None]
         agreeing = [a for a in results if a.r2 > KNOWN and a.pair.exact]
         forces = _forces(dataset, flights) if left == "velocity" else []
-        yield from _velocities_late(dataset, flights) if left == "velocity" and not forces else ()
+        yield from _velocities_late(dataset, flights) if left == "velocity" and not feels(dataset) else ()
         about = _forces_late(forces, results) if not lags.get("attitude") else []
         yield from _far_off(left, by, agreeing, forces)
         constant = not about and not (left == "attitude" and rate)
@@ -134,7 +137,7 @@ def _velocities_late(dataset: Dataset, flights: Sequence[Flight]) -> Iterator[Fi
     """Velocities that gravity by the attitude and drag explain best at another time."""
     listed = [flight for flight in flights if flight.name in dataset.identify]
     lag = lag_of_velocities(listed, dataset.vehicle.gravity)
-    if lag is None or lag.left > BETTER * lag.left_near or abs(lag.seconds) < IMITATED_S + SURE_LAG * lag.se:
+    if lag is None or lag.left > BETTER * lag.left_near or abs(lag.seconds) < max(1.5 * IMITATED_S, SURE_LAG * lag.se):
         return
     word = "late" if lag.seconds > 0.0 else "early"
     sentence = (
@@ -362,7 +365,8 @@ def precedence(dataset: Dataset) -> Iterator[Finding]:
     """Responses that seem to come before their controls, delays that differ between flights, and right ones."""
     flights = [dataset.flights[name] for name in dataset.identify]
     far = lag_of_controls(flights, dataset.controls, (-ANSWERED_S, PRECEDING_S))
-    if far and far.left < FAR * far.left_near and not -ANSWERED_S < far.seconds < PRECEDING_S + FAR_S:
+    sure = far is not None and LITTLE < far.left_near > far.left / FAR and far.se < KNOWN_S
+    if far and sure and not -ANSWERED_S < far.seconds < PRECEDING_S + FAR_S:
         yield _far_controls(far, dataset)
         return
     sticks = followed_sticks(dataset)

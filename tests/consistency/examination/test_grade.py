@@ -10,6 +10,7 @@ import pytest
 
 from rotorid_torch import cli
 from rotorid_torch.consistency.examination.check import check
+from rotorid_torch.consistency.examination.controls import band
 from rotorid_torch.consistency.examination.grade import Graded, graded, head
 from rotorid_torch.data import Dataset, load
 from rotorid_torch.data.write import write_dataset
@@ -125,3 +126,12 @@ def test_clean_shared_sets_are_ready(name: str):
 
 def test_a_head_is_a_clause():
     assert head("late by 0.05 s (± 0.01) (p (x) 0.1): shift it. More.") == "late by 0.05 s"
+
+
+def test_a_multirotor_has_no_force_along_x_and_y_to_follow_its_motors():
+    rng, time = np.random.default_rng(0), 0.01 * np.arange(2000)
+    motors = {f"motor{i}": 0.5 + 0.1 * np.sin((1.0 + 0.3 * i) * time) for i in range(1, 5)}
+    rates = {name: np.sin((1.3 + i) * time) for i, name in enumerate("pqr")}
+    forces = {name: 0.1 * rng.standard_normal(2000) for name in ("ax", "ay")}
+    data = Dataset.from_arrays({"f": {"time": time, **motors, **rates, **forces}}, identify=["f"])
+    assert not [f for f in band(data) if {"ax", "ay"} & {*f.channel.split()}]
