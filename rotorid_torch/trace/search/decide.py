@@ -12,6 +12,8 @@ from torch import Tensor
 
 from rotorid_torch.core.names import Verdict
 from rotorid_torch.core.statistics import normal_quantile
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.effects.registry import registered
 from rotorid_torch.model.model import Model
 from rotorid_torch.trace.evidence.fits import FittedModel, FittedT
 from rotorid_torch.trace.evidence.screen import signatures
@@ -141,15 +143,21 @@ def size_of(fitted: FittedModel, effect: str, tests: int = 1, drawn: Mapping[str
     scatter = fitted.scatter(effect)
     names = [n for n in fitted.names if n.startswith(f"{effect}.")]
     errors = {n: max(fitted.error(n), scatter.get(n, 0.0), drawn.get(n, 0.0)) for n in names}
-    return estimate(fitted.model, errors, effect, tests)
+    return estimate(fitted.model, errors, effect, tests, half_a_sample(fitted.flights.dataset))
 
 
-def estimate(model: Model, errors: Mapping[str, float], effect: str, tests: int = 1) -> Size:
+def half_a_sample(dataset: Dataset) -> float:
+    """Half the longest step of the identify flights, s: controls may be held or go straight between samples."""
+    return 0.5 * max(dataset.facts[name].dt for name in dataset.identify)
+
+
+def estimate(model: Model, errors: Mapping[str, float], effect: str, tests: int = 1, between: float = 0.0) -> Size:
     """Whether a bound that is not the null is active; else whether all intervals hold the null.
 
     Intervals have the level 0.95 together for so many effects (Bonferroni). Zero is a limit of physics, not of a range:
     a pendulum may have no damping. Nor is a bound active where the interval holds the null: flights tell nothing of
-    that parameter then. errors : standard errors by full name, infinite where a bound left none.
+    that parameter then. errors : standard errors by full name, infinite where a bound left none. between : s by which
+    controls are later or earlier by what they do between samples, no size of an effect that makes them later.
     """
     values, wide = model.named_values, normal_quantile(0.5 * SETTINGS.level / tests)
     for p in model.parameter_set.sizes(effect):
@@ -159,7 +167,9 @@ def estimate(model: Model, errors: Mapping[str, float], effect: str, tests: int 
             return Size(Interval.ACTIVE_BOUND, p.name, values[p.name])
     nulls = {s.parameter: s.null for s in signatures(model, [effect])}
     nulls = nulls or {p.name: p.value for p in model.parameter_set.sizes(effect) if p.free}
-    away = {n: abs(values[n] - null) / max(errors.get(n, math.inf), 1e-300) for n, null in nulls.items()}
+    nothing = between if registered()[effect].delays else 0.0
+    beyond = {n: max(abs(values[n] - null) - nothing, 0.0) for n, null in nulls.items()}
+    away = {n: size / max(errors.get(n, math.inf), 1e-300) for n, size in beyond.items()}
     name = max(away, key=lambda n: away[n], default="")
     inside = bool(name) and away[name] <= wide
     return Size(Interval.WITHIN_ERROR if inside else Interval.SIZE, name, values.get(name, 0.0), errors.get(name, 0.0))

@@ -105,6 +105,15 @@ def late(value: float) -> Model:
     return with_values(rate_vehicle(effects=(DELAY,)), {f"{DELAY}.common": value})
 
 
+def test_a_delay_within_half_a_sample_is_none():
+    """Controls that are held between samples reach the rotor half a sample later than those that go straight."""
+    for value, is_size in ((0.004, False), (0.006, False), (0.008, True)):
+        found = estimate(late(value), {f"{DELAY}.common": 1e-3}, DELAY, between=0.005)
+        assert (found.estimate is Interval.SIZE) == is_size
+    turning = with_values(rate_vehicle(effects=(DAMPING,)), dict.fromkeys((f"{DAMPING}.{row}" for row in "LMN"), 0.004))
+    assert estimate(turning, {f"{DAMPING}.L": 1e-3}, DAMPING, between=0.005).estimate is Interval.SIZE
+
+
 @pytest.mark.parametrize("value", [0.05, -0.0, 0.0196, 0.0195])
 def test_a_size_is_one_where_its_interval_of_95_per_cent_excludes_nothing(value: float):
     error = 0.01
