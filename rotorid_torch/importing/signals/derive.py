@@ -59,17 +59,22 @@ AGREES, DISAGREES = 0.3, 0.7
 
 
 def by_rates(signals: Signals) -> tuple[Signals, str]:
-    """Signals with a quaternion in the usual order, and a sentence where the body rates say that it was in another.
+    """Signals with a quaternion in the usual order, and a sentence where the body rates do not confirm that order.
 
-    The turn between two samples is compared with the rates between them, which no convention changes.
+    The turn between two samples is compared with the rates between them, which no convention changes. Where no rates
+    decide, the usual order is taken.
     """
-    if not all(name in signals for name in (*QUATERNION, *RATES)):
+    if not all(name in signals for name in QUATERNION):
         return signals, ""
+    columns = " ".join(signals[name].source.field for name in QUATERNION)
+    open_order = f"{columns} are taken scalar first, from body to north-east-down axes: no body rates confirm it"
+    if not all(name in signals for name in RATES):
+        return signals, open_order
     q = np.stack([signals[name].values for name in QUATERNION])
     left = {order: _left(signals, q[[*places]], sign) for order, (places, sign) in ORDERS.items()}
     best = min(left, key=lambda order: left[order])
     if not (left[best] < AGREES and left[""] > DISAGREES):
-        return signals, ""
+        return signals, "" if best == "" and left[best] < DISAGREES else open_order
     places, sign = ORDERS[best]
     usual = q[[*places]] * np.array([1.0, sign, sign, sign])[:, None]
     moved = {name: replace(signals[name], values=row) for name, row in zip(QUATERNION, usual, strict=True)}

@@ -142,12 +142,13 @@ def own_entries(fields: Mapping[str, Sequence[str]]) -> dict[str, Entry]:
     """
     entries: dict[str, Entry] = {}
     for topic, columns in fields.items():
-        usual = {header_name(column)[0]: _usual(header_name(column)[0]) for column in columns}
+        capitals = all(header_name(column)[0].isupper() for column in columns)
+        bases = [header_name(column)[0].lower() if capitals else header_name(column)[0] for column in columns]
+        usual = {base: _usual(base) for base in bases}
         bare = {*usual.values()}
         one = {f"q{i}" for i in range(1, 5)} <= bare and "q0" not in bare
         whole = {n for some in WHOLE for n in some if bare.issuperset(some) or (one and some == QUATERNION)}
         zero = {kind for kind in ("motor", "omega") if f"{kind}0" in bare}
-        capitals = all(header_name(column)[0].isupper() for column in columns)
         for column in columns:
             name, unit = _channel(topic, column, capitals)
             name = usual.get(name, name)

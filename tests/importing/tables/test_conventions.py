@@ -23,6 +23,8 @@ QUATERNIONS = {
     "letters, scalar last": {name: Q[i] for name, i in zip(LETTERS[1:] + LETTERS[:1], (1, 2, 3, 0), strict=True)},
     "counted from one": {f"q{i + 1}": Q[i] for i in range(4)},
     "columns": {f"q[{i}]": Q[i] for i in range(4)},
+    "letters in capitals": {name.upper(): Q[i] for i, name in enumerate(LETTERS)},
+    "figures in capitals": {f"Q{i}": Q[i] for i in range(4)},
     "vector first": {f"q{i}": Q[(1, 2, 3, 0)[i]] for i in range(4)},
     "the other way": {f"q{i}": Q[i] * (1.0 if i == 0 else -1.0) for i in range(4)},
     "sign that changes": {f"q{i}": Q[i] * np.where(TIME > 3.0, -1.0, 1.0) for i in range(4)},
@@ -31,9 +33,11 @@ QUATERNIONS = {
 
 @pytest.mark.parametrize("form", QUATERNIONS)
 def test_quaternions_are_read_in_the_order_that_the_rates_say(form: str, tmp_path: Path):
-    (tmp_path / "t.csv").write_text(text({**WITHOUT, **QUATERNIONS[form]}))
+    others = {name.upper(): values for name, values in WITHOUT.items()} if "capitals" in form else WITHOUT
+    (tmp_path / "t.csv").write_text(text({**others, **QUATERNIONS[form]}))
     done = rotorid.import_log(tmp_path / "t.csv", tmp_path / "other")
     assert any("by the body rates" in said for said in done.warnings) == (form in ("vector first", "the other way"))
+    assert not any("confirm" in said for said in done.warnings)
     assert near(channels(tmp_path / "t.csv", tmp_path), 1e-3, " ".join(NAMES))
 
 
@@ -43,6 +47,21 @@ def test_a_quaternion_of_noise_keeps_its_order(tmp_path: Path):
     (tmp_path / "t.csv").write_text(text({**WITHOUT, **{f"q{i}": noise[i] for i in range(4)}}))
     done = rotorid.import_log(tmp_path / "t.csv", tmp_path / "s")
     assert not any("by the body rates" in said for said in done.warnings)
+    assert sum("q0 q1 q2 q3 are taken scalar first" in said for said in done.warnings) == 1
+
+
+def test_an_order_that_no_rates_confirm_is_a_warning(tmp_path: Path):
+    columns = {name: values for name, values in WITHOUT.items() if name != "r"}
+    (tmp_path / "t.csv").write_text(text({**columns, **QUATERNIONS["counted from one"]}))
+    done = rotorid.import_log(tmp_path / "t.csv", tmp_path / "s")
+    assert sum("q1 q2 q3 q4 are taken scalar first" in said for said in done.warnings) == 1
+
+
+def test_columns_of_a_matrix_in_capitals_are_motors(tmp_path: Path):
+    columns = {n.upper(): v for n, v in plain().items() if n not in MOTORS}
+    columns |= {f"MOTOR[{i}]": KNOWN[name] for i, name in enumerate(MOTORS)}
+    (tmp_path / "t.csv").write_text(text(columns))
+    assert near(channels(tmp_path / "t.csv", tmp_path), 1e-6, " ".join(NAMES))
 
 
 def test_columns_of_a_matrix_are_motors(tmp_path: Path):
