@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
 
-from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.report.records import FlightRecord
 from rotorid_torch.report.summary import list_summaries
 from rotorid_torch.run.result import Run
-from rotorid_torch.trace.loop import Tracing
+from rotorid_torch.trace.loop import Named, Tracing
 from rotorid_torch.trace.search.decide import Interval, Row, Size, decide, estimate
 from rotorid_torch.trace.search.words import reason
 from rotorid_torch.trace.terms.settings import SETTINGS
@@ -73,24 +72,25 @@ def before_and_after(
     runs decide nothing.
     """
 
-    def shapes(spec: ModelSpec, values: Mapping[str, float]) -> list[Run]:
+    def shapes(one: Named) -> list[Run]:
         """On right records, with the structure that was traced, and without."""
-        both = [spec, *([spec.without(tracing.structure)] if tracing.structure else [])]
-        return [right(shape, values) for shape in both]
+        both = [one.spec, *([one.spec.without(tracing.structure)] if tracing.structure else [])]
+        return [right(shape, one.values) for shape in both]
 
-    final, null = tracing.final, tracing.null
+    null, idle_in = tracing.null, _nothing if first.spec.motors else _within_error
     plain = best_of([first, wrong(null.spec, null.values)]) if tracing.structure else first
-    if tracing.accepted:
-        whole, *bare = shapes(final.spec, final.values)
-        idle = (_nothing if first.spec.motors else _within_error)(whole, tracing)
+    while tracing.accepted:
+        whole, *bare = shapes(tracing.final)
+        idle = idle_in(whole, tracing)
         if idle:
             verdict, why = decide(Row(estimate=Interval.WITHIN_ERROR))
             said = {e: reason(why, parameter=s.parameter, value=s.value, error=s.error) for e, s in idle.items()}
-            return before_and_after(first, tracing.without(verdict, said), sensors, wrong, right)
+            tracing = tracing.without(verdict, said)
+            continue
         if first.spec.motors:
             return plain, whole, tracing
         after = next((run for run in bare if worse(run, whole)), whole)
-        without = best_of(shapes(null.spec, null.values)) if sensors else plain
+        without = best_of(shapes(null)) if sensors else plain
         if not worse(without, after):
             return plain, after, tracing
         verdict, why = decide(Row(runs_worse=True))
@@ -98,7 +98,7 @@ def before_and_after(
         said = reason(why, worse=int((gains < 0.0).sum()), count=len(gains))
         tracing = tracing.without(verdict, dict.fromkeys(tracing.accepted, said))
     if sensors:
-        return plain, best_of(shapes(null.spec, null.values)), tracing
+        return plain, best_of(shapes(null)), tracing
     return first, None if plain is first else plain, tracing
 
 
