@@ -30,6 +30,8 @@ REACH_S, LONGEST_S = 0.2, 30.0
 """Lags that other examinations look for, and the longest that is looked for here."""
 FLIGHTS = 16
 """Flights that are looked at, at most."""
+LEAST = 50
+"""Samples of a flight that is used, at least."""
 AGREES, HALVED = 0.7, 0.5
 """Correlation from which on a lag is known, and the share of what lags within `REACH_S` leave that it may leave."""
 TRIED = (0.4, 0.7)
@@ -38,6 +40,8 @@ SETTLED = 0.8
 """Correlation of force with velocity and attitude from which on no further stream is moved."""
 REACHED = 0.65
 """Largest lag as a share of the longest flight."""
+MET = np.array([[0.3], [0.3], [0.35]])
+"""Shares of the power of left and right and of their samples that must meet at a lag."""
 LEAST_TURN = np.radians(3.0)
 """Smallest turn that is looked for here: smaller ones are found jointly with the other sensor errors."""
 SURE = 5.0
@@ -100,7 +104,7 @@ def alignment(dataset: Dataset) -> Alignment:
     flights = [f for f in flights if f.has(*names.RATES, *names.ATTITUDES)]
     if not flights:
         return Alignment()
-    sides = [s for s in (rates_by_attitude(f) for f in flights) if len(s.left) > 50]
+    sides = [s for s in (rates_by_attitude(f) for f in flights) if s.pairs > LEAST]
     if not sides:
         return Alignment()
     late = _lag(sides)
@@ -136,10 +140,25 @@ def right_angles() -> list[Array]:
 
 @dataclass(frozen=True)
 class Sides:
-    """Two vectors (T, 3) every `EVERY_S`, zero where unknown, and where both are known (T,)."""
+    """Two vectors (T, 3) every `EVERY_S`, zero where unknown."""
 
     left: Array
     right: Array
+
+    @property
+    def power(self) -> Array:
+        """Squares (2, T) of left and right."""
+        return np.stack([(self.left**2).sum(axis=1), (self.right**2).sum(axis=1)])
+
+    @property
+    def present(self) -> Array:
+        """Where left and right are not missing (2, T), 1 or 0."""
+        return (self.power > 0.0).astype(float)
+
+    @property
+    def pairs(self) -> int:
+        """Samples at which neither is missing."""
+        return int(self.present.prod(axis=0).sum())
 
     def moved(self, lag: int) -> Sides:
         """With the left side taken so many samples later."""
@@ -169,39 +188,41 @@ def rates_by_attitude(flight: Flight) -> Sides:
 def _covariances(sides: Sequence[Sides], most: int) -> tuple[Array, Array]:
     """Covariance (lags, 3, 3) of left, so many samples later, with right, from -most to most, and both sides' power.
 
-    The power (lags,) is that of the samples that meet. Sums over flights.
+    The power (lags,) is that of the samples that meet, infinite where these say too little. Sums over flights.
     """
-    total, power = np.zeros((2 * most + 1, 3, 3)), np.zeros((2, 2 * most + 1))
+    total, met = np.zeros((2 * most + 1, 3, 3)), np.zeros((3, 2 * most + 1))
+    whole = np.zeros_like(met)
     for side in sides:
-        size = 1 << int(np.ceil(np.log2(2 * len(side.left))))
-        left, right = np.fft.rfft(side.left, size, axis=0), np.fft.rfft(side.right, size, axis=0)
-        both = np.fft.irfft(left[:, None, :] * right.conj()[:, :, None], size, axis=0)
         reach = min(most, int(REACHED * len(side.left)))
         here = slice(most - reach, most + 1 + reach)
-        total[here] += np.concatenate([both[size - reach :], both[: reach + 1]])
-        power[:, here] += _meeting(side, reach)
-    return total, np.sqrt(np.maximum(power[0] * power[1], np.finfo(float).tiny))
+        (left, right), (power, power_right) = side.present, side.power
+        total[here] += _sums(side.left[:, :, None], side.right[:, None, :], reach)
+        pairs = [(power, right), (left, power_right), (left, right)]
+        met[:, here] += np.concatenate([_sums(a[:, None], b[:, None], reach) for a, b in pairs], axis=1).T
+        least = min(left.sum(), right.sum())
+        shares = least / max(left.sum(), 1.0), least / max(right.sum(), 1.0)
+        whole[:, here] += np.array([[power.sum() * shares[0]], [power_right.sum() * shares[1]], [least]])
+    enough = (met >= MET * whole).all(axis=0)
+    return total, np.where(enough, np.sqrt(np.maximum(met[0] * met[1], np.finfo(float).tiny)), np.inf)
 
 
-def _meeting(side: Sides, reach: int) -> Array:
-    """Power (2, lags) of the samples of left and right that meet at lags from -reach to reach."""
-    left, right = ((x**2).sum(axis=1) for x in (side.left, side.right))
-    lags = np.arange(1, reach + 1)
-    from_end = [np.concatenate([[0.0], np.cumsum(x)]) for x in (left, right)]
-    count = len(left)
-    whole_left, whole_right = from_end[0][-1], from_end[1][-1]
-    later = np.stack([whole_left - from_end[0][lags], from_end[1][count - lags]])
-    earlier = np.stack([from_end[0][count - lags], whole_right - from_end[1][lags]])
-    return np.concatenate([earlier[:, ::-1], [[whole_left], [whole_right]], later], axis=1)
+def _sums(left: Array, right: Array, reach: int) -> Array:
+    """Sums (lags, ...) of left (T, ...), so many samples later, times right, at lags from -reach to reach."""
+    size = 1 << int(np.ceil(np.log2(2 * len(left))))
+    both = np.fft.irfft(np.fft.rfft(left, size, axis=0) * np.fft.rfft(right, size, axis=0).conj(), size, axis=0)
+    return np.concatenate([both[size - reach :], both[: reach + 1]])
 
 
 def _best(scores: Array, agrees: float = AGREES, halved: float = HALVED) -> int:
-    """Lag, in samples, of the highest score (lags,); 0 where none is beyond what lies within `REACH_S`."""
+    """Lag, in samples, of the highest score (lags,); 0 where none is beyond what lies within `REACH_S`.
+
+    A score of 0 is that of a lag at which too little meets: next to such a lag there is no peak.
+    """
     middle, near = len(scores) // 2, round(REACH_S / EVERY_S)
     best = int(np.argmax(scores))
     inside = float(scores[max(middle - near, 0) : middle + near + 1].max())
     top = float(scores[best])
-    far = abs(best - middle) > near and 0 < best < len(scores) - 1
+    far = abs(best - middle) > near and 0 < best < len(scores) - 1 and scores[[middle, best - 1, best + 1]].all()
     clear = top > agrees and 1.0 - top < halved * (1.0 - inside)
     return best - middle if far and clear else 0
 
@@ -364,7 +385,7 @@ def force_turn(flights: Sequence[Flight]) -> ForceTurn | None:
     true = np.concatenate([(e.pushed + e.fallen)[e.present] for e in every] or [np.zeros((0, 3))])
     whole = np.isfinite(felt).all(axis=1) & np.isfinite(true).all(axis=1)
     felt, true = felt[whole], true[whole]
-    if len(felt) < 50:
+    if len(felt) < LEAST:
         return None
     u, _, vt = np.linalg.svd(felt.T @ true)
     turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt  # along an axis that does not move any sign will do

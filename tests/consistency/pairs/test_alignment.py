@@ -111,6 +111,42 @@ def test_streams_that_are_far_off_are_told_with_their_time(unit: str, seconds: f
     assert found.angle == 0.0
 
 
+def without(channels: tuple[str, ...], end: str, share: float) -> dict[str, dict[str, np.ndarray]]:
+    """The flights with these channels missing for a share at the begin or the end of each."""
+    changed = flights()
+    for flight in changed.values():
+        count = len(flight["time"])
+        part = slice(0, round(share * count)) if end == "begin" else slice(round((1.0 - share) * count), count)
+        for channel in channels:
+            flight[channel] = flight[channel].copy()
+            flight[channel][part] = np.nan
+    return changed
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("share", [0.2, 0.36, 0.5, 0.7])
+@pytest.mark.parametrize("end", ["begin", "end"])
+@pytest.mark.parametrize("channels", [("phi",), ("p",), UNITS["attitude"], UNITS["rates"], UNITS["velocities"]])
+def test_missing_samples_are_no_far_clock(channels: tuple[str, ...], end: str, share: float):
+    by = alignment(dataset(without(channels, end, share)))
+    assert (by.angle, dict(by.clocks), by.mirror) == (0.0, {}, "")
+
+
+@pytest.mark.parametrize("end", ["begin", "end"])
+def test_a_far_clock_is_told_where_samples_are_missing(end: str):
+    by = alignment(dataset(late(without(("phi",), end, 0.4), UNITS["attitude"], 1.3)))
+    assert by.clocks == {"attitude": pytest.approx(1.3, abs=0.1)}
+
+
+@pytest.mark.filterwarnings("error")
+def test_streams_that_never_meet_are_not_compared():
+    never, other = without(UNITS["attitude"], "begin", 0.5), without(UNITS["rates"], "end", 0.5)
+    for name, flight in never.items():
+        flight |= {channel: other[name][channel] for channel in UNITS["rates"]}
+    by = alignment(dataset(never))
+    assert (by.angle, dict(by.clocks), by.mirror) == (0.0, {}, "")
+
+
 @pytest.mark.parametrize("seconds", [1.3, -3.2])
 def test_a_far_clock_is_known_to_5_ms_and_is_the_only_name(seconds: float):
     moved = dataset(late(flights(), UNITS["rates"], seconds))
