@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -91,6 +92,20 @@ class PlainNumber(Lag):
         return self.a.item() * x + self.b * u
 
 
+class Uncompiled(nn.Module):
+    """dx/dt = a x + b u + use(k) I(x), y = x, in torch alone; k starts at 0."""
+
+    def __init__(self, use: Callable[[Tensor], Tensor]) -> None:
+        super().__init__()
+        self.a, self.b, self.k, self.use = scalar(-1.0), scalar(1.0), scalar(0.0), use
+
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Tensor:
+        return self.a * x + self.b * u + self.use(self.k) * torch.special.i0e(x)
+
+    def output(self, x: Tensor, u: Tensor) -> Tensor:
+        return x
+
+
 class Complex(nn.Module):
     def __init__(self) -> None:
         super().__init__()
@@ -126,6 +141,20 @@ def test_arrays_of_any_kind_are_taken(row: tuple[str, dict[str, Any]]) -> None:
     found = rotorid.output_error(Lag(), [row[1]], x0="fixed")
     for p, q in zip(first.parameters, found.parameters, strict=True):
         assert abs(p.value - q.value) < 1e-3 * p.se
+
+
+@pytest.mark.parametrize("use", [torch.abs, torch.square, torch.relu])
+@pytest.mark.parametrize("estimate", [rotorid.output_error, rotorid.filter_error])
+def test_a_derivative_that_is_zero_at_the_start_is_a_derivative(
+    estimate: Callable[..., Any], use: Callable[[Tensor], Tensor]
+) -> None:
+    found = estimate(Uncompiled(use), [FLIGHT], x0="fixed", max_iterations=2)
+    assert [p.name for p in found.parameters][:3] == ["a", "b", "k"]
+
+
+@pytest.mark.parametrize("use", [lambda k: abs(k.item()), lambda k: k.detach() ** 2], ids=["item", "detach"])
+def test_a_plain_number_that_starts_at_zero_is_refused(use: Callable[[Tensor], Tensor]) -> None:
+    one_line(lambda: rotorid.output_error(Uncompiled(use), [FLIGHT], x0="fixed"), "forward")
 
 
 def with_flight(**change: Any) -> dict[str, Any]:

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from importlib import import_module
-from numbers import Real
-from typing import Any
+from textwrap import shorten
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
 
 from rotorid_torch.errors import InputError
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -50,23 +52,44 @@ class Parameter:
             raise InputError("Parameter", "name", f"is {self.name!r}", "a word, as 'drag' or 'drag.x'")
         if not isinstance(self.unit, str):
             raise self._wrong(f"unit is {self.unit!r}", "SI units in words, as '1/s', or ''")
-        pair = tuple(self.bounds) if isinstance(self.bounds, Sequence) else ()
-        if len(pair) != 2 or not all(isinstance(edge, Real) for edge in pair):
-            raise self._wrong(f"bounds are {self.bounds!r}", "two numbers, the lower one first")
-        low, high = pair
+        low, high = self._take("bounds", _pair, "two numbers, the lower one first")
         if not low <= high:
             raise self._wrong(f"bounds {low} to {high} are reversed, or no numbers", "the lower one first")
-        sizes = {"value": self.value, "typical": self.typical or self.value}
-        sizes |= {f"met[{k}]": size for k, size in enumerate(self.met)}
-        sizes |= {f"tried[{k}]": size for k, size in enumerate(self.tried)}
+        values = self._take("value", _plain, "a number"), self._take("typical", _plain, "a number") or self.value
+        sizes = dict(zip(("value", "typical"), values, strict=True))
+        for name in ("met", "tried"):
+            sizes |= {f"{name}[{k}]": v for k, v in enumerate(self._take(name, _plain_numbers, "a tuple of numbers"))}
         for what, size in sizes.items():
-            if not isinstance(size, Real):
-                raise self._wrong(f"{what} is {size!r}", "a number")
             if not low <= size <= high:
                 raise self._wrong(f"{what} {size} lies outside its bounds {low} to {high}", "a number within them")
 
+    def _take(self, name: str, kind: Callable[[Any], T], expected: str) -> T:
+        """Holds a field as plain numbers, whatever kind of numbers it was declared by."""
+        declared = getattr(self, name)
+        try:
+            numbers = kind(declared)
+        except (TypeError, ValueError, RuntimeError):  # the last is torch's, of many numbers for one
+            raise self._wrong(f"{name}: {shorten(repr(declared), 80)}", expected) from None
+        object.__setattr__(self, name, numbers)
+        return numbers
+
     def _wrong(self, wrong: str, expected: str) -> InputError:
         return InputError("Parameter", self.name, wrong, expected)
+
+
+def _plain(declared: Any) -> float:
+    if isinstance(declared, str | bytes):
+        raise TypeError("text is no number")
+    return float(declared)
+
+
+def _plain_numbers(declared: Any) -> tuple[float, ...]:
+    return tuple(map(_plain, declared))
+
+
+def _pair(declared: Any) -> tuple[float, float]:
+    low, high = _plain_numbers(declared)
+    return low, high
 
 
 def alike(names: Iterable[str], unit: str, bounds: tuple[float, float], doc: str, **more: Any) -> tuple[Parameter, ...]:

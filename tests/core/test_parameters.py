@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
 from rotorid_torch.core.parameters import Parameter, ParameterSet, ParameterTable
+from tests.mistakes import one_line
 
 
 def a_set() -> ParameterSet:
@@ -42,6 +45,24 @@ def test_values_outside_their_bounds_are_refused():
         Parameter("L.p", 0.0, bounds=(0.0, 1.0), typical=3.0)
     with pytest.raises(ValueError, match=r"L\.p: bounds 1\.0 to -1\.0 are reversed"):
         Parameter("L.p", 0.0, bounds=(1.0, -1.0))
+
+
+@pytest.mark.parametrize("bounds", [np.array([-1.0, 1.0]), torch.tensor([-1.0, 1.0]), [np.float32(-1), 1], (-1, 1)])
+@pytest.mark.parametrize("value", [torch.tensor(0.5), np.array(0.5), np.float32(0.5)])
+def test_numbers_of_any_kind_are_taken(value: Any, bounds: Any):
+    declared = Parameter("drag", value, bounds=bounds, typical=value, met=[value], tried=np.array([0.25]))  # pyright: ignore
+    assert declared == Parameter("drag", 0.5, bounds=(-1.0, 1.0), typical=0.5, met=(0.5,), tried=(0.25,))
+    assert hash(declared) == hash(Parameter("drag", 0.5, bounds=(-1.0, 1.0), typical=0.5, met=(0.5,), tried=(0.25,)))
+
+
+@pytest.mark.parametrize("bounds", ["01", ("0", "1"), 1.0, None, (0.0,), np.zeros(3), np.zeros((2, 2)), (0.0, 1j)])
+def test_bounds_that_are_no_pair_of_numbers_are_refused(bounds: Any):
+    one_line(lambda: Parameter("drag", bounds=bounds), "drag")
+
+
+@pytest.mark.parametrize("value", ["0.5", None, torch.zeros(2), np.zeros(2), 1j])
+def test_values_that_are_no_numbers_are_refused(value: Any):
+    one_line(lambda: Parameter("drag", value, bounds=(0.0, 1.0)), "drag")
 
 
 def test_a_name_declared_twice_is_told():

@@ -228,7 +228,9 @@ class _Structure:
         for j in (~self.pattern.any(dim=0)).nonzero()[:, 0].tolist():
             moved = theta.clone()
             moved[j] += PROBE * (1.0 + moved[j].abs())
-            if bool((function(moved, *points) != at).any() & at.isfinite().all()):
+            moves = bool((function(moved, *points) != at).any() & at.isfinite().all())
+            seed = nn.functional.one_hot(torch.tensor([j]), len(theta)).to(theta)
+            if moves and not bool(_passes(function, moved, seed, *points).any()):  # theta may be the corner of |k|, k^2
                 wrong = f"uses {self.names[j]} as a plain number, and has no derivative by it"
                 expected = "the tensor: no float(), .item(), .detach(), torch.tensor() or NumPy of a parameter"
                 raise Argument("model", self.method).wrong(wrong, expected)
