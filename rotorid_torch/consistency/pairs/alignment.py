@@ -174,7 +174,7 @@ def rates_by_attitude(flight: Flight) -> Sides:
     Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 3.21.
     """
     values, changes, present = smoothed(flight, names.ATTITUDES)
-    rates, _, known_rates = smoothed(flight, names.RATES)
+    rates, _, rates_present = smoothed(flight, names.RATES)
     if not len(values):
         return Sides(values, rates)
     (phi, theta, _), (dphi, dtheta, dpsi) = values.T, changes.T
@@ -182,7 +182,7 @@ def rates_by_attitude(flight: Flight) -> Sides:
     q = np.cos(phi) * dtheta + np.sin(phi) * np.cos(theta) * dpsi
     r = -np.sin(phi) * dtheta + np.cos(phi) * np.cos(theta) * dpsi
     by_attitude = centred(np.stack([p, q, r], axis=1), present & (np.abs(theta) < STEEP))
-    return Sides(by_attitude, centred(rates, known_rates))
+    return Sides(by_attitude, centred(rates, rates_present))
 
 
 def _covariances(sides: Sequence[Sides], most: int) -> tuple[Array, Array]:

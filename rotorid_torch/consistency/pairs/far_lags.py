@@ -57,12 +57,12 @@ def lag_of_velocities(flights: Sequence[Flight], gravity: float) -> FarLag | Non
     needs = (*names.VELOCITIES, *names.RATES, *names.ATTITUDES[:2])
 
     def blocks(flight: Flight) -> Blocks:
-        velocity, change, known = smoothed(flight, names.VELOCITIES)
-        others, _, others_known = smoothed(flight, names.RATES)
-        tilt, _, tilt_known = smoothed(flight, names.ATTITUDES[:2])
+        velocity, change, present = smoothed(flight, names.VELOCITIES)
+        others, _, others_present = smoothed(flight, names.RATES)
+        tilt, _, tilt_present = smoothed(flight, names.ATTITUDES[:2])
         fall = gravity_in_body(torch.from_numpy(tilt), gravity).numpy()[:, :2] if len(tilt) else tilt
-        moved = np.where(known[:, None], np.concatenate([velocity, change[:, :2]], axis=1), np.nan)
-        whole = (others_known & tilt_known)[:, None]
+        moved = np.where(present[:, None], np.concatenate([velocity, change[:, :2]], axis=1), np.nan)
+        whole = (others_present & tilt_present)[:, None]
         return moved, np.where(whole, np.concatenate([fall, others], axis=1), np.nan)
 
     def columns(moved: Array, fixed: Array) -> Array:
@@ -85,12 +85,12 @@ def lag_of_controls(flights: Sequence[Flight], controls: Sequence[str], near: tu
     ]
 
     def blocks(flight: Flight) -> Blocks:
-        moved, _, known = smoothed(flight, controls)
-        _, turning, rates_known = smoothed(flight, names.RATES)
-        states, _, states_known = smoothed(flight, motion)
-        whole = (rates_known & states_known)[:, None]
+        moved, _, present = smoothed(flight, controls)
+        _, turning, rates_present = smoothed(flight, names.RATES)
+        states, _, states_present = smoothed(flight, motion)
+        whole = (rates_present & states_present)[:, None]
         fixed = np.concatenate([turning, states], axis=1)
-        return np.where(known[:, None], moved, np.nan), np.where(whole, fixed, np.nan)
+        return np.where(present[:, None], moved, np.nan), np.where(whole, fixed, np.nan)
 
     def columns(moved: Array, fixed: Array) -> Array:
         return np.concatenate([fixed[:, :3], moved, fixed[:, 3:]], axis=1)

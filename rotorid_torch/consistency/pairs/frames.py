@@ -64,7 +64,7 @@ class Frame:
         return float(np.angle(self.factor))
 
     @property
-    def known(self) -> bool:
+    def clear(self) -> bool:
         """Whether the factor is worth telling."""
         return self.explained > EXPLAINED and max(self.errors) < SURE_SHARE
 
@@ -97,10 +97,10 @@ def _motion(flight: Flight, extra: Sequence[str], gravity: float, form: Form) ->
 
     extra : horizontal specific forces, or else the controls.
     """
-    velocity, change, known = smoothed(flight, names.VELOCITIES)
-    rates, _, rates_known = smoothed(flight, names.RATES)
-    tilt, _, tilt_known = smoothed(flight, names.ATTITUDES[:2])
-    others, _, others_known = smoothed(flight, extra)
+    velocity, change, present = smoothed(flight, names.VELOCITIES)
+    rates, _, rates_present = smoothed(flight, names.RATES)
+    tilt, _, tilt_present = smoothed(flight, names.ATTITUDES[:2])
+    others, _, others_present = smoothed(flight, extra)
     if not len(velocity):
         return np.zeros((0, 2), complex)
     heading = np.exp(1j * smoothed(flight, ("psi",))[0][:, 0]) if form == "earth" else np.ones(len(velocity))
@@ -114,7 +114,7 @@ def _motion(flight: Flight, extra: Sequence[str], gravity: float, form: Form) ->
         in_body = z * heading.conj()
         columns = [force, across, in_body, in_body.conj(), velocity[:, 2], *rates.T, *others.T]
     changed = slope if form == "earth" else slope + 1j * r * z
-    whole = known & rates_known & tilt_known & others_known
+    whole = present & rates_present & tilt_present & others_present
     return np.stack([changed, *(column * heading for column in columns)], axis=1)[whole]
 
 
@@ -155,8 +155,8 @@ def _places(flight: Flight, channels: Sequence[str]) -> tuple[Array, Array]:
     every = max(1, round(EVERY_S / flight.dt))
     path = (np.cumsum(rates, axis=0) * flight.dt)[::every]
     place = flight.stack(channels).numpy()[::every]
-    known = np.isfinite(place).all(axis=1) & np.isfinite(path).all(axis=1)
-    return place[known], path[known]
+    present = np.isfinite(place).all(axis=1) & np.isfinite(path).all(axis=1)
+    return place[present], path[present]
 
 
 def _best(flights: Sequence[Flight], rows: Callable[[Flight, Form], Array], forms: Sequence[Form]) -> Frame | None:
@@ -169,7 +169,7 @@ def _best(flights: Sequence[Flight], rows: Callable[[Flight, Form], Array], form
         straight = other.form == "earth" and abs(other.turn) < LEAST_TURN < abs(plain.turn)
         if other.misfit < (AS_WELL if straight else CLEAR) * plain.misfit and other.misfit < AS_WELL * best.misfit:
             best = other
-    return best if best.known else None
+    return best if best.clear else None
 
 
 def _parts(columns: Array, flight: Flight) -> Iterator[tuple[Array, int]]:
