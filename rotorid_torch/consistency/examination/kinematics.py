@@ -11,6 +11,7 @@ from rotorid_torch.consistency.equations import UNITS, of_part_of_a_vector
 from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
 from rotorid_torch.consistency.pairs import sensor_pairs
 from rotorid_torch.consistency.pairs.alignment import (
+    FLIGHTS,
     MOVES,
     Alignment,
     alignment,
@@ -89,7 +90,7 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
     elif by.angle > 0.0:
         yield _turned(by)
         yield from _not_turned_back(dataset)
-    rate = None if by.mirror else clock_rate(list(dataset.flights.values()), by)
+    rate = None if by.mirror else clock_rate([f for f in flights if f.name in dataset.some(FLIGHTS)])
     if rate is not None:
         yield _unequal(rate)
     lags: dict[str, list[Agreement]] = {}
