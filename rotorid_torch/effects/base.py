@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -159,6 +160,8 @@ class Effect(nn.Module):
     `proportional` : whether twice the size does about twice as much. `separated_by` are the flights that tell it from
     derivatives which absorb it. `swings` : whether it has a motion of its own that no channel tells. `delays` : the
     parameter by which controls act later, s. `rotors_absorb` : what of a multirotor's model takes up all of it.
+    `averages` : channels of whose record `tape` takes centred means, and over how many seconds; a model that runs
+    sample by sample takes them as they come.
     `needs` : what the data must have, each a function of the spec that says what is lacking, or None (see `testable`).
     """
 
@@ -174,6 +177,7 @@ class Effect(nn.Module):
     separated_by: str = "larger or longer inputs on every control"
     weight_sd: float | Mapping[str, float] = 1.0
     rotors_absorb: str = ""
+    averages: ClassVar[Mapping[str, float]] = {}
     needs: tuple[Need, ...] = ()
 
     def __init__(self, declared: tuple[Parameter, ...] = (), states: tuple[State, ...] = ()) -> None:

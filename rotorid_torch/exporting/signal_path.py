@@ -19,7 +19,7 @@ from rotorid_torch.core.native.graph.tracing import scalarise
 from rotorid_torch.effects.base import Effect, Stage, Values
 from rotorid_torch.effects.families.control import per_control, places_in_play
 from rotorid_torch.effects.families.sensors import PERIOD, SMOOTHED, per_channel
-from rotorid_torch.errors import InputError, Unsupported
+from rotorid_torch.errors import InputError, Unsupported, say_once
 from rotorid_torch.model.model import Model
 
 DT = 0.01
@@ -72,8 +72,6 @@ OUTPUTS: Mapping[str, tuple[str, Sizes]] = {
     "sensors.filter": ("LAG", per_channel),
 }
 """Effects that have a memory, by id: the element, and its size by channel."""
-AS_IT_COMES = ("propulsion.voltage",)
-"""Effects that smooth a record, and take samples that come one by one as they are."""
 
 
 def control_path(model: Model, graph: Graph) -> list[Element]:
@@ -149,7 +147,7 @@ def _with_memory(model: Model, graph: Graph, k: int, names: tuple[str, ...], ele
 
 
 def _without_memory(model: Model, graph: Graph, k: int, names: tuple[str, ...]) -> Element:
-    """An effect that gives the same on single samples as on a record, or smooths it; refused where it does neither."""
+    """An effect that gives the same on single samples as on a record, where what it averages is steady; or refused."""
     theta, effect = model.theta.detach(), model.chain[k]
 
     def one(u: Tensor, th: Tensor) -> Tensor:
@@ -157,9 +155,13 @@ def _without_memory(model: Model, graph: Graph, k: int, names: tuple[str, ...]) 
 
     at = torch.tensor([model.reference.get(n, 0.0) for n in names], dtype=torch.float64)
     record = at + 0.1 * (at.abs() + 0.1) * torch.sin(torch.arange(SAMPLES * len(names)).double()).view(SAMPLES, -1)
+    for name in [n for n in effect.averages if n in names]:
+        record[:, names.index(name)] = at[names.index(name)]
+        mean = f"means over {effect.averages[name]:g} s, as model.pt does"
+        say_once(f"{effect.id}: an exported model takes {name} as it comes; feed {mean}")
     whole = effect.tape(record, names, DT, model.values(theta, k))
     alike = torch.allclose(whole, torch.stack([one(u, theta) for u in record]), rtol=AGREE, atol=AGREE)
-    if not alike and effect.id not in AS_IT_COMES:
+    if not alike:
         raise InputError(
             "export",
             effect.id,

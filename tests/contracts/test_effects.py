@@ -115,7 +115,8 @@ def waves(columns: int) -> Tensor:
 def everything(model: Model, theta: Tensor, x: Tensor, u: Tensor) -> Tensor:
     """All that a model gives at points and for records, flat."""
     parts = (model.rates(theta, x, u), model.outputs_at(theta, x, u))
-    control = passed(model, theta, Stage.CONTROL, 0.05 * waves(len(model.body.controls)))
+    at = torch.tensor([model.reference.get(n, 0.0) for n in model.body.controls], dtype=torch.float64)
+    control = passed(model, theta, Stage.CONTROL, at + 0.05 * waves(len(at)))
     recorded = passed(model, theta, Stage.SENSORS, waves(len(model.body.outputs)))
     return torch.cat([part.flatten() for part in (*parts, control, recorded)])
 

@@ -395,6 +395,19 @@ def test_battery_scales_every_command():
     torch.testing.assert_close(model.tape(u, 0.01)[1].detach(), wanted)
 
 
+def test_a_voltage_of_which_samples_fail_counts_by_the_others():
+    model = made("propulsion.voltage", MULTIROTOR, exponent=2.0)
+    u = torch.tensor([[0.5, 0.5, 0.5, 0.5, 3.9]] * 60, dtype=torch.float64)
+    failed = u.clone()
+    failed[20:25, 4] = torch.tensor([0.0, -1.0, 0.1, 0.0, 0.0])
+    passed = model.tape(failed.requires_grad_(), 0.04)
+    torch.testing.assert_close(passed[:, :4], u[:, :4])
+    slope = torch.autograd.grad(passed[:, 0].sum(), failed)[0]
+    assert bool(slope.isfinite().all() & (slope[:20, 4] > 0.0).all())
+    silent = u.index_fill(1, torch.tensor([4]), 0.0)  # a sensor that failed all the flight says nothing
+    torch.testing.assert_close(model.tape(silent, 0.04)[:, :4], u[:, :4])
+
+
 def test_rotors_that_speed_up_turn_the_body():
     model = made("propulsion.rotor_inertia", MULTIROTOR, N=0.5)
     faster = torch.tensor([0.7, 0.6, 0.7, 0.6, 3.9], dtype=torch.float64)

@@ -14,7 +14,7 @@ from rotorid_torch.effects.base import Effect, Stage, Values
 from rotorid_torch.effects.examples import MULTIROTOR, example
 from rotorid_torch.effects.registry import EFFECTS, registered
 from rotorid_torch.effects.signal_operations import lagged, rate_limited, shifted, with_play
-from rotorid_torch.errors import InputError
+from rotorid_torch.errors import InputError, say_once
 from rotorid_torch.exporting.c_source import c_source, identifier
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.modes import reference_point
@@ -57,8 +57,11 @@ def with_typical(effect: type[Effect]) -> Model:
     return with_values(model, {p.name: p.typical for p in model.parameter_set.sizes(effect.id) if p.typical})
 
 
+AVERAGING = sorted(name for name, effect in registered().items() if effect.averages)
+
+
 @pytest.mark.parametrize(
-    "name", sorted(set(registered()) - MEMORY - {"sensors.delay", "sensors.filter", "propulsion.voltage"})
+    "name", sorted(set(registered()) - MEMORY - {"sensors.delay", "sensors.filter"} - set(AVERAGING))
 )
 def test_every_effect_is_the_same_in_c(name: str, tmp_path: Path):
     assert differs(with_typical(registered()[name]), tmp_path) < AGREE
@@ -92,14 +95,32 @@ def test_a_multirotor(tmp_path: Path):
     assert differs(scattered(build(MULTIROTOR)), tmp_path) < AGREE
 
 
-def test_a_voltage_counts_as_it_comes(tmp_path: Path):
-    """A record's voltage counts by means over a second; what runs sample by sample is given a smooth one."""
-    model = with_typical(registered()["propulsion.voltage"])
-    controls, place = moved(model), model.body.controls.index("voltage")
-    controls[:, place] = 0.9 * model.reference["voltage"]
+@pytest.mark.parametrize("name", AVERAGING)
+def test_what_counts_by_means_comes_as_it_is(name: str, tmp_path: Path, caplog: pytest.LogCaptureFixture):
+    """Means of a steady channel are the channel; a line says that an exported model takes no means."""
+    say_once.cache_clear()
+    model = with_typical(registered()[name])
+    controls = moved(model)
+    for channel in registered()[name].averages:
+        controls[:, model.body.controls.index(channel)] = 0.9 * model.reference[channel]
     x = reference_point(model)[0].tolist()
     c = fly_c(c_source(model, "a model", DT), tmp_path, x, controls, DT)
     assert np.allclose(c, fly_torch(model, x, controls, DT), rtol=AGREE, atol=AGREE)
+    for channel, seconds in registered()[name].averages.items():
+        line = f"{name}: an exported model takes {channel} as it comes; feed means over {seconds:g} s"
+        assert [m.startswith(line) for m in caplog.messages] == [True]
+
+
+def test_what_averages_one_channel_may_not_look_ahead_in_others(monkeypatch: pytest.MonkeyPatch):
+    class Early(Effect):
+        id, stage, averages = "my.early", Stage.CONTROL, {"lon": 1.0}
+
+        def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
+            return record.roll(-1, -2)
+
+    monkeypatch.setitem(EFFECTS, Early.id, Early)
+    with pytest.raises(InputError, match=r"my\.early: acts on whole records"):
+        c_source(build(helicopter_spec("none", effects=(Early.id,))), "refused", DT)
 
 
 def behind(effect: str, values: dict[str, float]) -> Model:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar, Self
 
 import torch
@@ -60,13 +61,15 @@ class Voltage(Effect):
 
     The voltage is the measured one, so that its sag under load is in it; of its record, means over a second: faster
     changes are mostly of the sensor, and load that goes with the commands is in the curve of the rotors. A model that
-    runs sample by sample takes the voltage as it comes.
+    runs sample by sample takes the voltage as it comes. Faults of the sensor stay out of the means; where nothing else
+    is recorded within the second, commands count as at the reference.
 
     Source: Foerster, System Identification of the Crazyflie 2.0 (ETH, 2015), sec. 3.2 (thrust and battery).
     """
 
     id, stage, role = "propulsion.voltage", Stage.CONTROL, Role.UNDECLARED
     needs = (no_motors, _no_voltage)
+    averages: ClassVar[Mapping[str, float]] = {"voltage": VOLTAGE_S}
 
     def __init__(self, motors: tuple[str, ...], voltage: float) -> None:
         super().__init__(
@@ -81,9 +84,12 @@ class Voltage(Effect):
 
     def tape(self, record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
         """Controls [..., T, nu], motor commands as the voltage lets them count."""
-        slow = averaged(record[..., names.index("voltage")], half_of(VOLTAGE_S, dt))
-        share = slow.clamp(min=LEAST_VOLTAGE * self.voltage)[..., None] / self.voltage
-        factor = torch.exp(p["exponent"][..., None, None] * torch.log(share))
+        share, half = record[..., names.index("voltage")] / self.voltage, half_of(VOLTAGE_S, dt)
+        right = share >= LEAST_VOLTAGE
+        zero, one = torch.zeros_like(share), torch.ones_like(share)
+        total, part = averaged(torch.where(right, share, zero), half), averaged(torch.where(right, one, zero), half)
+        mean = torch.where(part > 0.0, total, one) / torch.where(part > 0.0, part, one)
+        factor = torch.exp(p["exponent"][..., None, None] * torch.log(mean[..., None]))
         counted = torch.tensor([n in self.motors for n in names], device=record.device)
         return torch.where(counted, record * factor, record)
 
