@@ -71,3 +71,10 @@ def test_a_simulators_flights_are_followed_better_than_by_holding_trim(tmp_path:
     scores = quick("other_simulators", tmp_path)["built-in"]
     assert scores["J_noise"] < scores["J"] < 0.5 * scores["J_trim"]
     assert (tmp_path / "runs" / "other_simulators" / "built-in" / "report.html").exists()
+
+
+@pytest.mark.slow
+def test_another_groups_multirotor_is_flown_where_its_simulator_is_installed(tmp_path: Path) -> None:
+    pytest.importorskip("rotorpy")
+    line = quick("studies/rotorpy_flights", tmp_path, "--record", str(tmp_path / "lines.jsonl"))
+    assert set(line["named"]) <= {"propulsion.motor_lag", "control.delay"}
