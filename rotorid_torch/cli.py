@@ -17,7 +17,7 @@ import sys
 import tempfile
 import traceback
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -473,7 +473,7 @@ def _answer(options: Options, as_json: object, for_people: object) -> None:
         import msgspec
 
         with writing(OUTPUT):
-            print(json.dumps(json.loads(msgspec.json.encode(as_json))))  # ASCII, which no terminal obeys; NaN is null
+            print(json.dumps(_finite(msgspec.to_builtins(as_json, str_keys=True))))  # in ASCII: no terminal obeys it
     elif not options.quiet:
         _console().print(for_people)
 
@@ -494,6 +494,15 @@ def _console() -> Console:
     from rotorid_torch.commands.console import PlainConsole
 
     return PlainConsole()
+
+
+def _finite(value: Any) -> Any:
+    """The same with None for numbers that JSON has not."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    return [_finite(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def _monitor(options: Options) -> Monitor:
