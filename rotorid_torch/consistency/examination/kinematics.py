@@ -389,11 +389,11 @@ def precedence(dataset: Dataset) -> Iterator[Finding]:
 def _far_controls(far: FarLag, dataset: Dataset) -> Finding:
     word, more = ("late", "more") if far.seconds > 0.0 else ("early", "less")
     return finding(
-        "error",
+        "warning",  # controls that swing alike for long fit at several lags
         " ".join(dataset.controls),
         f"the controls are {abs(far.seconds):.2f} s {word} (± {far.se:.2f}) against the angular accelerations,",
         f"{more} by the delay of the vehicle: there they explain {1.0 - far.left:.0%} of these, as recorded",
-        f"{max(1.0 - far.left_near, 0.0):.0%} at most. Shift the stream; nothing else can be told before.",
+        f"{max(1.0 - far.left_near, 0.0):.0%} at most. If the stream was stamped by another clock, shift it.",
     )
 
 
