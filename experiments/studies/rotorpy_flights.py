@@ -64,7 +64,7 @@ SETS = {
         DRAGLESS | {"k_d": 2.4e-4},
         wind=(4.0, -2.0),
     ),
-    "delay": Set("hummingbird", MOTORS | {"control.delay.common": 0.03}, DRAGLESS, late=0.03),
+    "delay": Set("hummingbird", MOTORS | {"control.delay.common": 0.02}, DRAGLESS, late=0.02),
     "weak rotor": Set("hummingbird", MOTORS | {"propulsion.unequal.motor3": 0.12}, DRAGLESS, weak=0.12),
     "hummingbird": Set("hummingbird", WHOLE),
     "fast hummingbird": Set("hummingbird", WHOLE, speed=5.0),
