@@ -75,6 +75,20 @@ Share = Literal["whole", "pairs", "overlap"]
 """What products of samples are compared with, see `autocorrelation`."""
 
 
+def regression(products: np.ndarray, responses: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Least squares of the first columns on all others, from the products (n, n) of columns that may be complex.
+
+    Coefficients (n - responses, responses), and the share of each response's power that the others leave. Columns are
+    scaled to one size first; combinations of them below 1e-10 of the largest count as none.
+    """
+    size = np.sqrt(np.maximum(np.real(np.diag(products)), np.finfo(float).tiny))
+    scaled = products / np.outer(size, size)
+    outer = scaled[responses:, :responses]
+    x = np.linalg.lstsq(scaled[responses:, responses:], outer, rcond=1e-10)[0]
+    left = 1.0 - np.real((outer.conj() * x).sum(axis=0))
+    return x * size[:responses] / size[responses:, None], left
+
+
 def autocorrelation(
     records: Tensor, lags: int, *, centred: bool = True, pooled: bool = False, share: Share = "whole"
 ) -> Tensor:

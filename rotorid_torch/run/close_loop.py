@@ -38,7 +38,13 @@ from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
 from rotorid_torch.run.pipeline import identified, pictured, refuse, remarks_on
 from rotorid_torch.run.result import Run
-from rotorid_torch.run.turbulence import in_turbulence, smoothed, with_gusts, without_clean_bill
+from rotorid_torch.run.turbulence import (
+    in_turbulence,
+    smoothed,
+    with_gusts,
+    without_clean_bill,
+    without_what_gusts_leave,
+)
 from rotorid_torch.trace.air import in_moving_air
 from rotorid_torch.trace.clean_aircraft import MULTIROTOR, Request, clean_draws
 from rotorid_torch.trace.evidence.critical_values import Draws, Null
@@ -135,8 +141,8 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
     flights = Flights(right, base.reconstruction)
     with monitor.step("trace"):
         tracing = (_rotors_traced if base.spec.motors else _traced)(base, flights, seed, steps)
-    if base.estimate.air is None and any(f.id == TURBULENCE and f.verdict == "accepted" for f in shaken):
-        tracing = replace(tracing, unknown=None)  # gusts are left over too, and clean aircraft fly in none
+    if base.estimate.air is None:
+        tracing = without_what_gusts_leave(tracing, shaken)
     again = partial(_again, recorded=dataset, steps=steps)
     wrong = partial(again, _Basis(first, at_one_rate(dataset), {}))
     rerun = partial(again, _Basis(base, right, sensors.values))

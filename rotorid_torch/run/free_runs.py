@@ -77,18 +77,18 @@ def before_and_after(
         both = [one.spec, *([one.spec.without(tracing.structure)] if tracing.structure else [])]
         return [right(shape, one.values) for shape in both]
 
-    null, idle_in = tracing.null, _nothing if first.spec.motors else _within_error
+    null = tracing.null
     plain = best_of([first, wrong(null.spec, null.values)]) if tracing.structure else first
     while tracing.accepted:
         whole, *bare = shapes(tracing.final)
-        idle = idle_in(whole, tracing)
+        if first.spec.motors:
+            return plain, whole, tracing
+        idle = _within_error(whole, tracing)
         if idle:
             verdict, why = decide(Row(estimate=Interval.WITHIN_ERROR))
             said = {e: reason(why, parameter=s.parameter, value=s.value, error=s.error) for e, s in idle.items()}
             tracing = tracing.without(verdict, said)
             continue
-        if first.spec.motors:
-            return plain, whole, tracing
         after = next((run for run in bare if worse(run, whole)), whole)
         without = best_of(shapes(null)) if sensors else plain
         if not worse(without, after):
@@ -108,14 +108,3 @@ def _within_error(run: Run, tracing: Tracing) -> dict[str, Size]:
     fitted = [e for e in tracing.accepted if any(name.startswith(f"{e}.") for name in errors)]
     sizes = {effect: estimate(run.model, errors, effect) for effect in fitted}
     return {e: one for e, one in sizes.items() if one.estimate is Interval.WITHIN_ERROR and math.isfinite(one.error)}
-
-
-def _nothing(run: Run, tracing: Tracing) -> dict[str, Size]:
-    """Names of which a multirotor's reported model has nothing: trajectories hold what accelerations ask for."""
-    parameters, values = run.model.parameter_set, run.model.named_values
-    sizes = {e: [p for p in parameters.sizes(e) if p.free] for e in tracing.accepted}
-    return {
-        e: Size(Interval.WITHIN_ERROR, ps[0].name)
-        for e, ps in sizes.items()
-        if ps and all(values[p.name] == p.value for p in ps)
-    }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import msgspec
@@ -19,6 +19,7 @@ from rotorid_torch.identification.reconstruct.reconstruction import Reconstructi
 from rotorid_torch.model.model import Model
 from rotorid_torch.report.records import FlightRecord
 from rotorid_torch.report.summary import WORSE_THAN_TRIM
+from rotorid_torch.trace.loop import Tracing
 from rotorid_torch.trace.stochastic import TURBULENCE, stochastic_findings
 from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.verdict import Statement
@@ -74,6 +75,12 @@ def in_turbulence(finding: EffectFinding, air: Air | None, why: str) -> EffectFi
         size[f"{TURBULENCE}.length"] = length
     said = f"{why}; gusts are in the model's rates as the filter found them"
     return replace(finding, verdict="accepted", reason=said, values=size)
+
+
+def without_what_gusts_leave(tracing: Tracing, shaken: Sequence[EffectFinding]) -> Tracing:
+    """The tracing without what has no name where gusts are left over too: clean aircraft fly in none."""
+    rough = any(f.id == TURBULENCE and f.verdict == "accepted" for f in shaken)
+    return replace(tracing, unknown=None) if rough else tracing
 
 
 def _size(air: Air) -> tuple[tuple[float, float], tuple[float, float] | None]:

@@ -15,6 +15,7 @@ from rotorid_torch.core.statistics import (
     Share,
     autocorrelation,
     normal_quantile,
+    regression,
     stretches,
     student_quantile,
     variance_between,
@@ -101,3 +102,16 @@ def test_stretches_are_what_is_true_and_nothing_else(true: np.ndarray):
         assert last == len(true) or not true[last]
         found[first:last] = True
     assert (found == true).all()
+
+
+def test_regression_of_products_is_least_squares_of_the_columns():
+    """Complex columns of sizes 1e-3 to 1e3, one of them the sum of two: the fit is that of the columns themselves."""
+    chance = np.random.default_rng(0)
+    z = (chance.standard_normal((60, 5)) + 1j * chance.standard_normal((60, 5))) * [1.0, 1e3, 1e-3, 1.0, 1.0]
+    z = np.concatenate([z, z[:, 3:4] + z[:, 4:5]], axis=1)
+    x, left = regression(z.conj().T @ z, 2)
+    fit = np.linalg.lstsq(z[:, 2:], z[:, :2], rcond=None)[0]
+    assert z[:, 2:] @ x == pytest.approx(z[:, 2:] @ fit)
+    rest = z[:, :2] - z[:, 2:] @ fit
+    assert left == pytest.approx((np.abs(rest) ** 2).sum(0) / (np.abs(z[:, :2]) ** 2).sum(0))
+    assert regression(np.array([[2.0]]))[1] == pytest.approx([1.0])  # nothing explains

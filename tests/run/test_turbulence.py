@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 
+from rotorid_torch.core.names import Verdict
 from rotorid_torch.data import load
 from rotorid_torch.data.one_rate import at_one_rate
+from rotorid_torch.effects.examples import HELICOPTER
 from rotorid_torch.identification.gusts import Air, GustAxis
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
@@ -20,8 +23,10 @@ from rotorid_torch.run.turbulence import (
     method_by_quiet_moments,
     with_gusts,
     without_clean_bill,
+    without_what_gusts_leave,
 )
-from rotorid_torch.trace.terms.finding import EffectFinding
+from rotorid_torch.trace.loop import Bare, Tracing
+from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
 from rotorid_torch.trace.terms.verdict import statement
 from tests.consistency.pairs.test_velocity_clock import gliding
 from tests.helpers import shared
@@ -55,6 +60,15 @@ def test_turbulence_is_named_with_intensity_and_length():
 def test_a_length_that_is_not_told_is_not_said():
     found = in_turbulence(QUIET, air(GustAxis("u", 1.0, 0.1, 20.0, math.inf)), WHY)
     assert set(found.values) == {"environment.turbulence.intensity"}
+
+
+@pytest.mark.parametrize(("verdict", "stays"), [("accepted", False), ("below floor", True)])
+def test_what_gusts_leave_over_is_nothing_missing(verdict: Verdict, stays: bool):
+    missing = Unknown("M", (0.1, 2.0), "v", None, "Something is missing in M.")
+    model = Bare(HELICOPTER, {})
+    tracing = Tracing(model, model, (), (), {}, (), unknown=missing)
+    after = without_what_gusts_leave(tracing, [replace(QUIET, verdict=verdict)])
+    assert (after.unknown == missing) is stays
 
 
 def test_calm_air_leaves_the_finding():

@@ -94,7 +94,7 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
     if rate is not None:
         yield _unequal(rate)
     lags: dict[str, list[Agreement]] = {}
-    by_forces = None if by.mirror else _forces_turned(flights)
+    by_forces = None if by.mirror else _forces_turned(flights, dataset.vehicle.gravity)
     if by_forces is not None:
         yield by_forces
     for left, right, pairs in GROUPS:
@@ -183,9 +183,9 @@ def _not_turned_back(dataset: Dataset) -> Iterator[Finding]:
         yield finding("error", " ".join(partial), sentence, "record it, or leave these out.")
 
 
-def _forces_turned(flights: Sequence[Flight]) -> Finding | None:
+def _forces_turned(flights: Sequence[Flight], gravity: float) -> Finding | None:
     """The accelerometers' axes are not those of velocity and attitude, and no biases explain it as well."""
-    by = force_turn(flights)
+    by = force_turn(flights, gravity)
     if by is None or by.left > TURNED * by.by_bias:
         return None
     mirrored = float(np.linalg.det(by.matrix)) < 0.0

@@ -292,11 +292,11 @@ def _clocks(dataset: Dataset, flights: Sequence[Flight], turn: Array, late: int)
     """Which streams are late, in s: attitude or rates, then velocities or accelerometers against what they are with."""
     seconds = late * EVERY_S
     shifts = {"attitude": seconds} if late else {}
-    felt = [f for f in flights if f.has(*names.VELOCITIES, *names.SPECIFIC_FORCES)]
+    felt, gravity = [f for f in flights if f.has(*names.VELOCITIES, *names.SPECIFIC_FORCES)], dataset.vehicle.gravity
     if not felt:
         return _without_forces(dataset, flights, turn, seconds)
     tried = [shifts, {"rates": -seconds}, {"rates": -seconds, "accelerations": -seconds}] if late else [{}]
-    scored = [(_motion(felt, turn, clocks), clocks) for clocks in tried]
+    scored = [(_motion(felt, turn, clocks, gravity), clocks) for clocks in tried]
     best, clocks = max(scored, key=lambda one: one[0].agreed)
     if best.agreed > SETTLED:
         return clocks
@@ -304,7 +304,7 @@ def _clocks(dataset: Dataset, flights: Sequence[Flight], turn: Array, late: int)
     if not best.unit:
         return clocks
     further = {**clocks, best.unit: clocks.get(best.unit, 0.0) + best.seconds}
-    if _motion(felt, turn, further).agreed < AGREES:
+    if _motion(felt, turn, further, gravity).agreed < AGREES:
         return clocks
     return {name: value for name, value in further.items() if abs(value) > ALIKE_S}
 
@@ -341,9 +341,9 @@ class _Motion:
     seconds: float = 0.0
 
 
-def _motion(flights: Sequence[Flight], turn: Array, clocks: Mapping[str, float]) -> _Motion:
+def _motion(flights: Sequence[Flight], turn: Array, clocks: Mapping[str, float], gravity: float) -> _Motion:
     errors = Alignment(turn=turn, clocks=clocks).errors
-    every = [_forces(without_errors_of_flight(f, errors)) for f in flights]
+    every = [_forces(without_errors_of_flight(f, errors), gravity) for f in flights]
     every = [e for e in every if len(e.present)]
     if not every:
         return _Motion()
@@ -378,9 +378,9 @@ class ForceTurn:
     by_bias: float
 
 
-def force_turn(flights: Sequence[Flight]) -> ForceTurn | None:
+def force_turn(flights: Sequence[Flight], gravity: float) -> ForceTurn | None:
     """The turn that makes specific force that of velocity and attitude (Wahba's problem); None without these."""
-    every = [_forces(f) for f in flights if f.has(*names.VELOCITIES, *names.SPECIFIC_FORCES, *names.ATTITUDES)]
+    every = [_forces(f, gravity) for f in flights if f.has(*names.VELOCITIES, *names.SPECIFIC_FORCES, *names.ATTITUDES)]
     felt = np.concatenate([e.felt[e.present] for e in every] or [np.zeros((0, 3))])
     true = np.concatenate([(e.pushed + e.fallen)[e.present] for e in every] or [np.zeros((0, 3))])
     whole = np.isfinite(felt).all(axis=1) & np.isfinite(true).all(axis=1)
@@ -408,7 +408,7 @@ class _Forces:
     present: Array
 
 
-def _forces(flight: Flight) -> _Forces:
+def _forces(flight: Flight, gravity: float) -> _Forces:
     """Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 3.35."""
     velocity, change, present = smoothed(flight, names.VELOCITIES)
     rates, _, whole = smoothed(flight, names.RATES)
@@ -416,5 +416,5 @@ def _forces(flight: Flight) -> _Forces:
     felt, _, measured = smoothed(flight, names.SPECIFIC_FORCES)
     if not len(velocity):
         return _Forces(velocity, velocity, velocity, present)
-    fallen = -gravity_in_body(torch.from_numpy(angles), 9.80665).numpy()
+    fallen = -gravity_in_body(torch.from_numpy(angles), gravity).numpy()
     return _Forces(change + np.cross(rates, velocity), fallen, felt, present & whole & turned & measured)

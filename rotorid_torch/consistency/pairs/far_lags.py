@@ -15,7 +15,7 @@ import torch
 from rotorid_torch.consistency.smoothing import EVERY_S, smoothed
 from rotorid_torch.core import names
 from rotorid_torch.core.rigid import gravity_in_body
-from rotorid_torch.core.statistics import jackknife_variance, without_line
+from rotorid_torch.core.statistics import jackknife_variance, regression, without_line
 from rotorid_torch.data.flight import Flight
 
 Array = np.ndarray
@@ -106,7 +106,11 @@ def _scanned(flights: Sequence[Blocks], columns: Columns, responses: int, near: 
     most = int(min(LONGEST_S / EVERY_S, REACHED * min(len(moved) for moved, _ in flights)))
     lags = np.arange(-most, most + 1)
     products = np.array([[_products(*flight, int(lag), columns) for flight in flights] for lag in lags])
-    each = np.array([_left(whole, responses) for whole in products.sum(axis=1)])
+
+    def unexplained(whole: Array) -> Array:
+        return regression(whole, responses)[1]
+
+    each = np.array([unexplained(whole) for whole in products.sum(axis=1)])
     shown = each.min(axis=0) < 1.0 - EXPLAINED  # what nothing explains has no lag
     if not shown.any():
         return None
@@ -122,9 +126,7 @@ def _scanned(flights: Sequence[Blocks], columns: Columns, responses: int, near: 
         return float(lags[best] + (0.5 * (below - above) / bend if bend > 0.0 else 0.0)) * EVERY_S
 
     three = products[best - 1 : best + 2]
-    others = [
-        np.array([_left(p.sum(axis=0) - p[k], responses)[shown].mean() for p in three]) for k in range(len(flights))
-    ]
+    others = [np.array([unexplained(p.sum(axis=0) - p[k])[shown].mean() for p in three]) for k in range(len(flights))]
     spread = float(np.sqrt(jackknife_variance(np.array([peak(o) for o in others])))) if len(flights) > 1 else EVERY_S
     se = max(spread, 0.1 * EVERY_S)
     return FarLag(peak(left[best - 1 : best + 2]), se, float(left[best]), float(left[inside].min()))
@@ -137,12 +139,3 @@ def _products(moved: Array, fixed: Array, lag: int, columns: Columns) -> Array:
     whole = np.isfinite(first.sum(axis=1)) & np.isfinite(second.sum(axis=1))
     both = without_line(columns(first[whole], second[whole]))
     return both.conj().T @ both / max(len(both), 1)
-
-
-def _left(products: Array, responses: int) -> Array:
-    """Share of the power of each response (n,) that the other columns do not explain."""
-    size = np.sqrt(np.maximum(np.real(np.diag(products)), np.finfo(float).tiny))
-    scaled = products / np.outer(size, size)
-    inner, outer = scaled[responses:, responses:], scaled[responses:, :responses]
-    x = np.linalg.lstsq(inner, outer, rcond=1e-9)[0]
-    return 1.0 - np.real((outer.conj() * x).sum(axis=0))

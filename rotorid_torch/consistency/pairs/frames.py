@@ -17,7 +17,7 @@ import torch
 from rotorid_torch.consistency.smoothing import EVERY_S, smoothed
 from rotorid_torch.core import names
 from rotorid_torch.core.rigid import gravity_in_body, position_rates
-from rotorid_torch.core.statistics import jackknife_variance, without_line
+from rotorid_torch.core.statistics import jackknife_variance, regression, without_line
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 
@@ -197,14 +197,7 @@ def _fit(parts: Sequence[tuple[Array, int]], form: Form) -> Frame | None:
 
 def _solved(products: Array) -> tuple[complex, float, float]:
     """Factor of the second column, squares that are left with it, and without it, from products (n, n)."""
-    size = np.sqrt(np.maximum(np.real(np.diag(products)), np.finfo(float).tiny))
-    scaled = products / np.outer(size, size)
-
-    def left(chosen: list[int]) -> tuple[Array, float]:
-        inner, outer = scaled[np.ix_(chosen, chosen)], scaled[chosen, 0]
-        x = np.linalg.lstsq(inner, outer, rcond=1e-10)[0] if chosen else outer
-        return x, float((1.0 - outer.conj() @ x).real) * float(size[0]) ** 2
-
-    every = list(range(1, len(size)))
-    x, misfit = left(every)
-    return complex(x[0] * size[0] / size[1]), max(misfit, 0.0), left(every[1:])[1]
+    nuisances = np.delete(np.delete(products, 1, 0), 1, 1)
+    (factor, *_), shares = regression(products)
+    power = float(products[0, 0].real)
+    return complex(factor[0]), power * max(float(shares[0]), 0.0), power * float(regression(nuisances)[1][0])

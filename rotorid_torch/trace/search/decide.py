@@ -155,15 +155,13 @@ def estimate(model: Model, errors: Mapping[str, float], effect: str, tests: int 
     """Whether a bound that is not the null is active; else whether all intervals hold the null.
 
     Intervals have the level 0.95 together for so many effects (Bonferroni). Zero is a limit of physics, not of a range:
-    a pendulum may have no damping. Nor is a bound active where the interval holds the null: flights tell nothing of
-    that parameter then. errors : standard errors by full name, infinite where a bound left none. between : s by which
-    controls are later or earlier by what they do between samples, no size of an effect that makes them later.
+    a pendulum may have no damping. errors : standard errors by full name. between : s by which controls are later or
+    earlier by what they do between samples, no size of an effect that makes them later.
     """
-    values, wide = model.named_values, normal_quantile(0.5 * SETTINGS.level / tests)
+    values = model.named_values
     for p in model.parameter_set.sizes(effect):
         on = [b for b in p.bounds if math.isclose(values[p.name], b, rel_tol=1e-9) and b not in (0.0, p.value)]
-        error = errors.get(p.name, math.inf)
-        if p.free and on and not abs(values[p.name] - p.value) <= wide * error < math.inf:
+        if p.free and on:
             return Size(Interval.ACTIVE_BOUND, p.name, values[p.name])
     nulls = {s.parameter: s.null for s in signatures(model, [effect])}
     nulls = nulls or {p.name: p.value for p in model.parameter_set.sizes(effect) if p.free}
@@ -171,7 +169,7 @@ def estimate(model: Model, errors: Mapping[str, float], effect: str, tests: int 
     beyond = {n: max(abs(values[n] - null) - nothing, 0.0) for n, null in nulls.items()}
     away = {n: size / max(errors.get(n, math.inf), 1e-300) for n, size in beyond.items()}
     name = max(away, key=lambda n: away[n], default="")
-    inside = bool(name) and away[name] <= wide
+    inside = bool(name) and away[name] <= normal_quantile(0.5 * SETTINGS.level / tests)
     return Size(Interval.WITHIN_ERROR if inside else Interval.SIZE, name, values.get(name, 0.0), errors.get(name, 0.0))
 
 

@@ -235,7 +235,7 @@ def test_a_turn_is_no_mirror_where_one_axis_does_not_move(seed: int):
             -flight["q"] * speed - 9.80665 * np.cos(pitch),
         )
         flight |= dict(zip(("ax", "ay", "az"), turn @ np.stack(force) + noise, strict=True))
-    found = force_turn(list(dataset(made).flights.values()))
+    found = force_turn(list(dataset(made).flights.values()), 9.80665)
     assert found is not None
     assert np.linalg.det(found.matrix) == pytest.approx(1.0)
     assert np.degrees(np.arccos((np.trace(found.matrix) - 1.0) / 2.0)) == pytest.approx(30.0, abs=1.5)

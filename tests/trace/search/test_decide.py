@@ -105,17 +105,6 @@ def late(value: float) -> Model:
     return with_values(rate_vehicle(effects=(DELAY,)), {f"{DELAY}.common": value})
 
 
-def test_a_bound_says_nothing_of_a_size_that_flights_do_not_tell():
-    """Of an effect with several sizes: one at the edge of its range, its error larger than the range, and two sure."""
-    model = rate_vehicle(effects=(DAMPING,))
-    high = next(p for p in model.parameter_set.parameters if p.name == f"{DAMPING}.N").bounds[1]
-    moved = with_values(model, {f"{DAMPING}.L": 1.0, f"{DAMPING}.M": 1.0, f"{DAMPING}.N": high})
-    errors = {f"{DAMPING}.L": 0.1, f"{DAMPING}.M": 0.1, f"{DAMPING}.N": 10.0 * high}
-    assert estimate(moved, errors, DAMPING).estimate is Interval.SIZE
-    for sure in (1e-3 * high, math.inf):  # of a bound that is sure, or left no error
-        assert estimate(moved, {**errors, f"{DAMPING}.N": sure}, DAMPING).estimate is Interval.ACTIVE_BOUND
-
-
 def test_a_delay_within_half_a_sample_is_none():
     """Controls that are held between samples reach the rotor half a sample later than those that go straight."""
     for value, is_size in ((0.004, False), (0.006, False), (0.008, True)):
