@@ -366,7 +366,7 @@ def precedence(dataset: Dataset) -> Iterator[Finding]:
     """Responses that seem to come before their controls, delays that differ between flights, and right ones."""
     flights = [dataset.flights[name] for name in dataset.identify]
     far = lag_of_controls(flights, dataset.controls, (-ANSWERED_S, PRECEDING_S))
-    sure = far is not None and LITTLE < far.left_near > far.left / FAR and far.se < KNOWN_S
+    sure = far is not None and far.alone and LITTLE < far.left_near > far.left / FAR and far.se < KNOWN_S
     if far and sure and not -ANSWERED_S < far.seconds < PRECEDING_S + FAR_S:
         yield _far_controls(far, dataset)
         return
@@ -389,11 +389,11 @@ def precedence(dataset: Dataset) -> Iterator[Finding]:
 def _far_controls(far: FarLag, dataset: Dataset) -> Finding:
     word, more = ("late", "more") if far.seconds > 0.0 else ("early", "less")
     return finding(
-        "warning",  # controls that swing alike for long fit at several lags
+        "error",
         " ".join(dataset.controls),
         f"the controls are {abs(far.seconds):.2f} s {word} (± {far.se:.2f}) against the angular accelerations,",
         f"{more} by the delay of the vehicle: there they explain {1.0 - far.left:.0%} of these, as recorded",
-        f"{max(1.0 - far.left_near, 0.0):.0%} at most. If the stream was stamped by another clock, shift it.",
+        f"{max(1.0 - far.left_near, 0.0):.0%} at most. Shift the stream; nothing else can be told before.",
     )
 
 

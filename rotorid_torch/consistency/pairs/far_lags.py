@@ -30,6 +30,8 @@ FLIGHTS, SAMPLES = 8, 3000
 """Flights that are looked at, at most, and samples of each, every `EVERY_S`: two minutes."""
 LEAST = 100
 """Samples of a flight that is used."""
+ANSWER_S = 1.0
+"""About as long as a vehicle answers: lags that are closer explain the same."""
 EXPLAINED = 0.5
 """Share of a response that is explained at its best lag, at least, for it to count."""
 
@@ -38,13 +40,15 @@ EXPLAINED = 0.5
 class FarLag:
     """Time in s by which a stream comes after the others, its standard error, the share that is left there.
 
-    left_near : the least share that is left at the lags that need no other clock.
+    left_near : the least share that is left at the lags that need no other clock. alone : whether no lag further than
+    `ANSWER_S` from this one explains as much as counts: what swings alike for long fits at several.
     """
 
     seconds: float
     se: float
     left: float
     left_near: float
+    alone: bool
 
 
 def lag_of_velocities(flights: Sequence[Flight], gravity: float) -> FarLag | None:
@@ -129,7 +133,9 @@ def _scanned(flights: Sequence[Blocks], columns: Columns, responses: int, near: 
     others = [np.array([unexplained(p.sum(axis=0) - p[k])[shown].mean() for p in three]) for k in range(len(flights))]
     spread = float(np.sqrt(jackknife_variance(np.array([peak(o) for o in others])))) if len(flights) > 1 else EVERY_S
     se = max(spread, 0.1 * EVERY_S)
-    return FarLag(peak(left[best - 1 : best + 2]), se, float(left[best]), float(left[inside].min()))
+    elsewhere = left[np.abs(lags - lags[best]) * EVERY_S > ANSWER_S]
+    alone = bool((elsewhere > 1.0 - EXPLAINED).all())
+    return FarLag(peak(left[best - 1 : best + 2]), se, float(left[best]), float(left[inside].min()), alone)
 
 
 def _products(moved: Array, fixed: Array, lag: int, columns: Columns) -> Array:

@@ -61,14 +61,25 @@ def test_velocities_say_which_of_attitude_and_rates_is_late(channels: tuple[str,
 
 
 @pytest.mark.parametrize("seconds", [-2.0, 0.4, 1.0, 5.0])
-def test_far_controls_have_their_time_in_a_warning(seconds: float):
+def test_far_controls_have_their_time_and_are_the_only_error(seconds: float):
     data = dataset(late(FLOWN, CONTROLS, seconds))
     lag = lag_of_controls(list(data.flights.values()), data.controls, (-1.0, 0.1))
     assert lag is not None
     assert lag.seconds == pytest.approx(seconds, abs=0.05)
-    examined = check(data)
-    (only,) = (f for f in examined.findings if "the controls are" in f.sentence)
-    assert (only.severity, examined.fit) == ("warning", True)
+    assert lag.alone
+    (only,) = (f for f in check(data).findings if f.severity == "error")
+    assert "the controls are" in only.sentence
+
+
+def test_controls_that_swing_alike_for_long_tell_no_clock():
+    """A sine of 1 s period fits at every period."""
+    time = np.arange(0.0, 20.0, 0.02)
+    swing = {name: np.sin(2.0 * np.pi * time + k) for k, name in enumerate((*RATES, *ATTITUDE))}
+    flights = {f"f{k}": {"time": time, "lat": np.sin(2.0 * np.pi * time - k), **swing} for k in (1, 2)}
+    data = Dataset.from_arrays(flights, identify=list(flights))
+    lag = lag_of_controls(list(data.flights.values()), data.controls, (-1.0, 0.1))
+    assert lag is None or not lag.alone
+    assert not [f for f in check(data).findings if "the controls are" in f.sentence]
 
 
 def test_records_of_one_clock_have_no_lag():
