@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import torch
 from torch import Tensor, nn
@@ -97,6 +97,13 @@ class Model(nn.Module):
         if self._named is None or not self._named.belong_to(self.theta):
             self._named = NamedParameters(self.theta, list(self._pieces()))
         yield from ((f"{prefix}.{name}" if prefix else name, leaf) for name, leaf in self._named)
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> Self:
+        """Moved to a device or a type, as torch does it in place; the named parameters follow."""
+        super()._apply(fn, recurse)
+        if self._named is not None:
+            self._named.follow()
+        return self
 
     def _pieces(self) -> Iterator[NamedPart]:
         first = 0

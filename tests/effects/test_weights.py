@@ -118,6 +118,21 @@ def test_named_parameters_share_numbers_and_gradients():
     assert (model.theta.detach() != before).nonzero().flatten().tolist() == [place]
 
 
+def test_an_optimiser_keeps_its_parameters_where_the_model_moves():
+    """To another type and back, as to a device: new storage, the same leaves, gradients and steps."""
+    model = stirred(with_network())
+    pitch = dict(model.named_parameters())["forces.M.q"]
+    optimiser = torch.optim.SGD([pitch], lr=1e-3)
+    model.float().double()
+    x0, u = points(model, 3)
+    model.trajectories(x0, u[:, None].expand(-1, 20, -1), DT)[1].square().sum().backward()
+    before = model.theta.detach().clone()
+    optimiser.step()
+    place = model.parameter_set.index("forces.M.q")
+    assert (model.theta.detach() != before).nonzero().flatten().tolist() == [place]
+    assert dict(model.named_parameters())["forces.M.q"] is pitch
+
+
 def hidden_moment() -> list[dict[str, Any]]:
     """Flights of a vehicle whose pitch damping stalls, beyond any derivative."""
 

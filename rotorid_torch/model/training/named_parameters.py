@@ -42,6 +42,11 @@ class NamedParameters:
     def __iter__(self) -> Iterator[tuple[str, nn.Parameter]]:
         return iter([(piece.name, leaf) for piece, leaf in zip(self.pieces, self.leaves, strict=True)])
 
+    def follow(self) -> None:
+        """Share the numbers of a vector that was moved to another device or type; optimisers keep their leaves."""
+        for piece, leaf in zip(self.pieces, self.leaves, strict=True):
+            leaf.data, leaf.grad = piece.of(self.vector.detach()), None
+
     def belong_to(self, vector: Any) -> bool:
         """Whether this is still the vector, in its place."""
         return vector is self.vector and vector.data_ptr() == self.leaves[0].data_ptr()
