@@ -174,11 +174,17 @@ class _Search:
         with working_on(self.means.device):
             system = System(model, self.names)
             asked = replace(settings, ends=gusty if decides else None)
-            fitted = fit(system, flights, Start(), asked, self.means.monitor, self.means.ranks)
+            fitted = fit(system, flights, Start(), asked, self._watch, self.means.ranks)
             if colour > GUSTY:
                 return None, colour
             estimate = self._moved_off_nothing(system, flights, settings, fitted.estimate())
         return moved(estimate, "cpu"), colour
+
+    def _watch(self, iteration: int, cost: float, theta: Tensor) -> None:
+        """What watches the fit works on the processor."""
+        if self.means.monitor is not None:
+            with torch.device("cpu"):
+                self.means.monitor(iteration, cost, theta.to("cpu"))
 
     def _moved_off_nothing(self, system: System, flights: Records, settings: Settings, estimate: Estimate) -> Estimate:
         """The estimate, or that from sizes of effects of which a little does nothing, where it is better."""
@@ -187,7 +193,7 @@ class _Search:
             return estimate
         place = estimate.theta.clone()
         place[list(acting)] = place.new_tensor(list(acting.values()))
-        other = fit(system, flights, Start(place), settings, self.means.monitor, self.means.ranks).estimate()
+        other = fit(system, flights, Start(place), settings, self._watch, self.means.ranks).estimate()
         return other if other.minimum.point.cost < estimate.minimum.point.cost - CLEARLY_BETTER else estimate
 
 

@@ -18,11 +18,16 @@ from rotorid_torch.identification.estimate import system as system_module
 from rotorid_torch.identification.estimate.progressive_fit import Settings, fit
 from rotorid_torch.identification.estimate.segments import Records, records_from
 from rotorid_torch.identification.estimate.system import System
+from rotorid_torch.identification.model_estimation import Means, estimate_model
+from rotorid_torch.identification.model_regression import regress_model
 from rotorid_torch.identification.reconstruct.filter_problem import Filtered
+from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.reconstruct.unscented_filter import unscented_filter
+from rotorid_torch.identification.structure import propose
+from rotorid_torch.model.nominal import build
 from tests.elsewhere import MadeElsewhere, MadeInside, backward, forward, held, one_by_one, there
 from tests.identification.estimate.output_error_cases import Roll, roll_flight
-from tests.known_models import helicopter, points
+from tests.known_models import flown, helicopter, manoeuvres, points, rate_vehicle
 
 FEW = 4
 """Parameters; the stand-in for forward derivatives takes them one by one."""
@@ -96,6 +101,22 @@ def test_a_fit_on_another_device_is_that_on_the_processor(
 def system_of(model: nn.Module) -> System:
     names = getattr(model, "parameter_set", None)
     return System(model, None if names is None else names.names[:FEW])
+
+
+@pytest.mark.parametrize("device", [GPU])
+def test_step_3_on_another_device_is_watched_on_the_processor(device: str) -> None:
+    """The estimate is that of the processor, and what watches the fit computes with tensors of its own."""
+    data = flown(rate_vehicle(), manoeuvres(3.0, 0.02), 0.02, noise=0.02, seed=2)
+    motion = reconstruct(data, device=device)
+    model = build(propose(data, motion))
+    start, costs = regress_model(model, data, motion), []
+
+    def watch(_: int, cost: float, theta: Tensor) -> None:
+        costs.append(cost + float(torch.zeros(len(theta), dtype=torch.float64) @ theta))
+
+    on_processor, on_device = (estimate_model(model, data, motion, start, Means(watch, device=d)) for d in ("cpu", device))
+    same(on_device.fit.theta, on_processor.fit.theta)
+    assert costs
 
 
 @pytest.mark.parametrize("device", ["elsewhere", GPU])
