@@ -11,10 +11,14 @@ from rotorid_torch.effects.registry import registered
 from tests.helpers import ROOT
 
 
-def test_the_page_lists_the_library_s_effects():
-    page = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
-    own = {name for name, e in registered().items() if e.__module__.startswith("rotorid_torch.")}
-    assert set(re.findall(r"^\| `([a-z_.]+)` \|", page, flags=re.MULTILINE)) == own
+def test_the_page_says_of_the_library_s_effects_what_the_code_says():
+    page = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8").replace(r"\|", "|")
+    lines = {line.split("`")[1]: line for line in page.splitlines() if re.match(r"\| `[a-z_.]+` \|", line)}
+    own = [e for e in registered().values() if e.__module__.startswith("rotorid_torch.")]
+    assert set(lines) == {e.id for e in own}
+    for row in effect_rows(own):
+        said = f"| `{row.id}` | {row.role}, {row.stage} | {row.showing} | {row.what}"
+        assert lines[row.id].startswith(said)
 
 
 def test_rows_tell_class_and_parameters():
