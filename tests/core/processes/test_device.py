@@ -114,7 +114,9 @@ def test_step_3_on_another_device_is_watched_on_the_processor(device: str) -> No
     def watch(_: int, cost: float, theta: Tensor) -> None:
         costs.append(cost + float(torch.zeros(len(theta), dtype=torch.float64) @ theta))
 
-    on_processor, on_device = (estimate_model(model, data, motion, start, Means(watch, device=d)) for d in ("cpu", device))
+    on_processor, on_device = (
+        estimate_model(model, data, motion, start, Means(watch, device=d)) for d in ("cpu", device)
+    )
     same(on_device.fit.theta, on_processor.fit.theta)
     assert costs
 
