@@ -108,8 +108,8 @@ def alignment(dataset: Dataset) -> Alignment:
     if not sides:
         return Alignment()
     late = _lag(sides)
-    turn = _turned(dataset, [s.moved(late) for s in sides])
-    before = _share(sides)
+    turn = _turned(dataset, [s.moved(late).met for s in sides])
+    before = _share([s.met for s in sides])
     clocks = _clocks(dataset, flights, turn.turn, late)
     return Alignment(turn.turn, turn.turn_se, clocks, turn.mirror, before, turn.after, turn.strength)
 
@@ -159,6 +159,13 @@ class Sides:
     def pairs(self) -> int:
         """Samples at which neither is missing."""
         return int(self.present.prod(axis=0).sum())
+
+    @property
+    def met(self) -> Sides:
+        """The samples at which neither is missing, both about their means."""
+        both = self.present.prod(axis=0) > 0.0
+        always = np.ones(int(both.sum()), bool)
+        return Sides(centred(self.left[both], always), centred(self.right[both], always))
 
     def moved(self, lag: int) -> Sides:
         """With the left side taken so many samples later."""

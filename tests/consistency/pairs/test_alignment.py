@@ -70,6 +70,15 @@ def test_a_turned_imu_is_right_to_half_a_degree(degrees: int, axis: str):
     assert not found.clocks
 
 
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.65])
+@pytest.mark.parametrize("degrees", [5, 10, 90])
+def test_a_turned_imu_is_right_where_angles_are_missing(degrees: int, share: float):
+    turn = np.radians(degrees) * np.array([-0.94, -0.18, 0.29])
+    found = alignment(dataset(without(("phi",), "end", share, flights(turn))))
+    assert away(found.turn, turn) < 0.5
+    assert not found.clocks
+
+
 @pytest.mark.parametrize("degrees", [45, 180])
 def test_a_turned_imu_is_one_error_and_no_bias(degrees: int):
     turn = np.radians(degrees) * np.array([0.0, 0.6, 0.8])
@@ -111,9 +120,11 @@ def test_streams_that_are_far_off_are_told_with_their_time(unit: str, seconds: f
     assert found.angle == 0.0
 
 
-def without(channels: tuple[str, ...], end: str, share: float) -> dict[str, dict[str, np.ndarray]]:
-    """The flights with these channels missing for a share at the begin or the end of each."""
-    changed = flights()
+def without(
+    channels: tuple[str, ...], end: str, share: float, made: dict[str, dict[str, np.ndarray]] | None = None
+) -> dict[str, dict[str, np.ndarray]]:
+    """Flights with these channels missing for a share at the begin or the end of each."""
+    changed = made or flights()
     for flight in changed.values():
         count = len(flight["time"])
         part = slice(0, round(share * count)) if end == "begin" else slice(round((1.0 - share) * count), count)
