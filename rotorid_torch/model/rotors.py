@@ -30,6 +30,8 @@ UNITS = {
 """Of the thrust curve, by whether the mass is declared and whether the rotors' speeds are measured."""
 DISTURBED = 0.05
 """Standard deviation of a disturbance over the rms of the angular acceleration of its axis."""
+NO_POWER = 1e-12
+"""Control power that is nothing, in any of its units."""
 LEAST_COMMAND = 1e-3
 """Below it the root of a command is held, for its slope would be infinite."""
 
@@ -60,7 +62,9 @@ class Rotors(Effect):
     """Each rotor's thrust T = c0 + c1 s + c2 s^2 along -z and torque about its axis, s its command or measured speed.
 
     Z = -sum T/m; L and M by the declared places over the declared inertia, N by spin and torque ratio, each times a
-    control power that is 1 if the declaration holds. No damping: rotors' other physics are effects of their own.
+    control power that is 1 if the declaration holds. No damping: rotors' other physics are effects of their own, and
+    forces that these bring to the hubs act there. Forces across the arms turn yaw by the inertia that roll and pitch
+    tell, of a flat body the sum of theirs: the control power of yaw holds the ratio of torque to thrust as well.
     Where mass and inertia are not declared, thrust is per mass and control power carries the inertia.
 
     Source: Mahony, Kumar and Corke, IEEE Robotics and Automation Magazine 19 (2012), eqs. 5 to 7; Foerster, System
@@ -76,9 +80,9 @@ class Rotors(Effect):
         super().__init__((*_curve(spec), *_powers(spec), *_trims(spec, prior_span)))
         self.driven, self.mass = spec.driven, spec.mass or 1.0
         self.forces = tuple(row for row in FORCES[:2] if row in spec.patterns)
-        inertia = torch.eye(3, dtype=torch.float64)
+        inertia, self.flat = torch.eye(3, dtype=torch.float64), 1.0
         if powers_declared(spec):
-            inertia = torch.tensor(spec.inertia, dtype=torch.float64)
+            inertia, self.flat = torch.tensor(spec.inertia, dtype=torch.float64), 2.0
         arm = sum(math.hypot(*m.position[:2]) for m in spec.motors) / len(spec.motors)
         ratios = [TORQUE_ARM * arm if m.torque_ratio is None else m.torque_ratio for m in spec.motors]
         self.register_buffer("place", torch.tensor([m.position for m in spec.motors], dtype=torch.float64))
@@ -96,11 +100,15 @@ class Rotors(Effect):
         if set(shares) <= set(frame.signals):
             thrust = thrust * frame.stack(shares)
         zero = torch.zeros_like(thrust)
-        moment = cross(self.place, vec(zero, zero, -thrust)).sum(-2)
-        moment = moment + vec(zero[..., 0], zero[..., 0], (self.torque * thrust).sum(-1))
-        angular = (p.stack("power.L", "power.M", "power.N") * moment) @ self.turning.mT
-        across = [p[f"trim.{row}"] if row in self.forces else zero[..., 0] for row in FORCES[:2]]
-        force = vec(*across, -thrust.sum(-1) / self.mass)
+        forces = vec(zero, zero, -thrust)
+        if frame.hubs is not None:
+            forces = forces + frame.hubs
+        roll, pitch, yaw = cross(self.place, forces).sum(-2).unbind(-1)
+        L, M, N = p.stack("power.L", "power.M", "power.N").unbind(-1)
+        flat = self.flat * L * M / (L + M + NO_POWER)
+        angular = vec(L * roll, M * pitch, flat * yaw + N * (self.torque * thrust).sum(-1)) @ self.turning.mT
+        trims = [p[f"trim.{row}"] if row in self.forces else zero[..., 0] for row in FORCES[:2]]
+        force = forces.sum(-2) / self.mass + vec(*trims, zero[..., 0])
         return frame.add(force, angular + p.stack(*(f"trim.{row}" for row in MOMENTS))), x
 
 

@@ -443,6 +443,19 @@ def test_rotor_drag_grows_with_speed_and_inflow_takes_thrust():
     assert moving["w"] - still["w"] == pytest.approx(0.3)
 
 
+def test_rotors_that_turn_with_the_body_damp_its_rates():
+    """Each hub moves at omega x place: the rotors' drag brakes yaw, and inflow brakes roll and pitch."""
+    x, y, mass, (xx, yy, zz) = 0.028, 0.028, 0.03, (1.66e-5, 1.67e-5, 2.93e-5)
+    model = made("propulsion.rotor_drag", MULTIROTOR, x=0.4, y=0.2)
+    still, turning = (rates(model, r=r) for r in (0.0, 2.0))
+    assert turning["r"] - still["r"] == pytest.approx(-2.0 * mass * (0.4 * y * y + 0.2 * x * x) / zz)
+    assert [turning[n] - still[n] for n in ("p", "q", "w")] == pytest.approx([0.0] * 3)
+    model = made("propulsion.axial_inflow", MULTIROTOR, z=0.3)
+    still, turning = (rates(model, p=p, q=-p) for p in (0.0, 1.5))
+    assert turning["p"] - still["p"] == pytest.approx(-1.5 * mass * 0.3 * y * y / xx)
+    assert turning["q"] - still["q"] == pytest.approx(1.5 * mass * 0.3 * x * x / yy)
+
+
 def test_rotors_lift_more_and_raise_the_nose_as_they_move_sideways():
     model = made("forces.translational_lift", MULTIROTOR, h=0.02)
     still, moving = (rates(model, u=u, v=v) for u, v in ((0.0, 0.0), (3.0, -4.0)))

@@ -8,9 +8,9 @@ from typing import ClassVar, Self
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.names import VELOCITIES, is_motor, thrust_share
+from rotorid_torch.core.names import RATES, VELOCITIES, is_motor, thrust_share
 from rotorid_torch.core.parameters import Parameter, alike
-from rotorid_torch.core.rigid import vec
+from rotorid_torch.core.rigid import cross, vec
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.signal_operations import averaged, half_of, lagged
@@ -132,45 +132,68 @@ class RotorInertia(Effect):
 class _WithThrust(Effect):
     """Forces and moments by speed that grow with the rotors: with the sum of commands or speeds, 1 at the reference."""
 
-    stage, role = Stage.FORCES, Role.UNDECLARED
+    role = Role.UNDECLARED
     coefficients: ClassVar[tuple[Parameter, ...]]
 
-    def __init__(self, driven: tuple[str, ...], total: float) -> None:
+    def __init__(self, spec: ModelSpec) -> None:
         super().__init__(self.coefficients)
-        self.driven, self.total = driven, total
+        self.driven, self.total = spec.driven, sum(spec.reference.get(n, 0.0) for n in spec.driven) or 1.0
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> Self:
         """About the reference's commands or speeds."""
-        return cls(spec.driven, sum(spec.reference.get(n, 0.0) for n in spec.driven) or 1.0)
+        return cls(spec)
+
+
+class _AtHubs(_WithThrust):
+    """Forces on each rotor by the velocity of its own hub through the air, v + omega x place: they damp rates as well.
+
+    `rows` : axes along which they act, with the names of their coefficients.
+    """
+
+    stage = Stage.ROTOR
+    needs = (no_motors, no_velocities, no_forces)
+    rows: ClassVar[Mapping[str, str]]
+    place: Tensor
+
+    def __init__(self, spec: ModelSpec) -> None:
+        super().__init__(spec)
+        self.mass = spec.mass or 1.0
+        self.register_buffer("place", torch.tensor([m.position for m in spec.motors], dtype=torch.float64))
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Adds the forces."""
+        velocity = frame.stack(VELOCITIES).unsqueeze(-2)
+        if set(RATES) <= set(frame.signals):
+            velocity = velocity + cross(frame.stack(RATES).unsqueeze(-2), self.place)
+        share = frame.stack(self.driven) * (self.mass / self.total)
+        felt = [
+            -p[self.rows[n]].unsqueeze(-1) * share * velocity[..., k] if n in self.rows else torch.zeros_like(share)
+            for k, n in enumerate(VELOCITIES)
+        ]
+        return frame.add_at_hubs(vec(*felt)), x
 
 
 @register
-class RotorDrag(_WithThrust):
+class RotorDrag(_AtHubs):
     """Drag of the rotors in their own plane, linear in speed, growing with the rotors' speed.
 
-    X -= x s u, Y -= y s v with s the sum of the commands or speeds over that at the reference.
+    Each rotor's hub feels -x s_i u_i and -y s_i v_i with s_i its command or speed over the sum of all at the reference.
 
     Source: Faessler, Franchi and Scaramuzza, IEEE Robotics and Automation Letters 3 (2018); Foerster (2015), sec. 3.4.
     """
 
     id = "propulsion.rotor_drag"
     coefficients = alike("xy", "1/s", (0.0, 5.0), "drag in the rotors' plane along {}", typical=0.3)
-    needs = (no_motors, no_velocities, no_forces)
-
-    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
-        """Adds the drag."""
-        share = frame.stack(self.driven).sum(-1, keepdim=True) / self.total
-        across = p.stack("x", "y") * share * frame.stack(VELOCITIES[:2])
-        return frame.add(force=vec(-across[..., 0], -across[..., 1], torch.zeros_like(across[..., 0]))), x
+    rows: ClassVar[Mapping[str, str]] = {"u": "x", "v": "y"}
 
 
 @register
-class AxialInflow(_WithThrust):
+class AxialInflow(_AtHubs):
     """Thrust lost by climbing and gained by sinking, linear in the speed along the rotors' axes.
 
-    Z -= z s w with s the sum of the commands or speeds over that at the reference: air that meets the blades from above
-    takes from their angle of attack.
+    Each rotor's hub feels -z s_i w_i with s_i its command or speed over the sum of all at the reference: air that meets
+    the blades from above takes from their angle of attack.
 
     Source: Foerster, System Identification of the Crazyflie 2.0 (ETH, 2015), sec. 3.4; Bangura and Mahony (2012),
     Nonlinear dynamic modelling for high performance control of a quadrotor, eq. 15.
@@ -178,13 +201,7 @@ class AxialInflow(_WithThrust):
 
     id = "propulsion.axial_inflow"
     coefficients = (Parameter("z", 0.0, "1/s", (0.0, 5.0), doc="thrust lost by climbing", typical=0.3),)
-    needs = (no_motors, no_velocities, no_forces)
-
-    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
-        """Takes from the thrust."""
-        lost = p["z"] * frame.stack(self.driven).sum(-1) / self.total * frame.signals["w"]
-        zero = torch.zeros_like(lost)
-        return frame.add(force=vec(zero, zero, -lost)), x
+    rows: ClassVar[Mapping[str, str]] = {"w": "z"}
 
 
 @register
@@ -198,7 +215,7 @@ class Flapping(_WithThrust):
     IEEE Robotics and Automation Magazine 19 (2012), eq. 8.
     """
 
-    id = "propulsion.flapping"
+    id, stage = "propulsion.flapping", Stage.FORCES
     separated_by = "flights with the controller off, or a wind tunnel"
     rotors_absorb = "rotors.power"  # a controller's commands answer the velocity as flapping does, late as they are
     coefficients = (
