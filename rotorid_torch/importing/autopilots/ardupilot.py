@@ -243,11 +243,16 @@ def _sticks(log: Log) -> tuple[list[Chosen], list[str]]:
 
 
 def _centred(name: str, settings: Mapping[str, float], prefix: str, one_sided: bool = False) -> Entry | None:
-    """Pulses as -1 to 1 about their trim, or as 0 to 1, by PREFIX_MIN, _TRIM and _MAX; None without a range."""
+    """Pulses as -1 to 1 about their trim, or as 0 to 1, by PREFIX_MIN, _TRIM and _MAX; None without a range.
+
+    A log has pulses as they came: those of a channel that is reversed (PREFIX_REVERSED, older PREFIX_REV) are turned.
+    """
     low, high = settings.get(f"{prefix}_MIN", 1000.0), settings.get(f"{prefix}_MAX", 2000.0)
-    middle = low if one_sided else settings.get(f"{prefix}_TRIM", 0.5 * (low + high))
+    turned = settings.get(f"{prefix}_REVERSED", 0.0) > 0.0 or settings.get(f"{prefix}_REV", 1.0) < 0.0
+    end = high if turned else low
+    middle = end if one_sided else settings.get(f"{prefix}_TRIM", 0.5 * (low + high))
     span = (high - low) * (1.0 if one_sided else 0.5)
-    return Entry(name, "norm", 1, 1.0 / span, -middle / span) if span > 0.0 else None
+    return Entry(name, "norm", -1 if turned else 1, 1.0 / span, -middle / span) if span > 0.0 else None
 
 
 def _motors(log: Log) -> tuple[Chosen, list[str], dict[int, int]]:

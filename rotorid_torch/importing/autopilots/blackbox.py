@@ -87,7 +87,8 @@ def plan(log: Log) -> Plan:
     """Channels of a blackbox. Raises InputError where the motors' outputs have an unknown range."""
     columns = log.streams["", 0].columns
     full_names = {_bare(name): name for name in columns}
-    chosen = [_sensors(log, full_names), _voltage(log, full_names)]
+    angles = Chosen(missing="phi theta psi (name attitudes in a map: firmware differs in their units and signs)")
+    chosen = [_sensors(log, full_names), _voltage(log, full_names), angles]
     if "headspeed" in full_names or any("rotorflight" in str(key).lower() for key in (log.about, *log.parameters)):
         speed = Chosen({"omega": Entry(full_names["headspeed"], "rpm")}) if "headspeed" in full_names else Chosen()
         return merged("helicopter", [*chosen, _sticks(full_names, columns), speed], ["a helicopter: Rotorflight"])

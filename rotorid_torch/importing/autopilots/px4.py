@@ -141,7 +141,7 @@ def plan(log: Log) -> Plan:
         controls = first_or_faster(log, HELICOPTER)
         thrust = Chosen() if "col" in controls.entries else first_or_faster(log, THRUST)
         return replace(merged("helicopter", [*chosen, controls, thrust], notes), known=place)
-    number = MOTORS_OF.get(kind, 0)
+    number = _number(log, kind)
     commands, group = motors(log, number)
     turning, wrong = speeds(log, group, number)
     plan = merged("multirotor", [*chosen, commands, turning], [*notes, *wrong], _geometry(log, len(commands.entries)))
@@ -164,6 +164,12 @@ def _kind(log: Log) -> tuple[int, list[str]]:
         )
         return HELICOPTER_TYPE, [f"{reason}: taken for a helicopter"]
     return next((kind for kind in said.values() if kind), 0), []
+
+
+def _number(log: Log, kind: int) -> int:
+    """Number of motors: that of the control allocation, but for vehicles that need some of them to fly forward only."""
+    allocated = 0 if kind in VTOL else int(log.parameters.get("CA_ROTOR_COUNT", 0))
+    return allocated if allocated > 0 else MOTORS_OF.get(kind, 0)
 
 
 def _instance(log: Log, topic: str, numbers: Sequence[int]) -> tuple[int, str]:

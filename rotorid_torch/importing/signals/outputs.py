@@ -18,6 +18,8 @@ SLACK = 0.1
 """Share of a range by which outputs may lie outside: a trim, a spin-up, an idle below the least command."""
 REST_LEVELS = 3
 """Different values below a range that are levels of rest (disarmed, failsafe), not commands."""
+LEAST_PULSE = 800.0
+"""us: shorter ones no servo has, and motors that are told by counts rest far below that."""
 STRAY = 0.01
 """Share of samples that may lie outside: single damaged ones become missing samples."""
 
@@ -101,7 +103,8 @@ def of_px4(settings: Mapping[str, float], prefix: str, number: int, raw: Sequenc
     pulses = _px4_pulses(settings, prefix, number)
     if -1 in timers or settings.get("PWM_RATE") == 0.0:
         allowed.append(OutputRange(pulses.low / 8.0, pulses.high / 8.0, f"OneShot125, an eighth of {pulses.about}"))
-    return [pulses, *allowed] if mixed else [*allowed, pulses]  # outputs of DShot begin far below pulses
+    rests = len(parts) > 0 and LEAST_PULSE <= float(parts.min()) <= pulses.low
+    return [pulses, *allowed] if mixed or rests else [*allowed, pulses]  # counts begin far below pulses
 
 
 def _px4_pulses(settings: Mapping[str, float], prefix: str, number: int) -> OutputRange:

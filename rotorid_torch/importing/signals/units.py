@@ -64,7 +64,7 @@ UNITS: dict[str, Unit] = {
 
 SPELLINGS = (
     *(("degrees", "deg"), ("degree", "deg"), ("radians", "rad"), ("radian", "rad"), ("°", "deg"), ("/sec", "/s")),
-    *(("**2", "²"), ("^2", "²"), ("/s2", "/s²"), ("/s/s", "/s²"), ("µs", "us"), ("percent", "%"), ("pct", "%")),
+    *(("**2", "²"), ("^2", "²"), ("/s2", "/s²"), ("/s/s", "/s²"), ("percent", "%"), ("pct", "%")),
 )
 """What people write, and the same as the table has it."""
 WHOLE = {
@@ -78,18 +78,28 @@ WHOLE = {
 
 def find_unit(name: str) -> Unit | None:
     """Unit of this name, also written with ^2 or a plain 2, or in capitals; None where the table has none."""
-    name = name.strip()
+    name = name.strip().translate(MICRO)
     name = WHOLE.get(name.lower(), name)
     for typed, meant in SPELLINGS:
         name = name.replace(typed, meant)
     return UNITS.get(name) or (find_unit(name.lower()) if name != name.lower() else None)
 
 
+CLOCKS = {
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0),
+    **dict.fromkeys(("ms", "msec", "msecs", "millis", "millisecond", "milliseconds"), 1e-3),
+    **dict.fromkeys(("us", "usec", "usecs", "micros", "microsecond", "microseconds"), 1e-6),
+    **dict.fromkeys(("ns", "nsec", "nsecs", "nanos", "nanosecond", "nanoseconds"), 1e-9),
+    **{"minute": 60.0, "minutes": 60.0, "hour": 3600.0, "hours": 3600.0},
+}
+"""Seconds of one unit of a clock; `min` stands for a least value as often."""
+MICRO = str.maketrans(dict.fromkeys("\N{MICRO SIGN}\N{GREEK SMALL LETTER MU}", "u"))
+"""The two letters that are printed alike."""
+
+
 def clock_unit(name: str) -> float | None:
     """Seconds of one unit of a clock; None where it is none."""
-    return {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}.get(
-        name.strip().lower()
-    )
+    return CLOCKS.get(name.strip().lower().translate(MICRO))
 
 
 def names_of(measures: str) -> list[str]:

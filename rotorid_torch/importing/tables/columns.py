@@ -34,6 +34,8 @@ WHOLE = (QUATERNION, ("vn", "ve", "vd"))
 """What becomes channels where all of it is there."""
 USUAL_S = (1e-5, 2.0)
 """Shortest and longest usual interval of a record; beyond them the clock has another unit."""
+FASTEST_S = 0.5
+"""Longest usual interval of the fastest table of a file: a count of 1 ms is no second."""
 
 Columns = Mapping[str, np.ndarray]
 
@@ -53,13 +55,13 @@ def table_log(
     warnings: Sequence[str] = (),
 ) -> Log:
     """Log of one table or several (by topic), each with a clock among its columns. Raises InputError without one."""
-    streams = {}
+    streams, fastest = {}, ("", np.inf)
     for topic, columns in tables.items():
         name = next((column for column in columns if is_clock(topic, column, clock)), None)
         if name is None:
             continue
         stamps = np.asarray(columns[name], np.float64) * seconds_of(name, clock)
-        _refuse_other_unit(file, name, stamps)
+        fastest = min(fastest, (name, _interval(file, name, stamps)), key=lambda one: one[1])
         others = {column: values for column, values in columns.items() if column != name or len(columns) == 1}
         streams[topic, 0] = Stream(stamps, others)
     if not streams:
@@ -68,6 +70,8 @@ def table_log(
         near = names.nearest(wanted, listed) or f" (there are {', '.join(listed[:TOLD])})"
         expected = "a clock: a column time in s, or a map with time = { field = ..., unit = ... }"
         raise InputError(file, wanted, f"is missing{near if listed else ''}", expected)
+    if fastest[1] > FASTEST_S:
+        raise _other_unit(file, *fastest)
     return Log(file, "", "", streams, fields, warnings=tuple(warnings))
 
 
@@ -89,12 +93,19 @@ def time_of_day(text: str) -> float | None:
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
-def _refuse_other_unit(file: Path, name: str, stamps: np.ndarray) -> None:
+def _interval(file: Path, name: str, stamps: np.ndarray) -> float:
+    """Usual interval of a clock, s; 0 where it never runs. Raises InputError where its unit must be another one."""
     steps = np.diff(stamps[np.isfinite(stamps)])
-    typical = float(np.median(steps[steps > 0])) if (steps > 0).any() else USUAL_S[1]
-    if not USUAL_S[0] <= typical <= USUAL_S[1]:
-        wrong = f"has samples {typical:.4g} s apart"
-        raise InputError(file, name, wrong, f'time in s, or a map with time = {{ field = "{name}", unit = "us" }}')
+    typical = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    if typical and not USUAL_S[0] <= typical <= USUAL_S[1]:
+        raise _other_unit(file, name, typical)
+    return typical
+
+
+def _other_unit(file: Path, name: str, interval: float) -> InputError:
+    unit = "ms" if 0.5 <= interval <= 100.0 else "us"
+    wrong = f"has samples {interval:.4g} s apart"
+    return InputError(file, name, wrong, f'time in s, or a map with time = {{ field = "{name}", unit = "{unit}" }}')
 
 
 def apart(log: Log) -> list[Log]:
@@ -138,13 +149,14 @@ def own_entries(fields: Mapping[str, Sequence[str]]) -> dict[str, Entry]:
 
     `lat` and `lon` beside motors, and without the controls of a helicopter, are a place on the globe. Quaternions and
     velocities north, east and down are taken whole, quaternions also as `qw qx qy qz`, as `q1` to `q4` or as columns of
-    a matrix. Where there is a `motor0`, motors are counted from 0.
+    a matrix. Where there is a `motor0`, motors are counted from 0. A matrix `omega` of three columns is a vector.
     """
     entries: dict[str, Entry] = {}
     for topic, columns in fields.items():
         capitals = all(header_name(column)[0].isupper() for column in columns)
         bases = [header_name(column)[0].lower() if capitals else header_name(column)[0] for column in columns]
-        usual = {base: _usual(base) for base in bases}
+        vector = bases.count("omega[2]") and not bases.count("omega[3]") and not bases.count("motor[2]")
+        usual = {base: base if vector and base.startswith("omega[") else _usual(base) for base in bases}
         bare = {*usual.values()}
         one = {f"q{i}" for i in range(1, 5)} <= bare and "q0" not in bare
         whole = {n for some in WHOLE for n in some if bare.issuperset(some) or (one and some == QUATERNION)}

@@ -1,0 +1,141 @@
+"""Settings that decide what a number means: number of motors, protocol of outputs, reversed sticks, clocks by names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rotorid_torch as rotorid
+from rotorid_torch.errors import InputError
+from rotorid_torch.importing.logs import Imported
+from tests.importing.log_writers import Topics, motion, px4_topics, write_dataflash, write_ulog
+
+TIME = np.arange(0.0, 8.0, 0.01)
+MOTORS = tuple(f"motor{i}" for i in range(1, 5))
+
+
+def imported(file: Path) -> tuple[Imported, dict[str, np.ndarray]]:
+    """The import and the channels of its first flight."""
+    done = rotorid.import_log(file, file.parent / "set")
+    flight = rotorid.load(done.folder).flights[next(iter(done.flights))]
+    return done, {name: values.numpy() for name, values in flight.channels.items()}
+
+
+def floats(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {name: np.asarray(values, "<f4") for name, values in columns.items()}
+
+
+def hexa() -> dict[str, tuple]:
+    topics = px4_topics(seconds=8.0)
+    time, commands = topics["actuator_motors"]
+    more = {f"control[{i}]": commands[f"control[{i - 4}]"] for i in (4, 5)}
+    return topics | {"actuator_motors": (time, commands | more)}
+
+
+def test_the_number_of_motors_is_that_of_the_control_allocation(tmp_path: Path):
+    settings = {"MAV_TYPE": 2, "CA_AIRFRAME": 0, "CA_ROTOR_COUNT": 6}
+    _, channels = imported(write_ulog(tmp_path / "log.ulg", hexa(), settings))
+    assert [name for name in channels if name.startswith("motor")] == [f"motor{i}" for i in range(1, 7)]
+
+
+def test_the_pusher_of_a_vtol_is_no_motor_of_its_hover(tmp_path: Path):
+    settings = {"MAV_TYPE": 22, "CA_AIRFRAME": 2, "CA_ROTOR_COUNT": 5}
+    _, channels = imported(write_ulog(tmp_path / "log.ulg", hexa(), settings))
+    assert [name for name in channels if name.startswith("motor")] == [*MOTORS]
+
+
+def with_outputs(low: float, high: float, rest: float) -> Topics:
+    """A quadrotor of older firmware, whose outputs rest for two seconds and then run between low and high."""
+    topics = px4_topics(seconds=8.0)
+    time, commands = topics.pop("actuator_motors")
+    asked = {i: np.where(time < time[0] + 2.0, np.nan, commands[f"control[{i}]"]) for i in range(4)}
+    outputs = {f"output[{i}]": np.nan_to_num(low + (high - low) * asked[i], nan=rest) for i in range(4)}
+    idle = {f"output[{i}]": np.zeros(len(time)) for i in range(4, 16)}
+    return topics | {"actuator_outputs": (time, floats(outputs | idle))}
+
+
+@pytest.mark.parametrize("settings", [{"UAVCAN_ENABLE": 3}, {"DSHOT_CONFIG": 600}])
+def test_pulses_beside_another_protocol_are_known_by_their_rest(settings: dict, tmp_path: Path):
+    file = write_ulog(tmp_path / "log.ulg", with_outputs(1000.0, 2000.0, 900.0), {"MAV_TYPE": 2, **settings})
+    _, channels = imported(file)
+    time = 0.004 * np.arange(len(channels["motor1"]))
+    flown = (time > 2.2) & (time < 7.9)
+    assert channels["motor1"][flown] == pytest.approx(motion(time)["motor1"][flown], abs=0.01)
+
+
+@pytest.mark.parametrize(("settings", "high"), [({"UAVCAN_ENABLE": 3}, 8191.0), ({"DSHOT_CONFIG": 600}, 1999.0)])
+def test_the_other_protocol_is_known_by_its_rest_too(settings: dict, high: float, tmp_path: Path):
+    file = write_ulog(tmp_path / "log.ulg", with_outputs(1.0, high, 0.0), {"MAV_TYPE": 2, **settings})
+    _, channels = imported(file)
+    assert channels["motor1"].max() == pytest.approx(0.7, abs=0.01)
+
+
+@pytest.mark.parametrize("reversed_by", [("RC{}_REVERSED", 1.0), ("RC{}_REV", -1.0)])
+def test_reversed_sticks_are_turned_back(reversed_by: tuple[str, float], tmp_path: Path):
+    key, value = reversed_by
+    m = motion(TIME)
+    sticks = [0.6 * np.sin(TIME), 0.4 * np.cos(TIME), 0.5 + 0.2 * np.sin(2.0 * TIME), 0.1 * TIME / 8.0]
+    pulses = [1500.0 + 500.0 * sticks[0], 1500.0 - 500.0 * sticks[1], 2000.0 - 1000.0 * sticks[2]]
+    pulses.append(1500.0 + 500.0 * sticks[3])
+    topics = {
+        "IMU": (TIME + 20.0, floats({f"Gyr{a}": m[n] for a, n in zip("XYZ", "pqr", strict=True)})),
+        "RCIN": (TIME + 20.0, {f"C{i + 1}": np.round(row).astype("<u2") for i, row in enumerate(pulses)}),
+    }
+    settings = {"FRAME_CLASS": 6.0, key.format(2): value, key.format(3): value}
+    _, channels = imported(write_dataflash(tmp_path / "log.bin", topics, settings, "ArduCopter V4.5.1"))
+    for name, asked in zip(("lat", "lon", "col", "ped"), sticks, strict=True):
+        assert channels[name] == pytest.approx(asked, abs=3e-3)
+
+
+def table(clock: str, stamps: np.ndarray, folder: Path) -> Path:
+    m = motion(TIME)
+    columns = {clock: stamps, **{name: m[name] for name in ("p", "q", "r", *MOTORS)}}
+    rows = "\n".join(",".join(f"{v:.12g}" for v in row) for row in zip(*columns.values(), strict=True))
+    file = folder / "t.csv"
+    file.write_text(",".join(columns) + "\n" + rows, encoding="utf-8")
+    return file
+
+
+CLOCKS = {
+    "time (milliseconds)": 1e3,
+    "time (usec)": 1e6,
+    "Time [\N{GREEK SMALL LETTER MU}s]": 1e6,
+    "Time [\N{MICRO SIGN}s]": 1e6,
+    "t [minutes]": 1.0 / 60.0,
+    "timestamp [hours]": 1.0 / 3600.0,
+}
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_units_of_clocks_are_believed_as_people_write_them(clock: str, tmp_path: Path):
+    _, channels = imported(table(clock, CLOCKS[clock] * TIME, tmp_path))
+    assert len(channels["p"]) == len(TIME)
+    assert channels["p"] == pytest.approx(motion(TIME)["p"], abs=1e-3)
+
+
+def test_a_count_of_milliseconds_is_not_taken_for_seconds(tmp_path: Path):
+    with pytest.raises(InputError, match=r"time.*samples 1 s apart; expected time in s"):
+        imported(table("time", 100.0 * TIME, tmp_path))
+
+
+def test_body_rates_in_one_matrix_are_no_rotor_speeds(tmp_path: Path):
+    m = motion(TIME)
+    rates = np.stack([m[name] for name in "pqr"], 1)
+    np.savez(tmp_path / "m.npz", time=TIME, omega=rates, **{name: m[name] for name in ("p", "q", "r", *MOTORS)})
+    done, channels = imported(tmp_path / "m.npz")
+    assert not [name for name in channels if name.startswith("omega")]
+    assert any("omega[0]" in warning for warning in done.warnings)
+
+
+def test_a_blackbox_says_that_it_has_no_attitude(tmp_path: Path):
+    m = motion(TIME)
+    columns = {"loopIteration": np.arange(len(TIME)), "time (us)": 1e6 * TIME}
+    columns |= {f"gyroADC[{i}]": np.degrees(s * m[n]) for i, (n, s) in enumerate((("p", 1), ("q", -1), ("r", -1)))}
+    columns |= {f"motor[{i}]": 1000.0 + 1000.0 * m[name] for i, name in enumerate(MOTORS)}
+    rows = "\n".join(",".join(f"{v:.9g}" for v in row) for row in zip(*columns.values(), strict=True))
+    (tmp_path / "b.csv").write_text(",".join(columns) + "\n" + rows)
+    done, _ = imported(tmp_path / "b.csv")
+    assert any("no data" in warning and "phi theta psi" in warning for warning in done.warnings)
