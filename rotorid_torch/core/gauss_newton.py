@@ -103,6 +103,8 @@ class Options:
 class Minimum(Generic[P]):
     """Where it ended: the point, the linear model there, the masks of the parameters, and a sentence.
 
+    determined : of those whose columns the covariance is of: free, on no bound, and of each direction that the data
+    cannot tell one held. Others in such a direction are determined by that one alone, and not identifiable too.
     dampings : Levenberg-Marquardt damping after each accepted step; none of other methods.
     """
 
@@ -110,6 +112,7 @@ class Minimum(Generic[P]):
     linear: Linear
     at_bound: Tensor
     not_identifiable: Tensor
+    determined: Tensor
     converged: bool
     message: str
     iterations: int
@@ -162,7 +165,7 @@ def minimise(
         linear = linearise(point)
         if not math.isfinite(point.cost):
             raise InfiniteCost
-        problem, blind = _subproblem(linear, point.theta, region)
+        problem, _ = _subproblem(linear, point.theta, region)
         whole = linear.decrease(_bounded_step(problem, 0.0)) + linear.prior_cost
         if whole <= options.tolerance * abs(point.cost) + options.absolute + ROUNDING * abs(history[0]):
             converged, message = True, "converged: the predicted decrease is below the tolerance"
@@ -180,13 +183,14 @@ def minimise(
         dampings.append(damping)
         if monitor is not None:
             monitor(iteration, point.cost, point.theta)
-    masks = region.mask & region.on_bound(point.theta), region.mask & blind
-    return Minimum(point, linear, *masks, converged, message, iteration, history, dampings)
+    return Minimum(point, linear, *masks(linear, point.theta, region), converged, message, iteration, history, dampings)
 
 
-def undetermined(linear: Linear, theta: Tensor, region: Region) -> Tensor:
-    """Mask [n] of the parameters in directions that the data cannot tell at a point, as `minimise` names them."""
-    return _subproblem(linear, theta, region)[1]
+def masks(linear: Linear, theta: Tensor, region: Region) -> tuple[Tensor, Tensor, Tensor]:
+    """Masks [n] of the parameters at a point: on a bound, not identifiable, determined, as `Minimum` has them."""
+    problem, blind = _subproblem(linear, theta, region)
+    on_bound = region.mask & region.on_bound(theta)
+    return on_bound, region.mask & blind, problem.free & ~on_bound
 
 
 def _subproblem(linear: Linear, theta: Tensor, region: Region) -> tuple[_Subproblem, Tensor]:

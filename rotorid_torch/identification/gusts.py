@@ -321,7 +321,7 @@ def _axes(
 
     before : trims before the rates among the unknowns. A rate at its bound is as uncertain as that.
     """
-    identifiable = ~(minimum.at_bound | minimum.not_identifiable)
+    identifiable = minimum.determined
     inverse = inverse_triangle(minimum.linear, identifiable)
     covariance = torch.zeros(len(identifiable), len(identifiable), dtype=torch.float64)
     covariance[identifiable[:, None] & identifiable] = (inverse @ inverse.mT).flatten()

@@ -111,6 +111,8 @@ def test_names_what_the_data_cannot_tell() -> None:
     found = solve(lambda th: 100.0 * (A @ th - b), tensor(0.5, 0.1, 0.0, 3.0), lower, upper)
     assert found.converged
     assert found.not_identifiable.tolist() == [True, True, False, True]
+    assert found.determined[:2].sum() == 1
+    assert found.determined[2:].tolist() == [True, False]
     theta = found.point.theta
     assert float(theta[3]) == 3.0
     torch.testing.assert_close(theta[0] + theta[1], tensor(2.0)[0], rtol=1e-7, atol=0)

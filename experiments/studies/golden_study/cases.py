@@ -33,6 +33,8 @@ class Kind(StrEnum):
     CLEAN = "clean"
     EFFECT = "effect"
     PAIR = "pair"
+    GUSTS = "gusts"
+    """Turbulence at its typical size: with nothing else, with a delay, with a slung load."""
     OUTSIDE = "outside"
     """A cause that no library has."""
     REMOVED = "removed"
@@ -53,6 +55,11 @@ class Half(StrEnum):
 SEEDS = {Half.TUNING: 101, Half.JUDGING: 202}
 SIZES = (1.0, 0.5)
 PAIRS, OUTSIDE_AIRCRAFT = 14, 3
+IN_GUSTS = (
+    ("environment.turbulence",),
+    ("environment.turbulence", "control.delay"),
+    ("environment.turbulence", "mass.slung_load"),
+)
 """Pairs of a round, and aircraft on each of which each outside cause acts in a round."""
 TINY = ("f321_lon", "f321_lat", "f321_col", "f321_ped", "dbl_lat_n")
 TINY_SECONDS = 4.0
@@ -173,6 +180,8 @@ def drawn_cases(half: Half, aircraft: int, clean: int, rounds: int) -> Iterator[
         order = np.random.default_rng([SEEDS[half], n]).permutation(len(hidden))
         for turn, (kind, effects, size, repeat) in enumerate(hidden[k] for k in order):
             yield Case(half, kind, effects, size, (turn + n) % aircraft, repeat=repeat)
+    for k in range(clean):
+        yield from (Case(half, Kind.GUSTS, hidden, 1.0, k % aircraft, repeat=k // aircraft) for hidden in IN_GUSTS)
 
 
 def _pairs(half: Half, repeat: int) -> list[tuple[str, str]]:

@@ -103,6 +103,8 @@ def _column(lines: Sequence[dict]) -> dict[str, str]:
     for size in SIZES:
         rows[f"identifiable, size {size:g}: named, nothing false beside"] = rate(of_class("identifiable", size), named)
     rows["pairs: both named"] = rate(of(Kind.PAIR), named)
+    rows["in gusts: all named"] = rate(of(Kind.GUSTS), named)
+    rows["in gusts: misnamed"] = rate(of(Kind.GUSTS), wrong)
     rows["records of others, a cause put into them: named"] = rate(records, named)
     rows["absorbed: misnamed"] = rate(of_class("absorbed", *SIZES), wrong)
     rows["outside causes: misnamed"] = rate(outside, wrong)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.gauss_newton import FLOOR, Minimum, Options, Region, undetermined
+from rotorid_torch.core.gauss_newton import FLOOR, Minimum, Options, Region, masks
 from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
 
 MEMORY = 20
@@ -55,10 +55,9 @@ def minimise_lbfgs(
             monitor(iteration, history[-1], variables.values()[0].detach())
     place = variables.place()
     linear = problem.linearise(place)
-    region = Region(problem.system.lower, problem.system.upper)
-    on_bound, blind = region.on_bound(place.theta), undetermined(linear, place.theta, region)
+    masked = masks(linear, place.theta, Region(problem.system.lower, problem.system.upper))
     message = "converged: the cost no longer falls" if converged else f"stopped after {iteration} iterations"
-    return Minimum(place, linear, on_bound, blind, converged, message, iteration, history)
+    return Minimum(place, linear, *masked, converged, message, iteration, history)
 
 
 class _Variables:

@@ -126,7 +126,7 @@ class Fit:
         if self.computed is not None:
             return self.computed
         problem, minimum = self.likelihood, self.minimum
-        return uncertainty(problem, minimum.point, minimum.linear, _estimated(minimum), _loss(problem, minimum))
+        return uncertainty(problem, minimum.point, minimum.linear, minimum.determined, _loss(problem, minimum))
 
     @property
     def theta(self) -> Tensor:
@@ -143,7 +143,8 @@ class Fit:
         if self.computed is not None or "uncertainty" in self.__dict__:
             return self.errors[asked]
         minimum = self.minimum
-        return errors_of(self.likelihood, minimum.point, minimum.linear, _estimated(minimum), asked)
+        errors = errors_of(self.likelihood, minimum.point, minimum.linear, minimum.determined, asked)
+        return torch.where(_estimated(minimum)[asked], errors, torch.inf)
 
     @cached_property
     def jackknife(self) -> Tensor:
@@ -151,7 +152,7 @@ class Fit:
         if self.computed is not None or "uncertainty" in self.__dict__:
             return self.uncertainty.jackknife
         place, problem = self.minimum.point, self.likelihood
-        return jackknife(place.blocks, problem.prior_rows(place), _estimated(self.minimum), problem.ranks)
+        return jackknife(place.blocks, problem.prior_rows(place), self.minimum.determined, problem.ranks)
 
     def estimate(self) -> Estimate:
         """The fit without its flights."""
@@ -236,7 +237,7 @@ def fit(
 
 def _estimated(minimum: Minimum[Place]) -> Tensor:
     """Mask [P] of the parameters that were estimated."""
-    return ~(minimum.at_bound | minimum.not_identifiable)
+    return minimum.determined & ~minimum.not_identifiable
 
 
 def _errors(fit: Fit | Estimate) -> Tensor:

@@ -156,15 +156,15 @@ class Unknowns:
 class Held:
     """Where the alternation ended.
 
-    psi, x0 : all unknowns. cost : minus log-likelihood of the filter, and of what is known beforehand. at_bound,
-    blind : masks of psi; parameters that cannot be told. history : costs of the rounds.
+    psi, x0 : all unknowns. cost : minus log-likelihood of the filter, and of what is known beforehand. masks : of
+    psi, as `core.gauss_newton.Minimum` has them: on a bound, not identifiable, determined. history : costs of the
+    rounds.
     """
 
     psi: Tensor
     x0: Tensor
     cost: float
-    at_bound: Tensor
-    blind: Tensor
+    masks: tuple[Tensor, Tensor, Tensor]
     converged: bool
     history: list[float]
 
@@ -183,11 +183,12 @@ def alternated(
     monitor : called after each round with round, cost, theta.
     """
     psi, x0, count, held = start.psi, start.x0, len(filter.problem.system.theta), filter.compiled.held
-    noises_region = region.part(slice(held, None))
+    noises_region = region.part(slice(held, None), region.mask[held:])
     theta_region = region.part(slice(count), torch.arange(count) < held)
     following = Following.of(filter, psi[:count], x0, filter.gains(psi, x0))
     history, settled = [float(filter.cost(psi, x0).sum())], False
-    masks = [torch.zeros_like(psi, dtype=torch.bool) for _ in range(2)]
+    nothing = torch.zeros_like(psi, dtype=torch.bool)
+    masks = nothing, nothing, nothing
     for k in range(rounds):
         noises = InnovationLikelihood(Noises(filter, psi[:held]), x0, free=False)
         noise_fit = minimise(noises.evaluate, noises.linearise, psi[held:], noises_region, NOISES)
@@ -195,10 +196,11 @@ def alternated(
         following = replace(following, gains=filter.gains(psi, x0))
         likelihood = InnovationLikelihood(following, x0, start.free)
         fit = minimise(likelihood.evaluate, likelihood.linearise, psi[:count], theta_region, PARAMETERS)
-        masks = [
-            torch.cat([one[:held], other])
-            for one, other in ((fit.at_bound, noise_fit.at_bound), (fit.not_identifiable, noise_fit.not_identifiable))
-        ]
+        masks = (
+            torch.cat([fit.at_bound[:held], noise_fit.at_bound]),
+            torch.cat([fit.not_identifiable[:held], noise_fit.not_identifiable]),
+            torch.cat([fit.determined[:held], noise_fit.determined]),
+        )
         moved = _believed(filter, psi, x0, fit.point, noise_fit.point.cost)
         if moved is not None:
             psi, x0 = moved
@@ -208,7 +210,7 @@ def alternated(
         settled = history[-2] - history[-1] < ENOUGH
         if settled:
             break
-    return Held(psi, x0, history[-1], masks[0], masks[1], settled, history)
+    return Held(psi, x0, history[-1], masks, settled, history)
 
 
 def _believed(

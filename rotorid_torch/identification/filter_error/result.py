@@ -131,7 +131,7 @@ def sizes(form: CovarianceForm, numbers: Tensor, covariance: Tensor, loss: float
     return [
         ParameterEstimate(
             name=name,
-            value=value if value > 1e-149 else 0.0,
+            value=value if abs(value) > 1e-149 else 0.0,
             se=error if low + 1e-149 < value < high else math.nan,
             unit=unit,
             bounds=(low, high),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import torch
@@ -86,7 +87,7 @@ class Search:
         except Unsupported as error:
             raise InputError("arguments", "gain", f"the model cannot be compiled: {error}", '"exact"') from error
 
-    @property
+    @cached_property
     def _region(self) -> Region:
         system, problem = self.problem.system, self.problem
         nothing = torch.zeros(len(problem.process.names), dtype=torch.float64)
@@ -95,17 +96,31 @@ class Search:
         more = torch.full((len(lower) - len(system.upper),), math.inf, dtype=torch.float64)
         return Region(lower, torch.cat([system.upper, more]))
 
+    @property
+    def _regions(self) -> list[Region]:
+        """Without correlations of the noises first: far from the maximum these could make a noise vanish for good."""
+        forms = self.problem.process, self.problem.noise
+        alone = torch.ones(len(self.problem.system.theta), dtype=torch.bool)
+        each = [torch.arange(one.count) < len(one.which) for one in forms]
+        without = replace(self._region, free=torch.cat([alone, *each]))
+        return [self._region] if bool(without.mask.all()) else [without, self._region]
+
     def _watch(self, iteration: int, cost: float, psi: Tensor) -> None:
         if self.monitor is not None:
             self.monitor(iteration, cost, psi[: len(self.problem.system.theta)])
 
     def _descending(self, engine: FilterEngine, psi: Tensor, x0: Tensor) -> Maximum:
-        """Gauss-Newton on all unknowns, and once more from hardly any process noise."""
+        """Gauss-Newton on all unknowns, correlations of noises last, and once more from hardly any process noise."""
         likelihood = InnovationLikelihood(engine, x0, self.free)
         options = replace(FINE, max_iterations=self.iterations)
-        descend = lambda start: minimise(  # noqa: E731
-            likelihood.evaluate, likelihood.linearise, start, self._region, options, self._watch
-        )
+
+        def descend(start: Tensor | FilterPlace) -> Minimum[FilterPlace]:
+            history = list[float]()
+            for region in self._regions:
+                end = minimise(likelihood.evaluate, likelihood.linearise, start, region, options, self._watch)
+                start, history = end.point, history + end.history
+            return replace(end, history=history)
+
         best = descend(psi)
         calmer = likelihood.at(_with_less(self.problem, best.point.theta), best.point.x0)
         if self.problem.process.count and math.isfinite(calmer.cost):
@@ -116,12 +131,15 @@ class Search:
     def _alternating(self, engine: HeldEngine, psi: Tensor, x0: Tensor) -> Maximum:
         """Noises and parameters in turn, gains held while parameters move."""
         rounds = max(1, self.iterations)
-        held = alternated(engine.filtering, Unknowns(psi, x0, self.free), self._region, rounds, self._watch)
+        at, history = Unknowns(psi, x0, self.free), list[float]()
+        for region in self._regions:
+            held = alternated(engine.filtering, at, region, rounds, self._watch)
+            at, history = replace(at, psi=held.psi, x0=held.x0), history + held.history
         likelihood = InnovationLikelihood(engine, held.x0, self.free)
         place = likelihood.evaluate(held.psi)
         said = "converged: the likelihood stands still" if held.converged else f"stopped after {rounds} rounds"
         linear = likelihood.linearise(place)
-        ended = held.at_bound, held.blind, held.converged, said, len(held.history) - 1, held.history
+        ended = *held.masks, held.converged, said, len(history) - 1, history
         return Maximum(engine, likelihood, Minimum(place, linear, *ended))
 
 

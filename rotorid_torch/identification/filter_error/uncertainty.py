@@ -29,7 +29,7 @@ def uncertainty(
 
     engine : what makes the likelihood's rows. loss : samples over samples minus estimated numbers.
     """
-    place, identifiable = minimum.point, ~(minimum.at_bound | minimum.not_identifiable)
+    place, identifiable = minimum.point, minimum.determined
     plain = torch.zeros(len(identifiable), len(identifiable), dtype=torch.float64)
     if not bool(identifiable.any()):
         return Uncertainty(plain, plain, plain.diagonal(), plain, plain.diagonal())

@@ -277,7 +277,7 @@ def screens(
     """The same of several groups of effects, each with the spec that its effects join, in one pass over the flights."""
     probes = [_Probe.of(null, spec, effects) for spec, effects in groups]
     counts = [len(probe.chosen) for probe in probes]
-    keep = ~(null.fit.minimum.at_bound | null.fit.minimum.not_identifiable)
+    keep = null.fit.minimum.determined
     names = [n for n, keeps in zip(null.names, keep.tolist(), strict=True) if keeps]
     problem, place = null.fit.likelihood, null.fit.minimum.point
     chance = torch.Generator().manual_seed(seed)

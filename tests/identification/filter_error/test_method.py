@@ -24,6 +24,7 @@ from tests.identification.filter_error.gust_cases import (
     BIASES,
     LATERAL,
     LATERAL_GUSTS,
+    LATERAL_NOISE,
     gusty_roll,
     lateral_flight,
     lateral_model,
@@ -65,6 +66,51 @@ def test_gains_that_are_held_lead_to_the_same_parameters_and_errors(lateral: Fil
     for p, q in zip(held.parameters + held.process_noise, lateral.parameters + lateral.process_noise, strict=True):
         assert abs(p.value - q.value) < q.se, (p.name, p.value, q.value)
         assert 0.9 < p.se / q.se < 1.5
+
+
+class Biased(nn.Module):
+    """A lag whose output has a bias that its drift and initial state can take the place of."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        for name, value in {"a": -1.0, "b": 1.0, "drift": 0.0, "bias": 0.0}.items():
+            setattr(self, name, nn.Parameter(torch.tensor(value)))
+
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Tensor:
+        return self.a * x + self.b * u + self.drift
+
+    def output(self, x: Tensor, u: Tensor) -> Tensor:
+        return x + self.bias
+
+
+@pytest.mark.parametrize("estimator", [output_error, filter_error])
+def test_a_direction_that_nothing_tells_leaves_the_errors_of_all_else_as_they_are(estimator: Any) -> None:
+    rng, time = np.random.default_rng(0), 0.05 * np.arange(300)
+    u, x = np.sign(np.sin(time))[:, None], np.zeros((300, 1))
+    for k in range(299):
+        x[k + 1] = x[k] + 0.05 * (-2.0 * x[k] + 3.0 * u[k] + 0.5)
+    outputs = x + 0.2 + 0.05 * rng.standard_normal((300, 1))
+    flight = {"time": time, "controls": u, "outputs": outputs, "x0": [0.0]}
+    free = ["a", "b", "drift", "bias"]
+    every, enough = estimator(Biased(), [flight], free=free), estimator(Biased(), [flight], free=free[:3])
+    assert [p.status for p in every.parameters] == ["free", "free", "not identifiable", "not identifiable"]
+    assert all(np.isnan(p.se) for p in every.parameters[2:])
+    for p, q in zip(every.parameters[:2], enough.parameters[:2], strict=True):
+        assert abs(p.value - q.value) < 1e-2 * q.se
+        assert abs(p.se / q.se - 1.0) < 1e-2
+
+
+@pytest.mark.parametrize("gain", ["exact", "held"])
+def test_noises_that_may_be_correlated_explain_no_less_and_correlations_have_signs(gain: str) -> None:
+    flight = lateral_flight(np.random.default_rng([0, 0]))
+    flight["outputs"][:, 2] -= 8.0 * np.random.default_rng(1).standard_normal(len(flight["time"])) * LATERAL_NOISE[2]
+    flight["outputs"][:, 1] += 8.0 * np.random.default_rng(1).standard_normal(len(flight["time"])) * LATERAL_NOISE[1]
+    alone = filter_error(lateral_model(), [flight], gain=gain)
+    pair = filter_error(lateral_model(), [flight], process_noise="full", noise="full", gain=gain)
+    assert pair.converged
+    assert pair.log_likelihood > alone.log_likelihood + 100.0
+    correlation = next(p for p in pair.measurement_noise if p.name == "y[2], y[1]")
+    assert -1.0 < correlation.value < -0.9
 
 
 @pytest.mark.parametrize("start", [(0.0, 0.0, 0.0), (2.0, 3.0, -4.0), (-9.0, -20.0, 30.0)])
