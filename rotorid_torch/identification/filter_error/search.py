@@ -17,7 +17,7 @@ from rotorid_torch.identification.estimate.own_models.steps import Stepped, in_s
 from rotorid_torch.identification.estimate.progressive_fit import FINE, Monitor
 from rotorid_torch.identification.estimate.segments import Records
 from rotorid_torch.identification.filter_error.extended_kalman import Filtered, FilterProblem
-from rotorid_torch.identification.filter_error.held_gain import HeldEngine, Unknowns, alternated
+from rotorid_torch.identification.filter_error.held_gain import Held, HeldEngine, Unknowns, alternated
 from rotorid_torch.identification.filter_error.innovations import (
     FilterEngine,
     FilterPlace,
@@ -114,12 +114,15 @@ class Search:
         likelihood = InnovationLikelihood(engine, x0, self.free)
         options = replace(FINE, max_iterations=self.iterations)
 
+        def within(region: Region, start: Tensor | FilterPlace) -> Minimum[FilterPlace]:
+            return minimise(likelihood.evaluate, likelihood.linearise, start, region, options, self._watch)
+
         def descend(start: Tensor | FilterPlace) -> Minimum[FilterPlace]:
-            history = list[float]()
-            for region in self._regions:
-                end = minimise(likelihood.evaluate, likelihood.linearise, start, region, options, self._watch)
-                start, history = end.point, history + end.history
-            return replace(end, history=history)
+            end = within(self._regions[0], start)
+            for region in self._regions[1:]:
+                before, end = end.history, within(region, end.point)
+                end = replace(end, history=before + end.history)
+            return end
 
         best = descend(psi)
         calmer = likelihood.at(_with_less(self.problem, best.point.theta), best.point.x0)
@@ -131,15 +134,19 @@ class Search:
     def _alternating(self, engine: HeldEngine, psi: Tensor, x0: Tensor) -> Maximum:
         """Noises and parameters in turn, gains held while parameters move."""
         rounds = max(1, self.iterations)
-        at, history = Unknowns(psi, x0, self.free), list[float]()
-        for region in self._regions:
-            held = alternated(engine.filtering, at, region, rounds, self._watch)
-            at, history = replace(at, psi=held.psi, x0=held.x0), history + held.history
+
+        def within(region: Region, psi: Tensor, x0: Tensor) -> Held:
+            return alternated(engine.filtering, Unknowns(psi, x0, self.free), region, rounds, self._watch)
+
+        held = within(self._regions[0], psi, x0)
+        for region in self._regions[1:]:
+            before, held = held.history, within(region, held.psi, held.x0)
+            held = replace(held, history=before + held.history)
         likelihood = InnovationLikelihood(engine, held.x0, self.free)
         place = likelihood.evaluate(held.psi)
         said = "converged: the likelihood stands still" if held.converged else f"stopped after {rounds} rounds"
         linear = likelihood.linearise(place)
-        ended = *held.masks, held.converged, said, len(history) - 1, history
+        ended = *held.masks, held.converged, said, len(held.history) - 1, held.history
         return Maximum(engine, likelihood, Minimum(place, linear, *ended))
 
 
