@@ -29,6 +29,8 @@ Numbers = Tensor | np.ndarray | Sequence[Any]
 """What is taken as an array."""
 LISTED = 12
 """Names that a message lists at most."""
+BESIDE = 0.1
+"""By which inputs are moved where a function is called once more: at zero much is zero that changes elsewhere."""
 ROUNDING = 1e-9
 """Of the largest entry: what a covariance may be off symmetry, or a negative eigenvalue, by rounding."""
 
@@ -341,9 +343,9 @@ def evaluated(
 
     wanted : shape of the result. form : how the function is to be written, "f(x, u) -> dx/dt".
 
-    Raises InputError: it takes other arguments, fails, leaves torch, or gives another shape.
+    Raises InputError: it takes other arguments, fails, leaves torch, gives another shape, or other numbers each time.
     """
-    _refuse_signature(argument, function, len(inputs), form)
+    refuse_signature(argument, function, len(inputs), form)
     watched = [value.detach().clone().requires_grad_() for value in inputs]
     try:
         with torch.enable_grad():
@@ -351,19 +353,53 @@ def evaluated(
     except InputError:
         raise
     except Exception as error:
-        raise argument.wrong(*_failure(error, form)) from error
+        raise argument.wrong(*_failure(error, form, inputs)) from error
     if not isinstance(result, Tensor):
         kind = "a NumPy array" if isinstance(result, np.ndarray) else described(result)
         raise argument.wrong(f"returns {kind}", f"a tensor: {form}, with torch.stack([...], dim=-1) for several rows")
     if tuple(result.shape) != tuple(wanted):
-        shapes = f"returns shape {tuple(result.shape)} for {', '.join(str(tuple(v.shape)) for v in inputs)}"
-        raise argument.wrong(shapes, f"shape {tuple(wanted)}; {form}: write x[..., 0], not x[0]")
+        shapes = f"returns shape {tuple(result.shape)} for {_shapes(inputs)}"
+        raise argument.wrong(shapes, f"shape {tuple(wanted)}; {form}{_reshaping(result, wanted)}")
     if result.is_complex():
         raise argument.wrong("returns complex numbers", f"real numbers; {form}")
+    _refuse_changing(argument, function, inputs)
     return result.detach()
 
 
-def _refuse_signature(argument: Argument, function: Callable[..., Any], count: int, form: str) -> None:
+def _shapes(inputs: Sequence[Tensor]) -> str:
+    return ", ".join(str(tuple(value.shape)) for value in inputs)
+
+
+def _reshaping(result: Tensor, wanted: Sequence[int]) -> str:
+    """What may lead to the wanted shape."""
+    if tuple(result.shape) in (tuple(wanted[:-1]), (*wanted, 1)):
+        return ": keep one last dimension, as x[..., :1] or torch.stack([...], dim=-1)"
+    return "" if result.shape[:-1] == torch.Size(wanted[:-1]) else ": write x[..., 0], not x[0]"
+
+
+def _refuse_changing(argument: Argument, function: Callable[..., Any], inputs: Sequence[Tensor]) -> None:
+    """A function whose values, or whose module's buffers, are others at each call."""
+    owner: Any = getattr(function, "__self__", function)
+    buffers = dict(owner.named_buffers()) if isinstance(owner, torch.nn.Module) else {}
+    before = {name: buffer.clone() for name, buffer in buffers.items()}
+    values: list[Tensor] = []
+    with torch.no_grad(), suppress(Exception):  # beside the start a function need not hold
+        values = [function(*(value.detach() + BESIDE for value in inputs)).nan_to_num() for _ in range(2)]
+    changed = [f"changes {name}" for name, buffer in buffers.items() if not torch.equal(buffer, before[name])]
+    if values and not torch.equal(*values):
+        changed.append("gives other numbers")
+    if changed:
+        same = "the same for the same inputs: no random numbers, and model.eval() for dropout and batch norm"
+        raise argument.wrong(f"{changed[0]} at each call", same)
+
+
+def refuse_signature(argument: Argument, function: Any, count: int, form: str) -> None:
+    """What cannot be called with so many arguments in order.
+
+    Raises InputError: no function, a class, or other arguments.
+    """
+    if isinstance(function, type):
+        raise argument.wrong(f"is {described(function)}", f"a function {form}: {function.__name__}()")
     if not callable(function):
         raise argument.wrong(f"is {described(function)}", f"a function {form}")
     try:
@@ -385,12 +421,17 @@ _TRANSLATED = (
 """What torch says of shapes, in words."""
 
 
-def _failure(error: Exception, form: str) -> tuple[str, str]:
-    """What to say of a function that has failed, and what was expected."""
+def _failure(error: Exception, form: str, inputs: Sequence[Tensor]) -> tuple[str, str]:
+    """What to say of a function that has failed at some inputs, and what was expected."""
     text = (str(error).splitlines() or [""])[0]
     for pattern, words in _TRANSLATED:
         if matched := re.search(pattern, text):
-            return f"fails: {words.format(*matched.groups())}", f"{form} for batches: write x[..., 0], not x[0]"
+            fails = f"fails: {words.format(*matched.groups())}, for inputs of shapes {_shapes(inputs)}"
+            return fails, f"{form} for batches: write x[..., 0], not x[0]"
+    if "in-place operation" in text:
+        return "changes its inputs in place", f"new tensors: a * x for x.mul_(a); {form}"
+    if "uninitialized parameter" in text:
+        return "has parameters without a shape", f"a model of torch's lazy modules that was called once; {form}"
     if "numpy" in text.lower():
         return "uses NumPy, which knows no derivatives", f"torch functions: torch.sin for np.sin; {form}"
     return f"fails: {type(error).__name__}: {text[:160]}", form

@@ -24,13 +24,15 @@ RAW = (
 
 
 def one_line(call: Callable[[], Any], key: str) -> str:
-    """The refusal of a call."""
+    """The refusal of a call; key : of it, and behind " | " words of the line."""
     with pytest.raises(InputError) as refused:
         call()
     line = str(refused.value)
     assert len(line.splitlines()) == 1
     assert len(line) < 400
+    key, _, words = key.partition(" | ")
     assert key in f"{refused.value.file}: {refused.value.key}", line
+    assert words in line, line
     assert refused.value.expected
     assert not any(word in line for word in RAW), line
     return line

@@ -106,6 +106,51 @@ class Uncompiled(nn.Module):
         return x
 
 
+class InPlace(Lag):
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Any:
+        return x.mul_(self.a) + self.b * u
+
+
+class LogOfNegative(Lag):
+    def output(self, x: Tensor, u: Tensor) -> Any:
+        return torch.log(x - 1.0)
+
+
+class WithoutColumns(Lag):
+    def output(self, x: Tensor, u: Tensor) -> Any:
+        return x[..., 0]
+
+
+class Gusty(Lag):
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Any:
+        return self.a * x + self.b * u + torch.randn_like(x)
+
+
+class Layered(Lag):
+    """With a layer between the state and its rate."""
+
+    def __init__(self, layer: nn.Module) -> None:
+        super().__init__()
+        self.layer = layer.double()
+
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Any:
+        return self.a * self.layer(x) + self.b * u
+
+
+class OfMass(Lag):
+    """With a mass that is no parameter."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.mass = 2.0
+
+
+def starting_at(value: float) -> Lag:
+    model = Lag()
+    model.a = scalar(value)
+    return model
+
+
 class Complex(nn.Module):
     def __init__(self) -> None:
         super().__init__()
@@ -186,6 +231,14 @@ MODELS: list[tuple[str, dict[str, Any], str]] = [
     ("a class", {"model": Lag}, "model"),
     ("a function", {"model": lambda t, x, u: x}, "model"),
     ("None for a model", {"model": None}, "model"),
+    ("a state changed in place", {"model": InPlace()}, "forward | in place"),
+    ("an output that is no number at x0", {"model": LogOfNegative()}, "output | gives NaN"),
+    ("an output without its last dimension", {"model": WithoutColumns()}, "output | x[..., :1]"),
+    ("random numbers in forward", {"model": Gusty()}, "forward | gives other numbers at each call"),
+    ("dropout in training", {"model": Layered(nn.Dropout())}, "forward | model.eval()"),
+    ("batch norm in training", {"model": Layered(nn.BatchNorm1d(1))}, "forward | model.eval()"),
+    ("a lazy layer", {"model": Layered(nn.LazyLinear(1))}, "layer.weight | called once"),
+    ("a parameter that is NaN", {"model": starting_at(math.nan)}, "a | starts at NaN"),
 ]
 FLIGHTS: list[tuple[str, dict[str, Any], str]] = [
     ("a dict for a list", {"flights": FLIGHT}, "flights"),
@@ -243,6 +296,11 @@ OPTIONS: list[tuple[str, dict[str, Any], str]] = [
     ("noise singular", {"noise": [[0.0]]}, "noise"),
     ("a number for the floor", {"noise_floor": 0.1}, "noise_floor"),
     ("a negative floor", {"noise_floor": [-0.1]}, "noise_floor"),
+    ("bounds in words", {"bounds": {"a": ("-5", "0")}}, "bounds | a is ('-5', '0')"),
+    ("None in bounds", {"bounds": {"a": (None, 0.0)}}, "bounds | a is (None, 0.0)"),
+    ("a number of the model", {"model": OfMass(), "free": ["mass"]}, "free | nn.Parameter"),
+    ("a monitor of nothing", {"monitor": lambda: None}, "monitor | monitor(iteration, cost, theta)"),
+    ("a class for a monitor", {"monitor": Lag}, "monitor | is the class Lag"),
     ("no iterations", {"max_iterations": -1}, "max_iterations"),
     ("half an iteration", {"max_iterations": 1.5}, "max_iterations"),
     ("a word for a monitor", {"monitor": "print"}, "monitor"),
@@ -316,6 +374,8 @@ REGRESS: list[tuple[str, dict[str, Any], str]] = [
     ("response mostly missing", {"response": np.where(T < 8.0, math.nan, Y)}, "response"),
     ("response all missing", {"response": np.full(200, math.nan)}, "response"),
     ("one sample", {"response": [1.0], "regressors": [[1.0, 2.0]]}, "response"),
+    ("a column for the response", {"response": Y[:, None]}, "response | has shape (200, 1)"),
+    ("the rate for dt", {"dt": 20.0}, "band | dt is the time between samples"),
     ("regressors transposed", {"regressors": X.T}, "regressors"),
     ("regressors in one dimension", {"regressors": X[:, 0]}, "regressors"),
     ("regressors too short", {"regressors": X[:-1]}, "regressors"),
@@ -397,6 +457,21 @@ UNSCENTED: list[tuple[str, dict[str, Any], str]] = [
     ("R a number", {"R": 0.01}, "R"),
     ("R singular", {"R": [[0.0]]}, "R"),
     ("R of two", {"R": np.eye(2)}, "R"),
+    ("x0 a column", {"x0": [[0.0], [0.0]]}, "x0 | has shape (2, 1)"),
+    (
+        "two flights of controls for three",
+        {"controls": np.zeros((2, 50, 1)), "outputs": np.zeros((3, 50, 1))},
+        "x0, P0",
+    ),
+    ("a class for f", {"f": Outputless}, "f | Outputless()"),
+    ("f changes in place", {"f": lambda x, u: x.mul_(2.0)}, "f | in place"),
+    ("f draws numbers", {"f": lambda x, u: x + torch.randn_like(x)}, "f | gives other numbers at each call"),
+    ("h without its last dimension", {"h": lambda x, u: x[..., 0]}, "h | x[..., :1]"),
+    (
+        "a control that there is not",
+        {"f": lambda x, u: torch.stack([x[..., 1], u[..., 1]], dim=-1)},
+        "f | there is no entry 1 of 1, for inputs of shapes",
+    ),
     ("f takes time", {"f": lambda t, x, u: x}, "f"),
     ("f takes no controls", {"f": lambda x: x}, "f"),
     ("NumPy in f", {"f": lambda x, u: np.sin(x)}, "f"),
@@ -419,6 +494,18 @@ UNSCENTED: list[tuple[str, dict[str, Any], str]] = [
 @pytest.mark.parametrize("row", UNSCENTED, ids=ids(UNSCENTED))
 def test_unscented_filter(row: tuple[str, dict[str, Any], str]) -> None:
     one_line(lambda: rotorid.unscented_filter(**(FILTER | row[1])), row[2])
+
+
+def test_parameters_that_ask_for_no_gradient_are_held() -> None:
+    model = Lag()
+    model.a.requires_grad_(False)
+    assert [p.name for p in rotorid.output_error(model, [FLIGHT], x0="fixed").parameters] == ["b"]
+    both = rotorid.output_error(model, [FLIGHT], free=["a", "b"], x0="fixed")
+    assert [p.name for p in both.parameters] == ["a", "b"]
+
+
+def test_a_response_that_does_not_move_is_told() -> None:
+    assert "does not move" in rotorid.regress(np.zeros(200), X, 0.05, kind="value").notes[0]
 
 
 def test_a_result_is_asked_for_what_it_has_not() -> None:

@@ -94,8 +94,12 @@ def module(model: Any) -> nn.Module:
     if not callable(getattr(model, "output", None)):
         raise Argument("model", "output").wrong("absent", f"a method {OUTPUT_FORM}, shape (..., ny)")
     for name, parameter in model.named_parameters():
+        if isinstance(parameter, nn.parameter.UninitializedParameter):
+            raise Argument("model", name).wrong("has no shape yet", "a lazy module that was called once")
         if not parameter.is_floating_point():
             raise Argument("model", name).wrong(f"is a parameter of {parameter.dtype}", "a real one")
+        if not bool(parameter.isfinite().all()):
+            raise Argument("model", name).wrong("starts at NaN or infinity", "finite numbers to start from")
     return model
 
 
@@ -112,15 +116,23 @@ def state_names(model: nn.Module, nx: int) -> tuple[tuple[str, ...], tuple[str, 
 def refuse_unfit(model: nn.Module, start: Tensor, x: Tensor, u: Tensor, ny: int) -> None:
     """A model that does not take the flights' states [F, nx] and controls [F, nu], or gives something else.
 
+    x : NaN where a flight does not say it; there zeros are tried, of which nothing is asked but the shape.
+
     Raises InputError naming the method.
     """
     count = sum((x.shape[-1], u.shape[-1], ny, 2))
     rows = torch.arange(max(len(x), count)) % len(x)
-    t, x, u = start[rows], x[rows], u[rows]
+    said, t, x, u = ~x[rows].isnan().any(dim=-1), start[rows], x[rows].nan_to_num(0.0), u[rows]
     sizes = f" (x0 has {x.shape[-1]} numbers, controls have {u.shape[-1]} columns, outputs have {ny})"
-    arguments.evaluated(Argument("model", "forward"), model.forward, (t, x, u), x.shape, RATES_FORM + sizes)
     output: Any = model.output
-    arguments.evaluated(Argument("model", "output"), output, (x, u), (*x.shape[:-1], ny), OUTPUT_FORM + sizes)
+    for key, function, inputs, n, form in (
+        ("forward", model.forward, (t, x, u), x.shape[-1], RATES_FORM),
+        ("output", output, (x, u), ny, OUTPUT_FORM),
+    ):
+        argument = Argument("model", key)
+        result = arguments.evaluated(argument, function, inputs, (*x.shape[:-1], n), form + sizes)
+        if not bool(result[said].isfinite().all()):
+            raise argument.wrong("gives NaN or infinity at x0 and the first controls", f"numbers; {form}")
 
 
 def noise_of(noise: Any, ny: int) -> tuple[str, Tensor | None]:
@@ -233,10 +245,8 @@ def initial_states_of(x0: Any, names: Sequence[str]) -> InitialStates:
 def refuse_search(max_iterations: Any, monitor: Any) -> None:
     """Iterations that are no number of them, or a monitor that cannot be called."""
     arguments.number(Argument("arguments", "max_iterations"), max_iterations, least=0, whole=True)
-    if monitor is not None and not callable(monitor):
-        raise Argument("arguments", "monitor").wrong(
-            f"is {arguments.described(monitor)}", "a function monitor(iteration, cost, theta)"
-        )
+    if monitor is not None:
+        arguments.refuse_signature(Argument("arguments", "monitor"), monitor, 3, "monitor(iteration, cost, theta)")
 
 
 def bounds_of(bounds: Any, free: Sequence[str]) -> Mapping[str, tuple[float, float]]:
@@ -260,10 +270,12 @@ def bounds_of(bounds: Any, free: Sequence[str]) -> Mapping[str, tuple[float, flo
 
 def _pair(argument: Argument, name: str, pair: Any) -> tuple[float, float]:
     expected = "(lower, upper), infinite where there is none"
+    entries = list(pair) if isinstance(pair, tuple | list) else []
+    said = f"({', '.join(map(arguments.described, entries))})" if entries else arguments.described(pair)
     try:
-        low, high = (float(bound) for bound in pair)
+        low, high = (math.nan if isinstance(bound, str) else float(bound) for bound in pair)
     except (TypeError, ValueError, RuntimeError):
-        raise argument.wrong(f"{name} is {arguments.described(pair)}", expected) from None
+        raise argument.wrong(f"{name} is {said}", expected) from None
     if not low <= high:
-        raise argument.wrong(f"{name} is {low:g} to {high:g}", f"{expected}, lower bound first")
+        raise argument.wrong(f"{name} is {said}", f"{expected}, lower bound first")
     return low, high

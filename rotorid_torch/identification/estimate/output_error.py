@@ -161,7 +161,8 @@ def output_error(
     model : module with forward(t, x, u) -> dx/dt and output(x, u) -> y; it is left as it is.
     flights : dicts of time (T,), controls (T, nu), outputs (T, ny; NaN = missing), x0 (nx,); optionally states (T, nx),
         what is known of the states beforehand, for a start only.
-    free : names of the parameters to estimate, all by default; entries of a tensor are named name[i].
+    free : names of the parameters to estimate; by default all that ask for gradients. Entries of a tensor are named
+        name[i] or name[i,j].
     x0 : "free" estimates the initial states, from those given; "fixed" believes them. By place or name of a state one
         of the words or bounds: {0: "fixed", 1: (-0.1, 0.1)}; states that are not named are free.
     noise : "diagonal", "full", or a covariance [ny, ny] to hold.
@@ -298,7 +299,7 @@ def prepared(
     around = (lambda copied: OwnModel(copied, nu, angles, delays)) if angles or delays else None
     system = System(model, free, bounds, around)
     module_alone = system.model.model if isinstance(system.model, OwnModel) else system.model
-    refuse_unfit(module_alone, records.start, records.states[:, 0].nan_to_num(0.0), records.controls[:, 0], ny)
+    refuse_unfit(module_alone, records.start, records.states[:, 0], records.controls[:, 0], ny)
     if angles:
         outputs = records.outputs.clone()
         for i in angles:

@@ -55,7 +55,7 @@ class System:
 
     model : module with forward(t, x, u) -> dx/dt, output(x, u) -> y and, if it likes, tape(controls, dt) -> controls.
     free : names of nn.Parameters (whole tensors, or one entry as "name[i]") or, where the module has a `parameter_set`,
-        of entries of its `theta`. None: all.
+        of entries of its `theta`. None: all that ask for gradients.
     bounds : lower and upper bound by name; a parameter set brings its own.
     around : what stands between the module and the records; its delays are free as well.
 
@@ -286,7 +286,10 @@ def _entries(model: nn.Module, free: Sequence[str] | None, bounds: Any) -> list[
     single = {e.name: [e] for group in named_values.values() for e in group}
     argument = Argument("arguments", "free")
     names = [*named_values, *single]
-    chosen = [*(named_values if free is None else arguments.names(argument, free, names, "parameter"))]
+    if free is None:
+        chosen = [name for name in named_values if name not in _held(inner)]
+    else:
+        chosen = [*arguments.names(argument, _parameters_alone(argument, inner, free, names), names, "parameter")]
     chosen += [e.name for e in delays if e.name not in chosen]
     entries = [entry for name in chosen for entry in (named_values.get(name) or single[name])]
     twice = sorted({e.name for e in entries if sum(o.name == e.name for o in entries) > 1})
@@ -295,6 +298,20 @@ def _entries(model: nn.Module, free: Sequence[str] | None, bounds: Any) -> list[
     limits = bounds_of(bounds, list(dict.fromkeys([*chosen, *(e.name for e in entries)])))
     tensors = {e.name: name for name, group in named_values.items() for e in group}
     return [_bounded(e, limits.get(e.name, limits.get(tensors[e.name]))) for e in entries]
+
+
+def _held(model: nn.Module) -> set[str]:
+    """Names of a module's parameters that do not ask for gradients."""
+    return {name for name, tensor in model.named_parameters() if not tensor.requires_grad}
+
+
+def _parameters_alone(argument: Argument, model: nn.Module, free: Any, names: Sequence[str]) -> Any:
+    """Free names, none of which is a number or a buffer of the module."""
+    for name in free if isinstance(free, list | tuple) else ():
+        if isinstance(name, str) and name not in names and isinstance(getattr(model, name, None), float | int | Tensor):
+            value = f"self.{name} = nn.Parameter(torch.tensor(...)) in the model"
+            raise argument.wrong(f"{name!r} is a number of the model, no parameter", value)
+    return free
 
 
 def _bounded(entry: Entry, bounds: tuple[float, float] | None) -> Entry:

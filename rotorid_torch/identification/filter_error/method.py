@@ -57,7 +57,8 @@ def filter_error(
     model : module with forward(t, x, u) -> dx/dt and output(x, u) -> y; it is left as it is. Its states are called
         x[0], x[1], ..., or as its attribute `states` (a sequence of words) or its `layout` says.
     flights : dicts of time (T,), controls (T, nu), outputs (T, ny; NaN = missing), x0 (nx,).
-    free : names of the parameters to estimate, all by default; entries of a tensor are named name[i].
+    free : names of the parameters to estimate; by default all that ask for gradients. Entries of a tensor are named
+        name[i] or name[i,j].
     process_noise : "diagonal" (a size for each state), "full" (correlated), names of the states that have it, or the
         spectral density [nx, nx] to hold (covariance per second). Of zeros it leaves output error.
     noise : of the outputs: "diagonal", "full", or a covariance [ny, ny] to hold.

@@ -98,6 +98,8 @@ def checked(problem: Problem) -> Problem:
     """
     sizes, of = Sizes(), "unscented_filter"
     x0 = arguments.shaped(Argument(of, "x0"), problem.x0, "... nx", sizes)
+    if x0.dim() > 1 and x0.shape[-1] == 1 and np.shape(problem.P0)[-1:] == x0.shape[-2:-1]:
+        raise Argument(of, "x0").wrong(f"has shape {tuple(x0.shape)}", f"(..., {x0.shape[-2]}), a vector as P0 says")
     P0 = arguments.covariance(Argument(of, "P0"), problem.P0, "... nx nx", sizes)
     Q = arguments.covariance(Argument(of, "Q"), problem.Q, "nx nx", sizes)
     outputs = arguments.shaped(Argument(of, "outputs"), problem.outputs, "... T ny", sizes, missing=True)
@@ -114,8 +116,9 @@ def checked(problem: Problem) -> Problem:
         batch = np.broadcast_shapes(*leading)
     except ValueError as error:
         shapes = ", ".join(str(tuple(shape)) for shape in leading)
-        wrong = f"P0, controls and outputs have leading shapes {shapes}"
-        raise Argument(of, "x0").wrong(wrong, "shapes that broadcast") from error
+        raise Argument(of, "x0, P0, controls, outputs").wrong(
+            f"have leading shapes {shapes}", "some that broadcast"
+        ) from error
     x, u = x0.expand(*batch, -1), controls[..., 0, :].expand(*batch, -1)
     for key, function, n, form in (
         ("f", problem.f, x.shape[-1], "f(x, u) -> dx/dt"),

@@ -196,6 +196,8 @@ def solve(
     covariance = covariance + torch.diag_embed(torch.where(solution.unknown, torch.inf, 0.0))
     residual = _residual(z, y, solution)
     error, signal = residual.square().sum(-1), y.square().sum(-1)
+    if bool((signal == 0.0).any()):
+        notes = [*notes, "the response does not move in the band: coefficients of zero say nothing"]
     if bool(solution.noise_filled.any()):
         notes = [*notes, "noise fills a combination of the regressors; leave one of them out"]
     return Regression(
@@ -291,16 +293,18 @@ def _records(response: Any, regressors: Any, dt: Any) -> tuple[list[Tensor], lis
     """
     responses, matrices = _flights("response", response, 1), _flights("regressors", regressors, 2)
     if len(matrices) != len(responses):
-        wrong = f"are of {len(matrices)} flights"
+        wrong = f"are of {len(matrices)} flight{'s' * (len(matrices) != 1)}"
         raise Argument("regress", "regressors").wrong(wrong, f"{len(responses)}, as many as responses")
     common, checked = Sizes(), []
     for i, (y, x) in enumerate(zip(responses, matrices, strict=True)):
         place = "" if len(responses) == 1 else f"[{i}]"
         sizes = common.without("T")
-        y = arguments.shaped(Argument("regress", f"response{place}"), y, "... T", sizes, missing=True)
-        x = arguments.shaped(Argument("regress", f"regressors{place}"), x, "... T n", sizes, missing=True)
+        argument = Argument("regress", f"response{place}")
+        y = arguments.shaped(argument, y, "... T", sizes, missing=True)
         if y.shape[-1] < FEWEST:
-            raise Argument("regress", f"response{place}").wrong(f"has {y.shape[-1]} samples", f"{FEWEST} or more")
+            wrong = f"has shape {tuple(y.shape)}: {y.shape[-1]} samples"
+            raise argument.wrong(wrong, f"{FEWEST} or more along the last dimension, (..., T): y[:, 0] of a column")
+        x = arguments.shaped(Argument("regress", f"regressors{place}"), x, "... T n", sizes, missing=True)
         if not x.shape[-1]:
             raise Argument("regress", f"regressors{place}").wrong("have no column", "(..., T, n), n at least 1")
         common = sizes

@@ -75,7 +75,7 @@ def flight_rows(response: Tensor, regressors: Tensor, dt: float, transform: Tran
     band, derivative, oversample = transform.band, transform.kind == "derivative", transform.oversample
     if band[1] >= 0.5 / dt:
         wrong = f"{band[1]:g} Hz with samples {dt:g} s apart"
-        raise InputError("arrays", "band", wrong, f"less than {0.5 / dt:.4g} Hz")
+        raise InputError("arrays", "band", wrong, f"less than {0.5 / dt:.4g} Hz; dt is the time between samples, s")
     y, x = _without_gaps(response, "response", notes), _without_gaps(regressors.mT, "regressors", notes)
     duration = (y.shape[-1] - 1) * dt
     first, count = _harmonics(duration, band, oversample)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
+from rotorid_torch import arguments
+from rotorid_torch.arguments import Argument
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.errors import InputError
 from rotorid_torch.model.training.equilibrium import Flown, at_rest
@@ -33,7 +35,7 @@ class Trained(Flown, Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FreeRun:
     """Free runs, all tensors with the leading dimensions of the starts; gradients flow through states and outputs.
 
@@ -46,6 +48,12 @@ class FreeRun:
     outputs: Tensor
     measured: Tensor
     names: tuple[tuple[str, ...], tuple[str, ...]]
+
+    def __repr__(self) -> str:
+        states, outputs = self.names
+        lead = f"{tuple(self.outputs.shape[:-2])} starts, " if self.outputs.dim() > 2 else ""
+        seconds = f"{len(self.time)} samples over {float(self.time[-1]):.4g} s"
+        return f"FreeRun: {lead}{seconds}; outputs {arguments.listed(outputs)}; states {arguments.listed(states)}"
 
     def __getitem__(self, name: str) -> Tensor:
         """An output, or a state, by its name [..., T]; KeyError names those that exist."""
@@ -69,12 +77,14 @@ Starts = float | Sequence[float] | Tensor
 
 def free_run(model: Trained, flights: Flights, starts: Starts, seconds: float, x0: Tensor | None) -> FreeRun:
     """See `Model.free_run`."""
-    single = isinstance(flights, Flight) and torch.as_tensor(starts).dim() == 0
+    starts = arguments.numbers(Argument("free_run", "start"), starts)
+    seconds = arguments.number(Argument("free_run", "seconds"), seconds, "s", above=0.0)
+    single = isinstance(flights, Flight) and starts.dim() == 0
     pieces = _places(flights, starts, seconds)
     dt, samples = pieces[0][0].dt, round(seconds / pieces[0][0].dt) + 1
     controls = _taken(pieces, samples, lambda flight: model.tape(_controls(model, flight), dt))
     measured = _taken(pieces, samples, lambda flight: flight.stack(model.body.outputs).to(model.theta))
-    start = _measured_start(model, pieces) if x0 is None else x0.unsqueeze(0) if x0.dim() == 1 else x0
+    start = _measured_start(model, pieces) if x0 is None else _given_start(x0, len(pieces))
     start = _completed(model, start.expand(len(pieces), -1), controls[:, 0], pieces)
     states, outputs = model.trajectories(start, controls, dt)
     outputs = model.recorded(outputs, dt)
@@ -85,10 +95,23 @@ def free_run(model: Trained, flights: Flights, starts: Starts, seconds: float, x
     return FreeRun(time, states, outputs, measured, names)
 
 
-def _places(flights: Flights, starts: Starts, seconds: float) -> list[tuple[Flight, int]]:
+def _given_start(x0: Any, runs: int) -> Tensor:
+    """Initial states [1 or runs, n] as the caller hands them in; a tensor keeps its gradients."""
+    argument = Argument("free_run", "x0")
+    checked = arguments.numbers(argument, x0)
+    if checked.dim() not in (1, 2) or (checked.dim() == 2 and len(checked) not in (1, runs)):
+        raise argument.wrong(f"has shape {tuple(checked.shape)}", f"(n,), or ({runs}, n) for {runs} starts")
+    start = x0 if isinstance(x0, Tensor) else checked
+    return start.unsqueeze(0) if start.dim() == 1 else start
+
+
+def _places(flights: Flights, starts: Tensor, seconds: float) -> list[tuple[Flight, int]]:
     """Flight and first sample of each run."""
-    first = torch.as_tensor(starts, dtype=torch.float64).reshape(-1).tolist()
-    listed = [flights] * len(first) if isinstance(flights, Flight) else list(flights)
+    argument, first = Argument("free_run", "flight"), starts.reshape(-1).tolist()
+    expected = 'a Flight, as data["NAME"], or a list of them'
+    listed = [flights] * len(first) if isinstance(flights, Flight) else arguments.sequence(argument, flights, expected)
+    for flight in listed:
+        arguments.instance(argument, flight, Flight, expected)
     if len(listed) != len(first) or not first:
         raise InputError("free_run", "start", f"{len(first)} starts for {len(listed)} flights", "one start per flight")
     pieces, dt = [], listed[0].dt
@@ -98,7 +121,7 @@ def _places(flights: Flights, starts: Starts, seconds: float) -> list[tuple[Flig
             raise InputError(f"flight {flight.name}", "time", wrong, f"{dt:.6g} s as in {listed[0].name}")
         last = (flight.samples - 1) * dt
         if not 0.5 * dt < seconds <= last + 0.5 * dt:
-            raise InputError(f"flight {flight.name}", "seconds", f"is {seconds}", f"{dt:.4g} to {last:.4g} s")
+            raise InputError(f"flight {flight.name}", "seconds", f"is {seconds:g}", f"{dt:.4g} to {last:.4g} s")
         if not -0.5 * dt <= start <= last - seconds + 0.5 * dt:
             wrong = f"{start:g} s, {seconds:g} s on, leaves the flight"
             raise InputError(f"flight {flight.name}", "start", wrong, f"0 to {last - seconds:.4g} s")

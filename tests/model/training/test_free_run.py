@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from typing import Any
 
 import pytest
 import torch
@@ -15,6 +16,7 @@ from rotorid_torch.model.model import Model
 from rotorid_torch.model.training.equilibrium import equilibrium
 from rotorid_torch.model.training.free_run import FreeRun
 from tests.known_models import flown, helicopter, linear_vehicle, manoeuvres
+from tests.mistakes import one_line
 
 DT = 0.02
 STARTS = (0.5, 2.0, 4.0)
@@ -150,9 +152,17 @@ def test_numbers_that_change_outside_theta_are_followed(clean: Dataset):
     ("changes", "wrong"),
     [
         ({"start": 8.0}, "flight f_lon: start: 8 s, 2 s on, leaves the flight; expected 0 to 7 s"),
-        ({"seconds": 20.0}, "flight f_lon: seconds: is 20.0; expected 0.02 to 9 s"),
+        ({"seconds": 20.0}, "flight f_lon: seconds: is 20; expected 0.02 to 9 s"),
         ({"flight": ["f_lon", "f_col"], "start": 1.0}, "free_run: start: 1 starts for 2 flights"),
         ({"x0": torch.zeros(3)}, "free_run: x0: has 3 columns; expected 8"),
+        ({"x0": torch.zeros(2, 8)}, "free_run: x0: has shape (2, 8); expected (n,), or (1, n) for 1 starts"),
+        ({"x0": [None] * 8}, "free_run: x0: holds None"),
+        ({"start": "1 s"}, "free_run: start: is '1 s'"),
+        ({"start": float("nan")}, "free_run: start: holds NaN"),
+        ({"start": None}, "free_run: start: is None"),
+        ({"seconds": -1.0}, "free_run: seconds: is -1; expected a number above 0"),
+        ({"seconds": float("inf")}, "free_run: seconds: is inf"),
+        ({"seconds": "2"}, "free_run: seconds: is '2'"),
     ],
 )
 def test_what_is_refused(clean: Dataset, changes: dict, wrong: str):
@@ -162,3 +172,14 @@ def test_what_is_refused(clean: Dataset, changes: dict, wrong: str):
     with pytest.raises(InputError) as error:
         linear_vehicle().free_run(flight, **asked)
     assert wrong in str(error.value)
+
+
+@pytest.mark.parametrize("flight", [None, "f_lon", ["f_lon"], {"f_lon": 1}, 3])
+def test_what_is_no_flight_is_refused(flight: Any):
+    assert 'expected a Flight, as data["NAME"]' in one_line(lambda: linear_vehicle().free_run(flight), "flight")
+
+
+def test_runs_are_told_in_a_line(clean: Dataset):
+    line = repr(linear_vehicle().free_run(clean.flights["f_lon"], (1.0, 2.0), 2.0))
+    assert len(line) < 300
+    assert "(2,) starts, 101 samples over 2 s" in line
