@@ -156,15 +156,23 @@ def headline(report: Report) -> str:
         return f"On the {decides.name} flights the model is {WORSE_THAN_TRIM}: do not use the model yet{more}."
     fed = "alone" if decides.J_fed is None else "and the gusts that a smoother finds in them"
     return (
-        f"On the {decides.name} flights, which no fit has seen, the model explains {100 * share:.0f} % of the motion"
+        f"On the {decides.name} flights, which no fit has seen, the model explains {percent(share)} of the motion"
         f" over 8 s from the controls {fed} ({grade}){more}."
     )
+
+
+def percent(share: float | None, digits: int = 0) -> str:
+    """A share in per cent, a dash for none; what is not all is not 100 %."""
+    if share is None:
+        return "–"
+    rounded = f"{100.0 * share:.{digits}f} %"
+    return f"{min(100.0 * share, 99.9):.1f} %" if rounded.startswith("100") and share < 1.0 else rounded
 
 
 def _share(summary: ListSummary) -> str:
     """What is explained of a list, in per cent and as a word."""
     share = summary.explained
-    return WORSE_THAN_TRIM if share is None or share < 0.0 else f"{100 * share:.0f} % ({summary.grade})"
+    return WORSE_THAN_TRIM if share is None or share < 0.0 else f"{percent(share)} ({summary.grade})"
 
 
 def place_of(effect: EffectRecord) -> str:

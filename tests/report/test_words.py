@@ -9,6 +9,7 @@ import pytest
 
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.report import records
+from rotorid_torch.report.summary import percent
 from rotorid_torch.report.words.effects import EFFECTS, words_of
 from rotorid_torch.report.words.sizes import sentence_of, size
 from rotorid_torch.report.words.verdict import consequence, grades, opening, steps, worst_of
@@ -97,6 +98,31 @@ def test_nothing_undeclared_comes_with_how_good_the_model_is(report: records.Rep
     loop = msgspec.structs.replace(closed(report, "nothing undeclared", after=False), verdict=verdict)
     assert opening(loop) == "These flights show nothing that is not declared."
     assert "On the validate flights" in consequence(loop)
+
+
+def test_what_has_no_name_is_said_of_an_axis_in_words(report: records.Report):
+    sentence = (
+        "Something is missing in M: 0.9 rad/s2 rms at 0.2 to 2 Hz go with p; no effect of the library explains it."
+    )
+    unknown = records.UnknownRecord(where="M", band_hz=(0.2, 2.0), goes_with="p", since_s=None, sentence=sentence)
+    verdict = records.VerdictRecord(kind="unknown", effects=(), sentence=sentence)
+    loop = msgspec.structs.replace(closed(report, "unknown", after=False), verdict=verdict, unknown=unknown)
+    assert opening(loop).startswith("Something is missing in the pitching moment (M): 0.9 rad/s2 rms")
+
+
+@pytest.mark.parametrize(
+    ("share", "digits", "words"),
+    [
+        (0.982, 0, "98 %"),
+        (0.996, 0, "99.6 %"),
+        (0.9999, 1, "99.9 %"),
+        (1.0, 0, "100 %"),
+        (None, 0, "–"),
+        (1.2, 0, "120 %"),
+    ],
+)
+def test_only_all_is_a_hundred_per_cent(share: float | None, digits: int, words: str):
+    assert percent(share, digits) == words
 
 
 @pytest.mark.parametrize("kind", ["nothing undeclared", "structure"])

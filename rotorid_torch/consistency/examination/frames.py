@@ -67,9 +67,9 @@ def _wrong(channels: str, frame: Frame) -> str:
     elif turned:
         parts.append(f"{channels} are turned by {degrees:+.1f}° (± {error:.1g}) about the vertical")
     if _scaled(frame):
-        plural = "are" if " " in channels else "is"
-        size = f"{frame.scale:.3g} (± {frame.scale * frame.errors[0]:.1g}) times too large"
-        parts.append(f"{channels} {plural} {size}{_unit(channels, frame.scale)}")
+        verb, pronoun = ("are", "they") if " " in channels else ("is", "it")
+        size = f"{frame.scale:.3g} (± {frame.scale * frame.errors[0]:.1g}) times as large as {pronoun} should be"
+        parts.append(f"{channels} {verb} {size}{_unit(channels, frame.scale)}")
     return " and ".join(parts)
 
 

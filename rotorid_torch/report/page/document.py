@@ -19,7 +19,7 @@ from rotorid_torch.report.page import pictures, plots, tables
 from rotorid_torch.report.page.facts import ModelFacts
 from rotorid_torch.report.records import FitRecord, Report
 from rotorid_torch.report.short_horizon import BRACKETS, NAMES, cell, short_horizon
-from rotorid_torch.report.summary import air_of, list_summaries, shown_flights
+from rotorid_torch.report.summary import air_of, list_summaries, percent, shown_flights
 from rotorid_torch.report.words import sizes, verdict
 from rotorid_torch.report.words.glossary import GLOSSARY
 
@@ -122,11 +122,6 @@ def number(value: float | None, digits: int = 4) -> str:
 def share(value: float | None) -> str:
     """Render an R², which is rounding where it is below a thousandth; a dash for none."""
     return "–" if value is None else f"{value:z.3f}"
-
-
-def percent(value: float | None, digits: int = 0) -> str:
-    """Render a share in percent; a dash for none."""
-    return "–" if value is None else f"{100 * value:.{digits}f} %"
 
 
 def unit(written: str) -> str:

@@ -20,6 +20,7 @@ from rotorid_torch.report.summary import (
     list_summaries,
     motions,
     next_steps,
+    percent,
     weakest_channel,
 )
 from rotorid_torch.report.words.effects import words_of
@@ -76,6 +77,9 @@ def opening(report: Report) -> str:
         return f"{nothing}; ordinary physics joins the model: {joined}."
     if verdict.kind == "nothing undeclared" and not failing(report.fit):
         return "These flights show nothing that is not declared."
+    if report.unknown is not None and report.unknown.where in AXES:
+        where = report.unknown.where
+        return verdict.sentence.replace(f" missing in {where}:", f" missing in {AXES[where]} ({where}):")
     return verdict.sentence
 
 
@@ -96,8 +100,8 @@ def _improvement(report: Report) -> str:
     if short:
         first, last = (described(short_horizon(fit)[-1], short[-1]) for fit in (before, after))
         return (
-            f"With that in the model, {_percent(last)} instead of {_percent(first)} of the accelerations of the"
-            f" {short[-1].name} flights are described."
+            f"With that in the model, {percent(last)} instead of {percent(first)} of the accelerations of the"
+            f" {short[-1].name} flights are explained."
         )
     pairs = zip(list_summaries(before), list_summaries(after), strict=True)
     said = [sentence for b, a in pairs if a.name != "identify" and (sentence := _changed(b, a, (before, after)))]
@@ -129,14 +133,14 @@ def worst_of(fit: FitRecord) -> str:
         if not responses:
             return ""
         worst = min(responses, key=lambda name: responses[name])
-        share = f"{_percent(max(responses[worst], 0.0))} described"
+        share = f"{percent(max(responses[worst], 0.0))} explained"
         return f"{_meaning(worst)} on the {short[-1].name} flights, {share}"
     weakest = weakest_channel(fit)
     if weakest is None:
         return ""
     flight, name, relative = weakest
     channel = fit.flights[flight].channels[name]
-    error = f"{size(channel.rmse or 0.0, None, names.unit(name))} rms, {_percent(relative)} of its usual motion"
+    error = f"{size(channel.rmse or 0.0, None, names.unit(name))} rms, {percent(relative)} of its usual motion"
     return f"{_meaning(name)} on {flight}, off by {error}: mostly {kind_of(channel)}"
 
 
@@ -171,8 +175,8 @@ def _changed(before: ListSummary, after: ListSummary, fits: tuple[FitRecord, Fit
     if abs(change) < ALIKE:
         return f"{flights} are described as before ({scores})"
     if change < 0.0:
-        return f"{flights} are described {_percent(-change)} better ({scores})"
-    return f"{flights} are described {_percent(change)} worse ({scores}){_because(after.name, *fits)}"
+        return f"{flights} are described {percent(-change)} better ({scores})"
+    return f"{flights} are described {percent(change)} worse ({scores}){_because(after.name, *fits)}"
 
 
 def _because(listed: str, before: FitRecord, after: FitRecord) -> str:
@@ -246,7 +250,3 @@ def _meaning(name: str) -> str:
     channel = names.channel(name)
     about = NAMES.get(name) or (channel.about.partition(",")[0] if channel else "")
     return f"{about} ({name})" if about else name
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.0f} %"
