@@ -311,7 +311,7 @@ def test_derivatives_of_an_unstable_short_period_come_out_as_augmented_states(se
         ({"f": lambda x, u: x[..., :2]}, "f: returns shape"),
         ({"f": lambda x, u: torch.stack([x[1], x[0], x[2]])}, r"f: returns shape .* write x\[..., 0\]"),
         ({"h": lambda x, u: x[:2] @ torch.eye(2).double()}, "h: fails: "),
-        ({"x0": np.zeros((2, 3)), "P0": np.stack([np.eye(3)] * 3)}, "x0: P0, controls and outputs have leading"),
+        ({"x0": np.zeros((2, 3)), "P0": np.stack([np.eye(3)] * 3)}, "x0, P0, controls, outputs: have leading"),
     ],
 )
 def test_wrong_input_is_told_in_one_line(change: dict[str, object], word: str) -> None:
