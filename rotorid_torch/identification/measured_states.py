@@ -127,17 +127,27 @@ class MeasuredStates:
         return MeasuredFit(theta, errors, self._lines(theta), without, self._explained(theta))
 
     def misfit(self, theta: Tensor, names: Sequence[str]) -> Callable[[Tensor], float]:
-        """What is left, at thetas near one, with these parameters after a step of least squares from there.
+        """Minus log-likelihood, at thetas near one, with these parameters after a step of least squares from there.
 
-        Each response counts by what is left of it at the first theta.
+        Each response counts by what is left of it there: weighed by what is left elsewhere, one that two effects
+        explain alike would hold the search at the values that suit it alone.
         """
         parameter_set, sigma = self.equations.model.parameter_set, self._sigma(theta)
         places = [parameter_set.index(name) for name in names]
         prior = parameter_set.values[places], parameter_set.prior_sd[places]
 
         def at(other: Tensor) -> float:
-            A, b, _ = self._linear(other, names, sigma, prior)
-            return float((b - A @ least_squares(A, b[:, None])[:, 0]).square().sum())
+            flights, triangles = self._columns(other, names, sigma), dict[str, tuple[Tensor, int]]()
+            for row in self._rows:
+                parts = [torch.cat([one[row][0], one[row][1][:, None]], dim=1) for one in flights if row in one]
+                triangles[row] = torch.linalg.qr(torch.cat(parts), mode="r").R, sum(map(len, parts))
+            scales, expected = dict.fromkeys(triangles, 1.0), prior_rows(other[places], *prior)
+            for _ in SEARCHES:
+                every = torch.cat([expected, *(R / scales[row] for row, (R, _) in triangles.items())])
+                step = least_squares(every[:, :-1], every[:, -1:])[:, 0]
+                left = {row: float((R[:, -1] - R[:, :-1] @ step).norm()) for row, (R, _) in triangles.items()}
+                scales = {row: max(left[row] / math.sqrt(count), 1e-300) for row, (_, count) in triangles.items()}
+            return sum(count * math.log(scales[row]) for row, (_, count) in triangles.items())
 
         return at
 
