@@ -35,7 +35,6 @@ from rotorid_torch.consistency.pairs.precedence import Following
 from rotorid_torch.consistency.pairs.sensor_pairs import REACH_S, Agreement, Pair, agreement
 from rotorid_torch.consistency.pairs.velocity_clock import IMITATED_S
 from rotorid_torch.consistency.smoothing import EVERY_S
-from rotorid_torch.core import names
 from rotorid_torch.core.statistics import weighted_mean
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
@@ -419,7 +418,4 @@ def _late_controls(late: LateControls, dataset: Dataset) -> Finding:
 
 
 def _lags(responses: Sequence[Following], sign: float) -> str:
-    return ", ".join(
-        f"{f'd{r.channel}/dt' if r.channel in names.RATES else r.channel} {sign * r.lag_s:.3f} s (± {r.lag_se:.3f})"
-        for r in responses
-    )
+    return ", ".join(f"{r.acceleration} {sign * r.lag_s:.3f} s (± {r.lag_se:.3f})" for r in responses)

@@ -40,7 +40,7 @@ class LateControls:
     def clearest(self) -> str:
         """The response that says it most surely."""
         pairs = [(a.pair.left_name, a.lag_s, a.lag_se) for a in self.sticks]
-        pairs += [(f"d{r.channel}/dt" if r.channel != "az" else "az", r.lag_s, r.lag_se) for r in self.accelerations]
+        pairs += [(r.acceleration, r.lag_s, r.lag_se) for r in self.accelerations]
         return min(pairs, key=lambda pair: pair[1] + SURE * pair[2])[0]
 
 

@@ -38,10 +38,17 @@ class Following:
     r2: float
     gain: float
 
+    @property
+    def acceleration(self) -> str:
+        """What is compared: the rate of a channel, or az itself."""
+        return self.channel if self.channel == "az" else f"d{self.channel}/dt"
+
 
 @once
 def responses(dataset: Dataset) -> tuple[Following, ...]:
-    """How each angular acceleration and the vertical specific force follow the controls in the identify flights.
+    """How each angular acceleration and the vertical force follow the controls in the identify flights.
+
+    The vertical force is the specific force, or where no flight has it, the rate of w beside what turns into it.
 
     Sums of linear terms: all controls, shifted by one lag, and the body's rates and velocities where they are
     measured. The states stand for what feeds back into blade angles and motor commands; without them a controller's
@@ -57,7 +64,8 @@ def fast_responses(dataset: Dataset) -> tuple[Following, ...]:
 
 
 def _responses(dataset: Dataset, fast: bool) -> tuple[Following, ...]:
-    measured = (_response(dataset, channel, fast) for channel in (*names.RATES, "az"))
+    felt = any(dataset.facts[name].has("az") for name in dataset.identify)
+    measured = (_response(dataset, channel, fast) for channel in (*names.RATES, "az" if felt else "w"))
     return tuple(response for response in measured if response is not None)
 
 

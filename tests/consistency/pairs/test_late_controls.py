@@ -80,6 +80,43 @@ def test_exact_records_have_a_lag_and_an_error_too() -> None:
     assert 0.0 < found.se < 1e-3
 
 
+def heaving(late: float, seed: int) -> Dataset:
+    """Records without accelerometers: heave answers the collective at once, pitch the cyclic behind a rotor."""
+    rng, flights = np.random.default_rng(seed), {}
+    time = DT * np.arange(SAMPLES)
+
+    def passed(numerator: list[float], denominator: list[float], values: np.ndarray) -> np.ndarray:
+        return signal.lsim((numerator, denominator), values, time)[1]
+
+    for k in range(4):
+        hertz, phase = rng.uniform(0.2, 1.5, (2, 6)), rng.uniform(0.0, 2 * np.pi, (2, 6))
+
+        def moved(t: np.ndarray, hertz: np.ndarray = hertz, phase: np.ndarray = phase) -> np.ndarray:
+            return 0.02 * np.sin(2 * np.pi * hertz[:, None] * t[:, None] + phase[:, None]).sum(-1)
+
+        lon, col = moved(time)
+        q, w = passed([6.0], [0.12, 1.06, 0.5], lon), passed([-80.0], [1.0, 0.4], col)
+        flight = {"time": time, "q": q, "w": w, "p": 0.0 * time, "u": 5.0 + 0.0 * time, "v": 0.0 * time}
+        flight = {c: v + (0.002 * rng.standard_normal(SAMPLES) if c != "time" else 0.0) for c, v in flight.items()}
+        shown = moved(time - late)
+        flights[f"f{k}"] = flight | {"lon": shown[0], "col": shown[1]}
+    return Dataset.from_arrays(flights, identify=list(flights))
+
+
+@pytest.mark.parametrize("late", [0.05, 0.1, 0.2, 0.3])
+@pytest.mark.parametrize("seed", range(2))
+def test_without_accelerometers_the_rate_of_w_tells_late_controls(late: float, seed: int) -> None:
+    found = late_controls(heaving(late, seed))
+    assert found is not None
+    assert found.clearest == "dw/dt"
+    assert found.seconds == pytest.approx(late, abs=0.005)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_without_accelerometers_controls_on_time_are_no_finding(seed: int) -> None:
+    assert late_controls(heaving(0.0, seed)) is None
+
+
 @pytest.mark.parametrize("band", [(0.2, 0.4), (0.3, 0.4)])
 def test_a_stick_that_commands_an_attitude_is_not_late(band: tuple[float, float]) -> None:
     """The rate leads such a stick by up to a quarter of a period, and the vehicle answers in order all the same."""
