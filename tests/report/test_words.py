@@ -53,6 +53,12 @@ def test_a_delay_is_said_in_milliseconds_and_zero_sizes_are_left_out():
     assert sentence_of(delay) == "The controls reach the rotor later than recorded: 57 ± 6 ms."
 
 
+def test_a_rate_limit_is_said_as_a_rate():
+    """The parameter is one over the limit: 1/16.7 rad/s, with an error of 1/16.7^2."""
+    limit = an_effect("control.rate_limit", inverse=(16.7, 1.0, "s/rad"))
+    assert sentence_of(limit) == "The actuators move no faster than a limit: 0.060 ± 0.004 rad/s."
+
+
 @pytest.mark.parametrize("effect", sorted({*EFFECTS, *registered()}))
 def test_every_effect_has_a_sentence_with_and_without_sizes(effect: str):
     bare = sentence_of(an_effect(effect))

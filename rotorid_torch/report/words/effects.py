@@ -14,13 +14,15 @@ class Words:
 
     sentence : says it; `{}` stands for the sizes with units, and goes with the blank before it where none was fitted.
     noun : the same as a thing, for lists. then : what to do. sizes : words of a parameter by the last part of its name,
-    `{}` stands for its value; others are written with their names.
+    `{}` stands for its value; others are written with their names. reciprocal : whether parameters are one over what
+    people speak of.
     """
 
     sentence: str
     noun: str
     then: str
     sizes: dict[str, str] = field(default_factory=dict)
+    reciprocal: bool = False
 
 
 _EACH = {"common": "{}", **{c: f"{c} {{}}" for c in ("lon", "lat", "col", "ped")}}
@@ -43,10 +45,11 @@ EFFECTS = {
         _EACH,
     ),
     "control.rate_limit": Words(
-        "The actuators move no faster than a limit: one over the limit is {}.",
+        "The actuators move no faster than a limit: {}.",
         "a rate limit of the actuators",
         "Fly smaller or slower inputs, below the limit, or record the actuators' positions.",
-        _EACH,
+        {"inverse": "{}", **_EACH},
+        reciprocal=True,
     ),
     "control.backlash": Words(
         "There is play between the recorded controls and the rotor: {}.",

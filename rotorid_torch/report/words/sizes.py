@@ -14,6 +14,7 @@ SURE = 2.0
 """Standard errors from zero from which on a size is named."""
 READABLE = {"s": ((1.0, 1e3, "ms"),), "rad": ((math.inf, 180.0 / math.pi, "°"),), "1": ((1.0, 100.0, "%"),)}
 """By unit: below which size it is written in another, the factor, and that unit."""
+RECIPROCALS = {"s/rad": "rad/s", "s/m": "m/s"}
 PLAIN_UNITS = {"m/s2": "m/s²", "rad/s2": "rad/s²", "1": ""}
 
 
@@ -64,4 +65,7 @@ def _size(effect: str, p: ParameterRecord) -> str:
     label = p.name.removeprefix(f"{effect}.")
     words = words_of(effect).sizes.get(label.rpartition(".")[2]) or f"{label} {{}}"
     unit = "" if label.endswith("exponent") else p.unit  # no share, though it has no unit
-    return words.replace("{}", size(p.value or 0.0, p.se, unit))
+    value, error = p.value or 0.0, p.se
+    if value and words_of(effect).reciprocal:  # the error of 1/x is that of x over x^2
+        value, error, unit = 1.0 / value, error and error / value**2, RECIPROCALS.get(unit, f"1/{unit}")
+    return words.replace("{}", size(value, error, unit))
