@@ -126,3 +126,22 @@ def test_print_has_at_most_twelve_sheets(place: Path):
     sheets = place / "page.pdf"
     browse("--no-pdf-header-footer", f"--print-to-pdf={sheets}", (place / "plain.html").as_uri())
     assert 1 <= len(re.findall(rb"/Type\s*/Page[^s]", sheets.read_bytes())) <= 12
+
+
+@pytest.mark.skipif(shutil.which("pdftotext") is None, reason="pdftotext is not installed")
+def test_a_table_s_heads_stand_on_every_sheet(report: records.Report, tmp_path: Path):
+    reason = "; ".join(4 * ["it explains no more than it does where nothing is missing"])
+    tested = [
+        records.EffectRecord(id=f"my.{k}", role="undeclared", verdict="below floor", reason=reason, gain=0.1, floor=1.0)
+        for k in range(30)
+    ]
+    verdict = records.VerdictRecord(kind="nothing undeclared", effects=(), sentence="Nothing undeclared.")
+    loop = msgspec.structs.replace(report, effects=tuple(tested), verdict=verdict)
+    (tmp_path / "page.html").write_text(render(loop, Shown([], [])), encoding="utf-8")
+    browse("--no-pdf-header-footer", f"--print-to-pdf={tmp_path}/page.pdf", (tmp_path / "page.html").as_uri())
+    text = subprocess.run(
+        ["pdftotext", "-layout", "page.pdf", "-"], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    sheets = [sheet for sheet in text.stdout.split("\f") if "my." in sheet]
+    assert len(sheets) > 1
+    assert all(re.search(r"effect +verdict", sheet) for sheet in sheets)
