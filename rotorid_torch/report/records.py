@@ -119,6 +119,10 @@ class FitRecord(Record, frozen=True, kw_only=True):
     flights: dict[str, FlightRecord]
     scores: ScoresRecord
 
+    def __repr__(self) -> str:
+        sizes = f"{len(self.parameters)} parameters, {len(self.modes)} modes, {len(self.flights)} flights"
+        return f"FitRecord by {self.method}: {sizes}; {self.scores}"
+
 
 class VisibleRecord(Record, frozen=True, kw_only=True):
     """Smallest size of an effect that these data would show."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import shorten
 
 import msgspec
 from rich.console import Group
@@ -38,6 +39,9 @@ GROSS = 300.0
 RANK = {"error": 0, "warning": 1, "note": 2, "good": 3}
 VERDICTS = {"error": "not fit", "warning": "with care", "note": "good", "good": "good"}
 
+SHOWN, LINE = 8, 200
+"""Lines of a check that its `repr` holds, and their letters."""
+
 
 @dataclass(frozen=True)
 class ChannelVerdict:
@@ -57,7 +61,7 @@ class ChannelVerdict:
     reasons: tuple[str, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Check:
     """All findings on a data set, gravest first, and its grade; `fit` is false where it is not usable.
 
@@ -75,6 +79,12 @@ class Check:
     findings: tuple[Finding, ...]
     channels: tuple[ChannelVerdict, ...]
     sensors: tuple[KinematicFinding, ...]
+
+    def __repr__(self) -> str:
+        lines = [f"{self.dataset}: {self.sentence}"]
+        lines += [f"{f.severity}: {' '.join(filter(None, (f.flight, f.channel)))}: {f.sentence}" for f in self.findings]
+        more = [f"and {len(lines) - SHOWN} more findings"] if len(lines) > SHOWN else []
+        return "\n".join([*(shorten(line, LINE, placeholder=" ...") for line in lines[:SHOWN]), *more])
 
 
 def check(dataset: Dataset) -> Check:
