@@ -10,6 +10,7 @@ import pytest
 import torch
 from scipy import signal
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
@@ -431,16 +432,30 @@ def test_rotors_turn_the_body_by_their_places_and_spins():
     assert found["w"] == pytest.approx(-more / 0.03)
 
 
-def test_rotor_drag_grows_with_speed_and_inflow_takes_thrust():
+def test_rotor_drag_grows_with_speed():
     model = made("propulsion.rotor_drag", MULTIROTOR, x=0.4, y=0.2)
     still, moving = (rates(model, u=u, v=u, w=w) for u, w in ((0.0, 0.0), (2.0, -1.0)))
     assert moving["u"] - still["u"] == pytest.approx(-0.8)
     assert moving["v"] - still["v"] == pytest.approx(-0.4)
     assert moving["w"] == still["w"]
+
+
+@pytest.mark.parametrize(
+    ("across", "climb"), [(0.0, 1.0), (0.0, -3.0), (3.0, 0.0), (8.0, 2.0), (12.0, 4.0), (5.0, -3.0)]
+)
+def test_flow_through_rotors_takes_the_thrust_of_momentum_theory(across: float, climb: float):
+    z, hover = 0.3, 4.5
+    model = made("propulsion.axial_inflow", MULTIROTOR, z=z, hover=hover)
+    still, moving = rates(model), rates(model, u=0.6 * across, v=0.8 * across, w=-climb)
+    v = brentq(lambda v: v * math.hypot(across, v + climb) - hover**2, max(0.0, -climb), 3.0 * hover)
+    assert moving["w"] - still["w"] == pytest.approx(2.0 * z * (v + climb - hover), rel=2e-3)
+    assert (moving["u"], moving["v"]) == pytest.approx((still["u"], still["v"]))
+    assert not across or climb >= 0.0 or moving["w"] < still["w"]
+
+
+def test_slow_climbing_takes_thrust_by_its_speed():
     model = made("propulsion.axial_inflow", MULTIROTOR, z=0.3)
-    still, moving = (rates(model, u=u, w=w) for u, w in ((0.0, 0.0), (2.0, -1.0)))
-    assert moving["u"] == still["u"]
-    assert moving["w"] - still["w"] == pytest.approx(0.3)
+    assert rates(model, w=-0.01)["w"] - rates(model)["w"] == pytest.approx(0.003, rel=2e-3)
 
 
 def test_rotors_that_turn_with_the_body_damp_its_rates():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import ClassVar, Self
 
@@ -14,13 +15,19 @@ from rotorid_torch.core.rigid import cross, vec
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.signal_operations import averaged, half_of, lagged
-from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.effects.spec import USUAL_ARM, USUAL_MASS, ModelSpec, arm
 from rotorid_torch.effects.testable import no_forces, no_motors, no_rates, no_velocities
 
 LARGE_SPEED = 1e3
 """rad/s: speeds of small rotors are thousands, where commands are one."""
 VOLTAGE_S = 1.0
 """s: mean of a recorded voltage. A sensor's noise would hide the exponent, and a load's sag is late in many records."""
+NEXT_DISC = 0.8
+"""Radius of a rotor over half the distance to the next one, usual among vehicles on sale."""
+NEWTON = 3
+"""Steps to the induced velocity: errors are 4e-6 of that in hover, up to 4 times as fast across and twice along."""
+STILL = 1e-9
+"""m4/s4 that keep roots and quotients finite at no inflow."""
 LEAST_VOLTAGE = 0.05
 """Share of the reference below which a voltage is a fault of its sensor."""
 
@@ -146,14 +153,10 @@ class _WithThrust(Effect):
 
 
 class _AtHubs(_WithThrust):
-    """Forces on each rotor by the velocity of its own hub through the air, v + omega x place: they damp rates as well.
-
-    `rows` : axes along which they act, with the names of their coefficients.
-    """
+    """Forces on each rotor by the velocity of its hub through the air, v + omega x place: they damp rates as well."""
 
     stage = Stage.ROTOR
     needs = (no_motors, no_velocities, no_forces)
-    rows: ClassVar[Mapping[str, str]]
     place: Tensor
 
     def __init__(self, spec: ModelSpec) -> None:
@@ -167,11 +170,35 @@ class _AtHubs(_WithThrust):
         if set(RATES) <= set(frame.signals):
             velocity = velocity + cross(frame.stack(RATES).unsqueeze(-2), self.place)
         share = frame.stack(self.driven) * (self.mass / self.total)
-        felt = [
-            -p[self.rows[n]].unsqueeze(-1) * share * velocity[..., k] if n in self.rows else torch.zeros_like(share)
-            for k, n in enumerate(VELOCITIES)
-        ]
-        return frame.add_at_hubs(vec(*felt)), x
+        return frame.add_at_hubs(share.unsqueeze(-1) * self._felt(velocity, p)), x
+
+    def _felt(self, velocity: Tensor, p: Values) -> Tensor:
+        """Specific force of a rotor at its usual speed whose hub moves at velocities [..., motors, 3], m/s2."""
+        raise NotImplementedError
+
+
+def usual_inflow(spec: ModelSpec) -> float:
+    """Induced velocity of a multirotor's rotors in hover by momentum theory, m/s; discs nearly meet each other."""
+    radius = NEXT_DISC * arm(spec) * math.sin(math.pi / max(len(spec.motors), 4))
+    mass = spec.mass or USUAL_MASS * (arm(spec) / USUAL_ARM) ** 3
+    return math.sqrt(mass * spec.gravity / (2.0 * spec.air_density * math.pi * radius**2 * len(spec.motors)))
+
+
+def induced_velocity(hover: Tensor, across: Tensor, climb: Tensor) -> Tensor:
+    """Induced velocity v, m/s, that solves v^2 (across + (v + climb)^2) = hover^4, by steps of Newton.
+
+    across : square of the speed across the rotor's axis, m2/s2. climb : m/s. They begin with what is exact where there
+    is no climb, or nothing but climb.
+    """
+    fourth = hover.square().square() + STILL
+    level = fourth / (0.5 * across + torch.sqrt(0.25 * across * across + fourth))
+    part = 0.5 * climb * level / fourth.sqrt()
+    v = torch.sqrt(part.square() + level) - part
+    for _ in range(NEWTON):
+        through = v + climb
+        flow = across + through * through
+        v = v - (v * v * flow - fourth) / (2.0 * v * (flow + v * through) + STILL)
+    return v
 
 
 @register
@@ -185,23 +212,39 @@ class RotorDrag(_AtHubs):
 
     id = "propulsion.rotor_drag"
     coefficients = alike("xy", "1/s", (0.0, 5.0), "drag in the rotors' plane along {}", typical=0.3)
-    rows: ClassVar[Mapping[str, str]] = {"u": "x", "v": "y"}
+
+    def _felt(self, velocity: Tensor, p: Values) -> Tensor:
+        u, v, w = velocity.unbind(-1)
+        x, y = p.stack("x", "y").unsqueeze(-2).unbind(-1)
+        return vec(-x * u, -y * v, torch.zeros_like(w))
 
 
 @register
 class AxialInflow(_AtHubs):
-    """Thrust lost by climbing and gained by sinking, linear in the speed along the rotors' axes.
+    """Thrust lost by flow through the rotors: by climbing, less by the induced velocity that flow carries away.
 
-    Each rotor's hub feels -z s_i w_i with s_i its command or speed over the sum of all at the reference: air that meets
-    the blades from above takes from their angle of attack.
+    Each rotor's hub feels 2 z s_i (v + V_c - v_h) along z with s_i its command or speed over the sum of all at the
+    reference, V_c = -w its climb, V its speed across, v_h the induced velocity in hover and v that of momentum theory,
+    v sqrt(V^2 + (v + V_c)^2) = v_h^2. Slow climbing costs z V_c; speed across, or wind, brings lift.
 
-    Source: Foerster, System Identification of the Crazyflie 2.0 (ETH, 2015), sec. 3.4; Bangura and Mahony (2012),
-    Nonlinear dynamic modelling for high performance control of a quadrotor, eq. 15.
+    Source: Leishman, Principles of Helicopter Aerodynamics, sec. 2.14 (momentum theory in forward flight) and 3.2
+    (thrust by inflow); Foerster, System Identification of the Crazyflie 2.0 (ETH, 2015), sec. 3.4.
     """
 
     id = "propulsion.axial_inflow"
-    coefficients = (Parameter("z", 0.0, "1/s", (0.0, 5.0), doc="thrust lost by climbing", typical=0.3),)
-    rows: ClassVar[Mapping[str, str]] = {"w": "z"}
+    coefficients = (Parameter("z", 0.0, "1/s", (0.0, 5.0), doc="thrust lost by slow climbing", typical=0.3),)
+
+    def __init__(self, spec: ModelSpec) -> None:
+        super().__init__(spec)
+        usual, doc = usual_inflow(spec), "induced velocity in hover"
+        hover = Parameter("hover", usual, "m/s", (0.0, 10.0 * usual), 0.3 * usual, doc=doc, typical=usual)
+        self.declared = (*self.declared, hover)
+
+    def _felt(self, velocity: Tensor, p: Values) -> Tensor:
+        u, v, w = velocity.unbind(-1)
+        hover, zero = p["hover"].unsqueeze(-1), torch.zeros_like(w)
+        through = induced_velocity(hover, u * u + v * v, -w) - w
+        return vec(zero, zero, 2.0 * p["z"].unsqueeze(-1) * (through - hover))
 
 
 @register

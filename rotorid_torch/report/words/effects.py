@@ -193,9 +193,9 @@ EFFECTS = {
         {"xy": "{} in the plane", "z": "{} along the axes"},
     ),
     "propulsion.axial_inflow": Words(
-        "Thrust changes as the vehicle climbs or sinks: {}.",
-        "thrust by axial speed",
-        "Keep the thrust by axial speed in the model for climbs and descents.",
+        "Thrust changes with the flow through the rotors, as the vehicle climbs, sinks or moves through the air: {}.",
+        "thrust by flow through the rotors",
+        "Keep the thrust by flow through the rotors in the model for climbs, descents, fast flight and wind.",
     ),
     "propulsion.flapping": Words(
         "The rotors turn the body as it moves sideways, for their blades flap back: {}.",
