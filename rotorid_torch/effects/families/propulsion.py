@@ -24,6 +24,8 @@ VOLTAGE_S = 1.0
 """s: mean of a recorded voltage. A sensor's noise would hide the exponent, and a load's sag is late in many records."""
 NEXT_DISC = 0.8
 """Radius of a rotor over half the distance to the next one, usual among vehicles on sale."""
+TRIED = (0.5, 1.0, 1.35, 1.8)
+"""Induced velocities that are tried, over the usual: lift by speed and loss by climbing nearly cancel in wind."""
 NEWTON = 3
 """Steps to the induced velocity: errors are 4e-6 of that in hover, up to 4 times as fast across and twice along."""
 STILL = 1e-9
@@ -237,7 +239,8 @@ class AxialInflow(_AtHubs):
     def __init__(self, spec: ModelSpec) -> None:
         super().__init__(spec)
         usual, doc = usual_inflow(spec), "induced velocity in hover"
-        hover = Parameter("hover", usual, "m/s", (0.0, 10.0 * usual), 0.3 * usual, doc=doc, typical=usual)
+        tried, bounds = tuple(share * usual for share in TRIED), (0.0, 10.0 * usual)
+        hover = Parameter("hover", usual, "m/s", bounds, 0.3 * usual, doc=doc, typical=usual, tried=tried)
         self.declared = (*self.declared, hover)
 
     def _felt(self, velocity: Tensor, p: Values) -> Tensor:
