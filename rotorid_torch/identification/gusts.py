@@ -10,7 +10,7 @@ the trims.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -74,6 +74,7 @@ class Air:
     flight's end.
     unknowns : of the filter, and common [3] what all flights have in common, m/s: with both, gusts of other flights.
     variances : [P] of the parameters when gusts are as uncertain as the filter leaves them, NaN where nothing tells.
+    steady : [3] standard deviation of the wind that all flights have in common and do not tell, m/s.
     doubtful : parameters that were estimated together with the air.
     """
 
@@ -85,6 +86,7 @@ class Air:
     variances: Tensor
     unknowns: Tensor
     common: Tensor
+    steady: Tensor
     doubtful: tuple[str, ...] = ()
 
 
@@ -136,12 +138,13 @@ def find_gusts(
     gusts, errors, inside = _smoothed(engine, psi)
     common = gusts.sum(dim=(0, 1)) / inside.sum()
     gusts = torch.where(inside, gusts - common, 0.0)
-    seconds, before = float(flights.lengths.sum()) * flights.dt, len(system.names) - held - 3
-    axes = _axes(minimum, before, passing_speed(model), seconds, len(flights.lengths))
+    seconds, before, speed = flights.lengths * flights.dt, len(system.names) - held - 3, passing_speed(model)
+    axes = _axes(minimum, before, speed, seconds)
+    steady = torch.tensor([steady_wind(speed / a.length, a.intensity, seconds) for a in axes], dtype=torch.float64)
     estimated = system.names[:-3]
     by_name = dict(zip(estimated, _variances(engine, psi, x0, model, estimated).tolist(), strict=True))
     variances = torch.tensor([by_name[n] for n in names], dtype=torch.float64)
-    return Air(axes, passing_speed(model), flights.dt, gusts, errors, variances, psi, common, tuple(doubtful))
+    return Air(axes, speed, flights.dt, gusts, errors, variances, psi, common, steady, tuple(doubtful))
 
 
 def follow(model: Model, names: Sequence[str], air: Air, flights: Records) -> Tensor:
@@ -230,6 +233,33 @@ def widened(estimate: Estimate, variances: Tensor) -> Estimate:
     return replace(estimate, uncertainty=replace(before, covariance=covariance, standard_errors=errors * stretch))
 
 
+def steady_wind(rate: float, intensity: float, seconds: Tensor) -> float:
+    """Standard deviation of the mean of gusts dg/dt = -rate g + noise over all flights together, of `seconds` [F] each.
+
+    Source: variance of a time average by the autocovariance, Priestley, Spectral Analysis and Time Series, sec. 5.3.1.
+    """
+    passed = rate * seconds
+    each = 2.0 * (passed + torch.expm1(-passed)) / rate**2
+    return intensity * float(each.sum()) ** 0.5 / float(seconds.sum())
+
+
+def in_steady_wind(estimate: Estimate, names: Sequence[str], values: Mapping[str, float], air: Air) -> Estimate:
+    """The estimate with trims as uncertain as those of calm air are.
+
+    The wind c that all flights have in common moves the trim of each row by minus its derivatives by the velocities
+    times c. The flights do not tell it: it adds G var(c) G' to the covariance, G [P, 3] these derivatives in the rows
+    of trims, and zero in those of derivatives, which are the same in any steady wind.
+
+    names : of the parameters [P]. values : of all parameters by name.
+    """
+    before = estimate.uncertainty
+    moved = [[values.get(n.removesuffix("trim") + v, 0.0) * n.endswith(".trim") for v in VELOCITIES] for n in names]
+    G = torch.tensor(moved, dtype=torch.float64) * air.steady * (before.standard_errors > 0.0)[:, None]
+    covariance = before.covariance + G @ G.mT
+    errors = covariance.diagonal().clamp_min(0.0).sqrt()
+    return replace(estimate, uncertainty=replace(before, covariance=covariance, standard_errors=errors))
+
+
 def _problem(
     model: Model, names: Sequence[str], doubtful: Sequence[str], flights: Records, sd: Tensor
 ) -> tuple[FilterProblem, int]:
@@ -314,12 +344,11 @@ def least_error(rate: float, seconds: float, flights: int) -> float:
     return (0.5 * rate * seconds + 0.5 * flights) ** -0.5
 
 
-def _axes(
-    minimum: Minimum[FilterPlace], before: int, speed: float, seconds: float, flights: int
-) -> tuple[GustAxis, ...]:
+def _axes(minimum: Minimum[FilterPlace], before: int, speed: float, seconds: Tensor) -> tuple[GustAxis, ...]:
     """Intensity sqrt(q/(2 rate)) and length V/rate of each axis, with errors no less than `least_error`.
 
-    before : trims before the rates among the unknowns. A rate at its bound is as uncertain as that.
+    before : trims before the rates among the unknowns. seconds : of each flight. A rate at its bound is as uncertain
+        as that.
     """
     identifiable = minimum.determined
     inverse = inverse_triangle(minimum.linear, identifiable)
@@ -331,7 +360,7 @@ def _axes(
         rate, density = minimum.point.theta[place].tolist()
         relative = torch.tensor([1.0 / rate, 1.0 / density], dtype=torch.float64)
         C = covariance[place][:, place] * relative * relative[:, None]
-        missing = max(least_error(rate, seconds, flights) ** 2 - float(C[0, 0]), 0.0)
+        missing = max(least_error(rate, float(seconds.sum()), len(seconds)) ** 2 - float(C[0, 0]), 0.0)
         C[0, 0] += missing
         slopes = torch.tensor([-0.5, 0.5], dtype=torch.float64)
         intensity, length = math.sqrt(density / (2.0 * rate)), speed / rate

@@ -25,7 +25,7 @@ from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
 from rotorid_torch.identification.estimate.progressive_fit import Estimate, Monitor, Settings, Start, fit
 from rotorid_torch.identification.estimate.segments import Records, records_from
 from rotorid_torch.identification.estimate.system import System
-from rotorid_torch.identification.gusts import Air, fed_in, find_gusts, of_all, widened
+from rotorid_torch.identification.gusts import Air, fed_in, find_gusts, in_steady_wind, of_all, widened
 from rotorid_torch.identification.method_choice import GUSTY, sentence, velocities_colour
 from rotorid_torch.identification.model_regression import ModelRegression, measured
 from rotorid_torch.identification.reconstruct.reconstruction import ReconstructedFlight, Reconstruction
@@ -156,7 +156,9 @@ class _Search:
         air = ranks.from_first(find_gusts(model, names, batch, noise, start.doubtful(names)))
         estimate, _ = self.estimate(fed(model), fed_in(flights, air, ranks))
         assert estimate is not None
-        return widened(estimate, torch.maximum(air.variances.nan_to_num(0.0), _regressed(start, names))), air
+        wider = widened(estimate, torch.maximum(air.variances.nan_to_num(0.0), _regressed(start, names)))
+        values = model.named_values | dict(zip(names, wider.theta.tolist(), strict=True))
+        return in_steady_wind(wider, names, values, air), air
 
     def estimate(self, model: Model, flights: Records, decides: bool = False) -> tuple[Estimate | None, float]:
         """By a model with these parameters; and the colour of the first stage's residuals of velocities.

@@ -54,7 +54,7 @@ def test_coverage_of_single_steps_is_in_reach_of_95_percent(tmp_path: Path) -> N
 
 
 def test_a_textbooks_case_in_turbulence_is_within_its_errors(tmp_path: Path) -> None:
-    result = quick("studies/textbook_lateral", tmp_path)
+    result = quick("studies/textbook_cases", tmp_path)
     assert result["converged"] == result["runs"] == 2
     assert result["within 2.5 errors"] > 0.9
 

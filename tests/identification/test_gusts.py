@@ -11,7 +11,7 @@ from torch import Tensor
 
 from rotorid_torch.data import Dataset
 from rotorid_torch.errors import InputError
-from rotorid_torch.identification.gusts import follow, least_error
+from rotorid_torch.identification.gusts import follow, least_error, steady_wind
 from rotorid_torch.identification.method_choice import GUSTY
 from rotorid_torch.identification.model_estimation import Means, ModelEstimate, estimate_model, records
 from rotorid_torch.identification.model_regression import regress_model
@@ -57,6 +57,9 @@ def test_gusts_and_derivatives_come_back(case: tuple[Dataset, Tensor]):
         assert off < 0.06
         assert off < max(other, 0.02)
     errors = dict(zip(answer.names, answer.fit.errors.tolist(), strict=True))
+    for row in ("X", "Y", "Z"):  # calm air has other trims by what the flights' wind, which they do not tell, does
+        wind = [model.named_values.get(f"forces.{row}.{v}", 0.0) for v in ("u", "v", "w")] * answer.air.steady.numpy()
+        assert errors[f"forces.{row}.trim"] > np.sqrt((wind**2).sum()) > 0.0
     off = [abs(model.named_values[n := f"forces.{k}"] - v) / errors[n] for k, v in DERIVATIVES.items()]
     assert float(np.median(off)) < 1.5
     assert max(off) < 4.5
@@ -124,6 +127,17 @@ def test_rows_that_gusts_keep_regression_from_telling_are_doubtful(case: tuple[D
     poor = replace(answer, by_row={"L": replace(answer.by_row["L"], band=(0.1, START))})
     assert "forces.L.v" in poor.doubtful(model.parameter_set.free)
     assert "forces.L.p" not in poor.doubtful(model.parameter_set.free)
+
+
+def test_what_flights_have_in_common_is_as_large_as_that_of_drawn_gusts():
+    rng, rate, dt, samples = np.random.default_rng(0), 0.1, 0.1, (150, 50)
+    means = np.zeros(4000)
+    for count in samples:
+        g = rng.standard_normal(4000)
+        for _ in range(count):
+            means += g / sum(samples)
+            g = np.exp(-dt * rate) * g + np.sqrt(1.0 - np.exp(-2.0 * dt * rate)) * rng.standard_normal(4000)
+    assert 2.0 * means.std() == pytest.approx(steady_wind(rate, 2.0, dt * torch.tensor(samples)), rel=0.04)
 
 
 def test_no_estimate_of_a_length_is_surer_than_by_gusts_themselves():

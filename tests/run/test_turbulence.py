@@ -42,7 +42,7 @@ WHY = "step 3 by the filter error method: the air moves"
 
 def air(*axes: GustAxis) -> Air:
     nothing = torch.zeros(1, 2, 3, dtype=torch.float64)
-    return Air(axes, 5.0, 0.02, nothing, nothing, torch.zeros(0), torch.zeros(0), torch.zeros(3))
+    return Air(axes, 5.0, 0.02, nothing, nothing, torch.zeros(0), torch.zeros(0), torch.zeros(3), torch.zeros(3))
 
 
 def test_turbulence_is_named_with_intensity_and_length():

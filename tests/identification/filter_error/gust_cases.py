@@ -1,4 +1,4 @@
-"""Linear systems flown in moving air, exactly: a roll axis, and roll and yaw with the derivatives of a transport."""
+"""Systems flown in moving air: a roll axis and a transport's roll and yaw, linear and exactly; a jet's pitch plane."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -106,3 +106,61 @@ def lateral_flight(
         outputs = truth.output(torch.as_tensor(states), torch.as_tensor(u)).numpy()
     outputs = outputs + np.asarray(LATERAL_NOISE) * rng.standard_normal(outputs.shape)
     return {"time": time, "controls": u, "outputs": outputs, "x0": np.zeros(2)}
+
+
+JET = {
+    **{"CD0": 0.12, "CDV": -0.06, "CDa": 0.32, "CL0": -0.09, "CLV": 0.15, "CLa": 4.33},
+    **{"Cm0": 0.11, "CmV": 0.004, "Cma": -0.97, "Cmq": -34.7, "Cmde": -1.53},
+}
+"""Coefficients of the size that flights of a business jet give."""
+JET_GUSTS, JET_NOISE = (0.3, 0.003, 0.0, 0.004), (0.15, 0.002, 0.002, 0.001, 0.006, 0.05, 0.08)
+JET_LIFT, JET_PITCH, JET_SPEED, JET_MASS, TILT, GRAVITY = 0.0016, 3.17e-4, 105.0, 7470.0, 0.05, 9.81
+
+
+class Jet(Named):
+    """Speed, incidence, pitch angle and rate by elevator and thrust; outputs these, pitch acceleration, ax, az."""
+
+    states = ("V", "alpha", "theta", "q")
+
+    def coefficients(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Drag and lift, m/s2, and pitch acceleration."""
+        (V, a, _, q), (de, thrust) = x.unbind(-1), u.unbind(-1)
+        v, square = V / JET_SPEED, V * V
+        drag = JET_LIFT * square * (self.CD0 + self.CDV * v + self.CDa * a)
+        lift = JET_LIFT * square * (self.CL0 + self.CLV * v + self.CLa * a)
+        moment = self.Cm0 + self.CmV * v + self.Cma * a + self.Cmq * q * 1.2 / JET_SPEED + self.Cmde * de
+        return drag, lift, JET_PITCH * square * moment - 7e-6 * thrust
+
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Tensor:
+        (V, a, theta, q), push = x.unbind(-1), u[..., 1] / JET_MASS
+        drag, lift, pitch = self.coefficients(x, u)
+        speed = -drag + push * torch.cos(a + TILT) + GRAVITY * torch.sin(a - theta)
+        turn = (-lift - push * torch.sin(a + TILT) + GRAVITY * torch.cos(a - theta)) / V
+        return torch.stack([speed, turn + q, q, pitch], dim=-1)
+
+    def output(self, x: Tensor, u: Tensor) -> Tensor:
+        a, push = x[..., 1], u[..., 1] / JET_MASS
+        drag, lift, pitch = self.coefficients(x, u)
+        ax = lift * torch.sin(a) - drag * torch.cos(a) + push
+        az = -lift * torch.cos(a) - drag * torch.sin(a) - TILT * push
+        return torch.cat([x, torch.stack([pitch, ax, az], dim=-1)], dim=-1)
+
+
+def jet_flight(rng: np.random.Generator, seconds: float = 60.0, substeps: int = 10) -> dict[str, Any]:
+    """A multistep of the elevator and a doublet in turbulence at 10 Hz, near trim; controls linear between samples."""
+    dt, truth = 0.1, Jet(**JET)
+    time = dt * np.arange(round(seconds / dt))
+    elevator = 0.012 * steps(time, (2, 5, 7, 8, 9), (1, -1, 1, -1)) + 0.008 * steps(time, (25, 27, 29), (1, -1))
+    u = torch.as_tensor(np.stack([elevator - 0.0106, np.full_like(time, 12800.0)], axis=-1))
+    x, h = torch.tensor([106.0, 0.108, 0.108, 0.0], dtype=torch.float64), dt / substeps
+    states = [x]
+    with torch.no_grad():
+        for k in range(len(time) - 1):
+            for j in range(substeps):
+                now = u[k] + (u[k + 1] - u[k]) * (j + 0.5) / substeps
+                middle = x + 0.5 * h * truth(0.0, x, now)
+                x = x + h * truth(0.0, middle, now) + h**0.5 * torch.as_tensor(rng.standard_normal(4) * JET_GUSTS)
+            states.append(x)
+        outputs = truth.output(torch.stack(states), u).numpy()
+    outputs = outputs + rng.standard_normal(outputs.shape) * JET_NOISE
+    return {"time": time, "controls": u.numpy(), "outputs": outputs, "x0": states[0].numpy()}

@@ -22,10 +22,13 @@ from tests.identification.estimate.output_error_cases import (
 )
 from tests.identification.filter_error.gust_cases import (
     BIASES,
+    JET,
     LATERAL,
     LATERAL_GUSTS,
     LATERAL_NOISE,
+    Jet,
     gusty_roll,
+    jet_flight,
     lateral_flight,
     lateral_model,
 )
@@ -48,6 +51,25 @@ def test_roll_and_yaw_derivatives_in_turbulence(lateral: FilterError) -> None:
     for p, truth in zip(lateral.process_noise, LATERAL_GUSTS, strict=True):
         assert abs(p.value - truth) < 3.0 * p.se < 0.15 * truth
     assert float(lateral.whiteness.p.min()) > 0.01
+
+
+@pytest.mark.parametrize(
+    ("start", "asked"),
+    [
+        (0.5, {}),
+        (1.5, {"x0": "fixed"}),
+        (0.5, {"process_noise": "full"}),
+        (0.7, {"process_noise": ["V", "alpha", "q"], "gain": "held"}),
+    ],
+)
+def test_a_jets_coefficients_in_turbulence_whatever_is_asked_for(start: float, asked: dict[str, Any]) -> None:
+    flight = jet_flight(np.random.default_rng(3))
+    if asked.get("process_noise") == "full":
+        flight["outputs"][np.random.default_rng(4).uniform(size=flight["outputs"].shape) < 0.2] = np.nan
+    result = rotorid.filter_error(Jet(**{n: start * v for n, v in JET.items()}), [flight], **asked)
+    assert result.converged
+    for p in result.parameters:
+        assert abs(p.value - JET[p.name]) < max(2.5 * p.se, 0.05 * abs(JET[p.name])), (p.name, p.value, p.se)
 
 
 def test_output_error_takes_turbulence_for_the_vehicles_own_motion(lateral: FilterError) -> None:
