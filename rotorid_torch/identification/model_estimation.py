@@ -81,13 +81,15 @@ class Means:
 
     monitor : called after each accepted step with iteration, cost, theta. ranks : among which the flights are spread.
     device : on another than the processor, torch does the work. method : "output-error", "filter-error", or "auto":
-    the latter where output error's residuals show moving air.
+    the latter where output error's residuals show moving air. asked : whether somebody has asked for that method, which
+    is refused then where it cannot be taken; else output error is taken.
     """
 
     monitor: Monitor | None = None
     ranks: Ranks = ALONE
     device: str = "cpu"
     method: str = "auto"
+    asked: bool = True
 
 
 def estimate_model(
@@ -114,7 +116,7 @@ def estimate_model(
         try:
             estimate, air = search.in_moving_air(flights, sensor_noise(model, dataset), start)
         except Unsupported as error:
-            if method == "filter-error":
+            if method == "filter-error" and means.asked:
                 raise InputError("--method", method, f"the model cannot be compiled: {error}", "output-error") from None
             why_not = f"no filter can be compiled for this model: {error}"
             estimate, _ = search.estimate(model, flights)
@@ -123,7 +125,8 @@ def estimate_model(
         model.theta[[model.parameter_set.index(n) for n in names]] = estimate.theta
     chosen = "output-error" if air is None else "filter-error"
     whose = tuple(name for part in ranks.gather(ranks.mine(dataset.identify)) for name in part)
-    return ModelEstimate(estimate, names, chosen, sentence(method, chosen, colour, why_not), air, whose if air else ())
+    why = sentence(method if method == chosen else "auto", chosen, colour, why_not)
+    return ModelEstimate(estimate, names, chosen, why, air, whose if air else ())
 
 
 def _settings(model: Model, dataset: Dataset, names: Sequence[str], device: str) -> Settings:

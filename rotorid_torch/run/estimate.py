@@ -51,7 +51,7 @@ def estimated(
                 if monitor.recorded:
                     curves(iteration, cost, theta)
 
-            means = Means(watch, steps.ranks, steps.device, steps.method)
+            means = Means(watch, steps.ranks, steps.device, steps.method, steps.asked)
             estimate = estimate_model(model, dataset, reconstruction, regressions, means)
             curves.end(estimate.fit.uncertainty.standard_errors, estimate.fit.minimum.dampings)
             return estimate

@@ -175,8 +175,9 @@ def _best_structure(
     first = *first[:3], replace(first[3], why=why or first[3].why)
     if other is None:
         return first
-    second = estimated(other, dataset, reconstruction, replace(steps, method=first[3].method))
-    best = min(first, second, key=lambda t: t[3].criterion)
+    same, asked = first[3].method, steps.asked and steps.method == first[3].method
+    second = estimated(other, dataset, reconstruction, replace(steps, method=same, asked=asked))
+    best = min(first, second, key=lambda t: t[3].criterion) if second[3].method == same else first
     return *best[:3], replace(best[3], why=first[3].why)
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.native import build as build_native
 from rotorid_torch.data import Dataset
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.gusts import follow, least_error, steady_wind
@@ -73,6 +75,24 @@ def test_calm_air_is_output_errors():
     assert torch.equal(auto.fit.theta, asked.fit.theta)
     assert "the air is calm" in auto.why
     assert f"{GUSTY:g}" in auto.why
+
+
+def test_where_no_filter_can_be_compiled_a_method_is_refused_only_to_whoever_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setenv("ROTORID_CACHE", str(tmp_path))
+    data = flown(linear_vehicle(), manoeuvres(5.0, DT), DT, noise=0.02, seed=2)
+    calm, _ = estimated(data, "output-error")
+    monkeypatch.setattr(build_native, "LIMIT_S", 1e-3)
+    step1 = reconstruct(data)
+    model = build(propose(data, step1, ()))
+    start = regress_model(model, data, step1)
+    answer = estimate_model(model, data, step1, start, Means(method="filter-error", asked=False))
+    assert answer.method == "output-error"
+    assert "no filter can be compiled" in answer.why
+    assert torch.equal(answer.fit.theta, calm.fit.theta)
+    with pytest.raises(InputError, match="--method: filter-error: the model cannot be compiled"):
+        estimate_model(model, data, step1, start, Means(method="filter-error"))
 
 
 def test_rates_alone_have_nothing_that_gusts_act_through():

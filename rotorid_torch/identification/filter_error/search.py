@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -10,7 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.gauss_newton import Minimum, Region, minimise
+from rotorid_torch.core.gauss_newton import Minimum, Options, Region, minimise
 from rotorid_torch.core.native.graph.tracing import Unsupported
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.estimate.own_models.steps import Stepped, in_steps
@@ -29,6 +30,8 @@ from rotorid_torch.identification.filter_error.start import first
 
 LITTLE = 1e-3
 """Part of the process noise with which a fit is tried again from where it ended."""
+NEAR = Options(max_iterations=20, absolute=1.0)
+"""Of the first part of a search, which has only to come near."""
 LEAST_GAIN = 1e-2
 """In the log-likelihood, for which another optimum is taken."""
 
@@ -96,38 +99,43 @@ class Search:
         more = torch.full((len(lower) - len(system.upper),), math.inf, dtype=torch.float64)
         return Region(lower, torch.cat([system.upper, more]))
 
-    @property
+    @cached_property
     def _regions(self) -> list[Region]:
-        """Without correlations of the noises first: far from the maximum these could make a noise vanish for good."""
-        forms = self.problem.process, self.problem.noise
-        alone = torch.ones(len(self.problem.system.theta), dtype=torch.bool)
-        each = [torch.arange(one.count) < len(one.which) for one in forms]
-        without = replace(self._region, free=torch.cat([alone, *each]))
-        return [self._region] if bool(without.mask.all()) else [without, self._region]
+        """Parameters alone first, then noises too, then their correlations.
+
+        Noises of the start let the filter follow any parameters. Far from the maximum they would settle on these: one
+        could vanish, and hold all others to what it belongs to.
+        """
+        forms, count = (self.problem.process, self.problem.noise), len(self.problem.system.theta)
+        alone, none = torch.ones(count, dtype=torch.bool), [torch.zeros(f.count, dtype=torch.bool) for f in forms]
+        single = [torch.arange(f.count) < len(f.which) for f in forms]
+        masks = [torch.cat([alone, *none]), torch.cat([alone, *single])]
+        return [*(replace(self._region, free=m) for m in masks if not bool(m.all())), self._region]
 
     def _watch(self, iteration: int, cost: float, psi: Tensor) -> None:
         if self.monitor is not None:
             self.monitor(iteration, cost, psi[: len(self.problem.system.theta)])
 
     def _descending(self, engine: FilterEngine, psi: Tensor, x0: Tensor) -> Maximum:
-        """Gauss-Newton on all unknowns, correlations of noises last, and once more from hardly any process noise."""
+        """Gauss-Newton, and once more from hardly any process noise."""
         likelihood = InnovationLikelihood(engine, x0, self.free)
         options = replace(FINE, max_iterations=self.iterations)
 
-        def within(region: Region, start: Tensor | FilterPlace) -> Minimum[FilterPlace]:
-            return minimise(likelihood.evaluate, likelihood.linearise, start, region, options, self._watch)
+        def within(region: Region, start: Tensor | FilterPlace, how: Options = options) -> Minimum[FilterPlace]:
+            return minimise(likelihood.evaluate, likelihood.linearise, start, region, how, self._watch)
 
-        def descend(start: Tensor | FilterPlace) -> Minimum[FilterPlace]:
-            end = within(self._regions[0], start)
-            for region in self._regions[1:]:
+        def continued(end: Minimum[FilterPlace], regions: Sequence[Region]) -> Minimum[FilterPlace]:
+            for region in regions:
                 before, end = end.history, within(region, end.point)
                 end = replace(end, history=before + end.history)
             return end
 
-        best = descend(psi)
+        first, *later = self._regions
+        best = continued(within(first, psi, NEAR if later else options), later)
         calmer = likelihood.at(_with_less(self.problem, best.point.theta), best.point.x0)
         if self.problem.process.count and math.isfinite(calmer.cost):
-            other = descend(calmer)
+            first, *later = self._regions[1:] or self._regions
+            other = continued(within(first, calmer), later)
             best = other if other.point.cost < best.point.cost - LEAST_GAIN else best
         return Maximum(engine, likelihood, best)
 

@@ -173,6 +173,7 @@ class Steps:
     results: Checkpoint
     device: str = "cpu"
     method: str = "auto"
+    asked: bool = True
 
     def do(self, step: str, name: str, make: Callable[[], Result]) -> Result:
         """The result kept under `name`, or made now, timed as `step`, and kept."""

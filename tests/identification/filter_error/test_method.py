@@ -58,13 +58,14 @@ def test_roll_and_yaw_derivatives_in_turbulence(lateral: FilterError) -> None:
     [
         (0.5, {}),
         (1.5, {"x0": "fixed"}),
-        (0.5, {"process_noise": "full"}),
+        (0.5, {"process_noise": "full", "noise": "full"}),
+        (0.0, {}),
         (0.7, {"process_noise": ["V", "alpha", "q"], "gain": "held"}),
     ],
 )
 def test_a_jets_coefficients_in_turbulence_whatever_is_asked_for(start: float, asked: dict[str, Any]) -> None:
     flight = jet_flight(np.random.default_rng(3))
-    if asked.get("process_noise") == "full":
+    if asked.get("x0") != "fixed":
         flight["outputs"][np.random.default_rng(4).uniform(size=flight["outputs"].shape) < 0.2] = np.nan
     result = rotorid.filter_error(Jet(**{n: start * v for n, v in JET.items()}), [flight], **asked)
     assert result.converged
