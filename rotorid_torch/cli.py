@@ -7,7 +7,6 @@ else, one line and a log.
 from __future__ import annotations
 
 import argparse
-import gc
 import io
 import json
 import math
@@ -23,6 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from rotorid_torch.core.names import nearest
+from rotorid_torch.core.processes.loading import loading
 from rotorid_torch.core.storage.atomic import OUTPUT, Unwritable, reason, writing
 from rotorid_torch.errors import InputError, LostRank, ReportedElsewhere
 from rotorid_torch.printable import printable
@@ -334,7 +334,7 @@ def import_logs(options: Options) -> None:
 
 def check(options: Options) -> int:
     """Grade a data set: ready, limited or not usable; exit code 3 for the last."""
-    with _loading():
+    with loading():
         from rotorid_torch.data import load
         from rotorid_torch.run.check import check as examine
         from rotorid_torch.run.check import check_table, write_check
@@ -352,7 +352,7 @@ def check(options: Options) -> int:
 
 def reconstruct(options: Options) -> None:
     """Step 1 alone."""
-    with _loading():
+    with loading():
         from rotorid_torch.data import load
         from rotorid_torch.report.records import read_report
         from rotorid_torch.run import pipeline
@@ -365,7 +365,7 @@ def reconstruct(options: Options) -> None:
 
 def identify(options: Options) -> None:
     """The three steps, validation and report; under torchrun, by all processes together."""
-    with _loading():
+    with loading():
         from rotorid_torch.core.processes.ranks import ranks_of_torchrun
         from rotorid_torch.data import load
         from rotorid_torch.report.records import read_report
@@ -385,7 +385,7 @@ def identify(options: Options) -> None:
 
 def close_loop(options: Options) -> None:
     """Find what the model lacks, name it, add it, identify again; under torchrun, by all processes together."""
-    with _loading():
+    with loading():
         from rotorid_torch.core.processes.ranks import PATIENCE_FOR_FITS_S, ranks_of_torchrun
         from rotorid_torch.data import load
         from rotorid_torch.report.records import read_report
@@ -532,20 +532,6 @@ def _interrupted_by(*signals: signal.Signals) -> Iterator[None]:
     finally:
         for number, handler in earlier.items():
             signal.signal(number, handler)
-
-
-@contextmanager
-def _loading() -> Iterator[None]:
-    """A block of imports, whose million objects stay: Python does not look among them for what nobody uses any more."""
-    if "torch" in sys.modules:  # a command in somebody's process
-        yield
-        return
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.freeze()
-        gc.enable()
 
 
 @contextmanager

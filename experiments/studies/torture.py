@@ -171,7 +171,7 @@ def kill_draws(base: Base, rng: np.random.Generator, place: Place) -> dict:
     copied(base.cache, place.cache)
     for file in sorted(place.cache.rglob("floors/*/[0-9]*.json"))[:4]:
         file.unlink()
-    return _kill_beside(base, rng, place, "floors", ("rotorid_torch.trace.clean_aircraft",), 8.0)
+    return _kill_beside(base, rng, place, "floors", ("rotorid_torch.trace",), 8.0)
 
 
 def _kill_beside(

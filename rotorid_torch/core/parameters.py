@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Callable, Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from importlib import import_module
@@ -62,6 +63,12 @@ class Parameter:
         for what, size in sizes.items():
             if not low <= size <= high:
                 raise self._wrong(f"{what} {size} lies outside its bounds {low} to {high}", "a number within them")
+
+    def renamed(self, name: str) -> Parameter:
+        """The same under another name."""
+        other = copy(self)  # its numbers have been looked at
+        object.__setattr__(other, "name", name)
+        return other
 
     def _take(self, name: str, kind: Callable[[Any], T], expected: str) -> T:
         """Holds a field as plain numbers, whatever kind of numbers it was declared by."""

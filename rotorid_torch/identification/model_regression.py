@@ -277,12 +277,11 @@ def _followed(effect: Effect, frame: Frame, values: Values, dt: float) -> Tensor
     if not effect.states:
         return torch.empty(samples, 0, dtype=torch.float64)
     # linear in its own state for as long as a sample is short: dx/dt = c + A x with A by differences at the start
-    state = torch.zeros(samples, len(effect.states), dtype=torch.float64)
-    constant = effect(frame, state, values)[1]
-    slope = torch.stack(
-        [effect(frame, state + e, values)[1] - constant for e in torch.eye(len(effect.states), dtype=torch.float64)], -1
-    )
-    passed = torch.linalg.inv(torch.eye(len(effect.states), dtype=torch.float64) - dt * slope)
+    unit = torch.eye(len(effect.states), dtype=torch.float64)
+    trials = torch.cat([torch.zeros_like(unit[:1]), unit])[:, None].expand(-1, samples, -1)
+    constant, *moved = effect(frame, trials, values)[1].expand_as(trials)
+    slope = torch.stack(moved, dim=-1) - constant[..., None]
+    passed = torch.linalg.inv(unit - dt * slope)
     steps = torch.nn.functional.pad(passed, (0, 1, 0, 1))  # of [x, 1]
     steps[:, :-1, -1] = (passed @ (dt * constant).unsqueeze(-1)).squeeze(-1)
     steps[:, -1, -1] = 1.0

@@ -52,7 +52,7 @@ class Model(nn.Module):
         ids = [e.id for e in self.chain]
         if len(set(ids)) < len(ids):
             raise ValueError(f"effects of one id: {sorted({i for i in ids if ids.count(i) > 1})}")
-        declared = [replace(p, name=f"{e.id}.{p.name}") for e in self.chain for p in e.declared]
+        declared = [p.renamed(f"{e.id}.{p.name}") for e in self.chain for p in e.declared]
         self.parameter_set = ParameterSet(tuple(declared))
         self.theta = nn.Parameter(self.parameter_set.values)
         effect_states = [replace(s, name=_state_name(e, s)) for e in self.chain for s in e.states]
@@ -124,10 +124,8 @@ class Model(nn.Module):
     @torch.no_grad()
     def start_from(self, values: Mapping[str, float]) -> None:
         """Set the parameters among these that the model has, inside their bounds; the others stay."""
-        for name, value in values.items():
-            if name in self.parameter_set:
-                self.theta[self.parameter_set.index(name)] = value
-        self.theta.copy_(self.parameter_set.clamp(self.theta))
+        numbers = [values.get(name, value) for name, value in self.named_values.items()]
+        self.theta.copy_(self.parameter_set.clamp(self.theta.new_tensor(numbers)))
 
     @contextmanager
     def restored(self) -> Iterator[None]:

@@ -66,7 +66,8 @@ def build(spec: ModelSpec) -> Model:
 def _as_specified(declared: Parameter, name: str, spec: ModelSpec) -> Parameter:
     """A parameter of an effect with what the spec says of it under its full name."""
     free, typical = spec.free.get(name, declared.free), spec.screening_sizes.get(name, declared.typical)
-    return replace(declared, free=free, typical=typical)
+    changed = (free, typical) != (declared.free, declared.typical)
+    return replace(declared, free=free, typical=typical) if changed else declared
 
 
 def _multirotor(spec: ModelSpec) -> Sequence[Effect]:

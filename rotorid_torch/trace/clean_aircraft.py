@@ -314,7 +314,7 @@ def _worker(request: Path) -> Iterator[subprocess.Popen[str]]:
     root = str(Path(__file__).parents[2])
     places = os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))
     alone = {"OMP_NUM_THREADS": "1", "ROTORID_THREADS": "1", "PYTHONPATH": places, "PYTHONSAFEPATH": "1"}
-    command = [sys.executable, "-m", "rotorid_torch.trace.clean_aircraft", str(request)]
+    command = [sys.executable, "-m", "rotorid_torch.trace", str(request)]
     with request.with_suffix(".log").open("w") as log, child(command, env=os.environ | alone, stderr=log) as worker:
         yield worker
 
@@ -398,9 +398,10 @@ def _work(request: Mapping[str, object]) -> None:
         write(number, away)
 
 
-if __name__ == "__main__":
+def work_on(request: str) -> None:
+    """What a process of its own does with the file of a request."""
     torch.set_num_threads(1)
     try:
-        _work(json.loads(Path(sys.argv[1]).read_text()))
+        _work(json.loads(Path(request).read_text()))
     except Unwritable:
         sys.exit(NO_ROOM)

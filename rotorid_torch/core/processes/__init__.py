@@ -1,1 +1,1 @@
-"""Work elsewhere: `ranks` (processes that share a run), `children` (processes that end with this one), `device`."""
+"""Work elsewhere: `ranks` share a run, `children` end with this process, `loading` is of imports, `device`."""

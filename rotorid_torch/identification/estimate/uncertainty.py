@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -22,6 +23,8 @@ LEAST_LEFT = 0.1
 """Share of a line that the fit is never believed to have left below."""
 MOST_COLOUR = 0.99
 """Correlation of successive residuals taken out before averaging, at most."""
+KEPT_NUMBERS = 16_000_000
+"""Of the flights' rows that stay in memory from the residuals' spectrum to the covariance; more are made again."""
 STUDENT = (1.96**2 + 1.0) / 4.0
 """Student's 95 % quantile is that of the normal distribution times 1 + this over the degrees of freedom."""
 CHANCE = 2.326  # normal quantile of 99 %
@@ -90,7 +93,10 @@ def errors_of(likelihood: Likelihood, place: Place, linear: Linear, identifiable
 def colour_of(likelihood: Likelihood, place: Place, inverse: Tensor, identifiable: Tensor) -> Colour:
     """The residuals' colour at a place; inverse and identifiable as `Colour` has them."""
     lines = fast(2 * -(-likelihood.longest // _apart(likelihood)))
-    flights = lambda directions: _flights(likelihood, place, directions)  # noqa: E731
+    flights, width = partial(_flights, likelihood, place), likelihood.locals_per_segment + len(identifiable)
+    if likelihood.segments.outputs.numel() * width <= KEPT_NUMBERS:
+        rows = tuple(flights())
+        flights = lambda: rows  # noqa: E731
     return Colour.of(flights, lines, likelihood.pieces, inverse, identifiable, likelihood.ranks)
 
 
@@ -122,14 +128,14 @@ def inverse_triangle(linear: Linear, identifiable: Tensor) -> Tensor:
 class FlightRows:
     """Whitened rows of one flight's segments: derivatives freed of initial states and biases, their basis, residual."""
 
-    derivatives: Tensor  # [s, T, ny, n] in the directions asked for
+    derivatives: Tensor  # [s, T, ny, P]
     basis: Tensor  # [s, T, ny, local] orthonormal columns that initial states and biases take out
     residual: Tensor  # [s, T, ny]
     valid: Tensor  # [s, T, ny]
 
 
-Flights = Callable[[Tensor], Iterator["FlightRows"]]
-"""Flights one after the other, their derivatives in some directions [P, n] of the parameters."""
+Flights = Callable[[], Iterable[FlightRows]]
+"""Flights one after the other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +173,7 @@ class Colour:
         The fit has taken its share out of the residuals, most where the derivatives have their power: each line is
         divided by the share left to it (one minus its leverage).
         """
-        power, left = _powers(flights(_directions(inverse, identifiable)), lines)
+        power, left = _powers(flights(), _directions(inverse, identifiable), lines)
         power = torch.view_as_complex(ranks.sum(torch.view_as_real(power)))
         spectrum = _spectrum(power, ranks.sum(left), lines, _reach(pieces))
         weights = torch.full((lines // 2 + 1,), 2.0 / lines, dtype=torch.float64)
@@ -187,8 +193,9 @@ class Colour:
         covariance = gain.new_zeros(gain.shape[1], gain.shape[1])
         squares = gain.new_zeros(*self.root.shape[::2], gain.shape[1])
         parts, moves = torch.empty_like(squares), torch.empty_like(squares)
-        for flight in self.flights(_directions(gain, self.identifiable)):  # once more: all need not fit the memory
-            for piece in flight.derivatives:
+        directions = _directions(gain, self.identifiable)
+        for flight in self.flights():  # once more: all need not fit the memory
+            for piece in flight.derivatives @ directions:
                 transform = torch.fft.rfft(piece, n=self.lines, dim=0)
                 torch.cat([transform.real, transform.imag], dim=1, out=parts)
                 torch.bmm(self.root, parts, out=moves)  # in units of the noise
@@ -228,30 +235,20 @@ def _real(matrices: Tensor) -> Tensor:
     return torch.cat([torch.cat([real, -imag], dim=-1), torch.cat([imag, real], dim=-1)], dim=-2)
 
 
-def _powers(flights: Iterable[FlightRows], lines: int) -> tuple[Tensor, Tensor]:
+def _powers(flights: Iterable[FlightRows], directions: Tensor, lines: int) -> tuple[Tensor, Tensor]:
     """Products [lines, ny, ny] of the residuals' transforms, and the share left of each line and output [lines, ny].
 
-    The flights' derivatives are in directions of unit variance; with the basis they span what the fit has taken.
+    directions : [P, n] of the parameters, of unit variance; with the basis they span what the fit has taken.
     """
-    power, valid = torch.zeros((), dtype=torch.complex128), torch.zeros((), dtype=torch.float64)
-    taken: Tensor | None = None  # [ny, T, T] products of samples, over all that was taken
+    power, left = torch.zeros((), dtype=torch.complex128), torch.zeros((), dtype=torch.float64)
     for flight in flights:
         residual = torch.fft.rfft(flight.residual, n=lines, dim=1)
         power = power + torch.einsum("slc,sld->lcd", residual, residual.conj())
-        valid = valid + flight.valid.sum(dim=(0, 1))
-        for part in (*flight.basis, *flight.derivatives):
-            rows = part.transpose(0, 1)
-            if taken is None:
-                taken = rows.new_zeros(len(rows), rows.shape[1], rows.shape[1])
-            taken.baddbmm_(rows, rows.mT)
-    assert taken is not None
-    return power, valid - _powers_of(taken, lines)
-
-
-def _powers_of(products: Tensor, lines: int) -> Tensor:
-    """Sum [lines, ny] of the squared transforms of records of which the products of samples [ny, T, T] are known."""
-    lags = torch.stack([products.diagonal(k, -2, -1).sum(-1) for k in range(products.shape[-1])])
-    return 2.0 * torch.fft.rfft(lags, n=lines, dim=0).real - lags[0]
+        left = left + flight.valid.sum(dim=(0, 1))
+        for part in (*flight.basis, *(flight.derivatives @ directions)):
+            taken = torch.fft.rfft(part.movedim(0, -1), n=lines)  # [ny, n, lines]
+            left = left - (taken.real.square() + taken.imag.square()).sum(1).mT
+    return power, left
 
 
 def _spectrum(power: Tensor, left: Tensor, lines: int, reach: int) -> Tensor:
@@ -294,15 +291,15 @@ def _apart(likelihood: Likelihood) -> int:
     return math.gcd(*likelihood.records.spacing().tolist())
 
 
-def _flights(likelihood: Likelihood, place: Place, directions: Tensor) -> Iterator[FlightRows]:
-    """Each flight with its derivatives in some directions [P, n] of the parameters."""
+def _flights(likelihood: Likelihood, place: Place) -> Iterator[FlightRows]:
+    """Each flight with its derivatives."""
     nx, nb, apart = likelihood.locals_per_segment, len(likelihood.biased), _apart(likelihood)
     for part, whitener, rows in likelihood.by_flight(place):
         sd = rows.new_zeros(len(part.which), 0) if likelihood.x0_sd is None else likelihood.x0_sd[part.which]
         first = basis_of(rows[..., :nx], sd)
         biases = _without(rows[..., nx : nx + nb], first)
         second = basis_of(biases.flatten(0, 1), likelihood.bias_sd[likelihood.biased]).unflatten(0, rows.shape[:2])
-        freed = _without(rows[..., nx + nb : -1] @ directions, first)
+        freed = _without(rows[..., nx + nb : -1], first)
         if nb:
             freed = freed - second @ torch.einsum("srb,srn->bn", second, freed)
         shape = part.residual.shape

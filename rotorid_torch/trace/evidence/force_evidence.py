@@ -16,6 +16,7 @@ from torch import Tensor
 
 from rotorid_torch.core.least_squares import bounded_least_squares
 from rotorid_torch.data.on_demand import OnDemand
+from rotorid_torch.effects.registry import make
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.model_regression import before, regress_model
 from rotorid_torch.model.nominal import build
@@ -45,7 +46,8 @@ def seen_in_forces(
     """
     flights, residuals = null.flights.dataset, {}
     source = flights, null.flights.reconstruction
-    for candidate in candidates:
+    tried = [c for c in candidates if whole or any(p.tried for p in make(c.effect, c.joined_to(null.spec)).declared)]
+    for candidate in tried:
         model = build(candidate.joined_to(null.spec))
         model.start_from(null.values)
         results = []

@@ -18,11 +18,14 @@ class Graph:
 
     def __init__(self) -> None:
         self.nodes: list[Node] = []
-        self._known: dict[Node, int] = {}
+        self._places: dict[Node, int] = {}
+        self._values: list[float | None] = []
+        self._arguments: list[tuple[int, ...]] = []
 
     def constant(self, value: float) -> int:
         """A number; minus zero is zero."""
-        return self._node(("constant", float(value) + 0.0))
+        number = float(value) + 0.0
+        return self._node(("constant", number), number)
 
     def input(self, name: str, place: int) -> int:
         """Entry of an input vector."""
@@ -30,8 +33,7 @@ class Graph:
 
     def value(self, node: int) -> float | None:
         """The number that a node is, or None where it varies."""
-        kind, *operands = self.nodes[node]
-        return float(operands[0]) if kind == "constant" else None
+        return self._values[node]
 
     def operation(self, node: int) -> str:
         """Name of a node's operation, "constant" or "input"."""
@@ -39,8 +41,7 @@ class Graph:
 
     def arguments(self, node: int) -> tuple[int, ...]:
         """Numbers of a node's arguments."""
-        kind, *operands = self.nodes[node]
-        return () if kind in ("constant", "input") else tuple(int(a) for a in operands)
+        return self._arguments[node]
 
     def apply(self, operation: str, *arguments: int) -> int:
         """The operation on nodes, in its simplest form."""
@@ -49,17 +50,22 @@ class Graph:
             try:
                 return self.constant(OPERATIONS[operation].evaluate(*values))
             except (ValueError, ZeroDivisionError, OverflowError):
-                return self._node((operation, *arguments))  # the C++ gives infinity or NaN, as torch does
+                return self._node((operation, *arguments), None, arguments)  # the C++ gives infinity or NaN
         simpler = self._simpler(operation, arguments, values)
         if simpler is not None:
             return simpler
-        return self._node((operation, *(sorted(arguments) if operation in COMMUTATIVE else arguments)))
+        if operation in COMMUTATIVE:
+            arguments = tuple(sorted(arguments))
+        return self._node((operation, *arguments), None, arguments)
 
-    def _node(self, node: Node) -> int:
-        if node not in self._known:
-            self._known[node] = len(self.nodes)
+    def _node(self, node: Node, value: float | None = None, arguments: tuple[int, ...] = ()) -> int:
+        place = self._places.get(node)
+        if place is None:
+            place = self._places[node] = len(self.nodes)
             self.nodes.append(node)
-        return self._known[node]
+            self._values.append(value)
+            self._arguments.append(arguments)
+        return place
 
     def _negated(self, node: int) -> int | None:
         """What a node is the negative of."""
@@ -129,7 +135,7 @@ class Graph:
                 values[node] = inputs[str(operands[0])][int(operands[1])]
             else:
                 try:
-                    values[node] = float(OPERATIONS[str(kind)].evaluate(*(values[int(a)] for a in operands)))
+                    values[node] = float(OPERATIONS[str(kind)].evaluate(*(values[a] for a in self._arguments[node])))
                 except (ValueError, ZeroDivisionError, OverflowError):
                     values[node] = math.nan
         return [values[node] for node in nodes]

@@ -1,0 +1,22 @@
+"""The imports of a process that begins."""
+
+from __future__ import annotations
+
+import gc
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def loading() -> Iterator[None]:
+    """A block of imports, whose million objects stay: Python does not look among them for what nobody uses any more."""
+    if "torch" in sys.modules:  # a command in somebody's process
+        yield
+        return
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        gc.enable()
