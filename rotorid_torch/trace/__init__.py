@@ -2,7 +2,8 @@
 
 `loop` is the whole of it for trajectories, `multirotor` for accelerations at measured states. `terms/` are candidates,
 findings and all numbers that decide; `evidence/` compares models with one effect more, `measured/` the same at measured
-states; `search/` selects, decides and words. `clean_aircraft` flies the null, `air` feeds gusts in. Beside the search:
+states; `search/` selects, decides and words. `clean_aircraft` flies the null (in processes of
+`__main__`), `air` feeds gusts in. Beside the search:
 `balance` (where thrusts balance), `stochastic` (gusts and vibration), `network` (what no name explains, learnt; it
 stands here because the same fits of the null and the same unseen flights decide on it as on a name). Errors of sensors
 are a chapter of `consistency/`.

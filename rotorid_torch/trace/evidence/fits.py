@@ -133,7 +133,7 @@ class Fitted:
     names: tuple[str, ...]
     fit: progressive_fit.Fit
     flights: Flights
-    _errors: dict[str, dict[str, float]] = field(default_factory=dict, init=False, repr=False)
+    _errors: dict[tuple[str, ...], dict[str, float]] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def values(self) -> dict[str, float]:
@@ -167,7 +167,8 @@ class Fitted:
 
     def error(self, name: str) -> float:
         """Standard error of a parameter, infinite where it was not estimated or cannot be told."""
-        group = f"{name.rpartition('.')[0]}."
+        effects = tuple(f"{e}." for e in self.spec.effects)  # together: the colour of residuals is half of the work
+        group = effects if name.startswith(effects) else (f"{name.rpartition('.')[0]}.",)
         if name in self.names and group not in self._errors:
             alike = [n.startswith(group) for n in self.names]
             self._errors[group] = dict(

@@ -7,12 +7,12 @@ import pytest
 import torch
 
 from rotorid_torch.core.storage import mapped_arrays
-from rotorid_torch.identification.estimate import likelihood
+from rotorid_torch.identification.estimate import likelihood, uncertainty
 from rotorid_torch.identification.estimate.output_error import OutputError, output_error
 from rotorid_torch.identification.estimate.segments import cut, records_from
 from rotorid_torch.identification.estimate.sensitivity import sensitivities, simulated
 from rotorid_torch.identification.estimate.system import System
-from rotorid_torch.identification.estimate.uncertainty import _powers_of, fast
+from rotorid_torch.identification.estimate.uncertainty import fast
 from tests.identification.estimate.output_error_cases import ROLL, Roll, roll_flight
 
 SD = np.array([0.01, 0.02])
@@ -61,14 +61,6 @@ def test_errors_under_known_colour() -> None:
         assert float((mean - 1.0).abs().max()) < tolerance, (colour, mean)
 
 
-def test_powers_of_products_are_those_of_the_records() -> None:
-    records = torch.randn(7, 11, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1))  # columns, T, ny
-    products = torch.einsum("ksc,ktc->cst", records, records)
-    for lines in (22, 30):
-        expected = torch.fft.rfft(records, n=lines, dim=1).abs().square().sum(dim=0)
-        torch.testing.assert_close(_powers_of(products, lines), expected, rtol=1e-12, atol=1e-12)
-
-
 def test_transforms_have_lengths_that_are_quick() -> None:
     assert [fast(n) for n in (2, 5, 12, 514, 1026)] == [2, 6, 12, 540, 1080]
 
@@ -80,6 +72,7 @@ def test_many_flights_in_parts_and_on_disk_give_the_same(monkeypatch: pytest.Mon
     monkeypatch.setattr(mapped_arrays, "LARGE", 0)
     monkeypatch.setattr(likelihood, "PART_NUMBERS", 1)
     monkeypatch.setattr(likelihood, "KEPT_NUMBERS", 0)
+    monkeypatch.setattr(uncertainty, "KEPT_NUMBERS", 0)
     monkeypatch.setattr(likelihood, "SOLVED", 4)
     parts = fitted(flights)
     torch.testing.assert_close(
