@@ -7,6 +7,7 @@ Guide, "Airframe Reference", has the same orders; Betaflight, mixer QUADX.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping
 
 Arms = tuple[tuple[float, str], ...]
@@ -33,6 +34,9 @@ FRAMES: Mapping[str, Arms] = {
 }
 """Motors by frame, in their order."""
 CLASSES = {1: "quad", 2: "hexa", 3: "octa", 4: "coaxial octa"}
+NAMED = {"QUAD": 4, "HEXA": 6, "OCTA": 8, "OCTA_QUAD": 8, "Y6": 6}
+CLASSED = {1: 4, 2: 6, 3: 8, 4: 8, 5: 6, 12: 12, 14: 10}
+"""Motors by the name of a frame, and by FRAME_CLASS."""
 TYPES = {0: "+", 1: "X", 3: "H", 12: "X in Betaflight's order"}
 STARTS = {4: "quad X", 5: "quad +", 6: "hexa X", 7: "hexa +", 8: "octa X", 9: "octa +", 12: "coaxial octa X"}
 """Frame by the thousands of PX4's SYS_AUTOSTART."""
@@ -45,6 +49,17 @@ def of_ardupilot(settings: Mapping[str, float]) -> str:
     words = CLASSES.get(int(settings.get("FRAME_CLASS", 0))), TYPES.get(int(settings.get("FRAME_TYPE", -1)))
     frame = " ".join(word or "" for word in words)
     return frame if frame in FRAMES else ""
+
+
+def motors_of_ardupilot(settings: Mapping[str, float], about: str) -> int:
+    """Number of motors by FRAME_CLASS or by "Frame: QUAD" of older firmware; 0 where neither says it."""
+    named = re.search(r"Frame: (OCTA_QUAD|QUAD|HEXA|OCTA|Y6)\b", about)
+    return CLASSED.get(int(settings.get("FRAME_CLASS", 0)), NAMED[named[1]] if named else 0)
+
+
+def motors_of_px4(settings: Mapping[str, float]) -> int:
+    """Number of motors of the frame that SYS_AUTOSTART names; 0 where it names none."""
+    return len(FRAMES.get(of_px4(settings), ()))
 
 
 def of_px4(settings: Mapping[str, float]) -> str:

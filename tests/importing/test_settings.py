@@ -130,12 +130,48 @@ def test_body_rates_in_one_matrix_are_no_rotor_speeds(tmp_path: Path):
     assert any("omega[0]" in warning for warning in done.warnings)
 
 
-def test_a_blackbox_says_that_it_has_no_attitude(tmp_path: Path):
+def box(folder: Path, low: float, high: float) -> Path:
+    """A blackbox without a header, with outputs for commands 0 and 1 at these values."""
     m = motion(TIME)
     columns = {"loopIteration": np.arange(len(TIME)), "time (us)": 1e6 * TIME}
     columns |= {f"gyroADC[{i}]": np.degrees(s * m[n]) for i, (n, s) in enumerate((("p", 1), ("q", -1), ("r", -1)))}
-    columns |= {f"motor[{i}]": 1000.0 + 1000.0 * m[name] for i, name in enumerate(MOTORS)}
+    columns |= {f"motor[{i}]": low + (high - low) * m[name] for i, name in enumerate(MOTORS)}
     rows = "\n".join(",".join(f"{v:.9g}" for v in row) for row in zip(*columns.values(), strict=True))
-    (tmp_path / "b.csv").write_text(",".join(columns) + "\n" + rows)
-    done, _ = imported(tmp_path / "b.csv")
+    (folder / "b.csv").write_text(",".join(columns) + "\n" + rows)
+    return folder / "b.csv"
+
+
+def test_a_blackbox_says_that_it_has_no_attitude(tmp_path: Path):
+    done, _ = imported(box(tmp_path, 1000.0, 2000.0))
     assert any("no data" in warning and "phi theta psi" in warning for warning in done.warnings)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 100.0), (50.0, 150.0), (0.0, 255.0)])
+def test_outputs_of_a_blackbox_that_use_little_of_a_range_are_no_dshot(low: float, high: float, tmp_path: Path):
+    with pytest.raises(InputError, match=r"runs from .* expected 1000 to 2000 .* or 48 to 2047"):
+        imported(box(tmp_path, low, high))
+
+
+@pytest.mark.parametrize(
+    ("settings", "about"),
+    [({"FRAME_CLASS": 1.0}, "ArduCopter V3.6"), ({}, "ArduCopter V3.3.3; Frame: QUAD"), ({}, "Frame: QUAD/X")],
+)
+def test_a_gimbal_behind_the_motors_of_a_frame_is_no_motor(settings: dict, about: str, tmp_path: Path):
+    m = motion(TIME)
+    pulses = {f"C{i}": np.full(len(TIME), 1500, "<u2") for i in range(1, 9)}
+    pulses |= {f"C{i + 1}": np.round(1000.0 + 1000.0 * m[name]).astype("<u2") for i, name in enumerate(MOTORS)}
+    pulses["C6"] = np.round(1500.0 + 300.0 * np.sin(TIME)).astype("<u2")
+    rates = floats({f"Gyr{a}": m[n] for a, n in zip("XYZ", "pqr", strict=True)})
+    topics = {"IMU": (TIME + 20.0, rates), "RCOU": (TIME + 20.0, pulses)}
+    _, channels = imported(write_dataflash(tmp_path / "log.bin", topics, settings, about))
+    assert [name for name in channels if name.startswith("motor")] == [*MOTORS]
+
+
+@pytest.mark.parametrize(("settings", "motors"), [({"SYS_AUTOSTART": 4001}, 4), ({}, 5)])
+def test_a_moving_output_behind_the_motors_of_px4(settings: dict, motors: int, tmp_path: Path):
+    topics = dict(with_outputs(1000.0, 2000.0, 900.0))
+    time, outputs = topics["actuator_outputs"]
+    topics["actuator_outputs"] = (time, outputs | floats({"output[4]": 1500.0 + 200.0 * np.sin(time)}))
+    done, channels = imported(write_ulog(tmp_path / "log.ulg", topics, settings))
+    assert len([name for name in channels if name.startswith("motor")]) == motors
+    assert any("no setting says which output drives which motor" in w for w in done.warnings) is (not settings)

@@ -269,7 +269,8 @@ def _motors(log: Log) -> tuple[Chosen, list[str], dict[int, int]]:
     columns, notes = log.streams["RCOU", log.instances("RCOU")[0]].columns, list[str]()
     letter = "C" if "C1" in columns else "Ch"
     if not outputs:
-        outputs = {i: i for i in range(1, 9) if moving(columns.get(f"{letter}{i}", np.zeros(1)))}
+        count = frames.motors_of_ardupilot(parameters, log.about) or 8
+        outputs = {i: i for i in range(1, count + 1) if moving(columns.get(f"{letter}{i}", np.zeros(1)))}
         reason = f"no SERVOn_FUNCTION says which output drives which motor: RCOU outputs {[*outputs]} are motors"
         notes = [reason] if outputs else []
     entries, hertz = dict[str, Entry](), 0.0

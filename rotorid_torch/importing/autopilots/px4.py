@@ -169,7 +169,7 @@ def _kind(log: Log) -> tuple[int, list[str]]:
 def _number(log: Log, kind: int) -> int:
     """Number of motors: that of the control allocation, but for vehicles that need some of them to fly forward only."""
     allocated = 0 if kind in VTOL else int(log.parameters.get("CA_ROTOR_COUNT", 0))
-    return allocated if allocated > 0 else MOTORS_OF.get(kind, 0)
+    return allocated if allocated > 0 else MOTORS_OF.get(kind, 0) or frames.motors_of_px4(log.parameters)
 
 
 def _instance(log: Log, topic: str, numbers: Sequence[int]) -> tuple[int, str]:

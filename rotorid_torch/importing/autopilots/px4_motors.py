@@ -102,8 +102,12 @@ def _from_outputs(log: Log, topic: str, groups: Sequence[Wiring], number: int) -
         instance, reason = _instance(log, topic, group, number, free)
         free = [other for other in free if other != instance]
         parts.append(replace(_of_group(log, topic, instance, group, number), reason=reason))
-    missing = [part.missing for part in parts if part.missing]
-    reason = "; ".join([part.reason for part in parts if part.reason] + [f"no data: {one}" for one in missing])
+    said = [part.reason for part in parts if part.reason] + [
+        f"no data: {part.missing}" for part in parts if part.missing
+    ]
+    if not number and not any(group.outputs for group in groups):
+        said.append("no setting says which output drives which motor: those that move are motors")
+    reason = "; ".join(said)
     hertz = min(part.hertz for part in parts if part.entries)
     return Chosen({name: entry for part in parts for name, entry in part.entries.items()}, hertz, reason)
 

@@ -26,17 +26,23 @@ STRAY = 0.01
 
 @dataclass(frozen=True)
 class OutputRange:
-    """Outputs that stand for commands 0 and 1, and what says so."""
+    """Outputs that stand for commands 0 and 1, and what says so.
+
+    reached : share of the range that the largest output has at least; where no setting names the range, it must fit.
+    """
 
     low: float
     high: float
     about: str
+    reached: float = 0.0
 
     def __str__(self) -> str:
         return f"{self.low:g} to {self.high:g} ({self.about})"
 
     def holds(self, values: np.ndarray) -> bool:
         """Whether outputs (T,) lie inside, but for levels of rest and single damaged samples."""
+        if self.reached and float(values.max(initial=-np.inf)) < self.low + self.reached * (self.high - self.low):
+            return False
         return beyond(values, self.low, self.high) <= STRAY * len(values)
 
     def entry(self, field: str) -> Entry:
@@ -51,7 +57,7 @@ OF_THE_SERVO = 8
 """MOT_PWM_TYPE of motors with the range of their servo output."""
 UNIT = OutputRange(0.0, 1.0, "commands 0 to 1")
 DSHOT = OutputRange(1.0, 1999.0, "DShot")
-DSHOT_RAW = OutputRange(48.0, 2047.0, "DShot with the first 48 values for orders")
+DSHOT_RAW = OutputRange(48.0, 2047.0, "DShot with the first 48 values for orders", reached=0.1)
 UAVCAN = OutputRange(1.0, 8191.0, "UAVCAN")
 SPEEDS = OutputRange(0.0, 1000.0, "speeds of a simulator in rad/s, by default")
 PULSE = OutputRange(1000.0, 2000.0, "servo pulses in us, by default")
