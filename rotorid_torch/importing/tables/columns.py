@@ -94,12 +94,12 @@ def time_of_day(text: str) -> float | None:
 
 
 def _interval(file: Path, name: str, stamps: np.ndarray) -> float:
-    """Usual interval of a clock, s; 0 where it never runs. Raises InputError where its unit must be another one."""
+    """Usual interval of a clock, s; 0 where it mostly stands. Raises InputError where its unit must be another one."""
     steps = np.diff(stamps[np.isfinite(stamps)])
     typical = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     if typical and not USUAL_S[0] <= typical <= USUAL_S[1]:
         raise _other_unit(file, name, typical)
-    return typical
+    return typical if typical and float(np.median(steps)) > 0.0 else 0.0
 
 
 def _other_unit(file: Path, name: str, interval: float) -> InputError:

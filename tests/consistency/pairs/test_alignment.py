@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,9 +12,13 @@ from scipy.spatial.transform import Rotation
 from rotorid_torch.consistency.correction import without_errors_of_flight
 from rotorid_torch.consistency.examination.check import check
 from rotorid_torch.consistency.pairs.alignment import alignment, force_turn, right_angles, rotation, rotation_vector
+from rotorid_torch.consistency.sensor_errors.clocks import sensor_findings
 from rotorid_torch.consistency.sensor_errors.kinematic_findings import kinematic_findings
-from rotorid_torch.data import Dataset
+from rotorid_torch.data import Dataset, load
+from rotorid_torch.data.facts import Facts
+from rotorid_torch.data.flight import Flight
 from tests.consistency.sensor_errors.kinematic_cases import UNITS, motion, read
+from tests.helpers import shared
 
 TRUTH = motion(3, 4, seconds=20.0)
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0), "between": (0.5, -0.7, 0.51)}
@@ -91,6 +96,32 @@ def test_a_turned_imu_is_one_error_and_no_bias(degrees: int):
     values = kinematic_findings(turned).values
     assert {name.rpartition(".")[0] for name in values} == {"sensors.misalignment"}
     assert away(np.array([values[f"sensors.misalignment.{a}"] for a in "xyz"]), turn) < 0.2
+
+
+@pytest.mark.parametrize("half", [False, True])
+@pytest.mark.parametrize("degrees", [10, 45, 135])
+def test_a_turned_imu_of_another_simulator_is_the_only_name(degrees: int, half: bool):
+    recorded, turn = load(shared("flightdata", "uh60-hover")), np.radians(degrees) * np.array([-0.64, -0.48, 0.6])
+
+    def changed(flight: Flight) -> Flight:
+        channels = dict(flight.channels)
+        for triad in (("p", "q", "r"), ("ax", "ay", "az")):
+            seen = rotation(turn).T @ np.stack([channels[c].numpy() for c in triad])
+            channels |= {c: channels[c].new_tensor(row) for c, row in zip(triad, seen, strict=True)}
+        if half:
+            channels["phi"] = channels["phi"].clone()
+            channels["phi"][flight.samples // 2 :] = float("nan")
+        return replace(flight, channels=channels)
+
+    flights = {name: changed(flight) for name, flight in recorded.flights.items()}
+    turned = replace(recorded, flights=flights, facts={name: Facts.of(one) for name, one in flights.items()})
+    (error,) = check(turned).of("error")
+    (said,) = re.findall(r"turned by ([\d.]+)°", error.sentence)
+    assert float(said) == pytest.approx(degrees, abs=0.5)
+    found = sensor_findings(turned)
+    named = {f.id for f in found.findings if f.verdict in ("accepted", "indistinguishable")}
+    assert named == {"sensors.misalignment"}
+    assert away(np.array([found.values[f"sensors.misalignment.{a}"] for a in "xyz"]), turn) < 0.5
 
 
 def test_a_mounting_by_right_angles_is_told_by_its_axes():
