@@ -121,6 +121,15 @@ def test_a_count_of_milliseconds_is_not_taken_for_seconds(tmp_path: Path):
         imported(table("time", 100.0 * TIME, tmp_path))
 
 
+def test_a_channel_that_is_in_two_columns_says_which_is_taken(tmp_path: Path):
+    file = table("time", TIME, tmp_path)
+    head, *rows = file.read_text().splitlines()
+    file.write_text("\n".join([f"{head},p [deg/s],gust", *(f"{row},{row.split(',')[1]},0" for row in rows)]))
+    done, _ = imported(file)
+    assert any("p [deg/s] is left out: p is taken from p" in w for w in done.warnings)
+    assert any(w.endswith("no channel has such a name and unit: gust") for w in done.warnings)
+
+
 def test_body_rates_in_one_matrix_are_no_rotor_speeds(tmp_path: Path):
     m = motion(TIME)
     rates = np.stack([m[name] for name in "pqr"], 1)

@@ -134,10 +134,13 @@ def own_plan(log: Log) -> Plan:
     """Plan of a table by its names, with what was left and why."""
     entries = own_entries(log.fields)
     used = {entry.field for entry in entries.values()}
-    listed = [joined(t, c) for t, columns in log.fields.items() for c in columns if not is_clock(t, c, None)]
-    left = [place for place in listed if place not in used and place]
+    listed = [(t, c) for t, columns in log.fields.items() for c in columns if c and not is_clock(t, c, None)]
+    unused = {joined(t, c): own_entries({t: [c]}) for t, c in listed if joined(t, c) not in used}
+    again = {place: name for place, meant in unused.items() for name in meant if name in entries}
+    left = [place for place in unused if place not in again]
     more = f" and {len(left) - TOLD} more" if len(left) > TOLD else ""
     notes = [f"left out, for no channel has such a name and unit: {', '.join(left[:TOLD])}{more}"] if left else []
+    notes += [f"{place} is left out: {name} is taken from {entries[name].field}" for place, name in again.items()]
     if "latitude" in entries:
         place = f"{entries['latitude'].field} and {entries['longitude'].field}"
         notes.append(f"{place} are latitude and longitude in degrees, for motors are the controls")
