@@ -116,7 +116,7 @@ def trace(
     search = Search(
         shared, lambda observed, effects: draws_of(search, observed, effects, placed, draw, seed), say, ranks
     )
-    null = refit(spec, flights, start.values, start.held)
+    null = shared.settled(refit(spec, flights, start.values, start.held))
     null = _placed(search, shared, null, tested, placed)
     null, ordinary = with_structure(
         search, shared, null, [e for e in testable if registered()[e].role is Role.STRUCTURE]

@@ -53,6 +53,12 @@ def test_a_delay_is_said_in_milliseconds_and_zero_sizes_are_left_out():
     assert sentence_of(delay) == "The controls reach the rotor later than recorded: 57 ± 6 ms."
 
 
+def test_a_filter_is_said_by_its_natural_frequency_and_damping():
+    low_pass = an_effect("sensors.filter", rates_period=(0.0503, 0.0011, "s"), rates_damping=(0.69, 0.02, "1"))
+    said = "rates, 1/natural frequency 50 ± 1 ms, rates, damping 69 ± 2 % of critical"
+    assert sentence_of(low_pass) == f"Sensors of one unit stand behind a filter: {said}."
+
+
 def test_a_rate_limit_is_said_as_a_rate():
     """The parameter is one over the limit: 1/16.7 rad/s, with an error of 1/16.7^2."""
     limit = an_effect("control.rate_limit", inverse=(16.7, 1.0, "s/rad"))

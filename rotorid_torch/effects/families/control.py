@@ -176,9 +176,8 @@ class Backlash(_Sized):
         unit_of_play = unit if unit in ("rad", "m") else "1"
 
         def at(size: float) -> Parameter:
-            return Parameter(
-                "width", 0.0, unit_of_play, (0.0, 2.0 * size), doc="play of every control", typical=0.4 * size
-            )
+            sized, bounds, doc = 0.4 * size, (0.0, 2.0 * size), "play of every control"
+            return Parameter("width", 0.0, unit_of_play, bounds, doc=doc, typical=sized, met=(3.0 * sized,))
 
         places = (
             Parameter(f"place.{c}", 0.0, "1", (-1.0, 1.0), doc=f"where in its play {c} stands at first", nuisance=True)

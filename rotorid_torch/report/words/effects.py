@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cache
 
+from rotorid_torch.effects.families.sensors import DAMPED, PERIOD, SMOOTHED, UNITS
 from rotorid_torch.effects.registry import registered
 
 
@@ -27,6 +28,11 @@ class Words:
 
 _EACH = {"common": "{}", **{c: f"{c} {{}}" for c in ("lon", "lat", "col", "ped")}}
 _AXES = {axis: f"{axis} {{}}" for axis in "xyz"}
+_FILTER = {
+    PERIOD: "1/natural frequency {}",
+    DAMPED: "damping {} of critical",
+    SMOOTHED: "a symmetric window of variance {}",
+}
 _RECORDS = "Correct the records with these values, or let every later run of close-loop do so."
 _DECLARE = "Weigh and measure the vehicle as flown, and declare that in dataset.toml."
 
@@ -166,6 +172,7 @@ EFFECTS = {
         "Sensors of one unit stand behind a filter: {}.",
         "a filter of a sensor",
         f"Widen the unit's filter, or record before the filter. {_RECORDS}",
+        {f"{unit}{ending}": f"{unit}, {words}" for unit in UNITS for ending, words in _FILTER.items()},
     ),
     "propulsion.motor_lag": Words(
         "The motors follow their commands late: {}.",

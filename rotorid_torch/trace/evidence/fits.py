@@ -229,6 +229,11 @@ def _log_ratios(before: Residual, after: Residual) -> Tensor:
     return (before.size().log() - after.size().log()).nanmean(dim=1)
 
 
+def total(log_ratios: Tensor) -> float:
+    """Sum over the flights of log ratios [F]; a flight in which a model flies away tells no size."""
+    return float(log_ratios[log_ratios.isfinite()].sum())
+
+
 @dataclass(frozen=True)
 class Care:
     """How a fit is carried out: when Gauss-Newton ends, and the lengths of segments, s, stage by stage."""

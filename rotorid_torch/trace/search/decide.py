@@ -114,11 +114,6 @@ def unseen_evidence(null: FittedT, candidate: FittedT) -> Tensor:
     return null.unseen_log_ratios(candidate)
 
 
-def total(log_ratios: Tensor) -> float:
-    """Sum over the flights of log ratios [F]; a flight in which a model flies away tells no size."""
-    return float(log_ratios[log_ratios.isfinite()].sum())
-
-
 def improves(log_ratios: Tensor) -> bool:
     """Whether the mean of log ratios [F] lies above zero; a flight in which both models fly away tells nothing."""
     log_ratios = log_ratios[~log_ratios.isnan()]

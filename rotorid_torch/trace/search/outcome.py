@@ -8,12 +8,12 @@ from dataclasses import replace
 
 from rotorid_torch.trace.evidence.critical_values import Draws, adjusted_p
 from rotorid_torch.trace.evidence.family import Family
-from rotorid_torch.trace.evidence.fits import Fitted
+from rotorid_torch.trace.evidence.fits import Fitted, total
 from rotorid_torch.trace.evidence.screen import PATH
 from rotorid_torch.trace.evidence.slips import deflected
 from rotorid_torch.trace.evidence.unattributed import Shape
 from rotorid_torch.trace.search.by_control import by_control
-from rotorid_torch.trace.search.decide import evidence, total
+from rotorid_torch.trace.search.decide import evidence
 from rotorid_torch.trace.search.findings import Outcome
 from rotorid_torch.trace.search.forward_selection import Search
 from rotorid_torch.trace.search.localisation import in_control_path, localised

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.effects.registry import registered
@@ -31,8 +31,16 @@ class Trajectories:
     def family(
         self, null: Fitted, effects: Sequence[str], accepted: Sequence[str] = (), turned: int = 0, seed: int = 0
     ) -> Family[Fitted]:
-        """The family of these effects beside a fitted model."""
-        return family(null, effects, accepted, turned, seed)
+        """The family of these effects beside a fitted model.
+
+        A straight line about a model that has not converged tells nothing of what is not proportional to its size: play
+        or a rate limit leads the fit without them astray. Their evidence is that of fits in full.
+        """
+        asked = family(null, effects, accepted, turned, seed)
+        if turned or null.fit.minimum.converged:
+            return asked
+        bent = [c for c in asked.candidates if not (c.each_control or registered()[c.effect].proportional)]
+        return replace(asked, fitted=self.candidates(null, asked, bent))
 
     def refitted(self, spec: ModelSpec, near: Fitted) -> Fitted:
         """The model of a spec, fitted from where another fit ended."""
@@ -42,7 +50,9 @@ class Trajectories:
         self, null: Fitted, observed: Family[Fitted], candidates: Sequence[Candidate]
     ) -> dict[Candidate, Fitted]:
         """The null with one more effect, for each of these, fitted in full."""
-        return self.fitted(null, {c: self._starts(observed, c) for c in candidates})
+        done = {c: observed.fitted[c] for c in candidates if c in observed.fitted}
+        more = self.fitted(null, {c: self._starts(observed, c) for c in candidates if c not in done})
+        return {c: done[c] if c in done else more[c] for c in candidates}
 
     def fitted(
         self, null: Fitted, starts: Mapping[Candidate, Sequence[Mapping[str, float]]]

@@ -15,7 +15,7 @@ from scipy.stats import norm
 
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.model.model import Model
-from rotorid_torch.trace.evidence.fits import Fitted, refit
+from rotorid_torch.trace.evidence.fits import Fitted, refit, total
 from rotorid_torch.trace.search.decide import (
     TABLE,
     Interval,
@@ -29,7 +29,6 @@ from rotorid_torch.trace.search.decide import (
     gain,
     improves,
     size_of,
-    total,
     unseen_evidence,
 )
 from rotorid_torch.trace.search.words import REASONS, reason, size_details

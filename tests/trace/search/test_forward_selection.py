@@ -14,7 +14,7 @@ from rotorid_torch.trace.evidence.critical_values import Draws
 from rotorid_torch.trace.evidence.family import Family, by_chance, family
 from rotorid_torch.trace.evidence.fits import BEGINNING, CAREFUL, Care, Fitted, Flights, refit
 from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
-from rotorid_torch.trace.search.decide import Interval, Row, gain
+from rotorid_torch.trace.search.decide import Interval, Row, evidence, gain
 from rotorid_torch.trace.search.forward_selection import Search, Trial, observed
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.candidate import Candidate
@@ -310,6 +310,20 @@ def test_a_play_begins_once_more_with_derivatives_of_the_measured_motion(monkeyp
     wrong = abs(null.values["forces.M.lon"] - truth)
     assert [abs(one.start["forces.M.lon"] - truth) < wrong for one in asked[:5]] == [False, False, False, True, True]
     assert found.values[f"{PLAY}.width"] == pytest.approx(0.012, rel=0.1)
+
+
+def test_beside_a_model_that_has_not_converged_evidence_of_a_play_is_that_of_a_fit_in_full():
+    """A straight line about it tells nothing; where it has converged the line stands, and nothing is fitted."""
+    known, null = started(flights(PLAY, control__backlash__width=0.012))
+    shared = Trajectories(known)
+    assert not shared.family(shared.settled(null), [PLAY, DAMPING]).fitted
+    rough = refit(null.spec, known, {}, care=Care(replace(CAREFUL, max_iterations=1)))
+    asked = shared.family(rough, [PLAY, DAMPING])
+    assert list(asked.fitted) == [Candidate(PLAY)]
+    fitted = asked.fitted[Candidate(PLAY)]
+    assert fitted.values[f"{PLAY}.width"] == pytest.approx(0.012, rel=0.1)
+    assert asked.statistics[PLAY] == pytest.approx(float(evidence(rough, fitted).sum()))
+    assert shared.candidates(rough, asked, [Candidate(PLAY)])[Candidate(PLAY)] is fitted
 
 
 def test_what_a_better_start_of_the_null_gains_is_not_the_candidates():
