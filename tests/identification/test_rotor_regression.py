@@ -271,6 +271,45 @@ def test_ground_effect_comes_back_with_the_radius_and_the_height_of_the_rotors()
     assert float(far[0][place]) == pytest.approx(RADIUS, rel=0.15)  # as a fit without the first flight says
 
 
+def braked(seed: int, hubs: float, samples: int = 1500) -> dict[str, np.ndarray]:
+    """Sways and turns under a drag of 0.5/s along x and y, this share of which acts at the hubs."""
+    chance, dt = np.random.default_rng(seed), 0.01
+    time = dt * np.arange(samples)
+    rate, size = chance.uniform(1.0, 2.5, (3, 4, 1)), np.array([0.05, 0.05, 0.1])[:, None, None]
+    phase = rate * time + chance.uniform(0.0, 2.0 * np.pi, (3, 4, 1))
+    (phi, theta, psi), (dphi, dtheta, dpsi) = ((size / 2.0 * s).sum(1) for s in (np.sin(phase), rate * np.cos(phase)))
+    p, q = dphi - dpsi * np.sin(theta), dtheta * np.cos(phi) + dpsi * np.sin(phi) * np.cos(theta)
+    r = dpsi * np.cos(phi) * np.cos(theta) - dtheta * np.sin(phi)
+    thrust = MASS * (G + np.sin(3.0 * phase[0, 0]))
+    velocity, seen, drag = np.zeros(3), [], np.array([-0.5, -0.5, 0.0])
+    for k in range(samples):
+        force = drag * velocity - np.array([0.0, 0.0, thrust[k] / MASS])
+        seen.append([*velocity, *force])
+        down = np.array([-np.sin(theta[k]), np.cos(theta[k]) * np.sin(phi[k]), np.cos(theta[k]) * np.cos(phi[k])])
+        velocity = velocity + dt * (force + G * down - np.cross([p[k], q[k], r[k]], velocity))
+    turning = np.gradient(np.stack([p, q, r]), dt, axis=1) * INERTIA[:, None]
+    turning[2] += hubs * MASS * 0.5 * 0.02 * r
+    each = np.linalg.solve(np.vstack([np.ones(4), ARMS]), np.vstack([thrust, turning]))
+    channels = np.vstack([np.array(seen).T, p, q, r, phi, theta, psi])
+    channels = channels + chance.standard_normal(channels.shape) * 0.003
+    names = ("u", "v", "w", "ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi")
+    motors = {f"motor{i + 1}": c for i, c in enumerate(np.sqrt((each - 0.2) / 1.5))}
+    return {"time": time, **dict(zip(names, channels, strict=True)), **motors}
+
+
+@pytest.mark.parametrize("hubs", [0.0, 1.0])
+def test_drag_in_the_rotors_plane_brakes_yaw_as_far_as_it_does(hubs: float):
+    """Other vehicles feel a linear drag about the centre of gravity: it is in the rotors' plane all the same."""
+    data = recorded({name: braked(k, hubs) for k, name in enumerate(("one", "two", "three"))})
+    reconstruction = reconstruct(data)
+    model = build(propose(data, reconstruction, ("propulsion.rotor_drag",)))
+    theta = regress_rotors(model, data, reconstruction).theta
+    value = dict(zip(model.parameter_set.names, theta.tolist(), strict=True))
+    assert value["propulsion.rotor_drag.x"] == pytest.approx(0.5, rel=0.1)
+    assert value["propulsion.rotor_drag.y"] == pytest.approx(0.5, rel=0.1)
+    assert value["propulsion.rotor_drag.hubs"] == pytest.approx(hubs, abs=0.2)
+
+
 def test_a_flight_without_an_accelerometer_tells_what_it_has():
     """The thrust is that of the flight with specific force, the moments are those of both."""
     model = build(propose(dataset(), seen(), EFFECTS))

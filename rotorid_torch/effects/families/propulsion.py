@@ -154,8 +154,23 @@ class _WithThrust(Effect):
         return cls(spec)
 
 
+HUBS = Parameter(
+    "hubs",
+    1.0,
+    "1",
+    (0.0, 1.0),
+    prior_sd=0.5,
+    tried=(1.0, 0.0),
+    doc="share of it by which each hub's own velocity brakes rates",
+)
+
+
 class _AtHubs(_WithThrust):
-    """Forces on each rotor by the velocity of its hub through the air, v + omega x place: they damp rates as well."""
+    """Forces on each rotor by the velocity of its hub through the air, v + h omega x place: they damp rates as well.
+
+    h, `hubs`, is 1 where all of it acts at the rotors, and less where what stands in their wake or the body feels part
+    of it about the centre of gravity.
+    """
 
     stage = Stage.ROTOR
     needs = (no_motors, no_velocities, no_forces)
@@ -170,7 +185,8 @@ class _AtHubs(_WithThrust):
         """Adds the forces."""
         velocity = frame.stack(VELOCITIES).unsqueeze(-2)
         if set(RATES) <= set(frame.signals):
-            velocity = velocity + cross(frame.stack(RATES).unsqueeze(-2), self.place)
+            turning = cross(frame.stack(RATES).unsqueeze(-2), self.place)
+            velocity = velocity + p["hubs"][..., None, None] * turning
         share = frame.stack(self.driven) * (self.mass / self.total)
         return frame.add_at_hubs(share.unsqueeze(-1) * self._felt(velocity, p)), x
 
@@ -213,7 +229,7 @@ class RotorDrag(_AtHubs):
     """
 
     id = "propulsion.rotor_drag"
-    coefficients = alike("xy", "1/s", (0.0, 5.0), "drag in the rotors' plane along {}", typical=0.3)
+    coefficients = (*alike("xy", "1/s", (0.0, 5.0), "drag in the rotors' plane along {}", typical=0.3), HUBS)
 
     def _felt(self, velocity: Tensor, p: Values) -> Tensor:
         u, v, w = velocity.unbind(-1)
@@ -234,7 +250,7 @@ class AxialInflow(_AtHubs):
     """
 
     id = "propulsion.axial_inflow"
-    coefficients = (Parameter("z", 0.0, "1/s", (0.0, 5.0), doc="thrust lost by slow climbing", typical=0.3),)
+    coefficients = (Parameter("z", 0.0, "1/s", (0.0, 5.0), doc="thrust lost by slow climbing", typical=0.3), HUBS)
 
     def __init__(self, spec: ModelSpec) -> None:
         super().__init__(spec)
