@@ -260,7 +260,7 @@ class Search(Generic[FittedT]):
             before, after = self.joined[: self.joined.index(c) + 1], self.joined[self.joined.index(c) + 1 :]
             if after and gain(self.trials[c].fitted, trials[c].null) <= 0.0:
                 # those behind it take its place, and explain less than it did without them
-                final, going = self.trials[c].fitted, after
+                final, going = self._as_joined(c, before, effects), after
                 self.joined = before
             else:
                 final, going = trials[c].null, [c]
@@ -271,6 +271,12 @@ class Search(Generic[FittedT]):
                 self.trials[one] = replace(trials[one], row=row)
                 self.rivals.pop(one.effect, None)
         return final
+
+    def _as_joined(self, candidate: Candidate, joined: Sequence[Candidate], effects: Sequence[str]) -> FittedT:
+        """The model as a candidate joined it, without what stood before it and has left since."""
+        fitted, stay = self.trials[candidate].fitted, {c.effect for c in joined}
+        left = [e for e in fitted.spec.effects if e in effects and e not in stay]
+        return self.scored.refitted(fitted.spec.without(left), fitted) if left else fitted
 
     def _left_out(self, candidate: Candidate, final: FittedT, effects: Sequence[str]) -> Trial[FittedT]:
         """A candidate that joined, tried again beside the others that did."""

@@ -368,3 +368,22 @@ def test_no_later_effect_drives_out_an_earlier_one_that_explains_more():
     assert search.back(both, SUSPECTS) is alone
     assert search.joined == [Candidate(DELAY)]
     assert not search.trials[Candidate(LAG)].stands
+
+
+def test_the_model_before_a_later_effect_holds_nothing_that_has_left():
+    """Damping stood before the delay and is out; the lag behind the delay goes, and damping does not come back."""
+    known, null = started(flights(DELAY, LAG, control__delay__common=0.08, control__lag__common=0.02))
+    drawn = draws_of(True)
+    loud = {
+        n: torch.full_like(t, 1e3) if n.startswith(DELAY) else torch.zeros_like(t) for n, t in drawn.statistics.items()
+    }
+    search = search_of(known, replace(drawn, statistics=loud))
+    search.consider(null, SUSPECTS)
+    damped = null.spec.with_effects(DAMPING, DELAY)
+    once = refit(damped, known, {**null.values, f"{DELAY}.common": 0.08, f"{DAMPING}.L": 0.01}, near=null)
+    both = refit(null.spec.with_effects(DELAY, LAG), known, {**once.values, f"{LAG}.common": 0.02}, near=null)
+    search.joined = [Candidate(DELAY), Candidate(LAG)]
+    search.trials = {c: Trial(c, null, one, Row()) for c, one in zip(search.joined, (once, both), strict=True)}
+    final = search.back(both, SUSPECTS)
+    assert final.spec.effects == (*null.spec.effects, DELAY)
+    assert search.joined == [Candidate(DELAY)]
