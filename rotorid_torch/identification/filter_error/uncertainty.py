@@ -38,11 +38,11 @@ def uncertainty(
     rows, information = _rows(engine, likelihood, place)
     segments = likelihood.problem.segments
 
-    def flights(directions: Tensor) -> Iterator[FlightRows]:
+    def flights() -> Iterator[FlightRows]:
         for starts, derivatives, white, present in rows:
             sd = torch.full((starts.shape[-1],), math.inf, dtype=torch.float64)
             basis = basis_of(starts.flatten(0, 1)[None], sd).unflatten(1, present.shape)
-            yield FlightRows((derivatives @ directions)[None], basis, white[None], present[None])
+            yield FlightRows(derivatives[None], basis, white[None], present[None])
 
     covariance = Colour.of(flights, fast(2 * segments.samples), len(rows), inverse, identifiable).covariance()
     gain, coloured = inverse @ inverse.mT, torch.zeros_like(plain)
