@@ -245,7 +245,7 @@ def _powers(flights: Iterable[FlightRows], directions: Tensor, lines: int) -> tu
         residual = torch.fft.rfft(flight.residual, n=lines, dim=1)
         power = power + torch.einsum("slc,sld->lcd", residual, residual.conj())
         left = left + flight.valid.sum(dim=(0, 1))
-        for part in (*flight.basis, *(flight.derivatives @ directions)):
+        for part in torch.cat([flight.basis, flight.derivatives @ directions], dim=-1):  # the basis may be empty
             taken = torch.fft.rfft(part.movedim(0, -1), n=lines)  # [ny, n, lines]
             left = left - (taken.real.square() + taken.imag.square()).sum(1).mT
     return power, left
