@@ -50,7 +50,7 @@ from rotorid_torch.trace.clean_aircraft import MULTIROTOR, Request, clean_draws
 from rotorid_torch.trace.evidence.critical_values import Draws, Null
 from rotorid_torch.trace.evidence.family import Family
 from rotorid_torch.trace.evidence.fits import Flights, refit
-from rotorid_torch.trace.loop import Bare, Tracing, trace
+from rotorid_torch.trace.loop import DrawClean, Traced, Tracing, trace
 from rotorid_torch.trace.multirotor import trace_rotors
 from rotorid_torch.trace.network import Learnt, learn
 from rotorid_torch.trace.search.forward_selection import of_effects
@@ -188,7 +188,7 @@ def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
         seed,
         steps.ranks,
     )
-    null, final = (Bare(without_gust_inputs(one.spec), one.values) for one in (traced.null, traced.final))
+    null, final = (Traced(without_gust_inputs(one.spec), one.values) for one in (traced.null, traced.final))
     return replace(traced, null=null, final=final)
 
 
@@ -197,7 +197,7 @@ def _rotors_traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Trac
     return trace_rotors(base.spec, flights, _drawing(flights, seed, steps), steps.monitor.say, seed, steps.ranks)
 
 
-def _drawing(flights: Flights, seed: int, steps: Steps) -> Callable[[Null, Sequence[str], Family], Draws | str]:
+def _drawing(flights: Flights, seed: int, steps: Steps) -> DrawClean:
     """What draws clean vehicles in the likeness of these flights."""
 
     def draw(null: Null, effects: Sequence[str], observed: Family) -> Draws | str:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Any
 
 from rotorid_torch.core.names import Verdict
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
@@ -28,34 +28,16 @@ from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
 STILL = "they fly in still air, far from the ground: what stays without a name is not compared with them"
 
 
-class DrawClean(Protocol[FittedT]):
-    """Draws clean aircraft."""
-
-    def __call__(self, null: Null, effects: Sequence[str], observed: Family[FittedT], /) -> Draws | str:
-        """Statistics of effects for a null and the data's family; or, in words, why none can be drawn."""
-        ...
-
-
-class Named(Protocol):
-    """A model by its structure and its parameters' values."""
-
-    @property
-    def spec(self) -> ModelSpec:
-        """Its structure."""
-        ...
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Every parameter by its full name."""
-        ...
+DrawClean = Callable[[Null, Sequence[str], Family[Any]], Draws | str]
+"""Statistics of effects on clean aircraft for a null and the data's family; or, in words, why none can be drawn."""
 
 
 @dataclass(frozen=True, eq=False)
-class Bare:
-    """A model without the effects whose size is nothing in the end."""
+class Traced:
+    """A model by its structure and its parameters' values, by full name."""
 
     spec: ModelSpec
-    values: dict[str, float]
+    values: Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +50,8 @@ class Tracing:
     over flights, controls and draws.
     """
 
-    null: Named
-    final: Named
+    null: Traced
+    final: Traced
     structure: tuple[str, ...]
     accepted: tuple[str, ...]
     groups: Mapping[str, tuple[str, ...]]
@@ -85,7 +67,7 @@ class Tracing:
         )
         return replace(
             self,
-            final=Bare(self.final.spec.without(said), self.final.values),
+            final=Traced(self.final.spec.without(said), self.final.values),
             structure=tuple(e for e in self.structure if e not in said),
             accepted=tuple(e for e in self.accepted if e not in said),
             groups={e: others for e, others in self.groups.items() if e not in said},
@@ -96,7 +78,7 @@ class Tracing:
 def trace(
     start: Null,
     flights: Flights,
-    draw: DrawClean[Fitted],
+    draw: DrawClean,
     say: Say = lambda line: None,
     seed: int = 0,
     ranks: Ranks = ALONE,
@@ -113,9 +95,7 @@ def trace(
     tested = [e for e in testable if registered()[e].role is Role.UNDECLARED]
     placed: list[str] = []
     shared = Trajectories(flights, tuple(start.held), ranks)
-    search = Search(
-        shared, lambda observed, effects: draws_of(search, observed, effects, placed, draw, seed), say, ranks
-    )
+    search = Search(shared, lambda observed, effects: draws_of(search, observed, effects, placed, draw, seed), say)
     null = shared.settled(refit(spec, flights, start.values, start.held))
     null = _placed(search, shared, null, tested, placed)
     null, ordinary = with_structure(
@@ -128,9 +108,10 @@ def trace(
     accepted = tuple(c.effect for c in search.joined) if outcome.adequate else ()
     if placed:  # the model before has the same structure
         null = refit(null.spec.without(placed), flights, null.values, start.held, near=null)
+    best = final if accepted else null
     return Tracing(
-        _bare(null, idle),
-        _bare(final, idle) if accepted else _bare(null, idle),
+        Traced(null.spec.without(idle), null.values),
+        Traced(best.spec.without(idle), best.values),
         tuple(e for e in structure if e not in idle),
         accepted,
         {e: others for e, others in search.rivals.items() if e in accepted and others},
@@ -146,7 +127,7 @@ def draws_of(
     observed: Family[FittedT],
     effects: Sequence[str],
     placed: Sequence[str],
-    draw: DrawClean[FittedT],
+    draw: DrawClean,
     seed: int,
 ) -> Draws:
     """Statistics where nothing is missing: of clean aircraft, or of residuals turned in time where none can be drawn.
@@ -202,11 +183,6 @@ def _placed(
 def notes_of(search: Search[FittedT]) -> tuple[str, ...]:
     """Where the critical values come from."""
     return () if search.first is None else (search.first[2].note,)
-
-
-def _bare(fitted: Fitted, idle: Collection[str]) -> Named:
-    """The model without these effects."""
-    return Bare(fitted.spec.without(idle), fitted.values) if idle else fitted
 
 
 def _without(findings: Sequence[EffectFinding], idle: Collection[str]) -> list[EffectFinding]:

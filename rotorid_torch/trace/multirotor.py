@@ -11,9 +11,8 @@ from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.balance import out_of_balance
 from rotorid_torch.trace.evidence.fits import Flights
-from rotorid_torch.trace.loop import DrawClean, Tracing, draws_of, notes_of
+from rotorid_torch.trace.loop import DrawClean, Traced, Tracing, draws_of, notes_of
 from rotorid_torch.trace.measured.accelerations import MeasuredAccelerations
-from rotorid_torch.trace.measured.fitted import FittedAtStates
 from rotorid_torch.trace.search.findings import Outcome
 from rotorid_torch.trace.search.forward_selection import Search
 from rotorid_torch.trace.search.screening_sizes import with_screening_sizes
@@ -26,7 +25,7 @@ UNSEEN_STATE = "it has a motion of its own, which no channel tells; acceleration
 def trace_rotors(
     spec: ModelSpec,
     flights: Flights,
-    draw: DrawClean[FittedAtStates],
+    draw: DrawClean,
     say: Callable[[str], None] = lambda line: None,
     seed: int = 0,
     ranks: Ranks = ALONE,
@@ -46,7 +45,7 @@ def trace_rotors(
     null = shared.fitted(spec)
     sized, tested, unmoved = with_screening_sizes(null.spec, null.values, flights.dataset, tested)
     null = replace(null, spec=sized)
-    search = Search(shared, lambda observed, effects: draws_of(search, observed, effects, (), draw, seed), say, ranks)
+    search = Search(shared, lambda observed, effects: draws_of(search, observed, effects, (), draw, seed), say)
     final = search.back(search.forward(null, tested), tested)
     accepted = tuple(c.effect for c in search.joined)
     outcome = Outcome(search, final, None, {}, search.spread(final))
@@ -57,8 +56,8 @@ def trace_rotors(
     )
     findings = (*outcome.findings(tested), *settled, *unmoved)
     return Tracing(
-        null,
-        final,
+        Traced(null.spec, null.values),
+        Traced(final.spec, final.values),
         (),
         accepted,
         {e: others for e, others in search.rivals.items() if e in accepted and others},

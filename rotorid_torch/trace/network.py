@@ -23,7 +23,7 @@ from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.evidence.fits import SEGMENT_S, Care, Fitted, Flights, Residual, refit
 from rotorid_torch.trace.evidence.residual import ALIKE_S, LeftOver, left_over
-from rotorid_torch.trace.search.decide import gain, unseen_evidence
+from rotorid_torch.trace.search.decide import gain
 from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.significance import exceeds
 
@@ -90,13 +90,13 @@ def learn(
     """
     chance = torch.Generator().manual_seed(seed)
     fitted = trained(null, held, seed)
-    better = unseen_evidence(null, fitted)
+    better = null.unseen_log_ratios(fitted)
     say(f"network: gain {gain(null, fitted):.3g} per sample, errors of unseen flights fall by {_percent(better)}")
     by_chance = []
     for _ in range(MEANINGLESS if exceeds(better) else 0):
         turn = drawn_turn(null, chance)
         base = refit(null.spec, turned(null, turn), null.values, held)
-        evidence = unseen_evidence(base, trained(base, held, seed, turn))
+        evidence = base.unseen_log_ratios(trained(base, held, seed, turn))
         by_chance.append(float(evidence.mean()))
         say(f"network: where nothing is to be learnt they fall by {_percent(evidence)}")
     return Learnt(null, fitted, better, tuple(by_chance))

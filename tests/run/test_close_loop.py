@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,6 @@ from scipy.stats import ttest_1samp
 import rotorid_torch as rotorid
 from rotorid_torch.data import Dataset
 from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR
-from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.nominal import build
 from rotorid_torch.model.save import load
 from rotorid_torch.report import limits
@@ -31,7 +30,7 @@ from rotorid_torch.report.records import (
 from rotorid_torch.run.close_loop import _loop
 from rotorid_torch.run.free_runs import before_and_after, best_of, free_run_gain, worse
 from rotorid_torch.run.output.monitor import Monitor
-from rotorid_torch.trace.loop import Tracing
+from rotorid_torch.trace.loop import Traced, Tracing
 from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.verdict import statement
@@ -183,7 +182,8 @@ def test_a_name_whose_interval_holds_nothing_in_the_reported_model_is_rejected(e
 
 
 def test_names_with_which_free_runs_are_worse_are_suspected_and_do_not_join():
-    null, final = Traced(0.0), Traced(1.0, HELICOPTER.with_effects("control.delay"))
+    null = Traced(HELICOPTER, {"from": 0.0})
+    final = Traced(HELICOPTER.with_effects("control.delay"), {"from": 1.0})
     findings = (
         EffectFinding("control.delay", "undeclared", "accepted", "", values={"control.delay.common": (0.05, 0.01)}),
         EffectFinding("control.lag", "undeclared", "below floor", "why"),
@@ -206,21 +206,10 @@ def test_names_with_which_free_runs_are_worse_are_suspected_and_do_not_join():
         assert "control.delay (common 0.05 ± 0.01)" in told.sentence
 
 
-@dataclass(frozen=True)
-class Traced:
-    """A fit of the search, as far as the loop takes it up."""
-
-    mark: float
-    spec: ModelSpec = HELICOPTER
-
-    @property
-    def values(self) -> dict[str, float]:
-        return {"from": self.mark}
-
-
 def tracing_of(*accepted: str, structure: tuple[str, ...] = ()) -> Tracing:
     """Null and final differ by their values, which say whose fit a run begins from."""
-    return Tracing(Traced(0.0), Traced(1.0), structure, accepted, {}, ())
+    null, final = (Traced(HELICOPTER, {"from": mark}) for mark in (0.0, 1.0))
+    return Tracing(null, final, structure, accepted, {}, ())
 
 
 def test_structure_alone_begins_from_the_model_without_undeclared_effects():

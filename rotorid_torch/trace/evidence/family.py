@@ -6,10 +6,10 @@ forces on the measured motion, and pseudo-effects for what the library has no na
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Generic, Protocol
+from typing import Generic
 
 import torch
 from torch import Tensor
@@ -100,14 +100,8 @@ class Family(Generic[FittedT]):
         return {n: v for c in candidates for n, v in self.screen(c).unbounded(c.effect).items()}
 
 
-class MakeFamily(Protocol[FittedT]):
-    """Makes the family of effects beside a model, see `family`."""
-
-    def __call__(
-        self, null: FittedT, effects: Sequence[str], accepted: Sequence[str] = (), turned: int = 0, seed: int = 0
-    ) -> Family[FittedT]:
-        """The family of these effects."""
-        ...
+MakeFamily = Callable[[FittedT, Sequence[str], Sequence[str], int, int], Family[FittedT]]
+"""Makes the family of effects beside a model, see `family`."""
 
 
 def family(

@@ -9,42 +9,34 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.gauss_newton import Minimum, Options
+from rotorid_torch.core.gauss_newton import Options
 from rotorid_torch.core.processes.ranks import Ranks
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.estimate import progressive_fit
 from rotorid_torch.identification.estimate.engine import engine_for
-from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
 from rotorid_torch.identification.estimate.segments import cut
 from rotorid_torch.identification.estimate.sensitivity import Run
 from rotorid_torch.identification.estimate.system import System
-from rotorid_torch.identification.estimate.uncertainty import Uncertainty
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.evidence.fits import SEGMENT_S, Care, Fitted, Flights, refit
 
-OWN = ("states", "noise", "x0", "x0_mean", "x0_sd", "prior_mean", "prior_sd", "bias_sd")
-"""What a likelihood has beside flights and model."""
 SHORT_FIRST = (1.0, SEGMENT_S)
 """s: over short segments a model that lacks much, or starts far off, does not drift away before it is corrected."""
 
 
 @dataclass(frozen=True)
-class _Told:
-    """A fit without flights, model and engine.
+class _Message:
+    """A fit as it travels: without model, and its likelihood without flights and engine.
 
-    theta : all the model's numbers. samples : of a segment. own : of the likelihood. runs : the last trajectories with
-    the segments of each, None where they are too large to be kept. minimum : its place without its linear model.
+    theta : all the model's numbers. samples : of a segment. runs : the last trajectories with the segments of each,
+    None where they are too large to be kept.
     """
 
     theta: Tensor
     names: tuple[str, ...]
     samples: int
-    numbers: Mapping[str, Any]
     runs: list[tuple[Tensor, Run]] | None
-    minimum: Minimum[Place]
-    uncertainty: Uncertainty
-    stages: tuple[str, ...]
-    floor: Tensor | None
+    fit: progressive_fit.Fit
 
 
 @dataclass(frozen=True)
@@ -63,52 +55,36 @@ class Wanted:
 def fits(wanted: Sequence[Wanted], held: Sequence[str], options: Options, ranks: Ranks) -> list[Fitted]:
     """`refit` of each, spread over the ranks; to the last digit the same at all."""
 
-    def made(one: Wanted) -> Fitted:
+    def fitted(one: Wanted) -> Fitted:
         near, lengths = (None, SHORT_FIRST) if one.short_first else (one.near, (SEGMENT_S,))
         return refit(one.spec, one.near.flights, one.start, held, near, Care(options, lengths))
 
-    return ranks.carry(
-        wanted,
-        made,
-        _told,
-        lambda one, message: _again(message, one.spec, one.near.flights),
-    )
+    return ranks.carry(wanted, fitted, _message, lambda one, message: _again(message, one.spec, one.near.flights))
 
 
-def _told(fitted: Fitted) -> _Told:
+def _message(fitted: Fitted) -> _Message:
     fit = fitted.fit
     problem, place = fit.likelihood, fit.minimum.point
     runs = None if place.parts is None else [(part.which, part.run) for part in place.parts]
     lean = replace(place, parts=None, locals=None, passage=None, transitions=[], blocks=[])
-    numbers = {name: getattr(problem, name) for name in OWN}
-    return _Told(
-        fitted.model.theta.detach().clone(),
-        fitted.names,
-        problem.segments.samples,
-        numbers,
-        runs,
-        replace(fit.minimum, point=lean),
-        fit.uncertainty,
-        fit.stages,
-        fit.floor,
-    )
+    nothing: Any = None
+    bare = replace(problem, system=nothing, engine=nothing, records=nothing, segments=nothing)
+    fit = replace(fit, likelihood=bare, minimum=replace(fit.minimum, point=lean), computed=fit.uncertainty)
+    return _Message(fitted.model.theta.detach().clone(), fitted.names, problem.segments.samples, runs, fit)
 
 
-def _again(message: _Told, spec: ModelSpec, flights: Flights) -> Fitted:
+def _again(message: _Message, spec: ModelSpec, flights: Flights) -> Fitted:
     """The fit on this rank's flights, with a model and an engine of its own."""
     model = build(spec)
     with torch.no_grad():
         model.theta.copy_(message.theta)
     records, system = flights.records(model, flights.dataset.identify), System(model, message.names)
-    problem = Likelihood(
-        system=system,
-        engine=engine_for(system, records.typical(), progressive_fit.Settings().solver),
-        records=records,
-        segments=cut(records, message.samples),
-        **message.numbers,
+    engine = engine_for(system, records.typical(), progressive_fit.Settings().solver)
+    segments, bare = cut(records, message.samples), message.fit.likelihood
+    fit = replace(
+        message.fit, likelihood=replace(bare, system=system, engine=engine, records=records, segments=segments)
     )
-    place = message.minimum.point
+    place = fit.minimum.point
     if message.runs is not None:
-        place.parts = [problem.part(place, which, run) for which, run in message.runs]
-    fit = progressive_fit.Fit(problem, message.minimum, message.stages, message.floor, message.uncertainty)
+        place.parts = [fit.likelihood.part(place, which, run) for which, run in message.runs]
     return Fitted(spec, model, message.names, fit, flights)

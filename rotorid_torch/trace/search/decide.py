@@ -15,7 +15,7 @@ from rotorid_torch.core.statistics import normal_quantile
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.model.model import Model
-from rotorid_torch.trace.evidence.fits import FittedModel, FittedT
+from rotorid_torch.trace.evidence.fits import FittedModel
 from rotorid_torch.trace.evidence.screen import signatures
 from rotorid_torch.trace.terms.settings import SETTINGS
 
@@ -102,16 +102,6 @@ def gain(null: FittedModel, candidate: FittedModel) -> float:
     """Fall of minus log-likelihood per sample of the identify flights; minus infinity where the fit failed."""
     improvement = (null.cost - candidate.cost) / null.per_sample
     return improvement if math.isfinite(improvement) else -math.inf
-
-
-def evidence(null: FittedT, candidate: FittedT) -> Tensor:
-    """Mean over the channels of log(rms without / rms with) of each flight, fitted or not [F + V]."""
-    return null.log_ratios(candidate)
-
-
-def unseen_evidence(null: FittedT, candidate: FittedT) -> Tensor:
-    """The same of flights that no fit has seen; of the fitted ones where there are no others."""
-    return null.unseen_log_ratios(candidate)
 
 
 def improves(log_ratios: Tensor) -> bool:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Generic, Protocol
 
-from rotorid_torch.core.processes.ranks import ALONE, Ranks
+from rotorid_torch.core.processes.ranks import Ranks
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.evidence.critical_values import Draws, p_values
 from rotorid_torch.trace.evidence.family import Family, by_chance, effect_of
@@ -21,11 +21,9 @@ from rotorid_torch.trace.search.decide import (
     Interval,
     Row,
     decide,
-    evidence,
     gain,
     improves,
     size_of,
-    unseen_evidence,
 )
 from rotorid_torch.trace.terms.candidate import Candidate
 from rotorid_torch.trace.terms.settings import SETTINGS
@@ -41,6 +39,11 @@ class Scored(Protocol[FittedT]):
 
     Trajectories over segments, or accelerations at measured states.
     """
+
+    @property
+    def ranks(self) -> Ranks:
+        """Among which fits of several candidates are spread; everything else is the same at each."""
+        ...
 
     @property
     def held(self) -> tuple[str, ...]:
@@ -96,7 +99,6 @@ class Search(Generic[FittedT]):
     """What a search goes by, and what it has come upon.
 
     scored : the residual that candidates are scored by. draws : statistics where nothing is missing, for a family.
-    ranks : among which fits of several candidates are spread; everything else is the same at each.
     first : the family beside the null, its p by member, and the draws. null : without candidates, as it ends once the
     first of them are fitted. trials : the last of each candidate. tested : the family in which an effect was
     significant when its last trial was made. joined : in their order. rivals : of each, those that flights cannot tell
@@ -107,7 +109,6 @@ class Search(Generic[FittedT]):
     scored: Scored[FittedT]
     draws: Callable[[Family[FittedT], Sequence[str]], Draws]
     say: Say
-    ranks: Ranks = ALONE
     first: Tested[FittedT] | None = None
     null: FittedT | None = None
     trials: dict[Candidate, Trial[FittedT]] = field(default_factory=dict)
@@ -127,10 +128,6 @@ class Search(Generic[FittedT]):
     def tests(self) -> int:
         """Effects that are tested."""
         return 1 if self.first is None else max(len({c.effect for c in self.first[0].candidates}), 1)
-
-    def consider(self, null: FittedT, effects: Sequence[str]) -> None:
-        """The family of these effects beside a null as the first one."""
-        self.tested_beside(self.scored.family(null, effects), effects)
 
     def forward(self, null: FittedT, effects: Sequence[str]) -> FittedT:
         """The null with the effects that join it."""
@@ -207,7 +204,7 @@ class Search(Generic[FittedT]):
 
     def _best(self, null: FittedT, fitted: Mapping[Candidate, FittedT]) -> Trial[FittedT] | None:
         """The trial of the candidate that joins; its rivals are noted."""
-        rows = self.ranks.share(
+        rows = self.scored.ranks.share(
             list(fitted), lambda c: observed(null, fitted[c], c, self.tests, self.drawn_scatter(c.effect))
         )
         trials = dict(zip(fitted, rows, strict=True))
@@ -218,7 +215,7 @@ class Search(Generic[FittedT]):
         if not standing:
             return None
         best = max(standing, key=lambda one: gain(null, one.fitted))
-        near = [t for t in standing if t is not best and not exceeds(evidence(t.fitted, best.fitted))]
+        near = [t for t in standing if t is not best and not exceeds(t.fitted.log_ratios(best.fitted))]
         self.rivals[best.candidate.effect] = tuple(t.candidate.effect for t in near)
         said = f", not to be told from {', '.join(t.candidate.name for t in near)}" if near else ""
         self.say(f"{best.candidate.name} joins{said}")
@@ -307,7 +304,7 @@ def observed(
     return Row(
         fitted=gain(null, fitted) > 0.0,
         estimate=size_of(fitted, candidate.effect, tests, drawn).estimate,
-        unseen_better=improves(unseen_evidence(null, fitted)),
+        unseen_better=improves(null.unseen_log_ratios(fitted)),
     )
 
 

@@ -13,7 +13,7 @@ from rotorid_torch.effects.registry import registered
 from rotorid_torch.trace.evidence.fits import CAREFUL, Fitted, refit
 from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
 from rotorid_torch.trace.evidence.screen import screen
-from rotorid_torch.trace.search.decide import decide, errors_of, gain, unseen_evidence
+from rotorid_torch.trace.search.decide import decide, errors_of, gain
 from rotorid_torch.trace.search.forward_selection import Search, observed
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.search.words import reason, size_details
@@ -69,7 +69,7 @@ def _with_ordinary(
     if gained <= 0.0:
         said = "fitted in full, it explains nothing more"
         return null, [EffectFinding(e, "structure", "rejected", said) for e in effects]
-    said = WANTED if exceeds(unseen_evidence(null, richer)) else ORDINARY
+    said = WANTED if exceeds(null.unseen_log_ratios(richer)) else ORDINARY
     return richer, [EffectFinding(e, "structure", "accepted", said, values=_sizes(richer, e)) for e in effects]
 
 
@@ -80,7 +80,7 @@ def _over_short(search: Search[Fitted], shared: Trajectories, null: Fitted) -> F
     model lacks in the fitted flights.
     """
     again = fits([Wanted(null.spec, null.values, null, short_first=True)], shared.held, CAREFUL, shared.ranks)[0]
-    unseen = unseen_evidence(null, again)
+    unseen = null.unseen_log_ratios(again)
     if gain(null, again) <= 0.0 or not bool(unseen.isfinite().all()) or float(unseen.mean()) < 0.0:
         return null
     search.say(f"the model without candidates gains {gain(null, again):.3g} per sample over short segments first")

@@ -13,7 +13,6 @@ from rotorid_torch.trace.evidence.screen import PATH
 from rotorid_torch.trace.evidence.slips import deflected
 from rotorid_torch.trace.evidence.unattributed import Shape
 from rotorid_torch.trace.search.by_control import by_control
-from rotorid_torch.trace.search.decide import evidence
 from rotorid_torch.trace.search.findings import Outcome
 from rotorid_torch.trace.search.forward_selection import Search
 from rotorid_torch.trace.search.localisation import in_control_path, localised
@@ -39,7 +38,7 @@ def how_it_ended(
     curves = _extreme_curves(observed, draws) if names and draws.clean else []
     shares, of_motion = list[float](), None
     if names and draws.clean and low:
-        explained = total(evidence(search.null or first.null, final))
+        explained = total((search.null or first.null).log_ratios(final))
         of_motion = explained / max(explained + observed.nameless(low), 1e-300)
         shares = [of_motion, *([_share(first, observed, [IN_PATH], draws)] if IN_PATH in low else [])]
     if curves:

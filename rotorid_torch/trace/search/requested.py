@@ -15,7 +15,7 @@ from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.trace.evidence.family import effect_of
 from rotorid_torch.trace.evidence.fits import FittedT
-from rotorid_torch.trace.search.decide import Reason, errors_of, unseen_evidence
+from rotorid_torch.trace.search.decide import Reason, errors_of
 from rotorid_torch.trace.search.findings import Outcome
 from rotorid_torch.trace.search.forward_selection import Scored, Search, Trial, observed
 from rotorid_torch.trace.search.screening_sizes import with_screening_sizes
@@ -52,16 +52,14 @@ def _finding(scored: Scored[FittedT], whole: FittedT, effect: str, seed: int) ->
     role, search = registered()[effect].role, Search.alone(scored, seed)
     null = scored.refitted(whole.spec.without([effect]), whole)
     if role is Role.LEARNT:  # a network has no size of its own
-        better = unseen_evidence(null, whole)
+        better = null.unseen_log_ratios(whole)
         verdict = "accepted" if exceeds(better) else "rejected"
         why = Reason.HELPS if verdict == "accepted" else Reason.UNSEEN_WORSE
         said = reason(why, better=int((better > 0).sum()), count=len(better))
         return EffectFinding(effect, role.value, verdict, said)
     candidate = Candidate(effect, effect in whole.spec.each_control)
-    search.consider(null, [effect])
-    assert search.first is not None
-    p = [one for name, one in search.first[1].items() if effect_of(name) == effect]
-    significant = min(p, default=0.0) <= SETTINGS.level
+    p = search.beside(null, [effect])[1]
+    significant = min((one for n, one in p.items() if effect_of(n) == effect), default=0.0) <= SETTINGS.level
     row = replace(observed(null, whole, candidate), significant=significant)
     search.trials[candidate] = Trial(candidate, null, whole, row)
     search.joined += [candidate] if search.trials[candidate].stands else []

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from rotorid_torch.trace.evidence.fits import FittedT
-from rotorid_torch.trace.search.decide import NO_SCATTER, Reason, size_of, unseen_evidence
+from rotorid_torch.trace.search.decide import NO_SCATTER, Reason, size_of
 
 REASONS = {
     Reason.BELOW_LEVEL: "it explains no more than it does where nothing is missing",
@@ -39,7 +39,7 @@ def size_details(
     null: FittedT, fitted: FittedT, effect: str, drawn: Mapping[str, float] = NO_SCATTER
 ) -> dict[str, object]:
     """What the reasons about a full fit say of it; drawn: scatter of sizes over clean aircraft, by full name."""
-    size, unseen = size_of(fitted, effect, drawn=drawn), unseen_evidence(null, fitted)
+    size, unseen = size_of(fitted, effect, drawn=drawn), null.unseen_log_ratios(fitted)
     return {
         "parameter": size.parameter,
         "value": size.value,

@@ -25,11 +25,9 @@ from rotorid_torch.trace.search.decide import (
     decide,
     errors_of,
     estimate,
-    evidence,
     gain,
     improves,
     size_of,
-    unseen_evidence,
 )
 from rotorid_torch.trace.search.words import REASONS, reason, size_details
 from rotorid_torch.trace.terms.finding import Verdict
@@ -180,10 +178,10 @@ def test_what_two_fits_say_of_a_candidate(fits: tuple[Fitted, Fitted]):
     null, late = fits
     assert gain(null, late) == pytest.approx((null.cost - late.cost) / null.per_sample)
     assert gain(late, null) == -gain(null, late) < 0.0
-    better = evidence(null, late)
+    better = null.log_ratios(late)
     identify, validate = null.flights.dataset.identify, null.flights.dataset.validate
     assert len(better) == len(identify) + len(validate)
-    assert torch.equal(unseen_evidence(null, late), better[len(identify) :])
+    assert torch.equal(null.unseen_log_ratios(late), better[len(identify) :])
     assert exceeds(better)
     assert not exceeds(-better)
     residuals = [one.unseen.residual[one.unseen.flight == 0].numpy() for one in fits]

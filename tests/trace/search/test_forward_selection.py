@@ -14,7 +14,7 @@ from rotorid_torch.trace.evidence.critical_values import Draws
 from rotorid_torch.trace.evidence.family import Family, by_chance, family
 from rotorid_torch.trace.evidence.fits import BEGINNING, CAREFUL, Care, Fitted, Flights, refit
 from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
-from rotorid_torch.trace.search.decide import Interval, Row, evidence, gain
+from rotorid_torch.trace.search.decide import Interval, Row, gain
 from rotorid_torch.trace.search.forward_selection import Search, Trial, observed
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.candidate import Candidate
@@ -154,7 +154,7 @@ def test_sizes_of_each_control_are_asked_only_where_flights_are_better_predicted
 def test_an_effect_that_joined_is_taken_out_where_it_is_nothing_in_the_end():
     known, null = nothing()
     search = search_of(known, draws_of(False))
-    search.consider(null, [DELAY])
+    search.beside(null, [DELAY])
     final = refit(null.spec.with_effects(DELAY), known, null.values, near=null)
     search.trials[Candidate(DELAY)] = Trial(Candidate(DELAY), null, final, Row())
     search.joined = [Candidate(DELAY)]
@@ -166,7 +166,7 @@ def test_an_effect_that_joined_is_taken_out_where_it_is_nothing_in_the_end():
 def test_an_effect_that_is_real_in_the_end_stays():
     known, null = late()
     search = search_of(known, draws_of(True))
-    search.consider(null, [DELAY])
+    search.beside(null, [DELAY])
     final = refit(null.spec.with_effects(DELAY), known, {**null.values, f"{DELAY}.common": 0.05}, near=null)
     search.trials[Candidate(DELAY)] = Trial(Candidate(DELAY), null, final, observed(null, final, Candidate(DELAY)))
     search.joined = [Candidate(DELAY)]
@@ -189,7 +189,7 @@ def test_what_explains_nothing_beside_the_others_goes_whatever_joined_first(firs
     """Damping that does not act beside a delay that does."""
     known, null = late()
     search = search_of(known, draws_of(True))
-    search.consider(null, SUSPECTS)
+    search.beside(null, SUSPECTS)
     spec = null.spec.with_effects(DELAY, DAMPING)
     both = refit(spec, known, {**null.values, f"{DELAY}.common": 0.05, f"{DAMPING}.L": 0.1}, near=null)
     search.joined = [Candidate(first), Candidate(DAMPING if first == DELAY else DELAY)]
@@ -207,7 +207,7 @@ def test_an_effect_that_no_draw_knows_keeps_its_place_and_the_others_are_still_a
     drawn = draws_of(True)
     others = {n: t for n, t in drawn.statistics.items() if not n.startswith(DELAY)}
     search = search_of(known, replace(drawn, statistics=others))
-    search.consider(null, SUSPECTS)
+    search.beside(null, SUSPECTS)
     spec = null.spec.with_effects(DELAY, DAMPING)
     both = refit(spec, known, {**null.values, f"{DELAY}.common": 0.05, f"{DAMPING}.L": 0.1}, near=null)
     search.joined = [Candidate(DELAY), Candidate(DAMPING)]
@@ -322,7 +322,7 @@ def test_beside_a_model_that_has_not_converged_evidence_of_a_play_is_that_of_a_f
     assert list(asked.fitted) == [Candidate(PLAY)]
     fitted = asked.fitted[Candidate(PLAY)]
     assert fitted.values[f"{PLAY}.width"] == pytest.approx(0.012, rel=0.1)
-    assert asked.statistics[PLAY] == pytest.approx(float(evidence(rough, fitted).sum()))
+    assert asked.statistics[PLAY] == pytest.approx(float(rough.log_ratios(fitted).sum()))
     assert shared.candidates(rough, asked, [Candidate(PLAY)])[Candidate(PLAY)] is fitted
 
 
@@ -341,7 +341,7 @@ def test_what_a_better_start_of_the_null_gains_is_not_the_candidates():
 def test_critical_values_of_a_search_alone_come_from_residuals_turned_in_time():
     known, null = nothing()
     search = search_of(known)
-    search.consider(null, [DELAY])
+    search.beside(null, [DELAY])
     assert search.first is not None
     beside, p, draws = search.first
     assert not draws.clean
@@ -360,7 +360,7 @@ def test_no_later_effect_drives_out_an_earlier_one_that_explains_more():
         n: torch.full_like(t, 1e3) if n.startswith(DELAY) else torch.zeros_like(t) for n, t in drawn.statistics.items()
     }
     search = search_of(known, replace(drawn, statistics=loud))
-    search.consider(null, SUSPECTS)
+    search.beside(null, SUSPECTS)
     alone = refit(null.spec.with_effects(DELAY), known, {**null.values, f"{DELAY}.common": 0.08}, near=null)
     both = refit(null.spec.with_effects(DELAY, LAG), known, {**alone.values, f"{LAG}.common": 0.02}, near=alone)
     search.joined = [Candidate(DELAY), Candidate(LAG)]
