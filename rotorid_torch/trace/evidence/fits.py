@@ -8,11 +8,12 @@ for all models.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import compress
-from typing import Protocol, Self, TypeVar
+from typing import Self, TypeVar
 
 import torch
 from torch import Tensor
@@ -59,86 +60,71 @@ class Flights:
         return records(model, replace(self.dataset, identify=tuple(listed)), self.reconstruction)
 
 
-class FittedModel(Protocol):
+@dataclass(frozen=True, eq=False)
+class FittedModel(ABC):
     """A model fitted on the identify flights, by whatever residual it is scored.
 
-    cost : minus log-likelihood of the identify flights, of so many measured values.
+    spec : its structure. model : with its parameters. flights : what all fits of the data set share.
     """
 
-    @property
-    def spec(self) -> ModelSpec:
-        """Its structure."""
-        ...
-
-    @property
-    def model(self) -> Model:
-        """With its parameters."""
-        ...
-
-    @property
-    def flights(self) -> Flights:
-        """What all fits of the data set share."""
-        ...
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Free parameters."""
-        ...
+    spec: ModelSpec
+    model: Model
+    flights: Flights
 
     @property
     def values(self) -> dict[str, float]:
         """Every parameter by its full name."""
-        ...
+        return self.model.named_values
 
     @property
+    @abstractmethod
+    def names(self) -> tuple[str, ...]:
+        """Free parameters."""
+
+    @property
+    @abstractmethod
     def cost(self) -> float:
         """Minus log-likelihood of the identify flights."""
-        ...
 
     @property
+    @abstractmethod
     def per_sample(self) -> float:
         """Measured values of the identify flights."""
-        ...
 
+    @abstractmethod
     def error(self, name: str) -> float:
         """Standard error of a parameter, infinite where it was not estimated or cannot be told."""
-        ...
 
+    @abstractmethod
     def scatter(self, effect: str) -> dict[str, float]:
         """Standard errors of an effect's free parameters by leaving out one flight in turn."""
-        ...
 
+    @abstractmethod
     def log_ratios(self, other: Self) -> Tensor:
         """Mean over the channels of log(rms of this model / rms of the other) of each flight, fitted or not [F]."""
-        ...
 
+    @abstractmethod
     def unseen_log_ratios(self, other: Self) -> Tensor:
         """The same of flights that no fit has seen; of the fitted ones where there are no others [F]."""
-        ...
 
 
 FittedT = TypeVar("FittedT", bound=FittedModel)
 
 
 @dataclass(frozen=True, eq=False)
-class Fitted:
-    """A model fitted on the identify flights.
+class Fitted(FittedModel):
+    """A model fitted to trajectories over segments of the identify flights.
 
-    values : every parameter by its full name. fit : the estimate with its segments.
-    names : free parameters, in the order of the fit's theta.
+    fit : the estimate with its segments.
     """
 
-    spec: ModelSpec
-    model: Model
-    names: tuple[str, ...]
     fit: progressive_fit.Fit
-    flights: Flights
     _errors: dict[tuple[str, ...], dict[str, float]] = field(default_factory=dict, init=False, repr=False)
 
     @property
-    def values(self) -> dict[str, float]:
-        """Every parameter by its full name."""
-        return self.model.named_values
+    def names(self) -> tuple[str, ...]:
+        """Free parameters, in the order of the fit's theta."""
+        return self.fit.likelihood.system.names
 
     @cached_property
     def in_still_air(self) -> Fitted:
@@ -274,7 +260,7 @@ def refit(
     fitted = progressive_fit.fit(System(model, names), records, begin, settings)
     with torch.no_grad():
         model.theta[places] = fitted.theta
-    return Fitted(spec, model, names, fitted, flights)
+    return Fitted(spec, model, flights, fitted)
 
 
 def _followed(near: Fitted, model: Model, states: Tensor) -> Tensor:

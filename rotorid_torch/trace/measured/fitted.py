@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import msgspec
 import torch
@@ -21,7 +22,7 @@ from rotorid_torch.identification.rotor_regression import regress_rotors
 from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.model.rotors import beyond_belief
-from rotorid_torch.trace.evidence.fits import Flights
+from rotorid_torch.trace.evidence.fits import FittedModel, Flights
 from rotorid_torch.validate.predictions import unexplained_moments
 
 EXPLAINED = 0.3
@@ -89,7 +90,7 @@ def with_moments(spec: ModelSpec) -> ModelSpec:
 
 
 @dataclass(frozen=True, eq=False)
-class FittedAtStates:
+class FittedAtStates(FittedModel):
     """A model fitted to accelerations at measured states.
 
     spec : its structure, with all moments free. model : where moments that it does not explain are held at zero.
@@ -97,9 +98,6 @@ class FittedAtStates:
     by that one's name: to it, that flight is unseen. origin : the fit whose values this one began from, if any.
     """
 
-    spec: ModelSpec
-    model: Model
-    flights: Flights
     errors: Mapping[str, float]
     without: Mapping[str, Tensor]
     origin: FittedAtStates | None = None
@@ -119,11 +117,6 @@ class FittedAtStates:
     def names(self) -> tuple[str, ...]:
         """Free parameters."""
         return tuple(self.errors)
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Every parameter by its full name."""
-        return self.model.named_values
 
     @property
     def silent(self) -> tuple[str, ...]:
@@ -157,11 +150,11 @@ class FittedAtStates:
         """None by leaving out flights, of which one may tell all; errors hold for residuals that are alike."""
         return {}
 
-    def log_ratios(self, other: FittedAtStates) -> Tensor:
+    def log_ratios(self, other: Self) -> Tensor:
         """Mean over the rows of log(rms of this model / rms of the other) of blocks of unseen flights [B]."""
         return _log_ratios(self._unseen, other._unseen, self._block)
 
-    def unseen_log_ratios(self, other: FittedAtStates) -> Tensor:
+    def unseen_log_ratios(self, other: Self) -> Tensor:
         """The same of whole flights: validate flights, and each identify flight by a fit of all others [F]."""
         return _log_ratios(self._unseen, other._unseen, None)
 
