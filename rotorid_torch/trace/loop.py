@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -105,21 +105,21 @@ def trace(
     final = search.back(search.forward(null, tested), tested)
     idle = [e for e in structure if size_of(final, e).estimate is not Interval.SIZE]
     outcome, unknown = how_it_ended(search, start.held, final, tested)
-    accepted = tuple(c.effect for c in search.joined) if outcome.adequate else ()
     if placed:  # the model before has the same structure
         null = refit(null.spec.without(placed), flights, null.values, start.held, near=null)
-    best = final if accepted else null
-    return Tracing(
+    best = final if outcome.accepted else null
+    tracing = Tracing(
         Traced(null.spec.without(idle), null.values),
-        Traced(best.spec.without(idle), best.values),
-        tuple(e for e in structure if e not in idle),
-        accepted,
-        {e: others for e, others in search.rivals.items() if e in accepted and others},
-        (*_without(ordinary, idle), *outcome.findings(tested), *settled, *unmoved),
+        Traced(best.spec, best.values),
+        structure,
+        outcome.accepted,
+        outcome.groups,
+        (*ordinary, *outcome.findings(tested), *settled, *unmoved),
         (*notes_of(search), *untried(flights.dataset)),
         unknown,
         outcome.spread,
     )
+    return tracing.without("rejected", dict.fromkeys(idle, "its size is nothing in the end"))
 
 
 def draws_of(
@@ -183,9 +183,3 @@ def _placed(
 def notes_of(search: Search[FittedT]) -> tuple[str, ...]:
     """Where the critical values come from."""
     return () if search.first is None else (search.first[2].note,)
-
-
-def _without(findings: Sequence[EffectFinding], idle: Collection[str]) -> list[EffectFinding]:
-    """The findings, those of structure whose size is nothing rejected."""
-    said = "its size is nothing in the end"
-    return [replace(f, verdict="rejected", reason=said) if f.id in idle else f for f in findings]

@@ -13,8 +13,8 @@ from rotorid_torch.trace.balance import out_of_balance
 from rotorid_torch.trace.evidence.fits import Flights
 from rotorid_torch.trace.loop import DrawClean, Traced, Tracing, draws_of, notes_of
 from rotorid_torch.trace.measured.accelerations import MeasuredAccelerations
-from rotorid_torch.trace.search.findings import Outcome
 from rotorid_torch.trace.search.forward_selection import Search
+from rotorid_torch.trace.search.outcome import Outcome
 from rotorid_torch.trace.search.screening_sizes import with_screening_sizes
 from rotorid_torch.trace.terms.eligible import candidates, untried
 from rotorid_torch.trace.terms.finding import EffectFinding
@@ -47,7 +47,6 @@ def trace_rotors(
     null = replace(null, spec=sized)
     search = Search(shared, lambda observed, effects: draws_of(search, observed, effects, (), draw, seed), say)
     final = search.back(search.forward(null, tested), tested)
-    accepted = tuple(c.effect for c in search.joined)
     outcome = Outcome(search, final, None, {}, search.spread(final))
     balanced = bool(spec.motors) and spec.found_places is None  # of arms that are not known nothing balances
     dataset = flights.dataset
@@ -59,8 +58,8 @@ def trace_rotors(
         Traced(null.spec, null.values),
         Traced(final.spec, final.values),
         (),
-        accepted,
-        {e: others for e, others in search.rivals.items() if e in accepted and others},
+        outcome.accepted,
+        outcome.groups,
         tuple(centre if centre and f.id == centre.id else f for f in findings),
         (*notes_of(search), *untried(dataset)),
         missing,

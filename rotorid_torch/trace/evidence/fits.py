@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import compress
-from typing import Self, TypeVar
+from typing import Any, Self, TypeVar
 
 import torch
 from torch import Tensor
@@ -100,11 +100,11 @@ class FittedModel(ABC):
         """Standard errors of an effect's free parameters by leaving out one flight in turn."""
 
     @abstractmethod
-    def log_ratios(self, other: Self) -> Tensor:
+    def log_ratios(self, other: Any) -> Tensor:
         """Mean over the channels of log(rms of this model / rms of the other) of each flight, fitted or not [F]."""
 
     @abstractmethod
-    def unseen_log_ratios(self, other: Self) -> Tensor:
+    def unseen_log_ratios(self, other: Any) -> Tensor:
         """The same of flights that no fit has seen; of the fitted ones where there are no others [F]."""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -14,7 +15,7 @@ from rotorid_torch.trace.evidence.residual import AT_ONCE, ONSET_S, TIME, LeftOv
 from rotorid_torch.trace.evidence.screen import PATH
 from rotorid_torch.trace.evidence.slips import Deflected, slipped
 from rotorid_torch.trace.evidence.unattributed import Description, Residuals
-from rotorid_torch.trace.search.words import UnknownWords, path_words
+from rotorid_torch.trace.search.words import path_words, unknown_words
 from rotorid_torch.trace.terms.finding import Unknown
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import exceeds
@@ -44,8 +45,8 @@ def localised(significant: Sequence[Description], residuals: Residuals, does: De
     band = _band(left.residual[:, left.rows.index(row)], left.rate)
     size = _size(left, row, [best] if others is None else [best, others])
     unit = "m/s2" if where in FORCES else "rad/s2" if where in MOMENTS else "rad/s"
-    words = UnknownWords(where, size, unit, band, goes_with, " and a step" if others else shape, since_s)
-    return Unknown(where, band, goes_with, since_s, str(words))
+    missing = Unknown(where, band, goes_with, since_s, "")
+    return replace(missing, sentence=unknown_words(missing, f"{size:.2g} {unit}", " and a step" if others else shape))
 
 
 def in_control_path(flights: Flights) -> Unknown:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from rotorid_torch.trace.evidence.fits import FittedT
 from rotorid_torch.trace.search.decide import NO_SCATTER, Reason, size_of
+from rotorid_torch.trace.terms.finding import Unknown
 
 REASONS = {
     Reason.BELOW_LEVEL: "it explains no more than it does where nothing is missing",
@@ -49,28 +49,14 @@ def size_details(
     }
 
 
-@dataclass(frozen=True)
-class UnknownWords:
-    """What has no name.
-
-    where : the equation. size : rms, in its unit. band : Hz. shape : how it goes with a signal. since_s : onset.
-    """
-
-    where: str
-    size: float
-    unit: str
-    band: tuple[float, float]
-    goes_with: str
-    shape: str
-    since_s: float | None
-
-    def __str__(self) -> str:
-        how = self.shape if self.shape.startswith(" ") else f" ({self.shape})" if self.shape else ""
-        began = "" if self.since_s is None else f", since {self.since_s:.1f} s into the flights"
-        return (
-            f"Something is missing in {self.where}: {self.size:.2g} {self.unit} rms at {self.band[0]:.2g} to"
-            f" {self.band[1]:.2g} Hz go with {self.goes_with}{how}{began}; no effect of the library explains it."
-        )
+def unknown_words(missing: Unknown, size: str, shape: str) -> str:
+    """What has no name. size : rms, with its unit. shape : how it goes with a signal."""
+    how = shape if shape.startswith(" ") else f" ({shape})" if shape else ""
+    began = "" if missing.since_s is None else f", since {missing.since_s:.1f} s into the flights"
+    return (
+        f"Something is missing in {missing.where}: {size} rms at {missing.band_hz[0]:.2g} to"
+        f" {missing.band_hz[1]:.2g} Hz go with {missing.goes_with}{how}{began}; no effect of the library explains it."
+    )
 
 
 def path_words(band: tuple[float, float]) -> str:

@@ -12,8 +12,8 @@ from rotorid_torch.trace.evidence.critical_values import Draws
 from rotorid_torch.trace.evidence.family import Family, by_chance, family
 from rotorid_torch.trace.evidence.fits import Fitted, refit
 from rotorid_torch.trace.search.decide import Interval, Row
-from rotorid_torch.trace.search.findings import Outcome
 from rotorid_torch.trace.search.forward_selection import Search, Trial
+from rotorid_torch.trace.search.outcome import Outcome
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.candidate import Candidate
 from rotorid_torch.trace.terms.finding import EffectFinding

@@ -8,9 +8,8 @@ import pytest
 
 from rotorid_torch.trace.evidence.family import by_chance, family
 from rotorid_torch.trace.evidence.fits import Fitted, Flights, refit
-from rotorid_torch.trace.search.findings import Outcome
 from rotorid_torch.trace.search.forward_selection import Search, Trial, observed
-from rotorid_torch.trace.search.outcome import how_it_ended
+from rotorid_torch.trace.search.outcome import Outcome, how_it_ended
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.candidate import Candidate
 from rotorid_torch.trace.terms.finding import Unknown
