@@ -46,11 +46,10 @@ Turn = Mapping[str, tuple[float, float]]
 class Learnt:
     """A network beside a traced model.
 
-    null : the model without. fitted : with it. better : mean log ratio of errors on each flight that no fit has seen
+    fitted : with it. better : mean log ratio of errors on each flight that no fit has seen
     [F]. chance : its mean where nothing was to be learnt, once per trial; none where flights do not gain anyway.
     """
 
-    null: Fitted
     fitted: Fitted
     better: Tensor
     chance: tuple[float, ...]
@@ -99,7 +98,7 @@ def learn(
         evidence = base.unseen_log_ratios(trained(base, held, seed, turn))
         by_chance.append(float(evidence.mean()))
         say(f"network: where nothing is to be learnt they fall by {_percent(evidence)}")
-    return Learnt(null, fitted, better, tuple(by_chance))
+    return Learnt(fitted, better, tuple(by_chance))
 
 
 def _percent(better: Tensor) -> str:

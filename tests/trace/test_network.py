@@ -70,7 +70,7 @@ def test_where_nothing_is_hidden_no_network_stays():
 
 def test_a_network_that_gains_no_more_than_chance_does_not_stay():
     found = learnt(HIDDEN)
-    lucky = Learnt(found.null, found.fitted, found.better, (0.0, 2.0 * float(found.better.mean())))
+    lucky = Learnt(found.fitted, found.better, (0.0, 2.0 * float(found.better.mean())))
     assert lucky.finding().verdict == "rejected"
     assert "nothing is to be learnt" in lucky.finding().reason
 

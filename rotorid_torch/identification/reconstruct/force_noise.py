@@ -47,13 +47,12 @@ ADAPT_S = 0.35
 class ForceNoise:
     """X Y Z L M N per mass and inertia as Gauss-Markov processes.
 
-    tau : [6] s. sources : names of what makes process noise, "constant" first; theta : [6, sources] power by source
-    at its rms, unit squared per s. active : which of all sources these are; rms : [sources] of them.
+    tau : [6] s. theta : [6, sources] power by what makes process noise, a constant first, at its rms, unit squared
+    per s. active : which of all sources these are; rms : [sources] of them.
     variance : [6] of each about its trim. seen : [6] whether a channel of any flight sees the axis.
     """
 
     tau: Array
-    sources: tuple[str, ...]
     theta: Array
     active: Array
     rms: Array
@@ -110,9 +109,7 @@ def find_force_noise(dataset: Dataset, biases: Biases, lines: Mapping[str, float
     axis, flight_of = np.tile(np.arange(6), len(searched)), np.repeat(np.arange(len(searched)), 6)
     fitted = np.isfinite(rows.value).sum(axis=0) > 0
     theta, tau = _search(rows, activity, axis, flight_of, _spread(rows, variance[axis]), fitted)
-    sources = ["constant", *(f"{c} {memory:g} s" for memory in gm.MEMORIES_S for c in dataset.controls)]
-    names = tuple(name for name, on in zip(sources, active, strict=True) if on)
-    return ForceNoise(tau, names, theta, active, rms[active], variance, observed)
+    return ForceNoise(tau, theta, active, rms[active], variance, observed)
 
 
 def adapted(

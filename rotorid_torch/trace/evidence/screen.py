@@ -101,8 +101,6 @@ class Screen:
     """Normal equations of all signatures and the residual, the fitted model projected out, flight by flight.
 
     products : [F, K + 1 + R, K + 1 + R] of K signatures, the residual, and R residuals whose time has been shuffled.
-    raw : [K] squares of the signatures before anything was projected out.
-    samples : measured values.
     absorbed : for each signature the parameters of the fitted model that imitate most of it.
     equations : the same normal equations before the fitted model was projected out, and those of unseen flights.
     residuals : how many residuals there are, that of the data first.
@@ -110,26 +108,17 @@ class Screen:
 
     signatures: tuple[Signature, ...]
     products: Tensor
-    raw: Tensor
-    samples: float
     absorbed: tuple[tuple[str, ...], ...]
     equations: FlightEquations
     residuals: int = 1
     _chosen: dict[str, list[int]] = field(default_factory=dict, repr=False)
 
     @classmethod
-    def of(
-        cls,
-        chosen: tuple[Signature, ...],
-        names: Sequence[str],
-        equations: FlightEquations,
-        raw: Tensor,
-        samples: float,
-    ) -> Screen:
+    def of(cls, chosen: tuple[Signature, ...], names: Sequence[str], equations: FlightEquations) -> Screen:
         """Of signatures beside a model's parameters of these names, from normal equations that hold both."""
         left, shares = _eliminated(equations.fitted, equations.prior, len(names))
         absorbed = tuple(_largest(tuple(names), shares[:, k]) for k in range(len(chosen)))
-        return cls(chosen, left, raw, samples, absorbed, equations, equations.residuals)
+        return cls(chosen, left, absorbed, equations, equations.residuals)
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -282,11 +271,11 @@ def screens(
     problem, place = null.fit.likelihood, null.fit.minimum.point
     chance = torch.Generator().manual_seed(seed)
     fitted = _Linearised(problem, place, null.flights.dataset.identify, keep)
-    products, raw = _products(probes, fitted, shuffles, chance)
+    products = _products(probes, fitted, shuffles, chance)
     listed = null.flights.dataset.validate
     unseen = products.new_zeros(len(listed), *products.shape[1:])  # no evidence where the null flies away
     if listed and math.isfinite(null.on_unseen[1].cost):
-        unseen, _ = _products(probes, _Linearised(*null.on_unseen, listed, keep), shuffles, chance)
+        unseen = _products(probes, _Linearised(*null.on_unseen, listed, keep), shuffles, chance)
     prior_rows, prior_rest = problem.prior_rows(place)
     none = prior_rest.new_zeros(len(prior_rest), sum(counts))
     prior = torch.cat([prior_rows[:, keep], none, prior_rest[:, None], prior_rest.new_zeros(len(none), shuffles)], 1)
@@ -297,7 +286,7 @@ def screens(
         whole = [*range(len(names)), *(len(names) + k for k in (*mine, *behind))]
         ours, theirs, before = (_block(matrices, whole) for matrices in (products, unseen, prior))
         equations = FlightEquations(ours, theirs, before, len(names), len(behind))
-        screened.append(Screen.of(probe.chosen, names, equations, raw[mine], null.per_sample))
+        screened.append(Screen.of(probe.chosen, names, equations))
         first += count
     return screened
 
@@ -330,14 +319,12 @@ class _Linearised:
     keep: Tensor
 
 
-def _products(
-    probes: Sequence[_Probe], flown: _Linearised, shuffles: int, chance: torch.Generator
-) -> tuple[Tensor, Tensor]:
-    """Products [F, n, n] of each flight, initial states and biases projected out, and squares of signatures [K].
+def _products(probes: Sequence[_Probe], flown: _Linearised, shuffles: int, chance: torch.Generator) -> Tensor:
+    """Products [F, n, n] of each flight, initial states and biases projected out.
 
     Columns: the null's parameters that are kept, signatures, residual, residuals turned in time.
     """
-    products, raw = [], []
+    products = []
     problem = flown.problem
     tapes = [_tapes(probe.model, problem.records, probe.chosen) for probe in probes]
     for part, whitener, rows in problem.by_flight(flown.place):
@@ -348,7 +335,6 @@ def _products(
             for change in probe.changes(problem.records, flown.names, taped, part.segments, state)
         ]
         signature = _rows(whitener, torch.stack(changes, dim=-1)) if changes else rows[..., :0]
-        raw.append(signature.square().sum((0, 1)))
         first = problem.locals_per_segment + len(problem.biased)
         residual = rows[..., -1:]
         record = residual[..., 0].unflatten(-1, (-1, part.residual.shape[-1])).flatten(0, 1)
@@ -357,7 +343,7 @@ def _products(
         basis = torch.linalg.qr(rows[..., :first]).Q
         matrix = matrix - basis @ (basis.mT @ matrix)
         products.append((matrix.mT @ matrix).sum(0))
-    return torch.stack(products), torch.stack(raw).sum(0)
+    return torch.stack(products)
 
 
 @dataclass(frozen=True, eq=False)

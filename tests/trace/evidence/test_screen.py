@@ -48,7 +48,7 @@ def test_a_size_below_nothing_is_told_where_bounds_are_left_out():
     """Of a residual that is twice the signature, the other way round."""
     lead = Signature("control.delay", "control.delay.common", 0.0, 0.06, (0.0, 0.4), "s")
     one = torch.tensor([[1.0, -2.0], [-2.0, 4.0]], dtype=torch.float64)
-    found = Screen((lead,), one[None], torch.ones(1, dtype=torch.float64), 1.0, ((),), equations_of(one))
+    found = Screen((lead,), one[None], ((),), equations_of(one))
     assert found.sizes(["control.delay"]) == {"control.delay.common": 0.0}
     assert found.unbounded("control.delay") == {"control.delay.common": pytest.approx(-0.12)}
 
@@ -57,7 +57,7 @@ def test_a_size_beside_another_at_its_bound_is_the_best_there():
     """Without bounds -0.8 and 2.3; within 0 to 2 the best are 0 and 0.7, not 0 and 2."""
     A = torch.tensor([[1.0, 1.0, 1.5], [3.0, 1.0, -0.1]], dtype=torch.float64)
     two = tuple(Signature("my.effect", f"my.effect.{n}", 0.0, 1.0, (0.0, 2.0), "") for n in "ab")
-    found = Screen(two, (A.mT @ A)[None], torch.ones(2, dtype=torch.float64), 1.0, ((), ()), equations_of(A.mT @ A))
+    found = Screen(two, (A.mT @ A)[None], ((), ()), equations_of(A.mT @ A))
     assert found.sizes(["my.effect"]) == {"my.effect.a": 0.0, "my.effect.b": pytest.approx(0.7)}
 
 
