@@ -14,7 +14,6 @@ from rotorid_torch.consistency.smoothing import advanced, kernel
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES, is_control
 from rotorid_torch.core.rigid import specific_force_at
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.data.facts import Facts
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.data.schema import ChannelSpec
@@ -32,13 +31,7 @@ def without_errors(dataset: Dataset, errors: Mapping[str, float]) -> Dataset:
     up to twice the noise power, one behind a filter of second order three times.
     """
     flights = OnDemand(dataset.flights, lambda name: without_errors_of_flight(dataset.flights[name], errors))
-    facts = {name: Facts.of(flight) for name, flight in flights.items()}
-    return replace(
-        dataset,
-        flights=MappingProxyType(flights),
-        facts=MappingProxyType(facts),
-        channel_specs=MappingProxyType(_noise(dataset, errors)),
-    )
+    return replace(dataset.with_flights(flights), channel_specs=MappingProxyType(_noise(dataset, errors)))
 
 
 def _noise(dataset: Dataset, errors: Mapping[str, float]) -> dict[str, ChannelSpec]:

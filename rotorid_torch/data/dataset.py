@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -97,6 +97,11 @@ class Dataset(Contents):
         if flight not in self.flights:
             raise KeyError(f"{self.name} has no flight '{flight}', but {', '.join(self.flights)}")
         return self.flights[flight]
+
+    def with_flights(self, flights: Mapping[str, Flight]) -> Dataset:
+        """The same with other records of its flights."""
+        facts = {name: Facts.of(flight) for name, flight in flights.items()}
+        return replace(self, flights=MappingProxyType(flights), facts=MappingProxyType(facts))
 
     def to_numpy(self) -> dict[str, dict[str, np.ndarray]]:
         """Channels (T,) of each flight by its name."""

@@ -9,7 +9,6 @@ import numpy as np
 import torch
 
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.data.facts import Facts
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.on_demand import OnDemand
 
@@ -28,13 +27,11 @@ def at_one_rate(dataset: Dataset) -> Dataset:
     if slow - min(intervals) <= SAME * slow:
         return dataset
     flights = OnDemand(dataset.flights, lambda name: _slowed(dataset.flights[name], slow))
-    facts = {name: Facts.of(flight) for name, flight in flights.items()}
     remark = (
         f"flights are recorded at {1.0 / slow:.4g} to {1.0 / min(intervals):.4g} Hz: the three steps see all of them at"
         f" {1.0 / slow:.4g} Hz, free runs are judged as recorded; record at one rate if fast dynamics matter"
     )
-    warnings = (*dataset.warnings, remark)
-    return replace(dataset, flights=MappingProxyType(flights), facts=MappingProxyType(facts), warnings=warnings)
+    return replace(dataset.with_flights(flights), warnings=(*dataset.warnings, remark))
 
 
 def _slowed(flight: Flight, dt: float) -> Flight:

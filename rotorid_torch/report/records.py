@@ -21,7 +21,7 @@ from rotorid_torch.core.storage.paths import nearest_path
 from rotorid_torch.core.storage.record import AtMostOne, Number, Record, Share, Size
 from rotorid_torch.data.refusal import convert
 from rotorid_torch.errors import InputError
-from rotorid_torch.validate.judged import Prediction, Response
+from rotorid_torch.validate.judged import Prediction, Response, WindowsRecord
 from rotorid_torch.version import __version__
 
 INSIDE = 5
@@ -59,14 +59,6 @@ class ChannelRecord(Record, frozen=True, kw_only=True):
     r2: AtMostOne
     theil: Share
     theil_parts: tuple[Number, Number, Number]
-
-
-class WindowsRecord(Record, frozen=True, kw_only=True):
-    """J over all 8-s windows of a flight: median, 10th and 90th percentile."""
-
-    median: Size
-    p10: Size
-    p90: Size
 
 
 class FlightRecord(Record, frozen=True, kw_only=True, omit_defaults=True):

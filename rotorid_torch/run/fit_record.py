@@ -28,7 +28,6 @@ from rotorid_torch.report.records import (
     ParameterRecord,
     ScoresRecord,
     Status,
-    WindowsRecord,
 )
 from rotorid_torch.report.summary import SHOWN
 from rotorid_torch.validate import scores
@@ -141,13 +140,12 @@ def judge(model: Model, dataset: Dataset, ranks: Ranks = ALONE) -> Judged:
 def _flight(model: Model, dataset: Dataset, name: str, piece: Windows, outputs: Tensor) -> FlightRecord:
     scored = Scored.of(model, dataset)
     J, first = scored.J(piece, outputs), piece.measured[0][:, scored.places]
-    spread = scores.window_statistics(J)
     return FlightRecord(
         list=dataset.listed(name),
         J=float(J[0]),
         J_noise=float(scores.noise_J(first, scored.noise, scored.scale)),
         J_trim=float(scores.trim_J(first, scored.scale, piece.dt)),
-        windows=WindowsRecord(median=spread.median, p10=spread.p10, p90=spread.p90),
+        windows=scores.window_statistics(J),
         channels=_channels(model, piece, outputs),
     )
 

@@ -127,10 +127,7 @@ def with_gusts(
     dataset : judged.
     """
     scored = dict(in_gusts(model, dataset, gusts)) if gusts else {}
-    return {
-        n: msgspec.structs.replace(f, J_gust=scored[n].J_gust, J_fed=scored[n].J_fed) if n in scored else f
-        for n, f in flights.items()
-    }
+    return {n: msgspec.structs.replace(f, **scored.get(n, {})) for n, f in flights.items()}
 
 
 def without_clean_bill(verdict: Statement, failing: str) -> Statement:

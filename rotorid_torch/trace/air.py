@@ -8,13 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from types import MappingProxyType
 
 import numpy as np
 import torch
 
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.data.facts import Facts
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.gusts import Histories, Weather, histories, in_weather
 from rotorid_torch.identification.model_estimation import sensor_noise
@@ -42,8 +40,7 @@ def _with_channels(dataset: Dataset, gusts: Histories) -> Dataset:
         at = [np.interp(flight.time.numpy(), time.numpy(), v) for v in velocities.numpy().T]
         channels = {**flight.channels, **{g: torch.from_numpy(v) for g, v in zip(GUSTS, at, strict=True)}}
         flights[name] = replace(flight, channels=channels)
-    facts = {name: Facts.of(flight) for name, flight in flights.items()}
-    return replace(dataset, flights=MappingProxyType(flights), facts=MappingProxyType(facts))
+    return dataset.with_flights(flights)
 
 
 def _smoothed_gusts(spec: ModelSpec, values: Mapping[str, float], flights: Flights, weather: Weather) -> Histories:

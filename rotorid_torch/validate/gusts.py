@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -17,18 +17,13 @@ from rotorid_torch.validate.free_run import Runs, free_run, windows
 from rotorid_torch.validate.windows import Scored
 
 
-@dataclass(frozen=True)
-class InGusts:
-    """Scores of a flight's first window: of the difference that gusts make, and with gusts fed in."""
-
-    J_gust: float
-    J_fed: float
-
-
 def in_gusts(
     model: Model, dataset: Dataset, gusts: Mapping[str, tuple[Tensor, Tensor]]
-) -> Iterator[tuple[str, InGusts]]:
-    """Flights with their scores; gusts : time (T,), s, and air velocities (T, 3), m/s, by flight."""
+) -> Iterator[tuple[str, dict[str, float]]]:
+    """Flights with J of their first window: of the difference that gusts make (J_gust), and with gusts fed in (J_fed).
+
+    gusts : time (T,), s, and air velocities (T, 3), m/s, by flight.
+    """
     moving, scored = fed(model), Scored.of(model, dataset)
     calm, rough = Runs.of(model), Runs.of(moving)
     for name, (time, velocities) in gusts.items():
@@ -41,4 +36,4 @@ def in_gusts(
         states, outputs = free_run(moving, replace(piece, controls=controls), rough)
         alone = model.recorded(calm(states[:, 0], piece.controls, piece.dt)[1], piece.dt)
         difference = scores.flight_J((outputs - alone)[..., scored.places], scored.scale)
-        yield name, InGusts(float(difference[0]), float(scored.J(piece, outputs)[0]))
+        yield name, {"J_gust": float(difference[0]), "J_fed": float(scored.J(piece, outputs)[0])}

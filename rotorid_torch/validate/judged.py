@@ -38,6 +38,14 @@ class Prediction(Record, frozen=True, kw_only=True):
     held: Size
 
 
+class WindowsRecord(Record, frozen=True, kw_only=True):
+    """J over all 8-s windows of a flight: median, 10th and 90th percentile."""
+
+    median: Size
+    p10: Size
+    p90: Size
+
+
 class Judgement(NamedTuple):
     """Responses of a flight by name, and its predictions of every quantity and time."""
 

@@ -11,17 +11,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from rotorid_torch.validate.judged import WindowsRecord
+
 HORIZON_S = 8.0
 QUIET_S = 0.5
 WINDOW_STEP_S = 1.0
-
-
-class Spread(NamedTuple):
-    """Median of some values with their 10th and 90th percentile."""
-
-    median: float
-    p10: float
-    p90: float
 
 
 class Theil(NamedTuple):
@@ -124,7 +118,8 @@ def window_starts(samples: int, dt: float, seconds: float = HORIZON_S, step: flo
     return [round(k * hop) for k in range(count)]
 
 
-def window_statistics(J: Tensor) -> Spread:
+def window_statistics(J: Tensor) -> WindowsRecord:
     """Median, 10th and 90th percentile of the windows' J [W]; NaN where no window has a score."""
     levels = torch.tensor([0.5, 0.1, 0.9], dtype=J.dtype, device=J.device)
-    return Spread(*torch.nanquantile(J, levels).tolist())
+    median, p10, p90 = torch.nanquantile(J, levels).tolist()
+    return WindowsRecord(median=median, p10=p10, p90=p90)
