@@ -71,8 +71,8 @@ def write_dataset(
 
 def _with_comment(text: str, comment: str) -> str:
     head, table, after = text.partition("[vehicle]\n")
-    keys, _, rest = after.partition("\n") if after.startswith("\n") else after.partition("\n\n")
-    return f"{head}{table}{keys}{chr(10) if keys else ''}{comment}\n{rest}" if comment else text
+    keys, _, others = after.partition("\n") if after.startswith("\n") else after.partition("\n\n")
+    return f"{head}{table}{keys}{chr(10) if keys else ''}{comment}\n{others}" if comment else text
 
 
 def _document(name: str, declared: Mapping[str, Any]) -> dict[str, Any]:

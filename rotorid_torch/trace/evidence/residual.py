@@ -121,7 +121,7 @@ def left_over(
     signals, residual, named = (torch.cat([getattr(p, n) for p in parts]) for n in ("signals", "residual", "named"))
     samples = torch.tensor([len(part.time) for part in parts])
     constants = torch.nn.functional.one_hot(torch.repeat_interleave(samples)).to(torch.float64)
-    rests = [torch.cat([p.rest for p in parts])] if any(p.rest.min() < p.rest.max() for p in parts) else []
+    rests = [torch.cat([p.at_rest for p in parts])] if any(p.at_rest.min() < p.at_rest.max() for p in parts) else []
     at_once = [n for n, name in AT_ONCE.items() if name in flapping]
     body = len(FORCES) + len(MOMENTS)
     twice = [*range(residual.shape[1]), *range(body, body + len(at_once))]
@@ -144,7 +144,7 @@ def left_over(
 
 @dataclass(frozen=True, eq=False)
 class _Thinned:
-    """A flight's records at about `RATE`, see `LeftOver`: residual [T, rows], named [T, rows, n], rest [T, 1]."""
+    """A flight's records at about `RATE`, see `LeftOver`: residual [T, rows], named [T, rows, n], at_rest [T, 1]."""
 
     names: tuple[str, ...]
     signals: Tensor
@@ -152,7 +152,7 @@ class _Thinned:
     named: Tensor
     tilts: Tensor
     time: Tensor
-    rest: Tensor
+    at_rest: Tensor
 
 
 class Source(NamedTuple):

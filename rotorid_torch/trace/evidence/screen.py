@@ -24,7 +24,6 @@ from rotorid_torch.effects.base import Stage
 from rotorid_torch.effects.signal_operations import smoothed
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
-from rotorid_torch.identification.estimate.residuals import Whitener
 from rotorid_torch.identification.estimate.segments import Records, Segments
 from rotorid_torch.model.gusts import GUSTS
 from rotorid_torch.model.model import Model
@@ -284,7 +283,7 @@ def screens(
     for probe, count in zip(probes, counts, strict=True):
         mine = list(range(first, first + count))
         whole = [*range(len(names)), *(len(names) + k for k in (*mine, *behind))]
-        ours, theirs, before = (_block(matrices, whole) for matrices in (products, unseen, prior))
+        ours, theirs, before = (one[..., whole, :][..., whole] for one in (products, unseen, prior))
         equations = FlightEquations(ours, theirs, before, len(names), len(behind))
         screened.append(Screen.of(probe.chosen, names, equations))
         first += count
@@ -302,11 +301,6 @@ def both_screens(
     richer = msgspec.structs.replace(null.spec, each_control=(*null.spec.each_control, *path))
     common, each = screens(null, [(null.spec, effects), (richer, path)], shuffles, seed)
     return common, each
-
-
-def _block(matrices: Tensor, columns: list[int]) -> Tensor:
-    """These rows and columns of symmetric matrices [..., n, n]."""
-    return matrices[..., columns, :][..., columns]
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,7 +328,9 @@ def _products(probes: Sequence[_Probe], flown: _Linearised, shuffles: int, chanc
             for probe, taped in zip(probes, tapes, strict=True)
             for change in probe.changes(problem.records, flown.names, taped, part.segments, state)
         ]
-        signature = _rows(whitener, torch.stack(changes, dim=-1)) if changes else rows[..., :0]
+        signature = rows[..., :0]
+        if changes:
+            signature = whitener.apply(torch.stack(changes, dim=-1).nan_to_num(0.0)).flatten(1, 2)
         first = problem.locals_per_segment + len(problem.biased)
         residual = rows[..., -1:]
         record = residual[..., 0].unflatten(-1, (-1, part.residual.shape[-1])).flatten(0, 1)
@@ -442,11 +438,6 @@ def _largest(names: tuple[str, ...], shares: Tensor) -> tuple[str, ...]:
     """Names of the largest contributions to an imitation, of trims and rotor too."""
     order = shares.abs().argsort(descending=True)[:IMITATORS].tolist()
     return tuple(names[i] for i in order if float(shares[i].abs()) > 0.0)
-
-
-def _rows(whitener: Whitener, values: Tensor) -> Tensor:
-    """Whitened values [S, T, ny, n] as rows [S, T ny, n]."""
-    return whitener.apply(values.nan_to_num(0.0)).flatten(1, 2)
 
 
 def _eliminated(products: Tensor, prior: Tensor, count: int) -> tuple[Tensor, Tensor]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.names import MOMENTS
-from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.measured_states import MeasuredStates, centred
 from rotorid_torch.identification.model_regression import ModelRegression
@@ -63,16 +62,12 @@ def _silenced(spec: ModelSpec, model: Model, regressions: ModelRegression, fligh
         model.theta.copy_(regressions.theta)
     wrong = beyond_belief(spec, model.named_values)
     little = [row for row in MOMENTS if r2[row] < EXPLAINED or row in wrong]
-    ahead = little if len(little) == len(MOMENTS) else unexplained_moments(model, _first(flights))
+    some = (flights.dataset.flights[name] for name in flights.dataset.identify[:PREDICTED])
+    ahead = little if len(little) == len(MOMENTS) else unexplained_moments(model, some)
     held = of_moments(spec, [row for row in MOMENTS if row in {*little, *ahead}])
     return msgspec.structs.replace(
         spec, free={**spec.free, **dict.fromkeys(held, False)}, values={**spec.values, **dict.fromkeys(held, 0.0)}
     )
-
-
-def _first(flights: Flights) -> Iterator[Flight]:
-    """The first identify flights, on which rates are predicted."""
-    return (flights.dataset.flights[name] for name in flights.dataset.identify[:PREDICTED])
 
 
 def of_moments(spec: ModelSpec, rows: Iterable[str]) -> list[str]:

@@ -132,7 +132,7 @@ class Search(Generic[FittedT]):
     def forward(self, null: FittedT, effects: Sequence[str]) -> FittedT:
         """The null with the effects that join it."""
         for _ in range(SETTINGS.effects + 1):
-            tested = self.beside(null, effects)
+            tested = self.family_beside(null, effects)
             observed, p, _ = tested
             self._settle_rivals(p)
             promising = self._promising(observed, p)
@@ -168,7 +168,7 @@ class Search(Generic[FittedT]):
         self.joined.append(candidate)
         self.rivals = {e: tuple(one for one in others if one != candidate.effect) for e, others in self.rivals.items()}
 
-    def beside(self, model: FittedT, effects: Sequence[str]) -> Tested[FittedT]:
+    def family_beside(self, model: FittedT, effects: Sequence[str]) -> Tested[FittedT]:
         """The family beside a model with the effects that joined, and the p of its members; made once for a model."""
         named = tuple(c.effect for c in self.joined)
         if self.last is None or self.last[0].null is not model or self.last[0].accepted != named:

@@ -134,7 +134,7 @@ def how_it_ended(
 ) -> tuple[Outcome[Fitted], Unknown | None]:
     """How the search ended, and what stays without a name."""
     names = [c.effect for c in search.joined]
-    observed, p, _ = search.beside(final, effects)
+    observed, p, _ = search.family_beside(final, effects)
     assert search.first is not None
     first, _, draws = search.first
     low = [n for n, one in p.items() if n.startswith(UNATTRIBUTED) and one <= SETTINGS.level]

@@ -58,7 +58,7 @@ def _finding(scored: Scored[FittedT], whole: FittedT, effect: str, seed: int) ->
         said = reason(why, better=int((better > 0).sum()), count=len(better))
         return EffectFinding(effect, role.value, verdict, said)
     candidate = Candidate(effect, effect in whole.spec.each_control)
-    p = search.beside(null, [effect])[1]
+    p = search.family_beside(null, [effect])[1]
     significant = min((one for n, one in p.items() if effect_of(n) == effect), default=0.0) <= SETTINGS.level
     row = replace(observed(null, whole, candidate), significant=significant)
     search.trials[candidate] = Trial(candidate, null, whole, row)

@@ -134,7 +134,7 @@ def test_where_none_of_the_first_stands_the_next_ones_are_fitted(monkeypatch: py
     """The damping first, which does not act, one fit at a time."""
     known, null = late()
     search = search_of(known, draws_of(True))
-    tested = search.beside(null, SUSPECTS)
+    tested = search.family_beside(null, SUSPECTS)
     monkeypatch.setattr("rotorid_torch.trace.search.forward_selection.SETTINGS", replace(SETTINGS, fits=1))
     null, best = search._joining(null, tested, [Candidate(DAMPING), Candidate(DELAY)])
     assert best is not None
@@ -154,7 +154,7 @@ def test_sizes_of_each_control_are_asked_only_where_flights_are_better_predicted
 def test_an_effect_that_joined_is_taken_out_where_it_is_nothing_in_the_end():
     known, null = nothing()
     search = search_of(known, draws_of(False))
-    search.beside(null, [DELAY])
+    search.family_beside(null, [DELAY])
     final = refit(null.spec.with_effects(DELAY), known, null.values, near=null)
     search.trials[Candidate(DELAY)] = Trial(Candidate(DELAY), null, final, Row())
     search.joined = [Candidate(DELAY)]
@@ -166,7 +166,7 @@ def test_an_effect_that_joined_is_taken_out_where_it_is_nothing_in_the_end():
 def test_an_effect_that_is_real_in_the_end_stays():
     known, null = late()
     search = search_of(known, draws_of(True))
-    search.beside(null, [DELAY])
+    search.family_beside(null, [DELAY])
     final = refit(null.spec.with_effects(DELAY), known, {**null.values, f"{DELAY}.common": 0.05}, near=null)
     search.trials[Candidate(DELAY)] = Trial(Candidate(DELAY), null, final, observed(null, final, Candidate(DELAY)))
     search.joined = [Candidate(DELAY)]
@@ -189,7 +189,7 @@ def test_what_explains_nothing_beside_the_others_goes_whatever_joined_first(firs
     """Damping that does not act beside a delay that does."""
     known, null = late()
     search = search_of(known, draws_of(True))
-    search.beside(null, SUSPECTS)
+    search.family_beside(null, SUSPECTS)
     spec = null.spec.with_effects(DELAY, DAMPING)
     both = refit(spec, known, {**null.values, f"{DELAY}.common": 0.05, f"{DAMPING}.L": 0.1}, near=null)
     search.joined = [Candidate(first), Candidate(DAMPING if first == DELAY else DELAY)]
@@ -207,7 +207,7 @@ def test_an_effect_that_no_draw_knows_keeps_its_place_and_the_others_are_still_a
     drawn = draws_of(True)
     others = {n: t for n, t in drawn.statistics.items() if not n.startswith(DELAY)}
     search = search_of(known, replace(drawn, statistics=others))
-    search.beside(null, SUSPECTS)
+    search.family_beside(null, SUSPECTS)
     spec = null.spec.with_effects(DELAY, DAMPING)
     both = refit(spec, known, {**null.values, f"{DELAY}.common": 0.05, f"{DAMPING}.L": 0.1}, near=null)
     search.joined = [Candidate(DELAY), Candidate(DAMPING)]
@@ -341,7 +341,7 @@ def test_what_a_better_start_of_the_null_gains_is_not_the_candidates():
 def test_critical_values_of_a_search_alone_come_from_residuals_turned_in_time():
     known, null = nothing()
     search = search_of(known)
-    search.beside(null, [DELAY])
+    search.family_beside(null, [DELAY])
     assert search.first is not None
     beside, p, draws = search.first
     assert not draws.clean
@@ -360,7 +360,7 @@ def test_no_later_effect_drives_out_an_earlier_one_that_explains_more():
         n: torch.full_like(t, 1e3) if n.startswith(DELAY) else torch.zeros_like(t) for n, t in drawn.statistics.items()
     }
     search = search_of(known, replace(drawn, statistics=loud))
-    search.beside(null, SUSPECTS)
+    search.family_beside(null, SUSPECTS)
     alone = refit(null.spec.with_effects(DELAY), known, {**null.values, f"{DELAY}.common": 0.08}, near=null)
     both = refit(null.spec.with_effects(DELAY, LAG), known, {**alone.values, f"{LAG}.common": 0.02}, near=alone)
     search.joined = [Candidate(DELAY), Candidate(LAG)]

@@ -34,7 +34,7 @@ def ended(damped: tuple[Flights, Fitted], effect: str, **sizes: float) -> tuple[
         lambda beside, asked: replace(by_chance(beside, asked, 0, family), clean=True),
         lambda line: None,
     )
-    search.beside(null, effects)
+    search.family_beside(null, effects)
     start = {**null.values, **{f"{effect}.{name}": size for name, size in sizes.items()}}
     final = refit(null.spec.with_effects(effect), shared, start, near=null)
     candidate = Candidate(effect)
