@@ -105,8 +105,7 @@ def estimate_model(
     if method == "filter-error" and why_not:
         raise InputError("--method", method, why_not, "output-error")
     names = tuple(n for n in model.parameter_set.free if n not in start.held)
-    with torch.no_grad():
-        model.theta.copy_(start.theta)
+    model.put(start.theta)
     flights = _own_lines_taken_off(records(model, dataset, reconstruction, ranks), model, dataset, start, ranks)
     search = _Search(model, names, _settings(model, dataset, names, means.device), means)
     decides = method == "auto" and not why_not

@@ -123,8 +123,7 @@ def trims_of_flights(
 
     Returns names of the equations, and their constants [rows, flights] in the rows' units. The model is set to theta.
     """
-    with torch.no_grad():
-        model.theta.copy_(theta)
+    model.put(theta)
     names, trims = [], []
     for effect, equation in _equations(model, dataset, _measured(model, dataset, reconstruction)):
         places = [model.parameter_set.index(f"{effect}.{equation.name}.{c}") for c in equation.names]

@@ -127,6 +127,11 @@ class Model(nn.Module):
         numbers = [values.get(name, value) for name, value in self.named_values.items()]
         self.theta.copy_(self.parameter_set.clamp(self.theta.new_tensor(numbers)))
 
+    @torch.no_grad()
+    def put(self, theta: Tensor) -> None:
+        """Set all parameters, as they are."""
+        self.theta.copy_(theta)
+
     @contextmanager
     def restored(self) -> Iterator[None]:
         """Put theta back at the end of the block, also where the block fails."""
@@ -134,8 +139,7 @@ class Model(nn.Module):
         try:
             yield
         finally:
-            with torch.no_grad():
-                self.theta.copy_(before)
+            self.put(before)
 
     def effect(self, name: str) -> Effect | None:
         """The effect of this id, or None."""

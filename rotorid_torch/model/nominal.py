@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import torch
@@ -41,8 +41,8 @@ def rows(spec: ModelSpec) -> tuple[str, ...]:
     return tuple(r for r in (*FORCES, *MOMENTS) if r in spec.patterns)
 
 
-def build(spec: ModelSpec) -> Model:
-    """The model of a spec, its parameters free or held and started as the spec says.
+def build(spec: ModelSpec, start: Mapping[str, float] = {}) -> Model:
+    """The model of a spec, its parameters free or held and started as the spec says, or as `start` does by full name.
 
     A start moves theta, kept within its bounds; the parameter's declared value stays what its prior is about.
 
@@ -59,7 +59,7 @@ def build(spec: ModelSpec) -> Model:
         if name not in model.parameter_set:
             listed = ", ".join(model.parameter_set.names)
             raise InputError("model", name, "there is no such parameter", f"one of {listed}")
-    model.start_from(spec.values)
+    model.start_from({**spec.values, **start})
     return model
 
 

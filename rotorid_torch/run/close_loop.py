@@ -303,8 +303,7 @@ def _with_sensors(spec: ModelSpec, model: Model, sensors: Mapping[str, float]) -
     richer = msgspec.structs.replace(spec, effects=(*spec.effects, *effects))
     sensed = {n: v for n, v in sensors.items() if n in build(richer).parameter_set}
     richer = msgspec.structs.replace(richer, values={**spec.values, **sensed})
-    sensing = build(richer)
-    sensing.start_from(model.named_values)
+    sensing = build(richer, model.named_values)
     return richer, sensing
 
 

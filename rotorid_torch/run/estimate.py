@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
 from rotorid_torch.data.dataset import Dataset
@@ -57,7 +56,6 @@ def estimated(
             return estimate
 
     estimate = steps.do("ml", f"ml-{spec.flapping}", third)
-    with torch.no_grad():
-        model.theta.copy_(estimate.theta_of(model, regressions))
+    model.put(estimate.theta_of(model, regressions))
     monitor.say(f"flapping {spec.flapping}: Akaike's criterion {estimate.criterion:.6g}")
     return spec, model, regressions, estimate

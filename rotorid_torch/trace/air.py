@@ -48,8 +48,7 @@ def _smoothed_gusts(spec: ModelSpec, values: Mapping[str, float], flights: Fligh
     dataset, model = flights.dataset, build(spec)
     model.start_from(values)
     step2 = regress_model(model, dataset, flights.reconstruction)
-    with torch.no_grad():
-        model.theta.copy_(step2.theta)
+    model.put(step2.theta)
     model.start_from({n: values[n] for n in step2.doubtful(model.parameter_set.free) if n in values})
     batch = flights.records(model, tuple(dataset.flights))
     gusts = in_weather(model, weather, batch, sensor_noise(model, dataset))

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -39,7 +38,8 @@ def free_run_bands(
     places = torch.tensor([model.parameter_set.index(name) for name in names])
     outputs = []
     for step in _steps(covariance):
-        with _at(model, model.parameter_set.clamp(theta.index_add(0, places, step))):
+        with model.restored(), torch.no_grad():
+            model.put(model.parameter_set.clamp(theta.index_add(0, places, step)))
             controls = _pieces(model, dataset, flights).controls  # behind the control path of this draw
             outputs.append(model.recorded(run(starts, controls, pieces.dt)[1], pieces.dt))
     edges = torch.tensor([0.5 - CENTRAL / 2.0, 0.5 + CENTRAL / 2.0], dtype=torch.float64)
@@ -58,7 +58,8 @@ def without(model: Model, dataset: Dataset, flights: Sequence[str], effect: str)
     places = [model.parameter_set.index(p.name) for p in sizes]
     theta = model.theta.detach().clone()
     theta[places] = torch.tensor([p.value for p in sizes], dtype=torch.float64)
-    with _at(model, theta):
+    with model.restored(), torch.no_grad():
+        model.put(theta)
         if dataset.kind == "multirotor":
             pairs = {name: compared(model, dataset.flights[name]) for name in flights}
             return {name: {c: m + (z - m).mean() for c, (z, m) in of.items()} for name, of in pairs.items()}
@@ -75,18 +76,6 @@ def _by_flight(model: Model, dataset: Dataset, flights: Sequence[str], records: 
     """Records [F, T, ny] by flight and channel; of a flight that is shorter than the others as long as the flight."""
     cut = {name: records[k, : dataset.facts[name].samples] for k, name in enumerate(flights)}
     return {name: dict(zip(model.body.outputs, one.unbind(-1), strict=True)) for name, one in cut.items()}
-
-
-@contextmanager
-def _at(model: Model, theta: Tensor) -> Iterator[None]:
-    """The model with other parameters, until the block ends."""
-    before = model.theta.detach().clone()
-    with torch.no_grad():
-        model.theta.copy_(theta)
-        try:
-            yield
-        finally:
-            model.theta.copy_(before)
 
 
 def _steps(covariance: Tensor) -> Tensor:

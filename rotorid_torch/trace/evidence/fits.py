@@ -132,8 +132,7 @@ class Fitted(FittedModel):
         if self.flights.weather is None:
             return self
         spec = without_gust_inputs(self.spec)
-        model = build(spec)
-        model.start_from(self.values)
+        model = build(spec, self.values)
         return replace(self, spec=spec, model=model)
 
     @property
@@ -241,8 +240,7 @@ def refit(
     held : parameters that keep their start. near : a fit whose trajectories initial states start from. care : how the
     fit is carried out.
     """
-    model = build(spec)
-    model.start_from(start)
+    model = build(spec, start)
     numbers = model.parameter_set
     names = tuple(n for n in numbers.free if n not in held)
     places = [numbers.index(n) for n in names]

@@ -48,8 +48,7 @@ def seen_in_forces(
     source = flights, null.flights.reconstruction
     tried = [c for c in candidates if whole or any(p.tried for p in make(c.effect, c.joined_to(null.spec)).declared)]
     for candidate in tried:
-        model = build(candidate.joined_to(null.spec))
-        model.start_from(null.values)
+        model = build(candidate.joined_to(null.spec), null.values)
         results = []
         chosen = [one for one in signatures(model, [candidate.effect]) if whole or one.others]
         begun = OnDemand(flights.identify, lambda name, m=model, e=candidate.effect: before(m, *source, name, e))
@@ -73,8 +72,7 @@ def derivatives_beside(
 
     held : parameters that keep their values.
     """
-    model = build(spec)
-    model.start_from({**null.values, **sizes})
+    model = build(spec, {**null.values, **sizes})
     theta = regress_model(model, null.flights.dataset, null.flights.reconstruction).theta
     anew = dict(zip(model.parameter_set.names, theta.tolist(), strict=True))
     return {**null.values, **sizes} | {n: v for n, v in anew.items() if n not in held}

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from rotorid_torch.core.gauss_newton import Options
@@ -76,8 +75,7 @@ def _message(fitted: Fitted) -> _Message:
 def _again(message: _Message, spec: ModelSpec, flights: Flights) -> Fitted:
     """The fit on this rank's flights, with a model and an engine of its own."""
     model = build(spec)
-    with torch.no_grad():
-        model.theta.copy_(message.theta)
+    model.put(message.theta)
     records, system = flights.records(model, flights.dataset.identify), System(model, message.names)
     engine = engine_for(system, records.typical(), progressive_fit.Settings().solver)
     segments, bare = cut(records, message.samples), message.fit.likelihood

@@ -359,8 +359,7 @@ class _Probe:
     def of(cls, null: Fitted, spec: ModelSpec, effects: Sequence[str]) -> _Probe:
         """Of effects that join a spec."""
         library = [e for e in effects if e != PATH]
-        model = build(spec.with_effects(*library))
-        model.start_from(null.values)
+        model = build(spec.with_effects(*library), null.values)
         return cls(null, model, signatures(model, library) + (PSEUDO if PATH in effects else ()))
 
     def changes(

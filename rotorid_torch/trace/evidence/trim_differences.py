@@ -67,8 +67,7 @@ def explained_trims(
     placed = {e: m for e, m in models.items() if any(_apart(flights.dataset, s.channel) for s in m.layout.states)}
     if not placed:
         return {}
-    nominal = build(spec)
-    nominal.start_from(values)
+    nominal = build(spec, values)
     theta = regress_model(nominal, flights.dataset, flights.reconstruction).theta
     derivatives = dict(zip(nominal.parameter_set.names, theta.tolist(), strict=True))
     trims = {e: _explained(model, e, derivatives, spec.sizes, flights) for e, model in placed.items()}
@@ -113,8 +112,7 @@ def _explained(
     model.start_from(dict(zip(names, _sizes(parameters, trims).tolist(), strict=True)))
     if share >= SETTINGS.trims:
         theta = regress_model(model, dataset, flights.reconstruction).theta
-        with torch.no_grad():
-            model.theta.copy_(theta)
+        model.put(theta)
     return Explained(model.named_values, share, dict(zip(names, scatter.tolist(), strict=True)))
 
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
@@ -60,8 +59,7 @@ class MeasuredAccelerations:
     def _again(self, _: ModelSpec, message: Message) -> FittedAtStates:
         spec, theta, errors, without = ModelSpec.from_plain(message[0]), *message[1:]
         model = build(spec)
-        with torch.no_grad():
-            model.theta.copy_(theta)
+        model.put(theta)
         return FittedAtStates(spec, model, self.flights, errors, without)
 
 

@@ -58,8 +58,7 @@ def _silenced(spec: ModelSpec, model: Model, regressions: ModelRegression, fligh
     from the declared that commands which answer the rates must be the reason.
     """
     r2 = dict(zip(MOMENTS, (regressions.explained[a] for a in ANGULAR_ACCELERATIONS), strict=True))
-    with torch.no_grad():
-        model.theta.copy_(regressions.theta)
+    model.put(regressions.theta)
     wrong = beyond_belief(spec, model.named_values)
     little = [row for row in MOMENTS if r2[row] < EXPLAINED or row in wrong]
     some = (flights.dataset.flights[name] for name in flights.dataset.identify[:PREDICTED])
@@ -104,8 +103,7 @@ class FittedAtStates(FittedModel):
         begun = any(name.startswith("rotors.thrust.") for name in spec.values)
         silenced, regressions = regressed_rotors(spec, flights, begun)
         model = build(silenced)
-        with torch.no_grad():
-            model.theta.copy_(regressions.theta)
+        model.put(regressions.theta)
         return cls(spec, model, flights, regressions.errors, regressions.without)
 
     @property

@@ -76,8 +76,7 @@ def screening_sizes(
     """
     by_name = {}
     for effect in effects:
-        model = build(spec.with_effects(effect))
-        model.start_from({n: v for n, v in values.items() if not n.startswith(f"{effect}.")})
+        model = build(spec.with_effects(effect), {n: v for n, v in values.items() if not n.startswith(f"{effect}.")})
         change = _changes(model, dataset)
         for parameter in model.parameter_set.sizes(effect):
             size = _size(parameter, change) if parameter.free and not parameter.tried else None
