@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from xml.etree import ElementTree
@@ -91,8 +91,34 @@ def _about(name: str) -> str:
 
 def description(listed: list[Variable], fmi: Fmi, identity: Mapping[str, str], step: float) -> bytes:
     """The XML file. identity : name, guid, file (name of the library), tool and description of the model."""
-    write = {Fmi.TWO: _two, Fmi.THREE: _three}[fmi]
-    root = write(listed, identity, step)
+    two = fmi is Fmi.TWO
+    root = ElementTree.Element("fmiModelDescription", _head(fmi, identity))
+    state = "FMUstate" if two else "FMUState"
+    able = ["canHandleVariableCommunicationStepSize", *(["canInterpolateInputs"] if two else [])]
+    able += [f"canGetAndSet{state}", f"canSerialize{state}"]
+    attributes = {"modelIdentifier": identity["file"], **dict.fromkeys(able, "true")}
+    simulation = ElementTree.SubElement(root, "CoSimulation", attributes)
+    if two:
+        files = ElementTree.SubElement(simulation, "SourceFiles")
+        for name in ("fmi2.c", f"{identity['file']}.c"):
+            ElementTree.SubElement(files, "File", name=name)
+    _units(root, listed)
+    ElementTree.SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(step))
+    listing = ElementTree.SubElement(root, "ModelVariables")
+    for v in listed:
+        kind = "Boolean" if isinstance(v.start, bool) else "Real" if two else "Float64"
+        value = ({} if v.start is None else {"start": _text(v.start)}) | ({"unit": v.unit} if v.unit else {})
+        if two:
+            ElementTree.SubElement(ElementTree.SubElement(listing, "ScalarVariable", _common(v)), kind, value)
+        else:
+            ElementTree.SubElement(listing, kind, _common(v) | value)
+    structure = ElementTree.SubElement(root, "ModelStructure")
+    for part in ("Output", "InitialUnknown"):
+        above = ElementTree.SubElement(structure, f"{part}s") if two else structure
+        for place, v in enumerate(listed, 1):
+            unknown = {"index": str(place)} if two else {"valueReference": str(v.reference)}
+            if v.causality == "output":
+                ElementTree.SubElement(above, "Unknown" if two else part, unknown)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
 
@@ -120,60 +146,3 @@ def _common(v: Variable) -> dict[str, str]:
     attributes = {"name": v.name, "valueReference": str(v.reference), "causality": v.causality}
     attributes["variability"] = v.variability
     return attributes | ({"description": v.about} if v.about else {})
-
-
-def _two(listed: list[Variable], identity: Mapping[str, str], step: float) -> ElementTree.Element:
-    root = ElementTree.Element("fmiModelDescription", _head(Fmi.TWO, identity))
-    able = dict.fromkeys(
-        (
-            "canHandleVariableCommunicationStepSize",
-            "canInterpolateInputs",
-            "canGetAndSetFMUstate",
-            "canSerializeFMUstate",
-        ),
-        "true",
-    )
-    simulation = ElementTree.SubElement(root, "CoSimulation", {"modelIdentifier": identity["file"], **able})
-    files = ElementTree.SubElement(simulation, "SourceFiles")
-    for name in ("fmi2.c", f"{identity['file']}.c"):
-        ElementTree.SubElement(files, "File", name=name)
-    _units(root, listed)
-    ElementTree.SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(step))
-    listing = ElementTree.SubElement(root, "ModelVariables")
-    for v in listed:
-        scalar = ElementTree.SubElement(listing, "ScalarVariable", _common(v))
-        start = {} if v.start is None else {"start": _text(v.start)}
-        kind = "Boolean" if isinstance(v.start, bool) else "Real"
-        ElementTree.SubElement(scalar, kind, start | ({"unit": v.unit} if v.unit else {}))
-    structure = ElementTree.SubElement(root, "ModelStructure")
-    for part, causalities in (("Outputs", ("output",)), ("InitialUnknowns", ("output",))):
-        names = ElementTree.SubElement(structure, part)
-        for index in _places(listed, causalities):
-            ElementTree.SubElement(names, "Unknown", index=str(index))
-    return root
-
-
-def _places(listed: list[Variable], causalities: tuple[str, ...]) -> Iterator[int]:
-    """Places of variables, counted from one."""
-    return (k for k, v in enumerate(listed, 1) if v.causality in causalities)
-
-
-def _three(listed: list[Variable], identity: Mapping[str, str], step: float) -> ElementTree.Element:
-    root = ElementTree.Element("fmiModelDescription", _head(Fmi.THREE, identity))
-    able = dict.fromkeys(
-        ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "canSerializeFMUState"), "true"
-    )
-    ElementTree.SubElement(root, "CoSimulation", {"modelIdentifier": identity["file"], **able})
-    _units(root, listed)
-    ElementTree.SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(step))
-    listing = ElementTree.SubElement(root, "ModelVariables")
-    for v in listed:
-        start = {} if v.start is None else {"start": _text(v.start)}
-        kind = "Boolean" if isinstance(v.start, bool) else "Float64"
-        ElementTree.SubElement(listing, kind, _common(v) | start | ({"unit": v.unit} if v.unit else {}))
-    structure = ElementTree.SubElement(root, "ModelStructure")
-    for part in ("Output", "InitialUnknown"):
-        for v in listed:
-            if v.causality == "output":
-                ElementTree.SubElement(structure, part, valueReference=str(v.reference))
-    return root
