@@ -188,7 +188,7 @@ class Dataset(Contents):
 
     def quiet(self, flight: str) -> int:
         """Samples of a flight before any control moves beyond its noise; at least 0.5 s."""
-        return self._quiet[flight]
+        return self._quiet_parts[0][flight]
 
     def reference(self) -> Mapping[str, float]:
         """Trim: mean of every channel and control over the quiet parts of the identify flights, sample by sample."""
@@ -242,10 +242,6 @@ class Dataset(Contents):
         """Raise InputError where a flight lacks one of the body rates, which every step needs."""
         for flight, rate, what in self.lacking_rates():
             raise InputError(self.file(flight), rate, what, "body rates p q r in rad/s that move, in every flight")
-
-    @cached_property
-    def _quiet(self) -> dict[str, int]:
-        return self._quiet_parts[0]
 
     @cached_property
     def _quiet_parts(self) -> tuple[dict[str, int], dict[str, tuple[float, int]]]:

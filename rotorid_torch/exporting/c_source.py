@@ -80,7 +80,8 @@ def c_source(model: Model, title: str, step: float) -> ModelSource:
     graph = dynamics.graph
     paths = {"path": control_path(model, graph), "record": output_path(model, graph)}
     constants = Constants(graph, len(theta))
-    code = [_function(graph, name, nodes, constants) for name, nodes in _functions(dynamics)]
+    parts = ("rates", dynamics.rates), ("outputs", dynamics.outputs)
+    code = [_function(graph, name, nodes, constants) for name, nodes in parts]
     code += [_element_code(graph, name, elements, constants) for name, elements in paths.items()]
     instants = [e for elements in paths.values() for e in elements if e.kind == "INSTANT"]
     code += [_function(graph, f"instant_{k}", e.results, constants, "u") for k, e in enumerate(instants)]
@@ -111,12 +112,13 @@ def c_source(model: Model, title: str, step: float) -> ModelSource:
     body = runtime.replace("enum { DELAY, LAG, RATE_LIMIT, PLAY, INSTANT };\n", "")
     kind_names = "enum { DELAY, LAG, RATE_LIMIT, PLAY, INSTANT };"
     source = "\n".join([heading, kind_names, *tables[:-1], prepare, *code, tables[-1], *kinds, body])
-    header = (RUNTIME / "model.h").read_text().replace("@title@", _comment(title)).replace("@sizes@", sizes)
+    header = (
+        (RUNTIME / "model.h")
+        .read_text()
+        .replace("@title@", re.sub(r"[^\w .,:;()+-]", " ", title))
+        .replace("@sizes@", sizes)
+    )
     return ModelSource(name, _renamed(header, name), _renamed(source, name))
-
-
-def _functions(dynamics: Dynamics) -> list[tuple[str, Sequence[int]]]:
-    return [("rates", dynamics.rates), ("outputs", dynamics.outputs)]
 
 
 def _function(graph: Graph, name: str, results: Sequence[int], constants: Constants, inputs: str = "xu") -> str:
@@ -197,7 +199,3 @@ def _names(name: str, words: Sequence[str]) -> str:
 
 def _listed(numbers: Iterable[int]) -> str:
     return ", ".join(map(str, numbers))
-
-
-def _comment(title: str) -> str:
-    return re.sub(r"[^\w .,:;()+-]", " ", title)

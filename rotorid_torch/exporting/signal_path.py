@@ -44,28 +44,21 @@ class Element:
     results: tuple[int, ...] = ()
 
 
-def _time(p: Values, names: tuple[str, ...]) -> Tensor:
-    return per_control(p, "common", names)
+def _common(parameter: str) -> Sizes:
+    """A parameter that all controls have in common, or each for itself."""
+    return lambda p, names: per_control(p, parameter, names)
 
 
 def _motor_lag(p: Values, names: tuple[str, ...]) -> Tensor:
     return torch.stack([p["tau"] if is_motor(n) else torch.zeros_like(p["tau"]) for n in names], dim=-1)
 
 
-def _inverse(p: Values, names: tuple[str, ...]) -> Tensor:
-    return per_control(p, "inverse", names)
-
-
-def _width(p: Values, names: tuple[str, ...]) -> Tensor:
-    return per_control(p, "width", names)
-
-
 CONTROLS: Mapping[str, tuple[str, Sizes]] = {
-    "control.delay": ("DELAY", _time),
-    "control.lag": ("LAG", _time),
+    "control.delay": ("DELAY", _common("common")),
+    "control.lag": ("LAG", _common("common")),
     "propulsion.motor_lag": ("LAG", _motor_lag),
-    "control.rate_limit": ("RATE_LIMIT", _inverse),
-    "control.backlash": ("PLAY", _width),
+    "control.rate_limit": ("RATE_LIMIT", _common("inverse")),
+    "control.backlash": ("PLAY", _common("width")),
 }
 OUTPUTS: Mapping[str, tuple[str, Sizes]] = {
     "sensors.delay": ("DELAY", per_channel),

@@ -140,7 +140,7 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
         shaken = _shaken(right, base)
     flights = Flights(right, base.reconstruction)
     with monitor.step("trace"):
-        tracing = (_rotors_traced if base.spec.motors else _traced)(base, flights, seed, steps)
+        tracing = _traced(base, flights, seed, steps)
     if base.estimate.air is None:
         tracing = without_what_gusts_leave(tracing, shaken)
     again = partial(_again, recorded=dataset, steps=steps)
@@ -176,7 +176,12 @@ def _shaken(dataset: Dataset, base: Run) -> list[EffectFinding]:
 
 
 def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
-    """By trajectories over segments, p by clean aircraft; where the air moves, its gusts fed into all of them."""
+    """By trajectories over segments, p by clean aircraft; where the air moves, its gusts fed into all of them.
+
+    Of a multirotor by accelerations at measured states.
+    """
+    if base.spec.motors:
+        return trace_rotors(base.spec, flights, _drawing(flights, seed, steps), steps.monitor.say, seed, steps.ranks)
     spec, values, air = base.spec, base.model.named_values, base.estimate.air
     if air is not None:
         spec, flights = in_moving_air(spec, values, flights, Weather.of(air, base.model))
@@ -190,11 +195,6 @@ def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
     )
     null, final = (Traced(without_gust_inputs(one.spec), one.values) for one in (traced.null, traced.final))
     return replace(traced, null=null, final=final)
-
-
-def _rotors_traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
-    """By accelerations at measured states, to which each candidate is fitted."""
-    return trace_rotors(base.spec, flights, _drawing(flights, seed, steps), steps.monitor.say, seed, steps.ranks)
 
 
 def _drawing(flights: Flights, seed: int, steps: Steps) -> DrawClean:

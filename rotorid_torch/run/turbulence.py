@@ -52,12 +52,15 @@ def method_by_quiet_moments(asked: str, where_untold: str, dataset: Dataset, spe
         if where_untold != "auto":
             return where_untold, UNTOLD
         clock = velocity_clock(dataset)
-        return ("auto", "") if clock is None else ("output-error", _late(clock.seconds))
+        return (
+            ("auto", "")
+            if clock is None
+            else (
+                "output-error",
+                LATE.format(seconds=abs(clock.seconds), way="late" if clock.seconds > 0.0 else "early"),
+            )
+        )
     return ("auto", "") if verdict == "accepted" else ("output-error", ALIKE)
-
-
-def _late(seconds: float) -> str:
-    return LATE.format(seconds=abs(seconds), way="late" if seconds > 0.0 else "early")
 
 
 def in_turbulence(finding: EffectFinding, air: Air | None, why: str) -> EffectFinding:

@@ -141,7 +141,7 @@ class _Order:
 
     def checked(self) -> _Order:
         """The same with numbers as numbers and lists as lists; InputError where an argument is neither."""
-        of, optional = "fly", arguments.optional(_a_number)
+        of, optional = "fly", arguments.optional(arguments.number)
         arguments.optional(arguments.place)(Argument(of, "vehicle"), self.vehicle)
         named = 'a list of names of flights: ["f321_lon"]'
         flights = self.flights
@@ -217,10 +217,6 @@ def _of_size(craft: Multirotor, speed: float | None, height: float | None) -> Mu
     if not 0.1 <= speed <= 30.0:
         raise InputError("usage", "speed", f"is {speed}", "a speed of figures of 0.1 to 30 m/s")
     return replace(craft, speed=speed, height=height)
-
-
-def _a_number(argument: Argument, value: Any) -> float:
-    return arguments.number(argument, value)
 
 
 def _pairs(effects: Any) -> list[tuple[str, float | None]]:

@@ -41,7 +41,7 @@ def trace_rotors(
         why = _untested(spec, effect)
         settled += [why] if why is not None else []
         tested += [effect] if why is None else []
-    shared = MeasuredAccelerations(flights, ranks)
+    shared = MeasuredAccelerations(flights, ranks=ranks)
     null = shared.fitted(spec)
     sized, tested, unmoved = with_screening_sizes(null.spec, null.values, flights.dataset, tested)
     null = replace(null, spec=sized)

@@ -61,7 +61,7 @@ def atomic_file(place: Path, refuse: Callable[[], None] = lambda: None) -> Itera
     Raises Unwritable: the place cannot be written to.
     """
     refuse()
-    with writing(place), partial(place, _make_file) as path:
+    with writing(place), partial(place, lambda path: path.touch(exist_ok=False)) as path:
         yield path
         refuse()
         path.replace(place)
@@ -73,7 +73,10 @@ def scratch_folder() -> Iterator[Path]:
 
     Raises Unwritable: the temporary folder cannot be written to.
     """
-    with writing_temporary(), partial(Path(tempfile.gettempdir()) / "scratch", _make_private_folder) as path:
+    with (
+        writing_temporary(),
+        partial(Path(tempfile.gettempdir()) / "scratch", lambda path: path.mkdir(mode=0o700)) as path,
+    ):
         yield path
 
 
@@ -104,14 +107,6 @@ def _begun(place: Path, make: Callable[[Path], None]) -> tuple[Path, int]:
 
 def _make_folder(path: Path) -> None:
     path.mkdir()
-
-
-def _make_private_folder(path: Path) -> None:
-    path.mkdir(mode=0o700)
-
-
-def _make_file(path: Path) -> None:
-    path.touch(exist_ok=False)
 
 
 def make_private_file(path: Path) -> None:

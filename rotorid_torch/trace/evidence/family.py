@@ -6,16 +6,19 @@ forces on the measured motion, and pseudo-effects for what the library has no na
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Generic
+from typing import ClassVar, Generic
 
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.processes.ranks import ALONE, Ranks
+from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.evidence.critical_values import Draws
-from rotorid_torch.trace.evidence.fits import Fitted, FittedT, total
+from rotorid_torch.trace.evidence.fits import Fitted, FittedT, Flights, total
 from rotorid_torch.trace.evidence.force_evidence import Seen, seen_in_forces
 from rotorid_torch.trace.evidence.residual import AT_ONCE, left_over
 from rotorid_torch.trace.evidence.screen import PATH, Screen, both_screens
@@ -100,8 +103,43 @@ class Family(Generic[FittedT]):
         return {n: v for c in candidates for n, v in self.screen(c).unbounded(c.effect).items()}
 
 
-MakeFamily = Callable[[FittedT, Sequence[str], Sequence[str], int, int], Family[FittedT]]
-"""Makes the family of effects beside a model, see `family`."""
+@dataclass(frozen=True)
+class Scored(ABC, Generic[FittedT]):
+    """The residual that a search scores candidates by: what is fitted to it, and the evidence in it.
+
+    Trajectories over segments, or accelerations at measured states. held : parameters that keep their values. ranks :
+    among which fits of several candidates are spread; everything else is the same at each.
+    """
+
+    flights: Flights
+    held: tuple[str, ...] = ()
+    ranks: Ranks = ALONE
+
+    by_chance: ClassVar[str]
+    """What stands for flights where nothing is missing, in words, where none can be drawn."""
+
+    @abstractmethod
+    def family(
+        self, null: FittedT, effects: Sequence[str], accepted: Sequence[str] = (), turned: int = 0, seed: int = 0
+    ) -> Family[FittedT]:
+        """The family of these effects beside a fitted model.
+
+        accepted : effects of the model that have a name. turned : residuals that know nothing of the motion.
+        """
+
+    @abstractmethod
+    def refitted(self, spec: ModelSpec, near: FittedT) -> FittedT:
+        """The model of a spec, fitted from where another fit ended."""
+
+    @abstractmethod
+    def candidates(
+        self, null: FittedT, observed: Family[FittedT], candidates: Sequence[Candidate]
+    ) -> dict[Candidate, FittedT]:
+        """The null with one more effect, for each of these, fitted in full."""
+
+    @abstractmethod
+    def settled(self, fitted: FittedT) -> FittedT:
+        """A fit gone on with, where it has not converged."""
 
 
 def family(
@@ -127,9 +165,16 @@ def family(
 
 
 def by_chance(
-    observed: Family[FittedT], effects: Sequence[str], seed: int, make: MakeFamily[FittedT], note: str = TURNED
+    observed: Family[FittedT],
+    effects: Sequence[str],
+    seed: int,
+    make: Callable[..., Family[FittedT]],
+    note: str = TURNED,
 ) -> Draws:
-    """Statistics of the family beside a model where nothing is missing, by its residuals turned in time."""
+    """Statistics of the family beside a model where nothing is missing, by its residuals turned in time.
+
+    make : the family, as `Scored.family` does.
+    """
     count, named = SETTINGS.draws, observed.accepted
     turned = make(observed.null, [e for e in effects if e not in named], named, count, seed)
     statistics = {

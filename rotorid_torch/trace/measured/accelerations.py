@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 from torch import Tensor
 
-from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.nominal import build
-from rotorid_torch.trace.evidence.family import Family
-from rotorid_torch.trace.evidence.fits import Flights
+from rotorid_torch.trace.evidence.family import Family, Scored
 from rotorid_torch.trace.measured.evidence import SHUFFLED, measured_family
 from rotorid_torch.trace.measured.fitted import FittedAtStates
 from rotorid_torch.trace.terms.candidate import Candidate
@@ -21,14 +19,10 @@ Message = tuple[dict[str, Any], Tensor, dict[str, float], dict[str, Tensor]]
 """A fit as it travels between ranks: its spec, theta, errors, and theta without each flight."""
 
 
-@dataclass(frozen=True)
-class MeasuredAccelerations:
-    """What the fits of a search share: flights, and ranks that share the candidates."""
+class MeasuredAccelerations(Scored[FittedAtStates]):
+    """Fits to accelerations at measured states."""
 
-    flights: Flights
-    ranks: Ranks = ALONE
-    held: tuple[str, ...] = ()
-    by_chance: str = SHUFFLED
+    by_chance = SHUFFLED
 
     def fitted(self, spec: ModelSpec) -> FittedAtStates:
         """The model of a spec."""

@@ -9,12 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Generic, Protocol
+from typing import Generic
 
-from rotorid_torch.core.processes.ranks import Ranks
-from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.evidence.critical_values import Draws, p_values
-from rotorid_torch.trace.evidence.family import Family, by_chance, effect_of
+from rotorid_torch.trace.evidence.family import Family, Scored, by_chance, effect_of
 from rotorid_torch.trace.evidence.fits import FittedT
 from rotorid_torch.trace.search.decide import (
     NO_SCATTER,
@@ -32,51 +30,6 @@ from rotorid_torch.trace.terms.significance import exceeds
 Say = Callable[[str], None]
 Tested = tuple[Family[FittedT], dict[str, float], Draws]
 """A family, the p of its members, and the draws that p comes from."""
-
-
-class Scored(Protocol[FittedT]):
-    """The residual that a search scores candidates by: what is fitted to it, and the evidence in it.
-
-    Trajectories over segments, or accelerations at measured states.
-    """
-
-    @property
-    def ranks(self) -> Ranks:
-        """Among which fits of several candidates are spread; everything else is the same at each."""
-        ...
-
-    @property
-    def held(self) -> tuple[str, ...]:
-        """Parameters that keep their values."""
-        ...
-
-    @property
-    def by_chance(self) -> str:
-        """What stands for flights where nothing is missing, in words, where none can be drawn."""
-        ...
-
-    def family(
-        self, null: FittedT, effects: Sequence[str], accepted: Sequence[str] = (), turned: int = 0, seed: int = 0
-    ) -> Family[FittedT]:
-        """The family of these effects beside a fitted model.
-
-        accepted : effects of the model that have a name. turned : residuals that know nothing of the motion.
-        """
-        ...
-
-    def refitted(self, spec: ModelSpec, near: FittedT) -> FittedT:
-        """The model of a spec, fitted from where another fit ended."""
-        ...
-
-    def candidates(
-        self, null: FittedT, observed: Family[FittedT], candidates: Sequence[Candidate]
-    ) -> dict[Candidate, FittedT]:
-        """The null with one more effect, for each of these, fitted in full."""
-        ...
-
-    def settled(self, fitted: FittedT) -> FittedT:
-        """A fit gone on with, where it has not converged."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)

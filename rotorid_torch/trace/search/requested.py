@@ -13,10 +13,10 @@ import msgspec
 
 from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import registered
-from rotorid_torch.trace.evidence.family import effect_of
+from rotorid_torch.trace.evidence.family import Scored, effect_of
 from rotorid_torch.trace.evidence.fits import FittedT
 from rotorid_torch.trace.search.decide import Reason, errors_of
-from rotorid_torch.trace.search.forward_selection import Scored, Search, Trial, observed
+from rotorid_torch.trace.search.forward_selection import Search, Trial, observed
 from rotorid_torch.trace.search.outcome import Outcome
 from rotorid_torch.trace.search.screening_sizes import with_screening_sizes
 from rotorid_torch.trace.search.words import reason, size_details

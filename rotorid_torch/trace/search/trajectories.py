@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.trace.evidence.family import TURNED, Family, family
-from rotorid_torch.trace.evidence.fits import BEGINNING, CAREFUL, Fitted, Flights, refit
+from rotorid_torch.trace.evidence.family import TURNED, Family, Scored, family
+from rotorid_torch.trace.evidence.fits import BEGINNING, CAREFUL, Fitted, refit
 from rotorid_torch.trace.evidence.force_evidence import derivatives_beside, seen_in_forces
 from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
 from rotorid_torch.trace.search.decide import gain
@@ -19,14 +18,10 @@ LONGEST = 4
 """Times that a fit may go on, at most."""
 
 
-@dataclass(frozen=True)
-class Trajectories:
-    """What the fits of a search share: flights, parameters that keep their values, ranks that share the fits."""
+class Trajectories(Scored[Fitted]):
+    """Fits to trajectories over segments."""
 
-    flights: Flights
-    held: tuple[str, ...] = ()
-    ranks: Ranks = ALONE
-    by_chance: str = TURNED
+    by_chance = TURNED
 
     def family(
         self, null: Fitted, effects: Sequence[str], accepted: Sequence[str] = (), turned: int = 0, seed: int = 0
