@@ -378,7 +378,7 @@ def test_the_model_before_a_later_effect_holds_nothing_that_has_left():
         n: torch.full_like(t, 1e3) if n.startswith(DELAY) else torch.zeros_like(t) for n, t in drawn.statistics.items()
     }
     search = search_of(known, replace(drawn, statistics=loud))
-    search.consider(null, SUSPECTS)
+    search.family_beside(null, SUSPECTS)
     damped = null.spec.with_effects(DAMPING, DELAY)
     once = refit(damped, known, {**null.values, f"{DELAY}.common": 0.08, f"{DAMPING}.L": 0.01}, near=null)
     both = refit(null.spec.with_effects(DELAY, LAG), known, {**once.values, f"{LAG}.common": 0.02}, near=null)
