@@ -91,12 +91,16 @@ class Linear(NamedTuple):
 
 @dataclass(frozen=True)
 class Options:
-    """When to stop, and how careful to start."""
+    """When to stop, and how careful to start.
+
+    max_iterations : all together, those before this search too. before : these.
+    """
 
     max_iterations: int = 50
     tolerance: float = 1e-8  # predicted decrease of the cost, over the cost's size
     absolute: float = 0.0  # the same without that; for a log-likelihood 1e-4 is a hundredth of a standard error
     damping: float = 1e-3
+    before: int = 0
 
 
 @dataclass(frozen=True)
@@ -159,7 +163,7 @@ def minimise(
     """
     options = options or Options()
     point = evaluate(torch.clamp(start, region.lower, region.upper), None, 1.0) if isinstance(start, Tensor) else start
-    damping, history, message, converged, iteration = options.damping, [point.cost], "", False, 0
+    damping, history, message, converged, iteration = options.damping, [point.cost], "", False, options.before
     dampings: list[float] = []
     while True:
         linear = linearise(point)

@@ -133,6 +133,28 @@ def test_an_optimiser_keeps_its_parameters_where_the_model_moves():
     assert dict(model.named_parameters())["forces.M.q"] is pitch
 
 
+@pytest.mark.parametrize("move", [lambda model: model.to("cpu"), lambda model: model.float().double()])
+def test_gradients_stay_where_the_model_moves(move: Callable[[Model], Model]):
+    """As torch keeps them; what was let go of stays without, and steps and further gradients go on from there."""
+    model = stirred(with_network())
+    x0, u = points(model, 3)
+
+    def back() -> None:
+        model.trajectories(x0, u[:, None].expand(-1, 20, -1), DT)[1].square().sum().backward()
+
+    named = dict(model.named_parameters())
+    back()
+    named["forces.M.w"].grad = None
+    before = {n: p.grad.clone() for n, p in named.items() if p.grad is not None}
+    move(model)
+    after = {n: p.grad for n, p in model.named_parameters() if p.grad is not None}
+    assert after.keys() == before.keys()
+    for name, gradient in before.items():
+        torch.testing.assert_close(after[name], gradient, rtol=1e-5, atol=1e-5)
+    back()
+    torch.testing.assert_close(named["forces.M.q"].grad, 2.0 * before["forces.M.q"], rtol=1e-4, atol=1e-5)
+
+
 def hidden_moment() -> list[dict[str, Any]]:
     """Flights of a vehicle whose pitch damping stalls, beyond any derivative."""
 

@@ -28,8 +28,6 @@ from rotorid_torch.identification.estimate.sensitivity import control_slopes
 from rotorid_torch.identification.filter_error.extended_kalman import Filtered, FilterProblem
 from rotorid_torch.identification.filter_error.innovations import FilterPlace, InnovationLikelihood, NativeFilter
 
-ROUNDS = 12
-"""Alternations at most."""
 SHARES = (1.0, 0.5, 0.2, 0.05)
 """Of a step of the parameters with gains held, tried in turn."""
 ENOUGH = 1.0
@@ -156,15 +154,12 @@ class Unknowns:
 class Held:
     """Where the alternation ended.
 
-    psi, x0 : all unknowns. cost : minus log-likelihood of the filter, and of what is known beforehand. masks : of
-    psi, as `core.gauss_newton.Minimum` has them: on a bound, not identifiable, determined. history : costs of the
-    rounds.
+    psi, x0 : all unknowns. history : minus log-likelihood of the filter, and of what is known beforehand, at the start
+    and after each round.
     """
 
     psi: Tensor
     x0: Tensor
-    cost: float
-    masks: tuple[Tensor, Tensor, Tensor]
     converged: bool
     history: list[float]
 
@@ -173,13 +168,13 @@ def alternated(
     filter: NativeFilter,
     start: Unknowns,
     region: Region,
-    rounds: int = ROUNDS,
+    rounds: range,
     monitor: Callable[[int, float, Tensor], None] | None = None,
 ) -> Held:
     """Noises and parameters in turn until the likelihood stands still.
 
     filter : of which the parameters from `filter.compiled.held` on belong to the noises.
-    start : the filter must not diverge there. region : of psi.
+    start : the filter must not diverge there. region : of psi. rounds : numbers, from 0, of those that may be taken.
     monitor : called after each round with round, cost, theta.
     """
     psi, x0, count, held = start.psi, start.x0, len(filter.problem.system.theta), filter.compiled.held
@@ -187,20 +182,13 @@ def alternated(
     theta_region = region.part(slice(count), torch.arange(count) < held)
     following = Following.of(filter, psi[:count], x0, filter.gains(psi, x0))
     history, settled = [float(filter.cost(psi, x0).sum())], False
-    nothing = torch.zeros_like(psi, dtype=torch.bool)
-    masks = nothing, nothing, nothing
-    for k in range(rounds):
+    for k in rounds:
         noises = InnovationLikelihood(Noises(filter, psi[:held]), x0, free=False)
         noise_fit = minimise(noises.evaluate, noises.linearise, psi[held:], noises_region, NOISES)
         psi = torch.cat([psi[:held], noise_fit.point.theta])
         following = replace(following, gains=filter.gains(psi, x0))
         likelihood = InnovationLikelihood(following, x0, start.free)
         fit = minimise(likelihood.evaluate, likelihood.linearise, psi[:count], theta_region, PARAMETERS)
-        masks = (
-            torch.cat([fit.at_bound[:held], noise_fit.at_bound]),
-            torch.cat([fit.not_identifiable[:held], noise_fit.not_identifiable]),
-            torch.cat([fit.determined[:held], noise_fit.determined]),
-        )
         moved = _believed(filter, psi, x0, fit.point, noise_fit.point.cost)
         if moved is not None:
             psi, x0 = moved
@@ -210,7 +198,7 @@ def alternated(
         settled = history[-2] - history[-1] < ENOUGH
         if settled:
             break
-    return Held(psi, x0, history[-1], masks, settled, history)
+    return Held(psi, x0, settled, history)
 
 
 def _believed(

@@ -68,6 +68,7 @@ def filter_error(
     gain : "exact", or "held" for models of many states and parameters: the filter's gain is held while parameters move,
         which costs little more than output error. Parameters are a little less certain, as their errors say; errors of
         the noises then believe the parameters.
+    max_iterations : of all parts of the search together; 0 leaves the parameters at their start.
     engine : "native" or "reference" (torch, slow); by default native code where the model can be compiled.
     delays, angles : pure delays of controls, outputs that are angles; as in `output_error`.
     monitor : called after each accepted step with iteration, cost, theta.

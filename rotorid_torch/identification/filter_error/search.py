@@ -11,7 +11,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.gauss_newton import Minimum, Options, Region, minimise
+from rotorid_torch.core.gauss_newton import Minimum, Options, Region, masks, minimise
 from rotorid_torch.core.native.graph.tracing import Unsupported
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.estimate.own_models.steps import Stepped, in_steps
@@ -46,7 +46,10 @@ class Maximum(NamedTuple):
 
 @dataclass(frozen=True)
 class Search:
-    """How the maximum of the likelihood is looked for."""
+    """How the maximum of the likelihood is looked for.
+
+    iterations : at most, of all parts of the search together.
+    """
 
     problem: FilterProblem
     floor: Tensor
@@ -120,42 +123,39 @@ class Search:
         """Gauss-Newton, and once more from hardly any process noise."""
         likelihood = InnovationLikelihood(engine, x0, self.free)
         options = replace(FINE, max_iterations=self.iterations)
+        near = replace(NEAR, max_iterations=min(NEAR.max_iterations, self.iterations))
 
         def within(region: Region, start: Tensor | FilterPlace, how: Options = options) -> Minimum[FilterPlace]:
             return minimise(likelihood.evaluate, likelihood.linearise, start, region, how, self._watch)
 
         def continued(end: Minimum[FilterPlace], regions: Sequence[Region]) -> Minimum[FilterPlace]:
             for region in regions:
-                before, end = end.history, within(region, end.point)
+                before, end = end.history, within(region, end.point, replace(options, before=end.iterations))
                 end = replace(end, history=before + end.history)
             return end
 
         first, *later = self._regions
-        best = continued(within(first, psi, NEAR if later else options), later)
+        best = continued(within(first, psi, near if later else options), later)
         calmer = likelihood.at(_with_less(self.problem, best.point.theta), best.point.x0)
         if self.problem.process.count and math.isfinite(calmer.cost):
             first, *later = self._regions[1:] or self._regions
-            other = continued(within(first, calmer), later)
+            other = continued(within(first, calmer, replace(options, before=best.iterations)), later)
             best = other if other.point.cost < best.point.cost - LEAST_GAIN else best
         return Maximum(engine, likelihood, best)
 
     def _alternating(self, engine: HeldEngine, psi: Tensor, x0: Tensor) -> Maximum:
         """Noises and parameters in turn, gains held while parameters move."""
-        rounds = max(1, self.iterations)
-
-        def within(region: Region, psi: Tensor, x0: Tensor) -> Held:
-            return alternated(engine.filtering, Unknowns(psi, x0, self.free), region, rounds, self._watch)
-
-        held = within(self._regions[0], psi, x0)
-        for region in self._regions[1:]:
-            before, held = held.history, within(region, held.psi, held.x0)
-            held = replace(held, history=before + held.history)
-        likelihood = InnovationLikelihood(engine, held.x0, self.free)
-        place = likelihood.evaluate(held.psi)
-        said = "converged: the likelihood stands still" if held.converged else f"stopped after {rounds} rounds"
+        ended, history, rounds = Held(psi, x0, converged=False, history=[]), [], 0
+        for region in self._regions:
+            start = Unknowns(ended.psi, ended.x0, self.free)
+            ended = alternated(engine.filtering, start, region, range(rounds, self.iterations), self._watch)
+            history, rounds = history + ended.history, rounds + len(ended.history) - 1
+        likelihood = InnovationLikelihood(engine, ended.x0, self.free)
+        place = likelihood.evaluate(ended.psi)
+        said = "converged: the likelihood stands still" if ended.converged else f"stopped after {rounds} rounds"
         linear = likelihood.linearise(place)
-        ended = *held.masks, held.converged, said, len(held.history) - 1, held.history
-        return Maximum(engine, likelihood, Minimum(place, linear, *ended))
+        which = masks(linear, ended.psi, self._region)
+        return Maximum(engine, likelihood, Minimum(place, linear, *which, ended.converged, said, rounds, history))
 
 
 def _with_less(problem: FilterProblem, psi: Tensor) -> Tensor:

@@ -98,7 +98,7 @@ def checked(problem: Problem) -> Problem:
     """
     sizes, of = Sizes(), "unscented_filter"
     x0 = arguments.shaped(Argument(of, "x0"), problem.x0, "... nx", sizes)
-    if x0.dim() > 1 and x0.shape[-1] == 1 and np.shape(problem.P0)[-1:] == x0.shape[-2:-1]:
+    if x0.dim() > 1 and x0.shape[-1] == 1 < x0.shape[-2] and np.shape(problem.P0)[-1:] == x0.shape[-2:-1]:
         raise Argument(of, "x0").wrong(f"has shape {tuple(x0.shape)}", f"(..., {x0.shape[-2]}), a vector as P0 says")
     P0 = arguments.covariance(Argument(of, "P0"), problem.P0, "... nx nx", sizes)
     Q = arguments.covariance(Argument(of, "Q"), problem.Q, "nx nx", sizes)

@@ -43,9 +43,11 @@ class NamedParameters:
         return iter([(piece.name, leaf) for piece, leaf in zip(self.pieces, self.leaves, strict=True)])
 
     def follow(self) -> None:
-        """Share the numbers of a vector that was moved to another device or type; optimisers keep their leaves."""
+        """Share numbers and gradients of a vector that was moved to another device or type, in the same leaves."""
         for piece, leaf in zip(self.pieces, self.leaves, strict=True):
-            leaf.data, leaf.grad = piece.of(self.vector.detach()), None
+            kept = None if leaf.grad is None or self.vector.grad is None else piece.of(self.vector.grad)
+            leaf.grad = None  # torch refuses numbers of another type beside it
+            leaf.data, leaf.grad = piece.of(self.vector.detach()), kept
 
     def belong_to(self, vector: Any) -> bool:
         """Whether this is still the vector, in its place."""

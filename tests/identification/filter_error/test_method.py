@@ -147,6 +147,21 @@ def test_any_start_leads_to_the_same_optimum(start: tuple[float, ...]) -> None:
         assert abs(p.value - truth) < 3.0 * p.se
 
 
+@pytest.mark.parametrize("gain", ["exact", "held"])
+@pytest.mark.parametrize("most", [0, 1, 3])
+def test_a_search_takes_no_more_iterations_than_it_may(gain: str, most: int) -> None:
+    """All its parts together; where it may take none, parameters stay where they are."""
+    steps, start = [], (-4.0, -5.0, 8.0)
+    flight = gusty_roll(np.random.default_rng(0))
+    watch = lambda iteration, cost, theta: steps.append(iteration)  # noqa: E731
+    result = filter_error(Roll(start), [flight], gain=gain, max_iterations=most, monitor=watch)
+    assert steps == list(range(1, most + 1))
+    assert not result.converged
+    assert f"stopped after {most} " in result.message
+    assert ([p.value for p in result.parameters] == list(start)) == (most == 0)
+    assert all(np.isfinite(p.se) for p in result.parameters)
+
+
 @pytest.mark.parametrize("x0", ["free", "fixed"])
 def test_without_process_noise_it_is_output_error(x0: str) -> None:
     flights = [roll_flight(np.random.default_rng(k)) for k in range(2)]

@@ -323,6 +323,21 @@ def test_wrong_input_is_told_in_one_line(change: dict[str, object], word: str) -
         unscented_filter(**(arguments | change))
 
 
+def test_a_batch_of_one_flight_with_one_state_is_a_batch() -> None:
+    def rate(x: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
+        return u - x
+
+    controls, outputs = torch.ones(2, 20, 1), torch.linspace(0.0, 1.0, 20)[:, None].expand(2, 20, 1)
+    covariance = 0.1 * torch.eye(1)
+
+    def filtered(flights: int) -> torch.Tensor:
+        flown = controls[:flights], outputs[:flights]
+        x0 = torch.zeros(flights, 1)
+        return unscented_filter(rate, lambda x, u: x, x0, covariance, covariance, covariance, *flown, DT).means
+
+    assert torch.equal(filtered(1), filtered(2)[:1])
+
+
 @dataclass
 class Damped:
     """Without a hash; its rate at rest says nothing of the damping."""
