@@ -66,6 +66,20 @@ def test_pulses_beside_another_protocol_are_known_by_their_rest(settings: dict, 
     assert channels["motor1"][flown] == pytest.approx(motion(time)["motor1"][flown], abs=0.01)
 
 
+@pytest.mark.parametrize("settings", [{"DSHOT_CONFIG": 600}, {"PWM_MAIN_TIM0": -5}, {"UAVCAN_ENABLE": 3}])
+def test_counts_that_never_rest_are_no_pulses(settings: dict, tmp_path: Path):
+    """Of a log that begins and ends in flight; the least count lies where pulses have their rest."""
+    topics = px4_topics(seconds=8.0)
+    time, commands = topics.pop("actuator_motors")
+    high = 8191.0 if "UAVCAN_ENABLE" in settings else 1999.0
+    counts = {f"output[{i}]": np.round(700.0 + 800.0 * commands[f"control[{i}]"]) for i in range(4)}
+    assert 900.0 < min(float(row.min()) for row in counts.values()) < 1000.0
+    topics["actuator_outputs"] = (time, floats(counts | {f"output[{i}]": 0.0 * time for i in range(4, 16)}))
+    settings = {"MAV_TYPE": 2, **settings} | {f"PWM_MAIN_FUNC{i}": 100 + i for i in range(1, 5)}
+    _, channels = imported(write_ulog(tmp_path / "log.ulg", topics, settings))
+    assert channels["motor1"].max() == pytest.approx((counts["output[0]"].max() - 1.0) / (high - 1.0), abs=2e-3)
+
+
 @pytest.mark.parametrize(("settings", "high"), [({"UAVCAN_ENABLE": 3}, 8191.0), ({"DSHOT_CONFIG": 600}, 1999.0)])
 def test_the_other_protocol_is_known_by_its_rest_too(settings: dict, high: float, tmp_path: Path):
     file = write_ulog(tmp_path / "log.ulg", with_outputs(1.0, high, 0.0), {"MAV_TYPE": 2, **settings})
@@ -119,6 +133,16 @@ def test_units_of_clocks_are_believed_as_people_write_them(clock: str, tmp_path:
 def test_a_count_of_milliseconds_is_not_taken_for_seconds(tmp_path: Path):
     with pytest.raises(InputError, match=r"time.*samples 1 s apart; expected time in s"):
         imported(table("time", 100.0 * TIME, tmp_path))
+
+
+def test_a_unit_that_a_map_gives_the_clock_is_believed(tmp_path: Path):
+    by = tmp_path / "map.toml"
+    by.write_text(
+        'time = { field = "time", unit = "s" }\n[channels]\np = "p"\nq = "q"\nr = "r"\nmotor1 = "motor1"\n',
+        encoding="utf-8",
+    )
+    done = rotorid.import_log(table("time", 100.0 * TIME, tmp_path), tmp_path / "set", by)
+    assert done.rate == 1.0
 
 
 def test_a_channel_that_is_in_two_columns_says_which_is_taken(tmp_path: Path):

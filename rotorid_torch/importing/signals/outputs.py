@@ -109,8 +109,15 @@ def of_px4(settings: Mapping[str, float], prefix: str, number: int, raw: Sequenc
     pulses = _px4_pulses(settings, prefix, number)
     if -1 in timers or settings.get("PWM_RATE") == 0.0:
         allowed.append(OutputRange(pulses.low / 8.0, pulses.high / 8.0, f"OneShot125, an eighth of {pulses.about}"))
-    rests = len(parts) > 0 and LEAST_PULSE <= float(parts.min()) <= pulses.low
-    return [pulses, *allowed] if mixed or rests else [*allowed, pulses]  # counts begin far below pulses
+    return [pulses, *allowed] if mixed or _rest_as_pulses(raw, pulses) else [*allowed, pulses]
+
+
+def _rest_as_pulses(raw: Sequence[np.ndarray], pulses: OutputRange) -> bool:
+    """Whether all motors stand together on the least value, where pulses rest: counts rest far below."""
+    together = np.stack([values[: min(map(len, raw))] for values in raw]) if raw else np.empty((0, 0))
+    finite = together[np.isfinite(together)]
+    least = float(finite.min()) if len(finite) else 0.0
+    return LEAST_PULSE <= least <= pulses.low and float((together == least).all(axis=0).mean()) > STRAY
 
 
 def _px4_pulses(settings: Mapping[str, float], prefix: str, number: int) -> OutputRange:

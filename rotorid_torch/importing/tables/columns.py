@@ -35,7 +35,7 @@ WHOLE = (QUATERNION, ("vn", "ve", "vd"))
 USUAL_S = (1e-5, 2.0)
 """Shortest and longest usual interval of a record; beyond them the clock has another unit."""
 FASTEST_S = 0.5
-"""Longest usual interval of the fastest table of a file: a count of 1 ms is no second."""
+"""Longest usual interval of the fastest table of a file whose map names no unit: a count of 1 ms is no second."""
 
 Columns = Mapping[str, np.ndarray]
 
@@ -70,7 +70,7 @@ def table_log(
         near = names.nearest(wanted, listed) or f" (there are {', '.join(listed[:TOLD])})"
         expected = "a clock: a column time in s, or a map with time = { field = ..., unit = ... }"
         raise InputError(file, wanted, f"is missing{near if listed else ''}", expected)
-    if fastest[1] > FASTEST_S:
+    if fastest[1] > FASTEST_S and not (clock and clock.unit):
         raise _other_unit(file, *fastest)
     return Log(file, "", "", streams, fields, warnings=tuple(warnings))
 
