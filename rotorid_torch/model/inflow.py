@@ -12,34 +12,14 @@ from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.core.state import State
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
 from rotorid_torch.effects.families.main_rotor import KNOWN
+from rotorid_torch.effects.momentum import induced_velocity
 from rotorid_torch.effects.spec import RotorSpec
 
 INDUCED = "vi"
 CYCLIC = ("wa1", "wb1")
 HARMONIC_MASS = 32.0 / (45.0 * math.pi)
 APPARENT_MASS = 8.0 / (3.0 * math.pi)
-ITERATIONS = 4
-"""Newton steps on momentum theory's quartic, from its solution without axial speed."""
 TIME_BOUNDS = (0.02, 0.6)
-
-
-def induced_velocity(thrust: Tensor, u: Tensor, v: Tensor, w: Tensor) -> Tensor:
-    """Induced velocity by momentum theory, m/s.
-
-    Solves vi sqrt(u^2 + v^2 + (vi - w)^2) = thrust, with thrust = T/(2 rho A) in m2/s2 (w is positive down, so the disc
-    sinks into its own wake). Newton's iteration, a fixed number of steps from the level-flight solution: to 1e-6 where
-    the disc sinks nearly as fast as its wake, to rounding elsewhere.
-
-    Source: Glauert (1926); Padfield, Helicopter Flight Dynamics, eq. 3.118 ff.
-    """
-    level = 0.5 * (u * u + v * v)
-    # the thrust enters by its size: a free run that has gone astray must not end in NaN
-    vi = torch.sqrt(torch.sqrt(level * level + thrust * thrust) - level + 1e-12)
-    for _ in range(ITERATIONS):
-        axial = vi - w
-        speed = torch.sqrt(2.0 * level + axial * axial + 1e-12)
-        vi = vi - (vi * speed - thrust) / (speed + (vi * axial).abs() / speed)
-    return vi
 
 
 def trim_velocity(
@@ -47,7 +27,8 @@ def trim_velocity(
 ) -> float:
     """Induced velocity at the reference, m/s, for a specific thrust, m/s2."""
     disc = mass / (2.0 * air_density * torch.pi * rotor.radius**2)
-    at = (disc * thrust, *(reference[n] for n in ("u", "v", "w")))
+    u, v, w = (reference[n] for n in ("u", "v", "w"))
+    at = (disc * thrust, u * u + v * v, -w)
     return float(induced_velocity(*(torch.tensor(a, dtype=torch.float64) for a in at)))
 
 
@@ -103,7 +84,7 @@ class Inflow(Effect):
         u, v, w = (frame.signals[n] for n in ("u", "v", "w"))
         torque = self.torque * (thrust - self.thrust) * ((vi - self.trim) - (w - self.w))
         share = frame.signals.get(INDUCED_SHARE, 1.0)
-        rate = (share * induced_velocity(self.disc * thrust, u, v, w) - vi) / p["tau"]
+        rate = (share * induced_velocity(self.disc * thrust, u * u + v * v, -w) - vi) / p["tau"]
         return frame.add(None, (p["N"] * torque).unsqueeze(-1) * self.about_z), rate.unsqueeze(-1)
 
 

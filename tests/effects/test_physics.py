@@ -453,6 +453,14 @@ def test_flow_through_rotors_takes_the_thrust_of_momentum_theory(across: float, 
     assert not across or climb >= 0.0 or moving["w"] < still["w"]
 
 
+def test_no_descent_in_crosswind_throws_the_vehicle_about():
+    """The change is at most that of the flow: 2 z times the speed, however the rotor's wake meets it."""
+    model = made("propulsion.axial_inflow", MULTIROTOR, z=0.3, hover=1.0)
+    still = rates(model)["w"]
+    felt = [rates(model, u=u, w=0.05 * k)["w"] - still for u in (0.0, 0.3, 0.675, 1.2) for k in range(61)]
+    assert max(map(abs, felt)) < 2.0 * 0.3 * 4.0
+
+
 def test_slow_climbing_takes_thrust_by_its_speed():
     model = made("propulsion.axial_inflow", MULTIROTOR, z=0.3)
     assert rates(model, w=-0.01)["w"] - rates(model)["w"] == pytest.approx(0.003, rel=2e-3)

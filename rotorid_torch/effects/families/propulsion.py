@@ -13,6 +13,7 @@ from rotorid_torch.core.names import RATES, VELOCITIES, is_motor, thrust_share
 from rotorid_torch.core.parameters import Parameter, alike
 from rotorid_torch.core.rigid import cross, vec
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
+from rotorid_torch.effects.momentum import induced_velocity
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.signal_operations import averaged, half_of, lagged
 from rotorid_torch.effects.spec import USUAL_ARM, USUAL_MASS, ModelSpec, arm
@@ -26,10 +27,6 @@ NEXT_DISC = 0.8
 """Radius of a rotor over half the distance to the next one, usual among vehicles on sale."""
 TRIED = (0.5, 1.0, 1.35, 1.8)
 """Induced velocities that are tried, over the usual: lift by speed and loss by climbing nearly cancel in wind."""
-NEWTON = 3
-"""Steps to the induced velocity: errors are 4e-6 of that in hover, up to 4 times as fast across and twice along."""
-STILL = 1e-9
-"""m4/s4 that keep roots and quotients finite at no inflow."""
 LEAST_VOLTAGE = 0.05
 """Share of the reference below which a voltage is a fault of its sensor."""
 
@@ -202,23 +199,6 @@ def usual_inflow(spec: ModelSpec) -> float:
     return math.sqrt(mass * spec.gravity / (2.0 * spec.air_density * math.pi * radius**2 * len(spec.motors)))
 
 
-def induced_velocity(hover: Tensor, across: Tensor, climb: Tensor) -> Tensor:
-    """Induced velocity v, m/s, that solves v^2 (across + (v + climb)^2) = hover^4, by steps of Newton.
-
-    across : square of the speed across the rotor's axis, m2/s2. climb : m/s. They begin with what is exact where there
-    is no climb, or nothing but climb.
-    """
-    fourth = hover.square().square() + STILL
-    level = fourth / (0.5 * across + torch.sqrt(0.25 * across * across + fourth))
-    part = 0.5 * climb * level / fourth.sqrt()
-    v = torch.sqrt(part.square() + level) - part
-    for _ in range(NEWTON):
-        through = v + climb
-        flow = across + through * through
-        v = v - (v * v * flow - fourth) / (2.0 * v * (flow + v * through) + STILL)
-    return v
-
-
 @register
 class RotorDrag(_AtHubs):
     """Drag of the rotors in their own plane, linear in speed, growing with the rotors' speed.
@@ -262,7 +242,7 @@ class AxialInflow(_AtHubs):
     def _felt(self, velocity: Tensor, p: Values) -> Tensor:
         u, v, w = velocity.unbind(-1)
         hover, zero = p["hover"].unsqueeze(-1), torch.zeros_like(w)
-        through = induced_velocity(hover, u * u + v * v, -w) - w
+        through = induced_velocity(hover * hover, u * u + v * v, -w) - w
         return vec(zero, zero, 2.0 * p["z"].unsqueeze(-1) * (through - hover))
 
 
