@@ -250,6 +250,9 @@ def in_steady_wind(estimate: Estimate, names: Sequence[str], values: Mapping[str
     times c. The flights do not tell it: it adds G var(c) G' to the covariance, G [P, 3] these derivatives in the rows
     of trims, and zero in those of derivatives, which are the same in any steady wind.
 
+    Trims whose row has its derivatives among the parameters (X.trim, X.u) are those of helicopters. A multirotor's
+    (trim.X) have errors without the wind: what moves them are derivatives of its rotors, which are no parameters.
+
     names : of the parameters [P]. values : of all parameters by name.
     """
     before = estimate.uncertainty

@@ -81,15 +81,15 @@ class Means:
 
     monitor : called after each accepted step with iteration, cost, theta. ranks : among which the flights are spread.
     device : on another than the processor, torch does the work. method : "output-error", "filter-error", or "auto":
-    the latter where output error's residuals show moving air. asked : whether somebody has asked for that method, which
-    is refused then where it cannot be taken; else output error is taken.
+    the latter where output error's residuals show moving air. why : how a method was chosen that nobody asked for:
+    where it cannot be taken, output error is; one that somebody asked for is refused then.
     """
 
     monitor: Monitor | None = None
     ranks: Ranks = ALONE
     device: str = "cpu"
     method: str = "auto"
-    asked: bool = True
+    why: str = ""
 
 
 def estimate_model(
@@ -115,7 +115,7 @@ def estimate_model(
         try:
             estimate, air = search.in_moving_air(flights, sensor_noise(model, dataset), start)
         except Unsupported as error:
-            if method == "filter-error" and means.asked:
+            if method == "filter-error" and not means.why:
                 raise InputError("--method", method, f"the model cannot be compiled: {error}", "output-error") from None
             why_not = f"no filter can be compiled for this model: {error}"
             estimate, _ = search.estimate(model, flights)
@@ -124,7 +124,8 @@ def estimate_model(
         model.theta[[model.parameter_set.index(n) for n in names]] = estimate.theta
     chosen = "output-error" if air is None else "filter-error"
     whose = tuple(name for part in ranks.gather(ranks.mine(dataset.identify)) for name in part)
-    why = sentence(method if method == chosen else "auto", chosen, colour, why_not)
+    why = means.why if method == chosen else ""
+    why = why or sentence(method if method == chosen else "auto", chosen, colour, why_not)
     return ModelEstimate(estimate, names, chosen, why, air, whose if air else ())
 
 

@@ -133,7 +133,7 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
     for name, value in sensors.values.items():
         monitor.say(f"sensors: {name} = {value:.4g}")
     base = whole(right, steps=steps) if sensors.effects else first
-    steps = replace(steps, method=base.estimate.method, asked=False)
+    steps = replace(steps, method=base.estimate.method, why=base.estimate.why)
     if first.estimate.method != base.estimate.method:
         first = whole(dataset, steps=steps)
     with monitor.step("trace"):
@@ -262,9 +262,8 @@ def _again(basis: _Basis, spec: ModelSpec, values: Mapping[str, float], recorded
         msgspec.structs.replace(spec, values=traced),
         dataset,
         base.reconstruction,
-        replace(steps, method=base.estimate.method),
+        replace(steps, method=base.estimate.method, why=base.estimate.why),
     )
-    estimate = replace(estimate, why=base.estimate.why) if estimate.method == base.estimate.method else estimate
     clean = model
     if basis.sensors:
         spec, model = _with_sensors(spec, model, basis.sensors)

@@ -50,7 +50,7 @@ def estimated(
                 if monitor.recorded:
                     curves(iteration, cost, theta)
 
-            means = Means(watch, steps.ranks, steps.device, steps.method, steps.asked)
+            means = Means(watch, steps.ranks, steps.device, steps.method, steps.why)
             estimate = estimate_model(model, dataset, reconstruction, regressions, means)
             curves.end(estimate.fit.uncertainty.standard_errors, estimate.fit.minimum.dampings)
             return estimate

@@ -171,14 +171,14 @@ def _best_structure(
 ) -> tuple[ModelSpec, Model, ModelRegression, ModelEstimate]:
     """Steps 2 and 3 of a structure, or of its rival where the data prefer that; both by the method of the first."""
     method, why = method_by_quiet_moments(steps.method, where_untold, dataset, spec)
-    first, other = estimated(spec, dataset, reconstruction, replace(steps, method=method)), rival(spec)
-    first = *first[:3], replace(first[3], why=why or first[3].why)
+    steps = replace(steps, method=method, why=why or steps.why)
+    first, other = estimated(spec, dataset, reconstruction, steps), rival(spec)
     if other is None:
         return first
-    same, asked = first[3].method, steps.asked and steps.method == first[3].method
-    second = estimated(other, dataset, reconstruction, replace(steps, method=same, asked=asked))
-    best = min(first, second, key=lambda t: t[3].criterion) if second[3].method == same else first
-    return *best[:3], replace(best[3], why=first[3].why)
+    same = first[3].method
+    steps = steps if steps.method == same else replace(steps, method=same, why=first[3].why)
+    second = estimated(other, dataset, reconstruction, steps)
+    return min(first, second, key=lambda t: t[3].criterion) if second[3].method == same else first
 
 
 def remarks_on(

@@ -87,12 +87,24 @@ def test_where_no_filter_can_be_compiled_a_method_is_refused_only_to_whoever_ask
     step1 = reconstruct(data)
     model = build(propose(data, step1, ()))
     start = regress_model(model, data, step1)
-    answer = estimate_model(model, data, step1, start, Means(method="filter-error", asked=False))
+    answer = estimate_model(
+        model, data, step1, start, Means(method="filter-error", why="step 3 by the filter error method: before")
+    )
     assert answer.method == "output-error"
     assert "no filter can be compiled" in answer.why
     assert torch.equal(answer.fit.theta, calm.fit.theta)
     with pytest.raises(InputError, match="--method: filter-error: the model cannot be compiled"):
         estimate_model(model, data, step1, start, Means(method="filter-error"))
+
+
+def test_a_method_that_nobody_asked_for_keeps_its_reason():
+    data = flown(linear_vehicle(), manoeuvres(5.0, DT), DT, noise=0.02, seed=2)
+    step1 = reconstruct(data)
+    model = build(propose(data, step1, ()))
+    start = regress_model(model, data, step1)
+    for before in ("", "step 3 by output error: before"):
+        answer = estimate_model(model, data, step1, start, Means(method="output-error", why=before))
+        assert answer.why == (before or "step 3 by output error, as asked for")
 
 
 def test_rates_alone_have_nothing_that_gusts_act_through():

@@ -166,14 +166,17 @@ def _prepare(folder: Path, key: Mapping[str, str], out: str | Path, resume: bool
 
 @dataclass(frozen=True)
 class Steps:
-    """Does the steps of a run, or takes them from the interrupted one; the first rank reads and writes."""
+    """Does the steps of a run, or takes them from the interrupted one; the first rank reads and writes.
+
+    device, method, why : as `Means` has them.
+    """
 
     monitor: Monitor
     ranks: Ranks
     results: Checkpoint
     device: str = "cpu"
     method: str = "auto"
-    asked: bool = True
+    why: str = ""
 
     def do(self, step: str, name: str, make: Callable[[], Result]) -> Result:
         """The result kept under `name`, or made now, timed as `step`, and kept."""
