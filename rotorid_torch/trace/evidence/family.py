@@ -18,7 +18,7 @@ from torch import Tensor
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.evidence.critical_values import Draws
-from rotorid_torch.trace.evidence.fits import Fitted, FittedT, Flights, total
+from rotorid_torch.trace.evidence.fits import Fitted, FittedT, Flights
 from rotorid_torch.trace.evidence.force_evidence import Seen, seen_in_forces
 from rotorid_torch.trace.evidence.residual import AT_ONCE, left_over
 from rotorid_torch.trace.evidence.screen import PATH, Screen, both_screens
@@ -36,8 +36,8 @@ class Family(Generic[FittedT]):
 
     null : the model. accepted : its effects that have a name. common, each : screens of effects with a size of all
     controls, and of each control. forces : effects in the forces on the measured motion. residuals, descriptions : what
-    has no name, where the residual that is scored has descriptions of that. fitted : candidates fitted in full, whose
-    statistics are not those of the screen: a straight line about a model that has not converged is no evidence.
+    has no name, where the residual that is scored has descriptions of that. in_full, fitted : statistics by fits in
+    full, and these, of candidates of which a straight line about a model that has not converged is no evidence.
     """
 
     null: FittedT
@@ -48,12 +48,13 @@ class Family(Generic[FittedT]):
     residuals: Residuals | None = None
     descriptions: Mapping[str, Description] = field(default_factory=dict)
     fitted: Mapping[Candidate, FittedT] = field(default_factory=dict)
+    in_full: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def statistics(self) -> dict[str, float]:
         """T of each member."""
         statistics = {c.name: float(self.screen(c).evidence(c.effect).sum()) for c in self.candidates}
-        statistics |= {c.name: total(self.null.log_ratios(one)) for c, one in self.fitted.items()}
+        statistics |= self.in_full
         statistics |= {f"{e}{IN_FORCES}": float(one.evidence.sum()) for e, one in self.forces.items()}
         if PATH in self.common.effects:
             statistics[f"{UNATTRIBUTED}{PATH}"] = float(self.common.evidence(PATH).sum())

@@ -8,7 +8,7 @@ from dataclasses import replace
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.evidence.family import TURNED, Family, Scored, family
-from rotorid_torch.trace.evidence.fits import BEGINNING, CAREFUL, Fitted, refit
+from rotorid_torch.trace.evidence.fits import BEGINNING, CAREFUL, Fitted, refit, total
 from rotorid_torch.trace.evidence.force_evidence import derivatives_beside, seen_in_forces
 from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
 from rotorid_torch.trace.search.decide import gain
@@ -29,13 +29,18 @@ class Trajectories(Scored[Fitted]):
         """The family of these effects beside a fitted model.
 
         A straight line about a model that has not converged tells nothing of what is not proportional to its size: play
-        or a rate limit leads the fit without them astray. Their evidence is that of fits in full.
+        or a rate limit leads the fit without them astray. Their evidence is that of fits in full. The model without
+        them starts once more from the best of these: what that gains is none of theirs.
         """
         asked = family(null, effects, accepted, turned, seed)
-        if turned or null.fit.minimum.converged:
-            return asked
         bent = [c for c in asked.candidates if not (c.each_control or registered()[c.effect].proportional)]
-        return replace(asked, fitted=self.candidates(null, asked, bent))
+        if turned or null.fit.minimum.converged or not bent:
+            return asked
+        fitted = self.candidates(null, asked, bent)
+        best = min(fitted.values(), key=lambda one: one.cost)
+        without = min(null, self.refitted(null.spec, best), key=lambda one: one.cost)
+        in_full = {c.name: total(without.log_ratios(one)) for c, one in fitted.items()}
+        return replace(asked, fitted=fitted, in_full=in_full)
 
     def refitted(self, spec: ModelSpec, near: Fitted) -> Fitted:
         """The model of a spec, fitted from where another fit ended."""
