@@ -97,12 +97,13 @@ class Rotors(Effect):
         c0, c1, c2 = p.stack("thrust.c0", "thrust.c1", "thrust.c2").unsqueeze(-2).unbind(-1)
         thrust = c0 + s * (c1 + s * c2)  # [..., motors]
         shares = tuple(thrust_share(name) for name in self.driven)
-        if set(shares) <= set(frame.signals):
-            thrust = thrust * frame.stack(shares)
         zero = torch.zeros_like(thrust)
         forces = vec(zero, zero, -thrust)
         if frame.hubs is not None:
             forces = forces + frame.hubs
+        if set(shares) <= set(frame.signals):  # a damaged rotor gives less of every force
+            share = frame.stack(shares)
+            thrust, forces = thrust * share, forces * share.unsqueeze(-1)
         roll, pitch, yaw = cross(self.place, forces).sum(-2).unbind(-1)
         L, M, N = p.stack("power.L", "power.M", "power.N").unbind(-1)
         flat = self.flat * L * M / (L + M + NO_POWER)

@@ -26,6 +26,7 @@ LARGEST = 64 * 2**20
 MEMORY = 2**30
 """What reading one may take."""
 EXPECTED = "a model.pt written by rotorid identify"
+AGAIN = f"{EXPECTED} of this version; identify again"
 SAME = 1e-6
 """Relative difference of what follows from the spec, and is written beside it, on another machine."""
 
@@ -84,7 +85,11 @@ def _take(model: Model, state: Any, path: str | Path) -> None:
     built = model.state_dict()
     if not isinstance(state, Mapping) or {*state} != {*built}:
         odd = sorted({str(name) for name in {*built} ^ {*(state if isinstance(state, Mapping) else ())}})
-        raise InputError(path, "state", f"does not belong to the spec ({', '.join(odd[:3])})", EXPECTED)
+        raise InputError(path, "state", f"does not belong to the spec ({', '.join(odd[:3])})", AGAIN)
+    theta = state["theta"]
+    if isinstance(theta, Tensor) and theta.ndim == 1 and len(theta) != len(built["theta"]):
+        text = f"has {len(theta)} parameters and not {len(built['theta'])}: an earlier version wrote the file"
+        raise InputError(path, "state: theta", text, AGAIN)
     for name, expected in built.items():
         wrong = _difference(name, state[name], expected)
         if wrong:

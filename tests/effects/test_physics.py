@@ -461,6 +461,14 @@ def test_no_descent_in_crosswind_throws_the_vehicle_about():
     assert max(map(abs, felt)) < 2.0 * 0.3 * 4.0
 
 
+def test_a_damaged_rotor_s_drag_falls_as_its_thrust():
+    effects = ("propulsion.unequal", "propulsion.rotor_drag")
+    built = build(msgspec.structs.replace(MULTIROTOR, effects=effects))
+    lacks = {"propulsion.unequal.motor1": 0.4, "propulsion.rotor_drag.x": 0.4}
+    model = with_values(built, lacks)
+    assert rates(model, u=2.0)["u"] - rates(model)["u"] == pytest.approx(-0.8 * 0.9)
+
+
 def test_slow_climbing_takes_thrust_by_its_speed():
     model = made("propulsion.axial_inflow", MULTIROTOR, z=0.3)
     assert rates(model, w=-0.01)["w"] - rates(model)["w"] == pytest.approx(0.003, rel=2e-3)

@@ -48,6 +48,15 @@ def test_a_spec_goes_round_through_plain_data(flapping: Any, mass: float, phi: f
     assert ModelSpec.from_plain(spec.plain()) == spec
 
 
+def test_the_model_of_an_earlier_version_is_to_be_identified_again(written: Path, tmp_path: Path):
+    held = torch.load(written, weights_only=True)
+    held["state"]["theta"] = held["state"]["theta"][:-1]
+    torch.save(held, tmp_path / "model.pt")
+    text = str(refused(tmp_path / "model.pt"))
+    assert "an earlier version wrote the file" in text
+    assert "identify again" in text
+
+
 def refused(path: Path) -> InputError:
     with pytest.raises(InputError) as refusal:
         load(path)

@@ -155,7 +155,7 @@ HUBS = Parameter(
     "hubs",
     1.0,
     "1",
-    (0.0, 1.0),
+    (0.0, 2.0),
     prior_sd=0.5,
     tried=(1.0, 0.0),
     doc="share of it by which each hub's own velocity brakes rates",
@@ -176,14 +176,14 @@ class _AtHubs(_WithThrust):
     def __init__(self, spec: ModelSpec) -> None:
         super().__init__(spec)
         self.mass = spec.mass or 1.0
-        self.register_buffer("place", torch.tensor([m.position for m in spec.motors], dtype=torch.float64))
+        place = torch.tensor([m.position for m in spec.motors], dtype=torch.float64)
+        self.register_buffer("place", place, persistent=False)
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds the forces."""
         velocity = frame.stack(VELOCITIES).unsqueeze(-2)
-        if set(RATES) <= set(frame.signals):
-            turning = cross(frame.stack(RATES).unsqueeze(-2), self.place)
-            velocity = velocity + p["hubs"][..., None, None] * turning
+        turning = cross(frame.stack(RATES).unsqueeze(-2), self.place)
+        velocity = velocity + p["hubs"][..., None, None] * turning
         share = frame.stack(self.driven) * (self.mass / self.total)
         return frame.add_at_hubs(share.unsqueeze(-1) * self._felt(velocity, p)), x
 
@@ -235,7 +235,7 @@ class AxialInflow(_AtHubs):
     def __init__(self, spec: ModelSpec) -> None:
         super().__init__(spec)
         usual, doc = usual_inflow(spec), "induced velocity in hover"
-        tried, bounds = tuple(share * usual for share in TRIED), (0.0, 10.0 * usual)
+        tried, bounds = tuple(share * usual for share in TRIED), (0.2 * usual, 5.0 * usual)
         hover = Parameter("hover", usual, "m/s", bounds, 0.3 * usual, doc=doc, typical=usual, tried=tried)
         self.declared = (*self.declared, hover)
 
