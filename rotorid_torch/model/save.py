@@ -88,7 +88,7 @@ def _take(model: Model, state: Any, path: str | Path) -> None:
         raise InputError(path, "state", f"does not belong to the spec ({', '.join(odd[:3])})", AGAIN)
     theta = state["theta"]
     if isinstance(theta, Tensor) and theta.ndim == 1 and len(theta) != len(built["theta"]):
-        text = f"has {len(theta)} parameters and not {len(built['theta'])}: an earlier version wrote the file"
+        text = f"has the shape {(len(theta),)}, not {(len(built['theta']),)}: an earlier version wrote the file"
         raise InputError(path, "state: theta", text, AGAIN)
     for name, expected in built.items():
         wrong = _difference(name, state[name], expected)
