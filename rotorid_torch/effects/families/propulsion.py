@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import ClassVar, Self
 
@@ -162,7 +163,7 @@ HUBS = Parameter(
 )
 
 
-class _AtHubs(_WithThrust):
+class _AtHubs(_WithThrust, ABC):
     """Forces on each rotor by the velocity of its hub through the air, v + h omega x place: they damp rates as well.
 
     h, `hubs`, is 1 where all of it acts at the rotors, and less where what stands in their wake or the body feels part
@@ -187,9 +188,9 @@ class _AtHubs(_WithThrust):
         share = frame.stack(self.driven) * (self.mass / self.total)
         return frame.add_at_hubs(share.unsqueeze(-1) * self._felt(velocity, p)), x
 
+    @abstractmethod
     def _felt(self, velocity: Tensor, p: Values) -> Tensor:
         """Specific force of a rotor at its usual speed whose hub moves at velocities [..., motors, 3], m/s2."""
-        raise NotImplementedError
 
 
 def usual_inflow(spec: ModelSpec) -> float:

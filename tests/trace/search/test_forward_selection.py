@@ -354,7 +354,7 @@ def test_critical_values_of_a_search_alone_come_from_residuals_turned_in_time():
     assert p[DELAY] > SETTINGS.level
 
 
-def test_no_later_effect_drives_out_an_earlier_one_that_explains_more():
+def a_delay_and_a_lag() -> tuple[Flights, Fitted, Search[Fitted]]:
     """A long delay and a short lag both act, and draws show as much of the delay as it explains beside the lag."""
     known, null = started(flights(DELAY, LAG, control__delay__common=0.08, control__lag__common=0.02))
     drawn = draws_of(True)
@@ -363,6 +363,11 @@ def test_no_later_effect_drives_out_an_earlier_one_that_explains_more():
     }
     search = search_of(known, replace(drawn, statistics=loud))
     search.family_beside(null, SUSPECTS)
+    return known, null, search
+
+
+def test_no_later_effect_drives_out_an_earlier_one_that_explains_more():
+    known, null, search = a_delay_and_a_lag()
     alone = refit(null.spec.with_effects(DELAY), known, {**null.values, f"{DELAY}.common": 0.08}, near=null)
     both = refit(null.spec.with_effects(DELAY, LAG), known, {**alone.values, f"{LAG}.common": 0.02}, near=alone)
     search.joined = [Candidate(DELAY), Candidate(LAG)]
@@ -374,13 +379,7 @@ def test_no_later_effect_drives_out_an_earlier_one_that_explains_more():
 
 def test_the_model_before_a_later_effect_holds_nothing_that_has_left():
     """Damping stood before the delay and is out; the lag behind the delay goes, and damping does not come back."""
-    known, null = started(flights(DELAY, LAG, control__delay__common=0.08, control__lag__common=0.02))
-    drawn = draws_of(True)
-    loud = {
-        n: torch.full_like(t, 1e3) if n.startswith(DELAY) else torch.zeros_like(t) for n, t in drawn.statistics.items()
-    }
-    search = search_of(known, replace(drawn, statistics=loud))
-    search.family_beside(null, SUSPECTS)
+    known, null, search = a_delay_and_a_lag()
     damped = null.spec.with_effects(DAMPING, DELAY)
     once = refit(damped, known, {**null.values, f"{DELAY}.common": 0.08, f"{DAMPING}.L": 0.01}, near=null)
     both = refit(null.spec.with_effects(DELAY, LAG), known, {**once.values, f"{LAG}.common": 0.02}, near=null)
