@@ -487,11 +487,14 @@ def test_rotors_that_turn_with_the_body_damp_its_rates():
     assert turning["q"] - still["q"] == pytest.approx(1.5 * mass * 0.3 * x * x / yy)
 
 
-def test_rotors_lift_more_and_raise_the_nose_as_they_move_sideways():
-    model = made("forces.translational_lift", MULTIROTOR, h=0.02)
-    still, moving = (rates(model, u=u, v=v) for u, v in ((0.0, 0.0), (3.0, -4.0)))
-    assert moving["w"] - still["w"] == pytest.approx(-0.02 * 25.0)
-    assert [moving[n] - still[n] for n in ("u", "v", "p", "q")] == [0.0] * 4
+def test_rotors_that_move_sideways_lift_more_by_the_fall_of_the_induced_velocity():
+    """Far below it v = v_h - V^2/(4 v_h), and 2 z (v - v_h) = -z V^2/(2 v_h)."""
+    model = made("propulsion.axial_inflow", MULTIROTOR, z=0.3, hover=5.0)
+    still, moving = (rates(model, u=u, v=v) for u, v in ((0.0, 0.0), (0.3, -0.4)))
+    assert moving["w"] - still["w"] == pytest.approx(-0.3 * 0.25 / (2.0 * 5.0), rel=0.02)
+
+
+def test_rotors_raise_the_nose_as_they_move_sideways():
     model = made("propulsion.flapping", MULTIROTOR, k=1.5)
     still, moving = (rates(model, u=u, v=v) for u, v in ((0.0, 0.0), (2.0, 1.0)))
     assert moving["q"] - still["q"] == pytest.approx(3.0)

@@ -104,7 +104,7 @@ class TranslationalLift(Effect):
     """
 
     id, stage, role = "forces.translational_lift", Stage.FORCES, Role.STRUCTURE
-    needs = (no_velocities, no_forces)
+    needs = (no_velocities, no_forces, not_for_motors("propulsion.axial_inflow knows the lift of rotors by speed"))
     separated_by = "flights trimmed at other speeds"
     showing = Showing.OTHER_FLIGHTS
 
@@ -122,7 +122,7 @@ class TranslationalLift(Effect):
     def from_spec(cls, spec: ModelSpec) -> Effect:
         """About the reference's speed in the disc."""
         speed = math.hypot(spec.reference.get("u", 0.0), spec.reference.get("v", 0.0))
-        return _LiftOfRotors(speed) if spec.motors else cls(speed)
+        return cls(speed)
 
     @classmethod
     def within(cls, spec: ModelSpec) -> str:
@@ -140,31 +140,6 @@ class TranslationalLift(Effect):
         fallen = induced(self.square) - induced(u * u + v * v)
         zero = torch.zeros_like(p["Z"] * fallen)
         return frame.add(vec(zero, zero, -p["Z"] * fallen), vec(zero, zero, p["N"] * fallen)), x
-
-
-class _LiftOfRotors(Effect):
-    """Translational lift of a multirotor: its rotors thrust more at the same speed the faster they move sideways.
-
-    Z -= h (V^2 - V0^2), V the speed across the rotors' axes, V0 that at the reference.
-
-    Source: Svacha, Mohta and Kumar, Improving quadrotor trajectory tracking by compensating for aerodynamic effects
-    (ICUAS 2017).
-    """
-
-    id, stage, role = TranslationalLift.id, TranslationalLift.stage, TranslationalLift.role
-    separated_by, showing = TranslationalLift.separated_by, TranslationalLift.showing
-
-    def __init__(self, speed: float) -> None:
-        super().__init__(
-            (Parameter("h", 0.0, "1/m", (0.0, 1.0), doc="thrust by the square of the speed sideways", typical=0.02),)
-        )
-        self.square = speed * speed
-
-    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
-        """Adds thrust."""
-        gained = p["h"] * (frame.stack(VELOCITIES[:2]).square().sum(-1) - self.square)
-        zero = torch.zeros_like(gained)
-        return frame.add(force=vec(zero, zero, -gained)), x
 
 
 @register

@@ -195,11 +195,9 @@ def _with(craft: Multirotor, having: Mapping[str, float]) -> Multirotor:
                 replace(air, axial=value / by_speed[1]) if parameter == "z" else replace(air, drag=value / by_speed[0])
             )
         elif effect == "propulsion.axial_inflow":
-            air = replace(air, axial=1.0)
+            air = replace(air, axial=1.0, lift=1.0)
         elif effect == "environment.ground":
             air = replace(air, ground=1.0)
-        elif effect == "forces.translational_lift":
-            air = replace(air, lift=1.0)
         elif effect == "forces.drag" and parameter in "xyz":
             area = list(air.drag_area)
             area["xyz".index(parameter)] = 2.0 * value * craft.mass / craft.air_density
