@@ -156,11 +156,12 @@ HUBS = Parameter(
     "hubs",
     1.0,
     "1",
-    (0.0, 2.0),
+    (0.0, 1.0),
     prior_sd=0.5,
     tried=(1.0, 0.0),
     doc="share of it by which each hub's own velocity brakes rates",
 )
+"""A share: free beyond 1, inflow and drag trade with what the arms feel, and drag of the body takes their place."""
 
 
 class _AtHubs(_WithThrust, ABC):
@@ -236,7 +237,7 @@ class AxialInflow(_AtHubs):
     def __init__(self, spec: ModelSpec) -> None:
         super().__init__(spec)
         usual, doc = usual_inflow(spec), "induced velocity in hover"
-        tried, bounds = tuple(share * usual for share in TRIED), (0.2 * usual, 5.0 * usual)
+        tried, bounds = tuple(share * usual for share in TRIED), (0.0, 10.0 * usual)
         hover = Parameter("hover", usual, "m/s", bounds, 0.3 * usual, doc=doc, typical=usual, tried=tried)
         self.declared = (*self.declared, hover)
 
