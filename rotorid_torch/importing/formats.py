@@ -9,6 +9,7 @@ from rotorid_torch.core.storage.files import open_file
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing.autopilots import ardupilot, blackbox, px4
 from rotorid_torch.importing.autopilots.dataflash import read_dataflash
+from rotorid_torch.importing.autopilots.dataflash_text import read_text_or_dataflash
 from rotorid_torch.importing.autopilots.ulog import read_ulog
 from rotorid_torch.importing.signals.mapping import Clock, Form
 from rotorid_torch.importing.signals.plan import Plan
@@ -23,6 +24,7 @@ FLIGHT_LOGS: Mapping[str, Callable[[Path, Choose], Log]] = {
     ".ulog": read_ulog,
     ".bin": read_dataflash,
     ".px4log": read_dataflash,
+    ".log": read_text_or_dataflash,
 }
 """Readers of logs with topics and clocks of their own, by the file's ending in small letters."""
 TEXTS = (".csv", ".txt", ".tsv", ".asc", ".dat")
@@ -43,7 +45,6 @@ CONVERTED: Mapping[str, str] = {
     **dict.fromkeys((".bag", ".mcap", ".db3"), AS_TABLE),
     **dict.fromkeys((".xlsx", ".xls", ".ods"), "the sheet saved as .csv"),
     **dict.fromkeys((".tlog", ".rlog"), "the autopilot's log of its card: .bin of ArduPilot, .ulg of PX4"),
-    ".log": "the .bin of ArduPilot that it was made from",
 }
 """What to bring instead of files that only other programs read, by their endings."""
 

@@ -99,13 +99,13 @@ def import_log(
     earlier = declarations(asked.out)
     records = _records(asked.files, asked.map)
     grid_hz = asked.rate or _usual_rate(records)
-    flights, kinds, notes = dict[str, dict[str, np.ndarray]](), dict[str, str](), list[str]()
+    flights, kinds, remarks = dict[str, dict[str, np.ndarray]](), dict[str, str](), list[tuple[str, str]]()
     channels = dict[str, Taken]()
     for record in records:
         cut, more = flights_of(record, grid_hz, split, set(flights))
         channels |= {n: taken for n, taken in _taken(record, cut).items() if n not in channels}
         record.signals.clear()  # the next log needs the memory
-        notes += [f"{record.file.name}: {sentence}" for sentence in (*record.warnings, *more)]
+        remarks += [(record.file.name, sentence) for sentence in (*record.warnings, *more)]
         flights |= {name: arrays for name, (arrays, _) in cut.items()}
         kinds |= {name: kind for name, (_, kind) in cut.items()}
     whole = manoeuvres.moved({name: flights[name] for name, kind in kinds.items() if not kind}, 1.0 / grid_hz)
@@ -132,6 +132,7 @@ def import_log(
         texts=earlier,
         comment=template(motors if kind == "multirotor" else None, plan.frame, vehicle or {}, plan.known),
     )
+    notes = _alike(remarks)
     if replaced := [file for file in earlier if (asked.out / file).exists()]:
         there = f"{asked.out.name}: the data set that was here is replaced"
         notes.append(f"{there}; what it declared is kept: {', '.join(replaced)}")
@@ -217,6 +218,17 @@ def _usual_rate(records: Sequence[Record]) -> float:
         controls = [record.signals[n].hertz for n in names.acting(record.signals)]
         usual.append(max(rates or controls))
     return float(f"{min(*usual, FASTEST_HZ):.2g}") if min(usual) < FASTEST_HZ else FASTEST_HZ
+
+
+def _alike(remarks: Sequence[tuple[str, str]]) -> list[str]:
+    """What was said of logs, by file and sentence; what is said of several once."""
+    files: dict[str, list[str]] = {}
+    for file, sentence in dict.fromkeys(remarks):
+        files.setdefault(sentence, []).append(file)
+    more = {
+        sentence: f" (likewise in {', '.join(others)})" if others else "" for sentence, (_, *others) in files.items()
+    }
+    return [f"{first}: {sentence}{more[sentence]}" for sentence, (first, *_) in files.items()]
 
 
 def _vehicle_kind(records: Sequence[Record], user_map: Map | None) -> str:

@@ -121,6 +121,27 @@ def write_dataflash(
     return path
 
 
+def write_dataflash_text(
+    path: Path, topics: Topics, parameters: Mapping[str, float] | None = None, about: str = "", before: str = ""
+) -> Path:
+    """The same as text, one message a line; `before` are lines before the first message."""
+    lines = [before] if before else []
+    lines += ["FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns", "FMT, 2, 31, PARM, QNf, TimeUS,Name,Value"]
+    lines += ["FMT, 3, 75, MSG, QZ, TimeUS,Message", f"MSG, 0, {about}"]
+    lines += [f"PARM, 0, {name}, {value}" for name, value in (parameters or {}).items()]
+    stamped: list[tuple[int, str]] = []
+    for number, (name, (time, columns)) in enumerate(topics.items(), 10):
+        letters = "Q" + "".join(LETTERS[v.dtype.str.replace("|", "<")] for v in columns.values())
+        lines.append(f"FMT, {number}, 89, {name}, {letters}, {','.join(['TimeUS', *columns])}")
+        stamps = np.round(time * 1e6).astype(np.int64)
+        rows = zip(*(values.tolist() for values in columns.values()), strict=True)
+        stamped += [
+            (us, f"{name}, {us}, " + ", ".join(map(str, row))) for us, row in zip(stamps.tolist(), rows, strict=True)
+        ]
+    path.write_text("\n".join([*lines, *(line for _, line in sorted(stamped, key=lambda one: one[0]))]) + "\n")
+    return path
+
+
 def motion(time: np.ndarray) -> dict[str, np.ndarray]:
     """A known flight at these times: angles, the body rates that belong to them, motors, velocity north-east-down."""
     wave = 2.0 * np.pi * np.array([0.4, 0.3, 0.1])

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import rotorid_torch as rotorid
 from rotorid_torch.errors import InputError
-from tests.importing.log_writers import px4_topics, write_dataflash, write_ulog
+from tests.importing.log_writers import px4_topics, write_dataflash, write_dataflash_text, write_ulog
 
 WHOLE: dict[str, bytes] = {}
 
@@ -28,7 +28,8 @@ def whole(kind: str) -> bytes:
                 pulses = [(1500 + 300 * wave).astype("<u2") for wave in waves]
                 gyro = dict(zip(("GyrX", "GyrY", "GyrZ"), waves, strict=False))
                 outputs = dict(zip(("C1", "C2", "C3", "C4"), pulses, strict=True))
-                write_dataflash(file, {"IMU": (time, gyro), "RCOU": (time, outputs)}, {"SERVO1_FUNCTION": 33.0})
+                write = write_dataflash if kind == "bin" else write_dataflash_text
+                write(file, {"IMU": (time, gyro), "RCOU": (time, outputs)}, {"SERVO1_FUNCTION": 33.0})
             WHOLE[kind] = file.read_bytes()
     return WHOLE[kind]
 
@@ -45,7 +46,7 @@ def is_told_or_imported(content: bytes, kind: str) -> None:
             rotorid.load(out)
 
 
-@pytest.mark.parametrize("kind", ["ulg", "bin"])
+@pytest.mark.parametrize("kind", ["ulg", "bin", "log"])
 @settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 @given(data=st.data())
 def test_damaged_logs(kind: str, data: st.DataObject):
@@ -65,7 +66,7 @@ def test_anything_named_as_a_table(kind: str, content: bytes):
 
 
 def test_undamaged_they_are_imported():
-    for kind in ("ulg", "bin"):
+    for kind in ("ulg", "bin", "log"):
         is_told_or_imported(whole(kind), kind)
         with tempfile.TemporaryDirectory() as folder:
             (Path(folder) / f"log.{kind}").write_bytes(whole(kind))

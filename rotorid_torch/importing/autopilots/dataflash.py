@@ -6,8 +6,8 @@ Source: ArduPilot developer guide, "Downloading and Analyzing Data Logs in Missi
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +31,8 @@ NUMBERED = ("I", "Inst", "Instance")
 """Names of the field that numbers the instances of a topic, in ArduPilot's logs that have no units (FMTU) at all."""
 CORE, CORES = "C", "XK"
 """The same in the topics of the EKF3, which begin so."""
+CLOCKS = {"TimeUS": 1e-6, "TimeMS": 1e-3}
+"""Clocks of a topic, with seconds of a count."""
 INSTANCES = 32
 """Instances of a topic that are kept."""
 MESSAGES = 10_000
@@ -145,14 +147,11 @@ class _Walk:
 
     def _want(self, kind: _Kind) -> None:
         """Gather of this kind what is wanted, its clock and the number of its instance."""
-        wanted = [
-            c for c in (*self.choose(kind.name, list(kind.columns)), *ALWAYS.get(kind.name, ())) if c in kind.columns
-        ]
+        wanted = wanted_of(kind.name, list(kind.columns), self.choose)
         if not wanted:
             return
-        likely = (*NUMBERED, CORE) if kind.name.startswith(CORES) else NUMBERED
-        kind.numbered = next((c for c in likely if c in kind.columns and kind.columns[c][1] == "B"), "")
-        names = {*wanted, kind.instance, kind.numbered, "TimeUS", "TimeMS"} & {*kind.columns}
+        kind.numbered = numbering(kind.name, {column: letter for column, (_, letter) in kind.columns.items()})
+        names = {*wanted, kind.instance, kind.numbered, *CLOCKS} & {*kind.columns}
         layout = [(c, place, np.dtype(TYPES[f][0])) for c, (place, f) in kind.columns.items() if c in names]
         kind.factors = [TYPES[kind.columns[c][1]][1] for c, *_ in layout]
         kind.gathered = Gathered(layout, kind.length)
@@ -166,32 +165,31 @@ class _Walk:
 
     def log(self, file: Path) -> Log:
         """All that was read."""
-        streams, texts, parameters, messages = {}, [], {}, []
         by_name = self.now < 0 and not self.has_units
-        for kind in self.kinds.values():
-            if kind.gathered is None:
-                continue
-            columns = kind.gathered.columns()
-            with np.errstate(all="ignore"):  # whatever bytes a damaged log holds
-                for name, factor in zip(list(columns), kind.factors, strict=True):
-                    columns[name] = columns[name] if factor == 1.0 else columns[name] * factor
-            if kind.name == "PARM":
-                parameters |= _parameters(columns)
-            elif kind.name in ALWAYS:
-                said = columns.get(ALWAYS[kind.name][0], np.empty(0))[:MESSAGES]
-                texts += [_text(bytes(text)) for text in said[:100] if isinstance(text, bytes)]
-                messages += _timed(columns, said)
-            else:
-                streams |= _instances(kind, columns, kind.instance or (kind.numbered if by_name else ""))
-        system = "PX4" if self.now >= 0 else "ArduPilot"
+        topics = (
+            Topic(kind.name, _scaled(kind), kind.instance or (kind.numbered if by_name else ""), kind.stamps)
+            for kind in self.kinds.values()
+            if kind.gathered is not None
+        )
         fields = {kind.name: list(kind.columns) for kind in self.kinds.values()}
-        warnings = tuple(self._warnings())
-        return Log(file, system, "; ".join(texts), streams, fields, parameters, warnings, tuple(messages))
+        log = log_of(file, topics, fields)
+        return replace(log, system="PX4" if self.now >= 0 else "ArduPilot", warnings=tuple(self._warnings()))
 
     def _warnings(self) -> Iterator[str]:
         yield from of_damage(self.left, self.skipped)
         if self.bad_formats:
             yield f"messages of unknown form were passed over ({', '.join(self.bad_formats[:5])})"
+
+
+def wanted_of(topic: str, columns: Sequence[str], choose: Choose) -> list[str]:
+    """Columns of a topic that are gathered; none where nothing of it is wanted."""
+    return [column for column in (*choose(topic, columns), *ALWAYS.get(topic, ())) if column in columns]
+
+
+def numbering(topic: str, letters: Mapping[str, str]) -> str:
+    """Column (by its letter a small number) that numbers the instances of a topic by its name; empty without one."""
+    likely = (*NUMBERED, CORE) if topic.startswith(CORES) else NUMBERED
+    return next((column for column in likely if letters.get(column) == "B"), "")
 
 
 _NONE = np.empty(0, "S1")
@@ -210,31 +208,65 @@ def _kind(name: str, length: int, form: str, columns: str) -> _Kind:
     return _Kind(name, length, placed if place <= length else {})
 
 
-def _instances(kind: _Kind, columns: dict[str, np.ndarray], numbered: str) -> dict[tuple[str, int], Stream]:
+def _scaled(kind: _Kind) -> dict[str, np.ndarray]:
+    """Columns of a kind as they are meant: some letters of a format stand for hundredths."""
+    columns = kind.gathered.columns() if kind.gathered else {}
+    with np.errstate(all="ignore"):  # whatever bytes a damaged log holds
+        pairs = zip(columns.items(), kind.factors, strict=True)
+        return {name: values if factor == 1.0 else values * factor for (name, values), factor in pairs}
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One kind of message as read: columns (T,), the column that numbers its instances, stamps in us apart from them.
+
+    `numbered` is empty, and so are the stamps, where there are none.
+    """
+
+    name: str
+    columns: dict[str, np.ndarray]
+    numbered: str
+    stamps: Sequence[int] = ()
+
+
+def log_of(file: Path, topics: Iterable[Topic], fields: Mapping[str, Sequence[str]]) -> Log:
+    """Log of ArduPilot's topics: streams by their clocks and instances, settings, what it tells people."""
+    streams, texts, parameters, messages = {}, [], {}, []
+    for topic in topics:
+        if topic.name == "PARM":
+            parameters |= _parameters(topic.columns)
+        elif topic.name in ALWAYS:
+            said = topic.columns.get(ALWAYS[topic.name][0], np.empty(0))[:MESSAGES]
+            texts += [_text(bytes(text)) for text in said[:100] if isinstance(text, bytes)]
+            messages += _timed(topic.columns, said)
+        else:
+            streams |= _instances(topic)
+    return Log(file, "ArduPilot", "; ".join(texts), streams, fields, parameters, (), tuple(messages))
+
+
+def _instances(topic: Topic) -> dict[tuple[str, int], Stream]:
     """Streams of a topic, one per number in a column of it, with time in s; none where nothing says when."""
+    columns = topic.columns
     clock = _clock(columns)
-    time = np.array(kind.stamps) * 1e-6 if clock is None else clock
+    time = np.array(topic.stamps) * 1e-6 if clock is None else clock
     columns = {name: values[len(values) - len(time) :] for name, values in columns.items()}  # before any clock: lost
     if not len(time):
         return {}
-    if columns.get(numbered, _NONE).dtype.kind not in "iu":
-        return {(kind.name, 0): Stream(time, columns)}
-    numbers = columns[numbered]
+    numbers = columns.get(topic.numbered, _NONE)
+    if numbers.dtype.kind not in "iu":
+        return {(topic.name, 0): Stream(time, columns)}
     streams = {}
     for number in np.unique(numbers)[:INSTANCES]:
         chosen = numbers == number
         picked = {name: values[chosen] for name, values in columns.items()}
-        streams[kind.name, int(number)] = Stream(time[chosen], picked)
+        streams[topic.name, int(number)] = Stream(time[chosen], picked)
     return streams
 
 
 def _clock(columns: dict[str, np.ndarray]) -> np.ndarray | None:
     """Time (T,) in s by a topic's own stamps, which are taken out of its columns; None where it has none."""
-    clocks = {name: columns.pop(name) for name in ("TimeUS", "TimeMS") if name in columns}
-    for name, factor in (("TimeUS", 1e-6), ("TimeMS", 1e-3)):
-        if is_numbers(clocks.get(name, _NONE)):
-            return clocks[name] * factor
-    return None
+    clocks = {name: columns.pop(name) for name in CLOCKS if name in columns}
+    return next((clocks[name] * CLOCKS[name] for name in clocks if is_numbers(clocks[name])), None)
 
 
 def _timed(columns: dict[str, np.ndarray], said: np.ndarray) -> list[tuple[float, str]]:

@@ -93,7 +93,7 @@ def _usable(stream: Stream, source: Source, notes: list[str]) -> np.ndarray | Ba
     if moved := int((np.diff(usable) < 0).sum()):
         notes.append(f"{where}: {moved} samples with a stamp before the last one were sorted in")
     if lost := len(stream.time) - len(usable):
-        notes.append(f"{where}: {lost} samples with a stamp out of order were left out")
+        notes.append(f"{where}: {lost} samples with a stamp that repeats or runs back were left out")
     return usable
 
 

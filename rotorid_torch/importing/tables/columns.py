@@ -35,7 +35,27 @@ WHOLE = (QUATERNION, ("vn", "ve", "vd"))
 USUAL_S = (1e-5, 2.0)
 """Shortest and longest usual interval of a record; beyond them the clock has another unit."""
 FASTEST_S = 0.5
-"""Longest usual interval of the fastest table of a file whose map names no unit: a count of 1 ms is no second."""
+"""Longest usual interval of the fastest table of a file that names no unit: a count of 1 ms is no second."""
+MEANT = {
+    **dict.fromkeys(("roll", "rollangle", "roll_angle", "bank"), "phi"),
+    **dict.fromkeys(("pitch", "pitchangle", "pitch_angle"), "theta"),
+    **dict.fromkeys(("yaw", "heading", "hdg", "yawangle", "yaw_angle"), "psi"),
+    **{
+        f"{kind}{mark}{axis}": name
+        for axis, name in zip("xyz", "pqr", strict=True)
+        for kind in ("gyro", "gyr", "w", "omega")
+        for mark in ("", "_")
+    },
+    **{f"{kind}{mark}{axis}": f"a{axis}" for axis in "xyz" for kind in ("acc", "accel") for mark in ("", "_")},
+    **{
+        f"{axis}{mark}rate": name
+        for axis, name in zip(("roll", "pitch", "yaw"), "pqr", strict=True)
+        for mark in ("", "_")
+    },
+    **dict.fromkeys(("alt", "altitude"), "height"),
+    **{"aileron": "lat", "elevator": "lon", "rudder": "ped", "pedal": "ped", "collective": "col"},
+}
+"""What other people call channels, in small letters: a hint for a map, for such names tell neither unit nor sign."""
 
 Columns = Mapping[str, np.ndarray]
 
@@ -61,7 +81,8 @@ def table_log(
         if name is None:
             continue
         stamps = np.asarray(columns[name], np.float64) * seconds_of(name, clock)
-        fastest = min(fastest, (name, _interval(file, name, stamps)), key=lambda one: one[1])
+        if not _unit_of(name, clock):
+            fastest = min(fastest, (name, _interval(file, name, stamps)), key=lambda one: one[1])
         others = {column: values for column, values in columns.items() if column != name or len(columns) == 1}
         streams[topic, 0] = Stream(stamps, others)
     if not streams:
@@ -69,17 +90,25 @@ def table_log(
         wanted = clock.field if clock else "time"
         near = names.nearest(wanted, listed) or f" (there are {', '.join(listed[:TOLD])})"
         expected = "a clock: a column time in s, or a map with time = { field = ..., unit = ... }"
+        if listed and all(map(str.isdigit, listed)):
+            raise InputError(file, "", "has no row of names", 'one, or a map with columns = ["time", "motor1", ...]')
         raise InputError(file, wanted, f"is missing{near if listed else ''}", expected)
-    if fastest[1] > FASTEST_S and not (clock and clock.unit):
+    if fastest[1] > FASTEST_S and np.isfinite(fastest[1]):
         raise _other_unit(file, *fastest)
     return Log(file, "", "", streams, fields, warnings=tuple(warnings))
 
 
 def seconds_of(column: str, clock: Clock | None) -> float:
     """Seconds of one unit of the clock."""
+    unit = _unit_of(column, clock) or (clock.unit if clock else CLOCKS[header_name(column)[0].lower()])
+    return units.clock_unit(unit) or 1.0
+
+
+def _unit_of(column: str, clock: Clock | None) -> str:
+    """Unit of a clock by its map, its brackets or its name's ending; empty where nothing says it."""
     name, bracketed = header_name(column)
-    unit = clock.unit if clock else CLOCKS[name.lower()]
-    return units.clock_unit(bracketed if bracketed and not (clock and clock.unit) else unit) or 1.0
+    by_name = CLOCKS.get(name.lower(), "") if "_" in name and not clock else ""
+    return (clock.unit if clock else "") or bracketed or by_name
 
 
 def time_of_day(text: str) -> float | None:
@@ -140,6 +169,11 @@ def own_plan(log: Log) -> Plan:
     left = [place for place in unused if place not in again]
     more = f" and {len(left) - TOLD} more" if len(left) > TOLD else ""
     notes = [f"left out, for no channel has such a name and unit: {', '.join(left[:TOLD])}{more}"] if left else []
+    meant = {MEANT.get(header_name(place)[0].lower().rpartition(".")[2], ""): place for place in left}
+    lines = [
+        f'{name} = {{ field = "{place}", unit = ... }}' for name, place in meant.items() if name and name not in entries
+    ]
+    notes += [f"a map (--map) takes them by lines of [channels] such as {', '.join(lines[:TOLD])}"] if lines else []
     notes += [f"{place} is left out: {name} is taken from {entries[name].field}" for place, name in again.items()]
     if "latitude" in entries:
         place = f"{entries['latitude'].field} and {entries['longitude'].field}"

@@ -41,6 +41,7 @@ def read_csv(
     head = find_header(first[form.skip_rows :], form.columns)
     if head is None:
         raise InputError(file, "", "is empty", "a header row and numbers")
+    _refuse_decimal_commas(file, head)
     boxed = clock is None and blackbox.is_blackbox(head.names)
     clock = blackbox.clock(head.names) if boxed else clock
     table = _Table(file, head, choose, clock)
@@ -52,6 +53,21 @@ def read_csv(
     parameters = blackbox.settings(head.before)
     about = " ".join(" ".join(row) for row in head.before if row and row[0].lower().startswith(("product", "firmware")))
     return replace(log, system=blackbox.SYSTEM if boxed else "", parameters=parameters, about=about)
+
+
+def _refuse_decimal_commas(file: Path, head: Header) -> None:
+    """Raise InputError where rows have up to twice as many fields as names, for decimal commas stand between commas."""
+    named = max((len(row) for row in head.before if not any(map(is_number, row))), default=0)
+    if head.names[0].isdigit() and (hint := _decimal_commas(head.mark, named, len(head.names))):
+        raise InputError(file, "", f"has {named} names and {len(head.names)} fields in a row{hint}", MARKED)
+
+
+MARKED = "points in numbers, or semicolons between fields"
+
+
+def _decimal_commas(mark: str | None, names: int, fields: int) -> str:
+    """What may be meant where a row has more fields than there are names; empty where it is not that."""
+    return " (decimal commas between commas?)" if mark == "," and 1 < names < fields <= 2 * names else ""
 
 
 def _lines(file: Path, size: int) -> Iterator[tuple[int, list[str]]]:
@@ -107,7 +123,7 @@ class _Table:
         wanted = {*choose("", self.header)}
         self.places = [i for i, name in enumerate(self.header) if name in wanted or is_clock("", name, clock)]
         self.parts: list[np.ndarray] = []
-        self.units = self.cut = 0
+        self.units = self.cut = self.fields = 0
 
     def take(self, number: int, lines: Sequence[str]) -> None:
         """Take the lines that begin at this number."""
@@ -134,7 +150,10 @@ class _Table:
             if not line.strip():
                 continue
             if len(fields) != len(self.header):
-                self.cut = number  # an error, unless it is the last line, which a full card cuts
+                self.cut, self.fields = (
+                    number,
+                    len(fields),
+                )  # an error, unless it is the last line, which a full card cuts
                 continue
             if not self.parts and not self.units and not any(is_number(field) for field in fields):
                 self.units = number
@@ -161,9 +180,9 @@ class _Table:
             raise InputError(self.file, self.header[column], wrong, "a number, or nothing for a missing one") from None
 
     def _other_count(self, line: int) -> InputError:
-        return InputError(
-            self.file, f"line {line}", "has another number of fields", f"{len(self.header)} as the header"
-        )
+        hint = _decimal_commas(self.mark, len(self.header), self.fields)
+        expected = MARKED if hint else f"{len(self.header)} as the header"
+        return InputError(self.file, f"line {line}", f"has another number of fields{hint}", expected)
 
     def columns(self) -> dict[str, np.ndarray]:
         """All of each kept column."""

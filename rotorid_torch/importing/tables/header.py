@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from rotorid_torch.data.reading.read import number_of
 from rotorid_torch.importing.signals import units
 
-MISSING = frozenset(("", "nan", "null", "none", "na", "n/a", "-"))
+MISSING = frozenset(("", "nan", "null", "none", "na", "n/a", "-", "--", "#n/a", "#value!", "#num!", "missing", "?"))
 """What stands for a missing sample, in small letters."""
 MARKS = ",;\t"
 NUMERIC_ROWS = 2

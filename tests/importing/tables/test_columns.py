@@ -95,7 +95,7 @@ def test_a_map_may_skip_rows(tmp_path: Path):
     file = written(tmp_path / "t.csv", before, "", ROWS)
     given = {"skip_rows": 2, "columns": NAMES.split(","), "channels": {n: n for n in ("lat", "p", "q", "phi")}}
     assert near(channels(file, tmp_path, given))
-    with pytest.raises(InputError, match="time: is missing"):
+    with pytest.raises(InputError, match="has no row of names"):
         rotorid.import_log(file, tmp_path / "bare")
 
 

@@ -79,7 +79,8 @@ def test_columns_that_are_no_channels_are_told(tmp_path: Path):
     names = [{"p": "rollrate", "q": "q [furlong]", "phi": "phi_m"}.get(name, name) for name in plain()]
     (tmp_path / "t.csv").write_text(text(plain(), header=",".join(names)))
     done = rotorid.import_log(tmp_path / "t.csv", tmp_path / "set")
-    (told,) = done.warnings
+    told, hint = done.warnings
+    assert 'p = { field = "rollrate", unit = ... }' in hint
     assert told.endswith("left out, for no channel has such a name and unit: rollrate, q [furlong], phi_m")
 
 

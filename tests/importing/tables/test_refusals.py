@@ -1,0 +1,74 @@
+"""What a table needs to be read is said in one line: names, points in numbers, the clock's unit, names of channels."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rotorid_torch as rotorid
+from rotorid_torch.errors import InputError
+
+NAMES = ("time", "motor1", "motor2", "motor3", "motor4", "p", "q", "r")
+
+
+def rows(hertz: float = 50.0, count: int = 300) -> np.ndarray:
+    time = np.arange(count) / hertz
+    return np.stack([time, *(0.5 + 0.1 * np.sin(time * (i + 1) / hertz * 50.0) for i in range(len(NAMES) - 1))], axis=1)
+
+
+def written(file: Path, lines: list[str], header: str = ",".join(NAMES)) -> Path:
+    file.write_text("\n".join(filter(None, [header, *lines])) + "\n")
+    return file
+
+
+def lines_of(values: np.ndarray, mark: str = ",") -> list[str]:
+    return [mark.join(f"{v:.6f}" for v in row) for row in values]
+
+
+@pytest.mark.parametrize("clock", ["time [s]", "time_s", "time (seconds)"])
+def test_a_clock_whose_header_names_seconds_is_believed_at_1_hz(clock: str, tmp_path: Path):
+    header = ",".join((clock, *NAMES[1:]))
+    assert rotorid.import_log(written(tmp_path / "a.csv", lines_of(rows(1.0)), header), tmp_path / "set").rate == 1.0
+
+
+def test_a_count_without_a_unit_is_no_second(tmp_path: Path):
+    with pytest.raises(InputError, match='unit = "ms"'):
+        rotorid.import_log(written(tmp_path / "a.csv", lines_of(rows(1.0))), tmp_path / "set")
+
+
+def test_a_table_without_names_is_told_how_to_name_them(tmp_path: Path):
+    with pytest.raises(InputError, match=r"no row of names; expected one, or a map with columns"):
+        rotorid.import_log(written(tmp_path / "a.csv", lines_of(rows()), ""), tmp_path / "set")
+
+
+def test_decimal_commas_between_commas_are_told(tmp_path: Path):
+    lines = [line.replace(".", ",") for line in lines_of(rows())]
+    with pytest.raises(InputError, match="decimal commas between commas"):
+        rotorid.import_log(written(tmp_path / "a.csv", lines), tmp_path / "set")
+
+
+@pytest.mark.parametrize("missing", ["--", "#N/A", "NaN", "N/A", ""])
+def test_words_for_a_missing_sample(missing: str, tmp_path: Path):
+    lines = lines_of(rows())
+    lines[100] = ",".join([*lines[100].split(",")[:-1], missing])
+    rotorid.import_log(written(tmp_path / "a.csv", lines), tmp_path / "set")
+    assert (tmp_path / "set" / "dataset.toml").exists()
+
+
+def test_names_of_other_people_are_answered_by_lines_of_a_map(tmp_path: Path):
+    header = "time,motor1,motor2,motor3,motor4,gyro_x,roll,Yaw_Rate"
+    done = rotorid.import_log(written(tmp_path / "a.csv", lines_of(rows()), header), tmp_path / "set")
+    (hint,) = [warning for warning in done.warnings if "a map" in warning]
+    for line in ('p = { field = "gyro_x"', 'phi = { field = "roll"', 'r = { field = "Yaw_Rate"'):
+        assert line in hint
+
+
+def test_what_is_said_of_several_logs_is_said_once(tmp_path: Path):
+    header = ",".join((*NAMES[:-1], "something"))
+    files = [written(tmp_path / f"{n}.csv", lines_of(rows() + 0.001 * i), header) for i, n in enumerate("abc")]
+    done = rotorid.import_log(files, tmp_path / "set")
+    assert done.warnings == (
+        "a.csv: left out, for no channel has such a name and unit: something (likewise in b.csv, c.csv)",
+    )
