@@ -103,16 +103,11 @@ def __getattr__(name: str) -> Any:
     if name == "effects":
         return import_module("rotorid_torch.effects")
     if name not in _PUBLIC:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{_near(name)}")
+        from rotorid_torch.errors import nearest
+
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{nearest(name, __all__)}")
     module, _, attribute = _PUBLIC[name].partition(":")
     return getattr(import_module(f"rotorid_torch.{module}"), attribute or name)
-
-
-def _near(name: str) -> str:
-    from difflib import get_close_matches
-
-    near = get_close_matches(name, __all__, n=1)
-    return f"; did you mean {near[0]!r}?" if near else ""
 
 
 def __dir__() -> list[str]:

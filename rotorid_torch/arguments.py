@@ -23,7 +23,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rotorid_torch.errors import InputError
+from rotorid_torch.errors import InputError, nearest
 
 Numbers = Tensor | np.ndarray | Sequence[Any]
 """What is taken as an array."""
@@ -100,17 +100,11 @@ class Sizes:
                 self.by_letter[letter], self.fixed_by[letter] = int(size), key
 
 
-def listed(names: Iterable[str]) -> str:
+def listed(names: Iterable[str], most: int = LISTED) -> str:
     """Names for a message, the first ones of many."""
     names = list(names)
-    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
-    return ", ".join(names[:LISTED]) + more
-
-
-def nearest(name: str, names: Iterable[str]) -> str:
-    """What to add of the nearest name, or nothing."""
-    near = get_close_matches(name, list(names), n=1)
-    return f"; did you mean '{near[0]}'?" if near else ""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
 
 
 def described(value: Any) -> str:

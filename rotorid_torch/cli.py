@@ -16,16 +16,16 @@ import sys
 import tempfile
 import traceback
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from rotorid_torch.core.names import nearest
 from rotorid_torch.core.processes.loading import loading
 from rotorid_torch.core.storage.atomic import OUTPUT, Unwritable, reason, writing
-from rotorid_torch.errors import InputError, LostRank, ReportedElsewhere
+from rotorid_torch.errors import InputError, LostRank, ReportedElsewhere, nearest
 from rotorid_torch.printable import printable
+from rotorid_torch.version import __version__
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -80,24 +80,12 @@ class SizeLastEffect(argparse.Action):
         namespace.effect = [*effects[:-1], (effects[-1][0], values)]
 
 
-class Version(argparse.Action):
-    """`--version`: prints it and leaves."""
-
-    def __call__(self, parser, namespace, values, option_string=None) -> None:
-        """Print name and version; exit code 0."""
-        from rotorid_torch import __version__
-
-        print(f"rotorid {__version__}")
-        parser.exit()
-
-
 EXAMPLES = """\
 three ways to begin:
   rotorid fly --out FLIGHTS --effect control.delay     fly the built-in aircraft, with a late control to find
   rotorid import flight.ulg --out FLIGHTS              or bring a log of PX4, ArduPilot or Betaflight, or a table
   rotorid close-loop FLIGHTS --out RUN                 a model, what it lacks by name, and RUN/report.html
 """
-DATASET = "folder of the data set, with its dataset.toml"
 PROFILED = 40
 """Functions that a profile shows."""
 
@@ -113,7 +101,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="replace")  # a terminal of another encoding than UTF-8 gets other signs
     speaks = os.environ.get("RANK", "0") == "0"  # under torchrun all processes refuse the same usage
     try:
-        with _interrupted_by(signal.SIGTERM, signal.SIGHUP), _libraries_keep_still():
+        with _interrupted_by(signal.SIGTERM, signal.SIGHUP), warnings.catch_warnings():
+            warnings.showwarning = lambda *message, **more: None  # stderr is for our line; a monitor logs them
             words = sys.argv[1:] if arguments is None else arguments
             options = parser().parse_args(words or ["--help"])
             _refuse_missing_device(options.device)
@@ -185,12 +174,14 @@ def parser() -> Parser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    top.add_argument("--version", action=Version, nargs=0, help="print the version and leave")
+    top.add_argument(
+        "--version", action="version", version=f"rotorid {__version__}", help="print the version and leave"
+    )
     commands = top.add_subparsers(metavar="COMMAND", required=True, parser_class=Parser)
     _add_fly(commands)
     _add_import(commands)
     _add_check(commands)
-    _add_reconstruct(commands)
+    _add_run(_add_command(commands, "reconstruct", reconstruct, "step 1 alone: forces and moments over time"))
     _add_identify(commands)
     _add_close_loop(commands)
     _add_simulate(commands)
@@ -218,6 +209,16 @@ def _add_command(commands, name: str, run: Callable[[Options], int | None], abou
     common.add_argument("--profile", action="store_true", help="print where the time went, to standard error")
     common.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="where torch computes (cpu)")
     return command
+
+
+def _add_dataset(command: argparse.ArgumentParser) -> None:
+    command.add_argument("dataset", metavar="DATASET", type=Path, help="folder of the data set, with its dataset.toml")
+
+
+def _add_run(command: argparse.ArgumentParser) -> None:
+    """From a data set to a RUN."""
+    _add_dataset(command)
+    command.add_argument("--out", metavar="RUN", type=Path, required=True, help="the run's folder")
 
 
 def _add_fly(commands) -> None:
@@ -253,20 +254,13 @@ def _add_import(commands) -> None:
 
 def _add_check(commands) -> None:
     command = _add_command(commands, "check", check, "can a model be identified from it: ready, limited or not usable")
-    command.add_argument("dataset", metavar="DATASET", type=Path, help=DATASET)
+    _add_dataset(command)
     command.add_argument("--out", metavar="RUN", type=Path, help="also write the findings as a run")
-
-
-def _add_reconstruct(commands) -> None:
-    command = _add_command(commands, "reconstruct", reconstruct, "step 1 alone: forces and moments over time")
-    command.add_argument("dataset", metavar="DATASET", type=Path, help=DATASET)
-    command.add_argument("--out", metavar="RUN", type=Path, required=True, help="the run's folder")
 
 
 def _add_identify(commands) -> None:
     command = _add_command(commands, "identify", identify, "the three steps, validation and report")
-    command.add_argument("dataset", metavar="DATASET", type=Path, help=DATASET)
-    command.add_argument("--out", metavar="RUN", type=Path, required=True, help="the run's folder")
+    _add_run(command)
     command.add_argument("--effect", metavar="ID", action="append", default=[], help="add this effect; repeatable")
     method_help = (
         "of step 3: output-error, filter-error (where the air moves), or auto, which looks at the flights (auto)"
@@ -278,15 +272,14 @@ def _add_identify(commands) -> None:
 
 def _add_close_loop(commands) -> None:
     command = _add_command(commands, "close-loop", close_loop, "identify, trace what is missing, identify again")
-    command.add_argument("dataset", metavar="DATASET", type=Path, help=DATASET)
-    command.add_argument("--out", metavar="RUN", type=Path, required=True, help="the run's folder")
+    _add_run(command)
     command.add_argument("--hybrid", action="store_true", help="a small network learns what no named effect explains")
 
 
 def _add_simulate(commands) -> None:
     command = _add_command(commands, "simulate", simulate, "free run of a model on a flight")
     command.add_argument("model", metavar="MODEL", type=Path, help="a RUN, its model.pt, or an FMU of it")
-    command.add_argument("dataset", metavar="DATASET", type=Path, help=DATASET)
+    _add_dataset(command)
     command.add_argument("--flight", metavar="NAME", required=True, help="whose controls the model flies by")
     command.add_argument("--out", metavar="FILE", type=Path, required=True, help="FILE.npz or FILE.csv to write")
     command.add_argument("--start", metavar="S", type=_number, default=0.0, help="where in the flight to begin, s (0)")
@@ -473,7 +466,7 @@ def _answer(options: Options, as_json: object, for_people: object) -> None:
         import msgspec
 
         with writing(OUTPUT):
-            print(json.dumps(_finite(msgspec.to_builtins(as_json, str_keys=True))))  # in ASCII: no terminal obeys it
+            print(json.dumps(msgspec.json.decode(msgspec.json.encode(as_json))))  # NaN is null; ASCII: none obeys it
     elif not options.quiet:
         _console().print(for_people)
 
@@ -494,15 +487,6 @@ def _console() -> Console:
     from rotorid_torch.commands.console import PlainConsole
 
     return PlainConsole()
-
-
-def _finite(value: Any) -> Any:
-    """The same with None for numbers that JSON has not."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    return [_finite(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def _monitor(options: Options) -> Monitor:
@@ -532,14 +516,6 @@ def _interrupted_by(*signals: signal.Signals) -> Iterator[None]:
     finally:
         for number, handler in earlier.items():
             signal.signal(number, handler)
-
-
-@contextmanager
-def _libraries_keep_still() -> Iterator[None]:
-    """Keep Python's warnings off stderr, which is for our own line; a run's monitor still writes them to log.txt."""
-    with warnings.catch_warnings():
-        warnings.showwarning = lambda *message, **more: None
-        yield
 
 
 def _write_log(error: BaseException) -> str:

@@ -1,9 +1,11 @@
-"""Bad input, in one line (file, key, what is wrong, what was expected), lost ranks, and what native code cannot."""
+"""Bad input, in one line (file, key, what is wrong, what was expected), lost ranks, what native code cannot; hints."""
 
 from __future__ import annotations
 
+import difflib
 import functools
 import logging
+from collections.abc import Iterable
 from pathlib import Path
 
 from rotorid_torch.printable import printable
@@ -65,3 +67,11 @@ class Unsupported(Exception):
 def say_once(text: str) -> None:
     """One line on the error stream, the first time in a process; nothing later."""
     logging.getLogger("rotorid_torch").warning(text)
+
+
+def nearest(name: str, words: Iterable[str]) -> str:
+    """Hint for a misspelt or shortened name, " (did you mean 'x'?)" or an empty string."""
+    words = list(words)
+    ending = sorted(word for word in words if word.endswith(f".{name}"))
+    match = ending[:3] or difflib.get_close_matches(name, words, n=1)
+    return f" (did you mean {' or '.join(map(repr, match))}?)" if match else ""

@@ -5,7 +5,6 @@ SI units and radians; body axes x forward, y right, z down; Euler angles 3-2-1.
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -155,11 +154,3 @@ def ordered_controls(names: Iterable[str]) -> tuple[str, ...]:
     chosen = set(names)
     motors = sorted((n for n in chosen if is_motor(n)), key=lambda n: int(n.removeprefix("motor")))
     return (*(n for n in STICKS if n in chosen), *motors)
-
-
-def nearest(name: str, words: Iterable[str]) -> str:
-    """Hint for a misspelt or shortened name, " (did you mean 'x'?)" or an empty string."""
-    words = list(words)
-    ending = sorted(word for word in words if word.endswith(f".{name}"))
-    match = ending[:3] or difflib.get_close_matches(name, words, n=1)
-    return f" (did you mean {' or '.join(map(repr, match))}?)" if match else ""

@@ -9,12 +9,11 @@ from typing import Any, Literal
 
 from msgspec import Struct
 
-from rotorid_torch.core import names
 from rotorid_torch.core.storage.files import read_file
 from rotorid_torch.data import plausible
 from rotorid_torch.data.refusal import convert
 from rotorid_torch.data.schema import ChannelSpec, ControlSpec, FlightLists, ModelSettings, Vehicle
-from rotorid_torch.errors import InputError
+from rotorid_torch.errors import InputError, nearest
 
 TOML_LIMIT = 1_000_000
 """Largest dataset.toml in bytes; a larger one is not a declaration."""
@@ -89,7 +88,7 @@ def declare(document: Mapping[str, Any], file: str | Path) -> Declaration:
 def _unused(header: _Header) -> Iterator[str]:
     for key in header.model:
         if key not in ModelSettings.__struct_fields__:
-            yield f"[model] {key} is not known{names.nearest(key, ModelSettings.__struct_fields__)} and not used"
+            yield f"[model] {key} is not known{nearest(key, ModelSettings.__struct_fields__)} and not used"
     for part in header.vehicle.mass_excludes:
         if part != "blades":
             yield f"mass_excludes '{part}' is not known (blades is) and not used"

@@ -19,7 +19,7 @@ from rotorid_torch.core import names
 from rotorid_torch.core.ranges import DECLARED, DERIVED, ChannelRange, Range, of_channel
 from rotorid_torch.data.refusal import shown
 from rotorid_torch.data.schema import ChannelSpec, ControlSpec, FlightLists, Rotor, Vehicle
-from rotorid_torch.errors import InputError
+from rotorid_torch.errors import InputError, nearest
 
 FEW = 0.01
 """Share of a channel's samples that may be impossible; where there are more, the unit or the sensor is wrong."""
@@ -135,7 +135,7 @@ def check_controls(controls: Mapping[str, ControlSpec], file: str | Path) -> Non
     for name, spec in controls.items():
         key = f"controls.{name}"
         if not names.is_control(name):
-            hint = names.nearest(name, (*names.STICKS, "motor1"))
+            hint = nearest(name, (*names.STICKS, "motor1"))
             raise InputError(file, key, f"no such control{hint}", "lon, lat, col, ped or motor1, motor2, ...")
         ranges = of_channel(name, spec.unit)
         _check_noise(ranges, spec.noise, key, file)

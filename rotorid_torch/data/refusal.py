@@ -8,8 +8,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from rotorid_torch.core import names
-from rotorid_torch.errors import InputError
+from rotorid_torch.errors import InputError, nearest
 
 T = TypeVar("T")
 
@@ -31,7 +30,7 @@ def _refusal(message: str, document: Any, kind: Any, file: str | Path, prefix: s
     if unknown := re.fullmatch(r"Object contains unknown field `(.*)`", text):
         fields = _fields_at(kind, steps)
         full = f"{key}.{unknown[1]}" if key else unknown[1]
-        return InputError(file, full, f"unknown key{names.nearest(unknown[1], fields)}", f"one of {', '.join(fields)}")
+        return InputError(file, full, f"unknown key{nearest(unknown[1], fields)}", f"one of {', '.join(fields)}")
     if missing := re.fullmatch(r"Object missing required field `(.*)`", text):
         allowed = _allowed(_type_at(kind, [*steps, missing[1]]))
         return InputError(file, f"{key}.{missing[1]}" if key else missing[1], "is missing", allowed or "this key")

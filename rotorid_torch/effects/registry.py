@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 import torch
 
-from rotorid_torch.core.names import nearest
 from rotorid_torch.effects.base import Effect
-from rotorid_torch.errors import InputError
+from rotorid_torch.errors import InputError, nearest
 
 if TYPE_CHECKING:
     from rotorid_torch.effects.spec import ModelSpec

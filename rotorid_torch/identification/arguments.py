@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument, Array, Sizes
+from rotorid_torch.errors import nearest
 
 FLIGHT = (
     Array("time", "T"),
@@ -262,7 +263,7 @@ def bounds_of(bounds: Any, free: Sequence[str]) -> Mapping[str, tuple[float, flo
     checked = {}
     for name, pair in bounds.items():
         if name not in free:
-            hint = arguments.nearest(str(name), free)
+            hint = nearest(str(name), free)
             raise argument.wrong(f"{name!r} is no free parameter{hint}", f"one of {arguments.listed(free)}")
         checked[name] = _pair(argument, name, pair)
     return checked

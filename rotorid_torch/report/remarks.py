@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
+from rotorid_torch.arguments import listed
 from rotorid_torch.consistency.examination.check import check
 from rotorid_torch.consistency.examination.grade import graded
 from rotorid_torch.consistency.examination.records import condensed
@@ -86,7 +87,7 @@ def of_controls(dataset: Dataset, own_share: Mapping[str, float]) -> Iterator[st
     still = [control for control, movement in moves(dataset, dataset.controls).items() if not movement.flights]
     if still:
         yield (
-            f"{listed(still)} hardly moves in any identify flight: what that control does stays unknown; fly a"
+            f"{listed(still, SHOWN)} hardly moves in any identify flight: what that control does stays unknown; fly a"
             " doublet or a 3-2-1-1"
         )
     low = {control: share for control, share in own_share.items() if share < OWN_SHARE and control not in still}
@@ -126,20 +127,13 @@ def of_estimate(estimate: ModelEstimate, fit: FitRecord) -> Iterator[str]:
     bound = at_an_edge(fit.parameters)
     if bound:
         yield (
-            f"at a bound: {listed(bound)}; the value is the bound's, not the data's: check units, signs of the"
+            f"at a bound: {listed(bound, SHOWN)}; the value is the bound's, not the data's: check units, signs of the"
             " controls and the declared vehicle"
         )
     fast = at_once(fit.parameters)
     if fast:
-        yield f"shorter than these records resolve: {listed(fast)}; what stands behind acts as good as at once"
+        yield f"shorter than these records resolve: {listed(fast, SHOWN)}; what stands behind acts as good as at once"
     blind = [p.name for p in fit.parameters if p.status == "not identifiable"]
     if blind:
-        yield (
-            f"not identifiable from these flights, held: {listed(blind)}; fly a manoeuvre that moves what they multiply"
-        )
-
-
-def listed(names: Sequence[str]) -> str:
-    """Names with commas; beyond the first ones their number."""
-    remainder = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    return ", ".join(names[:SHOWN]) + remainder
+        said = f"not identifiable from these flights, held: {listed(blind, SHOWN)}"
+        yield f"{said}; fly a manoeuvre that moves what they multiply"

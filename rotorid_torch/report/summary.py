@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
+from rotorid_torch.arguments import listed
 from rotorid_torch.core import names
 from rotorid_torch.report.records import (
     LISTS,
@@ -32,6 +33,8 @@ NOTHING = "Nothing stands out. Use the model within the range of motion that the
 """What is to be done where nothing is."""
 DECIDING = ("validate", "acid", "identify")
 """Lists of flights in the order in which they say whether a model is of use: unseen before fitted."""
+NAMED = 4
+"""Parameters that a sentence names, at most."""
 SHOWN = 12
 """Flights of each list that pictures and tables of channels show; scores are those of all."""
 THEIL_PARTS = (
@@ -304,10 +307,11 @@ def _steps_of_responses(fit: FitRecord, traced: bool) -> Iterator[str]:
             if traced
             else "look for motor lag, delay, voltage or rotor drag with rotorid close-loop, or name them with --effect"
         )
-        yield f"Of {_listed(weak)} less than {100 * MOSTLY:.0f} % is explained on the {last.name} flights: {look}."
+        said = f"Of {listed(weak, NAMED)} less than {100 * MOSTLY:.0f} % is explained on the {last.name} flights"
+        yield f"{said}: {look}."
     poor = dict.fromkeys(p.quantity for p in last.predictions if p.error > p.held)
     if poor:
-        yield f"Do not predict {_listed(list(poor))} with the model: held values are nearer than the predictions."
+        yield f"Do not predict {listed(poor, NAMED)} with the model: held values are nearer than the predictions."
 
 
 def at_an_edge(parameters: Iterable[ParameterRecord]) -> list[str]:
@@ -331,23 +335,18 @@ def _steps_of_parameters(parameters: Iterable[ParameterRecord]) -> Iterator[str]
     bound = at_an_edge(parameters)
     if bound:
         yield (
-            f"{_listed(bound)} at a bound: the value is the bound's, not the data's. Check the declared vehicle,"
+            f"{listed(bound, NAMED)} at a bound: the value is the bound's, not the data's. Check the declared vehicle,"
             " the units and the sign of the controls."
         )
     silent = [p.name for p in parameters if p.status == "not identifiable"]
     if silent:
-        yield f"The data do not tell {_listed(silent)}: fly a manoeuvre that moves what they multiply."
+        yield f"The data do not tell {listed(silent, NAMED)}: fly a manoeuvre that moves what they multiply."
     vague = [p.name for p in parameters if p.status == "free" and p.se and p.value is not None and p.se > abs(p.value)]
     if vague:
         yield (
-            f"Do not read anything into {_listed(vague, 2)}: the error is larger than the value. Longer flights on"
+            f"Do not read anything into {listed(vague, 2)}: the error is larger than the value. Longer flights on"
             " every axis would make them sure."
         )
-
-
-def _listed(parameters: Sequence[str], shown: int = 4) -> str:
-    remainder = f" and {len(parameters) - shown} more" if len(parameters) > shown else ""
-    return ", ".join(parameters[:shown]) + remainder
 
 
 def _text(value: float | None) -> str:

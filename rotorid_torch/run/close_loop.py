@@ -25,18 +25,17 @@ from rotorid_torch.model.gusts import without_gust_inputs
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.modes import gust_response
 from rotorid_torch.model.nominal import build
-from rotorid_torch.report.records import FitRecord, ParameterRecord, Report, VerdictRecord
+from rotorid_torch.report.records import FitRecord, ParameterRecord, Report, UnknownRecord, VerdictRecord
 from rotorid_torch.report.short_horizon import short_horizon
 from rotorid_torch.report.summary import failing
-from rotorid_torch.run.estimate import estimated
 from rotorid_torch.run.fit_record import fit_record, judge
 from rotorid_torch.run.free_runs import before_and_after, best_of
-from rotorid_torch.run.loop_record import as_fitted, effect_record, of_sensors, unknown_record
+from rotorid_torch.run.loop_record import as_fitted, effect_record, of_sensors
 from rotorid_torch.run.output.arguments import refuse_arguments
 from rotorid_torch.run.output.checkpoint import Checkpoint, Steps
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
-from rotorid_torch.run.pipeline import identified, pictured, refuse, remarks_on
+from rotorid_torch.run.pipeline import estimated, identified, pictured, refuse, remarks_on
 from rotorid_torch.run.result import Run
 from rotorid_torch.run.turbulence import (
     in_turbulence,
@@ -50,8 +49,7 @@ from rotorid_torch.trace.clean_aircraft import MULTIROTOR, Request, clean_draws
 from rotorid_torch.trace.evidence.critical_values import Draws, Null
 from rotorid_torch.trace.evidence.family import Family
 from rotorid_torch.trace.evidence.fits import Flights, refit
-from rotorid_torch.trace.loop import DrawClean, Traced, Tracing, trace
-from rotorid_torch.trace.multirotor import trace_rotors
+from rotorid_torch.trace.loop import Traced, Tracing, trace, trace_rotors
 from rotorid_torch.trace.network import Learnt, learn
 from rotorid_torch.trace.search.forward_selection import of_effects
 from rotorid_torch.trace.stochastic import TURBULENCE, stochastic_findings
@@ -149,7 +147,8 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
     before, after, tracing = before_and_after(first, tracing, bool(sensors.effects), wrong, rerun)
     stays = after is not None and set(tracing.structure) <= set(after.spec.effects)
     tracing = tracing if stays else _bare(tracing)
-    findings = [*map(of_sensors, sensors.findings), *_replaced(tracing.findings, shaken)]
+    air = {f.id for f in shaken}
+    findings = [*map(of_sensors, sensors.findings), *(f for f in tracing.findings if f.id not in air), *shaken]
     if hybrid:
         spec, held = tracing.final.spec, base.regressions.held
 
@@ -180,30 +179,19 @@ def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
 
     Of a multirotor by accelerations at measured states.
     """
-    if base.spec.motors:
-        return trace_rotors(base.spec, flights, _drawing(flights, seed, steps), steps.monitor.say, seed, steps.ranks)
-    spec, values, air = base.spec, base.model.named_values, base.estimate.air
-    if air is not None:
-        spec, flights = in_moving_air(spec, values, flights, Weather.of(air, base.model))
-    traced = trace(
-        Null(spec, values, base.regressions.held),
-        flights,
-        _drawing(flights, seed, steps),
-        steps.monitor.say,
-        seed,
-        steps.ranks,
-    )
-    null, final = (Traced(without_gust_inputs(one.spec), one.values) for one in (traced.null, traced.final))
-    return replace(traced, null=null, final=final)
-
-
-def _drawing(flights: Flights, seed: int, steps: Steps) -> DrawClean:
-    """What draws clean vehicles in the likeness of these flights."""
 
     def draw(null: Null, effects: Sequence[str], observed: Family) -> Draws | str:
         return clean_draws(Request(flights.dataset, null, effects, seed, steps.monitor.tell, steps.ranks), observed)
 
-    return draw
+    how = draw, steps.monitor.say, seed, steps.ranks
+    if base.spec.motors:
+        return trace_rotors(base.spec, flights, *how)
+    spec, values, air = base.spec, base.model.named_values, base.estimate.air
+    if air is not None:
+        spec, flights = in_moving_air(spec, values, flights, Weather.of(air, base.model))
+    traced = trace(Null(spec, values, base.regressions.held), flights, *how)
+    null, final = (Traced(without_gust_inputs(one.spec), one.values) for one in (traced.null, traced.final))
+    return replace(traced, null=null, final=final)
 
 
 def _with_network(
@@ -234,12 +222,6 @@ def _bare(tracing: Tracing) -> Tracing:
     than = "clearly worse with it" if tracing.accepted else "no better by it"
     said = f"it describes the motion that was fitted, but free runs of flights that no fit has seen are {than}"
     return tracing.without("rejected", dict.fromkeys(tracing.structure, said))
-
-
-def _replaced(findings: Sequence[EffectFinding], others: Sequence[EffectFinding]) -> list[EffectFinding]:
-    """Findings with those of the same ids replaced."""
-    ids = {f.id for f in others}
-    return [*(f for f in findings if f.id not in ids), *others]
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,9 +304,9 @@ def _loop(
         peak_memory_mb=peak_memory_mb(),
         before=before.fit,
         after=None if after is None else after.fit,
-        verdict=VerdictRecord(kind=verdict.kind, effects=verdict.effects, sentence=verdict.sentence),
+        verdict=msgspec.convert(verdict, VerdictRecord, from_attributes=True),
         effects=tuple(effect_record(f, run.model, run.fit) for f in findings),
-        unknown=None if missing is None else unknown_record(missing),
+        unknown=None if missing is None else msgspec.convert(missing, UnknownRecord, from_attributes=True),
         warnings=(*run.record.warnings, *tracing.notes),
     )
     fields = {name: getattr(run, name) for name in Run.__dataclass_fields__}

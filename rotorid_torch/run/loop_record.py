@@ -12,14 +12,14 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.examples import example
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.model.model import Model
-from rotorid_torch.report.records import EffectRecord, FitRecord, ParameterRecord, Role, UnknownRecord, VisibleRecord
+from rotorid_torch.report.records import EffectRecord, FitRecord, ParameterRecord, Role, VisibleRecord
 from rotorid_torch.run.result import Run
 from rotorid_torch.trace.evidence.fits import Flights, refit
 from rotorid_torch.trace.measured.accelerations import MeasuredAccelerations
 from rotorid_torch.trace.search.requested import earned
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.eligible import untried
-from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
+from rotorid_torch.trace.terms.finding import EffectFinding
 
 
 def of_sensors(error: KinematicFinding) -> EffectFinding:
@@ -44,11 +44,6 @@ def as_fitted(finding: EffectFinding, fit: FitRecord) -> EffectFinding:
     fitted = [p for p in _fitted(finding, fit) if p.value is not None and p.se is not None]
     values = {p.name: (p.value, p.se) for p in fitted if p.value is not None and p.se is not None}
     return replace(finding, values=values, units={p.name: p.unit for p in fitted}) if values else finding
-
-
-def unknown_record(missing: Unknown) -> UnknownRecord:
-    """What stays without a name, for the report."""
-    return UnknownRecord(**{name: getattr(missing, name) for name in UnknownRecord.__struct_fields__})
 
 
 def effect_record(finding: EffectFinding, model: Model, fit: FitRecord) -> EffectRecord:

@@ -10,37 +10,40 @@ from typing import TypeVar
 
 import msgspec
 import torch
+from torch import Tensor
 
 from rotorid_torch.arguments import listed
 from rotorid_torch.consistency.examination.needs import refuse_lacks
-from rotorid_torch.core.names import nearest
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.data.velocities import with_velocities
 from rotorid_torch.effects.registry import of_others, registered
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.errors import InputError
+from rotorid_torch.errors import InputError, nearest
 from rotorid_torch.identification.method_choice import METHODS
-from rotorid_torch.identification.model_estimation import ModelEstimate
-from rotorid_torch.identification.model_regression import ModelRegression
+from rotorid_torch.identification.model_estimation import Means, ModelEstimate, estimate_model
+from rotorid_torch.identification.model_regression import ModelRegression, regress_model
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct as motion_and_forces
 from rotorid_torch.identification.structure import propose, rival
 from rotorid_torch.model.model import Model
+from rotorid_torch.model.nominal import build
 from rotorid_torch.model.own_effects import refuse_faulty
 from rotorid_torch.report import limits, remarks
 from rotorid_torch.report.records import DatasetRecord, FitRecord, Report
-from rotorid_torch.run.estimate import estimated
 from rotorid_torch.run.fit_record import fit_record, for_pictures, judge
 from rotorid_torch.run.loop_record import with_evidence
 from rotorid_torch.run.output.arguments import refuse_arguments
 from rotorid_torch.run.output.checkpoint import Checkpoint, Steps, checkpoint
+from rotorid_torch.run.output.curves import Curves
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
 from rotorid_torch.run.output.write import write_report
 from rotorid_torch.run.result import Run, write_reconstruction
 from rotorid_torch.run.turbulence import method_by_quiet_moments, smoothed, with_gusts
+from rotorid_torch.trace.evidence.fits import Flights
+from rotorid_torch.trace.measured.fitted import regressed_rotors
 from rotorid_torch.version import __version__
 
 AnyRun = TypeVar("AnyRun", bound=Run)
@@ -164,6 +167,49 @@ def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps
     with monitor.step("trace"):
         run = with_evidence(run, uniform, effects, seed)
     return replace(run, record=msgspec.structs.replace(run.record, time_s=monitor.time_record()))
+
+
+def regressed(spec: ModelSpec, dataset: Dataset, reconstruction: Reconstruction) -> tuple[ModelSpec, ModelRegression]:
+    """Step 2 of one structure, behind the structure.
+
+    Of a multirotor once more, with less of it, where the first says that a moment is not explained.
+    """
+    if spec.motors:
+        return regressed_rotors(spec, Flights(dataset, reconstruction))
+    return spec, regress_model(build(spec), dataset, reconstruction)
+
+
+def estimated(
+    spec: ModelSpec, dataset: Dataset, reconstruction: Reconstruction, steps: Steps
+) -> tuple[ModelSpec, Model, ModelRegression, ModelEstimate]:
+    """Steps 2 and 3 of one structure."""
+    monitor = steps.monitor
+    spec, regressions = steps.do("ftr", f"ftr-{spec.flapping}", lambda: regressed(spec, dataset, reconstruction))
+    model = build(spec)
+    monitor.scalars({f"ftr/R2/{row}": float(r.r2) for row, r in regressions.by_row.items()}, 0)
+    for line in remarks.regression_table(regressions):
+        monitor.log(line)
+
+    names = [n for n in model.parameter_set.free if n not in regressions.held]
+
+    def third() -> ModelEstimate:
+        with monitor.fit("-".join((spec.flapping or "fit", *spec.effects))[:80]) as record:
+            curves = Curves(record, build(spec), dataset, names)
+
+            def watch(iteration: int, cost: float, theta: Tensor) -> None:
+                monitor.scalars({"ml/cost": cost}, iteration)
+                if monitor.recorded:
+                    curves(iteration, cost, theta)
+
+            means = Means(watch, steps.ranks, steps.device, steps.method, steps.why)
+            estimate = estimate_model(model, dataset, reconstruction, regressions, means)
+            curves.end(estimate.fit.uncertainty.standard_errors, estimate.fit.minimum.dampings)
+            return estimate
+
+    estimate = steps.do("ml", f"ml-{spec.flapping}", third)
+    model.put(estimate.theta_of(model, regressions))
+    monitor.say(f"flapping {spec.flapping}: Akaike's criterion {estimate.criterion:.6g}")
+    return spec, model, regressions, estimate
 
 
 def _best_structure(

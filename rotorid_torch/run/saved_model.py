@@ -15,13 +15,12 @@ import numpy as np
 
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument
-from rotorid_torch.core.names import nearest
 from rotorid_torch.core.storage.atomic import restore
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.velocities import with_velocities
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.errors import InputError, OutsideRange
+from rotorid_torch.errors import InputError, OutsideRange, nearest
 from rotorid_torch.exporting.fmu_run import Span, fly_fmu, read_facts
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.save import load as load_model

@@ -12,10 +12,9 @@ import numpy as np
 
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument
-from rotorid_torch.core.names import nearest
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.write import declarations, refuse_unless_free, write_dataset
-from rotorid_torch.errors import InputError
+from rotorid_torch.errors import InputError, nearest
 from rotorid_torch.simulation.changes import Hidden
 from rotorid_torch.simulation.effects import EFFECT_CLASSES as EFFECT_CLASSES
 from rotorid_torch.simulation.effects import EVERY_FORM, FORMS, HIDDEN, differences

@@ -12,9 +12,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.identification.gusts import Histories, Weather, histories, in_weather
+from rotorid_torch.identification.gusts import Weather, histories, in_weather
 from rotorid_torch.identification.model_estimation import sensor_noise
 from rotorid_torch.identification.model_regression import regress_model
 from rotorid_torch.model.gusts import GUSTS, with_gust_inputs
@@ -25,26 +24,10 @@ from rotorid_torch.trace.evidence.fits import Flights
 def in_moving_air(
     spec: ModelSpec, values: Mapping[str, float], flights: Flights, weather: Weather
 ) -> tuple[ModelSpec, Flights]:
-    """The spec with gusts among its inputs, and the flights with theirs as channels.
+    """The spec with gusts among its inputs, and the flights with theirs as channels, by step 2's derivatives.
 
     values : of the parameters that step 2 does not tell, or doubts.
     """
-    gusts = _smoothed_gusts(spec, values, flights, weather)
-    return with_gust_inputs(spec), replace(flights, dataset=_with_channels(flights.dataset, gusts), weather=weather)
-
-
-def _with_channels(dataset: Dataset, gusts: Histories) -> Dataset:
-    flights = {}
-    for name, (time, velocities) in gusts.items():
-        flight = dataset.flights[name]
-        at = [np.interp(flight.time.numpy(), time.numpy(), v) for v in velocities.numpy().T]
-        channels = {**flight.channels, **{g: torch.from_numpy(v) for g, v in zip(GUSTS, at, strict=True)}}
-        flights[name] = replace(flight, channels=channels)
-    return dataset.with_flights(flights)
-
-
-def _smoothed_gusts(spec: ModelSpec, values: Mapping[str, float], flights: Flights, weather: Weather) -> Histories:
-    """Gusts of all flights in such weather, by step 2's derivatives of the identify flights."""
     dataset, model = flights.dataset, build(spec)
     model.start_from(values)
     step2 = regress_model(model, dataset, flights.reconstruction)
@@ -52,4 +35,10 @@ def _smoothed_gusts(spec: ModelSpec, values: Mapping[str, float], flights: Fligh
     model.start_from({n: values[n] for n in step2.doubtful(model.parameter_set.free) if n in values})
     batch = flights.records(model, tuple(dataset.flights))
     gusts = in_weather(model, weather, batch, sensor_noise(model, dataset))
-    return histories(tuple(dataset.flights), batch, gusts)
+    moving = {}
+    for name, (time, velocities) in histories(tuple(dataset.flights), batch, gusts).items():
+        flight = dataset.flights[name]
+        at = [np.interp(flight.time.numpy(), time.numpy(), v) for v in velocities.numpy().T]
+        channels = {**flight.channels, **{g: torch.from_numpy(v) for g, v in zip(GUSTS, at, strict=True)}}
+        moving[name] = replace(flight, channels=channels)
+    return with_gust_inputs(spec), replace(flights, dataset=dataset.with_flights(moving), weather=weather)

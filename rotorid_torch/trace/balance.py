@@ -41,6 +41,7 @@ LATE_S = (0.0, 1.0, 2.0, 4.0)
 """By how much a moment may be late behind what it goes with (air and heading take their time), first order."""
 NEIGHBOURS = 5
 """Means apart, up to which resemblance counts."""
+ALONE = "a centre of gravity elsewhere would leave yaw alone"
 POSITIONS = {"north": "the velocity north", "east": "the velocity east", "height": "the rate of climb"}
 
 
@@ -106,12 +107,12 @@ def _balance(model: Model, spec: ModelSpec, flight: Flight) -> Balance:
     return Balance(
         mean[flown] @ _levers(spec) / total[flown, None],
         _means(turning, every)[flown],
-        {(n, late): _means(_late(v, late, flight.dt), every)[flown] for n, v in signals.items() for late in LATE_S},
+        {
+            (name, late): _means(lagged(record[:, None], record.new_tensor([late]), flight.dt)[:, 0], every)[flown]
+            for name, record in signals.items()
+            for late in LATE_S
+        },
     )
-
-
-def _late(record: Tensor, tau: float, dt: float) -> Tensor:
-    return lagged(record[:, None], record.new_tensor([tau]), dt)[:, 0]
 
 
 def _levers(spec: ModelSpec) -> Tensor:
@@ -288,7 +289,8 @@ def out_of_balance(
     said = [_said(g) for g in going]
     rows, signal = [g.row for g in going], going[0].signal if going else None
     if off is not None and finding is None:
-        said, rows, signal = [_stands(off), *said], ["".join(sorted(ROWS)), *rows], None
+        whole = f"L, M and N: {_where(off)}; {ALONE}, and no rotor that gives less explains it alone"
+        said, rows, signal = [whole, *said], ["".join(sorted(ROWS)), *rows], None
     if not said:
         return finding, None
     longest = max(len(b.centre) for b in identified) * AVERAGED_S
@@ -316,11 +318,6 @@ def _where(off: Standing) -> str:
     return f"thrusts balance {place}, and {turn} (p {off.p:.2g} by clean vehicles), which takes {gain}"
 
 
-def _stands(off: Standing) -> str:
-    elsewhere = "a centre of gravity elsewhere would leave yaw alone"
-    return f"L, M and N: {_where(off)}; {elsewhere}, and no rotor that gives less explains it alone"
-
-
 def _unequal(off: Standing, rotor: str) -> EffectFinding:
     """One rotor gives less; or, where yaw leaves that open, the centre of gravity lies elsewhere."""
     values = {f"{Unequal.id}.{rotor}": (off.less, off.less_error)}
@@ -329,8 +326,7 @@ def _unequal(off: Standing, rotor: str) -> EffectFinding:
         said = f"{said}; or the centre of gravity lies there, for rotors that differ as usual may turn yaw so far"
         group = (CentreOfGravity.id,)
         return EffectFinding(Unequal.id, "undeclared", "indistinguishable", said, group=group, values=values, p=off.p)
-    said = f"{said}; a centre of gravity elsewhere would leave yaw alone"
-    return EffectFinding(Unequal.id, "undeclared", "accepted", said, values=values, p=off.p)
+    return EffectFinding(Unequal.id, "undeclared", "accepted", f"{said}; {ALONE}", values=values, p=off.p)
 
 
 def _centre_of_gravity(off: Standing) -> EffectFinding:

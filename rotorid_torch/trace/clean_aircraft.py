@@ -197,17 +197,13 @@ def _read(key: str, numbers: Iterable[int]) -> dict[int, Any]:
     return {number: json.loads(content) for number, content in contents.items() if content is not None}
 
 
-def _keep(key: str, number: int, draw: Mapping[str, Any]) -> None:
-    cache.keep(_name(key, number), json.dumps(draw).encode())
-
-
 def _fingerprint(dataset: Dataset, null: Null, seed: int) -> str:
     """What the draws depend on: vehicle, manoeuvres (in coarse steps of their size), model structure, the code.
 
     The null's values are left out: fits only start there. So are the effects: the statistic of one does not depend on
     the others, and a draw says which effects it has statistics of.
     """
-    spec = null.spec
+    spec, weather = null.spec, null.weather
     facts = {name: dataset.facts[name] for name in dataset.flights}
     scales = dataset.scales()
     facts_of_draws = {
@@ -221,16 +217,11 @@ def _fingerprint(dataset: Dataset, null: Null, seed: int) -> str:
         "reference": {c: round(0.5 * spec.reference.get(c, 0.0)) for c in ("u", "v", "w")},
         "structure": {name: msgspec.to_builtins(getattr(spec, name)) for name in SAME},
         "held": sorted(null.held),
-        "weather": _coarse(null.weather),
+        "weather": [round(2.0 * math.log2(one)) for one in (*weather.intensity, *weather.length)] if weather else [],
         "wind": {n: round(v) for n, v in null.values.items() if n.startswith(f"{WIND}.")},
         "code": _code(),
     }
     return hashlib.sha256(json.dumps(facts_of_draws, sort_keys=True).encode()).hexdigest()[:24]
-
-
-def _coarse(weather: Weather | None) -> list[int]:
-    """Intensities and lengths in coarse steps; nothing of still air."""
-    return [round(2.0 * math.log2(one)) for one in (*weather.intensity, *weather.length)] if weather else []
 
 
 def _speed(dataset: Dataset, name: str) -> list[int]:
@@ -273,7 +264,7 @@ def _fly(
             for part in ranks.gather({number: json.loads(file.read_text()) for number, file in new.items()}):
                 drawn |= part
                 for number, draw in part.items() if ranks.first else ():
-                    _keep(key, number, draw)
+                    cache.keep(_name(key, number), json.dumps(draw).encode())
             stop = len(drawn) > before and enough(drawn) is not None
             if new and at_work and not stop:
                 left = (time.monotonic() - began) / len(drawn) * max(SETTINGS.draws - len(drawn), 0)

@@ -11,20 +11,23 @@ from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.trace.balance import out_of_balance
 from rotorid_torch.trace.evidence.critical_values import Draws, Null
-from rotorid_torch.trace.evidence.family import Family, by_chance
+from rotorid_torch.trace.evidence.family import Family
 from rotorid_torch.trace.evidence.fits import Fitted, FittedT, Flights, refit
 from rotorid_torch.trace.evidence.trim_differences import explained_trims
+from rotorid_torch.trace.measured.accelerations import MeasuredAccelerations
 from rotorid_torch.trace.search.decide import Interval, decide, estimate, gain, size_of
 from rotorid_torch.trace.search.forward_selection import Say, Search, Trial, observed, of_effects
 from rotorid_torch.trace.search.ordinary_physics import with_structure
-from rotorid_torch.trace.search.outcome import how_it_ended
+from rotorid_torch.trace.search.outcome import Outcome, how_it_ended
 from rotorid_torch.trace.search.screening_sizes import with_screening_sizes
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.candidate import UNATTRIBUTED, Candidate
 from rotorid_torch.trace.terms.eligible import candidates, untried
 from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
 
+UNSEEN_STATE = "it has a motion of its own, which no channel tells; accelerations at measured states show nothing of it"
 STILL = "they fly in still air, far from the ground: what stays without a name is not compared with them"
 
 
@@ -115,11 +118,67 @@ def trace(
         outcome.accepted,
         outcome.groups,
         (*ordinary, *outcome.findings(tested), *settled, *unmoved),
-        (*notes_of(search), *untried(flights.dataset)),
+        (*search.notes, *untried(flights.dataset)),
         unknown,
         outcome.spread,
     )
     return tracing.without("rejected", dict.fromkeys(idle, "its size is nothing in the end"))
+
+
+def trace_rotors(
+    spec: ModelSpec,
+    flights: Flights,
+    draw: DrawClean,
+    say: Say = lambda line: None,
+    seed: int = 0,
+    ranks: Ranks = ALONE,
+) -> Tracing:
+    """Which undeclared effects the model of a multirotor lacks.
+
+    draw : statistics of effects on clean multirotors. say : told what happens, a line at a time.
+    seed : of the residuals turned in time. ranks : processes that share the candidates; each calls this.
+    """
+    testable, settled = candidates(spec)
+    tested: list[str] = []
+    for effect in (e for e in testable if registered()[e].role is Role.UNDECLARED):
+        why = _untested(spec, effect)
+        settled += [why] if why is not None else []
+        tested += [effect] if why is None else []
+    shared = MeasuredAccelerations(flights, ranks=ranks)
+    null = shared.fitted(spec)
+    sized, tested, unmoved = with_screening_sizes(null.spec, null.values, flights.dataset, tested)
+    null = replace(null, spec=sized)
+    search = Search(shared, lambda observed, effects: draws_of(search, observed, effects, (), draw, seed), say)
+    final = search.back(search.forward(null, tested), tested)
+    outcome = Outcome(search, final, None, {}, search.spread(final))
+    balanced = bool(spec.motors) and spec.found_places is None  # of arms that are not known nothing balances
+    dataset = flights.dataset
+    centre, missing = (
+        out_of_balance(final.model, final.spec, dataset, dataset.unseen, seed) if balanced else (None, None)
+    )
+    findings = (*outcome.findings(tested), *settled, *unmoved)
+    return Tracing(
+        Traced(null.spec, null.values),
+        Traced(final.spec, final.values),
+        (),
+        outcome.accepted,
+        outcome.groups,
+        tuple(centre if centre and f.id == centre.id else f for f in findings),
+        (*search.notes, *untried(dataset)),
+        missing,
+        outcome.spread,
+    )
+
+
+def _untested(spec: ModelSpec, effect: str) -> EffectFinding | None:
+    """Why accelerations at measured states do not tell an effect; None where they may."""
+    if registered()[effect].swings:
+        return EffectFinding(effect, "undeclared", "not testable", UNSEEN_STATE)
+    absorbed = registered()[effect].absorbed_by(spec)
+    if not absorbed:
+        return None
+    said = f"{absorbed} stand for it in these flights; weigh the vehicle, or swing it, to tell"
+    return EffectFinding(effect, "undeclared", "indistinguishable", said, group=(absorbed,))
 
 
 def draws_of(
@@ -136,14 +195,13 @@ def draws_of(
 
     placed : effects that joined before any draw, by how trims differ.
     """
-    make = search.scored.family
     if search.first is not None:  # where none could be drawn there are none beside what joined either
-        return by_chance(observed, effects, seed, make, search.first[2].note)
+        return search.scored.turned(observed, effects, seed, search.first[2].note)
     null = observed.null
     bare = Null(null.spec.without(placed), null.values, search.scored.held, null.flights.weather)
     drawn = draw(bare, effects, observed)
     if isinstance(drawn, str):
-        return by_chance(observed, effects, seed, make, f"{search.scored.by_chance}: {drawn}")
+        return search.scored.turned(observed, effects, seed, f"{search.scored.by_chance}: {drawn}")
     if not placed:
         return drawn
     library = {n: t for n, t in drawn.statistics.items() if not n.startswith(UNATTRIBUTED)}
@@ -178,8 +236,3 @@ def _placed(
             search.scatter.update(one.scatter)
             null = fitted
     return null
-
-
-def notes_of(search: Search[FittedT]) -> tuple[str, ...]:
-    """Where the critical values come from."""
-    return () if search.first is None else (search.first[2].note,)

@@ -131,15 +131,12 @@ def memory(fitted: Fitted) -> float:
 
     Source: Priestley, Spectral Analysis and Time Series, sec. 5.3.2 (variance of the mean of a correlated record).
     """
-    correlations = [_correlated(record) for record in _residuals(fitted, fitted.identified).values()]
-    return float(torch.stack(correlations).mean(dim=0).max())
-
-
-def _correlated(record: Tensor) -> Tensor:
-    """Sum of a record's [T, n] autocorrelations up to where they first vanish, both sides [n]."""
-    correlation = autocorrelation(record, len(record) - 1)
-    before = (correlation > 0.0).to(torch.float64).cumprod(dim=0)
-    return 1.0 + 2.0 * (correlation * before).sum(dim=0)
+    times = []
+    for record in _residuals(fitted, fitted.identified).values():
+        correlation = autocorrelation(record, len(record) - 1)
+        before_zero = (correlation > 0.0).to(torch.float64).cumprod(dim=0)
+        times.append(1.0 + 2.0 * (correlation * before_zero).sum(dim=0))  # both sides
+    return float(torch.stack(times).mean(dim=0).max())
 
 
 def regressed(model: Model, over: LeftOver, seed: int = 0, linear: bool = False) -> dict[str, float]:

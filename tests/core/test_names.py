@@ -3,6 +3,7 @@
 import pytest
 
 from rotorid_torch.core import names
+from rotorid_torch.errors import nearest
 
 FORMAT = """time lon lat col ped voltage u v w p q r phi theta psi north east height ax ay az pdot qdot rdot airspeed
 alpha beta a0 a1 b1 omega torque motor1 motor4 omega1 omega12""".split()
@@ -35,5 +36,5 @@ def test_gyros_and_accelerometers_have_a_free_bias():
 
 
 def test_misspelt_names_get_a_hint():
-    assert names.nearest("thetta", names.CHANNELS) == " (did you mean 'theta'?)"
-    assert names.nearest("zzz", names.CHANNELS) == ""
+    assert nearest("thetta", names.CHANNELS) == " (did you mean 'theta'?)"
+    assert nearest("zzz", names.CHANNELS) == ""

@@ -21,7 +21,7 @@ from rotorid_torch.identification.rotor_equations import seen_flights
 from rotorid_torch.identification.rotor_regression import nonlinear, regress_rotors
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build
-from rotorid_torch.run.estimate import regressed
+from rotorid_torch.run.pipeline import regressed
 from rotorid_torch.trace.evidence.fits import Flights
 
 DT, MASS, G = 0.005, 0.5, 9.80665

@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import torch
 
+from rotorid_torch.arguments import listed
 from rotorid_torch.data import Dataset
 from rotorid_torch.identification.estimate.progressive_fit import fit as fit_stages
 from rotorid_torch.identification.estimate.segments import records_from
@@ -105,7 +106,7 @@ def test_a_model_worse_than_holding_trim_is_told(fit):
 
 
 def test_many_names_end_in_their_number():
-    assert remarks.listed([f"p{i}" for i in range(9)]) == "p0, p1, p2, p3, p4, p5 and 3 more"
+    assert listed([f"p{i}" for i in range(9)], remarks.SHOWN) == "p0, p1, p2, p3, p4, p5 and 3 more"
 
 
 def test_nothing_of_an_effect_is_no_edge_of_its_range():

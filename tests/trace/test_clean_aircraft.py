@@ -17,6 +17,7 @@ import pytest
 import torch
 
 from rotorid_torch.core.gauss_newton import InfiniteCost
+from rotorid_torch.core.storage import cache
 from rotorid_torch.core.storage.atomic import Unwritable
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.flight import Flight
@@ -70,7 +71,7 @@ def draws(
             statistics = {"control.delay": 1.0 + n, "unattributed L, curve": 2.0 + n}
             rest = {"statistics": statistics, "sizes": {"control.delay.common": 0.002 * n - 0.02}, "misfit": 1.0 + n}
             found[n] = {"alike": n < alike, "effects": list(effects), **(rest if flew(n) else {"statistics": {}})}
-            clean_aircraft._keep(key, n, found[n])
+            cache.keep(f"{key}/{n}.json", json.dumps(found[n]).encode())
             if asked is not None:
                 asked.append(n)
         return found

@@ -17,15 +17,14 @@ from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.simulation import fly
 from rotorid_torch.simulation.drawn.multirotors import clean_multirotors
-from rotorid_torch.trace import multirotor
+from rotorid_torch.trace import loop
 from rotorid_torch.trace.clean_aircraft import statistics_on
 from rotorid_torch.trace.evidence.critical_values import Null
 from rotorid_torch.trace.evidence.fits import Flights
-from rotorid_torch.trace.loop import Tracing
+from rotorid_torch.trace.loop import Tracing, trace_rotors
 from rotorid_torch.trace.measured.accelerations import MeasuredAccelerations
 from rotorid_torch.trace.measured.evidence import measured_family
 from rotorid_torch.trace.measured.fitted import FittedAtStates
-from rotorid_torch.trace.multirotor import trace_rotors
 from rotorid_torch.trace.search.requested import earned
 from rotorid_torch.trace.terms.eligible import candidates
 from rotorid_torch.trace.terms.finding import EffectFinding
@@ -158,7 +157,7 @@ def test_a_centre_of_gravity_that_balance_shows_is_said(monkeypatch: pytest.Monk
     shown = EffectFinding(
         "mass.cg", "undeclared", "indistinguishable", "it lies there", values={"mass.cg.x": (0.01, 0.001)}
     )
-    monkeypatch.setattr(multirotor, "out_of_balance", lambda *of: (shown, None))
+    monkeypatch.setattr(loop, "out_of_balance", lambda *of: (shown, None))
     assert [f for f in traced().findings if f.id == "mass.cg"] == [shown]
 
 

@@ -19,7 +19,7 @@ from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.data.reading.commands import speeds_as_commands
 from rotorid_torch.data.reading.dead import Dead, dead_channels, facts_without, flight_without
 from rotorid_torch.data.schema import ChannelSpec, ControlSpec, FlightLists, ModelSettings, Vehicle
-from rotorid_torch.errors import InputError
+from rotorid_torch.errors import InputError, nearest
 from rotorid_torch.printable import printable
 
 SHOWN = 30
@@ -123,7 +123,7 @@ def _check_channels(declaration: Declaration, facts: Mapping[str, Facts], toml: 
     present = {channel for flight_facts in facts.values() for channel in flight_facts.channels}
     for channel in declaration.channels:
         if names.channel(channel) is None and channel not in present:
-            hint = names.nearest(channel, names.CHANNELS)
+            hint = nearest(channel, names.CHANNELS)
             raise InputError(
                 toml, f"channels.{channel}", f"no flight has this channel{hint}", "a channel of the data set"
             )

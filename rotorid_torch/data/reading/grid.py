@@ -9,7 +9,6 @@ from types import MappingProxyType
 import numpy as np
 import torch
 
-from rotorid_torch.core import names
 from rotorid_torch.core.ranges import of_channel
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.plausible import without_impossible
@@ -17,7 +16,7 @@ from rotorid_torch.data.reading.held import without_held
 from rotorid_torch.data.reading.read import Arrays
 from rotorid_torch.data.reading.spikes import without_spikes
 from rotorid_torch.data.reading.suspicion import unwrapped_roll
-from rotorid_torch.errors import InputError
+from rotorid_torch.errors import InputError, nearest
 
 UNIFORM = 0.01
 """Largest deviation of an interval from the median interval, relative, that still counts as uniform."""
@@ -55,7 +54,7 @@ def make_flight(
 
 def _check_shapes(arrays: Arrays, file: str | Path) -> Arrays:
     if "time" not in arrays:
-        raise InputError(file, "time", "is missing", f"time in s{names.nearest('time', arrays)}")
+        raise InputError(file, "time", "is missing", f"time in s{nearest('time', arrays)}")
     samples = len(arrays["time"])
     for channel, values in arrays.items():
         if len(values) != samples:

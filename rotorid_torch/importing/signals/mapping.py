@@ -14,7 +14,7 @@ from rotorid_torch.core import names
 from rotorid_torch.core.storage.files import read_file
 from rotorid_torch.data.declare import TOML_LIMIT
 from rotorid_torch.data.refusal import convert
-from rotorid_torch.errors import InputError
+from rotorid_torch.errors import InputError, nearest
 from rotorid_torch.importing.signals import units
 
 Factor = Annotated[float, Meta(ge=-1e12, le=1e12)]
@@ -144,7 +144,7 @@ def check_unit(name: str, entry: Entry, file: str | Path, key: str = "") -> None
     allowed = ("rad", "m", "norm") if name in names.STICKS else (quantity,) if quantity else ()
     fitting = [n for measure in allowed for n in units.names_of(measure)] or list(units.UNITS)
     if unit is None:
-        wrong = f"'{entry.unit[:40]}' is not known{names.nearest(entry.unit, fitting)}"
+        wrong = f"'{entry.unit[:40]}' is not known{nearest(entry.unit, fitting)}"
         raise InputError(file, key, wrong, f"one of {', '.join(fitting)}")
     if allowed and unit.measures not in allowed:
         raise InputError(file, key, f"'{entry.unit}' does not measure {name}", f"one of {', '.join(fitting)}")
@@ -155,4 +155,4 @@ def unknown_names(entries: Mapping[str, Entry]) -> Iterator[str]:
     listed = [*names.CHANNELS, *DERIVED, "motor1", "omega1"]
     for name in entries:
         if name not in DERIVED and names.channel(name) is None:
-            yield f"channel '{name}' is not known{names.nearest(name, listed)}: it is kept and not used"
+            yield f"channel '{name}' is not known{nearest(name, listed)}: it is kept and not used"

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rotorid_torch.core import names
-from rotorid_torch.errors import InputError
+from rotorid_torch.errors import InputError, nearest
 from rotorid_torch.importing.signals import units
 
 Choose = Callable[[str, Sequence[str]], Sequence[str]]
@@ -95,7 +94,7 @@ class Log:
         """What may have been meant: a similar name, or what the topic, or the log, holds."""
         topic, _, name = text.partition(".")
         inside = self.fields.get(topic, ())
-        if near := names.nearest(name, inside) or ("" if inside else names.nearest(text, words)):
+        if near := nearest(name, inside) or ("" if inside else nearest(text, words)):
             return near
         listed = inside or (list(words) if len(self.fields) == 1 else sorted(self.fields))
         more = f" and {len(listed) - TOLD} more" if len(listed) > TOLD else ""

@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import structs
 
 from rotorid_torch.core import names
-from rotorid_torch.errors import InputError
+from rotorid_torch.errors import InputError, nearest
 from rotorid_torch.importing.signals import units
 from rotorid_torch.importing.signals.mapping import Clock, Entry, measures
 from rotorid_torch.importing.signals.plan import QUATERNION, Plan
@@ -88,7 +88,7 @@ def table_log(
     if not streams:
         listed = [joined(topic, name) for topic, columns in fields.items() for name in columns]
         wanted = clock.field if clock else "time"
-        near = names.nearest(wanted, listed) or f" (there are {', '.join(listed[:TOLD])})"
+        near = nearest(wanted, listed) or f" (there are {', '.join(listed[:TOLD])})"
         expected = "a clock: a column time in s, or a map with time = { field = ..., unit = ... }"
         if listed and all(map(str.isdigit, listed)):
             raise InputError(file, "", "has no row of names", 'one, or a map with columns = ["time", "motor1", ...]')

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotorid_torch.core.names import nearest
-from rotorid_torch.errors import InputError
+from rotorid_torch.errors import InputError, nearest
 from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES
 from rotorid_torch.simulation.rigid import Array
 

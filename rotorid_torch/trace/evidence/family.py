@@ -7,11 +7,12 @@ forces on the measured motion, and pseudo-effects for what the library has no na
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar, Generic
 
+import msgspec
 import torch
 from torch import Tensor
 
@@ -21,7 +22,7 @@ from rotorid_torch.trace.evidence.critical_values import Draws
 from rotorid_torch.trace.evidence.fits import Fitted, FittedT, Flights
 from rotorid_torch.trace.evidence.force_evidence import Seen, seen_in_forces
 from rotorid_torch.trace.evidence.residual import AT_ONCE, left_over
-from rotorid_torch.trace.evidence.screen import PATH, Screen, both_screens
+from rotorid_torch.trace.evidence.screen import PATH, Screen, screens
 from rotorid_torch.trace.evidence.unattributed import Description, Residuals
 from rotorid_torch.trace.terms.candidate import EACH, IN_FORCES, UNATTRIBUTED, Candidate
 from rotorid_torch.trace.terms.eligible import of_control_path
@@ -87,6 +88,12 @@ class Family(Generic[FittedT]):
         """The screen that holds a candidate."""
         return self.each if candidate.each_control else self.common
 
+    def drawn(self, candidate: Candidate, count: int) -> Tensor:
+        """T of a candidate by each of so many residuals behind that of the data [count]."""
+        evidence = self.screen(candidate).evidence
+        sums = [float(evidence(candidate.effect, 1 + r).sum()) for r in range(count)]
+        return torch.tensor(sums, dtype=torch.float64)
+
     def over_one_size(self, effect: str) -> Tensor:
         """Evidence of a size of each control over one size of all, flight by flight [F + V]."""
         return self.each.evidence(effect) - self.common.evidence(effect)
@@ -142,6 +149,16 @@ class Scored(ABC, Generic[FittedT]):
     def settled(self, fitted: FittedT) -> FittedT:
         """A fit gone on with, where it has not converged."""
 
+    def turned(self, observed: Family[FittedT], effects: Sequence[str], seed: int, note: str = "") -> Draws:
+        """Statistics of the family beside a model where nothing is missing, by its residuals turned in time."""
+        count, named = SETTINGS.draws, observed.accepted
+        turned = self.family(observed.null, [e for e in effects if e not in named], named, count, seed)
+        statistics = {c.name: turned.drawn(c, count) for c in turned.candidates}
+        if turned.residuals is not None:
+            statistics[f"{UNATTRIBUTED}{PATH}"] = turned.drawn(Candidate(PATH), count)
+            statistics |= {f"{UNATTRIBUTED}{key}": t for key, t in turned.residuals.by_chance(count, seed).items()}
+        return Draws(statistics, note or self.by_chance, clean=False, least=turned.least)
+
 
 def family(
     null: Fitted, effects: Sequence[str], accepted: Sequence[str] = (), turned: int = 0, seed: int = 0
@@ -149,10 +166,11 @@ def family(
     """The family of these effects beside a fitted model.
 
     accepted : effects of the model that have a name. turned : residuals that know nothing of the motion, for
-    `by_chance`.
+    `Scored.turned`.
     """
-    path = [] if of_control_path(accepted) else effects
-    common, each = both_screens(null, [*effects, PATH], path, turned, seed)
+    path = of_control_path(effects) if len(null.spec.controls) > 1 and not of_control_path(accepted) else []
+    richer = msgspec.structs.replace(null.spec, each_control=(*null.spec.each_control, *path))
+    common, each = screens(null, [(null.spec, [*effects, PATH]), (richer, path)], turned, seed)
     listed = null.flights.dataset, null.flights.reconstruction
     validate = null.flights.dataset.validate
     unseen = left_over(null.model, *listed, validate, accepted) if validate else None
@@ -163,32 +181,6 @@ def family(
     by_forces = seen_in_forces(still, over, [Candidate(e) for e in effects])
     forces = {candidate.effect: one for candidate, one in by_forces.items()}
     return Family(null, tuple(accepted), common, each, forces, residuals, residuals.descriptions())
-
-
-def by_chance(
-    observed: Family[FittedT],
-    effects: Sequence[str],
-    seed: int,
-    make: Callable[..., Family[FittedT]],
-    note: str = TURNED,
-) -> Draws:
-    """Statistics of the family beside a model where nothing is missing, by its residuals turned in time.
-
-    make : the family, as `Scored.family` does.
-    """
-    count, named = SETTINGS.draws, observed.accepted
-    turned = make(observed.null, [e for e in effects if e not in named], named, count, seed)
-    statistics = {
-        c.name: torch.tensor(
-            [float(turned.screen(c).evidence(c.effect, 1 + r).sum()) for r in range(count)], dtype=torch.float64
-        )
-        for c in turned.candidates
-    }
-    if turned.residuals is not None:
-        path = [float(turned.common.evidence(PATH, 1 + r).sum()) for r in range(count)]
-        statistics[f"{UNATTRIBUTED}{PATH}"] = torch.tensor(path, dtype=torch.float64)
-        statistics |= {f"{UNATTRIBUTED}{key}": t for key, t in turned.residuals.by_chance(count, seed).items()}
-    return Draws(statistics, note, clean=False, least=turned.least)
 
 
 def effect_of(member: str) -> str:

@@ -186,7 +186,27 @@ class Fitted(FittedModel):
     @cached_property
     def on_unseen(self) -> tuple[Likelihood, Place]:
         """The likelihood of these flights' segments, and the place with the best initial states, parameters held."""
-        return _on_unseen(self)
+        fit, theta, dataset = self.fit.likelihood, self.fit.theta, self.flights.dataset
+        records = self.flights.records(self.model, dataset.unseen)
+        segments = cut(records, round(SEGMENT_S / records.dt))
+        guess = segments.first(records.states)
+        problem = Likelihood(
+            system=fit.system,
+            engine=fit.engine,
+            records=records,
+            segments=segments,
+            states=records.states,
+            noise=Noise("held", fit.noise.floor, self.fit.minimum.point.covariance),
+            x0=filled(guess, records, segments),
+            x0_mean=guess.nan_to_num(0.0),
+            x0_sd=torch.where(guess.isnan(), math.inf, initial_spread(self.model, dataset)),
+            prior_mean=theta,
+            prior_sd=torch.full_like(theta, math.inf),
+            bias_sd=torch.zeros(records.outputs.shape[-1], dtype=torch.float64),
+        )
+        if bool(guess.isnan().any()):
+            problem = replace(problem, x0=torch.where(guess.isnan(), fitted_states(problem, theta), problem.x0))
+        return problem, _settled(problem, theta)
 
     @cached_property
     def identified(self) -> Residual:
@@ -270,32 +290,6 @@ def _followed(near: Fitted, model: Model, states: Tensor) -> Tensor:
     for here, matching in shared:
         states[..., here] = followed[..., matching]
     return states
-
-
-def _on_unseen(fitted: Fitted) -> tuple[Likelihood, Place]:
-    names = fitted.flights.dataset.unseen
-    fit = fitted.fit.likelihood
-    theta = fitted.fit.theta
-    records = fitted.flights.records(fitted.model, names)
-    segments = cut(records, round(SEGMENT_S / records.dt))
-    guess = segments.first(records.states)
-    problem = Likelihood(
-        system=fit.system,
-        engine=fit.engine,
-        records=records,
-        segments=segments,
-        states=records.states,
-        noise=Noise("held", fit.noise.floor, fitted.fit.minimum.point.covariance),
-        x0=filled(guess, records, segments),
-        x0_mean=guess.nan_to_num(0.0),
-        x0_sd=torch.where(guess.isnan(), math.inf, initial_spread(fitted.model, fitted.flights.dataset)),
-        prior_mean=theta,
-        prior_sd=torch.full_like(theta, math.inf),
-        bias_sd=torch.zeros(records.outputs.shape[-1], dtype=torch.float64),
-    )
-    if bool(guess.isnan().any()):
-        problem = replace(problem, x0=torch.where(guess.isnan(), fitted_states(problem, theta), problem.x0))
-    return problem, _settled(problem, theta)
 
 
 def _settled(problem: Likelihood, theta: Tensor) -> Place:

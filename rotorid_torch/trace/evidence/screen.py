@@ -15,7 +15,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 
-import msgspec
 import torch
 from torch import Tensor
 
@@ -31,7 +30,6 @@ from rotorid_torch.model.nominal import build
 from rotorid_torch.model.training.equilibrium import settled
 from rotorid_torch.trace.evidence.fits import Fitted
 from rotorid_torch.trace.evidence.held_out import FlightEquations, eliminating
-from rotorid_torch.trace.terms.eligible import of_control_path
 from rotorid_torch.trace.terms.significance import turned
 from rotorid_torch.validate.free_run import Runs
 
@@ -288,19 +286,6 @@ def screens(
         screened.append(Screen.of(probe.chosen, names, equations))
         first += count
     return screened
-
-
-def both_screens(
-    null: Fitted, effects: Sequence[str], each_control: Sequence[str], shuffles: int = 0, seed: int = 0
-) -> tuple[Screen, Screen]:
-    """Effects with one size for all controls, and those of the control path with a size of each control.
-
-    each_control : effects of which those of the control path are screened with a size of each control.
-    """
-    path = of_control_path(each_control) if len(null.spec.controls) > 1 else []
-    richer = msgspec.structs.replace(null.spec, each_control=(*null.spec.each_control, *path))
-    common, each = screens(null, [(null.spec, effects), (richer, path)], shuffles, seed)
-    return common, each
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,6 @@ from torch import Tensor
 
 from rotorid_torch.core.names import Verdict
 from rotorid_torch.core.statistics import normal_quantile
-from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.model.model import Model
 from rotorid_torch.trace.evidence.fits import FittedModel
@@ -128,12 +127,8 @@ def size_of(fitted: FittedModel, effect: str, tests: int = 1, drawn: Mapping[str
     scatter = fitted.scatter(effect)
     names = [n for n in fitted.names if n.startswith(f"{effect}.")]
     errors = {n: max(fitted.error(n), scatter.get(n, 0.0), drawn.get(n, 0.0)) for n in names}
-    return estimate(fitted.model, errors, effect, tests, half_a_sample(fitted.flights.dataset))
-
-
-def half_a_sample(dataset: Dataset) -> float:
-    """Half the longest step of the identify flights, s: controls may be held or go straight between samples."""
-    return 0.5 * max(dataset.facts[name].dt for name in dataset.identify)
+    dataset = fitted.flights.dataset  # between samples controls may be held or go straight: half a step
+    return estimate(fitted.model, errors, effect, tests, 0.5 * max(dataset.facts[n].dt for n in dataset.identify))
 
 
 def estimate(model: Model, errors: Mapping[str, float], effect: str, tests: int = 1, between: float = 0.0) -> Size:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Generic
 
 from rotorid_torch.trace.evidence.critical_values import Draws, p_values
-from rotorid_torch.trace.evidence.family import Family, Scored, by_chance, effect_of
+from rotorid_torch.trace.evidence.family import Family, Scored, effect_of
 from rotorid_torch.trace.evidence.fits import FittedT
 from rotorid_torch.trace.search.decide import (
     NO_SCATTER,
@@ -74,13 +74,17 @@ class Search(Generic[FittedT]):
     @classmethod
     def alone(cls, scored: Scored[FittedT], seed: int) -> Search[FittedT]:
         """A search whose critical values come from residuals turned in time, which says nothing while it goes on."""
-        make, note = scored.family, scored.by_chance
-        return cls(scored, lambda observed, effects: by_chance(observed, effects, seed, make, note), lambda line: None)
+        return cls(scored, lambda observed, effects: scored.turned(observed, effects, seed), lambda line: None)
 
     @property
     def tests(self) -> int:
         """Effects that are tested."""
         return 1 if self.first is None else max(len({c.effect for c in self.first[0].candidates}), 1)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Where the critical values come from."""
+        return () if self.first is None else (self.first[2].note,)
 
     def forward(self, null: FittedT, effects: Sequence[str]) -> FittedT:
         """The null with the effects that join it."""

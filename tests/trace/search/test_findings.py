@@ -9,7 +9,7 @@ import torch
 
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.trace.evidence.critical_values import Draws
-from rotorid_torch.trace.evidence.family import Family, by_chance, family
+from rotorid_torch.trace.evidence.family import Family, family
 from rotorid_torch.trace.evidence.fits import Fitted, refit
 from rotorid_torch.trace.search.decide import Interval, Row
 from rotorid_torch.trace.search.forward_selection import Search, Trial
@@ -32,7 +32,7 @@ def late() -> tuple[Fitted, Fitted, Family, Draws]:
     known, null = started(flights(DELAY, control__delay__common=0.06))
     fitted = refit(null.spec.with_effects(DELAY), known, {**null.values, NAME: 0.05}, near=null)
     beside = family(null, TESTED)
-    return null, fitted, beside, by_chance(beside, TESTED, 0, family)
+    return null, fitted, beside, Trajectories(known).turned(beside, TESTED, 0)
 
 
 def outcome(share: float | None = None, row: Row | None = GOOD, p: float = 0.05, **rivals: tuple[str, ...]) -> Outcome:

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from rotorid_torch.trace.evidence.critical_values import Draws
-from rotorid_torch.trace.evidence.family import Family, by_chance, family
+from rotorid_torch.trace.evidence.family import Family, family
 from rotorid_torch.trace.evidence.fits import BEGINNING, CAREFUL, Care, Fitted, Flights, refit
 from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
 from rotorid_torch.trace.search.decide import Interval, Row, gain
@@ -39,7 +39,7 @@ def late() -> tuple[Flights, Fitted]:
 @cache
 def draws_of(hidden: bool) -> Draws:
     known = late() if hidden else nothing()
-    return by_chance(family(known[1], SUSPECTS), SUSPECTS, 0, family)
+    return Trajectories(known[0]).turned(family(known[1], SUSPECTS), SUSPECTS, 0)
 
 
 def search_of(known: Flights, draws: Draws | None = None, said: list[str] | None = None) -> Search:

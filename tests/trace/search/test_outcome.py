@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import pytest
 
-from rotorid_torch.trace.evidence.family import by_chance, family
 from rotorid_torch.trace.evidence.fits import Fitted, Flights, refit
 from rotorid_torch.trace.search.forward_selection import Search, Trial, observed
 from rotorid_torch.trace.search.outcome import Outcome, how_it_ended
@@ -29,10 +28,9 @@ def ended(damped: tuple[Flights, Fitted], effect: str, **sizes: float) -> tuple[
     """How a search ends in which an effect has joined; residuals turned in time stand for clean aircraft."""
     shared, null = damped
     effects = [LAG, DAMPING]
+    scored = Trajectories(shared)
     search = Search(
-        Trajectories(shared),
-        lambda beside, asked: replace(by_chance(beside, asked, 0, family), clean=True),
-        lambda line: None,
+        scored, lambda beside, asked: replace(scored.turned(beside, asked, 0), clean=True), lambda line: None
     )
     search.family_beside(null, effects)
     start = {**null.values, **{f"{effect}.{name}": size for name, size in sizes.items()}}
