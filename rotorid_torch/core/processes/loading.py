@@ -7,6 +7,9 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+BETWEEN = 10_000
+"""Objects made before Python looks for cycles that nobody uses; it would look at all of a run's every few seconds."""
+
 
 @contextmanager
 def loading() -> Iterator[None]:
@@ -19,4 +22,5 @@ def loading() -> Iterator[None]:
         yield
     finally:
         gc.freeze()
+        gc.set_threshold(BETWEEN)
         gc.enable()
