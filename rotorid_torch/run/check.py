@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import shorten
@@ -36,7 +37,6 @@ from rotorid_torch.version import __version__
 
 GROSS = 300.0
 """Power of what no sensor error explains over that of the noise, above which errors of sensors are not searched for."""
-RANK = {"error": 0, "warning": 1, "note": 2, "good": 3}
 VERDICTS = {"error": "not fit", "warning": "with care", "note": "good", "good": "good"}
 
 SHOWN, LINE = 8, 200
@@ -101,10 +101,17 @@ def check(dataset: Dataset) -> Check:
     'limited'
     """
     refuse_arguments("check", dataset=dataset)
-    findings, sensors, verdicts = records.check(dataset).findings, (), ()
+    examined = records.check(dataset)
+    findings, sensors, verdicts = examined.findings, (), ()
     if examinable(dataset):
-        sensors, sensor_words = sensor_errors(without_steps(dataset, steps(dataset)))
-        findings = tuple(sorted((*findings, *sensor_words), key=lambda finding: RANK[finding.severity]))
+        if not examined.gross:
+            smooth = without_steps(dataset, steps(dataset))
+            joint = kinematic_findings(smooth, GROSS)
+            sensors, explained = (
+                joint.findings,
+                records.remaining(examined, joint.corrected(smooth)) if joint.values else findings,
+            )
+            findings = tuple(sorted((*explained, *sensor_words(sensors)), key=lambda f: records.RANK[f.severity]))
         verdicts = _verdicts(dataset, findings)
     whole = graded(dataset, findings)
     return Check(
@@ -120,27 +127,26 @@ def check(dataset: Dataset) -> Check:
     )
 
 
-def sensor_errors(dataset: Dataset) -> tuple[tuple[KinematicFinding, ...], tuple[Finding, ...]]:
-    """Bias, scale, misalignment, lever arm, delay and filter, all at once, from exact kinematics; and what to say."""
-    traced = kinematic_findings(dataset, GROSS).findings
-    if not traced:
+def sensor_words(sensors: Sequence[KinematicFinding]) -> tuple[Finding, ...]:
+    """What to say of bias, scale, misalignment, lever arm, delay and filter, all at once, from exact kinematics."""
+    if not sensors:
         sentence = "kinematics disagree far beyond the noise in ways that no constant sensor error makes:"
         more = "lags, scales and biases are told from pairs of channels only, not jointly."
-        return (), (finding("note", "", sentence, more),)
-    if all(f.verdict == "not testable" for f in traced):
-        return (), ()
+        return (finding("note", "", sentence, more),)
+    if all(f.verdict == "not testable" for f in sensors):
+        return ()
     named = [
-        f for f in traced if f.verdict in ("accepted", "indistinguishable") and any(p.accepted for p in f.parameters)
+        f for f in sensors if f.verdict in ("accepted", "indistinguishable") and any(p.accepted for p in f.parameters)
     ]
     if not named:
         visible = ", ".join(
             f"{f.id.removeprefix('sensors.')} {f.smallest_visible[0]:.2g} {f.smallest_visible[1]}".removesuffix(" 1")
-            for f in traced
+            for f in sensors
             if f.smallest_visible and math.isfinite(f.smallest_visible[0])
         )
         sentence = f"all channels together show no constant sensor error; from this size on it would show: {visible}."
-        return traced, (finding("good", "", sentence),)
-    return traced, tuple(_sentence(f) for f in named)
+        return (finding("good", "", sentence),)
+    return tuple(_sentence(f) for f in named)
 
 
 def _sentence(error: KinematicFinding) -> Finding:

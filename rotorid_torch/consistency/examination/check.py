@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from rotorid_torch.consistency.correction import without_errors
@@ -12,22 +12,30 @@ from rotorid_torch.consistency.examination.needs import examinable, needs
 from rotorid_torch.consistency.examination.surroundings import surroundings
 from rotorid_torch.consistency.pairs.alignment import alignment
 from rotorid_torch.consistency.records.steps import steps, without_steps
+from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
 
 
 @dataclass(frozen=True)
 class Examined:
-    """All findings on a data set, gravest first; `fit` is false where one is an error."""
+    """All findings on a data set, gravest first; `fit` is false where one is an error.
+
+    of_pairs : those of them that compare sensors in pairs. gross : whether units or axes are wrong, so that errors of
+    sensors are not worth a search.
+    """
 
     dataset: str
     fit: bool
     findings: tuple[Finding, ...]
+    of_pairs: tuple[Finding, ...] = ()
+    gross: bool = False
 
     def of(self, severity: Severity) -> tuple[Finding, ...]:
         """Findings of one severity."""
         return tuple(one for one in self.findings if one.severity == severity)
 
 
+RANK = {"error": 0, "warning": 1, "note": 2, "good": 3}
 Examination = Callable[[Dataset], Iterator[Finding]]
 EXAMINATIONS: tuple[Examination, ...] = (
     needs,
@@ -60,6 +68,15 @@ ALWAYS = (needs, records.dead, records.reading, records.gaps, records.units)
 """Those that hold of records on which nothing else can be said."""
 RIGHTED = (records.gravity, frames.frames, kinematics.precedence, surroundings)
 """Those that look at the records with large turns and clock errors taken out: these have one cause, told once."""
+PAIRS = (kinematics.kinematics, surroundings)
+"""Those that compare sensors in pairs, where an error of one shows in several."""
+UNITS_AND_AXES = (surroundings, records.gravity, frames.frames)
+"""Those whose errors are of units and axes, gravest first; what else is said of what is compared follows from them."""
+FOLLOWS: Mapping[str, tuple[str, ...]] = {
+    **dict.fromkeys(names.VELOCITIES, (*names.VELOCITIES, *names.POSITIONS, "")),
+    **dict.fromkeys(names.SPECIFIC_FORCES, (*names.SPECIFIC_FORCES, *names.VELOCITIES, "")),
+}
+"""By channel those that are compared with it; "" are the surroundings as a whole."""
 
 
 def check(dataset: Dataset, examinations: Sequence[Examination] = EXAMINATIONS) -> Examined:
@@ -73,7 +90,46 @@ def check(dataset: Dataset, examinations: Sequence[Examination] = EXAMINATIONS) 
     def as_seen_by(examine: Examination) -> Dataset:
         return right if examine in RIGHTED else smooth if examine is kinematics.kinematics else dataset
 
-    findings = [finding for examine in chosen for finding in examine(as_seen_by(examine))]
-    rank = {"error": 0, "warning": 1, "note": 2, "good": 3}
-    findings.sort(key=lambda finding: rank[finding.severity])
-    return Examined(dataset.name, all(f.severity != "error" for f in findings), tuple(findings))
+    every = [(examine, finding) for examine in chosen for finding in examine(as_seen_by(examine))]
+    causes = [f for examine in UNITS_AND_AXES for by, f in every if by is examine and _is_cause(f)]
+    first = {c for f in causes[:1] for c in f.channel.split()}
+    wrong = first | {c for f in causes for c in f.channel.split()}
+    every = [(examine, f) for examine, f in every if not _follows(examine, f, wrong, first)]
+    findings = sorted((f for _, f in every), key=lambda finding: RANK[finding.severity])
+    fit = all(f.severity != "error" for f in findings)
+    of_pairs = tuple(f for examine, f in every if examine in PAIRS)
+    return Examined(dataset.name, fit, tuple(findings), of_pairs, any(f.severity == "error" for f in causes))
+
+
+def _is_cause(one: Finding) -> bool:
+    """Whether a finding on units and axes is one from which others follow: an error, or a map that is turned."""
+    return one.severity == "error" or (one.severity == "warning" and one.channel == "north east")
+
+
+def _follows(examine: Examination, one: Finding, wrong: set[str], first: set[str]) -> bool:
+    """Whether a finding follows from a wrong unit or axis of these channels: one cause is told once.
+
+    first : channels of the gravest cause, from which wrong axes of what is compared with them follow too.
+    """
+    channels = {*one.channel.split()} or {""}
+    compared = wrong | {c for channel in wrong for c in FOLLOWS.get(channel, ())}
+    if not wrong or one.severity == "good":
+        return False
+    if examine in UNITS_AND_AXES and _is_cause(one):
+        return channels != first and bool(channels & {c for f in first for c in FOLLOWS.get(f, ())})
+    if examine is kinematics.kinematics and one.severity == "error":
+        return len(channels) < 3 and bool(channels & compared)
+    return examine in (*PAIRS, records.noise) and bool(channels & compared)
+
+
+def remaining(examined: Examined, corrected: Dataset) -> tuple[Finding, ...]:
+    """Findings without those of pairs that errors of sensors explain, which were taken out of the corrected records."""
+    doubts = [f for f in examined.of_pairs if f.severity in ("warning", "note")]
+    if not doubts:
+        return examined.findings
+    still = [f for examine in PAIRS for f in examine(corrected) if f.severity in ("warning", "note")]
+    alike = [
+        f for f in still if any({*f.channel.split()} & {*d.channel.split()} or f.channel == d.channel for d in doubts)
+    ]
+    findings = [*(f for f in examined.findings if f not in doubts), *alike]
+    return tuple(sorted(findings, key=lambda finding: RANK[finding.severity]))

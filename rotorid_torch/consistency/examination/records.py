@@ -13,6 +13,10 @@ from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.reading.noise import white_noise
 
+RARER = 0.3
+"""Share of samples that repeat the one before, or lie on a line with the last two, from which on readings are rarer."""
+WITHOUT = 0.3
+"""Share of gravity that an axis which points up reads at least; less is an accelerometer without gravity."""
 FEW = 0.005
 """Share of missing samples that does no harm."""
 
@@ -120,7 +124,7 @@ def gravity(dataset: Dataset) -> Iterator[Finding]:
         return
     az = float(np.median(starts))
     sentence = f"reads {az:.2f} m/s² at the start of the flights"
-    if az > 0.3:
+    if az > WITHOUT * -expected:
         yield finding("error", "az", f"{sentence}; level flight reads {expected:.2f}. Turn the axis: z points down.")
     elif 0.7 < -az < 1.4:
         yield finding("error", "az", f"{sentence}. It seems to be in g: multiply by {-expected:.4g}.")
@@ -134,8 +138,12 @@ def gravity(dataset: Dataset) -> Iterator[Finding]:
 
 
 def noise(dataset: Dataset) -> Iterator[Finding]:
-    """Declared noise against the record's, estimates where none is declared, records that were filtered."""
-    estimated, smooth = [], []
+    """Declared noise against the record's, estimates where none is declared, records that were filtered.
+
+    What was drawn between other stamps, or holds samples, has less noise than its sensor.
+    """
+    estimated, smooth, wrong = [], [], dict[str, str]()
+    resampled = any("time is not uniform" in sentence for sentence in dataset.warnings)
     for channel in (c for c in dataset.scales() if names.channel(c) is not None):
         records = dataset.records(channel)
         floor, spec = white_noise(records), dataset.control_specs.get(channel) or dataset.channel_specs.get(channel)
@@ -146,10 +154,14 @@ def noise(dataset: Dataset) -> Iterator[Finding]:
                 dt = dataset.facts[dataset.identify[0]].dt
                 smooth.append((channel, content_ends(*spectrum(records, dt))))
         elif spec.noise > 0.0 and not 0.6 < floor / spec.noise < 1.6 and np.isfinite(floor):
-            sentence = (
-                f"declares noise of {spec.noise:.3g}, the record's white floor is {floor:.3g} {names.unit(channel)}."
-            )
-            yield finding("warning", channel, sentence, "Correct dataset.toml, or leave it out to have it estimated.")
+            lower = floor < spec.noise and (resampled or _held(records))
+            wrong |= {} if lower else {channel: f"{spec.noise:.3g}, {floor:.3g} {names.unit(channel)}"}
+    if wrong:
+        listed = ", ".join(f"{channel} {sizes}" if len(wrong) > 1 else sizes for channel, sizes in wrong.items())
+        sentence = f"declared noise is not the record's white floor ({listed})."
+        yield finding(
+            "warning", " ".join(wrong), sentence, "Correct dataset.toml, or leave it out to have it estimated."
+        )
     if smooth:
         ends = ", ".join(f"{channel} ends at {hertz:.0f} Hz" for channel, hertz in smooth)
         sentence = f"almost no noise: filtered before recording ({ends}), or simulated."
@@ -158,6 +170,12 @@ def noise(dataset: Dataset) -> Iterator[Finding]:
         how = "standard deviation of a sample, in the channel's unit"
         sentence = f"noise estimated from the spectra: {', '.join(estimated)} ({how})."
         yield finding("note", "", sentence, "Declare it in dataset.toml if the sensors' data sheets say otherwise.")
+
+
+def _held(records: Sequence[np.ndarray]) -> bool:
+    """Whether a channel repeats itself, or lies on lines between readings, in a good part of its samples."""
+    still = [np.diff(values, n) for values in records for n in (1, 2)]
+    return any(float(np.mean(np.abs(x) <= 1e-9 * max(np.ptp(x), 1e-300))) > RARER for x in still if len(x))
 
 
 def vibration(dataset: Dataset) -> Iterator[Finding]:

@@ -152,7 +152,7 @@ def test_motor_commands_beyond_their_scale_are_not_fit():
 
 def test_wrong_declared_noise_is_told():
     dataset = Dataset.from_arrays({"f": small_flight()}, identify=["f"], channels={"q": {"noise": 0.01}})
-    assert any("declares noise of 0.01" in s for s in sentences(dataset, "warning"))
+    assert any("declared noise is not the record's white floor (0.01, " in s for s in sentences(dataset, "warning"))
 
 
 def test_a_control_that_follows_the_rates_has_no_share_of_its_own():

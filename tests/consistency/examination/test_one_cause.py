@@ -1,0 +1,67 @@
+"""One cause is told once: what follows from a wrong unit, axis, clock or sensor error is no finding of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.integrate import cumulative_trapezoid
+from scipy.spatial.transform import Rotation
+
+from rotorid_torch.consistency.examination.finding import Finding
+from rotorid_torch.data import Dataset
+from rotorid_torch.run.check import check
+from tests.consistency.examination.test_check import rolling
+
+G = 9.80665
+Arrays = dict[str, np.ndarray]
+
+
+def grave(change: Callable[[Arrays], Arrays]) -> list[Finding]:
+    flights = {f"f{seed}": with_path(rolling(seed)) for seed in range(3)}
+    flights = {name: flight | change(flight) for name, flight in flights.items()}
+    result = check(Dataset.from_arrays(flights, identify=[*flights]))
+    return [f for f in result.findings if f.severity in ("error", "warning")]
+
+
+def with_path(flight: Arrays) -> Arrays:
+    """The flight with its path over ground."""
+    turned = Rotation.from_euler("ZYX", np.stack([flight[c] for c in ("psi", "theta", "phi")], axis=1))
+    velocity = turned.apply(np.stack([flight[c] for c in "uvw"], axis=1))
+    path = cumulative_trapezoid(velocity, flight["time"], axis=0, initial=0.0).T
+    return flight | {"north": path[0], "east": path[1], "height": -path[2]}
+
+
+def scaled(channels: str, factor: float) -> Callable[[Arrays], Arrays]:
+    return lambda flight: {channel: factor * flight[channel] for channel in channels.split()}
+
+
+def without_gravity(flight: Arrays) -> Arrays:
+    phi, theta = flight["phi"], flight["theta"]
+    fall = (-np.sin(theta), np.sin(phi) * np.cos(theta), np.cos(phi) * np.cos(theta))
+    return {c: flight[c] + G * part for c, part in zip(("ax", "ay", "az"), fall, strict=True)}
+
+
+def late(channels: str, seconds: float) -> Callable[[Arrays], Arrays]:
+    return lambda f: {c: np.interp(f["time"] - seconds, f["time"], f[c]) for c in channels.split()}
+
+
+CAUSES: dict[str, tuple[Callable[[Arrays], Arrays], str, str]] = {
+    "knots": (scaled("u v w", 3600.0 / 1852.0), "u v", "knots"),
+    "in g": (scaled("ax ay az", 1.0 / G), "az", "seems to be in g"),
+    "without gravity": (without_gravity, "ax ay az", "without gravity"),
+    "height down": (scaled("height", -1.0), "height", "positive down"),
+    "gyro bias": (lambda f: {"q": f["q"] + 0.05}, "q", "q off by +0.05"),
+    "late attitude": (late("phi theta psi", 0.12), "phi theta psi", "attitude 120 ms late"),
+    "late velocity": (late("u v w", 0.2), "u v w", "velocities 200 ms late"),
+    "map": (lambda f: {"psi": f["psi"] + np.radians(170.0)}, "north east", "turned by"),
+}
+
+
+@pytest.mark.parametrize("name", CAUSES)
+def test_one_cause_is_one_finding(name: str):
+    change, channels, words = CAUSES[name]
+    (one,) = [f for f in grave(change) if not f.sentence.startswith(("nowhere follow", "only "))]
+    assert one.channel == channels
+    assert words in one.sentence
