@@ -12,6 +12,7 @@ from torch import Tensor
 
 from rotorid_torch.core.gauss_newton import Linear
 from rotorid_torch.core.least_squares import least_squares
+from rotorid_torch.core.native.side_by_side import side_by_side
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.core.statistics import jackknife_variance
 from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
@@ -190,22 +191,26 @@ class Colour:
         """
         gain = self.inverse @ self.inverse.mT
         gain = gain if asked is None else gain[:, asked]
-        covariance = gain.new_zeros(gain.shape[1], gain.shape[1])
-        squares = gain.new_zeros(*self.root.shape[::2], gain.shape[1])
-        parts, moves = torch.empty_like(squares), torch.empty_like(squares)
+        covariance, share = gain.new_zeros(gain.shape[1], gain.shape[1]), gain.new_zeros(1)
         directions = _directions(gain, self.identifiable)
-        for flight in self.flights():  # once more: all need not fit the memory
-            for piece in flight.derivatives @ directions:
-                transform = torch.fft.rfft(piece, n=self.lines, dim=0)
-                torch.cat([transform.real, transform.imag], dim=1, out=parts)
-                torch.bmm(self.root, parts, out=moves)  # in units of the noise
-                squares.addcmul_(moves, moves)
-                flat = moves.flatten(0, 1)
-                covariance.addmm_(flat.mT, flat)
-        covariance, share = self.ranks.sum(covariance), self.ranks.sum(squares.sum(dim=1))
+        for moved in side_by_side(partial(self._moved, directions), self.flights()):  # all need not fit the memory
+            covariance, share = covariance + moved[0], share + moved[1]
+        covariance, share = self.ranks.sum(covariance), self.ranks.sum(share)
         freedom = self.pieces / _smoothed(share / share.sum(dim=0), _reach(self.pieces)).square().sum(dim=0)
         widened = 1.0 + STUDENT / freedom
         return covariance * widened * widened[:, None]
+
+    def _moved(self, directions: Tensor, flight: FlightRows) -> tuple[Tensor, Tensor]:
+        """A flight's part of the covariance along directions [P, m], [m, m], and its part by line [lines, m]."""
+        width = directions.shape[1]
+        covariance, share = directions.new_zeros(width, width), directions.new_zeros(len(self.root), width)
+        for piece in flight.derivatives @ directions:
+            transform = torch.fft.rfft(piece, n=self.lines, dim=0)
+            moves = torch.bmm(self.root, torch.cat([transform.real, transform.imag], dim=1))  # in units of the noise
+            flat = moves.flatten(0, 1)
+            covariance.addmm_(flat.mT, flat)
+            share += moves.square_().sum(dim=1)
+        return covariance, share
 
 
 def _reach(pieces: int) -> int:
@@ -241,14 +246,20 @@ def _powers(flights: Iterable[FlightRows], directions: Tensor, lines: int) -> tu
     directions : [P, n] of the parameters, of unit variance; with the basis they span what the fit has taken.
     """
     power, left = torch.zeros((), dtype=torch.complex128), torch.zeros((), dtype=torch.float64)
-    for flight in flights:
-        residual = torch.fft.rfft(flight.residual, n=lines, dim=1)
-        power = power + torch.einsum("slc,sld->lcd", residual, residual.conj())
-        left = left + flight.valid.sum(dim=(0, 1))
-        for part in torch.cat([flight.basis, flight.derivatives @ directions], dim=-1):  # the basis may be empty
-            taken = torch.fft.rfft(part.movedim(0, -1), n=lines)  # [ny, n, lines]
-            left = left - (taken.real.square() + taken.imag.square()).sum(1).mT
+    for products, samples, taken in side_by_side(partial(_power, directions, lines), flights):
+        power, left = power + products, left + samples
+        for part in taken:
+            left = left - part
     return power, left
+
+
+def _power(directions: Tensor, lines: int, flight: FlightRows) -> tuple[Tensor, Tensor, list[Tensor]]:
+    """A flight's products [lines, ny, ny], its samples [ny], and what the fit has taken of each segment [lines, ny]."""
+    residual, parts = torch.fft.rfft(flight.residual, n=lines, dim=1), []
+    for part in torch.cat([flight.basis, flight.derivatives @ directions], dim=-1):  # the basis may be empty
+        taken = torch.fft.rfft(part.movedim(0, -1), n=lines)  # [ny, n, lines]
+        parts.append((taken.real.square() + taken.imag.square()).sum(1).mT)
+    return torch.einsum("slc,sld->lcd", residual, residual.conj()), flight.valid.sum(dim=(0, 1)), parts
 
 
 def _spectrum(power: Tensor, left: Tensor, lines: int, reach: int) -> Tensor:

@@ -19,10 +19,12 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.least_squares import bounded_least_squares
+from rotorid_torch.core.native.side_by_side import side_by_side
 from rotorid_torch.effects.base import Stage
 from rotorid_torch.effects.signal_operations import smoothed
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
+from rotorid_torch.identification.estimate.residuals import Whitener
 from rotorid_torch.identification.estimate.segments import Records, Segments
 from rotorid_torch.model.gusts import GUSTS
 from rotorid_torch.model.model import Model
@@ -303,28 +305,32 @@ def _products(probes: Sequence[_Probe], flown: _Linearised, shuffles: int, chanc
 
     Columns: the null's parameters that are kept, signatures, residual, residuals turned in time.
     """
-    products = []
     problem = flown.problem
+    first = problem.locals_per_segment + len(problem.biased)
     tapes = [_tapes(probe.model, problem.records, probe.chosen) for probe in probes]
-    for part, whitener, rows in problem.by_flight(flown.place):
-        state = part.run.states[:, 0]
-        changes = [
-            change
-            for probe, taped in zip(probes, tapes, strict=True)
-            for change in probe.changes(problem.records, flown.names, taped, part.segments, state)
-        ]
+
+    def parts() -> Iterator[tuple[Whitener, Tensor, list[Tensor], Tensor]]:
+        for part, whitener, rows in problem.by_flight(flown.place):
+            changes = [
+                change
+                for probe, taped in zip(probes, tapes, strict=True)
+                for change in probe.changes(problem.records, flown.names, taped, part.segments, part.run.states[:, 0])
+            ]
+            record = rows[..., -1].unflatten(-1, (-1, part.residual.shape[-1])).flatten(0, 1)
+            by_chance = turned(record, shuffles, chance).unflatten(0, (len(rows), -1)).flatten(1, 2)
+            yield whitener, rows, changes, by_chance
+
+    def product(part: tuple[Whitener, Tensor, list[Tensor], Tensor]) -> Tensor:
+        whitener, rows, changes, by_chance = part
         signature = rows[..., :0]
         if changes:
             signature = whitener.apply(torch.stack(changes, dim=-1).nan_to_num(0.0)).flatten(1, 2)
-        first = problem.locals_per_segment + len(problem.biased)
-        residual = rows[..., -1:]
-        record = residual[..., 0].unflatten(-1, (-1, part.residual.shape[-1])).flatten(0, 1)
-        by_chance = turned(record, shuffles, chance).unflatten(0, (len(residual), -1)).flatten(1, 2)
-        matrix = torch.cat([rows[..., first:-1][..., flown.keep], signature, residual, by_chance], dim=-1)
+        matrix = torch.cat([rows[..., first:-1][..., flown.keep], signature, rows[..., -1:], by_chance], dim=-1)
         basis = torch.linalg.qr(rows[..., :first]).Q
         matrix = matrix - basis @ (basis.mT @ matrix)
-        products.append((matrix.mT @ matrix).sum(0))
-    return torch.stack(products)
+        return (matrix.mT @ matrix).sum(0)
+
+    return torch.stack([*side_by_side(product, parts())])
 
 
 @dataclass(frozen=True, eq=False)
