@@ -58,6 +58,7 @@ EXAMINATIONS: tuple[Examination, ...] = (
     records.supply,
     controls.controls,
     controls.rotor_speeds,
+    controls.acting,
     controls.band,
     controls.trim,
     controls.length,
@@ -66,7 +67,7 @@ EXAMINATIONS: tuple[Examination, ...] = (
 
 ALWAYS = (needs, records.dead, records.reading, records.gaps, records.units)
 """Those that hold of records on which nothing else can be said."""
-RIGHTED = (records.gravity, frames.frames, kinematics.precedence, surroundings)
+RIGHTED = (records.gravity, frames.frames, kinematics.precedence, surroundings, controls.acting)
 """Those that look at the records with large turns and clock errors taken out: these have one cause, told once."""
 PAIRS = (kinematics.kinematics, surroundings)
 """Those that compare sensors in pairs, where an error of one shows in several."""
@@ -95,6 +96,8 @@ def check(dataset: Dataset, examinations: Sequence[Examination] = EXAMINATIONS) 
     first = {c for f in causes[:1] for c in f.channel.split()}
     wrong = first | {c for f in causes for c in f.channel.split()}
     every = [(examine, f) for examine, f in every if not _follows(examine, f, wrong, first)]
+    if any(f.severity == "error" and examine in (*PAIRS, *UNITS_AND_AXES) for examine, f in every):
+        every = [(examine, f) for examine, f in every if examine is not controls.acting]  # by axes that are wrong
     findings = sorted((f for _, f in every), key=lambda finding: RANK[finding.severity])
     fit = all(f.severity != "error" for f in findings)
     of_pairs = tuple(f for examine, f in every if examine in PAIRS)

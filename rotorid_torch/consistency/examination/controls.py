@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from rotorid_torch.consistency.examination.finding import Finding, finding
+from rotorid_torch.consistency.records.answers import Answers, answers
 from rotorid_torch.consistency.records.coherence import Coherence, coherences
 from rotorid_torch.consistency.records.excitation import BAND_HZ, Excitation, excitations, share_at
 from rotorid_torch.core import names
@@ -18,6 +20,8 @@ FEEDBACK = 0.1
 """Share of an axis's own motion below which only a combination of derivatives can be found."""
 TEST_INPUT = 30.0
 """Power in the band over that of the white part there, below which nothing was flown on an axis."""
+SURE = 5.0
+"""Standard errors."""
 FOLDED = 0.1
 """White part over the power in the band from which on a motor command was folded by sampling."""
 FOLLOWS, STRAYS = 0.8, 0.6
@@ -33,6 +37,19 @@ SPEED_LAGS_S = (0.0, 0.03, 0.06, 0.1, 0.15, 0.2)
 """Lags of a rotor that are tried."""
 TURNS = {"roll": "p", "pitch": "q", "yaw": "r"}
 """What the axes of the motors turn."""
+ACTS_ON = {"lat": "p", "lon": "q", "ped": "r", "col": "az"}
+"""What each control of a helicopter acts on most."""
+EXCHANGED = 2.0
+"""Natural logarithm of the factor by which another pairing of controls and responses explains more."""
+ALIKE, UNLIKE = 0.85, 0.6
+"""Mean cosine between what motors do and what their places say, from and up to which these are theirs or others'."""
+OPPOSITE = -0.7
+"""The same of one response, up to which it goes the other way."""
+OTHER_WAY = {
+    "p": "left and right of their places are exchanged",
+    "q": "front and rear of their places are exchanged",
+    "r": "their spins are the other way round",
+}
 LEAST_MOTORS = 3
 """Motors from which on they do something apart from what they do together."""
 FREE_RUN_S = 8.0
@@ -280,3 +297,75 @@ def band(dataset: Dataset) -> Iterator[Finding]:
 def _stretch(c: Coherence) -> str:
     low, high = c.band or (0.0, 0.0)
     return f"{c.channel} {low:.1g} to {high:.2g} Hz"
+
+
+def acting(dataset: Dataset) -> Iterator[Finding]:
+    """Whether each control acts on what its name, or its declared place, says; flapping likewise."""
+    seen = answers(dataset, dataset.controls)
+    if seen is not None:
+        yield from (
+            _motors_act(dataset, seen) if all(map(names.is_motor, dataset.controls)) else _sticks_act(dataset, seen)
+        )
+    if all(facts.has("a1", "b1") for facts in dataset.facts.values()):
+        yield from _flapping_acts(dataset)
+
+
+def _sticks_act(dataset: Dataset, seen: Answers) -> Iterator[Finding]:
+    controls = [c for c in dataset.controls if seen.shown([ACTS_ON.get(c, "")])]
+    responses = [ACTS_ON[c] for c in controls]
+    more, order = seen.pairing(responses, [dataset.controls.index(c) for c in controls])
+    if more > EXCHANGED:
+        moved = [(c, controls[k]) for c, k in zip(controls, order, strict=True) if c != controls[k]]
+        said = ", ".join(f"{ACTS_ON[c]} answers {other}, not {c}" for c, other in moved)
+        advice = "The controls are exchanged, or named otherwise: correct their names."
+        yield finding("error", " ".join(c for c, _ in moved), f"{said} (by the angular accelerations).", advice)
+    elif "col" in controls and not re.search("down|sink|descen|less", dataset.control_specs["col"].positive):
+        column = dataset.controls.index("col")
+        effect, error = seen.of("az")[column], seen.errors[seen.responses.index("az")][column]
+        if effect > SURE * error and effect > np.sqrt(FEEDBACK):
+            sentence = "thrust falls as col rises (az goes with it): its sign is turned."
+            yield finding("warning", "col", sentence, "Turn it, or say in [controls.col] that positive is down.")
+
+
+def _flapping_acts(dataset: Dataset) -> Iterator[Finding]:
+    """Moments follow the disc: it tilts back by a1 and the nose rises; by b1 to the right, where a rotor turns ccw."""
+    seen = answers(dataset, ("b1", "a1"), motion=False)
+    if seen is None or seen.shown(("p", "q")) != ["p", "q"]:
+        return
+    more, _ = seen.pairing(("p", "q"), (0, 1))
+    rotor = dataset.vehicle.rotor
+    turned = ["a1"] if seen.of("q")[1] < 0.0 else []
+    turned += ["b1"] if rotor and rotor.direction == "ccw" and seen.of("p")[0] < 0.0 else []
+    form = "beta = a0 - a1 cos psi - b1 sin psi, psi = 0 aft."
+    if more > EXCHANGED:
+        yield finding("error", "a1 b1", f"a1 and b1 are exchanged: roll follows a1, pitch follows b1; {form}")
+    elif turned:
+        said = " and ".join(turned) + (" have" if len(turned) > 1 else " has")
+        sentence = f"{said} the wrong sign: the moments go against the tilt of the disc; {form}"
+        yield finding("error", " ".join(turned), sentence)
+
+
+def _motors_act(dataset: Dataset, seen: Answers) -> Iterator[Finding]:
+    thrust = seen.shown(("az",)) and float(seen.of("az").sum()) > 0.0
+    motors, every = dataset.vehicle.motors or (), " ".join(dataset.controls)
+    if thrust:
+        sentence = "thrust falls as the commands rise (az goes with them): the commands are reversed."
+        yield finding("error", every, sentence, "Take one minus each.")
+    responses = seen.shown(names.RATES)
+    if thrust or len(motors) != len(dataset.controls) or not {"p", "q"} <= {*responses}:
+        return
+    x, y, _ = np.array([motor.position for motor in motors]).T
+    spin = np.array([1.0 if motor.spin == "ccw" else -1.0 for motor in motors])
+    declared = np.stack([{"p": -y, "q": x, "r": spin}[r] for r in responses])
+    along, by_number, best, order = seen.places(declared, responses)
+    if best > ALIKE and by_number < UNLIKE:
+        moved = [
+            (c, dataset.controls[k]) for c, k in zip(dataset.controls, order, strict=True) if c != dataset.controls[k]
+        ]
+        pairs = ", ".join(f"{c} acts from where {other} is declared" for c, other in moved)
+        sentence = f"{pairs} (agreement {best:.2f}, as declared {by_number:.2f})."
+        yield finding("error", " ".join(c for c, _ in moved), sentence, "Number commands and [[vehicle.motors]] alike.")
+    elif wrong := [r for r, cosine in zip(responses, along, strict=True) if cosine < OPPOSITE]:
+        said = " and ".join(OTHER_WAY[r] for r in wrong)
+        sentence = f"the body answers the motors the other way than [[vehicle.motors]] says: {said}."
+        yield finding("error", every, sentence, "Correct positions (x forward, y right) or spin (seen from above).")

@@ -1,1 +1,1 @@
-"""What single records hold: `steps` and `copies`, `stamps`, lines of `vibration`, `excitation` and `coherence`."""
+"""What single records hold: `steps`, `copies`, `stamps`, `vibration`, `excitation`, `coherence` and `answers`."""

@@ -1,0 +1,123 @@
+"""Which control acts on what: accelerations by regression on the controls and the motion, no model but that."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from rotorid_torch.consistency.smoothing import EVERY_S, WIDTH_S, smoothed
+from rotorid_torch.core import names
+from rotorid_torch.core.statistics import regression, without_line
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.flight import Flight
+
+Array = np.ndarray
+
+LAGS = range(6)
+"""Lags of the answer that are tried, in `EVERY_S`."""
+LEAST = 60
+"""Samples of a flight that is used."""
+SHOWN = 0.4
+"""Share of a response that must be explained for its row to count."""
+CLEARLY = 2.0
+"""Standard errors below which an effect counts as that much."""
+
+
+@dataclass(frozen=True)
+class Answers:
+    """Effects (responses, controls) of each control on p' q' r' (and az, where recorded), scaled by both sizes.
+
+    errors : their standard errors. explained : share of each response (responses,).
+    """
+
+    responses: tuple[str, ...]
+    effects: Array
+    errors: Array
+    explained: Array
+
+    def shown(self, responses: Sequence[str]) -> list[str]:
+        """Those of the responses that are recorded and explained."""
+        return [r for r in responses if r in self.responses and self.explained[self.responses.index(r)] > SHOWN]
+
+    def of(self, response: str) -> Array:
+        """Effects (controls,) on a response."""
+        return self.effects[self.responses.index(response)]
+
+    def pairing(self, responses: Sequence[str], columns: Sequence[int]) -> tuple[float, tuple[int, ...]]:
+        """By how much more (natural logarithm) the best pairing of responses and controls explains than that in order.
+
+        Products of effects, of which each row and column has one, no scale of a response or a control changes. Effects
+        below their errors count as these. The second are the places, in `columns`, of each response's control.
+        """
+        rows = [self.responses.index(r) for r in responses]
+        floor = np.maximum(CLEARLY * self.errors[rows], np.finfo(float).tiny)
+        sizes = np.log(np.maximum(np.abs(self.effects[rows]), floor))[:, list(columns)]
+        order = linear_sum_assignment(-sizes)[1]
+        return float(sizes[np.arange(len(rows)), order].sum() - np.diag(sizes).sum()), tuple(order.tolist())
+
+    def places(self, declared: Array, responses: Sequence[str]) -> tuple[Array, float, float, tuple[int, ...]]:
+        """Motors' effects against declared ones (responses, motors), every row of size 1.
+
+        Per response the cosine between the two; mean cosine of motors as declared, and paired best; that pairing.
+        """
+        measured = np.stack([self.of(r) for r in responses])
+        measured, declared = (
+            x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-300) for x in (measured, declared)
+        )
+        columns = [x / np.maximum(np.linalg.norm(x, axis=0), 1e-300) for x in (measured, declared)]
+        cosines = columns[0].T @ columns[1]
+        motors, order = linear_sum_assignment(-cosines)
+        along = (measured * declared).sum(axis=1)
+        return along, float(np.diag(cosines).mean()), float(cosines[motors, order].mean()), tuple(order.tolist())
+
+
+def answers(dataset: Dataset, controls: Sequence[str], motion: bool = True) -> Answers | None:
+    """What the controls, and for flapping angles these, do in the identify flights; None where these are too short.
+
+    motion : whether rates, tilt and velocities explain too.
+    """
+    flights = [dataset.flights[name] for name in dataset.identify if dataset.flights[name].has(*names.RATES, *controls)]
+    recorded = [c for c in (*names.VELOCITIES, "phi", "theta") if all(flight.has(c) for flight in flights)]
+    forces = ("az",) if all(flight.has("az") for flight in flights) else ()
+    states = (*names.RATES, *recorded) if motion else ()
+    by_lag = [_products(flights, (controls, forces, states), lag) for lag in LAGS]
+    if not flights or not by_lag[0][1]:
+        return None
+    responses = (*names.RATES, *forces)
+    fits = [regression(products, len(responses)) for products, _ in by_lag]
+    best = min(range(len(fits)), key=lambda lag: float(fits[lag][1][:3].mean()))
+    (x, left), (products, samples) = fits[best], by_lag[best]
+    size, count, first = np.sqrt(np.maximum(np.diag(products), 1e-300)), len(controls), len(responses)
+    effects = (x[:count] * size[first : first + count, None] / size[:first]).T
+    scaled = products[first:, first:] / np.outer(size[first:], size[first:])
+    spread = np.diag(np.linalg.pinv(scaled))[:count]
+    free = max(samples * EVERY_S / (2.0 * np.sqrt(np.pi) * WIDTH_S) - len(x), 1.0)
+    errors = np.sqrt(np.maximum(left, 0.0)[:, None] * np.maximum(spread, 0.0) / free)
+    return Answers(responses, effects, errors, 1.0 - left)
+
+
+def _products(flights: Sequence[Flight], channels: Sequence[Sequence[str]], lag: int) -> tuple[Array, int]:
+    """Products of responses, controls and motion (n, n) over flights, the controls so many samples earlier."""
+    controls, forces, states = channels
+    total, samples = np.zeros((0, 0)), 0
+    for flight in flights:
+        asked, _, there = smoothed(flight, controls)
+        _, turning, known = smoothed(flight, names.RATES)
+        others, _, present = smoothed(flight, [*forces, *states])
+        count = len(asked) - lag
+        if count < LEAST:
+            continue
+        later = slice(lag, None)
+        rows = np.concatenate(
+            [turning[later], others[later, : len(forces)], asked[:count], others[later, len(forces) :]], axis=1
+        )
+        whole = there[:count] & known[later] & present[later] & np.isfinite(rows).all(axis=1)
+        if whole.sum() < LEAST:
+            continue
+        rows = without_line(rows[whole])
+        total = total + rows.T @ rows if samples else rows.T @ rows
+        samples += len(rows)
+    return total, samples

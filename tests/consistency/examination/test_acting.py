@@ -1,0 +1,123 @@
+"""Each control acts on what its name, or its declared place, says; flapping goes with the moments."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rotorid_torch.consistency.examination.check import check
+from rotorid_torch.data import Dataset, load
+from tests.consistency.examination.test_grade import flown
+from tests.helpers import shared
+
+PLACES = ((0.2, 0.2), (-0.2, 0.2), (-0.2, -0.2), (0.2, -0.2))
+SPINS = ("ccw", "cw", "ccw", "cw")
+Arrays = dict[str, np.ndarray]
+
+
+def said(flight: Arrays, **more: Any) -> list[tuple[str, str, str]]:
+    data = Dataset.from_arrays({"f": flight}, identify=["f"], **more)
+    words = ("answers", "acts from", "thrust falls", "exchanged", "wrong sign", "the other way")
+    return [(f.severity, f.channel, f.sentence) for f in check(data).findings if any(w in f.sentence for w in words)]
+
+
+def sticks(flight: Arrays, **col: str) -> list[tuple[str, str, str]]:
+    controls = {stick: {"unit": "rad"} for stick in ("lat", "lon", "col", "ped")}
+    controls["col"] |= col
+    return said(flight, controls=controls)
+
+
+def exchanged(flight: Arrays, one: str, other: str) -> Arrays:
+    return flight | {one: flight[other], other: flight[one]}
+
+
+def test_sticks_of_their_axes_are_right():
+    assert sticks(flown()) == []
+
+
+@pytest.mark.parametrize(("one", "other"), [("lat", "lon"), ("lat", "ped"), ("col", "lon")])
+def test_exchanged_sticks_are_an_error(one: str, other: str):
+    ((severity, channels, sentence),) = sticks(exchanged(flown(), one, other))
+    assert severity == "error"
+    assert {*channels.split()} == {one, other}
+    assert "exchanged" in sentence
+
+
+def test_a_collective_that_is_turned_is_told_unless_it_is_declared():
+    turned = flown() | {"col": -flown()["col"]}
+    assert [(severity, channel) for severity, channel, _ in sticks(turned)] == [("warning", "col")]
+    assert sticks(turned, positive="descent") == []
+
+
+def hovering(seed: int = 0) -> Arrays:
+    """A quadrotor whose motors move by random steps, with damping."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, 20.0, 0.01)
+    motors = []
+    for _ in range(4):
+        switches = np.cumsum(rng.uniform(0.2, 0.8, 120))
+        motors.append(0.05 * rng.choice([-1.0, 0.0, 1.0], 121)[np.searchsorted(switches, time)] * (time > 1.0))
+    m, spin = np.stack(motors), np.array([1.0, -1.0, 1.0, -1.0])
+    x, y = np.array(PLACES).T
+    flight = {"time": time} | {f"motor{i + 1}": 0.5 + m[i] for i in range(4)}
+    for name, row, power in (("p", -y, 200.0), ("q", x, 180.0), ("r", spin, 5.0)):
+        asked, rate = power * row @ m, np.zeros(len(time))
+        for i in range(1, len(time)):
+            rate[i] = rate[i - 1] + 0.01 * (asked[i - 1] - 3.0 * rate[i - 1])
+        flight[name] = rate + 1e-3 * rng.standard_normal(len(time))
+    return flight | {"az": -9.8 - 5.0 * m.sum(axis=0) + 1e-2 * rng.standard_normal(len(time))}
+
+
+def motors(flight: Arrays, places: Any = PLACES, spins: Any = SPINS) -> list[tuple[str, str, str]]:
+    table = [{"position": [*place, 0.0], "spin": spin} for place, spin in zip(places, spins, strict=True)]
+    return said(flight, kind="multirotor", vehicle={"motors": table})
+
+
+def test_motors_of_their_places_are_right():
+    assert motors(hovering()) == []
+
+
+@pytest.mark.parametrize("order", [(2, 1, 3, 4), (1, 3, 2, 4), (2, 3, 4, 1), (3, 4, 1, 2), (4, 3, 2, 1)])
+def test_motors_of_other_places_are_named(order: tuple[int, ...]):
+    flight = hovering()
+    moved = flight | {f"motor{i}": flight[f"motor{k}"] for i, k in enumerate(order, 1)}
+    ((severity, channels, sentence),) = motors(moved)
+    assert severity == "error"
+    assert channels.split() == [f"motor{i}" for i, k in enumerate(order, 1) if i != k]
+    assert all(f"motor{i} acts from where motor{k} is declared" in sentence for i, k in enumerate(order, 1) if i != k)
+
+
+def test_spins_and_sides_that_are_declared_the_other_way():
+    ((_, _, spins),) = motors(hovering(), spins=("cw", "ccw", "cw", "ccw"))
+    assert "spins are the other way round" in spins
+    ((_, _, sides),) = motors(hovering(), places=[(x, -y) for x, y in PLACES])
+    assert "left and right" in sides
+
+
+def test_reversed_commands_are_told_without_places_too():
+    flight = hovering()
+    turned = flight | {f"motor{i}": 1.0 - flight[f"motor{i}"] for i in range(1, 5)}
+    ((severity, _, sentence),) = said(turned, kind="multirotor")
+    assert severity == "error"
+    assert "reversed" in sentence
+
+
+def test_flapping_is_exchanged_or_has_a_wrong_sign():
+    flight = flown()
+    slope = {name: np.gradient(flight[rate], flight["time"]) for name, rate in (("b1", "p"), ("a1", "q"))}
+    flight |= {name: np.convolve(0.01 * values, np.ones(5) / 5.0, "same") for name, values in slope.items()}
+    assert sticks(flight) == []
+    ((_, channels, _),) = sticks(exchanged(flight, "a1", "b1"))
+    assert channels == "a1 b1"
+    ((_, channels, sentence),) = sticks(flight | {"a1": -flight["a1"]})
+    assert channels == "a1"
+    assert "wrong sign" in sentence
+
+
+@pytest.mark.parametrize("name", ["crazyflie-motors", "nanodrone", "uh60-hover", "trex550-rates"])
+def test_nothing_is_told_of_measured_and_simulated_sets(name: str):
+    from rotorid_torch.consistency.examination.controls import acting
+
+    assert [*acting(load(shared("flightdata", name)))] == []
