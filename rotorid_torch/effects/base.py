@@ -74,7 +74,8 @@ class Frame:
     moment about the centre of gravity gives (inertia^-1 M), rad/s2. `rates` holds the rates of the effects' own states
     published so far, by the states' names; a later effect may replace one. `centre` is where the centre of gravity
     really is, m from where it is declared; None: there. `hubs` are forces at a multirotor's rotors [..., motors, 3], in
-    body axes and in units of their thrust, beside thrust itself; the rotors make force and moment of them.
+    body axes and in units of their thrust, beside thrust itself; the rotors make force and moment of them. `leaning`
+    are those that grow with a rotor's thrust, as they are at its usual one.
     """
 
     signals: Mapping[str, Tensor]
@@ -83,6 +84,7 @@ class Frame:
     rates: Mapping[str, Tensor] = field(default_factory=dict)
     centre: Tensor | None = None
     hubs: Tensor | None = None
+    leaning: Tensor | None = None
 
     def stack(self, names: tuple[str, ...]) -> Tensor:
         """These signals as [..., len(names)]."""
@@ -112,10 +114,11 @@ class Frame:
     def each(self, change: Callable[[Tensor, int], Tensor]) -> Frame:
         """The same frame with every tensor changed; `change` is told how many dimensions follow the leading ones."""
         vectors = [None if v is None else change(v, 1) for v in (self.force, self.moment, self.centre)]
-        hubs = None if self.hubs is None else change(self.hubs, 2)
+        hubs, leaning = (None if v is None else change(v, 2) for v in (self.hubs, self.leaning))
         signals, rates = ({n: change(v, 0) for n, v in part.items()} for part in (self.signals, self.rates))
         force, moment, centre = vectors
-        return replace(self, signals=signals, rates=rates, force=force, moment=moment, centre=centre, hubs=hubs)
+        whole = replace(self, signals=signals, rates=rates, force=force, moment=moment, centre=centre)
+        return replace(whole, hubs=hubs, leaning=leaning)
 
     def add(self, force: Tensor | None = None, moment: Tensor | None = None) -> Frame:
         """The same frame with specific force [..., 3] and angular acceleration [..., 3] added."""
@@ -124,6 +127,10 @@ class Frame:
     def add_at_hubs(self, force: Tensor) -> Frame:
         """The same frame with forces at the rotors [..., motors, 3] added."""
         return replace(self, hubs=_sum(self.hubs, force))
+
+    def add_leaning(self, force: Tensor) -> Frame:
+        """The same frame with forces at the rotors [..., motors, 3] added that grow with thrust."""
+        return replace(self, leaning=_sum(self.leaning, force))
 
 
 def _sum(a: Tensor | None, b: Tensor | None) -> Tensor | None:

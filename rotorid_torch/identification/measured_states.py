@@ -28,8 +28,12 @@ SPREAD = 0.03
 """Standard deviation of a flight's constant, and of the rms of its trend, over gravity or the usual rotor speed."""
 BLOCK_S = 2.0
 """Residuals of one such block may resemble each other; those of two do not."""
-SEARCHES = (Options(max_iterations=2), Options(max_iterations=2), Options(max_iterations=10, absolute=0.01))
-"""One for each time that the responses are weighed by what is left of them."""
+WEIGHED = 3
+"""Times that the responses are weighed by what is left of them, at least."""
+SEARCHES = (*[Options(max_iterations=2)] * 2, *[Options(max_iterations=10, absolute=0.01)] * 6)
+"""One for each time, at most: a response that was explained badly weighs little at first, and holds others back."""
+SETTLED = 1e-3
+"""Fall of a response's rms on average, over itself, below which the weights stay as they are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,9 +110,13 @@ class MeasuredStates:
             moved[places] = part
             return moved
 
-        best = theta[places]
-        for options in SEARCHES:
+        best, before = theta[places], math.inf
+        for k, options in enumerate(SEARCHES):
             sigma = self._sigma(whole(best))
+            now = sum(map(math.log, sigma.values())) / len(sigma)
+            if k >= WEIGHED and before - now < SETTLED:
+                break
+            before = now
 
             def evaluate(part: Tensor, base: _Place | None, share: float, sigma: Mapping[str, float] = sigma) -> _Place:
                 left = sum(
@@ -142,7 +150,7 @@ class MeasuredStates:
                 parts = [torch.cat([one[row][0], one[row][1][:, None]], dim=1) for one in flights if row in one]
                 triangles[row] = torch.linalg.qr(torch.cat(parts), mode="r").R, sum(map(len, parts))
             scales, expected = dict.fromkeys(triangles, 1.0), prior_rows(other[places], *prior)
-            for _ in SEARCHES:
+            for _ in range(WEIGHED):
                 every = torch.cat([expected, *(R / scales[row] for row, (R, _) in triangles.items())])
                 step = least_squares(every[:, :-1], every[:, -1:])[:, 0]
                 left = {row: float((R[:, -1] - R[:, :-1] @ step).norm()) for row, (R, _) in triangles.items()}

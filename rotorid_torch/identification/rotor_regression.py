@@ -39,10 +39,10 @@ def regress_rotors(
     Source: Morelli and Klein, Aircraft System Identification (2nd ed.), ch. 7; Foerster (2015), sec. 3.
     """
     flights = tuple(seen_flights(model, records(model, dataset, reconstruction)))
-    curved, theta = nonlinear(model), model.theta.detach().clone()
-    linear = [name for name in model.parameter_set.free if name not in curved]
+    bent, theta = nonlinear(model), model.theta.detach().clone()
+    linear = [name for name in model.parameter_set.free if name not in bent]
     declared = dict(zip(model.parameter_set.names, model.parameter_set.values.tolist(), strict=True))
-    unknown = [name for name in curved if model.named_values[name] == declared[name]]
+    unknown = [name for name in bent if model.named_values[name] == declared[name]]
     if unknown:
         searched = MeasuredStates.of(model, [flight.middle(SEARCHED) for flight in flights])
         theta = _tried(searched, theta, unknown, linear)
@@ -57,12 +57,18 @@ def regress_rotors(
 
 def nonlinear(model: Model) -> tuple[str, ...]:
     """Free parameters that the equations are not linear in: of the control path, and those with several starts."""
+    by_control = [e.id for e in model.chain if e.stage is Stage.CONTROL and e.role is not Role.NOMINAL]
     return tuple(
         f"{effect.id}.{p.name}"
         for effect in model.chain
         for p in effect.declared
-        if p.free and (p.tried or (effect.stage is Stage.CONTROL and effect.role is not Role.NOMINAL))
+        if p.free and (p.tried or effect.id in by_control)
     )
+
+
+def curved(model: Model, effect: str) -> bool:
+    """Whether an effect of the model that does not act on the controls has parameters with several starts."""
+    return any(p.free and p.tried for e in model.chain if e.id == effect for p in e.declared)
 
 
 def _tried(states: MeasuredStates, theta: Tensor, unknown: Sequence[str], linear: Sequence[str]) -> Tensor:

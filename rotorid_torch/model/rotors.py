@@ -32,6 +32,8 @@ DISTURBED = 0.05
 """Standard deviation of a disturbance over the rms of the angular acceleration of its axis."""
 NO_POWER = 1e-12
 """Control power that is nothing, in any of its units."""
+LEAST_THRUST = 0.1
+"""Of a rotor's usual thrust: forces that grow with thrust are over no less than that."""
 LEAST_COMMAND = 1e-3
 """Below it the root of a command is held, for its slope would be infinite."""
 
@@ -63,8 +65,9 @@ class Rotors(Effect):
 
     Z = -sum T/m; L and M by the declared places over the declared inertia, N by spin and torque ratio, each times a
     control power that is 1 if the declaration holds. No damping: rotors' other physics are effects of their own, and
-    forces that these bring to the hubs act there. Forces across the arms turn yaw by the inertia that roll and pitch
-    tell, of a flat body the sum of theirs: the control power of yaw holds the ratio of torque to thrust as well.
+    forces that these bring to the hubs act there, those of leaning discs as large as thrust is. Forces across the arms
+    turn yaw by the inertia that roll and pitch tell, of a flat body the sum of theirs: the control power of yaw holds
+    the ratio of torque to thrust as well.
     Where mass and inertia are not declared, thrust is per mass and control power carries the inertia.
 
     Source: Mahony, Kumar and Corke, IEEE Robotics and Automation Magazine 19 (2012), eqs. 5 to 7; Foerster, System
@@ -78,7 +81,8 @@ class Rotors(Effect):
 
     def __init__(self, spec: ModelSpec, prior_span: float) -> None:
         super().__init__((*_curve(spec), *_powers(spec), *_trims(spec, prior_span)))
-        self.driven, self.mass = spec.driven, spec.mass or 1.0
+        self.driven, self.mass, self.at = spec.driven, spec.mass or 1.0, hover_input(spec)
+        self.least = LEAST_THRUST * hover_thrust(spec)
         self.forces = tuple(row for row in FORCES[:2] if row in spec.patterns)
         inertia, self.flat = torch.eye(3, dtype=torch.float64), 1.0
         if powers_declared(spec):
@@ -101,6 +105,9 @@ class Rotors(Effect):
         forces = vec(zero, zero, -thrust)
         if frame.hubs is not None:
             forces = forces + frame.hubs
+        if frame.leaning is not None:
+            usual = (c0 + self.at * (c1 + self.at * c2)).clamp(min=self.least)
+            forces = forces - frame.leaning * forces[..., 2:] / usual.unsqueeze(-1)
         if set(shares) <= set(frame.signals):  # a damaged rotor gives less of every force
             share = frame.stack(shares)
             thrust, forces = thrust * share, forces * share.unsqueeze(-1)

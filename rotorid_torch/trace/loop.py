@@ -150,6 +150,7 @@ def trace_rotors(
     null = replace(null, spec=sized)
     search = Search(shared, lambda observed, effects: draws_of(search, observed, effects, (), draw, seed), say)
     final = search.back(search.forward(null, tested), tested)
+    search.settle_groups(final)
     outcome = Outcome(search, final, None, {}, search.spread(final))
     balanced = bool(spec.motors) and spec.found_places is None  # of arms that are not known nothing balances
     dataset = flights.dataset

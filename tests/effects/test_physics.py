@@ -440,6 +440,17 @@ def test_rotor_drag_grows_with_speed():
     assert moving["w"] == still["w"]
 
 
+def test_drag_of_discs_that_lean_goes_with_thrust_over_speed():
+    """A climb that costs thrust takes as much of the drag; faster rotors lean less at the same thrust."""
+    built = build(msgspec.structs.replace(MULTIROTOR, effects=("propulsion.axial_inflow", "propulsion.rotor_drag")))
+    drag = {"propulsion.rotor_drag.x": 0.4, "propulsion.rotor_drag.profile": 0.0}
+    model = with_values(built, {**drag, "propulsion.axial_inflow.z": 0.3})
+    for faster in (1.0, 1.2):
+        driven = {name: faster * MULTIROTOR.reference[name] for name in MULTIROTOR.driven}
+        felt = outputs(model, u=2.0, w=-3.0, **driven)
+        assert felt["ax"] == pytest.approx(-0.8 * felt["az"] / outputs(model)["az"] / faster)
+
+
 @pytest.mark.parametrize(
     ("across", "climb"), [(0.0, 1.0), (0.0, -3.0), (3.0, 0.0), (8.0, 2.0), (12.0, 4.0), (5.0, -3.0)]
 )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import cmath
+import math
 from dataclasses import replace
 from functools import cache
 
@@ -17,20 +19,23 @@ from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.simulation import fly
 from rotorid_torch.simulation.drawn.multirotors import clean_multirotors
+from rotorid_torch.simulation.multirotor.vehicles import multirotor
 from rotorid_torch.trace import loop
 from rotorid_torch.trace.clean_aircraft import statistics_on
 from rotorid_torch.trace.evidence.critical_values import Null
 from rotorid_torch.trace.evidence.fits import Flights
 from rotorid_torch.trace.loop import Tracing, trace_rotors
 from rotorid_torch.trace.measured.accelerations import MeasuredAccelerations
-from rotorid_torch.trace.measured.evidence import measured_family
+from rotorid_torch.trace.measured.evidence import Chance, measured_family
 from rotorid_torch.trace.measured.fitted import FittedAtStates
 from rotorid_torch.trace.search.requested import earned
+from rotorid_torch.trace.terms.candidate import Candidate
 from rotorid_torch.trace.terms.eligible import candidates
 from rotorid_torch.trace.terms.finding import EffectFinding
 
 DELAY, LAG, INERTIA = "control.delay", "propulsion.motor_lag", "propulsion.rotor_inertia"
 DRAG, INFLOW = "propulsion.rotor_drag", "propulsion.axial_inflow"
+WIND, BODY = "environment.wind", "forces.drag"
 FLIGHTS = ("roll_p", "pitch_p", "eight_p", "mixed_n")
 
 
@@ -75,12 +80,31 @@ def test_a_size_is_told_by_flights_that_did_not_give_it():
     family = measured_family(fitted(DRAG), [DRAG, LAG, INERTIA])
     assert family.statistics[DRAG] > 0.1
     assert family.statistics[INERTIA] < 0.01 * family.statistics[DRAG]
-    turned = measured_family(fitted(DRAG), [DRAG], turns=5)
+    turned = measured_family(fitted(DRAG), [DRAG], chance=Chance(5))
     assert max(float(turned.common.evidence(DRAG, 1 + k).sum()) for k in range(5)) < 0.05 * family.statistics[DRAG]
 
 
 def test_one_flight_alone_is_its_own_witness_in_halves():
     assert measured_family(fitted(DRAG, alone=True), [DRAG]).statistics[DRAG] > 0.05
+
+
+def test_loss_by_climbing_is_seen_beside_the_wind_whose_lift_cancels_it():
+    """At 8 m/s a line about the model without it shows little; a fit in full does, and no drag of the body with it."""
+    headings, speed = ["hover_p", "hover_p-120deg", "eight_p", "eight_n-270deg"], 8.0
+    winds = [(WIND, speed / multirotor("quad").speed)]
+    data = at_one_rate(fly(None, vehicle="quad", flights=headings, effects=winds, seconds=8.0).dataset())
+    flights = Flights(data, reconstruct(data))
+    scored, drag = MeasuredAccelerations(flights), propose(data, flights.reconstruction, (DRAG,))
+    null = FittedAtStates.of(FittedAtStates.of(drag, flights).started(drag.with_effects(WIND)), flights)
+    line = scored.family(null, [INFLOW], (DRAG, WIND)).statistics[INFLOW]
+    scored.fit_ahead(null, [INFLOW])
+    observed = scored.family(null, [INFLOW], (DRAG, WIND))
+    assert observed.statistics[INFLOW] > max(0.2, 2.0 * line)
+    whole = scored.candidates(null, observed, [Candidate(INFLOW)])[Candidate(INFLOW)]
+    found = complex(whole.values[f"{WIND}.north"], whole.values[f"{WIND}.east"])
+    assert abs(found + speed * cmath.rect(1.0, math.radians(40.0))) < 0.05 * speed
+    body = scored.candidates(whole, observed, [Candidate(BODY)])[Candidate(BODY)]
+    assert max(body.values[f"{BODY}.{axis}"] for axis in "xy") < 0.002
 
 
 def test_clean_vehicles_in_the_likeness_of_the_data_show_none_of_it():

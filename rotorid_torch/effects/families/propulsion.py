@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import ClassVar, Self
 
@@ -28,6 +27,8 @@ NEXT_DISC = 0.8
 """Radius of a rotor over half the distance to the next one, usual among vehicles on sale."""
 TRIED = (0.5, 1.0, 1.35, 1.8)
 """Induced velocities that are tried, over the usual: lift by speed and loss by climbing nearly cancel in wind."""
+LEAST_SHARE = 0.1
+"""Of a rotor's usual command or speed, below which its disc leans no more."""
 LEAST_VOLTAGE = 0.05
 """Share of the reference below which a voltage is a fault of its sensor."""
 
@@ -164,8 +165,8 @@ HUBS = Parameter(
 """A share: free beyond 1, inflow and drag trade with what the arms feel, and drag of the body takes their place."""
 
 
-class _AtHubs(_WithThrust, ABC):
-    """Forces on each rotor by the velocity of its hub through the air, v + h omega x place: they damp rates as well.
+class _AtHubs(_WithThrust):
+    """What each rotor feels by the velocity of its hub through the air, v + h omega x place: it damps rates as well.
 
     h, `hubs`, is 1 where all of it acts at the rotors, and less where what stands in their wake or the body feels part
     of it about the centre of gravity.
@@ -181,17 +182,16 @@ class _AtHubs(_WithThrust, ABC):
         place = torch.tensor([m.position for m in spec.motors], dtype=torch.float64)
         self.register_buffer("place", place, persistent=False)
 
-    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
-        """Adds the forces."""
+    def _at_hubs(self, frame: Frame, p: Values) -> tuple[Tensor, Tensor]:
+        """Velocities of the hubs through the air [..., motors, 3], m/s; inputs over the usual ones [..., motors, 1]."""
         velocity = frame.stack(VELOCITIES).unsqueeze(-2)
         turning = cross(frame.stack(RATES).unsqueeze(-2), self.place)
-        velocity = velocity + p["hubs"][..., None, None] * turning
-        share = frame.stack(self.driven) * (self.mass / self.total)
-        return frame.add_at_hubs(share.unsqueeze(-1) * self._felt(velocity, p)), x
+        share = frame.stack(self.driven) * (len(self.driven) / self.total)
+        return velocity + p["hubs"][..., None, None] * turning, share.unsqueeze(-1)
 
-    @abstractmethod
-    def _felt(self, velocity: Tensor, p: Values) -> Tensor:
-        """Specific force of a rotor at its usual speed whose hub moves at velocities [..., motors, 3], m/s2."""
+    def _each(self, specific: Tensor) -> Tensor:
+        """Force of each rotor of a specific force that all make together, in units of thrust."""
+        return specific * (self.mass / len(self.driven))
 
 
 def usual_inflow(spec: ModelSpec) -> float:
@@ -203,20 +203,31 @@ def usual_inflow(spec: ModelSpec) -> float:
 
 @register
 class RotorDrag(_AtHubs):
-    """Drag of the rotors in their own plane, linear in speed, growing with the rotors' speed.
+    """Drag of the rotors in their own plane, linear in speed: of the blades' profiles, and of thrust that leans back.
 
-    Each rotor's hub feels -x s_i u_i and -y s_i v_i with s_i its command or speed over the sum of all at the reference.
+    At the reference each rotor's hub feels its part of -x u and -y v. A share `profile` of it grows with the rotor's
+    command or speed s_i over that at the reference. The rest is thrust that leans, for discs tilt back with the speed
+    over that of the blades' tips: it grows with thrust T_i over that at the reference, and with 1/s_i.
 
-    Source: Faessler, Franchi and Scaramuzza, IEEE Robotics and Automation Letters 3 (2018); Foerster (2015), sec. 3.4.
+    Source: Faessler, Franchi and Scaramuzza, IEEE Robotics and Automation Letters 3 (2018); Mahony, Kumar and Corke,
+    IEEE Robotics and Automation Magazine 19 (2012), eqs. 8 to 10 (thrust that leans); Foerster (2015), sec. 3.4.
     """
 
     id = "propulsion.rotor_drag"
-    coefficients = (*alike("xy", "1/s", (0.0, 5.0), "drag in the rotors' plane along {}", typical=0.3), HUBS)
+    coefficients = (
+        *alike("xy", "1/s", (0.0, 5.0), "drag in the rotors' plane along {}", typical=0.3),
+        HUBS,
+        Parameter("profile", 1.0, "1", (0.0, 1.0), prior_sd=0.5, doc="share of it that grows with the rotors' speed"),
+    )
 
-    def _felt(self, velocity: Tensor, p: Values) -> Tensor:
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Adds the forces."""
+        velocity, share = self._at_hubs(frame, p)
         u, v, w = velocity.unbind(-1)
-        x, y = p.stack("x", "y").unsqueeze(-2).unbind(-1)
-        return vec(-x * u, -y * v, torch.zeros_like(w))
+        along, across = p.stack("x", "y").unsqueeze(-2).unbind(-1)
+        drag = self._each(vec(-along * u, -across * v, torch.zeros_like(w)))
+        profile, tips = p["profile"][..., None, None], share.clamp(min=LEAST_SHARE)
+        return frame.add_at_hubs(share * profile * drag).add_leaning((1.0 - profile) * drag / tips), x
 
 
 @register
@@ -241,11 +252,14 @@ class AxialInflow(_AtHubs):
         hover = Parameter("hover", usual, "m/s", bounds, 0.3 * usual, doc=doc, typical=usual, tried=tried)
         self.declared = (*self.declared, hover)
 
-    def _felt(self, velocity: Tensor, p: Values) -> Tensor:
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        """Adds the thrust lost."""
+        velocity, share = self._at_hubs(frame, p)
         u, v, w = velocity.unbind(-1)
         hover, zero = p["hover"].unsqueeze(-1), torch.zeros_like(w)
         through = induced_velocity(hover * hover, u * u + v * v, -w) - w
-        return vec(zero, zero, 2.0 * p["z"].unsqueeze(-1) * (through - hover))
+        lost = vec(zero, zero, 2.0 * p["z"].unsqueeze(-1) * (through - hover))
+        return frame.add_at_hubs(self._each(share * lost)), x
 
 
 @register

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from torch import Tensor
 
 from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.identification.rotor_regression import curved
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.evidence.family import Family, Scored
-from rotorid_torch.trace.measured.evidence import SHUFFLED, measured_family
+from rotorid_torch.trace.measured.evidence import SHUFFLED, Chance, measured_family
 from rotorid_torch.trace.measured.fitted import FittedAtStates
 from rotorid_torch.trace.terms.candidate import Candidate
 
@@ -19,8 +20,16 @@ Message = tuple[dict[str, Any], Tensor, dict[str, float], dict[str, Tensor]]
 """A fit as it travels between ranks: its spec, theta, errors, and theta without each flight."""
 
 
+@dataclass(frozen=True, eq=False)
 class MeasuredAccelerations(Scored[FittedAtStates]):
-    """Fits to accelerations at measured states."""
+    """Fits to accelerations at measured states.
+
+    A candidate that is not linear in all its parameters acts otherwise beside other values of what joined before: loss
+    by climbing and lift by wind nearly cancel at the wind that suits a model without them. A line about that model
+    shows nothing, so it is fitted in full first, and the way from the null to that fit is a signature too.
+    """
+
+    _ahead: dict[FittedAtStates, dict[Candidate, FittedAtStates]] = field(default_factory=dict, repr=False)
 
     by_chance = SHUFFLED
 
@@ -32,7 +41,15 @@ class MeasuredAccelerations(Scored[FittedAtStates]):
         self, null: FittedAtStates, effects: Sequence[str], accepted: Sequence[str] = (), turned: int = 0, seed: int = 0
     ) -> Family[FittedAtStates]:
         """The family of these effects beside a fitted model."""
-        return measured_family(null, effects, accepted, turned, seed)
+        ends = [one for c, one in self._ahead.get(null, {}).items() if c.effect in effects]
+        return measured_family(null, effects, accepted, Chance(turned, seed), ends)
+
+    def fit_ahead(self, null: FittedAtStates, effects: Sequence[str]) -> None:
+        """Those with parameters that the equations are not linear in; of controls, a line tells enough."""
+        model = build(null.spec.with_effects(*effects))
+        bent = [Candidate(e) for e in effects if curved(model, e)]
+        self._ahead.clear()
+        self._ahead[null] = self._fitted(null, bent)
 
     def refitted(self, spec: ModelSpec, near: FittedAtStates) -> FittedAtStates:
         """The model of a spec, fitted from where another fit ended."""
@@ -42,6 +59,11 @@ class MeasuredAccelerations(Scored[FittedAtStates]):
         self, null: FittedAtStates, observed: Family[FittedAtStates], candidates: Sequence[Candidate]
     ) -> dict[Candidate, FittedAtStates]:
         """The null with one more effect, for each of these, fitted in full."""
+        done = self._ahead.get(null, {})
+        more = self._fitted(null, [c for c in candidates if c not in done])
+        return {c: done[c] if c in done else more[c] for c in candidates}
+
+    def _fitted(self, null: FittedAtStates, candidates: Sequence[Candidate]) -> dict[Candidate, FittedAtStates]:
         specs = [null.started(c.joined_to(null.spec)) for c in candidates]
         fitted = self.ranks.carry(specs, self.fitted, _message, self._again)
         return dict(zip(candidates, fitted, strict=True))

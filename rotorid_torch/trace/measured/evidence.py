@@ -30,21 +30,33 @@ BLOCK_S = 1.0
 SHUFFLED = "critical values come from the data's own residuals, whose blocks of a second stand in another order"
 
 
+@dataclass(frozen=True)
+class Chance:
+    """Residuals of the same colour that know nothing of the motion: how many, and the seed of their order."""
+
+    turns: int = 0
+    seed: int = 0
+
+
 @torch.no_grad()
 def measured_family(
-    null: FittedAtStates, effects: Sequence[str], accepted: Sequence[str] = (), turns: int = 0, seed: int = 0
+    null: FittedAtStates,
+    effects: Sequence[str],
+    accepted: Sequence[str] = (),
+    chance: Chance = Chance(),
+    ends: Sequence[FittedAtStates] = (),
 ) -> Family[FittedAtStates]:
     """The family of these effects beside a fitted model.
 
-    accepted : effects of the model that have a name. turns : residuals of the same colour that know nothing of the
-    motion, made of the model's own, blocks of it in another order.
+    accepted : effects of the model that have a name. chance : residuals made of the model's own, blocks of it in
+    another order. ends : fits with one effect more, the ways to which are signatures.
     """
-    probe = _Probe.of(null, effects)
-    dataset, chance = null.flights.dataset, torch.Generator().manual_seed(seed)
+    probe = _Probe.of(null, effects, ends)
+    dataset, turns, random = null.flights.dataset, chance.turns, torch.Generator().manual_seed(chance.seed)
     rows, prior, count = tuple(null.sigma), probe.prior, len(probe.names)
     sides = [[_matrix(probe, one) for one in probe.pieces(side)] for side in (dataset.identify, dataset.validate)]
     theta = torch.linalg.lstsq(*_estimating(sides[0], prior, count)).solution
-    fitted, unseen = ([_with_shuffled(one, theta, turns, chance) for one in side] for side in sides)
+    fitted, unseen = ([_with_shuffled(one, theta, turns, random) for one in side] for side in sides)
     by_row = torch.stack([_products(one, rows) for one in fitted])
     unexplained = _unexplained(probe, rows, by_row.sum(0), 1 + turns)
     counted = [k for k, row in enumerate(rows) if row not in unexplained or len(unexplained) == len(rows)]
@@ -72,12 +84,13 @@ class _Probe:
     chosen: tuple[Signature, ...]
 
     @classmethod
-    def of(cls, null: FittedAtStates, effects: Sequence[str]) -> _Probe:
-        """Of effects that join the null's spec."""
+    def of(cls, null: FittedAtStates, effects: Sequence[str], ends: Sequence[FittedAtStates]) -> _Probe:
+        """Of effects that join the null's spec, and ways to fits in full."""
         spec = null.started(null.spec)
         model = build(spec.with_effects(*effects))
         probe = cls(null, model, build(spec).parameter_set.free, signatures(model, effects))
-        return replace(probe, chosen=(*probe.chosen, *probe._followed()))
+        more = probe._followed([*ends, *([] if null.origin is None else [null.origin])])
+        return replace(probe, chosen=(*probe.chosen, *more))
 
     @property
     def variants(self) -> list[list[int]]:
@@ -98,20 +111,29 @@ class _Probe:
         for one in _halves(flights[0]) if len(flights) == 1 else flights:
             yield MeasuredStates.of(self.model, [one])
 
-    def _followed(self) -> list[Signature]:
-        """Signatures that the null follows, of effects with a single size.
+    def _followed(self, ends: Sequence[FittedAtStates]) -> list[Signature]:
+        """Signatures that the null follows.
 
-        What makes controls later takes the place of what does so in the null. And the null may have begun from a fit
-        that has the effect: at the values of that fit.
+        What makes controls later takes the place of what does so in the null. And the ways to fits that have an effect
+        more, or from which the null began: all values go to what they are there.
         """
-        origin, chosen = self.null.origin, []
-        for one in (self.chosen[places[0]] for places in self.variants if len(places) == 1):
-            if earlier := self._earlier(one):
-                chosen.append(replace(one, others=(*one.others, *earlier)))
-            if origin is not None and origin.values.get(one.parameter, one.null) != one.null:
-                values = tuple((name, origin.values[name]) for name in self.names if name in origin.values)
-                chosen.append(replace(one, typical=origin.values[one.parameter], others=(*one.others, *values)))
+        single = [self.chosen[places[0]] for places in self.variants if len(places) == 1]
+        chosen = [replace(one, others=(*one.others, *e)) for one in single if (e := self._earlier(one))]
+        for end in ends:
+            for effect in dict.fromkeys(one.effect for one in self.chosen):
+                moved = [one for one in self.chosen if one.effect == effect and self._moved(one, end) > 0.0]
+                if moved:
+                    first = max(moved, key=lambda one: self._moved(one, end))
+                    mine = [n for n in end.values if n.startswith(f"{effect}.") and n != first.parameter]
+                    names = [*mine, *(n for n in self.names if n in end.values)]
+                    values = tuple((n, end.values[n]) for n in names)
+                    chosen.append(replace(first, typical=end.values[first.parameter], others=values))
         return [replace(one, size=-1 - k) for k, one in enumerate(chosen)]
+
+    @staticmethod
+    def _moved(one: Signature, end: FittedAtStates) -> float:
+        """How far a signature's parameter lies from its null in a fit, over its typical size."""
+        return abs((end.values.get(one.parameter, one.null) - one.null) / one.step)
 
     def _earlier(self, one: Signature) -> tuple[tuple[str, float], ...]:
         """By what controls are late in the null, less by as much as the signature makes them later."""

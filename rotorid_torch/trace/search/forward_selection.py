@@ -129,7 +129,10 @@ class Search(Generic[FittedT]):
         """The family beside a model with the effects that joined, and the p of its members; made once for a model."""
         named = tuple(c.effect for c in self.joined)
         if self.last is None or self.last[0].null is not model or self.last[0].accepted != named:
-            asked = self.scored.family(model, [e for e in effects if e not in named], named)
+            others = [e for e in effects if e not in named]
+            if named:
+                self.scored.fit_ahead(model, others)
+            asked = self.scored.family(model, others, named)
             self.last = self.tested_beside(asked, effects)
         return self.last
 
@@ -184,6 +187,17 @@ class Search(Generic[FittedT]):
             last = self.joined[-1].effect
             low = {effect_of(n) for n, one in p.items() if one <= SETTINGS.level}
             self.rivals[last] = tuple(e for e in self.rivals.get(last, ()) if e not in low)
+
+    def settle_groups(self, final: FittedT) -> None:
+        """Asks rivals again beside all that joined: where only the effect fits the others, its rival is none."""
+        for c in self.joined if len(self.joined) > 1 else ():
+            near = [Candidate(e) for e in self.rivals.get(c.effect, ())]
+            if near and self.first is not None:
+                without = self.scored.refitted(final.spec.without([c.effect]), final)
+                fitted = self.scored.candidates(without, self.first[0], near)
+                stay = [r.effect for r in near if not exceeds(fitted[r].log_ratios(final))]
+                self.rivals[c.effect] = tuple(stay)
+                self.say(f"{c.name} beside all others: not to be told from {', '.join(stay) or 'any'}")
 
     def drawn_scatter(self, effect: str) -> Mapping[str, float]:
         """Scatter of an effect's sizes over clean aircraft."""
