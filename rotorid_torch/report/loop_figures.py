@@ -63,6 +63,7 @@ def spectra(pairs: Sequence[tuple[Overlay, Overlay]]) -> Figure:
             length = min(len(power) for _, power in spectra_of)
             mean = np.sqrt(np.mean([power[:length] for _, power in spectra_of], axis=0))
             axes.loglog(spectra_of[0][0][1:length], mean[1:], color=colour, linewidth=1.2, label=label)
+        axes.minorticks_off()  # hundreds, which took as long as all else
     grid[0][0].set_title("measured - model: before (grey), after (blue)", loc="left", fontsize=10, y=1.0)
     grid[-1][0].set_xlabel("frequency, Hz")
     return figure

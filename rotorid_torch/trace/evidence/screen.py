@@ -250,17 +250,23 @@ def signatures(model: Model, effects: Sequence[str]) -> tuple[Signature, ...]:
     return tuple(results)
 
 
-def screen(null: Fitted, effects: Sequence[str], shuffles: int = 0, seed: int = 0) -> Screen:
+def screen(null: Fitted, effects: Sequence[str], shuffles: int = 0, seed: int = 0, *, by_unseen: bool = True) -> Screen:
     """Signatures of effects that the null does not have, against its residual.
 
     shuffles : residuals made by turning each flight's residual in time by a random stretch, with a random sign.
+    by_unseen : whether flights that no fit has seen are evidence too; sizes never ask them.
     """
-    return screens(null, [(null.spec, effects)], shuffles, seed)[0]
+    return screens(null, [(null.spec, effects)], shuffles, seed, by_unseen=by_unseen)[0]
 
 
 @torch.no_grad()
 def screens(
-    null: Fitted, groups: Sequence[tuple[ModelSpec, Sequence[str]]], shuffles: int = 0, seed: int = 0
+    null: Fitted,
+    groups: Sequence[tuple[ModelSpec, Sequence[str]]],
+    shuffles: int = 0,
+    seed: int = 0,
+    *,
+    by_unseen: bool = True,
 ) -> list[Screen]:
     """The same of several groups of effects, each with the spec that its effects join, in one pass over the flights."""
     probes = [_Probe.of(null, spec, effects) for spec, effects in groups]
@@ -271,7 +277,7 @@ def screens(
     chance = torch.Generator().manual_seed(seed)
     fitted = _Linearised(problem, place, null.flights.dataset.identify, keep)
     products = _products(probes, fitted, shuffles, chance)
-    listed = null.flights.dataset.validate
+    listed = null.flights.dataset.validate if by_unseen else ()
     unseen = products.new_zeros(len(listed), *products.shape[1:])  # no evidence where the null flies away
     if listed and math.isfinite(null.on_unseen[1].cost):
         unseen = _products(probes, _Linearised(*null.on_unseen, listed, keep), shuffles, chance)

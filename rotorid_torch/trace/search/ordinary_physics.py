@@ -61,7 +61,7 @@ def _with_ordinary(
     """The null with what every rotor has, where a fit gains by that at all."""
     if not effects:
         return null, []
-    sizes = screen(null, effects).sizes(effects)
+    sizes = screen(null, effects, by_unseen=False).sizes(effects)
     spec = null.spec.with_effects(*effects)
     richer = refit(spec, shared.flights, {**null.values, **sizes}, shared.held, near=null)
     gained = gain(null, richer)

@@ -152,3 +152,10 @@ def test_screens_repeat_exactly():
     _, null = started(flights())
     one, two = (screen(null, SUSPECTS, seed=5) for _ in range(2))
     assert torch.equal(one.products, two.products)
+
+
+def test_sizes_do_not_ask_flights_that_no_fit_has_seen():
+    null = started(flights())[1]
+    whole, fitted = screen(null, SUSPECTS), screen(null, SUSPECTS, by_unseen=False)
+    assert fitted.sizes(SUSPECTS) == whole.sizes(SUSPECTS)
+    assert len(fitted.evidence(SUSPECTS[0])) == len(null.flights.dataset.identify) < len(whole.evidence(SUSPECTS[0]))
