@@ -19,6 +19,7 @@ from rotorid_torch.importing.formats import built_in_plan
 from rotorid_torch.importing.resample import on_grid
 from rotorid_torch.importing.signals.derive import (
     ANGLES,
+    VELOCITY,
     angles_on_grid,
     before_resampling,
     body_velocity,
@@ -40,6 +41,8 @@ BEYOND_S = 5.0
 """What is looked at before and after a flight at least: its ends lie between samples of slow channels."""
 SLOW = 0.5
 """Controls recorded at less than this share of the body rates' rate are told."""
+SMOOTH = frozenset((*QUATERNION, *ANGLES, *VELOCITY, *names.VELOCITIES, *names.POSITIONS))
+"""Integrals of what sensors feel, which have no corners between their samples."""
 Arrays = dict[str, np.ndarray]
 
 
@@ -216,7 +219,7 @@ def _gridded(record: Record, start: float, stop: float, hertz: float) -> tuple[A
         name: np.searchsorted(s.time, _within(record, start, stop, reach[name])) for name, s in record.signals.items()
     }
     parts = {name: (s, slice(*ends[name])) for name, s in record.signals.items()}
-    arrays = {name: on_grid(s.time[part], s.values[part], grid) for name, (s, part) in parts.items()}
+    arrays = {name: on_grid(s.time[part], s.values[part], grid, name in SMOOTH) for name, (s, part) in parts.items()}
     arrays, sentence = body_velocity(angles_on_grid(arrays))
     measured = {name: values for name, values in arrays.items() if np.isfinite(values).any()}
     if absent := [name for name in arrays if name not in measured]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 GAP_S = 0.05
 """A pause longer than this and than 2.5 samples of either rate is a gap: what happened in it is not known."""
@@ -17,11 +18,14 @@ FASTER = 1.2
 """A signal this much faster than the grid is low-passed."""
 
 
-def on_grid(time: np.ndarray, values: np.ndarray, grid: np.ndarray) -> np.ndarray:
+def on_grid(time: np.ndarray, values: np.ndarray, grid: np.ndarray, smooth: bool = False) -> np.ndarray:
     """Values (T,) at the points of a uniform grid (n,), NaN outside the record and in gaps.
 
     A faster signal is interpolated to the next multiple of the grid's rate and averaged with a symmetric window of a
-    sinc, so no phase is lost; missing samples have no weight. Others are interpolated linearly.
+    sinc, so no phase is lost; missing samples have no weight. Others are interpolated linearly, or by cubics where the
+    signal is `smooth` (an integral, such as a velocity): lines lose a tenth of what a record of 5 Hz has at 1 Hz.
+
+    Source: Keys, Cubic convolution interpolation for digital image processing, IEEE Trans. ASSP 29 (1981), 1153.
     """
     finite = np.isfinite(values)
     time, values = time[finite], values[finite]
@@ -32,7 +36,10 @@ def on_grid(time: np.ndarray, values: np.ndarray, grid: np.ndarray) -> np.ndarra
     gaps = np.diff(time) > max(GAP_S, 2.5 * typical, 2.5 * dt)
     multiple = math.ceil(dt / typical - 1e-3) if dt > FASTER * typical else 1
     if multiple == 1:
-        return np.where(_known(time, gaps, grid, 0.5 * min(typical, dt)), np.interp(grid, time, values), np.nan)
+        inside = np.clip(grid, time[0], time[-1])
+        curve = CubicHermiteSpline(time, values, np.gradient(values, time))(inside) if smooth else None
+        between = np.interp(grid, time, values) if curve is None else curve
+        return np.where(_known(time, gaps, grid, 0.5 * min(typical, dt)), between, np.nan)
     kernel = lowpass(multiple)
     result = np.empty(len(grid))
     for first in range(0, len(grid), ROWS):

@@ -334,9 +334,9 @@ def test_a_flight_among_many_goes_through_its_own_samples_only(tmp_path: Path, m
     columns, seen = table(40.0), []
     columns["time"] = columns["time"] + 100.0 * np.floor(columns["time"] / 4.0)
 
-    def counted(time: np.ndarray, values: np.ndarray, grid: np.ndarray) -> np.ndarray:
+    def counted(time: np.ndarray, values: np.ndarray, grid: np.ndarray, *smooth: bool) -> np.ndarray:
         seen.append(len(time))
-        return on_grid(time, values, grid)
+        return on_grid(time, values, grid, *smooth)
 
     monkeypatch.setattr(flights, "on_grid", counted)
     done = rotorid.import_log(csv(tmp_path / "ten.csv", columns), tmp_path / "set")

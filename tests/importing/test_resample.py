@@ -105,3 +105,11 @@ def test_a_slow_channel_reaches_from_before_a_flight_to_after_it():
     record: Any = SimpleNamespace(signals={"p": fast, "voltage": slow}, file="log", cuts=())
     found, _ = flights._gridded(record, 36.0, 44.0, 50.0)
     np.testing.assert_allclose(found["voltage"], 0.01 * (36.0 + found["time"]), atol=1e-9)
+
+
+@pytest.mark.parametrize(("smooth", "least", "most"), [(False, 0.85, 0.9), (True, 0.97, 1.01)])
+def test_a_slow_velocity_keeps_what_lines_between_its_samples_lose(smooth: bool, least: float, most: float):
+    time, grid = np.arange(0.0, 20.0, 0.2), np.arange(0.0, 19.0, 0.01)
+    known = np.sin(2 * np.pi * 1.0 * time + 0.3)
+    drawn, wanted = on_grid(time, known, grid, smooth), np.sin(2 * np.pi * 1.0 * grid + 0.3)
+    assert least < (drawn @ wanted) / (wanted @ wanted) < most

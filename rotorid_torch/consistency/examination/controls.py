@@ -346,7 +346,7 @@ def _flapping_acts(dataset: Dataset) -> Iterator[Finding]:
 
 
 def _motors_act(dataset: Dataset, seen: Answers) -> Iterator[Finding]:
-    thrust = seen.shown(("az",)) and float(seen.of("az").sum()) > 0.0
+    thrust = seen.shown(("az",)) and float(seen.weights("az").sum()) > 0.0
     motors, every = dataset.vehicle.motors or (), " ".join(dataset.controls)
     if thrust:
         sentence = "thrust falls as the commands rise (az goes with them): the commands are reversed."

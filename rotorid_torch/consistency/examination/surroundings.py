@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorid_torch.consistency.equations import GRAVITY_RANGE
-from rotorid_torch.consistency.examination.finding import Finding, finding
+from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
 from rotorid_torch.consistency.pairs.sensor_pairs import Pair, jackknife_error, minutes, velocity_pairs
 from rotorid_torch.consistency.smoothing import kernel
 from rotorid_torch.core.names import ATTITUDES, VELOCITIES
@@ -22,6 +22,8 @@ AIR = ("airspeed", *VELOCITIES, *ATTITUDES)
 ITERATIONS = 30
 KNOWN = 0.02
 """Standard error of gravity, as a share of it, up to which it is worth telling."""
+OTHER = 0.05
+"""Share of gravity by which it must be off to doubt forces: rare samples of velocity or attitude lose some percent."""
 WITHOUT = 0.1
 """Share of gravity below which accelerometers do not read it."""
 
@@ -45,7 +47,8 @@ def surroundings(dataset: Dataset) -> Iterator[Finding]:
             yield finding("error", "ax ay az", f"{sentence}:", cause, "Subtract gravity in body axes.")
         elif abs(g - declared) > max(4.0 * error, GRAVITY_RANGE * declared):
             cause = "a scale or unit error of attitude or accelerometers, or another vehicle.gravity."
-            yield finding("warning", "", f"{sentence}:", cause, "Calibrate before believing forces.")
+            grave: Severity = "warning" if abs(g - declared) > OTHER * declared else "note"
+            yield finding(grave, "", f"{sentence}:", cause, "Calibrate before believing forces.")
         else:
             yield finding("good", "", f"{sentence}.")
     air = wind(dataset)

@@ -30,13 +30,14 @@ CLEARLY = 2.0
 class Answers:
     """Effects (responses, controls) of each control on p' q' r' (and az, where recorded), scaled by both sizes.
 
-    errors : their standard errors. explained : share of each response (responses,).
+    errors : their standard errors. explained : share of each response (responses,). sizes : rms (controls,).
     """
 
     responses: tuple[str, ...]
     effects: Array
     errors: Array
     explained: Array
+    sizes: Array
 
     def shown(self, responses: Sequence[str]) -> list[str]:
         """Those of the responses that are recorded and explained."""
@@ -45,6 +46,10 @@ class Answers:
     def of(self, response: str) -> Array:
         """Effects (controls,) on a response."""
         return self.effects[self.responses.index(response)]
+
+    def weights(self, response: str) -> Array:
+        """The same of one unit of each control, in any scale."""
+        return self.of(response) / self.sizes
 
     def pairing(self, responses: Sequence[str], columns: Sequence[int]) -> tuple[float, tuple[int, ...]]:
         """By how much more (natural logarithm) the best pairing of responses and controls explains than that in order.
@@ -63,7 +68,7 @@ class Answers:
 
         Per response the cosine between the two; mean cosine of motors as declared, and paired best; that pairing.
         """
-        measured = np.stack([self.of(r) for r in responses])
+        measured = np.stack([self.weights(r) for r in responses])
         measured, declared = (
             x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-300) for x in (measured, declared)
         )
@@ -96,7 +101,7 @@ def answers(dataset: Dataset, controls: Sequence[str], motion: bool = True) -> A
     spread = np.diag(np.linalg.pinv(scaled))[:count]
     free = max(samples * EVERY_S / (2.0 * np.sqrt(np.pi) * WIDTH_S) - len(x), 1.0)
     errors = np.sqrt(np.maximum(left, 0.0)[:, None] * np.maximum(spread, 0.0) / free)
-    return Answers(responses, effects, errors, 1.0 - left)
+    return Answers(responses, effects, errors, 1.0 - left, size[first : first + count])
 
 
 def _products(flights: Sequence[Flight], channels: Sequence[Sequence[str]], lag: int) -> tuple[Array, int]:

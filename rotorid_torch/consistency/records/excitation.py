@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotorid_torch.consistency.records.answers import answers
 from rotorid_torch.consistency.records.vibration import spectrum
 from rotorid_torch.core import names
 from rotorid_torch.core.statistics import without_line
@@ -35,13 +36,23 @@ class Axis:
 
 
 def control_axes(dataset: Dataset) -> tuple[Axis, ...]:
-    """The controls, or for motors with declared places their sums about the axes: thrust, roll, pitch and yaw."""
+    """The controls, or for motors their sums about the axes: thrust, roll, pitch and yaw.
+
+    The sums are by declared places, else by what the motors do to the body.
+    """
     controls, motors = dataset.controls, dataset.vehicle.motors or ()
-    if not (motors and len(motors) == len(controls) and all(map(names.is_motor, controls))):
+    weights = dict[str, np.ndarray]()
+    if all(map(names.is_motor, controls)):
+        if len(motors) == len(controls):
+            x, y, _ = np.array([motor.position for motor in motors]).T
+            spin = np.array([1.0 if motor.spin == "ccw" else -1.0 for motor in motors])
+            weights = {"roll": -y, "pitch": x, "yaw": spin}
+        elif not motors and (seen := answers(dataset, controls)) and {*seen.shown(("p", "q"))} == {"p", "q"}:
+            turns = {"roll": "p", "pitch": "q", "yaw": "r"}
+            weights = {axis: seen.weights(rate) for axis, rate in turns.items() if seen.shown((rate,))}
+    if not weights:
         return tuple(Axis(c, np.eye(len(controls))[i], (c,)) for i, c in enumerate(controls))
-    x, y, _ = np.array([motor.position for motor in motors]).T
-    spin = np.array([1.0 if motor.spin == "ccw" else -1.0 for motor in motors])
-    weights = {"thrust": np.ones(len(x)), "roll": -y, "pitch": x, "yaw": spin}
+    weights = {"thrust": np.ones(len(controls)), **weights}
     scaled = {name: w / np.abs(w).sum() for name, w in weights.items() if np.abs(w).sum() > 0.0}
     return tuple(Axis(name, w, controls) for name, w in scaled.items())
 

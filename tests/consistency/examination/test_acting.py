@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rotorid_torch.consistency.examination.check import check
+from rotorid_torch.consistency.records.excitation import control_axes
 from rotorid_torch.data import Dataset, load
 from tests.consistency.examination.test_grade import flown
 from tests.helpers import shared
@@ -94,6 +95,14 @@ def test_spins_and_sides_that_are_declared_the_other_way():
     assert "spins are the other way round" in spins
     ((_, _, sides),) = motors(hovering(), places=[(x, -y) for x, y in PLACES])
     assert "left and right" in sides
+
+
+def test_axes_of_motors_without_places_are_those_of_what_they_do():
+    data = Dataset.from_arrays({"f": hovering()}, identify=["f"], kind="multirotor")
+    axes = {axis.name: axis.weights for axis in control_axes(data)}
+    assert {*axes} == {"thrust", "roll", "pitch", "yaw"}
+    assert np.allclose(np.abs(np.stack([*axes.values()])), 0.25, atol=0.03)
+    assert not [f for f in check(data).findings if "feedback" in f.sentence and f.severity == "warning"]
 
 
 def test_reversed_commands_are_told_without_places_too():
