@@ -61,6 +61,10 @@ RESPONSES = (*names.RATES, *names.SPECIFIC_FORCES, *names.VELOCITIES)
 def controls(dataset: Dataset) -> Iterator[Finding]:
     """Saturation, declared limits, excitation and its share that is not feedback."""
     yield from _limits(dataset)
+    stuck = _stuck(dataset)
+    if stuck:
+        sentence = "never changes while the other motors do: not recorded, or stuck. What it does is then nobody's:"
+        yield finding("error", " ".join(stuck), sentence, "record it, or leave these flights out.")
     every = excitations(dataset)
     idle = [e for e in every if e.above_white < TEST_INPUT and (e.moved or names.is_motor(e.axis.controls[0]))]
     still = [e for e in every if not e.moved and e not in idle]
@@ -79,13 +83,20 @@ def controls(dataset: Dataset) -> Iterator[Finding]:
     yield from _folded([e for e in every if _folds(e)], dataset)
     flown = [e for e in every if e.moved and e not in idle and not _folds(e)]
     bound = [e for e in flown if e.independent < FEEDBACK]
-    if feedback := [e for e in bound if not e.leads]:
+    if (feedback := [e for e in bound if not e.leads]) and not stuck:
         yield _feedback(feedback)
     if answered := [e for e in bound if e.leads]:
         yield _answered(answered)
     for e in flown:
         if e.independent >= FEEDBACK:
             yield finding("good", _channels([e]), _moves(dataset, e))
+
+
+def _stuck(dataset: Dataset) -> list[str]:
+    """Motors that stand still in every flight, beside others that move."""
+    spreads = {c: [f.spreads[c] for f in dataset.facts.values()] for c in dataset.controls if names.is_motor(c)}
+    still = [c for c, some in spreads.items() if all(s.low == s.high for s in some)]
+    return still if len(still) < len(spreads) else []
 
 
 def _channels(every: Sequence[Excitation]) -> str:

@@ -26,6 +26,12 @@ ALONE = 15.0
 """A sample this many times farther from its neighbours than half of them are stands alone."""
 LIVE, LOST = 4, 0.01
 """Channels that must repeat at once, and the share of rows that do, to speak of lost samples."""
+FEWEST = 0.001
+"""Share of samples that are exactly 0, from which on they are no chance."""
+FEW_VALUES = 0.1
+"""Different values over samples, up to which a record is stored in steps; longest run of zeros, from which it rests."""
+COARSE, SPOILT = 0.05, 0.2
+"""Step over the rms of the motion, from which on it is told, and from which on it spoils."""
 OUTLIERS = 0.7
 """The same as a share of the channel's whole range in the flight."""
 
@@ -35,8 +41,9 @@ class Samples:
     """What repeats in one channel of one flight.
 
     Share of samples that repeat the one before, longest stretch without a change in s, longest run of samples at the
-    largest or least value where nothing else repeats so long, number of samples that stand alone, and how often a
-    second the value changes.
+    largest or least value where nothing else repeats so long, number of samples that stand alone, how often a second
+    the value changes, share of samples that are exactly 0 where no other value repeats, and least step between values
+    where these are few (else 0).
     """
 
     repeated: float
@@ -44,6 +51,8 @@ class Samples:
     at_edge: int
     alone: int
     renewed_hz: float
+    zeros: float = 0.0
+    step: float = 0.0
 
 
 def stamps(dataset: Dataset) -> Iterator[Finding]:
@@ -73,8 +82,11 @@ def repeats(dataset: Dataset) -> Iterator[Finding]:
         for channel, values in flight.channels.items():
             if channel != "time" and names.channel(channel) is not None:
                 by_channel.setdefault(channel, {})[name] = examine(values.numpy(), flight.dt)
+    yield from _frozen(dataset, by_channel)
     for channel, flights in by_channel.items():
         yield from _told(dataset, channel, flights)
+    yield from _zeros({c: flights for c, flights in by_channel.items() if c not in dataset.controls})
+    yield from _steps(dataset, by_channel)
     yield from _slow({channel: flights for channel, flights in by_channel.items() if channel not in dataset.controls})
 
 
@@ -99,11 +111,6 @@ def rows(dataset: Dataset) -> Iterator[Finding]:
 def _told(dataset: Dataset, channel: str, flights: Mapping[str, Samples]) -> Iterator[Finding]:
     if channel in dataset.controls:
         return
-    frozen = [name for name, s in flights.items() if s.longest_s > FROZEN_S and s.longest_s * s.renewed_hz > 20.0]
-    if frozen:
-        longest = max(flights[name].longest_s for name in frozen)
-        sentence = f"stands exactly still for up to {longest:.2g} s and moves otherwise ({', '.join(frozen)}): frozen."
-        yield finding("warning", channel, sentence, "Mark these samples as missing (NaN), or leave the flight out.")
     cut = [n for n, s in flights.items() if s.at_edge >= CLIPPED]
     if cut:
         longest = max(flights[name].at_edge for name in cut)
@@ -114,10 +121,50 @@ def _told(dataset: Dataset, channel: str, flights: Mapping[str, Samples]) -> Ite
             sentence,
             "cut off by its range. Mark them as missing (NaN), and record with a larger range.",
         )
-    alone = {n: s.alone for n, s in flights.items() if s.alone}
+    alone = {n: s.alone for n, s in flights.items() if s.alone and s.zeros < FEWEST}
     if alone:
         sentence = f"{sum(alone.values())} samples stand alone ({', '.join(alone)}), far from their neighbours:"
         yield finding("warning", channel, sentence, "look at them, and mark as missing (NaN) what is no motion.")
+
+
+def _frozen(dataset: Dataset, by_channel: Mapping[str, Mapping[str, Samples]]) -> Iterator[Finding]:
+    """Channels that stand still and move otherwise; those that do so in the same flights share a sentence."""
+    alike: dict[tuple[str, ...], dict[str, float]] = {}
+    for channel, flights in by_channel.items():
+        still = {
+            n: s.longest_s for n, s in flights.items() if s.longest_s > FROZEN_S and s.longest_s * s.renewed_hz > 20.0
+        }
+        if still and channel not in dataset.controls:
+            alike.setdefault(tuple(still), {})[channel] = max(still.values())
+    for flights, channels in alike.items():
+        verb, other = ("stand", "move") if len(channels) > 1 else ("stands", "moves")
+        lasts, where = max(channels.values()), ", ".join(flights)
+        sentence = f"{verb} exactly still for up to {lasts:.2g} s and {other} otherwise ({where}): frozen."
+        advice = "Mark these samples as missing (NaN), or leave the flight out."
+        yield finding("warning", " ".join(channels), sentence, advice)
+
+
+def _zeros(by_channel: Mapping[str, Mapping[str, Samples]]) -> Iterator[Finding]:
+    """Samples of sensors that were lost and written as 0, in one sentence; a control may rest there."""
+    zeros = {channel: max(s.zeros for s in flights.values()) for channel, flights in by_channel.items()}
+    if lost := {channel: share for channel, share in zeros.items() if share >= FEWEST}:
+        shares = ", ".join(f"{channel} {share:.2g}" for channel, share in ((c, 100.0 * x) for c, x in lost.items()))
+        sentence = f"exactly 0 in up to so many percent of the samples ({shares}), and no other value repeats:"
+        cause = "missing samples were written as 0. Mark them as missing (NaN)."
+        yield finding("warning", " ".join(lost), sentence, cause)
+
+
+def _steps(dataset: Dataset, by_channel: Mapping[str, Mapping[str, Samples]]) -> Iterator[Finding]:
+    """Motion that is stored in coarse steps, in one sentence."""
+    motion = (*names.RATES, *names.ATTITUDES, *names.SPECIFIC_FORCES, *names.VELOCITIES, *dataset.controls)
+    steps = {c: float(np.median([s.step for s in by_channel[c].values()])) for c in motion if c in by_channel}
+    coarse = {c: step for c, step in steps.items() if step > COARSE * dataset.scales()[c]}
+    if coarse:
+        listed = ", ".join(f"{c} {step:.3g}" for c, step in coarse.items())
+        share = max(step / dataset.scales()[c] for c, step in coarse.items())
+        sentence = f"stored in steps ({listed}), up to {share:.0%} of their motion: the steps are noise of that size,"
+        grave: Severity = "warning" if share > SPOILT else "note"
+        yield finding(grave, " ".join(coarse), sentence, "and rates of change show them most. Record more digits.")
 
 
 def _slow(by_channel: Mapping[str, Mapping[str, Samples]]) -> Iterator[Finding]:
@@ -149,7 +196,21 @@ def examine(values: np.ndarray, dt: float) -> Samples:
     edge = max(_beyond_steps(x, x == x.max()), _beyond_steps(x, x == x.min()))
     edge = edge if edge > 2 * (usual + 1) else 0
     changes = int((~same).sum())
-    return Samples(float(same.mean()), _beyond_steps(x, same) * dt, edge, _alone(x), changes / (len(x) * dt))
+    inside = same & ~edges[1:] if edge >= CLIPPED else same  # what is cut off by its range is not frozen
+    values, counts = np.unique(x, return_counts=True)
+    zeros, others = int(counts[values == 0.0].sum()), int(counts[values != 0.0].max(initial=0))
+    few = len(values) < FEW_VALUES * len(x)
+    return Samples(
+        repeated=float(same.mean()),
+        longest_s=_beyond_steps(x, inside) * dt,
+        at_edge=edge,
+        alone=_alone(x),
+        renewed_hz=changes / (len(x) * dt),
+        zeros=zeros / len(x)
+        if zeros >= LIVE and others < 0.2 * zeros and not _longest(x == 0.0) > FEW_VALUES * len(x)
+        else 0.0,
+        step=float(np.median(np.diff(values))) if few else 0.0,
+    )
 
 
 def _longest(true: np.ndarray) -> int:

@@ -1,0 +1,67 @@
+"""Samples that were lost as zeros, cut off, stored in steps, or never changed; each is one finding with its size."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rotorid_torch.consistency.examination.check import check
+from rotorid_torch.consistency.examination.finding import Finding
+from rotorid_torch.data import Dataset
+from tests.consistency.examination.test_acting import hovering
+from tests.consistency.examination.test_check import rolling
+
+Arrays = dict[str, np.ndarray]
+
+
+def grave(flight: Arrays, words: str, **more: str) -> list[Finding]:
+    data = Dataset.from_arrays({"f": flight}, identify=["f"], **more)
+    return [f for f in check(data).findings if words in f.sentence]
+
+
+def test_missing_samples_that_were_written_as_zeros():
+    flight, lost = rolling(), np.random.default_rng(0).random(len(rolling()["time"])) < 0.02
+    for channel in ("q", "theta"):
+        flight[channel] = np.where(lost, 0.0, flight[channel])
+    (one,) = grave(flight, "written as 0")
+    assert one.channel.split() == ["q", "theta"]
+    assert grave(rolling(), "written as 0") == []
+
+
+def test_a_rest_at_zero_and_a_coarse_record_lose_nothing():
+    flight = rolling()
+    flight["p"][:300] = 0.0
+    flight["q"] = np.round(flight["q"], 2)
+    assert grave(flight, "written as 0") == []
+
+
+def test_what_is_cut_off_by_its_range_is_not_frozen():
+    flight = rolling()
+    flight["q"] = np.minimum(flight["q"], np.quantile(flight["q"], 0.6))
+    assert [f.channel for f in grave(flight, "cut off")] == ["q"]
+    assert grave(flight, "frozen") == []
+
+
+def test_channels_that_freeze_together_are_one_finding():
+    flight = rolling()
+    for first, channel in ((400, "p"), (700, "q")):
+        flight[channel][first : first + 200] = flight[channel][first]
+    (one,) = grave(flight, "frozen")
+    assert {*one.channel.split()} == {"p", "q"}
+
+
+def test_angles_in_whole_degrees_are_told_with_their_step():
+    flight = rolling()
+    for channel in ("phi", "theta"):
+        flight[channel] = np.radians(np.round(np.degrees(flight[channel])))
+    (one,) = grave(flight, "stored in steps")
+    assert {*one.channel.split()} == {"phi", "theta"}
+    assert "0.0175" in one.sentence
+    assert grave(rolling(), "stored in steps") == []
+
+
+def test_a_motor_that_never_changes_is_an_error_and_no_feedback():
+    flight = hovering()
+    flight["motor3"] = np.full_like(flight["motor3"], 0.5)
+    (one,) = grave(flight, "never changes", kind="multirotor")
+    assert (one.severity, one.channel) == ("error", "motor3")
+    assert grave(flight, "feedback", kind="multirotor") == []
