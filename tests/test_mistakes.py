@@ -193,7 +193,8 @@ def test_arrays_of_any_kind_are_taken(row: tuple[str, dict[str, Any]]) -> None:
 def test_a_derivative_that_is_zero_at_the_start_is_a_derivative(
     estimate: Callable[..., Any], use: Callable[[Tensor], Tensor]
 ) -> None:
-    found = estimate(Uncompiled(use), [FLIGHT], x0="fixed", max_iterations=2)
+    short = {key: value[:25] for key, value in FLIGHT.items()}
+    found = estimate(Uncompiled(use), [short], x0="fixed", max_iterations=1)
     assert [p.name for p in found.parameters][:3] == ["a", "b", "k"]
 
 

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 import msgspec
 from rich.table import Table
 
+from rotorid_torch.arguments import listed
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.effects.base import Effect
 from rotorid_torch.effects.examples import example
@@ -64,8 +65,7 @@ def _parameters(effect: type[Effect]) -> tuple[ParameterRow, ...]:
 def _described(parameters: Sequence[ParameterRow]) -> str:
     """Names and units, the free ones first."""
     ordered = sorted(parameters, key=lambda p: not p.free)
-    shown = ", ".join(f"{p.name} ({p.unit})" for p in ordered[:SHOWN])
-    return shown if len(ordered) <= SHOWN else f"{shown} and {len(ordered) - SHOWN} more"
+    return listed((f"{p.name} ({p.unit})" for p in ordered), SHOWN)
 
 
 def _first_line(effect: type[Effect]) -> str:

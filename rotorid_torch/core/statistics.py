@@ -78,8 +78,11 @@ Share = Literal["whole", "pairs", "overlap"]
 def regression(products: np.ndarray, responses: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """Least squares of the first columns on all others, from the products (n, n) of columns that may be complex.
 
-    Coefficients (n - responses, responses), and the share of each response's power that the others leave. Columns are
-    scaled to one size first; combinations of them below 1e-10 of the largest count as none.
+    Coefficients B = (Z^H Z)^+ Z^H Y (n - responses, responses), Y the first columns and Z the others, and the share
+    |y - Z b|^2 / |y|^2 of each response's power that the others leave. Columns are scaled to one size first;
+    combinations of them below 1e-10 of the largest count as none.
+
+    Source: Bendat and Piersol, Random Data, 4th ed., ch. 7 (multiple coherence is one less that share).
     """
     size = np.sqrt(np.maximum(np.real(np.diag(products)), np.finfo(float).tiny))
     scaled = products / np.outer(size, size)

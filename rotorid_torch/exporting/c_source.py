@@ -97,27 +97,22 @@ def c_source(model: Model, title: str, step: float) -> ModelSource:
         f"static const double STEP = {step!r}, LIMIT = {STRAYED!r};",
         f"static const int SETTLED[] = {{{_listed([*settled, 0])}}};",
     ]
-    words = {
+    listed = {
         "state": model.layout.names,
         "control": model.body.controls,
         "output": model.body.outputs,
         "parameter": model.parameter_set.names,
     }
-    tables += [_names(f"rid_{kind}_names", names) for kind, names in words.items()]
+    tables += [_names(f"rid_{kind}_names", names) for kind, names in listed.items()]
     pointers = ", ".join([*(f"instant_{k}" for k in range(len(instants))), "0"])
     tables.append(f"static void (*const INSTANTS[])(const double*, const double*, double*) = {{{pointers}}};")
-    kinds = _kinds(paths)
     heading = f'#include "{name}.h"\n\n#include <math.h>\n#include <string.h>\n{MATHEMATICS}'
     runtime = (RUNTIME / "model.c").read_text()
     body = runtime.replace("enum { DELAY, LAG, RATE_LIMIT, PLAY, INSTANT };\n", "")
     kind_names = "enum { DELAY, LAG, RATE_LIMIT, PLAY, INSTANT };"
-    source = "\n".join([heading, kind_names, *tables[:-1], prepare, *code, tables[-1], *kinds, body])
-    header = (
-        (RUNTIME / "model.h")
-        .read_text()
-        .replace("@title@", re.sub(r"[^\w .,:;()+-]", " ", title))
-        .replace("@sizes@", sizes)
-    )
+    source = "\n".join([heading, kind_names, *tables[:-1], prepare, *code, tables[-1], *_kinds(paths), body])
+    words = re.sub(r"[^\w .,:;()+-]", " ", title)
+    header = (RUNTIME / "model.h").read_text().replace("@title@", words).replace("@sizes@", sizes)
     return ModelSource(name, _renamed(header, name), _renamed(source, name))
 
 

@@ -23,7 +23,12 @@ most, whatever their models lack; in turbulence of 0.25 m/s 0.67, of 0.5 m/s 0.8
 
 
 def velocities_colour(outputs: Sequence[str], problem: Likelihood, place: Place) -> float:
-    """Largest correlation of successive residuals of the velocities among the outputs."""
+    """Largest correlation of successive residuals of the velocities among the outputs; zero where none is measured.
+
+    sum e(t) e(t+1) / sqrt(sum e(t)^2 sum e(t+1)^2), over pairs of samples of all segments that were both measured.
+
+    Source: Box, Jenkins and Reinsel, Time Series Analysis, 4th ed., sec. 2.1.5.
+    """
     which = [outputs.index(n) for n in VELOCITIES if n in outputs]
     if not which or problem.segments.samples < 2:
         return 0.0

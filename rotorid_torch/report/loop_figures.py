@@ -22,8 +22,7 @@ def draw_loop(
 ) -> dict[str, Figure]:
     """Every picture of the loop that there is something to show in, by the name of its file."""
     pictures: dict[str, Figure] = {}
-    ranked = [e for e in effects if e.gain is not None and e.floor and e.verdict != "not testable"]
-    if ranked:
+    if ranked := over_floor(effects):
         pictures["evidence"] = evidence(ranked)
     pairs = [(b, a) for b in before for a in after if a.flight == b.flight and a.list != "identify"]
     pairs = [(b, a) for b, a in pairs if set(b.common(names.BODY)) & set(a.common(names.BODY))]
@@ -32,22 +31,27 @@ def draw_loop(
     return pictures
 
 
-def evidence(effects: Sequence[EffectRecord]) -> Figure:
-    """Statistic of each candidate over its critical value, largest first; right of the line p is below 0.05."""
-    ratio = {e.id: min(max((e.gain or 0.0) / (e.floor or 1.0), LEAST), MOST) for e in effects}
-    ordered = sorted(effects, key=lambda e: -ratio[e.id])
-    figure = Figure(figsize=(WIDTH, 0.9 + 0.24 * len(ordered)))
+def over_floor(effects: Sequence[EffectRecord]) -> list[tuple[EffectRecord, float]]:
+    """Candidates that were tested, with statistic over critical value, largest first."""
+    tested = [e for e in effects if e.gain is not None and e.floor and e.verdict != "not testable"]
+    ranked = [(e, min(max((e.gain or 0.0) / (e.floor or 1.0), LEAST), MOST)) for e in tested]
+    return sorted(ranked, key=lambda pair: -pair[1])
+
+
+def evidence(ranked: Sequence[tuple[EffectRecord, float]]) -> Figure:
+    """Statistic of each candidate over its critical value; right of the line p is below 0.05."""
+    figure = Figure(figsize=(WIDTH, 0.9 + 0.24 * len(ranked)))
     FigureCanvasAgg(figure)
     axes = figure.subplots()
-    leave(figure, left=min(0.2 + LETTER * max(len(e.id) for e in ordered), 0.6 * WIDTH), below=0.6, above=0.15)
-    for row, effect in enumerate(ordered):
+    leave(figure, left=min(0.2 + LETTER * max(len(e.id) for e, _ in ranked), 0.6 * WIDTH), below=0.6, above=0.15)
+    for row, (effect, ratio) in enumerate(ranked):
         colour = COLOURS.get(effect.verdict, QUIET)
-        axes.plot([LEAST, ratio[effect.id]], [row, row], color=colour, linewidth=5, solid_capstyle="butt")
+        axes.plot([LEAST, ratio], [row, row], color=colour, linewidth=5, solid_capstyle="butt")
     axes.axvline(1.0, color="black", linewidth=0.8)
     axes.set_xscale("log")
-    axes.set_xlim(LEAST, 2.0 * max(max(ratio.values()), 1.0))
-    axes.set_yticks(range(len(ordered)), [e.id for e in ordered], fontsize=9)
-    axes.set_ylim(len(ordered) - 0.4, -0.6)
+    axes.set_xlim(LEAST, 2.0 * max(ranked[0][1], 1.0))
+    axes.set_yticks(range(len(ranked)), [e.id for e, _ in ranked], fontsize=9)
+    axes.set_ylim(len(ranked) - 0.4, -0.6)
     axes.set_xlabel("statistic over critical value", fontsize=9)
     axes.grid(axis="x", alpha=0.3)
     return figure

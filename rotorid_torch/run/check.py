@@ -27,12 +27,12 @@ from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.report.check_figures import draw_check
 from rotorid_torch.report.page.check_page import render_check
-from rotorid_torch.report.records import DatasetRecord, Report, encode_report
+from rotorid_torch.report.records import encode_report
 from rotorid_torch.report.summary import GRADED
 from rotorid_torch.run.output.arguments import refuse_arguments
 from rotorid_torch.run.output.folder import run_folder
-from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
-from rotorid_torch.run.output.write import png
+from rotorid_torch.run.output.monitor import Monitor
+from rotorid_torch.run.output.write import report_of, write_figures
 from rotorid_torch.version import __version__
 
 GROSS = 300.0
@@ -212,21 +212,9 @@ def write_check(out: Path, dataset: Dataset, result: Check, seed: int, monitor: 
         for one in result.findings:
             monitor.log(f"{one.severity}: {_line(one)}")
         drawn = draw_check(dataset) if examinable(dataset) else {}
-        pictures = {name: png(figure) for name, figure in drawn.items()}
-        (folder / "figures").mkdir(exist_ok=True)
-        for name, content in pictures.items():
-            (folder / "figures" / f"{name}.png").write_bytes(content)
-            monitor.picture(name, content)
-        about = DatasetRecord(name=dataset.name, sha256=dataset.sha256)
-        report = Report(
-            command="check",
-            dataset=about,
-            seed=seed,
-            time_s=monitor.time_record(),
-            peak_memory_mb=peak_memory_mb(),
-            before=None,
-            warnings=(f"{GRADED}{result.sentence}", *(_line(one) for one in grave)),
-        )
+        pictures = write_figures(folder, drawn, monitor)
+        warnings = (f"{GRADED}{result.sentence}", *(_line(one) for one in grave))
+        report = report_of("check", dataset, seed, monitor, None, warnings)
         head = {"format": 1, "rotorid": __version__, "sha256": dataset.sha256}
         whole = msgspec.json.encode(head | msgspec.to_builtins(result))
         (folder / "check.json").write_bytes(msgspec.json.format(whole, indent=2))

@@ -25,7 +25,7 @@ from rotorid_torch.model.gusts import without_gust_inputs
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.modes import gust_response
 from rotorid_torch.model.nominal import build
-from rotorid_torch.report.records import FitRecord, ParameterRecord, Report, UnknownRecord, VerdictRecord
+from rotorid_torch.report.records import FitRecord, ParameterRecord, UnknownRecord, VerdictRecord
 from rotorid_torch.report.short_horizon import short_horizon
 from rotorid_torch.report.summary import failing
 from rotorid_torch.run.fit_record import fit_record, judge
@@ -296,10 +296,9 @@ def _loop(
     if missing is not None and not missing.judged and (not poor or short_horizon(run.fit)):
         missing = None  # any model of other people's aircraft lacks something
     verdict = without_clean_bill(statement([as_fitted(f, run.fit) for f in findings], missing, poor), poor)
-    record = Report(
+    record = msgspec.structs.replace(
+        run.record,
         command="close-loop",
-        dataset=run.record.dataset,
-        seed=run.record.seed,
         time_s=monitor.time_record(),
         peak_memory_mb=peak_memory_mb(),
         before=before.fit,

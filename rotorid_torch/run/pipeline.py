@@ -31,15 +31,15 @@ from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.model.own_effects import refuse_faulty
 from rotorid_torch.report import limits, remarks
-from rotorid_torch.report.records import DatasetRecord, FitRecord, Report
+from rotorid_torch.report.records import FitRecord
 from rotorid_torch.run.fit_record import fit_record, for_pictures, judge
 from rotorid_torch.run.loop_record import with_evidence
 from rotorid_torch.run.output.arguments import refuse_arguments
 from rotorid_torch.run.output.checkpoint import Checkpoint, Steps, checkpoint
 from rotorid_torch.run.output.curves import Curves
 from rotorid_torch.run.output.folder import run_folder
-from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
-from rotorid_torch.run.output.write import write_report
+from rotorid_torch.run.output.monitor import Monitor
+from rotorid_torch.run.output.write import report_of, write_report
 from rotorid_torch.run.result import Run, write_reconstruction
 from rotorid_torch.run.turbulence import method_by_quiet_moments, smoothed, with_gusts
 from rotorid_torch.trace.evidence.fits import Flights
@@ -58,7 +58,7 @@ def reconstruct(dataset: Dataset, out: str | Path, *, seed: int = 0, monitor: Mo
             reconstruction = motion_and_forces(dataset)
         write_reconstruction(reconstruction, folder)
         notes = [*remarks.of_reading(dataset), *reconstruction.notes]
-        write_report(folder, _report("reconstruct", dataset, seed, monitor, None, notes), None, monitor)
+        write_report(folder, report_of("reconstruct", dataset, seed, monitor, None, notes), None, monitor)
     return reconstruction
 
 
@@ -160,7 +160,7 @@ def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps
         judged = replace(judged, flights=with_gusts(judged.flights, model, dataset, gusts))
     fit = fit_record(model, spec, estimate, judged)
     notes = remarks_on(uniform, spec, fit, reconstruction, regressions, estimate)
-    report = _report("identify", uniform, seed, monitor, fit, notes)
+    report = report_of("identify", uniform, seed, monitor, fit, notes)
     run = Run(model, spec, fit, report, reconstruction, regressions, estimate, judged.overlays)
     if not effects:
         return run
@@ -268,17 +268,3 @@ def refuse(dataset: Dataset, effects: Sequence[str], device: str, method: str = 
     foreign = [name for name in effects if name in others]
     if foreign:
         refuse_faulty(foreign, propose(with_velocities(dataset), None))
-
-
-def _report(
-    command: str, dataset: Dataset, seed: int, monitor: Monitor, fit: FitRecord | None, warnings: Sequence[str]
-) -> Report:
-    return Report(
-        command=command,
-        dataset=DatasetRecord(name=dataset.name, sha256=dataset.sha256),
-        seed=seed,
-        time_s=monitor.time_record(),
-        peak_memory_mb=peak_memory_mb(),
-        before=fit,
-        warnings=tuple(warnings),
-    )

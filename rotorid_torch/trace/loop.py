@@ -197,12 +197,12 @@ def draws_of(
     placed : effects that joined before any draw, by how trims differ.
     """
     if search.first is not None:  # where none could be drawn there are none beside what joined either
-        return search.scored.turned(observed, effects, seed, search.first[2].note)
+        return search.scored.draws_by_chance(observed, effects, seed, search.first[2].note)
     null = observed.null
     bare = Null(null.spec.without(placed), null.values, search.scored.held, null.flights.weather)
     drawn = draw(bare, effects, observed)
     if isinstance(drawn, str):
-        return search.scored.turned(observed, effects, seed, f"{search.scored.by_chance}: {drawn}")
+        return search.scored.draws_by_chance(observed, effects, seed, f"{search.scored.by_chance}: {drawn}")
     if not placed:
         return drawn
     library = {n: t for n, t in drawn.statistics.items() if not n.startswith(UNATTRIBUTED)}

@@ -1,6 +1,8 @@
-"""Flights of a small known model with something hidden, and the loop on them."""
+"""Flights of a small known model with something hidden, and the loop on them; made once, and left as they are."""
 
 from __future__ import annotations
+
+from functools import cache
 
 from rotorid_torch.data import Dataset
 from rotorid_torch.identification.model_regression import regress_model
@@ -16,6 +18,7 @@ DT = 0.02
 SUSPECTS = ("control.delay", "control.lag", "forces.quadratic_damping")
 
 
+@cache
 def flights(*effects: str, seed: int = 3, noise: float = 0.02, **values: float) -> Dataset:
     """Values of the effects' parameters by their full names, dots written as two underscores."""
     names = {f"{e.replace('__', '.')}": v for e, v in values.items()}
@@ -26,6 +29,7 @@ def flights(*effects: str, seed: int = 3, noise: float = 0.02, **values: float) 
     return flown(truth, both, DT, noise=noise, seed=seed, lists=lists)
 
 
+@cache
 def started(data: Dataset) -> tuple[Flights, Fitted]:
     found = reconstruct(data)
     spec = propose(data, found)

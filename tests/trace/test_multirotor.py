@@ -55,6 +55,7 @@ def fitted(*effects: str, alone: bool = False) -> FittedAtStates:
     return FittedAtStates.of(propose(data, flights.reconstruction, ()), flights)
 
 
+@cache
 def traced(*effects: str) -> Tracing:
     null = fitted(*effects)
     return trace_rotors(null.spec, null.flights, lambda null, tested, observed: "none drawn")
@@ -182,7 +183,7 @@ def test_a_centre_of_gravity_that_balance_shows_is_said(monkeypatch: pytest.Monk
         "mass.cg", "undeclared", "indistinguishable", "it lies there", values={"mass.cg.x": (0.01, 0.001)}
     )
     monkeypatch.setattr(loop, "out_of_balance", lambda *of: (shown, None))
-    assert [f for f in traced().findings if f.id == "mass.cg"] == [shown]
+    assert [f for f in traced.__wrapped__().findings if f.id == "mass.cg"] == [shown]  # not what stays for the others
 
 
 def test_swinging_loads_and_absorbed_weights_are_not_asked_of_accelerations():

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import msgspec
 
+from rotorid_torch.arguments import listed
 from rotorid_torch.core import names
 from rotorid_torch.data import plausible
 from rotorid_torch.data.declare import Declaration
@@ -135,22 +136,19 @@ def _of_one_kind(
     """A multirotor's flights that tell of commands and rates, where others are logs of another kind; and a remark."""
     commands = {c for one in facts.values() for c in one.channels if names.is_motor(c)}
     whole = {name for name, one in facts.items() if one.has(*names.RATES, *commands)}
-    listed = {
+    chosen = {
         w: tuple(n for n in getattr(declaration.flights, w) if n in whole) for w in ("identify", "validate", "acid")
     }
-    if declaration.kind != "multirotor" or len(whole) == len(facts) or not listed["identify"]:
+    if declaration.kind != "multirotor" or len(whole) == len(facts) or not chosen["identify"]:
         return declaration, flights, facts, []
     left = [name for name in facts if name not in whole]
-    shown = ", ".join(left[:SHOWN]) + (f" and {len(left) - SHOWN} more" if len(left) > SHOWN else "")
-    said = (
-        f"{shown} left out: logs of another kind, without body rates or motor commands, beside flights that have both"
-    )
-    reduced = msgspec.structs.replace(declaration, flights=FlightLists(**listed))
+    said = f"{listed(left, SHOWN)} left out: logs of another kind, without body rates or motor commands, beside flights"
+    reduced = msgspec.structs.replace(declaration, flights=FlightLists(**chosen))
     return (
         reduced,
         OnDemand([name for name in flights if name in whole], lambda name: flights[name]),
         {name: one for name, one in facts.items() if name in whole},
-        [said],
+        [f"{said} that have both"],
     )
 
 

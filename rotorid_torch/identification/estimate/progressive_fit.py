@@ -175,7 +175,10 @@ class Fit:
     def model_error_ratio(self) -> Tensor:
         """[ny] the residuals' standard deviation over that of the sensors' noise.
 
-        The noise is the declared floor, or where none is declared the white part of the residual.
+        The noise is the declared floor, or where none is declared the white part of the residual e, of which
+        sd^2 = mean (e(t+1) - e(t))^2 / 2.
+
+        Source: von Neumann, Annals of Mathematical Statistics 12 (1941), 367 (mean square successive difference).
         """
         spacing = self.likelihood.records.spacing()
         steps = self.likelihood.moments(self.minimum.point, lambda part: _changes(part, spacing))

@@ -102,7 +102,10 @@ def colour_of(likelihood: Likelihood, place: Place, inverse: Tensor, identifiabl
 
 
 def larger_of(plain: Tensor, coloured: Tensor, variances: Tensor, flights: int) -> Uncertainty:
-    """The coloured covariance, stretched where the jackknife says more by more than chance."""
+    """The coloured covariance [P, P], stretched where the jackknife says more by more than chance.
+
+    C_ij s_i s_j, s_i the root of jackknife over coloured variance where that ratio is beyond its 99 % quantile, else 1.
+    """
     larger = variances > _chance(flights - 1) * coloured.diagonal()
     stretch = torch.where(larger, (variances / coloured.diagonal()).sqrt(), 1.0)
     covariance = coloured * stretch * stretch[:, None]
@@ -148,7 +151,7 @@ class Colour:
     the covariance for white residuals. identifiable : [P] mask of the told parameters.
 
     In the frequency domain the covariance is the sum over lines of K^H S K, K the transform of how each sample moves
-    the estimate.
+    the estimate; sources at `uncertainty`.
     """
 
     flights: Flights
@@ -334,7 +337,13 @@ def basis_of(columns: Tensor, prior_sd: Tensor) -> Tensor:
 def jackknife(
     flights: Sequence[tuple[Tensor, Tensor]], prior: tuple[Tensor, Tensor], identifiable: Tensor, ranks: Ranks = ALONE
 ) -> Tensor:
-    """Variances [P] by leaving out one flight in turn, one Gauss-Newton step each; NaN below three flights."""
+    """Variances [P] by leaving out one flight in turn, one Gauss-Newton step each; NaN below three flights.
+
+    The step without flight f is (A'A - A_f'A_f)^-1 (A'b - A_f'b_f), in units of the parameters; their scatter is that
+    of `jackknife_variance`.
+
+    flights : rows [m, P] and right sides [m] of each. prior : the same of the prior. identifiable : [P].
+    """
     variances = torch.full(identifiable.shape, torch.nan, dtype=torch.float64)
     count = len(flights)
     if count < 3:

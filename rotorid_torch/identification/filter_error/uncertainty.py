@@ -27,6 +27,11 @@ def uncertainty(
 ) -> Uncertainty:
     """Of all unknowns psi: innovations that are still coloured count as such, and the jackknife over flights.
 
+    With H = A'A of the whitened rows of the innovations, and I the information in their covariances, the covariance is
+    H^-1 (K + I) H^-1: H^-1 K H^-1 is that of `Colour`. `larger_of` stretches it.
+
+    Source: White, Econometrica 50 (1982), 1 (maximum likelihood of a misspecified model).
+
     engine : what makes the likelihood's rows. loss : samples over samples minus estimated numbers.
     """
     place, identifiable = minimum.point, minimum.determined

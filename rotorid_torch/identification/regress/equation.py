@@ -112,7 +112,7 @@ def fit_equation(equation: Equation, columns: Sequence[str] | None = None) -> Re
 def fit_rows(
     equation: Equation, flights: Sequence[Rows], band: tuple[float, float], held: tuple[str, ...], notes: list[str]
 ) -> Regression:
-    """Solve an equation on transformed flights with the named regressors and their part of the prior."""
+    """Solve an equation on transformed flights with the named regressors and their part of the prior, see `solve`."""
     index = equation.index(held)
     prior = equation.prior()
     if prior is not None:
@@ -156,6 +156,9 @@ def choose_band(equation: Equation, notes: list[str] | None = None) -> tuple[flo
 
 def independent_shares(equation: Equation, targets: Sequence[str], others: Sequence[str]) -> dict[str, float]:
     """Share of each target's in-band power, without noise, that other regressors of the equation do not explain.
+
+    (|y - Z g|^2 - (n_y + sum g^2 n_Z) (N - n) / N) / (|y|^2 - n_y), between 0 and 1: g by least squares without the
+    noise of Z, n_y and n_Z the powers of noise, n the number of the others, N the independent values of the band.
 
     Controls against states show how much of a control is not feedback; flapping against what drives it, whether both
     can be held in one equation.

@@ -174,12 +174,14 @@ def as_rows(spectrum: Tensor) -> Tensor:
 def noise_floor(x: Tensor, order: int = NOISE_ORDER) -> Tensor:
     """Estimate the standard deviation of the white noise in a record from its high differences.
 
-    Differences of high order leave the noise and remove what is smooth; what jumps (edges of a manoeuvre) touches few
-    samples and is cut at four robust deviations.
+    Differences of high order n leave the noise and remove what is smooth: sd^2 = mean (D^n x)^2 / C(2 n, n). What jumps
+    (edges of a manoeuvre) touches few samples and is cut at four robust deviations, 1.4826 median |D^n x|.
 
     x : (..., T) samples without gaps.
 
     Returns (...) standard deviation of a sample, in units of x; zero where the record is too short to tell.
+
+    Source: Hall, Kay and Titterington, Biometrika 77 (1990), 521 (variance from differences).
     """
     if x.shape[-1] < 4 * order:
         return torch.zeros(x.shape[:-1], dtype=x.dtype, device=x.device)
@@ -191,7 +193,11 @@ def noise_floor(x: Tensor, order: int = NOISE_ORDER) -> Tensor:
 
 
 def noise_floor_scatter(samples: int, order: int = NOISE_ORDER) -> float:
-    """Relative standard deviation of the square of `noise_floor` on a record of white noise."""
+    """Relative standard deviation of the square of `noise_floor` on a record of white noise.
+
+    sqrt(2 / N'), N' = N C(2 n, n)^2 / C(4 n, 2 n) the independent of N differences of order n: N over the sum of their
+    squared autocorrelations.
+    """
     independent = samples * comb(2 * order, order) ** 2 / comb(4 * order, 2 * order)
     return (2.0 / independent) ** 0.5
 

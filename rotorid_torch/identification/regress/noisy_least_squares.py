@@ -76,7 +76,7 @@ def noisy_least_squares(z: Tensor, y: Tensor, noise: Tensor, prior: tuple[Tensor
 
 
 def smooth_variance(power: Tensor, freedom: Tensor, reach: int) -> Tensor:
-    """Variance at each frequency, a moving mean over its neighbours.
+    """Variance at each frequency, a moving mean over its neighbours: sum of squares over sum of degrees of freedom.
 
     power : (..., 2 M) squared residuals, real over imaginary parts.
     freedom : (..., 2 M) share of each row left after the fit.

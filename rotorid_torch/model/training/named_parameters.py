@@ -45,9 +45,9 @@ class NamedParameters:
     def follow(self) -> None:
         """Share numbers and gradients of a vector that was moved to another device or type, in the same leaves."""
         for piece, leaf in zip(self.pieces, self.leaves, strict=True):
-            kept = None if leaf.grad is None or self.vector.grad is None else piece.of(self.vector.grad)
+            gradient = None if leaf.grad is None or self.vector.grad is None else piece.of(self.vector.grad)
             leaf.grad = None  # torch refuses numbers of another type beside it
-            leaf.data, leaf.grad = piece.of(self.vector.detach()), kept
+            leaf.data, leaf.grad = piece.of(self.vector.detach()), gradient
 
     def belong_to(self, vector: Any) -> bool:
         """Whether this is still the vector, in its place."""

@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from rotorid_torch.core import names
 from rotorid_torch.report.figures import Overlay
-from rotorid_torch.report.loop_figures import spectrum
+from rotorid_torch.report.loop_figures import over_floor, spectrum
 from rotorid_torch.report.page.svg import Bar, Line, Panel, chart, stacked
 from rotorid_torch.report.records import EffectRecord, FitRecord
 from rotorid_torch.report.words.effects import words_of
@@ -30,8 +30,6 @@ SIGNS = {
     "not testable": "– not testable",
 }
 """Verdicts with a sign, so that no colour carries the meaning alone."""
-LEAST, MOST = 1e-2, 1e4
-"""Ratios of evidence and floor beyond these are drawn there."""
 
 
 @dataclass(frozen=True)
@@ -117,17 +115,15 @@ def _of_effect(overlay: Overlay, effect: str, channels: Sequence[str]) -> Pictur
 
 def evidence(effects: Sequence[EffectRecord]) -> Picture | None:
     """Evidence of each candidate over its floor, largest first."""
-    ranked = [e for e in effects if e.gain is not None and e.floor and e.verdict != "not testable"]
+    ranked = over_floor(effects)
     if not ranked:
         return None
-    ratio = {e.id: min(max((e.gain or 0.0) / (e.floor or 1.0), LEAST), MOST) for e in ranked}
-    ordered = sorted(ranked, key=lambda e: -ratio[e.id])
-    bars = [Bar(e.id, ratio[e.id], e.verdict.replace(" ", "-"), SIGNS[e.verdict][0]) for e in ordered]
-    first = ordered[0]
-    alt = f"Evidence over floor of {len(bars)} effects. Largest: {first.id}, {ratio[first.id]:.3g} times the floor."
+    bars = [Bar(e.id, ratio, e.verdict.replace(" ", "-"), SIGNS[e.verdict][0]) for e, ratio in ranked]
+    first = bars[0]
+    alt = f"Evidence over floor of {len(bars)} effects. Largest: {first.name}, {first.value:.3g} times the floor."
     caption = (
         "Evidence of each effect over its floor. Right of the line it explains more than where nothing is missing."
-        f" {', '.join(SIGNS[v] for v in dict.fromkeys(e.verdict for e in ordered))}."
+        f" {', '.join(SIGNS[v] for v in dict.fromkeys(e.verdict for e, _ in ranked))}."
     )
     return Picture(chart(bars, "evidence over floor", alt), caption)
 

@@ -61,11 +61,11 @@ def stacked(panels: Sequence[Panel], x_label: str, alt: str, keys: Sequence[tupl
     return _picture(bottom + BELOW, "".join(parts), alt)
 
 
-def chart(bars: Sequence[Bar], x_label: str, alt: str, line: float = 1.0) -> Markup:
-    """Bars on a logarithmic axis, a line at the value that decides."""
+def chart(bars: Sequence[Bar], x_label: str, alt: str) -> Markup:
+    """Bars on a logarithmic axis, a line at one, the value that decides."""
     left, row = 190, 21
-    values = [bar.value for bar in bars if bar.value > 0.0] or [line]
-    low, high = 0.5 * min(*values, line), 2.0 * max(*values, line)
+    values = [bar.value for bar in bars if bar.value > 0.0] or [1.0]
+    low, high = 0.5 * min(*values, 1.0), 2.0 * max(*values, 1.0)
     to_x = _scale(low, high, left, WIDTH - 34, True)
     bottom, parts = 4 + row * len(bars), []
     for k, bar in enumerate(bars):
@@ -75,7 +75,7 @@ def chart(bars: Sequence[Bar], x_label: str, alt: str, line: float = 1.0) -> Mar
             f'<rect class="{bar.kind}" x="{left}" y="{y + 3}" width="{max(end - left, 1.0):.1f}" height="13"/>'
         )
         parts.append(_text(end + 4, y + 14, bar.word, "start"))
-    x = to_x(line)
+    x = to_x(1.0)
     parts.append(f'<path class="limit" d="M{x:.1f} 0V{bottom + 4}"/>')
     parts += [_text(to_x(v), bottom + 18, f"{v:g}", "middle") for v in _ticks(low, high, 6, True)]
     parts.append(_text((left + WIDTH) / 2, bottom + 34, x_label, "middle"))

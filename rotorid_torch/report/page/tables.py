@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from rotorid_torch.arguments import listed
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES, STICKS, VELOCITIES
 from rotorid_torch.report.page.facts import ModelFacts
 from rotorid_torch.report.page.pictures import SIGNS
@@ -153,8 +154,7 @@ def _shortened(reason: str) -> str:
     names = re.search(r"(?<=: )[\w.]+(?:, [\w.]+){3,}", reason)
     if names is None:
         return reason
-    each = names[0].split(", ")
-    return reason.replace(names[0], f"{', '.join(each[:LISTED])} and {len(each) - LISTED} more")
+    return reason.replace(names[0], listed(names[0].split(", "), LISTED))
 
 
 def rounded(value: float) -> str:

@@ -5,18 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from tensorboard.compat.proto.event_pb2 import Event  # pyright: ignore[reportAttributeAccessIssue]
 from tensorboard.compat.proto.summary_pb2 import Summary, SummaryMetadata  # pyright: ignore[reportAttributeAccessIssue]
 from tensorboard.compat.proto.tensor_pb2 import TensorProto  # pyright: ignore[reportAttributeAccessIssue]
 from tensorboard.compat.proto.types_pb2 import DT_STRING  # pyright: ignore[reportAttributeAccessIssue]
-from tensorboard.plugins.hparams import api_pb2 as _interface
-from tensorboard.plugins.hparams import plugin_data_pb2 as _content
 from tensorboard.summary.writer.record_writer import RecordWriter
-
-interface, content = cast(Any, _interface), cast(Any, _content)
-"""Messages whose names only exist when they are loaded."""
+from torch.utils.tensorboard.summary import hparams
 
 
 class Board:
@@ -49,23 +45,8 @@ class Board:
 
     def settings(self, values: Mapping[str, str | float], results: Sequence[str]) -> None:
         """Record what a run was made with, and which of its numbers are results, for the table of runs."""
-        shown = [interface.MetricInfo(name=interface.MetricName(tag=name)) for name in results]
-        start = content.SessionStartInfo()
-        kinds = []
-        for name, value in values.items():
-            text = isinstance(value, str)
-            setattr(start.hparams[name], "string_value" if text else "number_value", value)
-            kind = interface.DATA_TYPE_STRING if text else interface.DATA_TYPE_FLOAT64
-            kinds.append(interface.HParamInfo(name=name, type=kind))
-        parts = {
-            "experiment": interface.Experiment(hparam_infos=kinds, metric_infos=shown),
-            "session_start_info": start,
-            "session_end_info": content.SessionEndInfo(status=interface.STATUS_SUCCESS),
-        }
-        for name, part in parts.items():
-            packed = content.HParamsPluginData(**{name: part, "version": 0}).SerializeToString()
-            plugin = SummaryMetadata(plugin_data=SummaryMetadata.PluginData(plugin_name="hparams", content=packed))
-            self._write(summary=Summary(value=[Summary.Value(tag=f"_hparams_/{name}", metadata=plugin)]), step=0)
+        for part in hparams(dict(values), dict.fromkeys(results, 0.0)):
+            self._write(summary=part, step=0)
 
     def close(self) -> None:
         """Close the file."""

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import msgspec
 from matplotlib.figure import Figure
 
+from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.report.figures import Overlay, draw
 from rotorid_torch.report.loop_figures import draw_loop
 from rotorid_torch.report.page.document import Shown, render
 from rotorid_torch.report.page.pictures import mean_spectra
 from rotorid_torch.report.page.tables import evidence_rows
-from rotorid_torch.report.records import FitRecord, Report, encode_report
+from rotorid_torch.report.records import DatasetRecord, FitRecord, Report, encode_report
 from rotorid_torch.report.words.verdict import consequence, opening
-from rotorid_torch.run.output.monitor import Monitor
+from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
 
 DPI = 130
 
@@ -30,18 +31,40 @@ def write_report(folder: Path, report: Report, shown: Shown | None = None, monit
     """
     shown = shown or Shown()
     drawn = {**draw_loop(report.effects, shown.before, shown.overlays), **draw(shown.overlays, report.fit)}
-    (folder / "figures").mkdir(exist_ok=True)
-    for name, figure in drawn.items():
-        content = png(figure)
-        (folder / "figures" / f"{name}.png").write_bytes(content)
-        if monitor:
-            monitor.picture(name, content)
+    write_figures(folder, drawn, monitor)
     if monitor:
         _tell(report, monitor)
         for title, overlays in (("before", shown.before), ("after" if report.after else "before", shown.overlays)):
             _tell_spectra(title, overlays, monitor)
     (folder / "report.html").write_text(render(report, shown), encoding="utf-8")
     (folder / "report.json").write_bytes(encode_report(report))
+
+
+def write_figures(folder: Path, figures: Mapping[str, Figure], monitor: Monitor | None) -> dict[str, bytes]:
+    """Write figures/NAME.png, for TensorBoard too; what was written, by name."""
+    (folder / "figures").mkdir(exist_ok=True)
+    pictures = {name: png(figure) for name, figure in figures.items()}
+    for name, content in pictures.items():
+        (folder / "figures" / f"{name}.png").write_bytes(content)
+        if monitor:
+            monitor.picture(name, content)
+    return pictures
+
+
+def png(figure: Figure) -> bytes:
+    """The figure's picture, without a date in it."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def report_of(
+    command: str, dataset: Dataset, seed: int, monitor: Monitor, fit: FitRecord | None, warnings: Sequence[str]
+) -> Report:
+    """What a command says of a data set, with the time and memory that were spent so far."""
+    about = DatasetRecord(name=dataset.name, sha256=dataset.sha256)
+    spent = {"time_s": monitor.time_record(), "peak_memory_mb": peak_memory_mb()}
+    return Report(command=command, dataset=about, seed=seed, before=fit, warnings=tuple(warnings), **spent)
 
 
 def _tell(report: Report, monitor: Monitor) -> None:
@@ -88,10 +111,3 @@ def _settings(report: Report, fit: FitRecord) -> dict[str, str | float]:
     about = {"command": report.command, "data set": report.dataset.name, "seed": report.seed, "method": fit.method}
     free = sum(p.status == "free" for p in fit.parameters)
     return {**about, "effects": named, "free parameters": free}
-
-
-def png(figure: Figure) -> bytes:
-    """Return the figure's picture, without a date in it."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
-    return buffer.getvalue()

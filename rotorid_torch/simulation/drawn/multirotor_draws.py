@@ -6,7 +6,6 @@ declared one), how rotors of one kind differ, the controller's noise and the con
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +15,6 @@ from rotorid_torch.data import Dataset
 from rotorid_torch.data.schema import Vehicle
 from rotorid_torch.simulation.multirotor.craft import Battery, Drive, Multirotor, Propeller
 from rotorid_torch.simulation.multirotor.flight import Fleet, Hover
-from rotorid_torch.simulation.multirotor.hidden import felt_per_speed
 from rotorid_torch.simulation.multirotor.rotor import Blades
 from rotorid_torch.simulation.multirotor.vehicles import with_unlike_rotors
 from rotorid_torch.simulation.rigid import Array
@@ -55,7 +53,7 @@ def hovering(dataset: Dataset) -> Hovering:
     return Hovering(commands, speed, float(np.median([dataset.noise(motor) for motor in dataset.controls])), voltage)
 
 
-def draw(dataset: Dataset, hover: Hovering, chance: np.random.Generator, having: Mapping[str, float]) -> Multirotor:
+def draw(dataset: Dataset, hover: Hovering, chance: np.random.Generator) -> Multirotor:
     """A vehicle of the data set's frame, with these effects by the values of the library's parameters (full names)."""
     vehicle, dt = dataset.vehicle, min(facts.dt for facts in dataset.facts.values())
     places = tuple(motor.position for motor in vehicle.motors)
@@ -81,7 +79,7 @@ def draw(dataset: Dataset, hover: Hovering, chance: np.random.Generator, having:
         tilt=float(chance.uniform(0.0, 0.01)),
         offsets=(float(chance.uniform(0.0, 0.004)), float(chance.uniform(0.0, 0.08))),
     )
-    return _with(with_unlike_rotors(_loud(_turning(bare, hover), hover.white), chance), having)
+    return with_unlike_rotors(_loud(_turning(bare, hover), hover.white), chance)
 
 
 def hover_balance(craft: Multirotor) -> Array:
@@ -167,42 +165,6 @@ def _loud(craft: Multirotor, white: float) -> Multirotor:
     command = craft.drive.command_at(speed)
     slope = 2.0 * float(hover.curve.mean()) * speed**2 * craft.drive.exponent / max(command, 0.05)
     return replace(craft, gyro=float(np.clip(white * slope / thrust, QUIETEST, LOUDEST)))
-
-
-def _with(craft: Multirotor, having: Mapping[str, float]) -> Multirotor:
-    """The vehicle with what the model of the data already holds, by parameters of the library in SI; others are passed.
-
-    So that effects which were named are no cause for others to be named on a drawn vehicle.
-    """
-    values = {name: value for name, value in having.items() if value}
-    by_speed = felt_per_speed(craft) if any(name.startswith("propulsion.") for name in values) else (1.0, 1.0)
-    drive, air = craft.drive, craft.air
-    hover = _hover(craft)
-    by_command = float(hover.speed.mean()) * drive.exponent / drive.command_at(float(hover.speed.mean()))
-    for name, value in values.items():
-        effect, _, parameter = name.rpartition(".")
-        if name == "propulsion.motor_lag.tau":
-            drive = replace(drive, lag=value, braking=1.0)
-        elif effect == "control.delay":
-            drive = replace(drive, delay=max(drive.delay, value))
-        elif name == "propulsion.voltage.exponent":
-            drive = replace(drive, voltage_power=value * drive.exponent)
-        elif name == "propulsion.rotor_inertia.N":
-            per_speed = value if craft.telemetry else value / by_command
-            drive = replace(drive, inertia=per_speed * craft.inertia_matrix[2, 2])
-        elif effect == "propulsion.rotor_drag":
-            air = (
-                replace(air, axial=value / by_speed[1]) if parameter == "z" else replace(air, drag=value / by_speed[0])
-            )
-        elif effect == "propulsion.axial_inflow":
-            air = replace(air, axial=1.0, lift=1.0)
-        elif effect == "environment.ground":
-            air = replace(air, ground=1.0)
-        elif effect == "forces.drag" and parameter in "xyz":
-            area = list(air.drag_area)
-            area["xyz".index(parameter)] = 2.0 * value * craft.mass / craft.air_density
-            air = replace(air, drag_area=(area[0], area[1], area[2]))
-    return replace(craft, drive=drive, air=air)
 
 
 def noise_of(dataset: Dataset) -> dict[str, float]:

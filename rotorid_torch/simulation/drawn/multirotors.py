@@ -1,8 +1,7 @@
 """Clean data sets of drawn multirotors: manoeuvres, channels, rates and noise as in a data set, nothing undeclared.
 
 Every drawn vehicle (see `multirotor_draws`) has a controller of its own that lets it follow the measured motion: body
-rates and their changes at once, velocity and height by and by. Its commands are therefore its own. It feels of the air
-what it is asked to feel, and no more.
+rates and their changes at once, velocity and height by and by. Its commands are therefore its own. It feels no air.
 """
 
 from __future__ import annotations
@@ -63,15 +62,10 @@ def _refuse_undrawable(dataset: Dataset) -> None:
         raise ValueError(why)
 
 
-def clean_multirotors(
-    dataset: Dataset, seed: int, draws: Sequence[int], having: Mapping[str, float] | None = None
-) -> Iterator[DrawnMultirotor]:
+def clean_multirotors(dataset: Dataset, seed: int, draws: Sequence[int]) -> Iterator[DrawnMultirotor]:
     """Clean vehicles of the data set's frame, flown along its flights, one data set in memory per draw number.
 
     Every number has random streams of its own. A vehicle that does not stay near the measured motion is left out.
-
-    having : what the data's model already holds, by parameters of the library (full names) and their values, SI; the
-        drawn vehicles have it too.
 
     Raises ValueError: `undrawable_multirotor`.
     """
@@ -81,7 +75,7 @@ def clean_multirotors(
     hover = hovering(dataset)
     size = max(1, TOGETHER // len(courses))
     for first in range(0, len(draws), size):
-        yield from _flown(dataset, courses, hover, seed, draws[first : first + size], having or {})
+        yield from _flown(dataset, courses, hover, seed, draws[first : first + size])
 
 
 def clean_balances(dataset: Dataset, seed: int, draws: Sequence[int]) -> Array:
@@ -91,21 +85,15 @@ def clean_balances(dataset: Dataset, seed: int, draws: Sequence[int]) -> Array:
     """
     _refuse_undrawable(dataset)
     hover = hovering(dataset)
-    return np.stack(
-        [hover_balance(draw(dataset, hover, np.random.default_rng([seed, number]), {})) for number in draws]
-    )
+    craft = (draw(dataset, hover, np.random.default_rng([seed, number])) for number in draws)
+    return np.stack([hover_balance(one) for one in craft])
 
 
 def _flown(
-    dataset: Dataset,
-    courses: Sequence[_Course],
-    hover: Hovering,
-    seed: int,
-    draws: Sequence[int],
-    having: Mapping[str, float],
+    dataset: Dataset, courses: Sequence[_Course], hover: Hovering, seed: int, draws: Sequence[int]
 ) -> Iterator[DrawnMultirotor]:
     """Some draws side by side."""
-    craft = [draw(dataset, hover, np.random.default_rng([seed, number]), having) for number in draws]
+    craft = [draw(dataset, hover, np.random.default_rng([seed, number])) for number in draws]
     columns = [one for one in craft for _ in courses]
     names = [f"{course.name}/{number}" for number in draws for course in courses]
     fleet = Fleet.of(columns, columns, courses[0].dt)

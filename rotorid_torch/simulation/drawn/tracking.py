@@ -59,9 +59,7 @@ def tapes(flights: Sequence[Recorded], trim: Mapping[str, float]) -> Tapes:
     longest, trims = max(flight.samples for flight in flights), _trims(flights, trim)
 
     def prepared(flight: Recorded, trim: Mapping[str, float], names: Sequence[str], blur: float) -> Array:
-        rows = np.stack([flight.get(name, trim.get(name, 0.0)) - _level(flight, name, trim) for name in names], axis=1)
-        smooth = gaussian_filter1d(rows, blur / flight.dt, axis=0, mode="nearest")
-        return np.pad(smooth, ((0, longest - flight.samples), (0, 0)), mode="edge")
+        return np.pad(_blurred(flight, names, trim, blur), ((0, longest - flight.samples), (0, 0)), mode="edge")
 
     paired = list(zip(flights, trims, strict=True))
     controls = np.stack([prepared(*pair, CONTROL_NAMES, CONTROL_BLUR) for pair in paired], axis=-1)
@@ -71,6 +69,12 @@ def tapes(flights: Sequence[Recorded], trim: Mapping[str, float]) -> Tapes:
     recorded = np.arange(longest)[:, None, None] < samples
     size = np.concatenate([np.sqrt((part**2 * recorded).sum((0, 2)) / samples.sum()) for part in (motion, controls)])
     return Tapes(controls, motion, dt, samples, start, size, _controller(flights, trim), trim, trims)
+
+
+def _blurred(flight: Recorded, names: Sequence[str], trim: Mapping[str, float], blur: float) -> Array:
+    """Channels about where they start from, smoothed over so many s, [T, n]."""
+    rows = np.stack([flight.get(name, trim.get(name, 0.0)) - _level(flight, name, trim) for name in names], axis=1)
+    return gaussian_filter1d(rows, blur / flight.dt, axis=0, mode="nearest")
 
 
 _PLACES = ("north", "east", "height")
@@ -114,9 +118,7 @@ def _controller(flights: Sequence[Recorded], trim: Mapping[str, float]) -> Array
     for k, name in enumerate(CONTROL_NAMES):
         pairs: list[tuple[Array, Array]] = []
         for flight in flights:
-            channels = (name, *FED[ANGULAR])
-            rows = np.stack([flight.get(c, trim.get(c, 0.0)) - _level(flight, c, trim) for c in channels], axis=1)
-            smooth = gaussian_filter1d(rows, CONTROL_SMOOTH / flight.dt, axis=0, mode="nearest")
+            smooth = _blurred(flight, (name, *FED[ANGULAR]), trim, CONTROL_SMOOTH)
             smooth = smooth[:: max(1, round(CONTROL_SMOOTH / flight.dt))]
             pairs.append((smooth[:, 0] - smooth[:, 0].mean(), smooth[:, 1:] - smooth[:, 1:].mean(0)))
         pairs.sort(key=lambda pair: float(np.std(pair[0])))

@@ -14,8 +14,7 @@ from rotorid_torch.simulation.changes import Hidden, more_inertia, raised, senso
 from rotorid_torch.simulation.helicopter.sensor_errors import GYROS
 from rotorid_torch.simulation.helicopter.slung_load import SlungLoad
 from rotorid_torch.simulation.multirotor.craft import Multirotor
-from rotorid_torch.simulation.multirotor.flight import Fleet
-from rotorid_torch.simulation.multirotor.rotor import Flow, lift_for
+from rotorid_torch.simulation.multirotor.rotor import lift_for
 from rotorid_torch.simulation.rigid import three
 
 LAG, DELAY = 0.05, 0.03
@@ -34,25 +33,6 @@ DISC = 3.0
 """Drag in the discs over that of blade elements, which give small vehicles a third of the 0.4 1/s that are measured."""
 DRAG = 0.02
 """1/m: what the body's drag decelerates by at 1 m/s."""
-
-
-def felt_per_speed(craft: Multirotor) -> tuple[float, float]:
-    """Deceleration across and along the rotors' axes that one m/s through the air makes in hover, 1/s.
-
-    By blade elements with all shares at 1: what `propulsion.rotor_drag` and `propulsion.axial_inflow` are in numbers.
-    """
-    fleet = Fleet.of([craft], [craft])
-    hover, blades, spins = fleet.hover, fleet.blades, np.array(craft.spins, dtype=np.float64)[:, None]
-    strength, calm = np.array(craft.lifts)[:, None], np.zeros_like(hover.speed)
-    across = Flow(calm, calm, np.stack([calm + 1.0, calm]))
-    drag = -float(blades.loads(hover.speed, hover.induced, across, strength, spins).across[0].sum()) / craft.mass
-    thrusts = []
-    for climb in (-0.5, 0.5):
-        flow, induced = Flow(calm + climb, calm, np.stack([calm, calm])), hover.induced
-        for _ in range(200):
-            induced = blades.inflow_step(hover.speed, induced, flow, strength, 0.01)
-        thrusts.append(float(blades.loads(hover.speed, induced, flow, strength, spins).thrust.sum()))
-    return drag, (thrusts[0] - thrusts[1]) / craft.mass
 
 
 def _rotor_inertia(craft: Multirotor, size: float) -> Multirotor:

@@ -155,7 +155,7 @@ class Scored(ABC, Generic[FittedT]):
     def settled(self, fitted: FittedT) -> FittedT:
         """A fit gone on with, where it has not converged."""
 
-    def turned(self, observed: Family[FittedT], effects: Sequence[str], seed: int, note: str = "") -> Draws:
+    def draws_by_chance(self, observed: Family[FittedT], effects: Sequence[str], seed: int, note: str = "") -> Draws:
         """Statistics of the family beside a model where nothing is missing, by its residuals turned in time."""
         count, named = SETTINGS.draws, observed.accepted
         turned = self.family(observed.null, [e for e in effects if e not in named], named, count, seed)
@@ -172,7 +172,7 @@ def family(
     """The family of these effects beside a fitted model.
 
     accepted : effects of the model that have a name. turned : residuals that know nothing of the motion, for
-    `Scored.turned`.
+    `Scored.draws_by_chance`.
     """
     path = of_control_path(effects) if len(null.spec.controls) > 1 and not of_control_path(accepted) else []
     richer = msgspec.structs.replace(null.spec, each_control=(*null.spec.each_control, *path))

@@ -74,7 +74,7 @@ class Search(Generic[FittedT]):
     @classmethod
     def alone(cls, scored: Scored[FittedT], seed: int) -> Search[FittedT]:
         """A search whose critical values come from residuals turned in time, which says nothing while it goes on."""
-        return cls(scored, lambda observed, effects: scored.turned(observed, effects, seed), lambda line: None)
+        return cls(scored, lambda observed, effects: scored.draws_by_chance(observed, effects, seed), lambda line: None)
 
     @property
     def tests(self) -> int:

@@ -60,18 +60,6 @@ def test_draws_are_clean(drawn):
         assert np.std(channel(data, "mixed_n", "az") + thrust) < 0.25
 
 
-def test_draws_have_what_the_model_of_the_data_has(flown):
-    having = {"propulsion.rotor_drag.xy": 0.3, "propulsion.motor_lag.tau": 0.05, "control.delay.common": 0.02}
-    (one,) = clean_multirotors(flown, 0, (0,), having)
-    u, ax = channel(one.dataset, "eight_p", "u"), channel(one.dataset, "eight_p", "ax")
-    assert -np.polyfit(u, ax, 1)[0] == pytest.approx(0.3, rel=0.2)
-    m = sum(channel(one.dataset, "mixed_n", f"motor{k + 1}") for k in range(4))
-    az = -channel(one.dataset, "mixed_n", "az")
-    lag = np.arange(-20, 21)
-    match = [np.corrcoef(np.roll(m, k)[30:-30], az[30:-30])[0, 1] for k in lag]
-    assert 3 <= lag[int(np.argmax(match))] <= 9  # 20 ms of delay and 50 ms of lag at 100 Hz
-
-
 def test_balance_of_a_draw_is_that_of_its_flights(flown, drawn):
     """Mean thrusts by the common curve, of flights that turn little on average."""
     places = np.array([m.position[:2] for m in flown.vehicle.motors])

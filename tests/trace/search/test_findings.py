@@ -32,7 +32,7 @@ def late() -> tuple[Fitted, Fitted, Family, Draws]:
     known, null = started(flights(DELAY, control__delay__common=0.06))
     fitted = refit(null.spec.with_effects(DELAY), known, {**null.values, NAME: 0.05}, near=null)
     beside = family(null, TESTED)
-    return null, fitted, beside, Trajectories(known).turned(beside, TESTED, 0)
+    return null, fitted, beside, Trajectories(known).draws_by_chance(beside, TESTED, 0)
 
 
 def outcome(share: float | None = None, row: Row | None = GOOD, p: float = 0.05, **rivals: tuple[str, ...]) -> Outcome:

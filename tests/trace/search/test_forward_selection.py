@@ -39,7 +39,7 @@ def late() -> tuple[Flights, Fitted]:
 @cache
 def draws_of(hidden: bool) -> Draws:
     known = late() if hidden else nothing()
-    return Trajectories(known[0]).turned(family(known[1], SUSPECTS), SUSPECTS, 0)
+    return Trajectories(known[0]).draws_by_chance(family(known[1], SUSPECTS), SUSPECTS, 0)
 
 
 def search_of(known: Flights, draws: Draws | None = None, said: list[str] | None = None) -> Search:

@@ -30,7 +30,7 @@ def ended(damped: tuple[Flights, Fitted], effect: str, **sizes: float) -> tuple[
     effects = [LAG, DAMPING]
     scored = Trajectories(shared)
     search = Search(
-        scored, lambda beside, asked: replace(scored.turned(beside, asked, 0), clean=True), lambda line: None
+        scored, lambda beside, asked: replace(scored.draws_by_chance(beside, asked, 0), clean=True), lambda line: None
     )
     search.family_beside(null, effects)
     start = {**null.values, **{f"{effect}.{name}": size for name, size in sizes.items()}}

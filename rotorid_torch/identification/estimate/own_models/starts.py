@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from rotorid_torch.arguments import listed
 from rotorid_torch.core.gauss_newton import InfiniteCost
 from rotorid_torch.identification.estimate.own_models.steps import Stepped
 from rotorid_torch.identification.estimate.progressive_fit import ROUGH, Fit, Settings, Start, fit
@@ -28,5 +29,4 @@ def with_starts_held(system: System, stepped: Stepped[Fit], settings: Settings, 
         return ""
     rows = zip(system.entries, fitted.theta.tolist(), theta, errors, strict=True)
     moved = [f"{entry.name} {held:.4g}" for entry, free, held, se in rows if abs(held - free) > se]
-    more = f" and {len(moved) - LISTED} more" if len(moved) > LISTED else ""
-    return f'initial states held (x0="fixed") would give {", ".join(moved[:LISTED])}{more}' if moved else ""
+    return f'initial states held (x0="fixed") would give {listed(moved, LISTED)}' if moved else ""
