@@ -22,7 +22,12 @@ from rotorid_torch.consistency.pairs.alignment import (
     rotation_vector,
 )
 from rotorid_torch.consistency.pairs.clock_rate import ClockRate, clock_rate
-from rotorid_torch.consistency.pairs.far_lags import FarLag, lag_of_controls, lag_of_velocities
+from rotorid_torch.consistency.pairs.far_lags import (
+    FarLag,
+    lag_of_controls,
+    lag_of_positions,
+    lag_of_velocities,
+)
 from rotorid_torch.consistency.pairs.frames import feels
 from rotorid_torch.consistency.pairs.late_controls import (
     LateControls,
@@ -54,6 +59,8 @@ WITHIN_S = REACH_S - 0.03
 """Lag of a flight beyond which it is that of another peak."""
 KNOWN = 0.6
 """R² from which on a lag is known."""
+CLOSELY = 0.9
+"""The same from which on exact kinematics hold at no other lag."""
 BETTER = 0.8
 """Share of what velocities leave that a lag of the accelerometers leaves at most where velocities have no lag."""
 AGREES = 0.3
@@ -122,10 +129,23 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
         if by.mirror:
             continue
         for result in results:
-            if result.pair.exact:
+            if left == "position" and result.r2 < CLOSELY and (far := _position_far_off(result.pair, dataset)):
+                yield far
+            elif result.pair.exact:
                 yield from _disagreement(result, dataset, left)
                 yield from _bias(result, dataset) if result.r2 > AGREES else ()
                 yield from _scale(result) if base is None else ()
+
+
+def _position_far_off(pair: Pair, dataset: Dataset) -> Finding | None:
+    """A position whose clock is off by more than pairs of channels are searched for; None where it is not that."""
+    far = lag_of_positions([dataset.flights[name] for name in dataset.identify], pair)
+    exact = far is not None and far.left < 1.0 - CLOSELY  # one lag of several fits wholly
+    if far is None or not (far.alone or exact) or far.left > 0.5 * far.left_near or abs(far.seconds) < REACH_S:
+        return None
+    word = "late" if far.seconds > 0.0 else "early"
+    sentence = f"{pair.left_name} {abs(far.seconds):.2f} s {word} (± {far.se:.2f}) against velocity and attitude:"
+    return finding("warning", pair.left_name, sentence, "two clocks, or one that began later. Shift the stream.")
 
 
 def _forces(dataset: Dataset, flights: Sequence[Flight]) -> list[Agreement]:

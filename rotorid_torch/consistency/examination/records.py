@@ -155,7 +155,8 @@ def noise(dataset: Dataset) -> Iterator[Finding]:
                 smooth.append((channel, content_ends(*spectrum(records, dt))))
         elif spec.noise > 0.0 and not 0.6 < floor / spec.noise < 1.6 and np.isfinite(floor):
             lower = floor < spec.noise and (resampled or _held(records))
-            wrong |= {} if lower else {channel: f"{spec.noise:.3g}, {floor:.3g} {names.unit(channel)}"}
+            answered = floor > spec.noise and names.is_motor(channel)  # a controller answers the noise of its sensors
+            wrong |= {} if lower or answered else {channel: f"{spec.noise:.3g}, {floor:.3g} {names.unit(channel)}"}
     if wrong:
         listed = ", ".join(f"{channel} {sizes}" if len(wrong) > 1 else sizes for channel, sizes in wrong.items())
         sentence = f"declared noise is not the record's white floor ({listed})."

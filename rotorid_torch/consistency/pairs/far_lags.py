@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from rotorid_torch.consistency.smoothing import EVERY_S, smoothed
+from rotorid_torch.consistency.pairs.sensor_pairs import REACH_S, Pair
+from rotorid_torch.consistency.smoothing import EVERY_S, kernel, smoothed
 from rotorid_torch.core import names
 from rotorid_torch.core.rigid import gravity_in_body
 from rotorid_torch.core.statistics import jackknife_variance, regression, without_line
@@ -76,6 +77,23 @@ def lag_of_velocities(flights: Sequence[Flight], gravity: float) -> FarLag | Non
         return np.stack([changed + 1j * r * z, *terms], axis=1)
 
     return _scanned([blocks(f) for f in flights[:FLIGHTS] if f.has(*needs)], columns, 1, (0.0, 0.0))
+
+
+def lag_of_positions(flights: Sequence[Flight], pair: Pair) -> FarLag | None:
+    """Lag of a position, by its rate of change, against the velocity; None where it cannot be known."""
+
+    def blocks(flight: Flight) -> Blocks:
+        _, change, present = smoothed(flight, [pair.left_name])
+        whole = flight.stack(pair.channels).isnan().any(dim=1).logical_not().numpy()
+        bell = kernel(flight.dt)[0]
+        along = np.convolve(pair.right(flight), bell, "valid")
+        missing = np.convolve(~whole, np.ones(len(bell)), "valid") > 0.5
+        at = np.arange(0.0, len(along) - 1, EVERY_S / flight.dt)[: len(change)]
+        fixed = np.interp(at, np.arange(len(along)), np.where(missing, np.nan, along))
+        return np.where(present[:, None], change, np.nan), fixed[:, None]
+
+    chosen = [blocks(f) for f in flights[:FLIGHTS] if f.has(*pair.channels)]
+    return _scanned(chosen, lambda moved, fixed: np.concatenate([moved, fixed], axis=1), 1, (-REACH_S, REACH_S))
 
 
 def lag_of_controls(flights: Sequence[Flight], controls: Sequence[str], near: tuple[float, float]) -> FarLag | None:

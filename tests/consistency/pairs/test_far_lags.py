@@ -96,3 +96,19 @@ def test_controls_that_explain_nothing_have_no_lag():
     data = dataset(made)
     lag = lag_of_controls(list(data.flights.values()), data.controls, (-1.0, 0.1))
     assert lag is None or lag.left > 0.5 * lag.left_near
+
+
+@pytest.mark.parametrize("seconds", [1.0, -2.5, 4.0])
+def test_positions_that_are_far_off_have_their_time(seconds: float):
+    flights = {}
+    for seed in range(3):
+        flight = flown(seed)
+        climb = 0.3 * np.sin(flight["time"] * (0.5 + 0.2 * seed)) + 0.2 * np.sin(1.7 * flight["time"] + seed)
+        flight["w"] = -climb
+        up = -(flight["w"] * np.cos(flight["phi"]) + flight["v"] * np.sin(flight["phi"])) * np.cos(flight["theta"])
+        height = DT * np.cumsum(up + flight["u"] * np.sin(flight["theta"]))
+        flights[f"f{seed}"] = flight | {"height": np.interp(flight["time"] - seconds, flight["time"], height)}
+    data = Dataset.from_arrays(flights, identify=[*flights])
+    (one,) = [f for f in check(data).findings if f.channel == "height" and "against velocity" in f.sentence]
+    word = "late" if seconds > 0.0 else "early"
+    assert one.sentence.startswith(f"height {abs(seconds):.2f} s {word}")
