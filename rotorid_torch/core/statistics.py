@@ -66,9 +66,11 @@ def stretches(true: np.ndarray) -> list[tuple[int, int]]:
 
 def without_line(values: np.ndarray, along: np.ndarray | None = None) -> np.ndarray:
     """Columns (T, n) without their straight lines of least squares over the samples, or along other places (T,)."""
-    place = np.linspace(-1.0, 1.0, len(values)) if along is None else along - along[0]
-    line = np.stack([np.ones(len(values)), place], axis=1)
-    return values - line @ np.linalg.lstsq(line, values, rcond=None)[0]
+    if not len(values):
+        return values
+    place = np.linspace(-1.0, 1.0, len(values)) if along is None else along - along.mean()
+    level = values - values.mean(axis=0)
+    return level - np.outer(place, place @ level) / max(float(place @ place), np.finfo(float).tiny)
 
 
 Share = Literal["whole", "pairs", "overlap"]

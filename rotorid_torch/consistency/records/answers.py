@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from rotorid_torch.consistency.smoothing import EVERY_S, WIDTH_S, smoothed
 from rotorid_torch.core import names
@@ -57,6 +56,8 @@ class Answers:
         Products of effects, of which each row and column has one, no scale of a response or a control changes. Effects
         below their errors count as these. The second are the places, in `columns`, of each response's control.
         """
+        from scipy.optimize import linear_sum_assignment  # slow to import
+
         rows = [self.responses.index(r) for r in responses]
         floor = np.maximum(CLEARLY * self.errors[rows], np.finfo(float).tiny)
         sizes = np.log(np.maximum(np.abs(self.effects[rows]), floor))[:, list(columns)]
@@ -69,6 +70,8 @@ class Answers:
         Per response the cosine between the two; mean cosine of motors as declared, and paired best; that pairing.
         """
         measured = np.stack([self.weights(r) for r in responses])
+        from scipy.optimize import linear_sum_assignment  # slow to import
+
         measured, declared = (
             x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-300) for x in (measured, declared)
         )
@@ -88,7 +91,8 @@ def answers(dataset: Dataset, controls: Sequence[str], motion: bool = True) -> A
     recorded = [c for c in (*names.VELOCITIES, "phi", "theta") if all(flight.has(c) for flight in flights)]
     forces = ("az",) if all(flight.has("az") for flight in flights) else ()
     states = (*names.RATES, *recorded) if motion else ()
-    by_lag = [_products(flights, (controls, forces, states), lag) for lag in LAGS]
+    streams = [_Stream.of(flight, controls, forces, states) for flight in flights]
+    by_lag = [_products(streams, lag) for lag in LAGS]
     if not flights or not by_lag[0][1]:
         return None
     responses = (*names.RATES, *forces)
@@ -104,22 +108,36 @@ def answers(dataset: Dataset, controls: Sequence[str], motion: bool = True) -> A
     return Answers(responses, effects, errors, 1.0 - left, size[first : first + count])
 
 
-def _products(flights: Sequence[Flight], channels: Sequence[Sequence[str]], lag: int) -> tuple[Array, int]:
-    """Products of responses, controls and motion (n, n) over flights, the controls so many samples earlier."""
-    controls, forces, states = channels
-    total, samples = np.zeros((0, 0)), 0
-    for flight in flights:
-        asked, _, there = smoothed(flight, controls)
+@dataclass(frozen=True)
+class _Stream:
+    """A flight's smoothed controls, responses and motion (T, n); where controls, and where all else, are known (T,)."""
+
+    controls: Array
+    responses: Array
+    motion: Array
+    asked: Array
+    answered: Array
+
+    @classmethod
+    def of(cls, flight: Flight, controls: Sequence[str], forces: Sequence[str], states: Sequence[str]) -> _Stream:
+        """From these channels; responses are the angular accelerations and the forces."""
+        moved, _, asked = smoothed(flight, controls)
         _, turning, known = smoothed(flight, names.RATES)
         others, _, present = smoothed(flight, [*forces, *states])
-        count = len(asked) - lag
+        count = len(forces)
+        responses = np.concatenate([turning, others[:, :count]], axis=1)
+        return cls(moved, responses, others[:, count:], asked, known & present)
+
+
+def _products(streams: Sequence[_Stream], lag: int) -> tuple[Array, int]:
+    """Products of responses, controls and motion (n, n) over flights, the controls so many samples earlier."""
+    total, samples, later = np.zeros((0, 0)), 0, slice(lag, None)
+    for one in streams:
+        count = len(one.controls) - lag
         if count < LEAST:
             continue
-        later = slice(lag, None)
-        rows = np.concatenate(
-            [turning[later], others[later, : len(forces)], asked[:count], others[later, len(forces) :]], axis=1
-        )
-        whole = there[:count] & known[later] & present[later] & np.isfinite(rows).all(axis=1)
+        rows = np.concatenate([one.responses[later], one.controls[:count], one.motion[later]], axis=1)
+        whole = one.asked[:count] & one.answered[later] & np.isfinite(rows).all(axis=1)
         if whole.sum() < LEAST:
             continue
         rows = without_line(rows[whole])
